@@ -1,0 +1,50 @@
+"""One class per failure that a user can cause.
+
+The command line prints such an error as one line and exits with code 2; everything else is a bug and keeps its
+stack trace. A message names the file, the field, what was expected, what was found and the nearest right name.
+"""
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class UserError(Exception):
+    """A failure caused by input: reported in one line, without a stack trace."""
+
+
+class ScenarioError(UserError):
+    """A scenario, or a file it names, is missing or wrong."""
+
+
+class TrafficError(UserError):
+    """A traffic simulation cannot run as asked."""
+
+
+class DataError(UserError):
+    """A dataset, or one file of it, is missing or wrong."""
+
+
+class CheckpointError(UserError):
+    """A checkpoint is missing, damaged or of another model."""
+
+
+class SettingsError(UserError):
+    """A setting or a command-line value is out of its range."""
+
+
+def did_you_mean(name: str, choices: Iterable[str]) -> str:
+    """Return `; did you mean 'x'?` for the nearest of `choices`, else the list of choices."""
+    choices = sorted(choices)
+    near = difflib.get_close_matches(name, choices, n=1, cutoff=0.5)
+    if near:
+        return f"; did you mean '{near[0]}'?"
+    return f"; one of: {', '.join(choices)}" if choices else ""
+
+
+def complaint(file: Path | str, field: str, expected: str, found: object, hint: str = "") -> str:
+    """Compose the one line of a bad value: file, field, expected, found and an optional hint."""
+    shown = found if isinstance(found, str) else repr(found)
+    if len(shown) > 80:
+        shown = shown[:77] + "..."
+    return f"{file}: {field}: expected {expected}, found {shown}{hint}"

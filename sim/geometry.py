@@ -1,0 +1,157 @@
+"""Rigid transforms, angles and the conversions between the conventions of SUMO, CARLA and ours.
+
+Ours is right-handed ENU: metres, z up, yaw counter-clockwise from +x in radians. A transform is a float64 4 x 4
+matrix named destination_from_source, so that `world_from_lidar @ points` reads as it acts. Nothing outside this
+module knows another convention.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+# CARLA's world is left-handed with y to the right: the two worlds are mirror images in the x-z plane.
+_MIRROR_Y = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+def wrap_angle(angle: ArrayLike) -> Array:
+    """Wrap angles in radians into (-pi, pi]."""
+    return np.pi - np.mod(np.pi - np.asarray(angle, dtype=np.float64), 2.0 * np.pi)
+
+
+def pose_matrix(
+    xyz: ArrayLike, yaw: ArrayLike = 0.0, pitch: ArrayLike = 0.0, roll: ArrayLike = 0.0
+) -> Array:
+    """Return parent_from_body for bodies at `xyz` turned by Rz(yaw) Ry(pitch) Rx(roll).
+
+    Args:
+        xyz: (..., 3) position in the parent frame, m.
+        yaw: (...) rad, counter-clockwise about z.
+        pitch: (...) rad about y; positive lowers the front (x forward, z up).
+        roll: (...) rad about x.
+
+    Returns:
+        (..., 4, 4) float64.
+    """
+    xyz = np.asarray(xyz, dtype=np.float64)
+    yaw, pitch, roll = np.broadcast_arrays(
+        np.asarray(yaw, np.float64), np.asarray(pitch, np.float64), np.asarray(roll, np.float64)
+    )
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    cp, sp = np.cos(pitch), np.sin(pitch)
+    cr, sr = np.cos(roll), np.sin(roll)
+    shape = np.broadcast_shapes(xyz.shape[:-1], yaw.shape)
+    matrix = np.zeros((*shape, 4, 4))
+    matrix[..., 0, 0] = cy * cp
+    matrix[..., 0, 1] = cy * sp * sr - sy * cr
+    matrix[..., 0, 2] = cy * sp * cr + sy * sr
+    matrix[..., 1, 0] = sy * cp
+    matrix[..., 1, 1] = sy * sp * sr + cy * cr
+    matrix[..., 1, 2] = sy * sp * cr - cy * sr
+    matrix[..., 2, 0] = -sp
+    matrix[..., 2, 1] = cp * sr
+    matrix[..., 2, 2] = cp * cr
+    matrix[..., :3, 3] = xyz
+    matrix[..., 3, 3] = 1.0
+    return matrix
+
+
+def pose_angles(matrix: ArrayLike) -> tuple[Array, Array, Array]:
+    """Return (yaw, pitch, roll) in radians of (..., 4, 4) transforms, the inverse of `pose_matrix`."""
+    m = np.asarray(matrix, dtype=np.float64)
+    yaw = np.arctan2(m[..., 1, 0], m[..., 0, 0])
+    pitch = np.arctan2(-m[..., 2, 0], np.hypot(m[..., 0, 0], m[..., 1, 0]))
+    roll = np.arctan2(m[..., 2, 1], m[..., 2, 2])
+    return yaw, pitch, roll
+
+
+def invert(matrix: ArrayLike) -> Array:
+    """Return source_from_destination of rigid (..., 4, 4) transforms."""
+    m = np.asarray(matrix, dtype=np.float64)
+    rotation = np.swapaxes(m[..., :3, :3], -1, -2)
+    out = np.zeros_like(m)
+    out[..., :3, :3] = rotation
+    out[..., :3, 3] = -(rotation @ m[..., :3, 3:4])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def transform_points(destination_from_source: ArrayLike, points: ArrayLike) -> NDArray[np.floating]:
+    """Map (..., N, 3) points by a (..., 4, 4) transform; computed in float64, returned in the points' dtype."""
+    matrix = np.asarray(destination_from_source, dtype=np.float64)
+    points = np.asarray(points)
+    dtype = points.dtype if np.issubdtype(points.dtype, np.floating) else np.dtype(np.float64)
+    out = points.astype(np.float64) @ np.swapaxes(matrix[..., :3, :3], -1, -2)
+    out += matrix[..., None, :3, 3]
+    return out.astype(dtype, copy=False)
+
+
+def interpolate_pose(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> Array:
+    """Interpolate between two (4, 4) poses at `fraction` (F,): straight in position, shortest way in each angle.
+
+    Exact for pure yaw, and within the square of the angle step for the small tilts of road vehicles.
+    """
+    start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    fraction = np.asarray(fraction, np.float64)
+    angles = [
+        a + fraction * wrap_angle(b - a)
+        for a, b in zip(pose_angles(start), pose_angles(end), strict=True)
+    ]
+    xyz = start[:3, 3] + fraction[..., None] * (end[:3, 3] - start[:3, 3])
+    return pose_matrix(xyz, *angles)
+
+
+def center_from_sumo(
+    front_xyz: ArrayLike, angle_deg: ArrayLike, slope_deg: ArrayLike, length: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Convert SUMO's vehicle reference to ours.
+
+    SUMO gives the centre of the front bumper at road level, an angle in degrees clockwise from north, and the
+    slope of the road in degrees, positive uphill.
+
+    Args:
+        front_xyz: (N, 3) m.
+        angle_deg: (N,).
+        slope_deg: (N,).
+        length: (N,) vehicle length, m.
+
+    Returns:
+        (N, 3) centre of the footprint at road level, (N,) yaw and (N,) pitch in radians (nose up is negative).
+    """
+    front = np.asarray(front_xyz, np.float64)
+    yaw = wrap_angle(np.radians(90.0 - np.asarray(angle_deg, np.float64)))
+    slope = np.radians(np.asarray(slope_deg, np.float64))
+    half = 0.5 * np.asarray(length, np.float64)
+    forward = np.stack([np.cos(slope) * np.cos(yaw), np.cos(slope) * np.sin(yaw), np.sin(slope)], axis=-1)
+    return front - half[..., None] * forward, yaw, -slope
+
+
+def sumo_from_center(
+    base_xyz: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, length: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Return SUMO's (front_xyz, angle_deg in [0, 360), slope_deg), the inverse of `center_from_sumo`."""
+    base, yaw = np.asarray(base_xyz, np.float64), np.asarray(yaw, np.float64)
+    slope = -np.asarray(pitch, np.float64)
+    half = 0.5 * np.asarray(length, np.float64)
+    forward = np.stack([np.cos(slope) * np.cos(yaw), np.cos(slope) * np.sin(yaw), np.sin(slope)], axis=-1)
+    return base + half[..., None] * forward, np.mod(90.0 - np.degrees(yaw), 360.0), np.degrees(slope)
+
+
+def carla_matrix(pose: ArrayLike) -> Array:
+    """Return CARLA's own left-handed world_from_body of (..., 6) poses [x, y, z, roll, yaw, pitch], m and deg."""
+    pose = np.asarray(pose, dtype=np.float64)
+    angles = np.radians(pose[..., 3:])
+    return pose_matrix(pose[..., :3], yaw=angles[..., 1], pitch=-angles[..., 2], roll=-angles[..., 0])
+
+
+def matrix_from_carla(pose: ArrayLike) -> Array:
+    """Return our right-handed world_from_body of CARLA poses (..., 6): the mirror image in y."""
+    return _MIRROR_Y @ carla_matrix(pose) @ _MIRROR_Y
+
+
+def carla_from_matrix(matrix: ArrayLike) -> Array:
+    """Return CARLA's (..., 6) pose [x, y, z, roll, yaw, pitch], m and deg, of our world_from_body."""
+    matrix = np.asarray(matrix, dtype=np.float64)
+    yaw, pitch, roll = pose_angles(matrix)
+    xyz = matrix[..., :3, 3] * np.array([1.0, -1.0, 1.0])
+    return np.concatenate([xyz, np.degrees(np.stack([roll, -yaw, -pitch], axis=-1))], axis=-1)

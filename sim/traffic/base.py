@@ -1,0 +1,72 @@
+"""The Traffic protocol and the table of actors that every backend yields."""
+
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.boxes import Boxes
+from sim.geometry import pose_matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Actors:
+    """All actors at one instant, world frame, rows sorted by object id.
+
+    Attributes:
+        time_s: simulation time, s.
+        boxes: N boxes (geometric centre); label, object id (>= 1000) and size included.
+        pitch: (N,) float64 rad, positive lowers the front; boxes ignore it, bodies and sensors do not.
+        velocity: (N, 2) float64 m/s in the world, from the motion of the box centre.
+        model: (N,) names of body meshes, see `sim.world.bodies`.
+        name: (N,) names in the traffic simulation.
+        signals: (N,) int32 SUMO signal bits (8 = brake light).
+    """
+
+    time_s: float
+    boxes: Boxes
+    pitch: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    model: tuple[str, ...]
+    name: tuple[str, ...]
+    signals: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    def world_from_body(self) -> NDArray[np.float64]:
+        """Return (N, 4, 4) poses of the footprint centres at road level."""
+        base = self.boxes.center.copy()
+        base[:, 2] -= 0.5 * self.boxes.size[:, 2]
+        return pose_matrix(base, self.boxes.yaw, self.pitch)
+
+    def row(self, object_id: int) -> int:
+        """Return the row of an object; KeyError when it is not on the road."""
+        row = int(np.searchsorted(self.boxes.object_id, object_id))
+        if row == len(self) or self.boxes.object_id[row] != object_id:
+            raise KeyError(object_id)
+        return row
+
+
+class Traffic(Protocol):
+    """A traffic backend: a context manager that moves all actors in steps of `step_s`."""
+
+    step_s: float
+
+    @property
+    def actors(self) -> Actors:
+        """The actors at the current time."""
+        ...
+
+    def step(self) -> Actors:
+        """Advance by `step_s` and return the actors then."""
+        ...
+
+    def close(self) -> None:
+        """End the simulation; further steps are an error."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
