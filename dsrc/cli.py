@@ -1,0 +1,300 @@
+"""The command line: one subcommand per verb. Heavy imports happen inside the verb that needs them."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from tyro.conf import Positional, arg
+from tyro.extras import SubcommandApp
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+app = SubcommandApp()
+
+
+def run(args: list[str] | None = None) -> None:
+    """Parse `args` (default: the process's) and run the verb."""
+    app.cli(
+        prog="dsrc",
+        description="A CPU-first testbed for cooperative driving: simulate, sense, corrupt, detect, drive, review.",
+        args=args,
+        use_underscores=False,
+    )
+
+
+def _console() -> "Console":
+    from rich.console import Console
+
+    return Console(highlight=False)
+
+
+def _say(text: str) -> None:
+    """Write one line for people or scripts on standard output."""
+    sys.stdout.write(f"{text}\n")
+
+
+@contextmanager
+def _progress() -> "Iterator[Progress]":
+    """A progress display with elapsed and remaining time; plain and quiet when nobody watches."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns) as progress:
+        yield progress
+
+
+@app.command(name="scenarios")
+def scenarios(action: Positional[Literal["list", "show"]] = "list", name: Positional[str] = "") -> None:
+    """List the shipped scenarios, or show one.
+
+    Args:
+        action: what to do.
+        name: a shipped scenario or the path of a scenario.toml, for `show`.
+    """
+    from sim.scenario import list_scenarios, load_scenario
+
+    if action == "show":
+        import msgspec
+
+        from sim.errors import SettingsError, did_you_mean
+
+        if not name:
+            raise SettingsError(
+                f"scenarios show: name: expected a scenario, found nothing{did_you_mean('', list_scenarios())}"
+            )
+        _say(msgspec.json.format(msgspec.json.encode(load_scenario(name)).decode(), indent=2))
+        return
+    for known in list_scenarios():
+        _say(f"{known:14s} {load_scenario(known).description}")
+
+
+@app.command(name="generate")
+def generate(
+    scenario: Positional[str],
+    /,
+    out: Path,
+    frames: int = 100,
+    seed: int | None = None,
+    interval: float = 0.1,
+) -> None:
+    """Simulate one drive, scan it with every agent's LiDAR and write it as an OPV2V tree.
+
+    Killed and started again, it goes on where it stopped and writes the same bytes.
+
+    Args:
+        scenario: a shipped scenario or the path of a scenario.toml.
+        out: the split folder; the drive becomes OUT/SCENARIO_SEED.
+        frames: synchronised frames to write.
+        seed: of everything random in the drive; default: the scenario's own.
+        interval: seconds between written frames, a multiple of the LiDAR's 0.1 s.
+    """
+    from dsrc.data.generate import generate as make_drive
+    from sim.scenario import load_scenario
+
+    spec = load_scenario(scenario)
+    seed = spec.seed if seed is None else seed
+    with _progress() as progress:
+        task = progress.add_task(f"{spec.name} seed {seed}", total=frames)
+        drive = make_drive(
+            spec,
+            out,
+            frames=frames,
+            seed=seed,
+            interval_s=interval,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    _say(str(drive))
+
+
+@app.command(name="train")
+def train(
+    recipe: Positional[str],
+    /,
+    data: Path,
+    out: Path,
+    stage: Literal["all", "teacher", "student", "plain"] = "all",
+    teacher: Path | None = None,
+    validate: Path | None = None,
+    seed: int = 0,
+    epochs: int | None = None,
+    set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE")] = (),  # noqa: A002
+) -> None:
+    """Train a detector; started again in the same folder it resumes.
+
+    Args:
+        recipe: debug, small or opv2v.
+        data: folder of drives to train on.
+        out: run folder; one subfolder per stage.
+        stage: all = teacher, then student; plain = the student without teacher and reconstruction.
+        teacher: a trained teacher's detector.pt for `--stage student`; default: the one in OUT.
+        validate: folder of drives for the validation AP; default: a part of DATA.
+        seed: of weights, order and augmentation.
+        epochs: instead of the recipe's.
+        set: change model settings, for ablations: `--set sdd=false fusion=max`.
+    """
+    from dsrc.training.train import train_stages
+
+    detector = train_stages(
+        recipe,
+        data=data,
+        out=out,
+        stage=stage,
+        teacher=teacher,
+        validate=validate,
+        seed=seed,
+        epochs=epochs,
+        overrides=set,
+    )
+    _say(str(detector))
+
+
+@app.command(name="evaluate")
+def evaluate(
+    checkpoints: Positional[tuple[Path, ...]],
+    /,
+    data: Path,
+    out: Path,
+    corruptions: tuple[str, ...] = ("all",),
+    severity: int = 3,
+    seed: int = 0,
+    limit: int | None = None,
+    ego_alone: bool = True,
+) -> None:
+    """Evaluate detectors on drives, clean and corrupted: table, CSV, JSON and plots.
+
+    Args:
+        checkpoints: detector files; `name=path` gives a row its name.
+        data: folder of drives.
+        out: folder for results.csv, results.json and the plots.
+        corruptions: kinds, `all` or `clean`.
+        severity: 1 to 5; 3 is the paper's setting.
+        seed: of the corruptions.
+        limit: evaluate at most this many frames, evenly spread.
+        ego_alone: also evaluate the first detector without collaborators.
+    """
+    from dsrc.evaluation.benchmark import evaluate_checkpoints
+
+    with _progress() as progress:
+        task = progress.add_task("evaluate", total=None)
+        table = evaluate_checkpoints(
+            checkpoints,
+            data=data,
+            out=out,
+            corruptions=corruptions,
+            severity=severity,
+            seed=seed,
+            limit=limit,
+            ego_alone=ego_alone,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    _console().print(table)
+    _say(str(out))
+
+
+@app.command(name="view")
+def view(
+    data: Positional[Path],
+    /,
+    checkpoint: Path | None = None,
+    corruption: str = "clean",
+    severity: int = 3,
+    port: int | None = None,
+    export: Path | None = None,
+    limit: int = 40,
+) -> None:
+    """Review drives in the browser, or write one self-contained page.
+
+    Args:
+        data: folder of drives, or one drive.
+        checkpoint: a detector whose detections are drawn and matched.
+        corruption: the corruption to begin with.
+        severity: 1 to 5.
+        port: of the page on 127.0.0.1; default: a free one.
+        export: write this HTML page and leave.
+        limit: frames in an exported page.
+    """
+    if export is not None:
+        from dsrc.review.export import export_html
+
+        _say(
+            str(
+                export_html(data, export, checkpoint=checkpoint, corruption=corruption, severity=severity, frames=limit)
+            )
+        )
+        return
+    from dsrc.review.app import serve
+
+    serve(data, checkpoint, port=port, corruption=corruption, severity=severity)
+
+
+@app.command(name="drive")
+def drive(
+    scenario: Positional[str],
+    /,
+    perception: Literal["truth", "ego", "dsrc"] = "truth",
+    checkpoint: Path | None = None,
+    corruption: str = "clean",
+    severity: int = 3,
+    seeds: tuple[int, ...] = (0,),
+    duration: float = 20.0,
+    out: Path | None = None,
+) -> None:
+    """Drive closed-loop episodes: the ego brakes for what its perception shows it, nothing else.
+
+    Args:
+        scenario: a shipped scenario or the path of a scenario.toml.
+        perception: truth, the ego's detector alone, or with collaborators.
+        checkpoint: a detector; default: the shipped one.
+        corruption: of every agent's sweeps.
+        severity: 1 to 5.
+        seeds: one episode each.
+        duration: of an episode, s.
+        out: write the rows to this CSV file.
+    """
+    from dsrc.drive.episodes import drive_episodes
+
+    with _progress() as progress:
+        task = progress.add_task(f"drive {perception}", total=None)
+        table = drive_episodes(
+            scenario,
+            perception=perception,
+            checkpoint=checkpoint,
+            corruption=corruption,
+            severity=severity,
+            seeds=seeds,
+            duration_s=duration,
+            out=out,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    _console().print(table)
+
+
+@app.command(name="demo")
+def demo(out: Path = Path("demo"), quick: bool = False) -> None:
+    """Walk the whole testbed on a real junction: generate, evaluate, look, drive. About five minutes on 2 cores.
+
+    Args:
+        out: folder for everything that the demo makes; an interrupted demo goes on there.
+        quick: a few frames only, to see that everything works.
+    """
+    from dsrc.demo import run_demo
+
+    run_demo(out, quick=quick)
