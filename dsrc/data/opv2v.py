@@ -1,0 +1,218 @@
+"""The OPV2V tree: DRIVE/AGENT/000123.pcd + .yaml, written so that OpenCOOD loads it and read back exactly.
+
+A folder of drives is a split, a drive holds one folder per agent (the object id of a vehicle, a negative number for
+a roadside unit) and `data_protocol.yaml`. Trees that others made are read too; what they do not say is filled in:
+all objects are cars, and an agent has at least one point on everything that it has annotated.
+"""
+
+import hashlib
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.opv2v_record import Annotation, Record, encode_agent, read_agent
+from dsrc.data.pcd import encode_pcd, read_pcd
+from dsrc.data.yamlio import read_yaml
+from sensors.frame import AgentFrame, Frame, agent_order
+from sim.boxes import Boxes, concatenate
+from sim.errors import DataError, complaint, did_you_mean
+
+PROTOCOL = "data_protocol.yaml"
+_AGENT = re.compile(r"-?\d+")
+_STEM = re.compile(r"\d+")
+# OpenCDA stamps its files with ticks of a simulation at 20 Hz; used when a foreign tree does not say.
+_TICK_S = 0.05
+
+
+def frame_files(drive: Path, agent_ids: Sequence[int], index: int) -> list[Path]:
+    """Return the files of one frame, points before annotations."""
+    return [drive / str(agent) / f"{index:06d}.{ending}" for agent in agent_ids for ending in ("pcd", "yaml")]
+
+
+def write_frame(
+    drive: Path,
+    frame: Frame,
+    connected_vehicles: bool = True,
+    plans: dict[int, NDArray[np.float64]] | None = None,
+) -> None:
+    """Write one frame of all agents; every file appears completely or not at all.
+
+    Args:
+        drive: folder of the drive, made if it is missing.
+        frame: the frame; its number becomes the file name.
+        connected_vehicles: list other agents' bodies among an agent's vehicles, as any other vehicle.
+        plans: per agent (K, 3) x, y in the world, m, and speed, m/s, of its coming way.
+    """
+    contents: dict[Path, bytes] = {}
+    for row, agent in enumerate(frame.agents):
+        points, notes = frame_files(drive, [agent.agent_id], frame.index)
+        contents[points] = encode_pcd(agent.sweep)
+        plan = (plans or {}).get(agent.agent_id)
+        contents[notes] = encode_agent(frame, row, connected_vehicles, plan).encode()
+    for path, content in contents.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.with_name(path.name + ".tmp").write_bytes(content)
+    for path in contents:
+        path.with_name(path.name + ".tmp").replace(path)
+
+
+def read_frame(drive: Path, index: int) -> Frame:
+    """Read the frame of this number; see `DriveReader` for many."""
+    reader = DriveReader(drive)
+    if index not in reader.frames:
+        span = f"{reader.frames[0]} to {reader.frames[-1]}" if reader.frames else "no frames"
+        raise DataError(complaint(drive, "frame", span, index))
+    return reader.read(reader.frames.index(index))
+
+
+class DriveReader:
+    """Random access to the frames of a drive.
+
+    Attributes:
+        drive: its folder.
+        agents: ids of the agents, in the order of their folders, roadside units last.
+        frames: numbers of the frames, ascending.
+    """
+
+    def __init__(self, drive: Path) -> None:
+        """Look at the folder; no frame is read yet.
+
+        Raises:
+            DataError: there is no drive here, an agent's folder or a frame of an agent is missing.
+        """
+        self.drive = Path(drive)
+        self.protocol = read_yaml(self.drive / PROTOCOL) if (self.drive / PROTOCOL).exists() else {}
+        self.agents = tuple(self._agents())
+        self._stems = self._timestamps()
+        self.frames = tuple(int(stem) for stem in self._stems)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def read(self, i: int) -> Frame:
+        """Read the i-th frame (a position in `frames`, not the number in a file's name)."""
+        stem = self._stems[i]
+        notes = [read_agent(self.drive / str(agent) / f"{stem}.yaml") for agent in self.agents]
+        records = [note for note in notes if isinstance(note, Record)]
+        if not records:
+            return self._foreign_frame(stem, [note for note in notes if isinstance(note, Annotation)])
+        if len(records) < len(notes):
+            row = next(i for i, note in enumerate(notes) if not isinstance(note, Record))
+            path = self.drive / str(self.agents[row]) / f"{stem}.yaml"
+            raise DataError(complaint(path, "testbed", "a record as in the other agents' files", "none"))
+        return self._own_frame(stem, records)
+
+    def _agents(self) -> list[int]:
+        if not self.drive.is_dir():
+            siblings = [p.name for p in self.drive.parent.iterdir()] if self.drive.parent.is_dir() else []
+            raise DataError(f"{self.drive}: no such folder{did_you_mean(self.drive.name, siblings)}")
+        found = [int(p.name) for p in self.drive.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)]
+        promised = self.protocol.get("testbed", {})
+        for agent in promised.get("agents", {}) if isinstance(promised, dict) else ():
+            if int(agent) not in found:
+                raise DataError(f"{self.drive / str(agent)}: agent folder is missing; {PROTOCOL} names it")
+        if not found:
+            raise DataError(complaint(self.drive, "folder", "agent folders with whole numbers as names", "none"))
+        return agent_order(found)
+
+    def _timestamps(self) -> list[str]:
+        """Return the ego's timestamps; every agent must have them, and a drive of ours all that it promises."""
+        listing = {agent: {p.name for p in (self.drive / str(agent)).iterdir()} for agent in self.agents}
+        names = (Path(n) for n in listing[self.agents[0]] if n.endswith(".yaml"))
+        stems = sorted(n.stem for n in names if _STEM.fullmatch(n.stem))
+        for agent in self.agents:
+            for stem in stems:
+                for ending in ("yaml", "pcd"):
+                    if f"{stem}.{ending}" not in listing[agent]:
+                        raise DataError(f"{self.drive / str(agent) / stem}.{ending}: file is missing")
+        own = self.protocol.get("testbed", {})
+        promised = own.get("frames") if isinstance(own, dict) else None
+        if promised is not None and promised != len(stems):
+            raise DataError(
+                complaint(self.drive, "frames", f"{promised} as in {PROTOCOL}", len(stems), "; run dsrc generate again")
+            )
+        return stems
+
+    def _own_frame(self, stem: str, records: list[Record]) -> Frame:
+        first = records[0]
+        if sorted(first.agents) != sorted(self.agents):
+            missing = sorted(set(first.agents) ^ set(self.agents))
+            raise DataError(complaint(self.drive, "agent folders", str(first.agents), f"{missing} missing or extra"))
+        agents = []
+        for agent_id, record in zip(self.agents, records, strict=True):
+            path = self.drive / str(agent_id) / f"{stem}.pcd"
+            if record.index != first.index or record.object_id != first.object_id or record.box != first.box:
+                raise DataError(f"{path.with_suffix('.yaml')}: testbed: differs from agent {self.agents[0]}'s truth")
+            pose = np.array(record.world_from_lidar, np.float64)
+            sweep = read_pcd(path, pose, record.sweep_time_s, record.lidar)
+            body = np.array(record.world_from_body, np.float64)
+            agents.append(AgentFrame(agent_id, record.kind, body, record.speed_mps, sweep))
+        return Frame(
+            index=first.index,
+            time_s=first.time_s,
+            agents=tuple(agents),
+            truth=first.truth(),
+            velocity=np.array(first.velocity, np.float64).reshape(-1, 2),
+            points_on=np.array([r.points_on for r in records], np.int32).reshape(len(records), -1),
+        )
+
+    def _foreign_frame(self, stem: str, notes: list[Annotation]) -> Frame:
+        truth, velocity = _union(notes)
+        time_s = int(stem) * self._tick_s()
+        agents, points_on = [], np.zeros((len(notes), len(truth)), np.int32)
+        for row, (agent_id, note) in enumerate(zip(self.agents, notes, strict=True)):
+            sweep = read_pcd(self.drive / str(agent_id) / f"{stem}.pcd", note.world_from_lidar, time_s)
+            kind = "roadside" if agent_id < 0 else "vehicle"
+            agents.append(AgentFrame(agent_id, kind, note.world_from_body, note.speed, sweep))
+            listed = np.isin(truth.object_id, note.boxes.object_id)
+            counts = truth[listed].contains(sweep.world_points).sum(axis=1)
+            # An annotation means that a ray has hit the object, even if no point of the file lies in its box.
+            points_on[row, listed] = np.maximum(counts, 1)
+        return Frame(int(stem), time_s, tuple(agents), truth, velocity, points_on)
+
+    def _tick_s(self) -> float:
+        world = self.protocol.get("world", {})
+        tick = world.get("fixed_delta_seconds", _TICK_S) if isinstance(world, dict) else _TICK_S
+        return float(tick) if isinstance(tick, int | float) and tick > 0 else _TICK_S
+
+
+def _union(notes: list[Annotation]) -> tuple[Boxes, NDArray[np.float64]]:
+    """Return every object once, as the first agent that has annotated it says, rows sorted by id."""
+    boxes = concatenate([note.boxes for note in notes])
+    velocity = np.concatenate([np.zeros((0, 2)), *(note.velocity for note in notes)])
+    _, first = np.unique(boxes.object_id, return_index=True)
+    return boxes[first], velocity[first]
+
+
+def find_drives(root: Path) -> list[Path]:
+    """Return the drives at or below a folder (itself, its children, theirs), sorted by path.
+
+    Raises:
+        DataError: the folder is missing or holds no drive.
+    """
+    root = Path(root)
+    if not root.is_dir():
+        raise DataError(f"{root}: no such folder")
+    drives = [folder for folder in [root, *root.glob("*/"), *root.glob("*/*/")] if _is_drive(folder)]
+    if not drives:
+        raise DataError(complaint(root, "folder", "an OPV2V tree (drive/agent/000000.yaml)", "none"))
+    return sorted(drives)
+
+
+def _is_drive(folder: Path) -> bool:
+    return any(_AGENT.fullmatch(p.name) and p.is_dir() and any(p.glob("*.yaml")) for p in folder.iterdir())
+
+
+def data_hash(drives: Sequence[Path]) -> str:
+    """Return a SHA-256 of drives' annotations and of all files' names and sizes; quick, for provenance."""
+    digest = hashlib.sha256()
+    for drive in sorted(Path(d) for d in drives):
+        for path in sorted(p for p in drive.rglob("*") if p.suffix in (".yaml", ".pcd") and p.is_file()):
+            name = f"{drive.name}/{path.relative_to(drive).as_posix()}"
+            digest.update(f"{name}\0{path.stat().st_size}\0".encode())
+            if path.suffix == ".yaml":
+                digest.update(path.read_bytes())
+    return digest.hexdigest()

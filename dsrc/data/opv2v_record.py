@@ -1,0 +1,272 @@
+"""What one agent's yaml holds for one frame: the keys of OPV2V and our exact record beside them.
+
+OPV2V's world is CARLA's: left-handed, y to the right, degrees, half extents, km/h. The key `testbed` holds one
+line of JSON with everything that OPV2V cannot say (classes, velocities, unseen actors, exact matrices); other tools
+ignore it. Its checksum covers the rest of the file, so an edited file does not pass for the original.
+
+Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.md).
+"""
+
+import math
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.yamlio import emit, parse_yaml, read_text
+from sensors.frame import AgentKind, Frame
+from sensors.spec import LidarSpec
+from sim.boxes import CLASSES, Boxes
+from sim.errors import DataError, complaint
+from sim.geometry import carla_from_matrix, matrix_from_carla, wrap_angle
+
+VERSION = 1
+_PREFIX = "testbed: '"
+
+
+class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The JSON under `testbed`: N objects, in the order of `Frame.truth`."""
+
+    version: int
+    check: int
+    index: int
+    time_s: float
+    agents: list[int]
+    kind: AgentKind
+    speed_mps: float
+    world_from_body: list[list[float]]
+    world_from_lidar: list[list[float]]
+    sweep_time_s: float
+    lidar: LidarSpec | None
+    object_id: list[int]
+    label: list[str]
+    box: list[tuple[float, float, float, float, float, float, float]]
+    velocity: list[tuple[float, float]]
+    points_on: list[int]
+
+    def truth(self) -> Boxes:
+        """Return the boxes exactly as they were written."""
+        array = np.array(self.box, np.float64).reshape(-1, 7)
+        label = np.array([CLASSES.index(name) for name in self.label], np.int64)
+        return Boxes(
+            array[:, :3].copy(), array[:, 3:6].copy(), array[:, 6].copy(), label, np.array(self.object_id, np.int64)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Annotation:
+    """What a yaml without a `testbed` record says.
+
+    Attributes:
+        world_from_lidar: (4, 4) in our right-handed world.
+        world_from_body: (4, 4), that of the LiDAR when the file does not say.
+        speed: m/s.
+        boxes: the vehicles that the agent has annotated, world frame.
+        velocity: (N, 2) m/s, along the headings.
+    """
+
+    world_from_lidar: NDArray[np.float64]
+    world_from_body: NDArray[np.float64]
+    speed: float
+    boxes: Boxes
+    velocity: NDArray[np.float64]
+
+
+def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray[np.float64] | None = None) -> str:
+    """Return the yaml text of one agent of a frame.
+
+    Args:
+        frame: the frame.
+        row: the agent's row in it.
+        connected_vehicles: list the other agents' own bodies among the vehicles too.
+        plan: (K, 3) x, y in the world, m, and speed, m/s, of the agent's coming way.
+    """
+    agent = frame.agents[row]
+    body = carla_from_matrix(agent.world_from_body).tolist()
+    plan = np.zeros((0, 3)) if plan is None else plan
+    rest = emit(
+        {
+            "lidar_pose": carla_from_matrix(agent.sweep.world_from_lidar).tolist(),
+            "true_ego_pos": body,
+            "predicted_ego_pos": body,
+            "ego_speed": float(agent.speed) * 3.6,
+            "plan_trajectory": (plan * [1.0, -1.0, 3.6]).tolist(),
+            "vehicles": _vehicles(frame, row, connected_vehicles),
+        }
+    )
+    record = msgspec.json.encode(_record(frame, row, zlib.crc32(rest.encode()))).decode()
+    # In single quotes the JSON stays one scalar for every YAML reader; it holds no quote of that kind itself.
+    return f"{_PREFIX}{record.replace(chr(39), chr(92) + 'u0027')}'\n{rest}"
+
+
+def _record(frame: Frame, row: int, check: int) -> Record:
+    agent, truth = frame.agents[row], frame.truth
+    numbers = (truth.array, frame.velocity, agent.world_from_body, agent.sweep.world_from_lidar)
+    if not all(np.isfinite(n).all() for n in numbers):
+        raise ValueError(f"frame {frame.index}: a box, velocity or pose is not finite")
+    return Record(
+        version=VERSION,
+        check=check,
+        index=int(frame.index),
+        time_s=float(frame.time_s),
+        agents=[a.agent_id for a in frame.agents],
+        kind=agent.kind,
+        speed_mps=float(agent.speed),
+        world_from_body=agent.world_from_body.tolist(),
+        world_from_lidar=agent.sweep.world_from_lidar.tolist(),
+        sweep_time_s=float(agent.sweep.time_s),
+        lidar=agent.sweep.spec,
+        object_id=truth.object_id.tolist(),
+        label=[CLASSES[i] for i in truth.label],
+        box=truth.array.tolist(),
+        velocity=frame.velocity.tolist(),
+        points_on=frame.points_on[row].tolist(),
+    )
+
+
+def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> dict[int, dict[str, Any]]:
+    """Return OPV2V's table of the vehicles that the agent has at least one point on, without itself."""
+    truth = frame.truth
+    listed = truth.is_vehicle & (frame.points_on[row] >= 1) & (truth.object_id != frame.agents[row].agent_id)
+    if not connected_vehicles:
+        listed &= ~np.isin(truth.object_id, [a.agent_id for a in frame.agents])
+    vehicles = {}
+    for i in np.flatnonzero(listed):
+        x, y, z, length, width, height, yaw = truth.array[i].tolist()
+        vehicles[int(truth.object_id[i])] = {
+            "angle": [0.0, -math.degrees(yaw), 0.0],
+            "center": [0.0, 0.0, 0.5 * height],
+            "extent": [0.5 * length, 0.5 * width, 0.5 * height],
+            "location": [x, -y, z - 0.5 * height],
+            "speed": float(np.hypot(*frame.velocity[i])) * 3.6,
+        }
+    return vehicles
+
+
+def read_agent(path: Path) -> Record | Annotation:
+    """Read one yaml: our record where it has one, else what OPV2V's keys say.
+
+    Raises:
+        DataError: the file cannot be read, a value is missing or wrong, or the file was edited beside its record.
+    """
+    text = read_text(path)
+    if not text.startswith(_PREFIX):
+        return _annotation(path, parse_yaml(path, text))
+    line, _, rest = text.partition("\n")
+    try:
+        record = msgspec.json.decode(line[len(_PREFIX) : -1], type=Record)
+    except (msgspec.DecodeError, UnicodeError) as error:
+        raise DataError(f"{path}: testbed: damaged record: {error}") from None
+    if record.version != VERSION:
+        raise DataError(complaint(path, "testbed.version", str(VERSION), record.version))
+    if record.check != zlib.crc32(rest.encode()):
+        _annotation(path, parse_yaml(path, rest))  # names the wrong value if there is one
+        raise DataError(
+            f"{path}: testbed.check: the file was edited or cut after it was written; to read it as plain OPV2V "
+            "remove the line `testbed` from every yaml of the drive"
+        )
+    return _checked(path, record)
+
+
+def _checked(path: Path, record: Record) -> Record:
+    n = len(record.object_id)
+    for name in ("label", "box", "velocity", "points_on"):
+        if len(getattr(record, name)) != n:
+            raise DataError(complaint(path, f"testbed.{name}", f"{n} rows", len(getattr(record, name))))
+    for name in ("world_from_body", "world_from_lidar"):
+        if [len(r) for r in getattr(record, name)] != [4, 4, 4, 4]:
+            raise DataError(complaint(path, f"testbed.{name}", "4 rows of 4 numbers", getattr(record, name)))
+    unknown = set(record.label) - set(CLASSES)
+    if unknown:
+        raise DataError(complaint(path, "testbed.label", f"one of {', '.join(CLASSES)}", min(unknown)))
+    return record
+
+
+def _annotation(path: Path, content: dict) -> Annotation:
+    lidar = _numbers(path, content, "lidar_pose", 6)
+    body = _numbers(path, content, "true_ego_pos", 6) if "true_ego_pos" in content else lidar
+    speed = _number(path, "ego_speed", content.get("ego_speed", 0.0)) / 3.6
+    vehicles = content.get("vehicles")
+    if vehicles is None and "vehicles" not in content:
+        raise DataError(complaint(path, "vehicles", "a mapping of object id to box", "nothing"))
+    vehicles = vehicles or {}
+    if not isinstance(vehicles, dict):
+        raise DataError(complaint(path, "vehicles", "a mapping of object id to box", type(vehicles).__name__))
+    rows = [_vehicle(path, key, entry) for key, entry in vehicles.items()]
+    ids = np.array([row[0] for row in rows], np.int64)
+    boxes = upright_boxes(
+        np.array([row[1] for row in rows]).reshape(-1, 3),
+        np.array([row[2] for row in rows]).reshape(-1, 3),
+        np.array([row[3] for row in rows]).reshape(-1, 3),
+        object_id=ids,
+    )
+    speeds = np.array([row[4] for row in rows], np.float64)
+    velocity = speeds[:, None] * np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
+    order = np.argsort(ids, kind="stable")
+    return Annotation(matrix_from_carla(lidar), matrix_from_carla(body), speed, boxes[order], velocity[order])
+
+
+def _vehicle(path: Path, key: object, entry: object) -> tuple[int, list[float], list[float], list[float], float]:
+    """Return (id, centre in CARLA's world, angle in deg, half extent, m/s) of one entry of `vehicles`."""
+    if not isinstance(key, int) or isinstance(key, bool):
+        raise DataError(complaint(path, "vehicles", "whole numbers as ids", key))
+    if not isinstance(entry, dict):
+        raise DataError(complaint(path, f"vehicles.{key}", "a mapping", type(entry).__name__))
+    where = f"vehicles.{key}."
+    location, center = _numbers(path, entry, "location", 3, where), _numbers(path, entry, "center", 3, where)
+    angle, extent = _numbers(path, entry, "angle", 3, where), _numbers(path, entry, "extent", 3, where)
+    if min(extent) <= 0.0:
+        raise DataError(complaint(path, f"{where}extent", "positive half sizes", extent))
+    middle = [a + b for a, b in zip(location, center, strict=True)]
+    return key, middle, angle, extent, _number(path, f"{where}speed", entry.get("speed", 0.0)) / 3.6
+
+
+def upright_boxes(
+    center: NDArray[np.float64],
+    angle_deg: NDArray[np.float64],
+    extent: NDArray[np.float64],
+    lidar_pose: NDArray[np.float64] | None = None,
+    object_id: NDArray[np.int64] | None = None,
+) -> Boxes:
+    """Turn CARLA boxes into upright boxes of our world or of a LiDAR's frame.
+
+    A tilted box becomes the upright one with the mean sides of its eight corners seen from above, as in OpenCOOD.
+
+    Args:
+        center: (N, 3) CARLA world, m.
+        angle_deg: (N, 3) roll, yaw, pitch.
+        extent: (N, 3) half length, width and height, m.
+        lidar_pose: CARLA pose of the LiDAR in whose frame the boxes are wanted; None for the world.
+        object_id: (N,) ids.
+    """
+    world_from_box = matrix_from_carla(np.concatenate([center, angle_deg], axis=1))
+    frame = np.eye(4) if lidar_pose is None else np.linalg.inv(matrix_from_carla(lidar_pose))
+    axes = frame @ world_from_box
+    along, across = (2.0 * extent[:, i, None] * axes[:, :2, i] for i in (0, 1))
+    # Opposite edges of a box are equal, so its mean edges seen from above are its projected axes.
+    size = np.stack([np.hypot(*along.T), np.hypot(*across.T), 2.0 * extent[:, 2] * np.abs(axes[:, 2, 2])], axis=1)
+    yaw = np.arctan2(along[:, 1], along[:, 0])
+    label = np.zeros(len(center), np.int64)
+    ids = np.full(len(center), -1, np.int64) if object_id is None else object_id
+    return Boxes(axes[:, :3, 3].copy(), size, wrap_angle(yaw), label, ids)
+
+
+def _numbers(path: Path, content: dict, key: str, count: int, where: str = "") -> list[float]:
+    value = content.get(key)
+    if not isinstance(value, list) or len(value) != count:
+        raise DataError(complaint(path, where + key, f"{count} numbers", value if value is not None else "nothing"))
+    return [_number(path, where + key, item) for item in value]
+
+
+def _number(path: Path, field: str, value: object) -> float:
+    try:
+        number = float(value) if not isinstance(value, bool) else math.nan  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise DataError(complaint(path, field, "a finite number", value))
+    return number

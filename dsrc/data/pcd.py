@@ -1,0 +1,249 @@
+"""PCD v0.7 point files: a small reader of ASCII and binary files and a writer of binary ones.
+
+The OPV2V tools keep the intensity in the red channel of `rgb`, 8 bits; we write that too and keep every column of a
+sweep beside it as a field of its own, which those tools ignore. On disk the points are in CARLA's left-handed sensor
+frame (y to the right); in memory in ours (y to the left).
+
+Source: https://pointclouds.org/documentation/tutorials/pcd_file_format.html
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.spec import LidarSpec
+from sensors.sweep import Sweep, make_sweep
+from sim.errors import DataError, complaint
+
+_HEADER = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_KINDS = {"F": "f", "U": "u", "I": "i"}
+_SIZES = {"F": (4, 8), "U": (1, 2, 4, 8), "I": (1, 2, 4, 8)}
+
+_RECORD = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("rgb", "<u4"),
+        ("intensity", "<f4"),
+        ("ring", "<i2"),
+        ("column", "<i4"),
+        ("time", "<f4"),
+        ("object_id", "<i4"),
+        ("return", "u1"),
+        ("fate", "u1"),
+    ]
+)
+_COLUMNS = {
+    "intensity": "intensity",
+    "ring": "ring",
+    "column": "column",
+    "time": "time_offset",
+    "object_id": "object_id",
+    "return": "return_number",
+    "fate": "fate",
+}
+"""Field of the file -> column of `Sweep`."""
+
+
+def encode_table(table: NDArray[np.void]) -> bytes:
+    """Return a binary PCD file of a one-dimensional structured array of scalars."""
+    names = table.dtype.names or ()
+    dtypes = [table.dtype[name] for name in names]
+    kinds = {kind: letter for letter, kind in _KINDS.items()}
+    lines = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        "FIELDS " + " ".join(names),
+        "SIZE " + " ".join(str(d.itemsize) for d in dtypes),
+        "TYPE " + " ".join(kinds[d.kind] for d in dtypes),
+        "COUNT " + " ".join("1" for _ in dtypes),
+        f"WIDTH {len(table)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(table)}",
+        "DATA binary",
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii") + table.tobytes()
+
+
+def read_table(path: Path) -> NDArray[np.void]:
+    """Read all fields of an ASCII or binary PCD file.
+
+    Returns:
+        (P,) structured array, one field per FIELDS entry (of COUNT 1; wider ones are sub-arrays).
+
+    Raises:
+        DataError: the file is missing, truncated, compressed or its header contradicts itself.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise DataError(f"{path}: file not found") from None
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from None
+    header, body = _split_header(path, content)
+    dtype, points = _record_type(path, header), _point_count(path, header)
+    form = header["DATA"][0]
+    if form == "binary":
+        expected = points * dtype.itemsize
+        if len(body) != expected:
+            raise DataError(complaint(path, "DATA", f"{expected} bytes for {points} points", f"{len(body)} bytes"))
+        return np.frombuffer(body, dtype)
+    if form == "ascii":
+        return _ascii_table(path, body, dtype, points)
+    raise DataError(complaint(path, "DATA", "ascii or binary", form, "; convert it with pcl_convert_pcd_ascii_binary"))
+
+
+def encode_pcd(sweep: Sweep) -> bytes:
+    """Return the PCD file of a sweep: mirrored points, red intensity and all columns exactly."""
+    table = np.zeros(len(sweep), _RECORD)
+    table["x"], table["y"], table["z"] = sweep.points[:, 0], -sweep.points[:, 1], sweep.points[:, 2]
+    red = np.round(np.clip(sweep.intensity, 0.0, 1.0) * 255.0).astype(np.uint32)
+    table["rgb"] = red << 16
+    for field, column in _COLUMNS.items():
+        table[field] = getattr(sweep, column)
+    return encode_table(table)
+
+
+def write_pcd(path: Path, sweep: Sweep) -> None:
+    """Write a sweep atomically: the file is there completely or not at all."""
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_bytes(encode_pcd(sweep))
+    temporary.replace(path)
+
+
+def read_pcd(
+    path: Path,
+    world_from_lidar: NDArray[np.float64] | None = None,
+    time_s: float = 0.0,
+    spec: LidarSpec | None = None,
+) -> Sweep:
+    """Read a sweep from our files or those of OPV2V; columns that the file lacks are zero.
+
+    Args:
+        path: a PCD file with x, y, z and `intensity` or `rgb`.
+        world_from_lidar: (4, 4) pose of the sensor, not in the file.
+        time_s: reference time of the sweep, not in the file.
+        spec: the sensor, not in the file.
+
+    Raises:
+        DataError: the file cannot be read, lacks a coordinate or intensity, or holds a coordinate that is no number.
+    """
+    table = read_table(path)
+    names = table.dtype.names or ()
+    for field in ("x", "y", "z"):
+        if field not in names:
+            raise DataError(complaint(path, "FIELDS", f"a field {field}", " ".join(names)))
+        bad = np.flatnonzero(~np.isfinite(table[field]))
+        if len(bad):
+            raise DataError(complaint(path, f"{field} of point {bad[0]}", "a finite number", str(table[field][bad[0]])))
+    points = np.stack([table["x"], -table["y"].astype(np.float32), table["z"]], axis=1).astype(np.float32)
+    columns = {column: table[field] for field, column in _COLUMNS.items() if field in names}
+    columns["intensity"] = _intensity(path, table)
+    return make_sweep(points, world_from_lidar, time_s, spec, **columns)
+
+
+def _intensity(path: Path, table: NDArray[np.void]) -> NDArray[np.float32]:
+    """Return (P,) intensity in [0, 1]: our own field, else red of `rgb`, else a field of 0 to 255."""
+    names = table.dtype.names or ()
+    if "intensity" in names:
+        intensity = table["intensity"].astype(np.float32)
+        bad = np.flatnonzero(~np.isfinite(intensity))
+        if len(bad):
+            raise DataError(complaint(path, f"intensity of point {bad[0]}", "a finite number", str(intensity[bad[0]])))
+        eight_bit = "rgb" not in names and len(intensity) > 0 and float(intensity.max()) > 1.0
+        return intensity / np.float32(255.0) if eight_bit else intensity
+    if "rgb" in names:
+        packed = table["rgb"]
+        if packed.dtype.itemsize != 4:
+            raise DataError(complaint(path, "SIZE of rgb", "4", packed.dtype.itemsize))
+        bits = np.ascontiguousarray(packed).view(np.uint32)
+        return ((bits >> 16) & 0xFF).astype(np.float32) / np.float32(255.0)
+    raise DataError(complaint(path, "FIELDS", "a field rgb or intensity", " ".join(names)))
+
+
+def _split_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes]:
+    """Return the header's entries and the bytes after its DATA line."""
+    header: dict[str, list[str]] = {}
+    start = 0
+    while "DATA" not in header:
+        end = content.find(b"\n", start)
+        if end < 0:
+            raise DataError(
+                complaint(path, "header", "a line DATA", "the end of the file" if header else "no PCD file")
+            )
+        words = content[start:end].decode("ascii", "replace").split()
+        start = end + 1
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] not in _HEADER:
+            raise DataError(complaint(path, "header", f"one of {' '.join(_HEADER)}", words[0]))
+        header[words[0]] = words[1:]
+    for name in ("FIELDS", "SIZE", "TYPE", "DATA"):
+        if not header.get(name):
+            raise DataError(complaint(path, "header", f"a line {name}", "none"))
+    return header, content[start:]
+
+
+def _record_type(path: Path, header: dict[str, list[str]]) -> np.dtype:
+    names, sizes, types = header["FIELDS"], header["SIZE"], header["TYPE"]
+    counts = header.get("COUNT", ["1"] * len(names))
+    for field, entries in (("SIZE", sizes), ("TYPE", types), ("COUNT", counts)):
+        if len(entries) != len(names):
+            raise DataError(complaint(path, field, f"{len(names)} entries as in FIELDS", f"{len(entries)}"))
+    fields = []
+    for i, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
+        if kind not in _KINDS or not size.isdigit() or int(size) not in _SIZES[kind]:
+            raise DataError(complaint(path, f"TYPE and SIZE of {name}", "F 4, U 4, I 4 or alike", f"{kind} {size}"))
+        if not count.isdigit() or int(count) < 1:
+            raise DataError(complaint(path, f"COUNT of {name}", "a positive integer", count))
+        # PCL names padding "_", possibly more than once; names of a record must differ.
+        unique = f"_{i}" if name == "_" else name
+        scalar = f"<{_KINDS[kind]}{size}"
+        fields.append((unique, scalar) if count == "1" else (unique, scalar, (int(count),)))
+    try:
+        return np.dtype(fields)
+    except ValueError as error:
+        raise DataError(f"{path}: FIELDS: {error}") from None
+
+
+def _point_count(path: Path, header: dict[str, list[str]]) -> int:
+    numbers = {}
+    for name in ("WIDTH", "HEIGHT", "POINTS"):
+        words = header.get(name)
+        if words is None:
+            continue
+        if len(words) != 1 or not words[0].isdigit():
+            raise DataError(complaint(path, name, "a whole number", " ".join(words)))
+        numbers[name] = int(words[0])
+    if "POINTS" not in numbers:
+        raise DataError(complaint(path, "header", "a line POINTS", "none"))
+    if "WIDTH" in numbers and numbers["WIDTH"] * numbers.get("HEIGHT", 1) != numbers["POINTS"]:
+        area = f"{numbers['WIDTH']} x {numbers.get('HEIGHT', 1)}"
+        raise DataError(complaint(path, "POINTS", f"WIDTH x HEIGHT = {area}", numbers["POINTS"]))
+    return numbers["POINTS"]
+
+
+def _ascii_table(path: Path, body: bytes, dtype: np.dtype, points: int) -> NDArray[np.void]:
+    words = body.split()
+    names = dtype.names or ()
+    widths = [int(np.prod(dtype[name].shape, dtype=int)) for name in names]
+    if len(words) != points * sum(widths):
+        raise DataError(
+            complaint(path, "DATA", f"{points * sum(widths)} numbers for {points} points", f"{len(words)} numbers")
+        )
+    try:
+        values = np.array([float(word) for word in words]).reshape(points, sum(widths))
+    except ValueError as error:
+        raise DataError(complaint(path, "DATA", "numbers", str(error))) from None
+    table = np.zeros(points, dtype)
+    column = 0
+    for name, width in zip(names, widths, strict=True):
+        block = values[:, column : column + width]
+        column += width
+        if dtype[name].base.kind in "ui" and not np.isfinite(block).all():
+            raise DataError(complaint(path, name, "whole numbers", "nan or inf"))
+        table[name] = block.reshape(table[name].shape)
+    return table

@@ -1,0 +1,159 @@
+"""Sample: one instant seen by one ego and its collaborators, in the ego LiDAR's frame."""
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.frame import Frame
+from sim.boxes import Boxes
+from sim.errors import DataError, complaint
+from sim.geometry import invert, transform_points
+
+
+class GridSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The bird's-eye grid of a detector, in the ego LiDAR's frame.
+
+    Attributes:
+        range_m: (x_min, y_min, z_min, x_max, y_max, z_max).
+        cell_m: side of a pillar.
+    """
+
+    range_m: tuple[float, float, float, float, float, float] = (-140.8, -40.0, -3.0, 140.8, 40.0, 1.0)
+    cell_m: float = 0.4
+
+    @property
+    def width(self) -> int:
+        """Cells along x."""
+        return round((self.range_m[3] - self.range_m[0]) / self.cell_m)
+
+    @property
+    def height(self) -> int:
+        """Cells along y."""
+        return round((self.range_m[4] - self.range_m[1]) / self.cell_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """What a detector gets of one instant: A agents, ego first, everything in the ego LiDAR's frame.
+
+    Attributes:
+        key: `drive/agent/frame`, for messages and seeds.
+        agent_ids: (A,) ids, ego first.
+        clouds: per agent (P, 4) float32 x, y, z, intensity; own body removed, cropped to the grid's range.
+        ego_from_agent: (A, 4, 4) float64 poses of the agents' LiDARs.
+        boxes: ground truth: vehicles that at least one agent in communication range has a point on, all corners
+            in range, the ego's own body left out.
+        agent_boxes: per agent the vehicles that it has annotated itself (a subset of the same rule).
+    """
+
+    key: str
+    agent_ids: tuple[int, ...]
+    clouds: tuple[NDArray[np.float32], ...]
+    ego_from_agent: NDArray[np.float64]
+    boxes: Boxes
+    agent_boxes: tuple[Boxes, ...]
+
+
+# The released code drops an agent's returns on itself in this box of the LiDAR's frame, m; it fits OPV2V's Lincoln.
+_OWN_BODY_LOW = np.array([-1.95, -1.1], np.float32)
+_OWN_BODY_HIGH = np.array([2.95, 1.1], np.float32)
+_OWN_BODY_MARGIN_M = 0.1
+
+
+def make_sample(
+    frame: Frame,
+    ego_id: int | None,
+    grid: GridSpec,
+    *,
+    comm_range_m: float = 70.0,
+    max_agents: int = 5,
+    cooperative: bool = True,
+    key: str = "",
+    keep_ego_box: bool = False,
+) -> Sample:
+    """Look at a frame as one ego does.
+
+    Args:
+        frame: the instant.
+        ego_id: the ego; None takes the first vehicle in the order of the folders (else the first agent).
+        grid: the range that clouds and boxes are cropped to.
+        comm_range_m: LiDARs farther away than this (in the plane) do not take part.
+        max_agents: at most this many agents, the ego included, in the order of the folders.
+        cooperative: give the detector the collaborators' clouds. The ground truth is the same either way: what
+            any agent in range has seen.
+        key: name of the sample.
+        keep_ego_box: count the ego's own body as an object where a collaborator has seen it, as OpenCOOD does.
+
+    Raises:
+        DataError: the frame has no agent of this id.
+    """
+    rows = _participants(frame, ego_id, comm_range_m, max_agents)
+    ego = frame.agents[rows[0]]
+    ego_from_world = invert(ego.sweep.world_from_lidar)
+    truth = frame.truth.transform(ego_from_world)
+    eligible = truth.is_vehicle & inside_range(truth, grid)
+    if not keep_ego_box:
+        eligible &= truth.object_id != ego.agent_id
+    seen = frame.points_on[rows] >= 1
+    ids = np.array([frame.agents[row].agent_id for row in rows])
+    annotated = eligible & seen & (truth.object_id != ids[:, None])
+    active = rows if cooperative else rows[:1]
+    poses = np.stack([ego_from_world @ frame.agents[row].sweep.world_from_lidar for row in active])
+    poses[0] = np.eye(4)
+    return Sample(
+        key=key or f"{ego.agent_id}/{frame.index:06d}",
+        agent_ids=tuple(frame.agents[row].agent_id for row in active),
+        clouds=tuple(_cloud(frame, row, pose, grid) for row, pose in zip(active, poses, strict=True)),
+        ego_from_agent=poses,
+        boxes=truth[annotated.any(axis=0)],
+        agent_boxes=tuple(truth[annotated[i]] for i in range(len(active))),
+    )
+
+
+def _participants(frame: Frame, ego_id: int | None, comm_range_m: float, max_agents: int) -> list[int]:
+    """Return rows of `frame.agents`: the ego, then the others in range."""
+    if ego_id is None:
+        vehicles = [row for row, agent in enumerate(frame.agents) if agent.kind == "vehicle"]
+        ego_row = vehicles[0] if vehicles else 0
+    else:
+        ids = [agent.agent_id for agent in frame.agents]
+        if ego_id not in ids:
+            raise DataError(complaint(f"frame {frame.index}", "ego", f"one of the agents {ids}", ego_id))
+        ego_row = ids.index(ego_id)
+    if not frame.agents:
+        raise DataError(f"frame {frame.index}: expected at least one agent, found none")
+    place = np.array([agent.sweep.world_from_lidar[:2, 3] for agent in frame.agents])
+    distance = np.linalg.norm(place - place[ego_row], axis=1)
+    others = [row for row in range(len(frame.agents)) if row != ego_row and distance[row] <= comm_range_m]
+    return [ego_row, *others][:max_agents]
+
+
+def inside_range(boxes: Boxes, grid: GridSpec) -> NDArray[np.bool_]:
+    """Return (N,) whether all 8 corners lie in the grid's range, faces included."""
+    corners = boxes.corners()
+    low, high = np.array(grid.range_m[:3]), np.array(grid.range_m[3:])
+    return ((corners >= low) & (corners <= high)).all(axis=(1, 2))
+
+
+def _cloud(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
+    """Return (P, 4) x, y, z, intensity in the ego's frame: without the agent's own body, strictly in range."""
+    sweep = frame.agents[row].sweep
+    kept = ~_own_body(frame, row)
+    points = transform_points(ego_from_agent, sweep.points[kept])
+    low, high = np.array(grid.range_m[:3], np.float32), np.array(grid.range_m[3:], np.float32)
+    inside = ((points > low) & (points < high)).all(axis=1)
+    cloud = np.concatenate([points, sweep.intensity[kept][:, None]], axis=1)[inside]
+    return np.ascontiguousarray(cloud, np.float32)
+
+
+def _own_body(frame: Frame, row: int) -> NDArray[np.bool_]:
+    """Return (P,) whether a point lies on the agent itself: in its true box, or in OPV2V's for foreign data."""
+    agent = frame.agents[row]
+    points = agent.sweep.points
+    if agent.sweep.spec is None:
+        plane = points[:, :2]
+        return ((plane >= _OWN_BODY_LOW) & (plane <= _OWN_BODY_HIGH)).all(axis=1)
+    own = frame.truth[frame.truth.object_id == agent.agent_id].transform(invert(agent.sweep.world_from_lidar))
+    return own.contains(points, _OWN_BODY_MARGIN_M).any(axis=0)
