@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
 from tyro.conf import Positional, arg
 from tyro.extras import SubcommandApp
 
@@ -135,7 +134,7 @@ def train(
     validate: Path | None = None,
     seed: int = 0,
     epochs: int | None = None,
-    set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE")] = (),  # noqa: A002
+    set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE")] = (),
 ) -> None:
     """Train a detector; started again in the same folder it resumes.
 

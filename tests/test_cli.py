@@ -2,8 +2,9 @@
 
 import subprocess
 import sys
-import time
 from pathlib import Path
+
+HEAVY = {"torch", "libsumo", "trimesh", "viser", "matplotlib", "scipy", "gymnasium", "embreex", "shapely"}
 
 
 def dsrc(*args: str) -> subprocess.CompletedProcess[str]:
@@ -19,22 +20,12 @@ def assert_one_line(result: subprocess.CompletedProcess[str], *words: str) -> No
     assert all(word in lines[0] for word in words), lines[0]
 
 
-def test_help_comes_in_time() -> None:
-    best = float("inf")
-    for _ in range(3):
-        start = time.perf_counter()
-        assert dsrc("--help").returncode == 0
-        best = min(best, time.perf_counter() - start)
-    # The promise is 0.7 s on a quiet machine; the bound leaves room for a busy one. What it must never pay for is below.
-    assert best < 2.0
-
-
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys\n"
         "from dsrc.cli import run\n"
         "try:\n    run(['--help'])\nexcept SystemExit:\n    pass\n"
-        "heavy = {'torch', 'libsumo', 'trimesh', 'viser', 'matplotlib', 'scipy', 'gymnasium', 'embreex'} & set(sys.modules)\n"
+        f"heavy = {HEAVY} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
