@@ -1,9 +1,40 @@
-"""Scenario: what a drive is made of, as frozen validated values.
+"""Scenario: what a drive is made of, as frozen validated values, and the loader of `scenario.toml` files."""
 
-(The loader lives below the structs.)
-"""
+import math
+import tomllib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import msgspec
+from msgspec import Meta
+
+from sim.boxes import CLASSES
+from sim.errors import ScenarioError, complaint, did_you_mean
+
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Positive = Annotated[float, Meta(gt=0.0)]
+Angle = Annotated[float, Meta(ge=-360.0, le=360.0)]
+Area = tuple[float, float, float, float]
+
+ROOT = Path(__file__).resolve().parents[1] / "scenarios"
+"""Folder of the shipped scenarios."""
+
+MOTOR_CLASSES = tuple(name for name in CLASSES if name not in ("bicycle", "pedestrian"))
+
+
+class SignalProgram(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A fixed-time program that replaces the one in the network.
+
+    Attributes:
+        junction: id of the traffic light in the network.
+        phases: (duration in s, one letter of `rugGy...` per signal index) in their order.
+        offset_s: shift of the cycle, s.
+    """
+
+    junction: str
+    phases: tuple[tuple[Positive, str], ...]
+    offset_s: float = 0.0
 
 
 class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -12,26 +43,40 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     Attributes:
         shipped: path of a .net.xml(.gz) below `tools/` of the eclipse-sumo package.
         generate: netgenerate arguments as a table of option -> value.
-        file: path of a .net.xml beside the scenario file.
+        file: path of a .net.xml; relative ones are looked up beside the scenario file.
         city_mesh: path of a 3DS city mesh below `tools/` with its placement, or "".
         area_m: (x_min, y_min, x_max, y_max) part of the network that is meshed and may carry agents; empty = all.
+        signals: programs that replace those of the network.
     """
 
     shipped: str = ""
     generate: dict[str, str | int | float | bool] = {}
     file: str = ""
     city_mesh: str = ""
-    area_m: tuple[float, float, float, float] | None = None
+    area_m: Area | None = None
+    signals: tuple[SignalProgram, ...] = ()
 
 
 class DemandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Seeded random trips. Rates are insertions per hour over the whole network."""
+    """Seeded random trips. Rates are insertions per hour over the whole network.
 
-    vehicles_per_hour: float = 1200.0
-    bicycles_per_hour: float = 0.0
-    persons_per_hour: float = 0.0
+    Attributes:
+        vehicles_per_hour: motor vehicles, split into classes by `type_mix`.
+        bicycles_per_hour: bicycles, on the lanes that allow them.
+        persons_per_hour: pedestrians, on sidewalks and footways.
+        through_area: trips touch `network.area_m` and begin and end close around it.
+        focus_m: trips prefer to pass near this point, m; empty = the centre of the area.
+        max_vehicles: no insertion while this many vehicles are on the road.
+        type_mix: class name -> weight.
+    """
+
+    vehicles_per_hour: NonNegative = 1200.0
+    bicycles_per_hour: NonNegative = 0.0
+    persons_per_hour: NonNegative = 0.0
     through_area: bool = True
-    type_mix: dict[str, float] = msgspec.field(
+    focus_m: tuple[float, float] | None = None
+    max_vehicles: Annotated[int, Meta(ge=1)] = 150
+    type_mix: dict[str, NonNegative] = msgspec.field(
         default_factory=lambda: {"car": 0.72, "van": 0.12, "truck": 0.08, "bus": 0.03, "motorcycle": 0.05}
     )
 
@@ -40,8 +85,8 @@ class RoadsideUnit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """A roadside LiDAR: world position (z above local ground), heading and sensor."""
 
     xyz_m: tuple[float, float, float]
-    yaw_deg: float = 0.0
-    pitch_deg: float = 0.0
+    yaw_deg: Angle = 0.0
+    pitch_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] = 0.0
     lidar: str = "dair-roadside"
 
 
@@ -55,21 +100,156 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         roadside: roadside units.
     """
 
-    vehicles: int = 3
+    vehicles: Annotated[int, Meta(ge=0)] = 3
     lidar: str = "opv2v-64"
-    within_m: float = 60.0
+    within_m: Positive = 60.0
     roadside: tuple[RoadsideUnit, ...] = ()
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One scenario file."""
+    """One scenario file; times in s."""
 
-    name: str
+    name: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")]
     description: str
     network: NetworkSpec
     demand: DemandSpec
     agents: AgentRule
-    warmup_s: float = 60.0
-    duration_s: float = 60.0
-    step_s: float = 0.1
-    seed: int = 0
+    warmup_s: NonNegative = 60.0
+    duration_s: Positive = 60.0
+    step_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
+    seed: Annotated[int, Meta(ge=0, lt=2**31)] = 0
+
+
+def list_scenarios() -> list[str]:
+    """Return the names of the shipped scenarios."""
+    return sorted(path.parent.name for path in ROOT.glob("*/scenario.toml"))
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Load a shipped scenario by name, or any scenario by the path of its .toml (or of the folder that holds it).
+
+    Raises:
+        ScenarioError: the scenario is unknown, or its file is not valid; one line says what and where.
+    """
+    path = _locate(name_or_path)
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ScenarioError(f"{path}: not a readable TOML file: {' '.join(str(error).split())}") from None
+    for keys, struct in _unknown_keys(raw, Scenario, ()):
+        *where, key = keys
+        hint = did_you_mean(str(key), struct.__struct_fields__)
+        raise ScenarioError(complaint(path, _dotted(where) or "top level", "known keys only", f"key '{key}'", hint))
+    try:
+        scenario = msgspec.convert(raw, Scenario, strict=True)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(_explain(path, raw, str(error))) from None
+    for field, expected, found, hint in _wrong_values(scenario, path):
+        raise ScenarioError(complaint(path, field, expected, found, hint))
+    if scenario.network.file:
+        file = str((path.parent / scenario.network.file).resolve())
+        network = msgspec.structs.replace(scenario.network, file=file)
+        scenario = msgspec.structs.replace(scenario, network=network)
+    return scenario
+
+
+def _locate(name_or_path: str | Path) -> Path:
+    path = Path(name_or_path)
+    if path.is_dir() and (path / "scenario.toml").is_file():
+        return path / "scenario.toml"
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        if not path.is_file():
+            raise ScenarioError(complaint(path, "scenario", "an existing .toml file", "no such file"))
+        return path
+    shipped = ROOT / str(name_or_path) / "scenario.toml"
+    if str(name_or_path) in ("", ".", "..") or not shipped.is_file():
+        hint = did_you_mean(str(name_or_path), list_scenarios())
+        raise ScenarioError(f"unknown scenario '{name_or_path}'{hint}")
+    return shipped
+
+
+def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Iterator[tuple[tuple, Any]]:
+    """Yield ((path of keys), struct) for every key of nested tables that the struct does not have."""
+    if isinstance(raw, list) and get_origin(kind) is tuple:
+        for index, item in enumerate(raw):
+            yield from _unknown_keys(item, get_args(kind)[0], (*where, index))
+    if not isinstance(raw, dict) or not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
+        return
+    hints = get_type_hints(kind)
+    for key, value in raw.items():
+        if key not in hints:
+            yield (*where, key), kind
+        else:
+            yield from _unknown_keys(value, hints[key], (*where, key))
+
+
+def _dotted(keys: Iterable[str | int]) -> str:
+    return "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).lstrip(".")
+
+
+def _explain(path: Path, raw: dict, message: str) -> str:
+    """Turn a message of msgspec into our line: it says `Expected X, got Y - at `$.a.b[0]``."""
+    text, _, pointer = message.partition(" - at ")
+    field = pointer.strip("`").removeprefix("$").lstrip(".").replace("[...]", "")
+    if "missing required field" in text:
+        missing = text.split("`")[1]
+        return complaint(path, f"{field}.{missing}".lstrip("."), "a value", "nothing")
+    found: object = raw
+    for key in field.replace("[", ".").replace("]", "").split("."):
+        if isinstance(found, list) and key.isdigit():
+            found = found[int(key)]
+        elif isinstance(found, dict):
+            found = found.get(key, found)
+    expected = text.removeprefix("Expected ").split(", got")[0].replace("`", "")
+    return complaint(path, field or "top level", expected, found)
+
+
+def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, object, str]]:
+    """Yield (field, expected, found, hint) for values that types and ranges cannot exclude."""
+    network, demand = scenario.network, scenario.demand
+    for field, value in _floats(msgspec.to_builtins(scenario), ()):
+        if not math.isfinite(value):
+            yield field, "a finite number", value, ""
+    given = [name for name in ("shipped", "generate", "file") if getattr(network, name)]
+    if len(given) != 1:
+        yield "network", "exactly one of shipped, generate, file", ", ".join(given) or "none of them", ""
+    if network.area_m and not (network.area_m[0] < network.area_m[2] and network.area_m[1] < network.area_m[3]):
+        yield "network.area_m", "x_min < x_max and y_min < y_max", list(network.area_m), ""
+    if network.file and not (path.parent / network.file).is_file():
+        yield "network.file", "an existing .net.xml file", network.file, ""
+    yield from _wrong_tools_path("network.shipped", network.shipped)
+    yield from _wrong_tools_path("network.city_mesh", network.city_mesh)
+    for index, program in enumerate(network.signals):
+        if len({len(state) for _, state in program.phases}) != 1:
+            yield f"network.signals[{index}].phases", "states of one length", "different lengths or none", ""
+    for name in demand.type_mix:
+        if name not in MOTOR_CLASSES:
+            yield "demand.type_mix", "classes of motor vehicles", f"'{name}'", did_you_mean(name, MOTOR_CLASSES)
+    if demand.vehicles_per_hour > 0 and sum(demand.type_mix.values()) <= 0:
+        yield "demand.type_mix", "a positive weight", dict(demand.type_mix), ""
+    for index, unit in enumerate(scenario.agents.roadside):
+        if unit.xyz_m[2] <= 0:
+            yield f"agents.roadside[{index}].xyz_m", "a height above the ground > 0", list(unit.xyz_m), ""
+
+
+def _wrong_tools_path(field: str, relative: str) -> Iterator[tuple[str, str, object, str]]:
+    if not relative:
+        return
+    from sim.networks import sumo_tools
+
+    target = sumo_tools() / relative
+    if target.is_file() and target.resolve().is_relative_to(sumo_tools().resolve()):
+        return
+    siblings = [str(Path(relative).parent / p.name) for p in target.parent.glob("*.*")]
+    yield field, "a file below tools/ of eclipse-sumo", relative, did_you_mean(relative, siblings) if siblings else ""
+
+
+def _floats(value: object, where: tuple[str | int, ...]) -> Iterator[tuple[str, float]]:
+    if isinstance(value, float):
+        yield _dotted(where), value
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            yield from _floats(item, (*where, key))
+    elif isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            yield from _floats(item, (*where, index))

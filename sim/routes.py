@@ -1,0 +1,137 @@
+"""Candidate routes through a network, or through one part of it, and the stretches where people can walk."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+from shapely.geometry import LineString, Point, box
+
+Area = tuple[float, float, float, float]
+
+MARGIN_M = 150.0
+"""Trips through an area begin and end on edges that reach within this distance of it."""
+
+FOCUS_M = 40.0
+"""A trip that passes this far from the focus is chosen e times less often than one that meets it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Routes:
+    """Candidate routes of one vClass: edge ids in driving order and the probability of each."""
+
+    edges: tuple[tuple[str, ...], ...]
+    probability: NDArray[np.float64]
+
+
+@lru_cache(maxsize=32)
+def candidate_routes(net: Any, vclass: str, area: Area | None, focus: tuple[float, float] | None) -> Routes:
+    """Find the fastest routes between the gates of an area that touch it.
+
+    A gate is where traffic enters or leaves: an edge that nothing within the zone (the area and a margin) precedes,
+    or follows. A route is the likelier the more lanes its gates have and the nearer it passes to the focus.
+
+    Args:
+        net: `sumolib.net.Net`.
+        vclass: SUMO's class of the vehicles.
+        area: (x_min, y_min, x_max, y_max), m; None is the whole network.
+        focus: (x, y) that trips prefer to pass, m; None: no preference.
+
+    Returns:
+        Routes; none when no pair of gates is connected for this class.
+    """
+    edges = [e for e in net.getEdges(withInternal=False) if e.allows(vclass) and _near(e, area, MARGIN_M)]
+    edges.sort(key=lambda e: e.getID())
+    rows = {e.getID(): row for row, e in enumerate(edges)}
+    links = [(rows[a.getID()], rows[b.getID()]) for a in edges for b in _next(a, vclass) if b.getID() in rows]
+    followed, preceded = {a for a, _ in links}, {b for _, b in links}
+    origins = [row for row in range(len(edges)) if row not in preceded and row in followed]
+    goals = [row for row in range(len(edges)) if row not in followed and row in preceded]
+    if not origins or not goals:
+        return Routes((), np.zeros(0))
+    cost = [edges[b].getLength() / edges[b].getSpeed() + 0.1 for _, b in links]
+    graph = csr_matrix((cost, tuple(np.array(links).T)), shape=(len(edges), len(edges)))
+    _, before = dijkstra(graph, indices=origins, return_predecessors=True)
+    shapes = [LineString([p[:2] for p in e.getShape()]) for e in edges]
+    found, weight = [], []
+    for start, tree in zip(origins, before, strict=True):
+        for goal in goals:
+            path = _trace(tree, start, goal)
+            if path and (area is None or any(shapes[row].intersects(box(*area)) for row in path)):
+                off = min(shapes[row].distance(Point(focus)) for row in path) if focus else 0.0
+                found.append(tuple(edges[row].getID() for row in path))
+                weight.append(edges[start].getLaneNumber() * edges[goal].getLaneNumber() * np.exp(-off / FOCUS_M))
+    total = np.array(weight) / max(np.sum(weight), 1e-300)
+    return Routes(tuple(found), total)
+
+
+@lru_cache(maxsize=8)
+def walkable_edges(net: Any, area: Area | None) -> tuple[tuple[Any, ...], ...]:
+    """Group the edges near an area that have a sidewalk or are a footway into stretches connected on foot.
+
+    Where a network has walking areas and crossings they make the connections, else common junctions do, as in SUMO.
+    """
+    every = sorted(net.getEdges(withInternal=True), key=lambda e: e.getID())
+    paved = [e for e in every if e.getFunction() != "internal" and any(map(_is_pavement, e.getLanes()))]
+    rows = {e.getID(): row for row, e in enumerate(paved)}
+    crossed = any(e.getFunction() == "walkingarea" for e in paved)
+    pairs = list(_foot_links(paved, rows) if crossed else _shared_junctions(paved))
+    graph = (
+        csr_matrix((np.ones(len(pairs)), tuple(np.array(pairs).T)), shape=(len(paved), len(paved))) if pairs else None
+    )
+    group = connected_components(graph, directed=False)[1] if graph is not None else np.arange(len(paved))
+    streets = [
+        row for row, e in enumerate(paved) if e.getFunction() == "" and e.getLength() > 15.0 and _near(e, area, 0.0)
+    ]
+    stretches = [
+        tuple(paved[row] for row in streets if group[row] == g) for g in sorted({group[row] for row in streets})
+    ]
+    return tuple(stretches)
+
+
+def _is_pavement(lane: Any) -> bool:
+    return bool(lane.allows("pedestrian") and not lane.allows("passenger"))
+
+
+def _foot_links(paved: list, rows: dict[str, int]) -> Iterator[tuple[int, int]]:
+    for edge in paved:
+        for other in edge.getOutgoing():
+            if other.getID() in rows:
+                yield rows[edge.getID()], rows[other.getID()]
+
+
+def _shared_junctions(paved: list) -> Iterator[tuple[int, int]]:
+    first: dict[str, int] = {}
+    for row, edge in enumerate(paved):
+        for node in (edge.getFromNode(), edge.getToNode()):
+            yield first.setdefault(node.getID(), row), row
+
+
+def _near(edge: Any, area: Area | None, margin: float) -> bool:
+    """Whether an end of the edge, or the edge itself, reaches into the area grown by a margin."""
+    if area is None:
+        return True
+    zone = box(*area).buffer(margin, join_style="mitre")
+    return bool(zone.intersects(LineString([p[:2] for p in edge.getShape()])))
+
+
+def _next(edge: Any, vclass: str) -> Iterator[Any]:
+    """Yield the edges that a vehicle may go on to; nobody plans a U-turn."""
+    for other, connections in edge.getOutgoing().items():
+        turns_back = edge.getFromNode() is other.getToNode() and edge.getToNode() is other.getFromNode()
+        if not turns_back and any(c.getFromLane().allows(vclass) and c.getToLane().allows(vclass) for c in connections):
+            yield other
+
+
+def _trace(tree: NDArray[np.integer], start: int, goal: int) -> list[int]:
+    """Walk back from goal to start in a tree of predecessors; empty when there is no way."""
+    path = [goal]
+    while path[-1] != start:
+        if tree[path[-1]] < 0:
+            return []
+        path.append(int(tree[path[-1]]))
+    return path[::-1]

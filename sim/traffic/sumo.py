@@ -1,0 +1,264 @@
+"""Traffic by SUMO, in this process: the only module that knows libsumo."""
+
+import tempfile
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.boxes import Boxes
+from sim.demand import write_demand
+from sim.errors import TrafficError
+from sim.geometry import center_from_sumo
+from sim.networks import read_network, resolve_network
+from sim.scenario import Scenario, SignalProgram
+from sim.traffic.base import Actors
+from sim.traffic.lane_path import lane_path
+from sim.vehicle_types import TYPES, VehicleType, choose_model
+
+FIRST_ID = 1000
+"""Object id of the first road user that appears."""
+
+# Bits of SUMO's speed mode: keep the limits of acceleration (2) and braking (4) and stop at red lights (16); drop the
+# safe speed (1) and the right of way (8), so that what the driver did not perceive has consequences.
+_OWN_SPEED_MODE = 2 | 4 | 16
+_SUMO_SPEED_MODE = 31
+
+_running = threading.Lock()
+
+
+@dataclass(slots=True)
+class _RoadUser:
+    """What stays the same for one road user, and where it was a step ago."""
+
+    object_id: int
+    name: str
+    kind: VehicleType
+    model: str
+    is_person: bool
+    last_xy: NDArray[np.float64] | None = None
+
+
+class SumoTraffic:
+    """A running SUMO simulation of a scenario: `with SumoTraffic(scenario, seed) as traffic: traffic.step()`.
+
+    libsumo holds one simulation per process and would silently replace it by a second; here a second is an error.
+
+    Args:
+        scenario: what to simulate; the warm-up has passed when the object exists.
+        seed: of the trips, the drivers and the looks; equal seeds give equal actors in every process.
+
+    Raises:
+        ScenarioError: network or demand cannot be made.
+        TrafficError: a simulation already runs in this process, or SUMO refuses the input.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self.step_s = scenario.step_s
+        self._seed = seed
+        self._users: dict[str, _RoadUser] = {}
+        self._names: dict[int, str] = {}
+        self._commanded: set[str] = set()
+        self._actors: Actors | None = None
+        self._open = False
+        network = resolve_network(scenario, seed)
+        if not _running.acquire(blocking=False):
+            raise TrafficError(
+                "a SUMO simulation already runs in this process and libsumo holds only one: close it first, or use "
+                "another process"
+            )
+        self._open = True
+        try:
+            self._start(scenario, network)
+            self._warm_up(round(scenario.warmup_s / scenario.step_s))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def actors(self) -> Actors:
+        """The actors at the current time."""
+        if self._actors is None:
+            raise TrafficError("this SUMO simulation is closed")
+        return self._actors
+
+    def step(self) -> Actors:
+        """Advance by `step_s` and return the actors then."""
+        self._advance()
+        self._actors = self._read()
+        return self._actors
+
+    def close(self) -> None:
+        """End the simulation; a new one may start in this process afterwards."""
+        if not self._open:
+            return
+        self._open = False
+        self._actors = None
+        try:
+            self._sumo.close()
+        finally:
+            _running.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def command_speed(self, object_id: int, speed_mps: float | None) -> None:
+        """Drive a vehicle at this speed from the next step on, as far as its acceleration limits allow.
+
+        The vehicle keeps its route, its lanes and red lights, but not its distance: that is for the caller.
+
+        Args:
+            object_id: a vehicle on the road.
+            speed_mps: m/s >= 0; None gives the vehicle back to SUMO's driver.
+        """
+        name = self._vehicle(object_id)
+        if speed_mps is None:
+            self._sumo.vehicle.setSpeedMode(name, _SUMO_SPEED_MODE)
+            self._sumo.vehicle.setSpeed(name, -1.0)
+            self._commanded.discard(name)
+            return
+        if not (np.isfinite(speed_mps) and speed_mps >= 0.0):
+            raise ValueError(f"speed_mps must be finite and >= 0, got {speed_mps}")
+        if name not in self._commanded:
+            self._sumo.vehicle.setSpeedMode(name, _OWN_SPEED_MODE)
+            self._commanded.add(name)
+        self._sumo.vehicle.setSpeed(name, float(speed_mps))
+
+    def route(self, object_id: int, ahead_m: float) -> NDArray[np.float64]:
+        """Return the (K, 2) world polyline that a vehicle will follow, from its centre over the next `ahead_m` m."""
+        name = self._vehicle(object_id)
+        centre = self.actors.boxes.center[self.actors.row(object_id), :2]
+        return lane_path(self._sumo, name, centre, ahead_m)
+
+    def _vehicle(self, object_id: int) -> str:
+        row = self.actors.row(object_id)
+        name = self.actors.name[row]
+        if self._users[name].is_person:
+            raise TrafficError(f"object {object_id} is a pedestrian, which has no lane and takes no speed")
+        return name
+
+    def _start(self, scenario: Scenario, network: Path) -> None:
+        import libsumo
+
+        self._sumo: Any = libsumo
+        with tempfile.TemporaryDirectory(prefix="dsrc-traffic-") as folder:
+            routes = write_demand(scenario, read_network(network), self._seed, Path(folder) / "demand.rou.xml")
+            command = ["sumo", "--net-file", str(network), "--route-files", str(routes), *_options(scenario)]
+            if scenario.network.signals:
+                extra = Path(folder) / "signals.add.xml"
+                extra.write_text(_signals_xml(scenario.network.signals), encoding="utf-8")
+                command += ["--additional-files", str(extra)]
+            # SUMO reads the routes while it runs: a lookahead of the whole run lets the folder go now.
+            command += ["--route-steps", "0", "--seed", str(self._seed % 2**31)]
+            try:
+                libsumo.start(command)
+            except Exception as error:  # libsumo's own classes differ between versions
+                text = " ".join(str(error).split())
+                raise TrafficError(f"{scenario.name}: SUMO does not start: {text}") from None
+
+    def _warm_up(self, steps: int) -> None:
+        for remaining in reversed(range(steps)):
+            if remaining == 0:
+                self._read()  # so that the first velocities are differences of positions too
+            self._advance()
+        self._actors = self._read()
+
+    def _advance(self) -> None:
+        if not self._open:
+            raise TrafficError("this SUMO simulation is closed")
+        try:
+            self._sumo.simulationStep()
+        except Exception as error:  # see _start
+            raise TrafficError(f"SUMO stopped: {' '.join(str(error).split())}") from None
+        for name in self._sumo.simulation.getDepartedIDList():
+            self._welcome(name, self._sumo.vehicle.getTypeID(name), is_person=False)
+        for name in self._sumo.simulation.getDepartedPersonIDList():
+            self._welcome(name, self._sumo.person.getTypeID(name), is_person=True)
+        for name in self._sumo.simulation.getArrivedIDList():
+            self._commanded.discard(name)
+
+    def _welcome(self, name: str, type_id: str, *, is_person: bool) -> None:
+        kind = TYPES[type_id]
+        model = choose_model(kind.label, name, self._seed)
+        self._users[name] = _RoadUser(FIRST_ID + len(self._users), name, kind, model, is_person)
+
+    def _read(self) -> Actors:
+        """Read all positions with plain getters: in process they are faster than subscriptions."""
+        vehicle, person = self._sumo.vehicle, self._sumo.person
+        users = [self._users[name] for name in (*vehicle.getIDList(), *person.getIDList())]
+        users.sort(key=lambda user: user.object_id)
+        rows = []
+        for user in users:
+            domain = person if user.is_person else vehicle
+            x, y, z = domain.getPosition3D(user.name)
+            signals = 0 if user.is_person else vehicle.getSignals(user.name)
+            rows.append((x, y, z, domain.getAngle(user.name), domain.getSlope(user.name), signals))
+        table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+        size = np.array([user.kind.size for user in users], dtype=np.float64).reshape(-1, 3)
+        # SUMO's reference is the front bumper of a vehicle but the middle of a person.
+        reference = np.array([0.0 if user.is_person else user.kind.size[0] for user in users], dtype=np.float64)
+        base, yaw, pitch = center_from_sumo(table[:, :3], table[:, 3], table[:, 4], reference)
+        velocity = self._velocities(users, base, yaw)
+        center = base + np.array([0.0, 0.0, 0.5]) * size
+        return Actors(
+            time_s=round(self._sumo.simulation.getTime(), 6),
+            boxes=Boxes(
+                center=center,
+                size=size,
+                yaw=yaw,
+                label=np.array([user.kind.label_index for user in users], dtype=np.int64),
+                object_id=np.array([user.object_id for user in users], dtype=np.int64),
+            ),
+            pitch=pitch,
+            velocity=velocity,
+            model=tuple(user.model for user in users),
+            name=tuple(user.name for user in users),
+            signals=table[:, 5].astype(np.int32),
+        )
+
+    def _velocities(
+        self, users: list[_RoadUser], base: NDArray[np.float64], yaw: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return (N, 2) m/s from the last step's centres; who has just appeared moves at its speed along its heading."""
+        velocity = np.zeros((len(users), 2))
+        for row, user in enumerate(users):
+            if user.last_xy is not None:
+                velocity[row] = (base[row, :2] - user.last_xy) / self.step_s
+            else:
+                domain = self._sumo.person if user.is_person else self._sumo.vehicle
+                velocity[row] = domain.getSpeed(user.name) * np.array([np.cos(yaw[row]), np.sin(yaw[row])])
+            user.last_xy = base[row, :2].copy()
+        return velocity
+
+
+def _options(scenario: Scenario) -> list[str]:
+    options = {
+        "step-length": scenario.step_s,
+        "lateral-resolution": 0.8,
+        "time-to-teleport": -1,
+        "collision.action": "none",
+        "max-num-vehicles": scenario.demand.max_vehicles,
+        "max-depart-delay": 30,
+        "ignore-route-errors": "true",
+        "no-warnings": "true",
+        "no-step-log": "true",
+        "duration-log.disable": "true",
+    }
+    return [f"--{name}={value}" for name, value in options.items()]
+
+
+def _signals_xml(programs: tuple[SignalProgram, ...]) -> str:
+    lines = ["<additional>"]
+    for program in programs:
+        lines.append(
+            f'<tlLogic id="{program.junction}" type="static" programID="scenario" offset="{program.offset_s:g}">'
+        )
+        lines += [f'<phase duration="{seconds:g}" state="{state}"/>' for seconds, state in program.phases]
+        lines.append("</tlLogic>")
+    return "\n".join([*lines, "</additional>\n"])
