@@ -1,0 +1,97 @@
+"""Which vehicles of a drive carry a LiDAR: chosen once, with the whole drive in sight."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import ScenarioError
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
+
+_NEARLY_BEST = 0.9
+
+
+def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Generator) -> list[int]:
+    """Choose the connected vehicles of a drive, ego first.
+
+    Only vehicles (car, van, truck, bus) that are on the road and inside the scenario's area at every instant count,
+    so that every agent has every timestamp. An ego is as good as the share of the time that its best partners spend
+    within `within_m` of it; among the egos nearly as good as the best one is drawn, those that travel far more often
+    than those that wait.
+
+    Args:
+        drive: the actors at each frame, at least one.
+        scenario: gives the rule, the area and the name for messages.
+        rng: the draw.
+
+    Raises:
+        ScenarioError: fewer vehicles than the rule asks for stay.
+    """
+    rule = scenario.agents
+    if rule.vehicles == 0:
+        return []
+    ids = _staying(drive, scenario)
+    if len(ids) < rule.vehicles:
+        raise ScenarioError(_too_few(drive, scenario, len(ids)))
+    xy = np.stack([actors.boxes.center[np.searchsorted(actors.boxes.object_id, ids), :2] for actors in drive])
+    partners, score = _partners(xy, rule.vehicles - 1, rule.within_m)
+    good = np.flatnonzero(score >= _NEARLY_BEST * score.max())
+    travelled = np.linalg.norm(np.diff(xy, axis=0), axis=-1).sum(axis=0)[good]
+    weight = 1.0 + travelled
+    ego = int(good[rng.choice(len(good), p=weight / weight.sum())])
+    return [int(ids[row]) for row in (ego, *partners[ego])]
+
+
+def _staying(drive: Sequence[Actors], scenario: Scenario) -> NDArray[np.int64]:
+    """Return the ids of the vehicles that are inside the area at every instant, ascending."""
+    ids = _candidates(drive[0], scenario)
+    for actors in drive[1:]:
+        ids = np.intersect1d(ids, _candidates(actors, scenario), assume_unique=True)
+    return ids
+
+
+def _candidates(actors: Actors, scenario: Scenario) -> NDArray[np.int64]:
+    chosen = actors.boxes.is_vehicle
+    if scenario.network.area_m is not None:
+        x_min, y_min, x_max, y_max = scenario.network.area_m
+        x, y = actors.boxes.center[:, 0], actors.boxes.center[:, 1]
+        chosen = chosen & (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+    return actors.boxes.object_id[chosen]
+
+
+def _partners(xy: NDArray[np.float64], count: int, within_m: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return per vehicle its `count` best partners (V, count) and the share of time spent with them (V,).
+
+    Args:
+        xy: (T, V, 2) m.
+        count: partners per vehicle.
+        within_m: how near is together.
+    """
+    vehicles = xy.shape[1]
+    together = np.zeros((vehicles, vehicles))
+    distance = np.zeros((vehicles, vehicles))
+    for instant in xy:
+        apart = np.linalg.norm(instant[:, None] - instant[None], axis=-1)
+        together += apart <= within_m
+        distance += apart
+    together /= len(xy)
+    # The share of time decides; among equals the nearer one, well below the weight of a single frame.
+    rank = together - 1e-9 * distance / len(xy)
+    np.fill_diagonal(rank, -np.inf)
+    partners = np.argsort(-rank, axis=1, kind="stable")[:, :count]
+    score = np.take_along_axis(together, partners, axis=1).sum(axis=1) if count else np.ones(vehicles)
+    return partners, score
+
+
+def _too_few(drive: Sequence[Actors], scenario: Scenario, found: int) -> str:
+    wanted = scenario.agents.vehicles
+    low, high = 0, len(drive)
+    while low + 1 < high:
+        middle = (low + high) // 2
+        low, high = (middle, high) if len(_staying(drive[:middle], scenario)) >= wanted else (low, middle)
+    hint = f"; {wanted} stay for {low} frames" if low else "; give it more traffic, a longer warmup_s or a larger area"
+    return (
+        f"scenario '{scenario.name}': agents.vehicles: expected {wanted} vehicles that stay in the area for all"
+        f" {len(drive)} frames, found {found}{hint}"
+    )

@@ -1,0 +1,82 @@
+"""Path: a pose over the short time of one sweep."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim.geometry import pose_angles, pose_matrix, wrap_angle
+from sim.traffic.base import Actors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """K poses in time; between them position and angles run straight, outside they stand still.
+
+    Attributes:
+        time_s: (K,) float64 ascending, s.
+        xyz: (K, 3) float64 positions in the world, m.
+        angles: (K, 3) float64 yaw, pitch, roll, rad, without jumps of a full turn.
+    """
+
+    time_s: NDArray[np.float64]
+    xyz: NDArray[np.float64]
+    angles: NDArray[np.float64]
+
+    @classmethod
+    def through(cls, time_s: ArrayLike, world_from_body: ArrayLike) -> Self:
+        """Make the path through (K, 4, 4) poses at (K,) times."""
+        poses = np.asarray(world_from_body, np.float64)
+        angles = np.unwrap(np.stack(pose_angles(poses), axis=-1), axis=0)
+        return cls(np.asarray(time_s, np.float64), poses[:, :3, 3].copy(), angles)
+
+    def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (T, 4, 4) world_from_body at (T,) times."""
+        xyz = np.stack([np.interp(time_s, self.time_s, column) for column in self.xyz.T], axis=-1)
+        yaw, pitch, roll = (np.interp(time_s, self.time_s, column) for column in self.angles.T)
+        return pose_matrix(xyz, yaw, pitch, roll)
+
+
+def actor_paths(
+    now: Actors, before: Actors | None = None, after: Actors | None = None, reach_s: float = 0.05
+) -> list[Path]:
+    """Return the N paths of the footprints of `now` through the instants before and after.
+
+    An actor that the neighbouring instant lacks goes on straight at its velocity, to `reach_s` away when there is
+    no neighbouring instant at all.
+    """
+    times, tables = [now.time_s], [_placement(now)]
+    for other, side in ((before, -1), (after, 1)):
+        time_s = now.time_s + side * reach_s if other is None else other.time_s
+        table = tables[0 if side < 0 else -1].copy()
+        table[:, :2] += now.velocity * (time_s - now.time_s)
+        if other is not None:
+            rows, found = _match(now, other)
+            there = _placement(other)[rows[found]]
+            there[:, 3] = table[found, 3] + wrap_angle(there[:, 3] - table[found, 3])
+            table[found] = there
+        place = 0 if side < 0 else len(times)
+        times.insert(place, time_s)
+        tables.insert(place, table)
+    stacked = np.stack(tables, axis=1)
+    clock = np.array(times)
+    return [Path(clock, rows[:, :3], rows[:, 3:]) for rows in stacked]
+
+
+def _placement(actors: Actors) -> NDArray[np.float64]:
+    """Return (N, 6) rows x, y, z of the footprint's centre, yaw, pitch, roll."""
+    table = np.zeros((len(actors), 6))
+    table[:, :3] = actors.boxes.center
+    table[:, 2] -= 0.5 * actors.boxes.size[:, 2]
+    table[:, 3], table[:, 4] = actors.boxes.yaw, actors.pitch
+    return table
+
+
+def _match(now: Actors, other: Actors) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return for each row of `now` its row in `other` and whether it is there."""
+    ids, others = now.boxes.object_id, other.boxes.object_id
+    if len(others) == 0:
+        return np.zeros(len(ids), np.int64), np.zeros(len(ids), bool)
+    rows = np.minimum(np.searchsorted(others, ids), len(others) - 1)
+    return rows, others[rows] == ids

@@ -1,0 +1,276 @@
+"""Recording: traffic in, synchronised frames of all agents with ground truth out.
+
+The traffic of the whole drive is run first: then the agents can be chosen so that all of them have every frame, and
+any frame can be made without the frames before it.
+
+Streams of randomness, all children of the drive's seed by spawn key:
+
+| key                       | what                                             |
+|---------------------------|--------------------------------------------------|
+| (0,)                      | choice of the agents                             |
+| (1, frame, agent mod 2^32)| noise and drop-off of one agent's sweep          |
+"""
+
+import logging
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from sensors.agents import choose_agents
+from sensors.frame import AgentFrame, Frame, agent_order, count_points
+from sensors.lidar import scan
+from sensors.scene import BodyMesh, RayScene
+from sensors.spec import LidarSpec, get_lidar
+from sim.errors import SettingsError
+from sim.geometry import pose_matrix
+from sim.scenario import RoadsideUnit, Scenario
+from sim.traffic.base import Actors, Traffic
+
+log = logging.getLogger(__name__)
+
+TRUTH_RANGE_M = 150.0
+"""Ground truth holds the actors within this distance of any agent."""
+
+_ROOF_CLEARANCE_M = 0.2
+_AGENT_STREAM, _SWEEP_STREAM = 0, 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Roadside:
+    """A roadside unit: id (-1, -2, ...), place and sensor.
+
+    Attributes:
+        agent_id: negative.
+        world_from_body: (4, 4) upright, on the ground below the sensor.
+        world_from_lidar: (4, 4).
+        spec: the sensor.
+    """
+
+    agent_id: int
+    world_from_body: NDArray[np.float64]
+    world_from_lidar: NDArray[np.float64]
+    spec: LidarSpec
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A drive whose traffic is known and whose frames are made on demand, in any order.
+
+    Attributes:
+        scene: the static world.
+        steps: the actors at every traffic step, from the first frame to `margin` steps after the last.
+        frame_steps: for each frame its row in `steps`.
+        margin: traffic steps that cover half a sweep.
+        vehicles: connected vehicles, ego first.
+        roadside: roadside units.
+        vehicle_spec: sensor of the vehicles.
+        seed: of noise and drop-off.
+    """
+
+    scene: RayScene
+    steps: tuple[Actors, ...]
+    frame_steps: tuple[int, ...]
+    margin: int
+    vehicles: tuple[int, ...]
+    roadside: tuple[Roadside, ...]
+    vehicle_spec: LidarSpec
+    seed: int
+
+    def __len__(self) -> int:
+        return len(self.frame_steps)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self.frame(index) for index in range(len(self)))
+
+    def frame(self, index: int) -> Frame:
+        """Make one frame; the same bytes whether or not others were made before."""
+        step = self.frame_steps[index]
+        now = self.steps[step]
+        before = self.steps[step - self.margin] if step >= self.margin else None
+        after = self.steps[step + self.margin] if step + self.margin < len(self.steps) else None
+        return make_frame(
+            self.scene,
+            now,
+            before,
+            after,
+            vehicles=self.vehicles,
+            vehicle_spec=self.vehicle_spec,
+            roadside=self.roadside,
+            seed=self.seed,
+            index=index,
+        )
+
+
+def simulate(
+    traffic: Traffic,
+    world: trimesh.Trimesh,
+    scenario: Scenario,
+    seed: int,
+    frames: int,
+    interval_s: float = 0.1,
+    *,
+    start: int = 0,
+) -> Iterator[Frame]:
+    """Run the traffic of a drive and yield its frames from number `start` on; see `record`."""
+    recording = record(traffic, world, scenario, seed, frames, interval_s)
+    return (recording.frame(index) for index in range(start, len(recording)))
+
+
+def record(
+    traffic: Traffic,
+    world: trimesh.Trimesh,
+    scenario: Scenario,
+    seed: int,
+    frames: int,
+    interval_s: float = 0.1,
+    *,
+    body_mesh: BodyMesh | None = None,
+) -> Recording:
+    """Run the traffic of a whole drive and choose its agents; sweeps are cast when frames are asked for.
+
+    Args:
+        traffic: at the time of the first frame; it is stepped half a sweep beyond the last.
+        world: static world in the world frame.
+        scenario: gives agents, area and roadside units.
+        seed: of the choice of agents and of the sensors' noise.
+        frames: number of frames.
+        interval_s: time between frames, a multiple of the traffic's step.
+        body_mesh: meshes of actors; those of `sim.world.bodies` when left out.
+
+    Raises:
+        SettingsError: a number of frames or an interval that cannot be.
+        ScenarioError: too few vehicles stay for the whole drive.
+    """
+    stride = _stride(traffic.step_s, interval_s, frames)
+    specs = [get_lidar(name) for name in (scenario.agents.lidar, *(unit.lidar for unit in scenario.agents.roadside))]
+    margin = max(1, math.ceil(0.5 * max(spec.period_s for spec in specs) / traffic.step_s - 1e-9))
+    steps = [traffic.actors]
+    steps.extend(traffic.step() for _ in range((frames - 1) * stride + margin))
+    frame_steps = tuple(range(0, frames * stride, stride))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_AGENT_STREAM,)))
+    vehicles = choose_agents([steps[row] for row in frame_steps], scenario, rng)
+    log.info("drive of %d frames: vehicles %s, %d roadside units", frames, vehicles, len(scenario.agents.roadside))
+    scene = RayScene(world, body_mesh=body_mesh)
+    return Recording(
+        scene=scene,
+        steps=tuple(steps),
+        frame_steps=frame_steps,
+        margin=margin,
+        vehicles=tuple(vehicles),
+        roadside=place_roadside(scene, scenario.agents.roadside),
+        vehicle_spec=specs[0],
+        seed=seed,
+    )
+
+
+def make_frame(
+    scene: RayScene,
+    now: Actors,
+    before: Actors | None = None,
+    after: Actors | None = None,
+    *,
+    vehicles: Sequence[int],
+    vehicle_spec: LidarSpec,
+    roadside: Sequence[Roadside] = (),
+    seed: int,
+    index: int,
+) -> Frame:
+    """Scan one instant by all agents; a live simulation, which has no `after` yet, may leave it out."""
+    specs = [vehicle_spec, *(unit.spec for unit in roadside)]
+    scene = scene.with_bodies(now, before, after, reach_s=0.5 * max(spec.period_s for spec in specs))
+    agents: dict[int, AgentFrame] = {}
+    for agent_id in vehicles:
+        agents[agent_id] = _scan_vehicle(scene, now, agent_id, vehicle_spec, _sweep_rng(seed, index, agent_id))
+    for unit in roadside:
+        agents[unit.agent_id] = _scan_roadside(scene, now, unit, _sweep_rng(seed, index, unit.agent_id))
+    ordered = tuple(agents[agent_id] for agent_id in agent_order(list(agents)))
+    near = _near_agents(now, ordered)
+    truth = now.boxes[near]
+    counts = [count_points(agent.sweep, truth.object_id) for agent in ordered]
+    return Frame(
+        index=index,
+        time_s=now.time_s,
+        agents=ordered,
+        truth=truth,
+        velocity=now.velocity[near],
+        points_on=np.stack(counts) if counts else np.zeros((0, len(truth)), np.int32),
+    )
+
+
+def mount(spec: LidarSpec, height_m: float) -> NDArray[np.float64]:
+    """Return body_from_lidar (4, 4): at the preset's place, lifted clear of the roofs of tall vehicles."""
+    x, y, z = spec.mount_xyz_m
+    return pose_matrix(np.array([x, y, max(z, height_m + _ROOF_CLEARANCE_M)]))
+
+
+def place_roadside(scene: RayScene, units: Sequence[RoadsideUnit]) -> tuple[Roadside, ...]:
+    """Stand roadside units on the ground of the world; the first gets id -1."""
+    if not units:
+        return ()
+    ground = scene.ground_height(np.array([unit.xyz_m[:2] for unit in units]))
+    placed = []
+    for row, unit in enumerate(units):
+        x, y, z = unit.xyz_m
+        yaw, pitch = np.radians(unit.yaw_deg), np.radians(unit.pitch_deg)
+        placed.append(
+            Roadside(
+                agent_id=-1 - row,
+                world_from_body=pose_matrix(np.array([x, y, ground[row]]), yaw),
+                world_from_lidar=pose_matrix(np.array([x, y, ground[row] + z]), yaw, pitch),
+                spec=get_lidar(unit.lidar),
+            )
+        )
+    return tuple(placed)
+
+
+def _scan_vehicle(scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, rng: np.random.Generator) -> AgentFrame:
+    row = now.row(agent_id)
+    half = 0.5 * spec.period_s
+    poses = scene.bodies.paths[row].at(now.time_s + np.array([-half, 0.0, half]))
+    start, middle, end = poses @ mount(spec, now.boxes.size[row, 2])
+    return AgentFrame(
+        agent_id=agent_id,
+        kind="vehicle",
+        world_from_body=now.world_from_body()[row],
+        speed=float(np.linalg.norm(now.velocity[row])),
+        sweep=scan(scene, spec, start, end, now.time_s, rng, agent_id, world_from_lidar=middle),
+    )
+
+
+def _scan_roadside(scene: RayScene, now: Actors, unit: Roadside, rng: np.random.Generator) -> AgentFrame:
+    pose = unit.world_from_lidar
+    return AgentFrame(
+        agent_id=unit.agent_id,
+        kind="roadside",
+        world_from_body=unit.world_from_body,
+        speed=0.0,
+        sweep=scan(scene, unit.spec, pose, pose, now.time_s, rng),
+    )
+
+
+def _near_agents(now: Actors, agents: Sequence[AgentFrame]) -> NDArray[np.bool_]:
+    """Return (N,) whether actors are within `TRUTH_RANGE_M` of any agent."""
+    near = np.zeros(len(now), bool)
+    for agent in agents:
+        offset = now.boxes.center[:, :2] - agent.world_from_body[:2, 3]
+        near |= np.hypot(offset[:, 0], offset[:, 1]) <= TRUTH_RANGE_M
+    return near
+
+
+def _sweep_rng(seed: int, index: int, agent_id: int) -> np.random.Generator:
+    key = (_SWEEP_STREAM, index, agent_id % 2**32)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+def _stride(step_s: float, interval_s: float, frames: int) -> int:
+    """Return the traffic steps per frame."""
+    if frames < 1:
+        raise SettingsError(f"frames: expected at least 1, found {frames}")
+    stride = round(interval_s / step_s)
+    if stride < 1 or abs(stride * step_s - interval_s) > 1e-9:
+        raise SettingsError(f"interval_s: expected a multiple of the traffic's step of {step_s} s, found {interval_s}")
+    return stride
