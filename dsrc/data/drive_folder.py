@@ -1,0 +1,107 @@
+"""The folder of a drive while it is being made: its lock, its protocol, and which frames are there."""
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from dsrc.data.opv2v import PROTOCOL, frame_files
+from dsrc.data.yamlio import emit, read_yaml
+from sim.errors import DataError, complaint
+
+try:
+    import fcntl
+except ImportError:  # Windows has no advisory locks of this kind; two runs in one folder are the user's care there
+    fcntl = None  # type: ignore[assignment]
+
+LOCK = ".lock"
+
+
+@contextmanager
+def locked(drive: Path) -> Iterator[None]:
+    """Hold the folder for this process; the system lets go of it when the process dies, however it dies.
+
+    Raises:
+        DataError: another process holds it.
+    """
+    drive.mkdir(parents=True, exist_ok=True)
+    path = drive / LOCK
+    while True:
+        with path.open("a+") as file:
+            if fcntl is not None:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except OSError:
+                    file.seek(0)
+                    raise DataError(f"{drive}: process {file.read().strip()} is writing this drive") from None
+            # A process that has just ended may have removed the file between our opening and locking it.
+            if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                continue
+            file.truncate(0)
+            file.write(f"{os.getpid()}\n")
+            file.flush()
+            try:
+                yield
+            finally:
+                path.unlink(missing_ok=True)
+            return
+
+
+def write_protocol(drive: Path, protocol: dict) -> None:
+    """Write `data_protocol.yaml` atomically."""
+    path = drive / PROTOCOL
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_text(emit(protocol), encoding="utf-8")
+    temporary.replace(path)
+
+
+def read_settings(drive: Path) -> dict | None:
+    """Return the `testbed` table of the protocol; None when the folder has no protocol yet.
+
+    Raises:
+        DataError: there is a protocol, but not one of ours.
+    """
+    path = drive / PROTOCOL
+    if not path.exists():
+        return None
+    settings = read_yaml(path).get("testbed")
+    if not isinstance(settings, dict):
+        raise DataError(
+            complaint(path, "testbed", "the settings of dsrc generate", "none; the folder is another tool's")
+        )
+    return settings
+
+
+def check_same(drive: Path, found: dict, wanted: dict) -> None:
+    """Compare settings; DataError names the first that differs."""
+    for key, want in _leaves(wanted, ""):
+        have = dict(_leaves(found, "")).get(key, "nothing")
+        if have != want:
+            hint = "; choose another folder or remove this drive"
+            raise DataError(complaint(drive / PROTOCOL, key, f"{want!r} as asked for now", have, hint))
+    extra = set(dict(_leaves(found, ""))) - set(dict(_leaves(wanted, "")))
+    if extra:
+        raise DataError(
+            complaint(drive / PROTOCOL, min(extra), "no such setting", dict(_leaves(found, ""))[min(extra)])
+        )
+
+
+def is_complete(drive: Path, agent_ids: Sequence[int], index: int) -> bool:
+    """Return whether all files of a frame are there; each appears whole or not at all."""
+    return all(path.exists() for path in frame_files(drive, agent_ids, index))
+
+
+def remove_leftovers(drive: Path) -> None:
+    """Remove temporary files of a run that was killed."""
+    for path in [*drive.glob("*.tmp"), *drive.glob("*.part"), *drive.glob("*/*.tmp")]:
+        path.unlink(missing_ok=True)
+
+
+def _leaves(value: object, where: str) -> Iterator[tuple[str, object]]:
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _leaves(item, f"{where}.{key}" if where else str(key))
+    elif isinstance(value, list | tuple):
+        yield where, [list(item) if isinstance(item, tuple) else item for item in value]
+    else:
+        yield where, value

@@ -1,0 +1,144 @@
+"""Make a drive: traffic once, then frame by frame an OPV2V tree that a killed run can go on writing.
+
+The order makes a resumed drive equal to an uninterrupted one: the traffic log comes first and is replayed from then
+on, the protocol fixes the settings, and every frame depends on the log, the settings and its own number only.
+"""
+
+import logging
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
+from dsrc.data.opv2v import write_frame
+from sensors.frame import Frame
+from sim.errors import SettingsError, complaint
+from sim.scenario import Scenario, load_scenario
+
+FORMAT = 1
+TRAFFIC_LOG = "traffic.npz"
+_log = logging.getLogger(__name__)
+
+Progress = Callable[[int, int], None]
+"""Called with (frames done, frames wanted)."""
+
+
+class FrameSource(Protocol):
+    """Frames by number, each independent of the others."""
+
+    agent_ids: Sequence[int]
+
+    def frame(self, index: int) -> Frame:
+        """Return one frame; the same bytes whenever it is asked for."""
+        ...
+
+    def plans(self, index: int) -> dict[int, NDArray[np.float64]]:
+        """Return per agent (K, 3) x, y, m, and speed, m/s, of its way after the frame."""
+        ...
+
+
+Opener = Callable[[Path], AbstractContextManager[FrameSource]]
+"""Opens the source of a drive whose traffic log is, or is to be put, at a path."""
+
+
+def generate(
+    scenario: Scenario | str | Path,
+    out: Path,
+    frames: int = 100,
+    seed: int | None = None,
+    interval_s: float = 0.1,
+    progress: Progress | None = None,
+    connected_vehicles: bool = True,
+) -> Path:
+    """Simulate, scan and write one drive; start it again to go on after a stop.
+
+    Args:
+        scenario: a scenario, the name of a shipped one or the path of a .toml.
+        out: the split folder; the drive is `out/<scenario>_<seed>`.
+        frames: synchronised frames.
+        seed: of everything random; None takes the scenario's.
+        interval_s: time between frames, s.
+        progress: called after every frame.
+        connected_vehicles: list other agents' bodies among an agent's `vehicles`.
+
+    Returns:
+        The folder of the drive.
+
+    Raises:
+        DataError: the folder holds a drive made with other settings, or another process is writing it.
+        SettingsError: a setting is out of its range.
+    """
+    scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    seed = scenario.seed if seed is None else seed
+    if frames < 1:
+        raise SettingsError(complaint("generate", "frames", "at least 1", frames))
+    steps = interval_s / scenario.step_s
+    if not (interval_s > 0 and abs(steps - round(steps)) < 1e-6):
+        expected = f"a positive multiple of the scenario's step of {scenario.step_s} s"
+        raise SettingsError(complaint("generate", "interval_s", expected, interval_s))
+    settings = {
+        "format": FORMAT,
+        "scenario": msgspec.to_builtins(scenario),
+        "seed": int(seed),
+        "frames": int(frames),
+        "interval_s": float(interval_s),
+        "connected_vehicles": bool(connected_vehicles),
+        "axes": "CARLA: y mirrored, angles in degrees, half extents",
+    }
+    from dsrc.data.live import open_live
+
+    drive = Path(out) / f"{scenario.name}_{seed}"
+    write_drive(drive, settings, lambda log: open_live(scenario, seed, frames, interval_s, log), progress)
+    return drive
+
+
+def write_drive(drive: Path, settings: dict, open_source: Opener, progress: Progress | None = None) -> None:
+    """Write the frames of a drive that are not there yet.
+
+    Args:
+        drive: its folder.
+        settings: what made it, plain values; must hold `frames`, `interval_s`, `seed` and `connected_vehicles`.
+        open_source: opens the frames; not called when the drive is finished.
+        progress: called once at the start and after every frame.
+    """
+    report = progress or (lambda done, total: None)
+    frames = settings["frames"]
+    with locked(drive):
+        found = read_settings(drive)
+        agents: dict = {}
+        if found is not None:
+            agents = found.pop("agents", {})
+            check_same(drive, found, settings)
+        else:
+            # Without a protocol nobody knows what made a log that lies here.
+            (drive / TRAFFIC_LOG).unlink(missing_ok=True)
+        missing = [i for i in range(frames) if not agents or not is_complete(drive, list(agents), i)]
+        done = frames - len(missing)
+        report(done, frames)
+        if missing:
+            _log.info("%s: %d of %d frames to write", drive, len(missing), frames)
+            with open_source(drive / TRAFFIC_LOG) as source:
+                for i in missing:
+                    frame = source.frame(i)
+                    if found is None:
+                        found = settings
+                        write_protocol(drive, _protocol(settings, frame))
+                    write_frame(drive, frame, settings["connected_vehicles"], source.plans(i))
+                    done += 1
+                    report(done, frames)
+        remove_leftovers(drive)
+
+
+def _protocol(settings: dict, frame: Frame) -> dict:
+    """Return `data_protocol.yaml`: the keys that OpenCOOD's tools read, and everything of ours."""
+    agents = {}
+    for agent in frame.agents:
+        lidar = msgspec.to_builtins(agent.sweep.spec) if agent.sweep.spec is not None else None
+        agents[int(agent.agent_id)] = {"kind": agent.kind, "lidar": lidar}
+    world = {"fixed_delta_seconds": settings["interval_s"], "seed": settings["seed"]}
+    return {"world": world, "testbed": {**settings, "agents": agents}}
