@@ -60,8 +60,10 @@ def candidate_routes(net: Any, vclass: str, area: Area | None, focus: tuple[floa
     found, weight = [], []
     for start, tree in zip(origins, before, strict=True):
         for goal in goals:
+            if edges[goal].getToNode() is edges[start].getFromNode():
+                continue  # nobody drives round the block to come back
             path = _trace(tree, start, goal)
-            if path and (area is None or any(shapes[row].intersects(box(*area)) for row in path)):
+            if len(path) > 1 and (area is None or any(shapes[row].intersects(box(*area)) for row in path)):
                 off = min(shapes[row].distance(Point(focus)) for row in path) if focus else 0.0
                 found.append(tuple(edges[row].getID() for row in path))
                 weight.append(edges[start].getLaneNumber() * edges[goal].getLaneNumber() * np.exp(-off / FOCUS_M))

@@ -136,6 +136,10 @@ class SumoTraffic:
         centre = self.actors.boxes.center[self.actors.row(object_id), :2]
         return lane_path(self._sumo, name, centre, ahead_m)
 
+    def allowed_speed(self, object_id: int) -> float:
+        """Return the speed that a vehicle may drive where it is, m/s."""
+        return float(self._sumo.vehicle.getAllowedSpeed(self._vehicle(object_id)))
+
     def _vehicle(self, object_id: int) -> str:
         row = self.actors.row(object_id)
         name = self.actors.name[row]
