@@ -1,0 +1,132 @@
+"""What the ego perceives: the truth, or what a detector makes of the agents' sweeps."""
+
+from typing import Protocol
+
+import numpy as np
+
+from dsrc.data.sample import Sample, make_sample
+from dsrc.detections import Detections
+from sensors.corruptions import corrupt_frame
+from sensors.frame import Frame
+from sensors.record import make_frame, place_roadside
+from sensors.scene import RayScene
+from sensors.spec import get_lidar
+from sim.boxes import Boxes
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
+
+
+class Perception(Protocol):
+    """Gives the ego boxes of what is around it, in the world frame."""
+
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
+        """Begin an episode."""
+        ...
+
+    def perceive(self, before: Actors, now: Actors) -> Boxes:
+        """Return boxes in the world frame.
+
+        Args:
+            before: the actors one traffic step ago.
+            now: the actors now.
+        """
+        ...
+
+
+class SampleDetector(Protocol):
+    """Anything that detects in samples, see `dsrc.models.detector.Detector`."""
+
+    def detect(self, sample: Sample) -> Detections:
+        """Return detections in the ego LiDAR's frame."""
+        ...
+
+
+class TruthPerception:
+    """Every road user near the ego, as it is.
+
+    Args:
+        reach_m: how far the ego sees.
+    """
+
+    def __init__(self, reach_m: float = 70.0) -> None:
+        self.reach_m = reach_m
+
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
+        """Begin an episode."""
+        self._ego_id = ego_id
+
+    def perceive(self, before: Actors, now: Actors) -> Boxes:
+        """Return the boxes of all other actors within reach, world frame."""
+        ego = now.boxes.center[now.row(self._ego_id)]
+        near = np.linalg.norm(now.boxes.center[:, :2] - ego[:2], axis=1) <= self.reach_m
+        return now.boxes[near & (now.boxes.object_id != self._ego_id)]
+
+
+class DetectorPerception:
+    """Sweeps of the ego and its collaborators, corrupted if asked, through a detector.
+
+    Collaborators are, at every instant, the connected vehicles nearest to the ego and the scenario's roadside units.
+    The rays of one sweep fire in the half rotation before and after an instant; the future half is extrapolated.
+
+    Args:
+        detector: finds boxes in samples; it must have `settings.grid`.
+        cooperative: False leaves the ego alone.
+        corruption: kind or `clean`.
+        severity: 1 to 5.
+    """
+
+    def __init__(
+        self, detector: SampleDetector, cooperative: bool = True, corruption: str = "clean", severity: int = 3
+    ) -> None:
+        self.detector = detector
+        self.cooperative = cooperative
+        self.corruption = corruption
+        self.severity = severity
+        self._scene: RayScene | None = None
+        self._built: tuple[Scenario, int] | None = None
+
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
+        """Begin an episode; the static world is built once per scenario and seed."""
+        from sim.world.build import build_world
+
+        if self._scene is None or self._built != (scenario, seed):
+            self._scene, self._built = RayScene(build_world(scenario, seed)), (scenario, seed)
+        self._scenario, self._ego_id, self._seed = scenario, ego_id, seed
+        self._roadside = place_roadside(self._scene, scenario.agents.roadside) if self.cooperative else ()
+        self._index = 0
+
+    def sense(self, before: Actors, now: Actors) -> Frame:
+        """Scan the instant by the ego and its collaborators and corrupt the sweeps."""
+        if self._scene is None:
+            raise RuntimeError("DetectorPerception.sense before reset")
+        frame = make_frame(
+            self._scene,
+            now,
+            before,
+            vehicles=[self._ego_id, *self._collaborators(now)],
+            vehicle_spec=get_lidar(self._scenario.agents.lidar),
+            roadside=self._roadside,
+            seed=self._seed,
+            index=self._index,
+        )
+        self._index += 1
+        return corrupt_frame(frame, self.corruption, self.severity, self._seed)
+
+    def perceive(self, before: Actors, now: Actors) -> Boxes:
+        """Return the detected boxes, world frame."""
+        frame = self.sense(before, now)
+        grid = self.detector.settings.grid  # type: ignore[attr-defined]
+        sample = make_sample(frame, self._ego_id, grid, cooperative=self.cooperative)
+        world_from_lidar = frame.agent(self._ego_id).sweep.world_from_lidar
+        return self.detector.detect(sample).boxes.transform(world_from_lidar)
+
+    def _collaborators(self, now: Actors) -> list[int]:
+        """Return the connected vehicles nearest to the ego: as many as the scenario's rule gives it."""
+        if not self.cooperative:
+            return []
+        ego = now.row(self._ego_id)
+        distance = np.linalg.norm(now.boxes.center[:, :2] - now.boxes.center[ego, :2], axis=1)
+        fit = now.boxes.is_vehicle & (distance <= self._scenario.agents.within_m)
+        fit[ego] = False
+        nearest = np.flatnonzero(fit)[np.argsort(distance[fit], kind="stable")]
+        return [int(i) for i in now.boxes.object_id[nearest[: max(self._scenario.agents.vehicles - 1, 0)]]]
