@@ -21,6 +21,7 @@ from sensors.scene import Rays, RayScene, Trace
 from sensors.spec import LidarSpec
 from sensors.sweep import Sweep, make_sweep
 from sim.geometry import invert, transform_points
+from sim.world.materials import MATERIALS
 
 CLEAR_AIR_EXTINCTION = 2e-4
 """Extinction of clear air, 1/m: a meteorological range of 15 km."""
@@ -110,8 +111,6 @@ def _measure(
 
 def _returned_signal(trace: Trace, spec: LidarSpec) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return (R, C) intensity in [0, 1] and whether the return is strong enough to be detected."""
-    from sim.world.materials import MATERIALS
-
     gain = np.array([m.reflectivity * (_RETRO_GAIN if m.retro else 1.0) for m in MATERIALS], np.float32)
     retro = np.array([m.retro for m in MATERIALS])
     shine = trace.cosine**_INCIDENCE_EXPONENT

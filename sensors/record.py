@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from sensors.agents import choose_agents
 from sensors.frame import AgentFrame, Frame, agent_order, count_points
 from sensors.lidar import scan
+from sensors.rig import Roadside, mount, place_roadside
 from sensors.scene import BodyMesh, RayScene
 from sensors.spec import LidarSpec, get_lidar
 from sim.errors import SettingsError
-from sim.geometry import pose_matrix
-from sim.scenario import RoadsideUnit, Scenario
+from sim.scenario import Scenario
 from sim.traffic.base import Actors, Traffic
 
 log = logging.getLogger(__name__)
@@ -35,25 +35,7 @@ log = logging.getLogger(__name__)
 TRUTH_RANGE_M = 150.0
 """Ground truth holds the actors within this distance of any agent."""
 
-_ROOF_CLEARANCE_M = 0.2
 _AGENT_STREAM, _SWEEP_STREAM = 0, 1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Roadside:
-    """A roadside unit: id (-1, -2, ...), place and sensor.
-
-    Attributes:
-        agent_id: negative.
-        world_from_body: (4, 4) upright, on the ground below the sensor.
-        world_from_lidar: (4, 4).
-        spec: the sensor.
-    """
-
-    agent_id: int
-    world_from_body: NDArray[np.float64]
-    world_from_lidar: NDArray[np.float64]
-    spec: LidarSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +64,11 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.frame_steps)
+
+    @property
+    def agent_ids(self) -> tuple[int, ...]:
+        """Ids of the agents in the order of `Frame.agents`."""
+        return tuple(agent_order([*self.vehicles, *(unit.agent_id for unit in self.roadside)]))
 
     def __iter__(self) -> Iterator[Frame]:
         return (self.frame(index) for index in range(len(self)))
@@ -199,32 +186,6 @@ def make_frame(
         velocity=now.velocity[near],
         points_on=np.stack(counts) if counts else np.zeros((0, len(truth)), np.int32),
     )
-
-
-def mount(spec: LidarSpec, height_m: float) -> NDArray[np.float64]:
-    """Return body_from_lidar (4, 4): at the preset's place, lifted clear of the roofs of tall vehicles."""
-    x, y, z = spec.mount_xyz_m
-    return pose_matrix(np.array([x, y, max(z, height_m + _ROOF_CLEARANCE_M)]))
-
-
-def place_roadside(scene: RayScene, units: Sequence[RoadsideUnit]) -> tuple[Roadside, ...]:
-    """Stand roadside units on the ground of the world; the first gets id -1."""
-    if not units:
-        return ()
-    ground = scene.ground_height(np.array([unit.xyz_m[:2] for unit in units]))
-    placed = []
-    for row, unit in enumerate(units):
-        x, y, z = unit.xyz_m
-        yaw, pitch = np.radians(unit.yaw_deg), np.radians(unit.pitch_deg)
-        placed.append(
-            Roadside(
-                agent_id=-1 - row,
-                world_from_body=pose_matrix(np.array([x, y, ground[row]]), yaw),
-                world_from_lidar=pose_matrix(np.array([x, y, ground[row] + z]), yaw, pitch),
-                spec=get_lidar(unit.lidar),
-            )
-        )
-    return tuple(placed)
 
 
 def _scan_vehicle(scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, rng: np.random.Generator) -> AgentFrame:

@@ -1,0 +1,117 @@
+"""A toy world for the sensors: box rooms, box cars and traffic that drives straight on."""
+
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+
+from sensors.scene import RayScene
+from sensors.spec import LidarSpec, get_lidar
+from sim.boxes import Boxes
+from sim.scenario import AgentRule, DemandSpec, NetworkSpec, Scenario
+from sim.traffic.base import Actors
+from sim.world.materials import MATERIALS
+
+BRIGHT = max(range(len(MATERIALS)), key=lambda i: (not MATERIALS[i].retro) * MATERIALS[i].reflectivity)
+CAR = (4.5, 1.8, 1.5)
+
+
+def painted(mesh: trimesh.Trimesh, material: int = BRIGHT) -> trimesh.Trimesh:
+    mesh.face_attributes["material"] = np.full(len(mesh.faces), material, np.uint8)
+    return mesh
+
+
+def box(extents, center=(0.0, 0.0, 0.0), material: int = BRIGHT) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box(extents)
+    mesh.apply_translation(center)
+    return painted(mesh, material)
+
+
+def nothing() -> trimesh.Trimesh:
+    return painted(trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), process=False))
+
+
+def ground(size: float = 400.0, center=(0.0, 0.0)) -> trimesh.Trimesh:
+    half = size / 2
+    corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]], float)
+    corners[:, :2] += center
+    return painted(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
+
+
+def box_body(model: str, size) -> trimesh.Trimesh:
+    return box(size, (0.0, 0.0, size[2] / 2))
+
+
+def cars(rows, *, time_s=0.0, speed=0.0, first_id=1000, size=CAR) -> Actors:
+    """Box cars at rows of x, y, yaw on the ground plane."""
+    rows = np.asarray(rows, float).reshape(-1, 3)
+    n = len(rows)
+    table = np.zeros((n, 7))
+    table[:, :2], table[:, 6] = rows[:, :2], rows[:, 2]
+    table[:, 2], table[:, 3:6] = size[2] / 2, size
+    speed = np.broadcast_to(np.asarray(speed, float), n)
+    velocity = np.stack([np.cos(rows[:, 2]), np.sin(rows[:, 2])], axis=1) * speed[:, None]
+    boxes = Boxes.from_array(table, object_id=first_id + np.arange(n))
+    return Actors(time_s, boxes, np.zeros(n), velocity, ("box",) * n, ("toy",) * n, np.zeros(n, np.int32))
+
+
+def scene_of(static=None, actors: Actors | None = None) -> RayScene:
+    scene = RayScene(nothing() if static is None else static, body_mesh=box_body)
+    return scene if actors is None else scene.with_bodies(actors)
+
+
+def ideal(name: str = "debug-16", **changes) -> LidarSpec:
+    """A preset without noise, loss or threshold."""
+    import msgspec
+
+    calm = dict(range_noise_m=0.0, dropoff_rate=0.0, dropoff_zero_intensity=0.0, range_10_m=1e4, range_min_m=0.0)
+    return msgspec.structs.replace(get_lidar(name), **(calm | changes))
+
+
+class StraightTraffic:
+    """Cars that keep their heading and speed; `gone_at` maps an id to the step at which it leaves."""
+
+    def __init__(self, actors: Actors, step_s: float = 0.1, gone_at: dict[int, int] | None = None) -> None:
+        self.step_s = step_s
+        self.steps = 0
+        self._start = actors
+        self._gone_at = gone_at or {}
+
+    @property
+    def actors(self) -> Actors:
+        elapsed = self.steps * self.step_s
+        boxes = self._start.boxes
+        center = boxes.center.copy()
+        center[:, :2] += self._start.velocity * elapsed
+        now = replace(self._start, time_s=self._start.time_s + elapsed, boxes=replace(boxes, center=center))
+        stays = [row for row, key in enumerate(boxes.object_id) if self.steps < self._gone_at.get(int(key), 10**9)]
+        return rows_of(now, stays)
+
+    def step(self) -> Actors:
+        self.steps += 1
+        return self.actors
+
+    def close(self) -> None: ...
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+def rows_of(actors: Actors, rows: list[int]) -> Actors:
+    index = np.array(rows, np.int64)
+    return replace(
+        actors,
+        boxes=actors.boxes[index],
+        pitch=actors.pitch[index],
+        velocity=actors.velocity[index],
+        model=tuple(actors.model[r] for r in rows),
+        name=tuple(actors.name[r] for r in rows),
+        signals=actors.signals[index],
+    )
+
+
+def toy_scenario(**rule) -> Scenario:
+    rule = {"vehicles": 2, "lidar": "debug-16"} | rule
+    return Scenario(name="toy", description="", network=NetworkSpec(), demand=DemandSpec(), agents=AgentRule(**rule))
