@@ -86,6 +86,9 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
         plan: (K, 3) x, y in the world, m, and speed, m/s, of the agent's coming way.
     """
     agent = frame.agents[row]
+    numbers = (frame.truth.array, frame.velocity, agent.world_from_body, agent.sweep.world_from_lidar)
+    if not all(np.isfinite(n).all() for n in numbers):
+        raise ValueError(f"frame {frame.index}: a box, velocity or pose is not finite")
     body = carla_from_matrix(agent.world_from_body).tolist()
     plan = np.zeros((0, 3)) if plan is None else plan
     rest = emit(
@@ -105,9 +108,6 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
 
 def _record(frame: Frame, row: int, check: int) -> Record:
     agent, truth = frame.agents[row], frame.truth
-    numbers = (truth.array, frame.velocity, agent.world_from_body, agent.sweep.world_from_lidar)
-    if not all(np.isfinite(n).all() for n in numbers):
-        raise ValueError(f"frame {frame.index}: a box, velocity or pose is not finite")
     return Record(
         version=VERSION,
         check=check,

@@ -1,0 +1,32 @@
+"""The goldens that the tests of this folder read."""
+
+import io
+import tarfile
+from pathlib import Path
+
+import numpy as np
+from numpy.lib.npyio import NpzFile
+
+GOLDENS = Path(__file__).parents[2] / "fixtures" / "goldens"
+
+
+def load(name: str) -> NpzFile:
+    return np.load(GOLDENS / f"{name}.npz", allow_pickle=False)
+
+
+def unpack_opv2v_mini(folder: Path) -> Path:
+    with tarfile.open(fileobj=io.BytesIO((GOLDENS / "opv2v_mini.tar.gz").read_bytes())) as archive:
+        archive.extractall(folder, filter="data")
+    return folder / "opv2v_mini"
+
+
+def ours(boxes: np.ndarray) -> np.ndarray:
+    """Turn x y z h w l yaw in CARLA's left-handed frame into x y z l w h yaw in ours."""
+    return boxes[:, [0, 1, 2, 5, 4, 3, 6]] * [1, -1, 1, 1, 1, 1, -1]
+
+
+def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the largest difference per column of boxes, yaw modulo pi."""
+    difference = a - b
+    difference[:, 6] = np.mod(difference[:, 6] + np.pi / 2, np.pi) - np.pi / 2
+    return np.abs(difference).max(axis=0, initial=0.0)

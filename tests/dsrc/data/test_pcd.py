@@ -1,0 +1,118 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.data.pcd import encode_table, read_pcd, read_table, write_pcd
+from sensors.sweep import POINT_FIELDS, make_sweep
+from sim.errors import DataError
+from tests.dsrc.data.toy import toy_frame
+
+ASCII = """# .PCD v0.7 - Point Cloud Data file format
+VERSION 0.7
+FIELDS x y z rgb
+SIZE 4 4 4 4
+TYPE F F F {kind}
+COUNT 1 1 1 1
+WIDTH {n}
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS {n}
+DATA ascii
+1.5 2 -3 {rgb}
+-0.25 4e-1 0 0
+"""
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    write_pcd(tmp_path / "000000.pcd", toy_frame(0).agents[0].sweep)
+    return tmp_path / "000000.pcd"
+
+
+def test_a_sweep_reads_back_bit_for_bit(written: Path):
+    sweep = toy_frame(0).agents[0].sweep
+    back = read_pcd(written, sweep.world_from_lidar, sweep.time_s, sweep.spec)
+    for name in POINT_FIELDS:
+        assert getattr(back, name).dtype == getattr(sweep, name).dtype
+        assert np.array_equal(getattr(back, name), getattr(sweep, name)), name
+
+
+def test_opv2v_finds_a_left_handed_cloud_with_red_intensity(written: Path):
+    sweep, table = toy_frame(0).agents[0].sweep, read_table(written)
+    assert table.dtype.names[:4] == ("x", "y", "z", "rgb")
+    assert np.array_equal(table["y"], -sweep.points[:, 1])
+    red = (table["rgb"] >> 16) / 255.0
+    assert np.abs(red - sweep.intensity).max() <= 0.5 / 255 + 1e-6
+    assert not (table["rgb"] & 0xFFFF).any()
+
+
+def test_an_empty_sweep_is_a_valid_file(tmp_path: Path):
+    write_pcd(tmp_path / "a.pcd", make_sweep(np.zeros((0, 3))))
+    assert len(read_pcd(tmp_path / "a.pcd")) == 0
+
+
+def test_ascii_colour_becomes_intensity_whether_packed_as_number_or_float(tmp_path: Path):
+    packed = 51 << 16
+    as_float = repr(float(np.array(packed, np.uint32).view(np.float32)))
+    for kind, rgb in (("U", str(packed)), ("F", as_float), ("I", str(packed))):
+        (tmp_path / "a.pcd").write_text(ASCII.format(n=2, rgb=rgb, kind=kind))
+        sweep = read_pcd(tmp_path / "a.pcd")
+        assert sweep.points.tolist() == [[1.5, -2.0, -3.0], [-0.25, np.float32(-0.4), 0.0]]
+        assert sweep.intensity.tolist() == [np.float32(0.2), 0.0]
+
+
+def test_intensity_of_0_to_255_is_scaled_when_there_is_no_colour(tmp_path: Path):
+    table = np.zeros(2, [("x", "<f8"), ("y", "<f4"), ("z", "<f4"), ("intensity", "u1"), ("_", "<f4")])
+    table["intensity"] = [0, 255]
+    (tmp_path / "a.pcd").write_bytes(encode_table(table))
+    assert read_pcd(tmp_path / "a.pcd").intensity.tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("cut", [1, 35, 36 * 400, 36 * 400 + 5, 36 * 400 + 200])
+def test_a_truncated_file_is_named(written: Path, cut: int):
+    written.write_bytes(written.read_bytes()[:-cut])
+    with pytest.raises(DataError, match=r"000000.pcd: (DATA: expected 14400 bytes for 400 points|header)") as caught:
+        read_pcd(written)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("POINTS 2", "POINTS 3", "POINTS: expected WIDTH x HEIGHT = 2 x 1, found 3"),
+        ("WIDTH 2\n", "WIDTH two\n", "WIDTH: expected a whole number, found two"),
+        ("SIZE 4 4 4 4", "SIZE 4 4 4", "SIZE: expected 4 entries as in FIELDS, found 3"),
+        ("TYPE F F F", "TYPE F F Q", "TYPE and SIZE of z"),
+        ("FIELDS x y z", "FIELDS x y q", "FIELDS: expected a field z"),
+        ("FIELDS x y z rgb", "FIELDS x y z label", "FIELDS: expected a field rgb or intensity"),
+        ("FIELDS x y z", "FIELDS x y y", "FIELDS: "),
+        ("COUNT 1 1 1 1", "COUNT 1 1 1 0", "COUNT of rgb"),
+        ("DATA ascii", "DATA binary_compressed", "DATA: expected ascii or binary, found binary_compressed"),
+        ("-0.25", "nan", "x of point 1: expected a finite number, found nan"),
+        ("-0.25", "many", "DATA: expected numbers"),
+        ("-0.25 ", "", "DATA: expected 8 numbers for 2 points, found 7 numbers"),
+        ("VERSION", "Version", "header: expected one of VERSION"),
+        ("DATA ascii", "", "header"),
+    ],
+)
+def test_a_broken_file_gets_one_line_that_names_the_field(tmp_path: Path, old: str, new: str, message: str):
+    text = ASCII.format(n=2, rgb=0, kind="U")
+    assert old in text
+    (tmp_path / "broken.pcd").write_text(text.replace(old, new))
+    with pytest.raises(DataError) as caught:
+        read_pcd(tmp_path / "broken.pcd")
+    assert str(caught.value).startswith(f"{tmp_path / 'broken.pcd'}: ") and message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_infinite_intensity_and_a_missing_file_are_refused(written: Path):
+    sweep = read_pcd(written)
+    bad = sweep.intensity.copy()
+    bad[3] = np.inf
+    write_pcd(written, replace(sweep, intensity=bad))
+    with pytest.raises(DataError, match="intensity of point 3"):
+        read_pcd(written)
+    with pytest.raises(DataError, match="file not found"):
+        read_pcd(written.with_name("nothing.pcd"))

@@ -1,0 +1,123 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.data.opv2v import DriveReader, find_drives
+from dsrc.data.sample import GridSpec, inside_range, make_sample
+from sensors.frame import count_points
+from sim.errors import DataError
+from sim.geometry import invert, transform_points
+from tests.dsrc.data import goldens
+from tests.dsrc.data.toy import toy_frame
+
+GRID = GridSpec((-140.8, -40.0, -6.0, 140.8, 40.0, 3.0))
+
+
+def test_the_golden_tree_gives_the_references_samples(tmp_path: Path):
+    mini, expected = goldens.unpack_opv2v_mini(tmp_path), goldens.load("opv2v_mini_expected")
+    frames = [r.read(i) for d in find_drives(mini) for r in [DriveReader(d)] for i in range(len(r))]
+    ranges = {"train": GridSpec(), "test": GridSpec((-140.0, -40.0, -3.0, 140.0, 40.0, 1.0))}
+    for mode, grid in ranges.items():
+        for k, frame in enumerate(frames):
+            sample = make_sample(frame, None, grid, keep_ego_box=True)
+            assert sample.boxes.object_id.tolist() == expected[f"{mode}/{k}/object_ids"].tolist()
+            want = goldens.ours(expected[f"{mode}/{k}/object_bbx_center"])
+            # Ours are upright in the world before they are upright in the ego's frame: second order in the tilt.
+            assert (goldens.apart(sample.boxes.array, want) < [1e-5] * 3 + [1e-3] * 3 + [1e-4]).all()
+            assert [len(cloud) for cloud in sample.clouds] == expected[f"{mode}/{k}/n_points"].tolist()
+            mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+            reference = expected[f"{mode}/{k}/transformation_matrix"]
+            rows = [[a.agent_id for a in frame.agents].index(i) for i in sample.agent_ids]
+            assert np.abs(mirror @ sample.ego_from_agent @ mirror - reference[rows]).max() < 1e-9
+
+
+def test_the_own_body_rule_of_foreign_data_matches_the_reference():
+    golden, frame = goldens.load("points_in_boxes"), toy_frame(0)
+    points = golden["points"] * np.array([1, -1, 1], np.float32)
+    sweep = replace(
+        frame.agents[0].sweep[np.zeros(len(points), np.int64)], points=points, spec=None, world_from_lidar=np.eye(4)
+    )
+    frame = replace(frame, agents=(replace(frame.agents[0], sweep=sweep),), points_on=frame.points_on[:1])
+    sample = make_sample(frame, 1000, GridSpec((-10.0, -6.0, -2.0, 10.0, 6.0, 0.5)))
+    kept = points[golden["in_range"] & ~golden["in_ego_body"]]
+    assert np.array_equal(sample.clouds[0][:, :3], kept)
+
+
+def test_the_ego_is_the_first_vehicle_and_comes_first():
+    frame = toy_frame(0)
+    assert make_sample(frame, None, GRID).agent_ids == (1000, 1002, -1)
+    assert make_sample(frame, 1002, GRID).agent_ids == (1002, 1000, -1)
+    assert make_sample(frame, -1, GRID).agent_ids == (-1, 1000, 1002)
+    with pytest.raises(DataError, match=r"ego: expected one of the agents \[1000, 1002, -1\], found 5"):
+        make_sample(frame, 5, GRID)
+
+
+def test_agents_out_of_range_or_over_the_limit_do_not_take_part():
+    frame = toy_frame(0)
+    assert make_sample(frame, None, GRID, comm_range_m=25.0).agent_ids == (1000, -1)
+    assert make_sample(frame, None, GRID, comm_range_m=0.0).agent_ids == (1000,)
+    assert make_sample(frame, None, GRID, max_agents=2).agent_ids == (1000, 1002)
+
+
+def test_clouds_of_all_agents_lie_on_the_same_objects():
+    frame = toy_frame(3)
+    sample = make_sample(frame, None, GRID)
+    assert np.array_equal(sample.ego_from_agent[0], np.eye(4))
+    for agent, cloud, boxes in zip(frame.agents, sample.clouds, sample.agent_boxes, strict=True):
+        inside = boxes.contains(cloud[:, :3], 0.01).sum(axis=1)
+        assert (inside >= count_points(agent.sweep, boxes.object_id)).all()
+        assert cloud.dtype == np.float32 and cloud.flags.c_contiguous
+
+
+def test_boxes_are_vehicles_that_someone_has_seen_without_the_ego():
+    sample = make_sample(toy_frame(0), None, GRID)
+    assert sample.boxes.object_id.tolist() == [1001, 1002, 1004]
+    assert [b.object_id.tolist() for b in sample.agent_boxes] == [[1001, 1002, 1004], [1001], [1001, 1002, 1004]]
+    kept = make_sample(toy_frame(0), None, GRID, keep_ego_box=True)
+    assert kept.boxes.object_id.tolist() == [1000, 1001, 1002, 1004]
+
+
+def test_ego_alone_is_judged_by_what_all_have_seen():
+    frame = toy_frame(0)
+    alone = make_sample(frame, 1002, GRID, cooperative=False)
+    assert alone.agent_ids == (1002,) and len(alone.clouds) == len(alone.agent_boxes) == len(alone.ego_from_agent) == 1
+    assert alone.boxes.object_id.tolist() == make_sample(frame, 1002, GRID).boxes.object_id.tolist()
+
+
+def test_only_whole_boxes_in_range_count_and_points_strictly_inside():
+    grid = GridSpec((-30.0, -10.0, -3.0, 22.0, 10.0, 3.0))
+    sample = make_sample(toy_frame(0), None, grid)
+    assert 1001 not in sample.boxes.object_id  # its far end reaches beyond x = 22
+    assert inside_range(sample.boxes, grid).all()
+    for cloud in sample.clouds:
+        assert (cloud[:, :3] > grid.range_m[:3]).all() and (cloud[:, :3] < grid.range_m[3:]).all()
+
+
+def test_our_own_sweeps_lose_points_on_the_true_body_only():
+    frame = toy_frame(0)
+    agent, truth = frame.agents[0], frame.truth
+    body = truth[truth.object_id == 1000].transform(invert(agent.sweep.world_from_lidar))
+    tail = np.array([[-2.1, 0.0, -1.2], [2.6, 0.0, -1.2], [0.0, 3.0, -1.2]], np.float32)
+    sweep = replace(agent.sweep[:3], points=tail)
+    frame = replace(frame, agents=(replace(agent, sweep=sweep), *frame.agents[1:]))
+    assert body.contains(tail).tolist() == [[True, False, False]]
+    assert make_sample(frame, None, GRID).clouds[0][:, :3].tolist() == tail[1:].tolist()
+
+
+def test_a_frame_without_agents_is_refused_and_one_without_points_is_not():
+    frame = toy_frame(0)
+    with pytest.raises(DataError, match="at least one agent"):
+        make_sample(replace(frame, agents=(), points_on=frame.points_on[:0]), None, GRID)
+    silent = frame.with_sweeps([a.sweep[:0] for a in frame.agents])
+    assert [c.shape for c in make_sample(silent, None, GRID).clouds] == [(0, 4)] * 3
+
+
+def test_points_stay_where_the_world_has_them():
+    frame = toy_frame(2)
+    sample = make_sample(frame, None, GRID)
+    world = transform_points(frame.agents[0].sweep.world_from_lidar, sample.clouds[1][:, :3].astype(np.float64))
+    source = frame.agents[1].sweep.world_points
+    nearest = np.array([np.abs(source - p).max(axis=1).min() for p in world])
+    assert nearest.max() < 1e-4
