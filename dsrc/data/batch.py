@@ -1,0 +1,207 @@
+"""Batch: samples turned into the tensors that a network and its losses read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dsrc.data.sample import GridSpec, Sample
+from dsrc.data.teacher import TeacherClouds, teacher_clouds
+from dsrc.models.encoder import Pillars
+from dsrc.models.reconstruction import Scene
+from dsrc.models.settings import ModelSettings
+from dsrc.ops.anchors import anchor_grid
+from dsrc.ops.pillars import voxelise
+from dsrc.ops.targets import assign_targets
+from sim.boxes import Boxes
+
+# Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
+
+_POSITIVE_IOU = 0.5
+"""True overlap of an anchor that is responsible for a box; about the 0.6 of the released code, whose overlap adds a
+metre to every side."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """What the heads should say.
+
+    Attributes:
+        positive: (B, h, w, 2) bool anchors that are responsible for a box.
+        regression: (B, h, w, 14) float32 residuals of their boxes.
+    """
+
+    positive: Tensor
+    regression: Tensor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """B samples with N agents in all.
+
+    Attributes:
+        keys: (B,) keys of the samples.
+        agents: (B,) number of agents of each sample; their clouds are consecutive, ego first.
+        boxes: (B,) ground truth.
+        student: pillars of what the sensors saw; None for a teacher's batch.
+        targets: None outside training, like all that follows.
+        teacher: pillars of the teacher's clouds, None when nothing is distilled.
+        foreground: (N, H, W) bool cells with a point on one of the agent's objects, None without teacher.
+        scene: the reconstruction's target, None when it is off.
+    """
+
+    keys: tuple[str, ...]
+    agents: tuple[int, ...]
+    boxes: tuple[Boxes, ...]
+    student: Pillars | None
+    targets: Targets | None = None
+    teacher: Pillars | None = None
+    foreground: Tensor | None = None
+    scene: Scene | None = None
+
+
+def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) -> Batch:
+    """Turn samples into a batch.
+
+    Args:
+        samples: each with its clouds already cropped to the grid's range.
+        settings: of the network that will read the batch. A teacher's batch has no student pillars; a student's has
+            the teacher's clouds too, in training, when its settings distil.
+        training: make targets and everything else that needs ground truth.
+    """
+    samples = [part for sample in samples for part in heard(sample, settings)]
+    for_teacher = settings.role == "teacher"
+    clouds = [cloud for sample in samples for cloud in sample.clouds]
+    batch = Batch(
+        keys=tuple(sample.key for sample in samples),
+        agents=tuple(len(sample.clouds) for sample in samples),
+        boxes=tuple(sample.boxes for sample in samples),
+        student=None if for_teacher else pillars_of(clouds, settings),
+    )
+    if for_teacher or (training and settings.distils):
+        views = [teacher_clouds(sample, dense=settings.sdd, paint=settings.pcp) for sample in samples]
+        batch = replace(batch, teacher=_teacher_pillars(views, settings))
+        if not for_teacher:
+            batch = replace(batch, foreground=_foreground(views, settings.grid))
+    if not training:
+        return batch
+    scene = None
+    if settings.rec and not for_teacher:
+        scene = scene_of([np.concatenate(sample.clouds) for sample in samples], settings)
+    return replace(batch, targets=_targets(samples, settings.grid), scene=scene)
+
+
+def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
+    """Return the samples that a network of this fusion makes of one sample.
+
+    `attention` and `max` take up to `max_agents` agents, `none` the ego alone, and `late` makes each agent's cloud a
+    sample of its own with the boxes that it annotated.
+    """
+    if settings.fusion == "late":
+        return [
+            _select(sample, slice(row, row + 1), sample.agent_boxes[row])
+            for row in range(min(len(sample.clouds), settings.max_agents))
+        ]
+    count = 1 if settings.fusion == "none" else settings.max_agents
+    return [_select(sample, slice(0, count), sample.boxes)]
+
+
+def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:
+    return replace(
+        sample,
+        agent_ids=sample.agent_ids[rows],
+        clouds=sample.clouds[rows],
+        ego_from_agent=sample.ego_from_agent[rows],
+        boxes=boxes,
+        agent_boxes=sample.agent_boxes[rows],
+    )
+
+
+def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Pillars:
+    """Sort the points of (P, D) clouds into pillars."""
+    grid = settings.grid
+    cell = (grid.cell_m, grid.cell_m, grid.range_m[5] - grid.range_m[2])
+    points, rows, coords, counts = [], [], [], []
+    start = 0
+    for number, cloud in enumerate(clouds):
+        voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
+        order = np.argsort(voxels.slot, kind="stable")
+        order = order[np.searchsorted(voxels.slot[order], 0) :]
+        points.append(cloud[order])
+        rows.append(voxels.slot[order].astype(np.int64) + start)
+        counts.append(np.bincount(voxels.slot[order], minlength=len(voxels.coords_zyx)))
+        cloud_number = np.full((len(voxels.coords_zyx), 1), number)
+        coords.append(np.concatenate([cloud_number, voxels.coords_zyx[:, 1:]], axis=1))
+        start += len(voxels.coords_zyx)
+    return Pillars(
+        points=torch.from_numpy(np.concatenate(points).astype(np.float32)),
+        pillar=torch.from_numpy(np.concatenate(rows)),
+        coords=torch.from_numpy(np.concatenate(coords).astype(np.int64)),
+        count=torch.from_numpy(np.concatenate(counts).astype(np.int64)),
+        clouds=len(clouds),
+    )
+
+
+def _teacher_pillars(views: list[TeacherClouds], settings: ModelSettings) -> Pillars:
+    features = 5 if settings.pcp else 4
+    return pillars_of([cloud[:, :features] for view in views for cloud in view.clouds], settings)
+
+
+def _foreground(views: list[TeacherClouds], grid: GridSpec) -> Tensor:
+    """Mark the cells with a point on one of the agent's objects."""
+    objects = [cloud for view in views for cloud in view.object_clouds]
+    mask = np.zeros((len(objects), grid.height, grid.width), bool)
+    for row, cloud in enumerate(objects):
+        column_x, row_y, _ = _cells(cloud, grid, grid.cell_m)
+        mask[row, row_y, column_x] = True
+    return torch.from_numpy(mask)
+
+
+def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Scene:
+    """Voxelise B merged (M, 4) clouds: the occupied voxels and the mean of all their points."""
+    grid, cell_z = settings.grid, settings.reconstruction_cell_z_m
+    voxels, offsets = [], []
+    for number, cloud in enumerate(merged):
+        x, y, z = _cells(cloud, grid, cell_z)
+        flat = (z * grid.height + y) * grid.width + x
+        cells, index, count = np.unique(flat, return_inverse=True, return_counts=True)
+        mean = np.stack([np.bincount(index, cloud[:, k], len(cells)) for k in range(3)], axis=1) / count[:, None]
+        zyx = np.stack(np.unravel_index(cells, (settings.reconstruction_bins, grid.height, grid.width)), axis=1)
+        size = np.array([grid.cell_m, grid.cell_m, cell_z])
+        centre = (zyx[:, ::-1] + 0.5) * size + np.array(grid.range_m[:3])
+        voxels.append(np.concatenate([np.full((len(cells), 1), number), zyx], axis=1))
+        offsets.append(mean - centre)
+    return Scene(
+        torch.from_numpy(np.concatenate(voxels).astype(np.int64)),
+        torch.from_numpy(np.concatenate(offsets).astype(np.float32)),
+        len(merged),
+    )
+
+
+def _cells(
+    cloud: NDArray[np.float32], grid: GridSpec, cell_z: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the (P,) columns, rows and layers of points in range; one on the far face stays in the last cell."""
+    low = np.asarray(grid.range_m[:3])
+    size = np.asarray([grid.cell_m, grid.cell_m, cell_z])
+    last = np.array([grid.width, grid.height, round((grid.range_m[5] - grid.range_m[2]) / cell_z)]) - 1
+    cells = np.clip(np.floor((cloud[:, :3].astype(np.float64) - low) / size).astype(np.int64), 0, last)
+    return cells[:, 0], cells[:, 1], cells[:, 2]
+
+
+@lru_cache(maxsize=4)
+def _anchors(grid: GridSpec) -> NDArray[np.float64]:
+    return anchor_grid(grid)
+
+
+def _targets(samples: Sequence[Sample], grid: GridSpec) -> Targets:
+    """Assign every sample's boxes to anchors."""
+    found = [assign_targets(sample.boxes.array, _anchors(grid), _POSITIVE_IOU, legacy_iou=False) for sample in samples]
+    return Targets(
+        torch.from_numpy(np.stack([np.asarray(t.positive, bool) for t in found])),
+        torch.from_numpy(np.stack([np.asarray(t.regression, np.float32) for t in found])),
+    )

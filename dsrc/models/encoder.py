@@ -1,0 +1,135 @@
+"""The pillar encoder: points to a dense bird's-eye feature map.
+
+It works on the real points only (P rows and the pillar that each belongs to), never on the (pillars, 32, channels)
+block of padded slots that the published implementations allocate; what those slots do to the batch norm and to the
+maximum is a closed expression (`padded_slots`).
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from dsrc.data.sample import GridSpec
+from dsrc.models.settings import ModelSettings
+
+# Legend: P points, V pillars, N clouds, D point features, C channels, H W grid.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pillars:
+    """The points of N clouds, sorted into pillars.
+
+    Attributes:
+        points: (P, D) float32 x, y, z, intensity(, paint) in the ego LiDAR's frame; only points that were kept.
+        pillar: (P,) int64 row of the point's pillar, ascending.
+        coords: (V, 3) int64 cloud, row (y) and column (x) of the pillar.
+        count: (V,) int64 points in the pillar, at least 1.
+        clouds: N, also where the last clouds are empty.
+    """
+
+    points: Tensor
+    pillar: Tensor
+    coords: Tensor
+    count: Tensor
+    clouds: int
+
+    def to(self, device: torch.device | str) -> "Pillars":
+        """Move to a device."""
+        moved = {name: getattr(self, name).to(device) for name in ("points", "pillar", "coords", "count")}
+        return replace(self, **moved)
+
+
+class SlotNorm(nn.BatchNorm1d):
+    """Batch norm over points that can count zero rows that are not there.
+
+    Source: the reference pads each pillar to 32 rows and normalises over all of them.
+    """
+
+    def scale_shift(self, x: Tensor, zeros: int = 0) -> tuple[Tensor, Tensor]:
+        """Return (C,) scale and shift that normalise (P, C) rows and `zeros` rows of zeros; updates the statistics."""
+        mean, variance = self.running_mean, self.running_var
+        if self.training:
+            n = len(x) + zeros
+            mean = x.sum(0) / n
+            variance = ((x - mean).square().sum(0) + zeros * mean.square()) / n
+            self._update(mean.detach(), variance.detach(), n)
+        scale = self.weight * torch.rsqrt(variance + self.eps)  # type: ignore[operator]
+        return scale, self.bias - mean * scale  # type: ignore[operator]
+
+    def _update(self, mean: Tensor, variance: Tensor, n: int) -> None:
+        momentum = float(self.momentum or 0.0)
+        self.running_mean.lerp_(mean, momentum)  # type: ignore[union-attr]
+        self.running_var.lerp_(variance * (n / max(n - 1, 1)), momentum)  # type: ignore[union-attr]
+        self.num_batches_tracked.add_(1)  # type: ignore[union-attr]
+
+
+class PillarEncoder(nn.Module):
+    """Points to (N, C, H, W): one linear layer per point, batch norm, ReLU, maximum per pillar, scatter.
+
+    Per point it sees x, y, z, intensity(, paint), the offset to the mean of the pillar's points and the offset to the
+    pillar's centre. Source: PointPillars, arXiv 1812.05784; eps and momentum as in the released DSRC code.
+    """
+
+    def __init__(self, settings: ModelSettings) -> None:
+        super().__init__()
+        self.grid: GridSpec = settings.grid
+        self.max_points = settings.max_points
+        self.padded_slots = settings.padded_slots
+        self.linear = nn.Linear(settings.point_features + 6, settings.pillar_channels, bias=False)
+        self.norm = SlotNorm(settings.pillar_channels, eps=1e-3, momentum=0.01)
+
+    def forward(self, pillars: Pillars) -> Tensor:
+        """Return the (N, C, H, W) feature map; cells without points are zero."""
+        return self.scatter(self.features(pillars), pillars)
+
+    def features(self, pillars: Pillars) -> Tensor:
+        """Return (V, C) features of the pillars."""
+        n_pillars = len(pillars.coords)
+        if n_pillars == 0:
+            return pillars.points.new_zeros((0, self.linear.out_features))
+        x_pc = self.linear(self.augment(pillars))
+        zeros = n_pillars * self.max_points - len(x_pc) if self.padded_slots else 0
+        scale, shift = self.norm.scale_shift(x_pc, zeros)
+        # The norm grows or falls monotonically per channel: take the extreme first, normalise V rows and not P.
+        sign = torch.where(scale < 0, -1.0, 1.0).detach()
+        x_vc = _pillar_max(x_pc * sign, pillars.pillar, n_pillars) * sign
+        x_vc = torch.addcmul(shift, x_vc, scale)
+        if self.padded_slots:
+            # Where a zero row pads the pillar, the maximum also sees the norm of zero, which is the shift.
+            padded = (pillars.count < self.max_points)[:, None]
+            x_vc = torch.where(padded, torch.maximum(x_vc, shift), x_vc)
+        return torch.relu(x_vc)
+
+    def augment(self, pillars: Pillars) -> Tensor:
+        """Return (P, D + 6): the points with their offsets to the pillar's mean and centre."""
+        xyz, rows = pillars.points[:, :3], pillars.pillar
+        total = xyz.new_zeros((len(pillars.coords), 3)).index_add_(0, rows, xyz)
+        mean = total / pillars.count[:, None]
+        low, cell = self.grid.range_m, self.grid.cell_m
+        centre = torch.stack(
+            [
+                pillars.coords[:, 2] * cell + (low[0] + cell / 2),
+                pillars.coords[:, 1] * cell + (low[1] + cell / 2),
+                torch.full((len(mean),), (low[2] + low[5]) / 2, device=xyz.device),
+            ],
+            dim=1,
+        ).to(xyz.dtype)
+        reference = torch.cat([mean, centre], dim=1)[rows]
+        return torch.cat([pillars.points, xyz - reference[:, :3], xyz - reference[:, 3:]], dim=1)
+
+    def scatter(self, features: Tensor, pillars: Pillars) -> Tensor:
+        """Place (V, C) features on the (N, C, H, W) grid."""
+        height, width = self.grid.height, self.grid.width
+        cloud, row, column = pillars.coords.unbind(1)
+        cell = (cloud * height + row) * width + column
+        dense = features.new_zeros((pillars.clouds * height * width, features.shape[1]))
+        dense = dense.index_copy(0, cell, features)
+        # (N, H, W, C) seen as (N, C, H, W): already the memory order that CPU convolutions like best.
+        return dense.view(pillars.clouds, height, width, -1).permute(0, 3, 1, 2)
+
+
+def _pillar_max(x: Tensor, pillar: Tensor, n_pillars: int) -> Tensor:
+    """Return (V, C) the maximum of the (P, C) rows of each pillar; no pillar is empty."""
+    start = x.new_full((n_pillars, x.shape[1]), -torch.inf)
+    return start.scatter_reduce(0, pillar[:, None].expand_as(x), x, "amax", include_self=False)

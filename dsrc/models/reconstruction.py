@@ -1,0 +1,89 @@
+"""Point cloud reconstruction: the fused feature has to give back the scene that all agents saw together.
+
+Used in training only. The paper's form: ten vertical bins of 0.4 m, an occupancy per 0.4 m cube and the offset of its
+mean point from its centre. (The released code's target has a single 4 m bin; `reconstruction_cell_z_m` = 4 gives it.)
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from dsrc.models.settings import ModelSettings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """The occupied voxels of B merged clouds.
+
+    Attributes:
+        voxel: (K, 4) int64 sample, z, y, x.
+        offset: (K, 3) float32 mean point minus voxel centre, m.
+        samples: B.
+    """
+
+    voxel: Tensor
+    offset: Tensor
+    samples: int
+
+
+class Reconstruction(nn.Module):
+    """Fused feature to occupancy logits and point offsets of a voxel grid at the input's resolution."""
+
+    def __init__(self, settings: ModelSettings) -> None:
+        super().__init__()
+        self.bins = settings.reconstruction_bins
+        column, hidden = settings.reconstruction_channels
+        self.expand = nn.Sequential(
+            nn.Conv2d(settings.shrink_channels, column * (self.bins // 2), 1),
+            nn.BatchNorm2d(column * (self.bins // 2)),
+            nn.GELU(),
+        )
+        self.generate = nn.Sequential(
+            nn.Conv3d(column, hidden, 1),
+            nn.BatchNorm3d(hidden),
+            nn.ReLU(inplace=True),
+            nn.ConvTranspose3d(hidden, hidden, 4, stride=2, padding=1),
+            nn.BatchNorm3d(hidden),
+            nn.ReLU(inplace=True),
+        )
+        self.offset = nn.Conv3d(hidden, 3, 1)
+        self.occupancy = nn.Conv3d(hidden, 1, 1)
+
+    def forward(self, fused: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (B, D, H, W) occupancy logits and the (B, C, D, H, W) feature that `offsets_at` reads."""
+        batch, _, height, width = fused.shape
+        column = self.expand(fused).reshape(batch, -1, self.bins // 2, height, width)
+        volume = self.generate(column)
+        return self.occupancy(volume).squeeze(1), volume
+
+    def offsets_at(self, volume: Tensor, voxel: Tensor) -> Tensor:
+        """Return (K, 3) offsets at K voxels; only they are ever compared, so only they are computed."""
+        b, z, y, x = voxel.unbind(1)
+        weight = self.offset.weight.flatten(1)
+        return functional.linear(volume[b, :, z, y, x], weight, self.offset.bias)
+
+
+def reconstruction_losses(head: Reconstruction, fused: Tensor, scene: Scene) -> tuple[Tensor, Tensor]:
+    """Return the occupancy and the offset loss.
+
+    The occupied voxels' cross entropy is weighted by N_background / N_foreground, as in the released code. (Equation 7
+    is printed with that weight on the whole sum, which balances nothing.) The offset loss is Equation 8.
+
+    Args:
+        head: the reconstruction head.
+        fused: (B, C, h, w) fused feature of the student.
+        scene: the voxels to give back.
+    """
+    logits, volume = head(fused)
+    target = torch.zeros_like(logits)
+    b, z, y, x = scene.voxel.unbind(1)
+    target[b, z, y, x] = 1.0
+    ratio = (target.numel() - len(scene.voxel)) / max(len(scene.voxel), 1)
+    weight = torch.tensor(ratio, dtype=logits.dtype, device=logits.device)
+    mask_loss = functional.binary_cross_entropy_with_logits(logits, target, pos_weight=weight)
+    error = (head.offsets_at(volume, scene.voxel) - scene.offset).abs()
+    # A component that lies exactly on the centre counts as absent, as released.
+    valid = scene.offset != 0
+    return mask_loss, (error * valid).sum() / valid.sum().clamp(min=1)

@@ -1,0 +1,77 @@
+"""ModelSettings: everything that fixes the shape and the meaning of a detector's weights."""
+
+from typing import Literal
+
+import msgspec
+
+from dsrc.data.sample import GridSpec
+
+Fusion = Literal["attention", "max", "none", "late"]
+
+
+class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Sizes and switches of a detector; saved in every checkpoint.
+
+    The defaults are the paper's (Implementation Details): 0.4 m pillars and Res2Net blocks 3, 5, 8.
+
+    Attributes:
+        grid: bird's-eye grid in the ego LiDAR's frame.
+        role: a teacher reads clouds that were built with ground truth, a student what the sensors saw.
+        fusion: how the agents' features are joined, a key of `FUSIONS`.
+        sdd: sparse-to-dense distillation: the teacher's objects hold the points of all agents.
+        pcp: point cloud painting: the teacher's points carry a fifth channel, 1 inside a labelled box.
+        rec: point cloud reconstruction supervises the fused feature (training only).
+        max_points: points kept per pillar, first come.
+        max_pillars: pillars kept per cloud, first come.
+        padded_slots: whether the zero rows that pad a pillar to `max_points` take part in batch norm and in the
+            maximum, as in the released code. Without them, statistics and maximum are of real points only.
+        pillar_channels: width of the pillar encoder.
+        stage_channels: widths of the three backbone stages, each at half the resolution of the one before.
+        stage_blocks: residual blocks of the stages.
+        base_width: width of a Res2Net split at 64 channels; the split is `channels * base_width // 64`.
+        decoder_channels: width of each scale after it was brought back to half the grid's resolution.
+        shrink_channels: width of the two 3 x 3 convolutions before the heads.
+        score_prior: confidence that an untrained head gives, None for the framework's own start.
+        reconstruction_channels: widths of the reconstruction head, per vertical bin and after reduction.
+        reconstruction_cell_z_m: height of a reconstruction voxel; the released code's is the whole range.
+        max_agents: agents that one ego listens to, itself included.
+        score_threshold: detections below this confidence are dropped.
+        nms_iou: of two detections that overlap more than this, the less confident is dropped.
+    """
+
+    grid: GridSpec = GridSpec()
+    role: Literal["student", "teacher"] = "student"
+    fusion: Fusion = "attention"
+    sdd: bool = True
+    pcp: bool = True
+    rec: bool = True
+    max_points: int = 32
+    max_pillars: int = 70_000
+    padded_slots: bool = False
+    pillar_channels: int = 64
+    stage_channels: tuple[int, int, int] = (64, 128, 256)
+    stage_blocks: tuple[int, int, int] = (3, 5, 8)
+    base_width: int = 26
+    decoder_channels: int = 128
+    shrink_channels: int = 256
+    score_prior: float | None = 0.01
+    reconstruction_channels: tuple[int, int] = (128, 32)
+    reconstruction_cell_z_m: float = 0.4
+    max_agents: int = 5
+    score_threshold: float = 0.2
+    nms_iou: float = 0.15
+
+    @property
+    def point_features(self) -> int:
+        """Channels of a point in a cloud: x, y, z, intensity and, for a painted teacher, the paint."""
+        return 5 if self.role == "teacher" and self.pcp else 4
+
+    @property
+    def distils(self) -> bool:
+        """Whether a student of these settings learns from a teacher."""
+        return self.sdd or self.pcp
+
+    @property
+    def reconstruction_bins(self) -> int:
+        """Vertical bins of the reconstruction: ten of 0.4 m over [-3, 1] m."""
+        return round((self.grid.range_m[5] - self.grid.range_m[2]) / 0.4)

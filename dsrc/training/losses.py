@@ -1,0 +1,131 @@
+"""The losses: detection, and the three stages of the distillation.
+
+Where the paper and its released code differ, `DistillSettings` has both: its defaults follow the paper, `released()`
+is the code. The reconstruction losses stand beside their head, in `dsrc.models.reconstruction`.
+"""
+
+from typing import Literal
+
+import msgspec
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from dsrc.models.detector import Output
+
+# Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
+
+
+class DistillSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Weights and forms of the distillation losses.
+
+    Attributes:
+        dae, daf, dap: weights of the distillation after encoding, fusion and prediction (alpha, beta, gamma).
+        form: `paper`: binary masks; squared differences are means over the foreground, since the sums of Equations 2
+            and 3 grow with the grid and the number of agents; prediction by the Kullback-Leibler divergence of each
+            anchor's own probability and, for the box residuals, of unit normals around both predictions (half the
+            squared difference), both over foreground cells. Equation 3 has no mask; `daf_mask` decides.
+            `released`: bilinear soft masks, means over all elements including the masked zeros, and softmaxes over
+            the two anchors and over the 14 residuals.
+        daf_mask: restrict the distillation after fusion to the foreground of any agent. On by default: over the whole
+            map, of which a few per cent are foreground, the mean is a distillation of the road.
+    """
+
+    dae: float = 1.0
+    daf: float = 1.0
+    dap: float = 0.5
+    form: Literal["paper", "released"] = "paper"
+    daf_mask: bool = True
+
+
+def released() -> DistillSettings:
+    """Return the settings of the released code: all weights 1, its masks and its means."""
+    return DistillSettings(dap=1.0, form="released")
+
+
+def detection_loss(cls: Tensor, reg: Tensor, positive: Tensor, regression: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the classification and the box loss, each a mean over samples.
+
+    Sigmoid focal loss (alpha 0.25, gamma 2; every anchor that is not positive is negative) and twice the smooth L1
+    (beta 1/9) of the residuals of positive anchors, the angle through sin(a - b); both per number of positives.
+
+    Args:
+        cls: (B, 2, h, w) logits.
+        reg: (B, 14, h, w) residuals.
+        positive: (B, h, w, 2) bool.
+        regression: (B, h, w, 14) residuals of the assigned boxes.
+    """
+    logits = cls.permute(0, 2, 3, 1)
+    count = positive.flatten(1).sum(1).clamp(min=1).to(logits.dtype)
+    target = positive.to(logits.dtype)
+    probability = torch.sigmoid(logits)
+    miss = torch.where(positive, 1 - probability, probability)
+    alpha = torch.where(positive, 0.25, 0.75)
+    entropy = functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
+    cls_loss = ((alpha * miss.square() * entropy).flatten(1).sum(1) / count).mean()
+
+    sample, row, column, anchor = positive.nonzero(as_tuple=True)
+    found = reg.permute(0, 2, 3, 1).unflatten(-1, (2, 7))[sample, row, column, anchor]
+    wanted = regression.unflatten(-1, (2, 7))[sample, row, column, anchor]
+    error = torch.cat([found[:, :6] - wanted[:, :6], torch.sin(found[:, 6:] - wanted[:, 6:])], dim=1)
+    smooth = functional.smooth_l1_loss(error, torch.zeros_like(error), beta=1 / 9, reduction="none")
+    reg_loss = 2.0 * (smooth.sum(1) / count[sample]).sum() / len(count)
+    return cls_loss, reg_loss
+
+
+def distillation_losses(
+    student: Output, teacher: Output, foreground: Tensor, agents: tuple[int, ...], settings: DistillSettings
+) -> dict[str, Tensor]:
+    """Return the weighted losses `dae`, `daf` and `dap`.
+
+    Args:
+        student: its output, with gradient.
+        teacher: its output on the teacher's clouds.
+        foreground: (N, H, W) bool, cells that hold a point on one of the agent's objects.
+        agents: number of agents of each row of the fused maps.
+        settings: weights and forms.
+    """
+    if settings.form == "released":
+        return _released_losses(student, teacher, foreground, agents, settings)
+    masks = [functional.max_pool2d(foreground[:, None].float(), 2**k) for k in (1, 2, 3)]
+    pairs = zip(student.stages, teacher.stages, masks, strict=True)
+    dae = sum((_masked_mean(s, t, mask) for s, t, mask in pairs), start=student.cls.new_zeros(()))
+    union = torch.stack([group.amax(0) for group in masks[0].split(list(agents))])
+    whole = torch.ones_like(union)
+    daf = _masked_mean(student.fused, teacher.fused, union if settings.daf_mask else whole)
+    cells = union.sum().clamp(min=1)
+    dap = (_bernoulli_kl(teacher.cls, student.cls) * union).sum() / (cells * student.cls.shape[1])
+    dap = dap + 0.5 * _masked_mean(student.reg, teacher.reg, union)
+    return {"dae": settings.dae * dae, "daf": settings.daf * daf, "dap": settings.dap * dap}
+
+
+def _masked_mean(student: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
+    """Mean squared difference of (N, C, h, w) maps over the cells of a (N, 1, h, w) 0/1 mask."""
+    n, row, column = mask[:, 0].nonzero(as_tuple=True)
+    difference = student[n, :, row, column] - teacher[n, :, row, column]
+    return difference.square().sum() / max(difference.numel(), 1)
+
+
+def _bernoulli_kl(teacher: Tensor, student: Tensor) -> Tensor:
+    """Return the divergence of the student's from the teacher's probability, element by element, from logits."""
+    p = torch.sigmoid(teacher)
+    cross = functional.binary_cross_entropy_with_logits(student, p, reduction="none")
+    return cross - functional.binary_cross_entropy_with_logits(teacher, p, reduction="none")
+
+
+def _released_losses(
+    student: Output, teacher: Output, foreground: Tensor, agents: tuple[int, ...], settings: DistillSettings
+) -> dict[str, Tensor]:
+    dae = student.cls.new_zeros(())
+    for s, t in zip(student.stages, teacher.stages, strict=True):
+        soft = functional.interpolate(foreground[:, None].float(), s.shape[-2:], mode="bilinear", align_corners=False)
+        dae = dae + functional.mse_loss(soft * s, soft * t)
+    size = student.fused.shape[-2:]
+    soft = functional.interpolate(foreground[:, None].float(), size, mode="bilinear", align_corners=False)
+    union = torch.stack([group.sum(0) for group in soft.split(list(agents))]) != 0
+    daf = functional.mse_loss(union * student.fused, union * teacher.fused)
+    dap = student.cls.new_zeros(())
+    for s, t in ((student.cls, teacher.cls), (student.reg, teacher.reg)):
+        log_s, log_t = torch.log_softmax(s, dim=1), torch.log_softmax(t, dim=1)
+        dap = dap + functional.kl_div(log_s, log_t, reduction="none", log_target=True).mean()
+    return {"dae": settings.dae * dae, "daf": settings.daf * daf, "dap": settings.dap * dap}

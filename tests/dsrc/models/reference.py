@@ -1,0 +1,67 @@
+"""Reads the golden files of the reference networks."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from dsrc.data.sample import GridSpec
+from dsrc.models.encoder import Pillars
+from dsrc.models.settings import ModelSettings
+
+ROOT = Path(__file__).parents[3]
+FIXTURES = ROOT / "tests/fixtures/goldens"
+GOLDENS = ROOT.parent / "shared/goldens/models"
+
+
+def golden(name: str) -> tuple[dict[str, NDArray], dict]:
+    """Return a golden's arrays and its notes; skip the test where the file is not at hand."""
+    for folder in (FIXTURES, GOLDENS):
+        if (folder / f"{name}.npz").exists():
+            with np.load(folder / f"{name}.npz") as arrays:
+                return dict(arrays), json.loads((folder / f"{name}.json").read_text())
+    pytest.skip(f"golden {name} is not at hand")
+
+
+def settings_of(config: dict, **changes: object) -> ModelSettings:
+    """Return the settings of a golden's network: the released form."""
+    return ModelSettings(
+        grid=GridSpec(range_m=tuple(config["range"]), cell_m=config["voxel"][0]),
+        padded_slots=True,
+        pillar_channels=config["vfe"][0],
+        stage_channels=tuple(config["num_filters"]),
+        stage_blocks=tuple(config["layer_nums"]),
+        decoder_channels=config["upsample_filters"][0],
+        shrink_channels=config["shrink_dim"],
+        reconstruction_cell_z_m=4.0,
+        **changes,
+    )
+
+
+def pillars(features: NDArray, coords: NDArray, count: NDArray, clouds: int) -> Pillars:
+    """Return the pillars of padded (V, 32, D) voxels with [cloud, z, y, x] coordinates."""
+    real = np.arange(features.shape[1])[None] < count[:, None]
+    rows = np.repeat(np.arange(len(count)), count)
+    return Pillars(
+        points=torch.from_numpy(features[real]),
+        pillar=torch.from_numpy(rows),
+        coords=torch.from_numpy(coords[:, [0, 2, 3]].astype(np.int64)),
+        count=torch.from_numpy(count.astype(np.int64)),
+        clouds=clouds,
+    )
+
+
+def state(arrays: dict[str, NDArray]) -> dict[str, torch.Tensor]:
+    """Return the reference weights by the reference's names."""
+    return {k.removeprefix("state/"): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("state/")}
+
+
+def close(found: torch.Tensor, expected: NDArray, tolerance: float = 3e-5) -> None:
+    """Compare with a tolerance relative to the largest magnitude."""
+    found = found.detach().numpy()
+    assert found.shape == expected.shape
+    worst = np.abs(found - expected).max()
+    assert worst <= tolerance * np.abs(expected).max(), f"off by {worst / np.abs(expected).max():.2e}"
