@@ -1,0 +1,53 @@
+"""Overlap of rotated boxes: bird's-eye and 3D intersection over union."""
+
+import numpy as np
+import powerboxes
+from numpy.typing import ArrayLike, NDArray
+
+
+def bev_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+    """Return (n, m) float64 IoU of the footprints of boxes a (n, 7) and b (m, 7), x, y, z, l, w, h, yaw.
+
+    A box without area, or with a number that is not finite, overlaps nothing.
+    """
+    a, b = _rows(a), _rows(b)
+    out = np.zeros((len(a), len(b)))
+    rows, columns = np.flatnonzero(_has_area(a)), np.flatnonzero(_has_area(b))
+    if len(rows) and len(columns):
+        # About a common origin near the boxes: world coordinates of kilometres would cost digits.
+        origin = a[rows[0], :2]
+        distance = powerboxes.rotated_iou_distance(_footprint(a[rows], origin), _footprint(b[columns], origin))
+        out[np.ix_(rows, columns)] = np.clip(1.0 - distance, 0.0, 1.0)
+    return out
+
+
+def iou_3d(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+    """Return (n, m) float64 IoU of the volumes of upright boxes a (n, 7) and b (m, 7)."""
+    a, b = _rows(a), _rows(b)
+    return volume_iou(a, b, bev_iou(a, b))
+
+
+def volume_iou(
+    a: NDArray[np.float64], b: NDArray[np.float64], footprint_iou: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return `iou_3d` where the (n, m) `bev_iou` is known already."""
+    area_a, area_b = (a[:, 3] * a[:, 4])[:, None], (b[:, 3] * b[:, 4])[None, :]
+    shared_area = footprint_iou * (area_a + area_b) / (1.0 + footprint_iou)
+    top = np.minimum((a[:, 2] + 0.5 * a[:, 5])[:, None], (b[:, 2] + 0.5 * b[:, 5])[None, :])
+    bottom = np.maximum((a[:, 2] - 0.5 * a[:, 5])[:, None], (b[:, 2] - 0.5 * b[:, 5])[None, :])
+    shared = shared_area * np.maximum(top - bottom, 0.0)
+    union = area_a * a[:, None, 5] + area_b * b[None, :, 5] - shared
+    return np.divide(shared, union, out=np.zeros_like(shared), where=(shared > 0) & (union > 0))
+
+
+def _rows(boxes: ArrayLike) -> NDArray[np.float64]:
+    return np.asarray(boxes, np.float64).reshape(-1, 7)
+
+
+def _has_area(boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return np.isfinite(boxes).all(axis=1) & (boxes[:, 3] > 0) & (boxes[:, 4] > 0)
+
+
+def _footprint(boxes: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 5) x, y, l, w and yaw in degrees."""
+    return np.column_stack([boxes[:, :2] - origin, boxes[:, 3:5], np.degrees(boxes[:, 6])])

@@ -1,0 +1,105 @@
+"""From the heads' maps to detections: threshold, decode, filter, suppress."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.detections import Detections
+from dsrc.ops.coding import decode
+from dsrc.ops.nms import rotated_nms
+from sim.boxes import Boxes
+
+
+class PostSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How maps become detections.
+
+    Attributes:
+        score_threshold: detections must be more confident than this.
+        nms_iou: of two detections that overlap more than this, the less confident is dropped.
+        max_boxes: at most this many of the most confident candidates are looked at.
+        range_m: (x_min, y_min, z_min, x_max, y_max, z_max): keep boxes with all corners inside, faces included, as
+            the ground truth is kept; None keeps all.
+        max_extent_m: drop boxes whose axis-aligned hull is longer than this in x or y. The released code has 6.0, which
+            drops every bus, and a long car or not depending on its heading; None keeps all.
+    """
+
+    score_threshold: float = 0.25
+    nms_iou: float = 0.15
+    max_boxes: int = 1000
+    range_m: tuple[float, float, float, float, float, float] | None = None
+    max_extent_m: float | None = None
+
+
+def decode_detections(
+    cls_logits: Any,  # noqa: ANN401
+    regression: Any,  # noqa: ANN401
+    anchors: NDArray[np.float64],
+    settings: PostSettings,
+) -> Detections:
+    """Return the detections of one sample, in the frame of the anchors (the ego LiDAR's).
+
+    Args:
+        cls_logits: (2, H, W) logits per anchor, numpy or torch.
+        regression: (14, H, W) deltas, 7 per anchor.
+        anchors: (H, W, 2, 7).
+        settings: thresholds.
+    """
+    boxes, scores = candidates(cls_logits, regression, anchors, settings.score_threshold)
+    return select(boxes, scores, settings)
+
+
+def candidates(
+    cls_logits: Any,  # noqa: ANN401
+    regression: Any,  # noqa: ANN401
+    anchors: NDArray[np.float64],
+    score_threshold: float,
+) -> tuple[Boxes, NDArray[np.float32]]:
+    """Decode the anchors above the threshold, and only these.
+
+    Returns:
+        K boxes in the order of the anchors (row, column, anchor), and their (K,) float32 scores.
+    """
+    logits = np.moveaxis(_numpy(cls_logits), 0, -1)
+    with np.errstate(over="ignore"):
+        scores = 1.0 / (1.0 + np.exp(-logits))
+    row, column, anchor = np.nonzero(scores > np.float32(score_threshold))
+    maps = _numpy(regression).reshape(logits.shape[-1], 7, *logits.shape[:2])
+    boxes = decode(maps[anchor, :, row, column].astype(np.float64), anchors[row, column, anchor])
+    finite = np.isfinite(boxes).all(axis=1)
+    return Boxes.from_array(boxes[finite]), scores[row, column, anchor][finite]
+
+
+def select(boxes: Boxes, scores: NDArray[np.float32], settings: PostSettings) -> Detections:
+    """Filter and suppress candidates that share one frame, from one agent or, for late fusion, from several."""
+    keep = _plausible(boxes, settings)
+    boxes, scores = boxes[keep], np.asarray(scores, np.float32)[keep]
+    kept = rotated_nms(boxes.array, scores, settings.nms_iou, settings.max_boxes)
+    boxes, scores = boxes[kept], scores[kept]
+    if settings.range_m is not None:
+        low, high = np.array(settings.range_m[:2]), np.array(settings.range_m[3:5])
+        plane = boxes.corners()[:, :, :2]
+        inside = ((plane >= low) & (plane <= high)).all(axis=(1, 2))
+        boxes, scores = boxes[inside], scores[inside]
+    return Detections(boxes, scores)
+
+
+def _plausible(boxes: Boxes, settings: PostSettings) -> NDArray[np.bool_]:
+    """Return (N,) whether a candidate has a volume and passes the filters that come before the suppression."""
+    keep = (boxes.size > 0).all(axis=1)
+    half_height = 0.5 * boxes.size[:, 2]
+    if settings.range_m is not None:
+        keep &= boxes.center[:, 2] - half_height >= settings.range_m[2]
+        keep &= boxes.center[:, 2] + half_height <= settings.range_m[5]
+    if settings.max_extent_m is not None:
+        plane = boxes.corners()[:, :4, :2]
+        keep &= (plane.max(axis=1) - plane.min(axis=1) <= settings.max_extent_m).all(axis=1)
+    return keep
+
+
+def _numpy(array: Any) -> NDArray[np.float32]:  # noqa: ANN401
+    """Return a float32 numpy view or copy of a numpy array or a tensor on any device."""
+    if isinstance(array, np.ndarray):
+        return array.astype(np.float32, copy=False)
+    return array.detach().float().cpu().numpy()

@@ -1,0 +1,80 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from shapely.geometry import Polygon
+
+from dsrc.ops.iou import bev_iou, iou_3d
+from sim.boxes import Boxes
+
+GOLDEN = np.load(Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "rotated_iou.npz")
+
+box = st.tuples(
+    st.floats(-5, 5), st.floats(-5, 5), st.floats(-1, 1),
+    st.floats(0.5, 12), st.floats(0.5, 4), st.floats(0.5, 4), st.floats(-7, 7),
+)  # fmt: skip
+
+
+def random_boxes(rng, n, spread=6.0):
+    return np.column_stack(
+        [rng.uniform(-spread, spread, (n, 3)), rng.uniform(0.5, 8, (n, 3)), rng.uniform(-7, 7, n)]
+    )
+
+
+def test_overlaps_equal_the_released_ones():
+    boxes = GOLDEN["boxes"][:, [0, 1, 2, 5, 4, 3, 6]]
+    np.testing.assert_allclose(bev_iou(boxes, boxes), GOLDEN["iou"], atol=1e-4)
+    near = np.flatnonzero((np.abs(boxes[:, :2]).max(axis=1) < 60) & (np.arange(len(boxes)) != 13))
+    block = np.ix_(near, near)
+    np.testing.assert_allclose(bev_iou(boxes, boxes)[block], GOLDEN["iou"][block], atol=2e-5)
+
+
+def test_overlaps_equal_polygon_clipping():
+    rng = np.random.default_rng(1)
+    a, b = random_boxes(rng, 30), random_boxes(rng, 40)
+    polygons = [[Polygon(p) for p in Boxes.from_array(boxes).bev_polygons()] for boxes in (a, b)]
+    expected = [[p.intersection(q).area / p.union(q).area for q in polygons[1]] for p in polygons[0]]
+    np.testing.assert_allclose(bev_iou(a, b), expected, atol=1e-9)
+
+
+@given(box, box)
+def test_overlap_is_symmetric_and_between_0_and_1(a, b):
+    for overlap in (bev_iou, iou_3d):
+        ab, ba = overlap([a], [b])[0, 0], overlap([b], [a])[0, 0]
+        assert ab == pytest.approx(ba, abs=1e-9)
+        assert 0 <= ab <= 1
+        assert overlap([a], [a])[0, 0] == pytest.approx(1, abs=1e-9)
+
+
+@given(box, box, st.floats(-3, 3), st.floats(-500, 500))
+def test_overlap_does_not_change_when_the_world_turns_and_moves(a, b, turn, shift):
+    def moved(row):
+        c, s = np.cos(turn), np.sin(turn)
+        x, y, z, *size, yaw = row
+        return [[c * x - s * y + shift, s * x + c * y - shift, z, *size, yaw + turn]]
+
+    assert bev_iou(moved(a), moved(b))[0, 0] == pytest.approx(bev_iou([a], [b])[0, 0], abs=1e-7)
+
+
+def test_volumes_overlap_as_footprints_times_heights():
+    a = [[0, 0, 0, 4, 2, 2, 0.4]]
+    assert iou_3d(a, [[0, 0, 1, 4, 2, 2, 0.4]])[0, 0] == pytest.approx(1 / 3)
+    assert iou_3d(a, [[0, 0, 2.5, 4, 2, 2, 0.4]])[0, 0] == 0
+    assert iou_3d(a, [[0, 0, 0, 4, 2, 1, 0.4]])[0, 0] == pytest.approx(0.5)
+
+
+def test_boxes_without_area_or_with_nan_overlap_nothing():
+    good = [0, 0, 0, 4, 2, 1.5, 0]
+    bad = [[0, 0, 0, 0, 2, 1, 0], [0, 0, 0, 4, -1, 1, 0], [np.nan, 0, 0, 4, 2, 1, 0], [0, 0, 0, np.inf, 2, 1, 0]]
+    for overlap in (bev_iou, iou_3d):
+        assert not overlap([good], bad).any()
+        assert not overlap(bad, bad).any()
+    assert iou_3d([good], [[0, 0, 0, 4, 2, 0, 0]])[0, 0] == 0
+
+
+def test_no_boxes_have_no_overlaps():
+    none, some = np.zeros((0, 7)), np.ones((3, 7))
+    assert bev_iou(none, some).shape == (0, 3)
+    assert iou_3d(some, none).shape == (3, 0)
