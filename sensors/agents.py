@@ -18,7 +18,7 @@ def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Ge
     Only vehicles (car, van, truck, bus) that are on the road and inside the scenario's area at every instant count,
     so that every agent has every timestamp. An ego is as good as the share of the time that its best partners spend
     within `within_m` of it; among the egos nearly as good as the best one is drawn, those that travel far more often
-    than those that wait.
+    than those that wait. Its partners are drawn among the vehicles that are near it about equally long.
 
     Args:
         drive: the actors at each frame, at least one.
@@ -35,7 +35,7 @@ def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Ge
     if len(ids) < rule.vehicles:
         raise ScenarioError(_too_few(drive, scenario, len(ids)))
     xy = np.stack([actors.boxes.center[np.searchsorted(actors.boxes.object_id, ids), :2] for actors in drive])
-    partners, score = _partners(xy, rule.vehicles - 1, rule.within_m)
+    partners, score = _partners(xy, rule.vehicles - 1, rule.within_m, rng)
     good = np.flatnonzero(score >= _NEARLY_BEST * score.max())
     travelled = np.linalg.norm(np.diff(xy, axis=0), axis=-1).sum(axis=0)[good]
     weight = 1.0 + travelled
@@ -60,28 +60,27 @@ def _candidates(actors: Actors, scenario: Scenario) -> NDArray[np.int64]:
     return actors.boxes.object_id[chosen]
 
 
-def _partners(xy: NDArray[np.float64], count: int, within_m: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return per vehicle its `count` best partners (V, count) and the share of time spent with them (V,).
+def _partners(
+    xy: NDArray[np.float64], count: int, within_m: float, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return per vehicle `count` partners (V, count) and the share of the time within reach of its best ones (V,).
 
     Args:
         xy: (T, V, 2) m.
         count: partners per vehicle.
         within_m: how near is together.
+        rng: draws among partners whose shares agree to a tenth: not the nearest, who see what the ego sees.
     """
     vehicles = xy.shape[1]
     together = np.zeros((vehicles, vehicles))
-    distance = np.zeros((vehicles, vehicles))
     for instant in xy:
-        apart = np.linalg.norm(instant[:, None] - instant[None], axis=-1)
-        together += apart <= within_m
-        distance += apart
+        together += np.linalg.norm(instant[:, None] - instant[None], axis=-1) <= within_m
     together /= len(xy)
-    # The share of time decides; among equals the nearer one, well below the weight of a single frame.
-    rank = together - 1e-9 * distance / len(xy)
-    np.fill_diagonal(rank, -np.inf)
+    np.fill_diagonal(together, -1.0)
+    rank = np.floor(10.0 * together + 1e-9) + rng.random((vehicles, vehicles))
     partners = np.argsort(-rank, axis=1, kind="stable")[:, :count]
-    score = np.take_along_axis(together, partners, axis=1).sum(axis=1) if count else np.ones(vehicles)
-    return partners, score
+    best = -np.sort(-together, axis=1)[:, :count]
+    return partners, best.sum(axis=1) if count else np.ones(vehicles)
 
 
 def _too_few(drive: Sequence[Actors], scenario: Scenario, found: int) -> str:
