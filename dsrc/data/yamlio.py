@@ -5,6 +5,7 @@ Floats are written with a dot, also in exponent form (`1.0e-05`), because YAML 1
 
 import json
 import math
+import re
 from pathlib import Path
 
 import yaml
@@ -42,7 +43,7 @@ def _flow(value: Plain) -> str:
     if type(value) is float:
         return _float(value)
     if isinstance(value, str):
-        plain = value.replace("_", "").isalpha() and value.isascii() and value.lower() not in _RESERVED
+        plain = _WORD.fullmatch(value) and value.lower() not in _RESERVED
         return value if plain else json.dumps(value)
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_flow(item) for item in value) + "]"
@@ -51,6 +52,7 @@ def _flow(value: Plain) -> str:
     raise ValueError(f"cannot write {type(value).__name__} {value!r} as YAML")
 
 
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _RESERVED = {"y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf"}
 
 

@@ -1,0 +1,97 @@
+"""The whole way from a shipped scenario to files, with the smallest sensor."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from dsrc.data.generate import generate
+from dsrc.data.opv2v import DriveReader
+from dsrc.data.sample import GridSpec, make_sample
+from sim.errors import DataError, SettingsError
+from sim.scenario import Scenario, load_scenario
+
+pytest.importorskip("sim.world.build")
+pytest.importorskip("sim.world.bodies")
+ROOT = Path(__file__).parents[3]
+FRAMES = 3
+
+
+def quick() -> Scenario:
+    """The made junction with a short warm-up and the debugging sensor everywhere."""
+    scenario = load_scenario("four_way")
+    units = tuple(msgspec.structs.replace(u, lidar="debug-16") for u in scenario.agents.roadside)
+    agents = msgspec.structs.replace(scenario.agents, vehicles=2, lidar="debug-16", roadside=units)
+    return msgspec.structs.replace(scenario, agents=agents, warmup_s=30.0)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return generate(quick(), tmp_path_factory.mktemp("train"), FRAMES, seed=5, interval_s=0.2)
+
+
+def test_a_drive_is_named_by_scenario_and_seed_and_complete(drive: Path):
+    reader = DriveReader(drive)
+    assert drive.name == "four_way_5" and reader.frames == (0, 1, 2)
+    assert len(reader.agents) == 3 and reader.agents[-1] == -1
+    frames = [reader.read(i) for i in range(FRAMES)]
+    assert [f.time_s - frames[0].time_s for f in frames] == pytest.approx([0.0, 0.2, 0.4])
+    assert all(len(a.sweep) > 500 for f in frames for a in f.agents)
+    assert all(f.points_on.any() for f in frames)
+
+
+def test_a_generated_frame_makes_a_sample(drive: Path):
+    sample = make_sample(DriveReader(drive).read(0), None, GridSpec(), comm_range_m=200.0)
+    assert len(sample.clouds) == 3 and all(len(c) for c in sample.clouds)
+
+
+def test_points_on_actors_lie_in_their_boxes(drive: Path):
+    frame = DriveReader(drive).read(1)
+    for agent in frame.agents:
+        on = agent.sweep.object_id >= 0
+        boxes = frame.truth
+        inside = boxes.contains(agent.sweep.world_points[on], margin=0.8).any(axis=0)
+        assert inside.mean() > 0.99
+
+
+def test_a_killed_generate_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path):
+    code = (
+        "import sys; from pathlib import Path; from dsrc.data.generate import generate;"
+        "from tests.dsrc.data.test_live import quick;"
+        "generate(quick(), Path(sys.argv[1]), 3, seed=5, interval_s=0.2)"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    process = subprocess.Popen(command, cwd=ROOT)
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob("*/*/000001.*")) and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    killed = tmp_path / "four_way_5"
+    assert tree(killed) != tree(drive)
+    subprocess.run(command, cwd=ROOT, check=True)
+    assert tree(killed) == tree(drive)
+
+
+def test_another_seed_or_interval_never_mixes_into_a_drive(drive: Path):
+    with pytest.raises(DataError, match=r"interval_s: expected 0.1 as asked for now, found 0.2"):
+        generate(quick(), drive.parent, FRAMES, seed=5, interval_s=0.1)
+    other = msgspec.structs.replace(quick(), warmup_s=31.0)
+    with pytest.raises(DataError, match=r"scenario.warmup_s: expected 31.0 as asked for now, found 30.0"):
+        generate(other, drive.parent, FRAMES, seed=5, interval_s=0.2)
+
+
+def test_settings_out_of_range_are_refused_before_anything_is_made(tmp_path: Path):
+    with pytest.raises(SettingsError, match="frames: expected at least 1, found 0"):
+        generate(quick(), tmp_path, 0)
+    with pytest.raises(SettingsError, match="interval_s: expected a positive multiple"):
+        generate(quick(), tmp_path, 1, interval_s=0.07)
+    assert not list(tmp_path.iterdir())
