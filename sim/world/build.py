@@ -1,0 +1,46 @@
+"""The static world of a scenario as one mesh."""
+
+import numpy as np
+import trimesh
+
+from sim.networks import read_network, resolve_network, sumo_tools
+from sim.scenario import Scenario
+from sim.world.buildings import Town, blocks, city_mesh, guard_rails
+from sim.world.furniture import furniture
+from sim.world.markings import markings
+from sim.world.roads import surfaces
+from sim.world.solids import join, to_mesh
+from sim.world.streets import Streets, read_streets
+
+MARGIN_M = 120.0
+"""How far beyond `network.area_m` the world is built: the reach of a sensor."""
+
+_BLOCKS, _FURNITURE = 1, 2
+
+
+def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
+    """Build everything that does not move, in the coordinates of the SUMO network.
+
+    Args:
+        scenario: names the network, the city mesh and the area.
+        seed: of houses and trees that no map tells; roads and real buildings do not depend on it.
+
+    Returns:
+        A mesh whose `face_attributes["material"]` is (F,) uint8 indices into `sim.world.materials.MATERIALS`.
+
+    Raises:
+        ScenarioError: the network or the city mesh is missing or cannot be read.
+    """
+    net = read_network(resolve_network(scenario, seed))
+    streets = read_streets(net, scenario.network.area_m, MARGIN_M)
+    town = build_town(scenario, streets, seed)
+    units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
+    things = furniture(streets, town.footprint, units, np.random.default_rng([seed, _FURNITURE]))
+    return to_mesh(join([*surfaces(streets), *markings(streets), *town.pieces, guard_rails(streets), *things]))
+
+
+def build_town(scenario: Scenario, streets: Streets, seed: int) -> Town:
+    """Return the buildings: the scenario's city mesh, or seeded blocks when it has none."""
+    if scenario.network.city_mesh:
+        return city_mesh(sumo_tools() / scenario.network.city_mesh, streets)
+    return blocks(streets, np.random.default_rng([seed, _BLOCKS]))

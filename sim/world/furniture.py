@@ -1,0 +1,164 @@
+"""What stands beside the road: lamp posts, traffic lights, signs and trees."""
+
+import numpy as np
+import shapely
+
+from sim.world.markings import cut_line, offset
+from sim.world.roads import TOWN_SPEED_MPS
+from sim.world.solids import Array, Piece, box, join, move, piece, tube
+from sim.world.streets import Lane, Streets
+
+_LAMP_EVERY_M = 32.0
+_TREE_EVERY_M = 11.0
+_LEAVES_PER_TREE = 70
+_UNIT_CLEAR_M = 12.0
+
+
+class _Places:
+    """Where something may still be put: not on a lane, not in a building, not on something else."""
+
+    def __init__(self, streets: Streets, footprint: shapely.Geometry, units: Array) -> None:
+        self.road = streets.road | streets.rail
+        self.walk = streets.walk
+        self.footprint = footprint
+        self.frame = shapely.box(*streets.window)
+        self.units = units
+        self.taken: list[Array] = []
+        for shape in (self.road, self.walk, self.footprint):
+            shapely.prepare(shape)
+
+    def free(self, xy: Array, from_road_m: float, from_house_m: float, apart_m: float, from_unit_m: float) -> bool:
+        """Tell whether a thing fits at (2,) and, when it does, remember it."""
+        point = shapely.Point(xy)
+        if not self.frame.contains(point) or shapely.dwithin(self.walk, point, 0.3):
+            return False
+        if shapely.dwithin(self.road, point, from_road_m) or shapely.dwithin(self.footprint, point, from_house_m):
+            return False
+        if len(self.units) and np.hypot(*(self.units[:, :2] - xy).T).min() < from_unit_m:
+            return False
+        if self.taken and np.hypot(*(np.array(self.taken) - xy).T).min() < apart_m:
+            return False
+        self.taken.append(xy)
+        return True
+
+
+def furniture(streets: Streets, footprint: shapely.Geometry, units: Array, rng: np.random.Generator) -> list[Piece]:
+    """Return everything that stands beside the road; nothing stands on a lane or hangs over one.
+
+    Args:
+        streets: lanes and polygons.
+        footprint: of the buildings.
+        units: (U, 3) roadside sensors, which get a mast and a free view.
+        rng: chooses and shapes trees.
+    """
+    places = _Places(streets, footprint, units)
+    masts = [_mast(unit, streets) for unit in units]
+    return [*masts, *_signals(streets, places), *_lamps(streets, places), *_trees(streets, places, rng)]
+
+
+def _base(streets: Streets, xy: Array) -> Array:
+    return np.array([xy[0], xy[1], float(streets.height(xy[None])[0])])
+
+
+def _mast(unit: Array, streets: Streets) -> Piece:
+    """Return the mast below a roadside sensor, which itself stays free."""
+    foot = _base(streets, unit[:2])
+    return tube(foot, foot + np.array([0.0, 0.0, max(unit[2] - 0.25, 0.3)]), (0.09, 0.06), "metal", 8)
+
+
+def _signals(streets: Streets, places: _Places) -> list[Piece]:
+    """Return a traffic light on the right of each approach that ends at one."""
+    pieces = []
+    for lane in streets.lanes:
+        if lane.kind != "road" or lane.internal or lane.stop != "signal" or lane.index != 0 or lane.speed < 8.0:
+            continue
+        end, way = lane.line[-1], lane.line[-1] - lane.line[-2]
+        way = way / max(float(np.hypot(*way)), 1e-9)
+        for aside in (0.9, 1.4, 2.0):
+            xy = end + (0.5 * lane.width + aside) * np.array([way[1], -way[0]])
+            if places.free(xy, 0.6, 0.5, 1.0, 1.0):
+                pieces.append(move(traffic_light(), _base(streets, xy), float(np.arctan2(way[1], way[0]))))
+                break
+    return pieces
+
+
+def traffic_light() -> Piece:
+    """Return a traffic light at the origin that faces drivers who come along +x."""
+    post = tube([0.0, 0.0, 0.0], [0.0, 0.0, 3.45], (0.07, 0.06), "metal", 8)
+    head = box([-0.30, -0.16, 2.45], [-0.08, 0.16, 3.40], "dark_metal")
+    lamps = [tube([-0.36, 0.0, z], [-0.30, 0.0, z], (0.11, 0.11), "signal_lamp", 8) for z in (2.62, 2.92, 3.22)]
+    return join([post, head, *lamps])
+
+
+def lamp_post() -> Piece:
+    """Return a street lamp at the origin with its head towards +x."""
+    post = tube([0.0, 0.0, 0.0], [0.0, 0.0, 6.4], (0.09, 0.05), "metal", 8)
+    return join([post, box([-0.15, -0.12, 6.4], [0.40, 0.12, 6.52], "dark_metal")])
+
+
+def sign() -> Piece:
+    """Return a road sign at the origin that faces drivers who come along +x."""
+    post = tube([0.0, 0.0, 0.0], [0.0, 0.0, 2.7], (0.035, 0.035), "metal", 6)
+    return join([post, box([-0.06, -0.3, 2.05], [-0.04, 0.3, 2.65], "sign")])
+
+
+def _lamps(streets: Streets, places: _Places) -> list[Piece]:
+    """Return lamps and, between some of them, signs along the right side of each street of a town."""
+    pieces = []
+    for lane in _kerbside(streets):
+        line = offset(lane.line, -0.5 * lane.width - 0.8)
+        for number, at in enumerate(np.arange(8.0, _length(line) - 4.0, 0.5 * _LAMP_EVERY_M)):
+            here, ahead = cut_line(line, at, at + 0.5)[[0, -1]]
+            if not places.free(here, 0.6, 0.8, 3.0, 6.0):
+                continue
+            yaw = float(np.arctan2(*(ahead - here)[::-1]))
+            if number % 2 == 0:
+                pieces.append(move(lamp_post(), _base(streets, here), yaw + np.pi))
+            elif number % 8 == 1:
+                pieces.append(move(sign(), _base(streets, here), yaw))
+    return pieces
+
+
+def _trees(streets: Streets, places: _Places, rng: np.random.Generator) -> list[Piece]:
+    """Return trees in a row along the streets and loose ones behind it."""
+    pieces = []
+    for lane in _kerbside(streets, fast=True):
+        for row, chance in ((3.4, 0.55), (9.0, 0.35), (16.0, 0.35)):
+            line = offset(lane.line, -0.5 * lane.width - row)
+            for at in np.arange(5.0, _length(line) - 5.0, _TREE_EVERY_M):
+                shake, lot, size = rng.uniform(-1.5, 1.5, 2), rng.uniform(), rng.uniform(0.8, 1.25)
+                xy = cut_line(line, at, at + 0.5)[0] + shake
+                radius = 2.1 * size
+                if lot < chance and places.free(xy, radius + 0.5, radius + 0.4, 2.0 * radius, _UNIT_CLEAR_M):
+                    pieces.append(move(tree(rng, size), _base(streets, xy)))
+    return pieces
+
+
+def tree(rng: np.random.Generator, size: float) -> Piece:
+    """Return a tree of about 7 m times `size` at the origin: a trunk and loose leaves that rays pass between."""
+    trunk = tube([0.0, 0.0, -0.1], [0.0, 0.0, 4.6 * size], (0.17 * size, 0.08 * size), "bark", 6)
+    direction = rng.normal(size=(_LEAVES_PER_TREE, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    reach = rng.uniform(0.25, 1.0, (_LEAVES_PER_TREE, 1)) ** 0.5
+    center = np.array([0.0, 0.0, 4.9]) * size + direction * reach * np.array([1.75, 1.75, 2.1]) * size
+    corner = rng.normal(size=(_LEAVES_PER_TREE, 3, 3))
+    corner *= 0.55 * size / np.linalg.norm(corner, axis=2, keepdims=True)
+    leaves = center[:, None, :] + corner
+    flat = np.hypot(leaves[..., 0], leaves[..., 1])
+    # No leaf reaches beyond the crown: the place of a tree is chosen by its radius.
+    leaves[..., :2] *= np.minimum(1.0, 2.1 * size / np.maximum(flat, 1e-9))[..., None]
+    return join([trunk, piece(leaves, np.arange(3 * _LEAVES_PER_TREE), "leaves")])
+
+
+def _kerbside(streets: Streets, fast: bool = False) -> list[Lane]:
+    """Return the rightmost lanes of streets; of a town only, unless `fast` ones are wanted too."""
+    top = 100.0 if fast else TOWN_SPEED_MPS
+    return [
+        lane
+        for lane in streets.lanes
+        if lane.kind == "road" and not lane.internal and lane.index == 0 and 8.0 <= lane.speed <= top
+    ]
+
+
+def _length(line: Array) -> float:
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())

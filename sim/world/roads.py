@@ -1,0 +1,98 @@
+"""Surfaces to drive and walk on: carriageway, pavement, kerb, track and the ground around them."""
+
+import numpy as np
+import shapely
+
+from sim.world.solids import Array, Piece, carpet, join, piece, slab
+from sim.world.streets import Streets
+
+GROUND_BELOW_M = 0.05
+"""How far the ground lies below the road."""
+
+TOWN_SPEED_MPS = 21.0
+"""Roads up to this limit have kerbs and pavements; faster ones have guard rails."""
+
+_GROUND_BEYOND_M = 250.0
+_PAVEMENT_WIDTH_M = 2.5
+_KERB_WIDTH_M = 0.15
+_KERB_HEIGHT_M = 0.10
+_GAUGE_M = 1.435
+
+
+def surfaces(streets: Streets) -> list[Piece]:
+    """Return carriageways, pavements with kerbs, tracks and the ground."""
+    height = streets.height
+    road, walk = _dense(streets, streets.road), _dense(streets, pavement(streets))
+    return [
+        carpet(road, height, 0.0, "asphalt"),
+        carpet(walk, height, 0.0, "pavement"),
+        carpet(_dense(streets, streets.rail - walk), height, -0.01, "gravel"),
+        slab(_dense(streets, _kerbs(streets)), height, _KERB_HEIGHT_M, "kerb", "kerb", GROUND_BELOW_M),
+        *_tracks(streets),
+        ground(streets),
+    ]
+
+
+def pavement(streets: Streets) -> shapely.Geometry:
+    """Return the polygon of footways and of a strip along the carriageways of a town."""
+    town = [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal and _in_town(lane.speed)]
+    reach = [
+        shapely.LineString(lane.line).buffer(0.5 * lane.width + _PAVEMENT_WIDTH_M, cap_style="flat") for lane in town
+    ]
+    around = shapely.unary_union(reach) & shapely.box(*streets.window)
+    return ((around | streets.walk) - streets.road - streets.rail).simplify(0.05).buffer(0)
+
+
+def _in_town(speed: float) -> bool:
+    # A footpath has a walking pace and a service road none of its own pavement.
+    return 8.5 <= speed <= TOWN_SPEED_MPS
+
+
+def _kerbs(streets: Streets) -> shapely.Geometry:
+    """Return the stones along the carriageways of a town; none where somebody walks or drives across."""
+    town = [lane for lane in streets.lanes if lane.kind == "road" and _in_town(lane.speed)]
+    reach = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width + 1.0) for lane in town])
+    outline = streets.road.buffer(_KERB_WIDTH_M, join_style="mitre") - streets.road
+    ways = [lane for lane in streets.lanes if lane.kind in ("walk", "bicycle", "crossing", "rail")]
+    openings = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width) for lane in ways])
+    return (outline & reach & shapely.box(*streets.window)) - openings
+
+
+def _tracks(streets: Streets) -> list[Piece]:
+    """Return the two rails of each track off the road."""
+    lines = [shapely.LineString(lane.line) for lane in streets.lanes if lane.kind == "rail" and not lane.internal]
+    rails = [
+        rail.buffer(0.04, cap_style="flat")
+        for line in lines
+        for rail in (line.offset_curve(0.5 * _GAUGE_M), line.offset_curve(-0.5 * _GAUGE_M))
+    ]
+    bars = shapely.unary_union(rails) & streets.rail
+    return [slab(bars, streets.height, 0.12, "metal", "metal", 0.02)] if not bars.is_empty else []
+
+
+def ground(streets: Streets) -> Piece:
+    """Return the ground below everything: two triangles when the network is flat, else cells of 20 m."""
+    low_x, low_y, high_x, high_y = streets.window
+    low = np.array([low_x, low_y]) - _GROUND_BEYOND_M
+    high = np.array([high_x, high_y]) + _GROUND_BEYOND_M
+    cells = np.array([1, 1]) if streets.flat else np.ceil((high - low) / 20.0).astype(int)
+    x, y = np.linspace(low[0], high[0], cells[0] + 1), np.linspace(low[1], high[1], cells[1] + 1)
+    flat: Array = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    # Between the knots a slope may rise above a coarse cell: the ground of hilly country lies a little deeper.
+    lift = -GROUND_BELOW_M if streets.flat else -0.5
+    corner = (np.arange(cells[0])[:, None] * (cells[1] + 1) + np.arange(cells[1])).ravel()
+    right = corner + cells[1] + 1
+    faces = np.concatenate(
+        [np.column_stack([corner, right, right + 1]), np.column_stack([corner, right + 1, corner + 1])]
+    )
+    return piece(np.column_stack([flat, streets.height(flat) + lift]), faces, "ground")
+
+
+def _dense(streets: Streets, shape: shapely.Geometry) -> shapely.Geometry:
+    """Return a shape with enough corners to follow the heights of its streets."""
+    return shape if streets.flat else shapely.segmentize(shape, 5.0)
+
+
+def all_surfaces(streets: Streets) -> Piece:
+    """Return `surfaces` as one piece."""
+    return join(surfaces(streets))

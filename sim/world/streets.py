@@ -1,0 +1,194 @@
+"""What the world is built upon: the lanes and junctions of a network near an area, as lines and polygons."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from sim.world.solids import Array
+
+Area = tuple[float, float, float, float]
+
+_ROAD_CLASSES = ("passenger", "delivery", "bus", "truck", "motorcycle", "taxi", "coach", "trailer")
+_WALK_WIDTH_M = 2.6
+_FLAT_M = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane:
+    """One lane near the area.
+
+    Attributes:
+        kind: "road", "walk", "bicycle", "rail" or "crossing".
+        line: (K, 2) centre line, m.
+        width: m.
+        edge: id of the edge it belongs to.
+        index: from the right, 0 first.
+        count: lanes of the edge.
+        internal: it leads through a junction.
+        speed: limit, m/s.
+        stop: how it ends: "signal", "yield" or "".
+        opposite: the edge has a partner in the other direction along its left side.
+    """
+
+    kind: str
+    line: Array
+    width: float
+    edge: str
+    index: int
+    count: int
+    internal: bool
+    speed: float
+    stop: str
+    opposite: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Streets:
+    """Lanes near an area and the ground they cover.
+
+    Attributes:
+        area: (x_min, y_min, x_max, y_max) the part that carries agents, m.
+        window: the wider part that is meshed.
+        lanes: all lanes that touch the window.
+        road: polygon of everything that motor vehicles drive on.
+        walk: polygon of footways and crossings, where they do not lie on the road.
+        rail: polygon of tracks off the road.
+        knots: lane points that carry the height, or None when the network is flat.
+        level: (K,) their heights, m; of length 1 when flat.
+    """
+
+    area: Area
+    window: Area
+    lanes: tuple[Lane, ...]
+    road: shapely.Geometry
+    walk: shapely.Geometry
+    rail: shapely.Geometry
+    knots: cKDTree | None
+    level: Array
+
+    def height(self, xy: Array) -> Array:
+        """Return (N,) height of the road at (N, 2) places: that of the nearest point of a lane."""
+        if self.knots is None:
+            return np.full(len(xy), self.level[0])
+        return self.level[self.knots.query(np.asarray(xy, np.float64))[1]]
+
+    @property
+    def flat(self) -> bool:
+        """Whether all lanes lie on one level."""
+        return self.knots is None
+
+
+def read_streets(net: Any, area: Area | None, margin_m: float) -> Streets:
+    """Collect what lies within `margin_m` of an area (of the whole network without one) from a sumolib network."""
+    low_x, low_y, high_x, high_y = area or net.getBoundary()
+    area = (float(low_x), float(low_y), float(high_x), float(high_y))
+    window = (area[0] - margin_m, area[1] - margin_m, area[2] + margin_m, area[3] + margin_m)
+    frame = shapely.box(*window)
+    edges = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() != "walkingarea"]
+    lanes = []
+    points: list[NDArray[np.float64]] = []
+    for edge in sorted(edges, key=lambda edge: edge.getID()):
+        opposite = _has_opposite(edge)
+        for lane in edge.getLanes():
+            line = np.array(lane.getShape3D(), np.float64)
+            if len(line) < 2 or not frame.intersects(shapely.LineString(line[:, :2])):
+                continue
+            points.append(_resample(line))
+            lanes.append(_lane(edge, lane, _without_repeats(line[:, :2]), opposite))
+    knots, level = _levels(points)
+    road = _close(_cover(lanes, ("road",)) | _junctions(net, frame)) & frame
+    areas = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() == "walkingarea"]
+    walk = _cover(lanes, ("walk", "bicycle")) | _walking_areas(areas, frame)
+    walk = _close(walk & frame) - road
+    rail = (_cover(lanes, ("rail",)) & frame) - road - walk
+    return Streets(area, window, tuple(lanes), road, walk, rail, knots, level)
+
+
+def _lane(edge: Any, lane: Any, line: Array, opposite: bool) -> Lane:
+    if edge.getFunction() == "crossing":
+        kind = "crossing"
+    elif any(lane.allows(name) for name in _ROAD_CLASSES):
+        kind = "road"
+    elif lane.allows("bicycle"):
+        kind = "bicycle"
+    elif lane.allows("pedestrian"):
+        kind = "walk"
+    else:
+        kind = "rail"
+    width = lane.getWidth() if kind not in ("walk", "bicycle") else min(lane.getWidth(), _WALK_WIDTH_M)
+    internal = edge.getFunction() != ""
+    return Lane(
+        kind=kind, line=line, width=width, edge=edge.getID(), index=lane.getIndex(), count=len(edge.getLanes()),
+        internal=internal, speed=edge.getSpeed(), stop="" if internal else _stop(edge, lane), opposite=opposite,
+    )  # fmt: skip
+
+
+def _stop(edge: Any, lane: Any) -> str:
+    """Tell how a lane ends at its junction."""
+    if edge.getToNode().getType().startswith("traffic_light"):
+        return "signal"
+    states = {link.getState() for link in lane.getOutgoing() if hasattr(link, "getState")}
+    return "yield" if states and states <= {"m", "s", "w"} and len(edge.getToNode().getIncoming()) > 2 else ""
+
+
+def _has_opposite(edge: Any) -> bool:
+    if edge.getFunction() != "":
+        return False
+    back = [other for other in edge.getToNode().getOutgoing() if other.getToNode() is edge.getFromNode()]
+    left = np.array(edge.getLanes()[-1].getShape()[:1]) if back else np.zeros((1, 2))
+    reach = 1.25 * edge.getLanes()[-1].getWidth()
+    return any(np.hypot(*(np.array(other.getLanes()[-1].getShape()[-1:]) - left)[0]) < reach for other in back)
+
+
+def _resample(line: Array, step_m: float = 2.0) -> Array:
+    """Return points of a (K, 3) line at most `step_m` apart."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    at = np.linspace(0.0, along[-1], int(along[-1] / step_m) + 2)
+    return np.column_stack([np.interp(at, along, line[:, k]) for k in range(3)])
+
+
+def _without_repeats(line: Array) -> Array:
+    keep = np.concatenate([[True], np.hypot(*np.diff(line, axis=0).T) > 1e-3])
+    return line[keep] if keep.sum() > 1 else line + np.array([[0.0, 0.0]] * (len(line) - 1) + [[1e-2, 0.0]])
+
+
+def _levels(points: list[Array]) -> tuple[cKDTree | None, Array]:
+    if not points:
+        return None, np.zeros(1)
+    stacked = np.concatenate(points)
+    if np.ptp(stacked[:, 2]) < _FLAT_M:
+        return None, stacked[:1, 2].copy()
+    return cKDTree(stacked[:, :2]), stacked[:, 2].copy()
+
+
+def _cover(lanes: list[Lane], kinds: tuple[str, ...]) -> shapely.Geometry:
+    chosen = [lane for lane in lanes if lane.kind in kinds]
+    strips = [shapely.LineString(lane.line).buffer(0.5 * lane.width, cap_style="flat") for lane in chosen]
+    return shapely.unary_union(strips)
+
+
+def _junctions(net: Any, frame: shapely.Geometry) -> shapely.Geometry:
+    """Return the polygons of the junctions that motor vehicles enter."""
+    shapes = []
+    for node in net.getNodes():
+        drivable = any(lane.allows(c) for e in node.getIncoming() for lane in e.getLanes() for c in _ROAD_CLASSES)
+        if drivable and len(node.getShape()) > 2:
+            shape = shapely.Polygon([point[:2] for point in node.getShape()]).buffer(0)
+            if shape.intersects(frame):
+                shapes.append(shape)
+    return shapely.unary_union(shapes)
+
+
+def _walking_areas(edges: list[Any], frame: shapely.Geometry) -> shapely.Geometry:
+    lines = [np.array(edge.getLanes()[0].getShape())[:, :2] for edge in edges]
+    shapes = [shapely.Polygon(line).buffer(0) for line in lines if len(line) > 2]
+    return shapely.unary_union([shape for shape in shapes if shape.intersects(frame)])
+
+
+def _close(shape: shapely.Geometry, gap_m: float = 0.4) -> shapely.Geometry:
+    """Close gaps between lanes that belong together and drop corners that nobody would see."""
+    return shape.buffer(gap_m, join_style="mitre").buffer(-gap_m, join_style="mitre").simplify(0.03).buffer(0)
