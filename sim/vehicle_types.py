@@ -49,7 +49,7 @@ class VehicleType:
         return (
             f'<vType id="{self.name}" vClass="{self.vclass}" length="{length}" width="{width}" height="{height}" '
             f'maxSpeed="{self.speed_mps}" accel="{accel}" decel="{decel}" emergencyDecel="{emergency}" '
-            f'speedDev="{deviation}" minGapLat="0.5" maxSpeedLat="0.8" latAlignment="center"/>'
+            f'speedDev="{deviation}" minGapLat="0.5" maxSpeedLat="0.8" lcMaxSpeedLatStanding="0" lcMaxSpeedLatFactor="0.15" latAlignment="center"/>'
         )
 
 

@@ -1,5 +1,6 @@
 """Traffic by SUMO, in this process: the only module that knows libsumo."""
 
+import math
 import tempfile
 import threading
 from dataclasses import dataclass
@@ -22,10 +23,14 @@ from sim.vehicle_types import TYPES, VehicleType, choose_model
 FIRST_ID = 1000
 """Object id of the first road user that appears."""
 
-# Bits of SUMO's speed mode: keep the limits of acceleration (2) and braking (4) and stop at red lights (16); drop the
-# safe speed (1) and the right of way (8), so that what the driver did not perceive has consequences.
-_OWN_SPEED_MODE = 2 | 4 | 16
+# Bits of SUMO's speed mode: keep the limits of acceleration (2) and braking (4), ignore who has the right of way also
+# inside a junction (32); without the safe speed (1) and the right of way (8) what the driver did not perceive has
+# consequences. SUMO's stop at red lights (16) is left out too: without the safe speed it brakes at 14 m/s2.
+_OWN_SPEED_MODE = 2 | 4 | 32
 _SUMO_SPEED_MODE = 31
+
+_STOP_M = 0.5
+"""Gap between a commanded vehicle's bumper and the line at a red light, m."""
 
 _running = threading.Lock()
 
@@ -61,7 +66,7 @@ class SumoTraffic:
         self._seed = seed
         self._users: dict[str, _RoadUser] = {}
         self._names: dict[int, str] = {}
-        self._commanded: set[str] = set()
+        self._commanded: dict[str, float] = {}
         self._actors: Actors | None = None
         self._open = False
         network = resolve_network(scenario, seed)
@@ -111,7 +116,8 @@ class SumoTraffic:
     def command_speed(self, object_id: int, speed_mps: float | None) -> None:
         """Drive a vehicle at this speed from the next step on, as far as its acceleration limits allow.
 
-        The vehicle keeps its route, its lanes and red lights, but not its distance: that is for the caller.
+        The vehicle keeps its route and its lanes and stops at red lights, but it does not keep its distance and gives
+        way to nobody: that is for the caller.
 
         Args:
             object_id: a vehicle on the road.
@@ -121,20 +127,23 @@ class SumoTraffic:
         if speed_mps is None:
             self._sumo.vehicle.setSpeedMode(name, _SUMO_SPEED_MODE)
             self._sumo.vehicle.setSpeed(name, -1.0)
-            self._commanded.discard(name)
+            self._commanded.pop(name, None)
             return
         if not (np.isfinite(speed_mps) and speed_mps >= 0.0):
             raise ValueError(f"speed_mps must be finite and >= 0, got {speed_mps}")
         if name not in self._commanded:
             self._sumo.vehicle.setSpeedMode(name, _OWN_SPEED_MODE)
-            self._commanded.add(name)
-        self._sumo.vehicle.setSpeed(name, float(speed_mps))
+        self._commanded[name] = float(speed_mps)
 
     def route(self, object_id: int, ahead_m: float) -> NDArray[np.float64]:
         """Return the (K, 2) world polyline that a vehicle will follow, from its centre over the next `ahead_m` m."""
         name = self._vehicle(object_id)
         centre = self.actors.boxes.center[self.actors.row(object_id), :2]
         return lane_path(self._sumo, name, centre, ahead_m)
+
+    def speed(self, object_id: int) -> float:
+        """Return a vehicle's speed along its lane, m/s: what its own odometer shows."""
+        return float(self._sumo.vehicle.getSpeed(self._vehicle(object_id)))
 
     def allowed_speed(self, object_id: int) -> float:
         """Return the speed that a vehicle may drive where it is, m/s."""
@@ -176,6 +185,8 @@ class SumoTraffic:
     def _advance(self) -> None:
         if not self._open:
             raise TrafficError("this SUMO simulation is closed")
+        for name, speed_mps in self._commanded.items():
+            self._sumo.vehicle.setSpeed(name, min(speed_mps, self._signal_speed(name)))
         try:
             self._sumo.simulationStep()
         except Exception as error:  # see _start
@@ -185,7 +196,22 @@ class SumoTraffic:
         for name in self._sumo.simulation.getDepartedPersonIDList():
             self._welcome(name, self._sumo.person.getTypeID(name), is_person=True)
         for name in self._sumo.simulation.getArrivedIDList():
-            self._commanded.discard(name)
+            self._commanded.pop(name, None)
+
+    def _signal_speed(self, name: str) -> float:
+        """Return the highest speed from which a vehicle still stops comfortably before the next light, if that is red.
+
+        Who is too close to stop at the change to yellow or red drives on.
+        """
+        lights = self._sumo.vehicle.getNextTLS(name)
+        if not lights or lights[0][3] not in "ryu":
+            return math.inf
+        decel = self._users[name].kind.accel_mps2[1]
+        now_mps, gap_m = self._sumo.vehicle.getSpeed(name), lights[0][2]
+        if now_mps**2 > 2.0 * decel * max(gap_m, 0.0) + 1.0:
+            return math.inf
+        step_mps = decel * self.step_s
+        return max(-step_mps + math.sqrt(step_mps**2 + 2.0 * decel * max(gap_m - _STOP_M, 0.0)), 0.0)
 
     def _welcome(self, name: str, type_id: str, *, is_person: bool) -> None:
         kind = TYPES[type_id]
@@ -229,7 +255,7 @@ class SumoTraffic:
     def _velocities(
         self, users: list[_RoadUser], base: NDArray[np.float64], yaw: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return (N, 2) m/s from the last step's centres; who has just appeared moves at its speed along its heading."""
+        """Return (N, 2) m/s from the last step's centres; newcomers move at their speed along their heading."""
         velocity = np.zeros((len(users), 2))
         for row, user in enumerate(users):
             if user.last_xy is not None:
