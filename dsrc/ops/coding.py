@@ -18,7 +18,7 @@ _LOG_LIMIT = 5.0
 """Size ratios beyond e^5 are a network gone astray; without a limit they overflow into NaN overlaps."""
 
 
-def _library(array: object) -> Any:  # noqa: ANN401
+def _library(array: object) -> Any:
     """Return the module whose functions take this array: numpy, or torch without importing it for numpy users."""
     if isinstance(array, np.ndarray):
         return np

@@ -4,6 +4,10 @@ import numpy as np
 import powerboxes
 from numpy.typing import ArrayLike, NDArray
 
+# powerboxes goes wrong (negative and NaN areas included) where edges of two boxes coincide exactly, as those of equal
+# boxes do. Moving one set by 0.03 micrometres avoids that, in 8.4 million coincident pairs, for an error below 1e-6.
+_NUDGE = np.array([3.1e-8, 1.7e-8, 0.0, 0.0, 1.3e-6])
+
 
 def bev_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """Return (n, m) float64 IoU of the footprints of boxes a (n, 7) and b (m, 7), x, y, z, l, w, h, yaw.
@@ -16,21 +20,23 @@ def bev_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     if len(rows) and len(columns):
         # About a common origin near the boxes: world coordinates of kilometres would cost digits.
         origin = a[rows[0], :2]
-        distance = powerboxes.rotated_iou_distance(_footprint(a[rows], origin), _footprint(b[columns], origin))
+        nudged = _footprint(b[columns], origin) + _NUDGE
+        distance = powerboxes.rotated_iou_distance(_footprint(a[rows], origin), nudged)
         out[np.ix_(rows, columns)] = np.clip(1.0 - distance, 0.0, 1.0)
     return out
 
 
 def iou_3d(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """Return (n, m) float64 IoU of the volumes of upright boxes a (n, 7) and b (m, 7)."""
-    a, b = _rows(a), _rows(b)
     return volume_iou(a, b, bev_iou(a, b))
 
 
-def volume_iou(
-    a: NDArray[np.float64], b: NDArray[np.float64], footprint_iou: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def volume_iou(a: ArrayLike, b: ArrayLike, footprint_iou: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `iou_3d` where the (n, m) `bev_iou` is known already."""
+    a, b = _rows(a), _rows(b)
+    # Boxes that overlap nothing may hold anything: their rows must not spoil the arithmetic.
+    a = np.where(_has_area(a)[:, None], a, 0.0)
+    b = np.where(_has_area(b)[:, None], b, 0.0)
     area_a, area_b = (a[:, 3] * a[:, 4])[:, None], (b[:, 3] * b[:, 4])[None, :]
     shared_area = footprint_iou * (area_a + area_b) / (1.0 + footprint_iou)
     top = np.minimum((a[:, 2] + 0.5 * a[:, 5])[:, None], (b[:, 2] + 0.5 * b[:, 5])[None, :])

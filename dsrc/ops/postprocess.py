@@ -33,8 +33,8 @@ class PostSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def decode_detections(
-    cls_logits: Any,  # noqa: ANN401
-    regression: Any,  # noqa: ANN401
+    cls_logits: Any,
+    regression: Any,
     anchors: NDArray[np.float64],
     settings: PostSettings,
 ) -> Detections:
@@ -51,8 +51,8 @@ def decode_detections(
 
 
 def candidates(
-    cls_logits: Any,  # noqa: ANN401
-    regression: Any,  # noqa: ANN401
+    cls_logits: Any,
+    regression: Any,
     anchors: NDArray[np.float64],
     score_threshold: float,
 ) -> tuple[Boxes, NDArray[np.float32]]:
@@ -80,25 +80,25 @@ def select(boxes: Boxes, scores: NDArray[np.float32], settings: PostSettings) ->
     if settings.range_m is not None:
         low, high = np.array(settings.range_m[:2]), np.array(settings.range_m[3:5])
         plane = boxes.corners()[:, :, :2]
-        inside = ((plane >= low) & (plane <= high)).all(axis=(1, 2))
+        inside = np.all((plane >= low) & (plane <= high), axis=(1, 2))
         boxes, scores = boxes[inside], scores[inside]
     return Detections(boxes, scores)
 
 
 def _plausible(boxes: Boxes, settings: PostSettings) -> NDArray[np.bool_]:
     """Return (N,) whether a candidate has a volume and passes the filters that come before the suppression."""
-    keep = (boxes.size > 0).all(axis=1)
+    keep: NDArray[np.bool_] = np.all(boxes.size > 0, axis=1)
     half_height = 0.5 * boxes.size[:, 2]
     if settings.range_m is not None:
         keep &= boxes.center[:, 2] - half_height >= settings.range_m[2]
         keep &= boxes.center[:, 2] + half_height <= settings.range_m[5]
     if settings.max_extent_m is not None:
         plane = boxes.corners()[:, :4, :2]
-        keep &= (plane.max(axis=1) - plane.min(axis=1) <= settings.max_extent_m).all(axis=1)
+        keep &= np.all(np.ptp(plane, axis=1) <= settings.max_extent_m, axis=1)
     return keep
 
 
-def _numpy(array: Any) -> NDArray[np.float32]:  # noqa: ANN401
+def _numpy(array: Any) -> NDArray[np.float32]:
     """Return a float32 numpy view or copy of a numpy array or a tensor on any device."""
     if isinstance(array, np.ndarray):
         return array.astype(np.float32, copy=False)
