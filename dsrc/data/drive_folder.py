@@ -74,16 +74,12 @@ def read_settings(drive: Path) -> dict | None:
 
 def check_same(drive: Path, found: dict, wanted: dict) -> None:
     """Compare settings; DataError names the first that differs."""
-    for key, want in _leaves(wanted, ""):
-        have = dict(_leaves(found, "")).get(key, "nothing")
-        if have != want:
+    have, want = dict(_leaves(found, "")), dict(_leaves(wanted, ""))
+    for key in [*want, *have]:
+        if key not in have or key not in want or have[key] != want[key]:
+            asked = f"{want[key]!r} as asked for now" if key in want else "nothing of this name"
             hint = "; choose another folder or remove this drive"
-            raise DataError(complaint(drive / PROTOCOL, key, f"{want!r} as asked for now", have, hint))
-    extra = set(dict(_leaves(found, ""))) - set(dict(_leaves(wanted, "")))
-    if extra:
-        raise DataError(
-            complaint(drive / PROTOCOL, min(extra), "no such setting", dict(_leaves(found, ""))[min(extra)])
-        )
+            raise DataError(complaint(drive / PROTOCOL, key, asked, have.get(key, "nothing"), hint))
 
 
 def is_complete(drive: Path, agent_ids: Sequence[int], index: int) -> bool:
@@ -98,10 +94,12 @@ def remove_leftovers(drive: Path) -> None:
 
 
 def _leaves(value: object, where: str) -> Iterator[tuple[str, object]]:
+    """Yield (dotted name, plain value) of everything below; a tuple is a list, as it is after reading a file."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _leaves(item, f"{where}.{key}" if where else str(key))
-    elif isinstance(value, list | tuple):
-        yield where, [list(item) if isinstance(item, tuple) else item for item in value]
+    elif isinstance(value, list | tuple) and any(isinstance(item, dict | list | tuple) for item in value):
+        for row, item in enumerate(value):
+            yield from _leaves(item, f"{where}[{row}]")
     else:
-        yield where, value
+        yield where, list(value) if isinstance(value, tuple) else value

@@ -21,7 +21,7 @@ from dsrc.data.yamlio import emit, parse_yaml, read_text
 from sensors.frame import AgentKind, Frame
 from sensors.spec import LidarSpec
 from sim.boxes import CLASSES, Boxes
-from sim.errors import DataError, complaint
+from sim.errors import DataError, SettingsError, complaint
 from sim.geometry import carla_from_matrix, matrix_from_carla, wrap_angle
 
 VERSION = 1
@@ -159,7 +159,7 @@ def read_agent(path: Path) -> Record | Annotation:
     line, _, rest = text.partition("\n")
     try:
         record = msgspec.json.decode(line[len(_PREFIX) : -1], type=Record)
-    except (msgspec.DecodeError, UnicodeError) as error:
+    except (msgspec.DecodeError, UnicodeError, SettingsError) as error:
         raise DataError(f"{path}: testbed: damaged record: {error}") from None
     if record.version != VERSION:
         raise DataError(complaint(path, "testbed.version", str(VERSION), record.version))
