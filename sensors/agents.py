@@ -5,9 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.boxes import CLASSES
 from sim.errors import ScenarioError
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
+
+CARRIERS = ("car", "van")
+"""Classes that may carry a LiDAR: the published detection ranges (3 m below to 1 m above the sensor) lose the ground
+and every box from a sensor on the roof of a truck or bus."""
 
 _NEARLY_BEST = 0.9
 
@@ -15,7 +20,7 @@ _NEARLY_BEST = 0.9
 def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Generator) -> list[int]:
     """Choose the connected vehicles of a drive, ego first.
 
-    Only vehicles (car, van, truck, bus) that are on the road and inside the scenario's area at every instant count,
+    Only cars and vans that are on the road and inside the scenario's area at every instant count,
     so that every agent has every timestamp. An ego is as good as the share of the time that its best partners spend
     within `within_m` of it; among the egos nearly as good as the best one is drawn, those that travel far more often
     than those that wait. Its partners are drawn among the vehicles that are near it about equally long.
@@ -52,7 +57,7 @@ def _staying(drive: Sequence[Actors], scenario: Scenario) -> NDArray[np.int64]:
 
 
 def _candidates(actors: Actors, scenario: Scenario) -> NDArray[np.int64]:
-    chosen = actors.boxes.is_vehicle
+    chosen = np.isin(actors.boxes.label, [CLASSES.index(name) for name in CARRIERS])
     if scenario.network.area_m is not None:
         x_min, y_min, x_max, y_max = scenario.network.area_m
         x, y = actors.boxes.center[:, 0], actors.boxes.center[:, 1]
@@ -91,6 +96,6 @@ def _too_few(drive: Sequence[Actors], scenario: Scenario, found: int) -> str:
         low, high = (middle, high) if len(_staying(drive[:middle], scenario)) >= wanted else (low, middle)
     hint = f"; {wanted} stay for {low} frames" if low else "; give it more traffic, a longer warmup_s or a larger area"
     return (
-        f"scenario '{scenario.name}': agents.vehicles: expected {wanted} vehicles that stay in the area for all"
+        f"scenario '{scenario.name}': agents.vehicles: expected {wanted} cars or vans that stay in the area for all"
         f" {len(drive)} frames, found {found}{hint}"
     )
