@@ -90,19 +90,20 @@ def _measure(
     seen &= (trace.distance >= spec.range_min_m) & (measured >= spec.range_min_m) & (measured <= spec.range_max_m)
     seen &= (lost_before >= spec.dropoff_rate) & (lost_after >= drop_chance(intensity, spec))
 
-    ring, column = np.nonzero(seen)
-    reach = measured[ring, column].astype(np.float64)[:, None]
-    world = trace.direction[ring, column] * reach + rays.world_from_lidar[column, :3, 3]
+    flat = np.flatnonzero(seen)
+    ring, column = np.divmod(flat, shape[1])
+    reach = measured.reshape(-1, 1)[flat].astype(np.float64)
+    world = trace.direction.reshape(-1, 3)[flat] * reach + rays.world_from_lidar[column, :3, 3]
     sweep = make_sweep(
         transform_points(invert(pose), world),
         world_from_lidar=pose,
         time_s=time_s,
         spec=spec,
-        intensity=intensity[ring, column],
+        intensity=intensity.reshape(-1)[flat],
         ring=ring,
         column=column,
         time_offset=spec.time_offset[column],
-        object_id=trace.object_id[ring, column],
+        object_id=trace.object_id.reshape(-1)[flat],
     )
     # Seen from the reference pose, a point may lie a little beyond the range that the firing pose had.
     within = sweep.range <= spec.range_max_m

@@ -1,4 +1,4 @@
-"""Path: a pose over the short time of one sweep."""
+"""Path: poses over the short time of one sweep."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -12,12 +12,14 @@ from sim.traffic.base import Actors
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
-    """K poses in time; between them position and angles run straight, outside they stand still.
+    """K poses in time, of one body or of many that share the instants.
+
+    Between the instants position and angles run straight, outside they stand still.
 
     Attributes:
-        time_s: (K,) float64 ascending, s.
-        xyz: (K, 3) float64 positions in the world, m.
-        angles: (K, 3) float64 yaw, pitch, roll, rad, without jumps of a full turn.
+        time_s: (K,) float64 ascending, K >= 2, s.
+        xyz: (..., K, 3) float64 positions in the world, m.
+        angles: (..., K, 3) float64 yaw, pitch, roll, rad, without jumps of a full turn.
     """
 
     time_s: NDArray[np.float64]
@@ -26,42 +28,52 @@ class Path:
 
     @classmethod
     def through(cls, time_s: ArrayLike, world_from_body: ArrayLike) -> Self:
-        """Make the path through (K, 4, 4) poses at (K,) times."""
+        """Make the path through (..., K, 4, 4) poses at (K,) times."""
         poses = np.asarray(world_from_body, np.float64)
-        angles = np.unwrap(np.stack(pose_angles(poses), axis=-1), axis=0)
-        return cls(np.asarray(time_s, np.float64), poses[:, :3, 3].copy(), angles)
+        angles = np.unwrap(np.stack(pose_angles(poses), axis=-1), axis=-2)
+        return cls(np.asarray(time_s, np.float64), poses[..., :3, 3].copy(), angles)
+
+    def __getitem__(self, rows: int | NDArray[np.integer] | NDArray[np.bool_]) -> Self:
+        """Select bodies."""
+        return type(self)(self.time_s, self.xyz[rows], self.angles[rows])
+
+    def __len__(self) -> int:
+        return len(self.xyz)
 
     def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (T, 4, 4) world_from_body at (T,) times."""
-        xyz = np.stack([np.interp(time_s, self.time_s, column) for column in self.xyz.T], axis=-1)
-        yaw, pitch, roll = (np.interp(time_s, self.time_s, column) for column in self.angles.T)
-        return pose_matrix(xyz, yaw, pitch, roll)
+        """Return (..., T, 4, 4) world_from_body at (T,) times."""
+        knot = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.time_s) - 2)
+        start, end = self.time_s[knot], self.time_s[knot + 1]
+        share = np.clip((time_s - start) / (end - start), 0.0, 1.0)[:, None]
+        xyz, angles = (
+            (1.0 - share) * values[..., knot, :] + share * values[..., knot + 1, :]
+            for values in (self.xyz, self.angles)
+        )
+        return pose_matrix(xyz, angles[..., 0], angles[..., 1], angles[..., 2])
 
 
-def actor_paths(
-    now: Actors, before: Actors | None = None, after: Actors | None = None, reach_s: float = 0.05
-) -> list[Path]:
-    """Return the N paths of the footprints of `now` through the instants before and after.
+def actor_paths(now: Actors, before: Actors | None = None, after: Actors | None = None, reach_s: float = 0.05) -> Path:
+    """Return the paths of the N footprints of `now` through the instants before and after.
 
     An actor that the neighbouring instant lacks goes on straight at its velocity, to `reach_s` away when there is
     no neighbouring instant at all.
     """
-    times, tables = [now.time_s], [_placement(now)]
+    middle = _placement(now)
+    times, tables = [now.time_s], [middle]
     for other, side in ((before, -1), (after, 1)):
         time_s = now.time_s + side * reach_s if other is None else other.time_s
-        table = tables[0 if side < 0 else -1].copy()
+        table = middle.copy()
         table[:, :2] += now.velocity * (time_s - now.time_s)
         if other is not None:
             rows, found = _match(now, other)
             there = _placement(other)[rows[found]]
-            there[:, 3] = table[found, 3] + wrap_angle(there[:, 3] - table[found, 3])
+            there[:, 3] = middle[found, 3] + wrap_angle(there[:, 3] - middle[found, 3])
             table[found] = there
         place = 0 if side < 0 else len(times)
         times.insert(place, time_s)
         tables.insert(place, table)
     stacked = np.stack(tables, axis=1)
-    clock = np.array(times)
-    return [Path(clock, rows[:, :3], rows[:, 3:]) for rows in stacked]
+    return Path(np.array(times), stacked[..., :3], stacked[..., 3:])
 
 
 def _placement(actors: Actors) -> NDArray[np.float64]:

@@ -191,7 +191,7 @@ def make_frame(
 def _scan_vehicle(scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, rng: np.random.Generator) -> AgentFrame:
     row = now.row(agent_id)
     half = 0.5 * spec.period_s
-    poses = scene.bodies.paths[row].at(now.time_s + np.array([-half, 0.0, half]))
+    poses = scene.bodies.path[row].at(now.time_s + np.array([-half, 0.0, half]))
     start, middle, end = poses @ mount(spec, now.boxes.size[row, 2])
     return AgentFrame(
         agent_id=agent_id,

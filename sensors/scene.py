@@ -84,15 +84,23 @@ class _Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
-    """The moving actors of one instant: who, which solid, how large and along which path."""
+    """The N moving actors of one instant: who, which solid, how large and along which path."""
 
     object_id: NDArray[np.int64]
     size: NDArray[np.float64]
     solids: tuple[_Solid, ...]
-    paths: tuple[Path, ...]
+    path: Path
+
+    def near(self, rays: Rays) -> NDArray[np.int64]:
+        """Return the rows that may come within reach of the rays."""
+        sensor = rays.world_from_lidar[len(rays.time_s) // 2, :2, 3]
+        # A quarter more than the reach covers any motion within the time of a path.
+        half = 0.5 * np.linalg.norm(self.size[:, :2], axis=1)
+        distance = np.linalg.norm(self.path.xyz[:, :, :2] - sensor, axis=2).min(axis=1, initial=np.inf)
+        return np.flatnonzero(distance - half <= 1.25 * rays.reach_m)
 
 
-_NO_BODIES = Bodies(np.zeros(0, np.int64), np.zeros((0, 3)), (), ())
+_NO_BODIES = Bodies(np.zeros(0, np.int64), np.zeros((0, 3)), (), Path(np.arange(2.0), *np.zeros((2, 0, 2, 3))))
 
 
 class RayScene:
@@ -136,7 +144,7 @@ class RayScene:
                 self._body(model, tuple(float(v) for v in size.round(3)))
                 for model, size in zip(now.model, now.boxes.size, strict=True)
             ),
-            paths=tuple(actor_paths(now, before, after, reach_s)),
+            path=actor_paths(now, before, after, reach_s),
         )
         return scene
 
@@ -155,22 +163,20 @@ class RayScene:
     def trace(self, rays: Rays, exclude_id: int | None = None) -> Trace:
         """Cast the rays of a sweep against the static world and every body but one."""
         trace = self._trace_static(rays)
-        bodies = self.bodies
-        if len(bodies.paths) == 0:
-            return trace
-        windows = windows_of(self._corners_seen(rays))
+        rows = self.bodies.near(rays)
+        windows = windows_of(self._corners_seen(rays, rows))
         in_columns, in_rings = windows.columns(rays.azimuth), windows.rings(rays.elevation)
-        near_first = np.argsort(windows.near, kind="stable")
-        for row in near_first[windows.near[near_first] <= rays.reach_m]:
-            if bodies.object_id[row] == exclude_id:
+        for slot in np.argsort(windows.near, kind="stable"):
+            row = rows[slot]
+            if self.bodies.object_id[row] == exclude_id:
                 continue
-            rings, columns = np.flatnonzero(in_rings[row]), np.flatnonzero(in_columns[row])
+            rings, columns = np.flatnonzero(in_rings[slot]), np.flatnonzero(in_columns[slot])
             # Rays that have already met something nearer need no second look.
-            open_rays = trace.distance[np.ix_(rings, columns)] > windows.near[row]
+            open_rays = trace.distance[np.ix_(rings, columns)] > windows.near[slot]
             columns = columns[open_rays.any(axis=0)]
             rings = rings[open_rays.any(axis=1)]
             if len(rings) and len(columns):
-                _trace_body(trace, rays, bodies, row, rings, columns)
+                _trace_body(trace, rays, self.bodies, row, rings, columns)
         return trace
 
     def _trace_static(self, rays: Rays) -> Trace:
@@ -192,16 +198,14 @@ class RayScene:
             direction=direction,
         )
 
-    def _corners_seen(self, rays: Rays) -> NDArray[np.float64]:
-        """Return (N, 24, 3) corners of the bodies' boxes in the sensor frame at start, middle and end of a sweep."""
-        times = rays.time_s[[0, len(rays.time_s) // 2, -1]]
-        lidar_from_world = invert(rays.world_from_lidar[[0, len(rays.time_s) // 2, -1]])
+    def _corners_seen(self, rays: Rays, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return (N, 24, 3) corners of bodies' boxes in the sensor frame at start, middle and end of a sweep."""
+        moments = [0, len(rays.time_s) // 2, -1]
+        lidar_from_body = invert(rays.world_from_lidar[moments]) @ self.bodies.path[rows].at(rays.time_s[moments])
         signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
-        grown = self.bodies.size + _GROW_M
-        world_from_body = np.stack([path.at(times) for path in self.bodies.paths])
-        local = signs * grown[:, None, :] - np.array([0.0, 0.0, 0.5 * _GROW_M])
-        corners = transform_points(lidar_from_world @ world_from_body, local[:, None])
-        return np.asarray(corners, np.float64).reshape(len(grown), 24, 3)
+        local = signs * (self.bodies.size[rows, None] + _GROW_M) - np.array([0.0, 0.0, 0.5 * _GROW_M])
+        corners = transform_points(lidar_from_body, local[:, None])
+        return np.asarray(corners, np.float64).reshape(len(rows), 24, 3)
 
     def _body(self, model: str, size: tuple[float, ...]) -> _Solid:
         key = (model, size)
@@ -218,7 +222,7 @@ class RayScene:
 
 def _trace_body(trace: Trace, rays: Rays, bodies: Bodies, row: int, rings: NDArray, columns: NDArray) -> None:
     """Cast some rays against one body, in its own frame at each firing, and keep what is nearer."""
-    body_from_world = invert(bodies.paths[row].at(rays.time_s[columns]))
+    body_from_world = invert(bodies.path[row].at(rays.time_s[columns]))
     origin = transform_points(body_from_world, rays.world_from_lidar[columns, None, :3, 3])[:, 0]
     direction = rays.directions(body_from_world, rings, columns)
     where = np.ix_(rings, columns)
