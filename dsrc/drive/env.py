@@ -13,7 +13,8 @@ from dsrc.drive.idm import IdmSettings
 from dsrc.drive.metrics import overlap, time_to_collision
 from dsrc.drive.perception import Perception, TruthPerception
 from dsrc.drive.tracker import Tracker
-from sim.boxes import Boxes
+from sim.boxes import CLASSES, Boxes
+from sim.errors import TrafficError
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario, load_scenario
 from sim.traffic.base import Actors
@@ -30,8 +31,9 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
     Observation (float32; obstacles come from the tracked boxes of the perception, never from the simulation):
         speed (1,): the ego's, m/s.
         desired_speed (1,): on a free road, m/s.
-        gap (1,): to the nearest perceived box in the ego's corridor, m; `LOOK_AHEAD` when free.
-        lead_speed (1,): of that box along the path, m/s; the ego's own when free.
+        gap (1,): to the nearest perceived box in the ego's corridor or the stop line of a red signal before it, m;
+            `LOOK_AHEAD` when free.
+        lead_speed (1,): of that box along the path, m/s; 0 for a stop line, the ego's own when free.
         boxes (M, 6): the nearest perceived boxes, nearest first, zero-padded: x, y, length, width, yaw, speed in
             the ego's body frame, m, rad and m/s.
 
@@ -90,7 +92,6 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.close()
         episode_seed = int(self.np_random.integers(2**31)) if seed is None else seed
         self._traffic = SumoTraffic(self.scenario, episode_seed)
-        self._start_s = self._traffic.actors.time_s
         self._ego_id = choose_ego(self._traffic, self.scenario)
         self._before = self._traffic.actors
         self._tracker = Tracker()
@@ -98,6 +99,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._min_ttc, self._progress = math.inf, 0.0
         self._traffic.command_speed(self._ego_id, self._speed())
         actors = self._traffic.step()
+        self._start_s = actors.time_s
         return self._observe(actors), self._info(actors, collided_with=())
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict]:
@@ -137,8 +139,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         return actors.boxes[row : row + 1]
 
     def _speed(self) -> float:
-        actors = self._traffic.actors
-        return float(np.linalg.norm(actors.velocity[actors.row(self._ego_id)]))
+        return self._traffic.speed(self._ego_id)
 
     def _others(self, actors: Actors) -> NDArray[np.bool_]:
         near = np.linalg.norm(actors.boxes.center[:, :2] - self._ego(actors).center[0, :2], axis=1) < 80.0
@@ -161,14 +162,28 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         ego = self._ego(actors)
         path = self._traffic.route(self._ego_id, LOOK_AHEAD)
         obstacle = nearest_obstacle(path, boxes, ego.size[0, 0], ego.size[0, 1])
+        stop = self._stop_distance()
+        if stop < obstacle.gap:
+            obstacle = Obstacle(stop, -1, 0.0)
         return self._observation(obstacle, boxes, velocity, ego)
+
+    def _stop_distance(self) -> float:
+        """Distance to the stop line of a red signal, or of a yellow one that can still be obeyed; inf if there is none.
+
+        The signal comes from the map and its broadcast, not from the LiDAR: no corruption hides it.
+        """
+        distance, signal = self._traffic.stop_line(self._ego_id)
+        needed = self._speed() ** 2 / (2.0 * max(distance, 0.1))
+        if signal.lower() == "r" or (signal.lower() == "y" and needed <= self.idm.comfortable_deceleration):
+            return distance
+        return math.inf
 
     def _observation(
         self, obstacle: Obstacle, boxes: Boxes, velocity: NDArray[np.float64], ego: Boxes | None
     ) -> Observation:
         speed = 0.0 if ego is None else self._speed()
         desired = 0.0 if ego is None else self._traffic.allowed_speed(self._ego_id)
-        lead = speed
+        lead = speed if math.isinf(obstacle.gap) else 0.0
         if obstacle.row >= 0:
             lead = float(velocity[obstacle.row] @ [math.cos(obstacle.heading), math.sin(obstacle.heading)])
         table = np.zeros((self.max_boxes, 6), np.float32)
@@ -195,30 +210,27 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
 
 
 def choose_ego(traffic: Any, scenario: Scenario) -> int:
-    """Return the car or van that has the longest way left inside the scenario's area.
+    """Return the car or van that has the longest way left inside the scenario's area; one that moves, if there is one.
 
     Raises:
         TrafficError: when there is none.
     """
-    from sim.boxes import CLASSES
-    from sim.errors import TrafficError
-
     actors = traffic.actors
-    wanted = np.isin(actors.boxes.label, [CLASSES.index("car"), CLASSES.index("van")])
-    area = scenario.network.area_m
-    best_id, best_length = -1, 0.0
-    for object_id in actors.boxes.object_id[wanted]:
-        path = traffic.route(int(object_id), 300.0)
-        if area is not None:
-            inside = (path >= np.array(area[:2])).all(axis=1) & (path <= np.array(area[2:])).all(axis=1)
-            if not inside[:1].all():
-                continue
-            path = path[: len(path) if inside.all() else int(np.argmin(inside))]
-        length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-        if length > best_length:
-            best_id, best_length = int(object_id), length
-    if best_id < 0:
-        raise TrafficError(
-            f"{scenario.name}: agents: expected a car or van inside the area after the warm-up, found none"
-        )
-    return best_id
+    fit = np.isin(actors.boxes.label, [CLASSES.index("car"), CLASSES.index("van")])
+    moving = np.linalg.norm(actors.velocity, axis=1) > 2.0
+    way_left = {
+        row: _way_left(traffic.route(int(actors.boxes.object_id[row]), 300.0), scenario) for row in np.flatnonzero(fit)
+    }
+    rows = [row for row, way in way_left.items() if way > 0.0]
+    if not rows:
+        raise TrafficError(f"{scenario.name}: expected a car or van inside the area after the warm-up, found none")
+    return int(actors.boxes.object_id[max(rows, key=lambda row: (moving[row], way_left[row]))])
+
+
+def _way_left(path: NDArray[np.float64], scenario: Scenario) -> float:
+    """Return how much of a route lies inside the scenario's area before it first leaves it, m."""
+    if scenario.network.area_m is not None:
+        low, high = np.array(scenario.network.area_m).reshape(2, 2)
+        inside = ((path >= low) & (path <= high)).all(axis=1)
+        path = path[: len(path) if inside.all() else int(np.argmin(inside))]
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())

@@ -15,9 +15,10 @@ from sim.demand import write_demand
 from sim.errors import TrafficError
 from sim.geometry import center_from_sumo
 from sim.networks import read_network, resolve_network
-from sim.scenario import Scenario, SignalProgram
+from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.lane_path import lane_path
+from sim.traffic.sumo_input import signals_xml, sumo_options
 from sim.vehicle_types import TYPES, VehicleType, choose_model
 
 FIRST_ID = 1000
@@ -145,6 +146,14 @@ class SumoTraffic:
         """Return a vehicle's speed along its lane, m/s: what its own odometer shows."""
         return float(self._sumo.vehicle.getSpeed(self._vehicle(object_id)))
 
+    def stop_line(self, object_id: int) -> tuple[float, str]:
+        """Return the distance of a vehicle's front to its next signal's stop line, m, and the signal's letter.
+
+        (inf, "") when no signal lies ahead; letters as in SUMO: `r` red, `y` yellow, `g` and `G` green.
+        """
+        ahead = self._sumo.vehicle.getNextTLS(self._vehicle(object_id))
+        return (float(ahead[0][2]), str(ahead[0][3])) if ahead else (float("inf"), "")
+
     def allowed_speed(self, object_id: int) -> float:
         """Return the speed that a vehicle may drive where it is, m/s."""
         return float(self._sumo.vehicle.getAllowedSpeed(self._vehicle(object_id)))
@@ -162,13 +171,18 @@ class SumoTraffic:
         self._sumo: Any = libsumo
         with tempfile.TemporaryDirectory(prefix="dsrc-traffic-") as folder:
             routes = write_demand(scenario, read_network(network), self._seed, Path(folder) / "demand.rou.xml")
-            command = ["sumo", "--net-file", str(network), "--route-files", str(routes), *_options(scenario)]
+            command = [
+                "sumo",
+                "--net-file",
+                str(network),
+                "--route-files",
+                str(routes),
+                *sumo_options(scenario, self._seed),
+            ]
             if scenario.network.signals:
                 extra = Path(folder) / "signals.add.xml"
-                extra.write_text(_signals_xml(scenario.network.signals), encoding="utf-8")
+                extra.write_text(signals_xml(scenario.network.signals), encoding="utf-8")
                 command += ["--additional-files", str(extra)]
-            # SUMO reads the routes while it runs: a lookahead of the whole run lets the folder go now.
-            command += ["--route-steps", "0", "--seed", str(self._seed % 2**31)]
             try:
                 libsumo.start(command)
             except Exception as error:  # libsumo's own classes differ between versions
@@ -265,30 +279,3 @@ class SumoTraffic:
                 velocity[row] = domain.getSpeed(user.name) * np.array([np.cos(yaw[row]), np.sin(yaw[row])])
             user.last_xy = base[row, :2].copy()
         return velocity
-
-
-def _options(scenario: Scenario) -> list[str]:
-    options = {
-        "step-length": scenario.step_s,
-        "lateral-resolution": 0.8,
-        "time-to-teleport": -1,
-        "collision.action": "none",
-        "max-num-vehicles": scenario.demand.max_vehicles,
-        "max-depart-delay": 30,
-        "ignore-route-errors": "true",
-        "no-warnings": "true",
-        "no-step-log": "true",
-        "duration-log.disable": "true",
-    }
-    return [f"--{name}={value}" for name, value in options.items()]
-
-
-def _signals_xml(programs: tuple[SignalProgram, ...]) -> str:
-    lines = ["<additional>"]
-    for program in programs:
-        lines.append(
-            f'<tlLogic id="{program.junction}" type="static" programID="scenario" offset="{program.offset_s:g}">'
-        )
-        lines += [f'<phase duration="{seconds:g}" state="{state}"/>' for seconds, state in program.phases]
-        lines.append("</tlLogic>")
-    return "\n".join([*lines, "</additional>\n"])
