@@ -20,13 +20,14 @@ def rotated_nms(boxes: ArrayLike, scores: ArrayLike, iou: float, limit: int = 10
     """
     boxes = np.asarray(boxes, np.float64).reshape(-1, 7)
     left = np.argsort(-np.asarray(scores), kind="stable")[:limit]
+    half_diagonal = 0.5 * np.hypot(boxes[:, 3], boxes[:, 4])
     kept = []
     while len(left):
         best, left = left[0], left[1:]
         kept.append(best)
         # Footprints farther apart than their half diagonals together cannot touch.
-        reach = 0.5 * np.hypot(boxes[:, 3], boxes[:, 4])
-        near = np.hypot(*(boxes[left, :2] - boxes[best, :2]).T) <= reach[left] + reach[best]
+        distance = np.hypot(*(boxes[left, :2] - boxes[best, :2]).T)
+        near = distance <= half_diagonal[left] + half_diagonal[best]
         drop = np.zeros(len(left), bool)
         drop[near] = bev_iou(boxes[left[near]], boxes[best])[:, 0] > iou
         left = left[~drop]

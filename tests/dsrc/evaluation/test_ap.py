@@ -1,0 +1,172 @@
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.detections import Detections
+from dsrc.evaluation.ap import FrameResult, average_precision, envelope, evaluate, metric_name, precision_recall
+from dsrc.evaluation.matching import match
+from dsrc.ops.iou import bev_iou, iou_3d
+from sim.boxes import Boxes
+
+GOLDENS = Path(__file__).parents[2] / "fixtures" / "goldens" / "models"
+
+
+def boxes_from_corners(corners):
+    """Undo `Boxes.corners`, for upright boxes."""
+    corners = corners.astype(np.float64)
+    forward = corners[:, 0, :2] - corners[:, 3, :2]
+    length, width = np.linalg.norm(forward, axis=1), np.linalg.norm(corners[:, 1, :2] - corners[:, 0, :2], axis=1)
+    height = corners[:, 4, 2] - corners[:, 0, 2]
+    yaw = np.arctan2(forward[:, 1], forward[:, 0])
+    return Boxes.from_array(np.column_stack([corners.mean(axis=1), length, width, height, yaw]))
+
+
+def golden_frames():
+    golden = np.load(GOLDENS / "ap.npz")
+    return golden, [
+        FrameResult(
+            Detections(boxes_from_corners(golden[f"det/{i}"]), golden[f"score/{i}"]),
+            boxes_from_corners(golden[f"gt/{i}"]),
+        )
+        for i in range(20)
+    ]
+
+
+def test_every_detection_of_the_golden_frames_is_judged_as_released():
+    golden, frames = golden_frames()
+    for i, frame in enumerate(frames):
+        iou = bev_iou(frame.detections.boxes.array, frame.truth.array)
+        for digit in (3, 5, 7):
+            hit = match(iou, frame.detections.score, digit / 10).hit
+            np.testing.assert_array_equal(hit, golden[f"tp_{digit}/{i}"].astype(bool), err_msg=f"{i} {digit}")
+
+
+def test_ap_equals_the_released_one_in_both_orders():
+    expected = json.loads((GOLDENS / "ap.json").read_text())["results"]
+    golden, frames = golden_frames()
+    result = evaluate(frames)
+    for digit in (3, 5, 7):
+        curve, want = result.curves["bev", digit / 10], expected[str(digit / 10)]
+        assert curve.ap == pytest.approx(want["ap_global"], abs=1e-9)
+        assert curve.ap_opencood == pytest.approx(want["ap_local"], abs=1e-9)
+        assert (result.truth, result.detections, curve.hits) == (want["gt"], want["n_det"], want["tp"])
+        recall, precision = envelope(curve.recall, curve.precision)
+        np.testing.assert_allclose(recall, golden[f"curve_{digit}_global/rec"], atol=1e-9)
+        np.testing.assert_allclose(precision, golden[f"curve_{digit}_global/prec"], atol=1e-9)
+
+
+def test_only_the_opencood_order_depends_on_the_order_of_frames():
+    expected = json.loads((GOLDENS / "ap.json").read_text())["results"]["0.5"]
+    _, frames = golden_frames()
+    backwards = evaluate(frames[::-1]).curves["bev", 0.5]
+    assert backwards.ap == pytest.approx(expected["ap_global"], abs=1e-9)
+    assert backwards.ap_opencood == pytest.approx(expected["ap_local_reversed_frame_order"], abs=1e-9)
+
+
+def test_evaluating_twice_gives_the_same():
+    _, frames = golden_frames()
+    assert evaluate(frames).metrics() == evaluate(frames).metrics()
+
+
+def brute_force_ap(frames, threshold, overlap):
+    """The definition, slowly: for every recall reached, the best precision at that recall or beyond."""
+    judged, n_truth = [], 0
+    for frame in frames:
+        free = list(range(len(frame.truth)))
+        n_truth += len(frame.truth)
+        for d in sorted(range(len(frame.detections)), key=lambda d: -frame.detections.score[d]):
+            pairs = [
+                (overlap(frame.detections.boxes.array[d : d + 1], frame.truth.array[t : t + 1])[0, 0], -t) for t in free
+            ]
+            best = max(pairs, default=(0.0, 0))
+            hit = best[0] >= threshold
+            if hit:
+                free.remove(-best[1])
+            judged.append((float(frame.detections.score[d]), hit))
+    judged.sort(key=lambda pair: -pair[0])
+    points = []
+    for k in range(1, len(judged) + 1):
+        hits = sum(hit for _, hit in judged[:k])
+        points.append((hits / n_truth, hits / k))
+    area = 0.0
+    for step in range(1, n_truth + 1):
+        area += max((p for r, p in points if r >= step / n_truth - 1e-12), default=0.0) / n_truth
+    return area
+
+
+def random_frames(rng, n):
+    frames = []
+    for _ in range(n):
+        truth = np.column_stack(
+            [
+                rng.uniform(-20, 20, (rng.integers(0, 6), 3)) * [1, 1, 0.02],
+            ]
+        )
+        truth = np.column_stack([truth, np.tile([4.5, 1.9, 1.6], (len(truth), 1)), rng.uniform(-3, 3, len(truth))])
+        near = np.repeat(truth, rng.integers(0, 3, len(truth)), axis=0)
+        near = near + rng.normal(0, [0.5, 0.3, 0.1, 0.2, 0.1, 0.1, 0.1], near.shape)
+        far = truth[: rng.integers(0, 3)] + np.array([30, 0, 0, 0, 0, 0, 0])
+        found = np.concatenate([near, far])
+        score = rng.permutation(1000)[: len(found)].astype(np.float32) / 1000
+        frames.append(FrameResult(Detections(Boxes.from_array(found), score), Boxes.from_array(truth)))
+    return frames
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_ap_equals_brute_force_on_random_sets(seed):
+    frames = random_frames(np.random.default_rng(seed), 8)
+    result = evaluate(frames)
+    for (space, threshold), curve in result.curves.items():
+        expected = brute_force_ap(frames, threshold, {"bev": bev_iou, "3d": iou_3d}[space])
+        assert curve.ap == pytest.approx(expected, abs=1e-9), (space, threshold)
+
+
+def test_a_perfect_detector_has_ap_1_and_the_truth_itself_is_one():
+    frames = random_frames(np.random.default_rng(9), 10)
+    frames = [
+        FrameResult(Detections(f.truth, np.linspace(0.9, 0.3, len(f.truth)).astype(np.float32)), f.truth)
+        for f in frames
+    ]
+    assert all(ap == pytest.approx(1.0) for ap in evaluate(frames).metrics().values())
+
+
+def test_height_counts_in_3d_only():
+    frames = random_frames(np.random.default_rng(10), 10)
+    lifted = [
+        FrameResult(
+            Detections(
+                replace(f.truth, center=f.truth.center + np.array([0, 0, 5])), np.full(len(f.truth), 0.5, np.float32)
+            ),
+            f.truth,
+        )
+        for f in frames
+    ]
+    result = evaluate(lifted)
+    assert result.curves["bev", 0.7].ap == pytest.approx(1.0)
+    assert result.curves["3d", 0.3].ap == 0.0
+
+
+def test_a_false_alarm_lowers_ap_only_where_it_outranks_a_hit():
+    recall, precision = precision_recall(np.array([True, True, False]), 2)
+    assert average_precision(recall, precision, 2) == 1.0
+    recall, precision = precision_recall(np.array([False, True, True]), 2)
+    assert average_precision(recall, precision, 2) == pytest.approx(2 / 3)
+
+
+def test_without_detections_ap_is_0_and_without_truth_it_is_undefined():
+    car = Boxes.from_array([[0, 0, 0, 4, 2, 1.5, 0]])
+    nothing_found = evaluate([FrameResult(Detections.zeros(), car)])
+    assert set(nothing_found.metrics().values()) == {0.0}
+    nothing_there = evaluate([FrameResult(Detections(car, np.ones(1, np.float32)), Boxes.zeros())])
+    assert all(math.isnan(ap) for ap in nothing_there.metrics().values())
+    assert nothing_there.curves["bev", 0.5].precision.tolist() == [0.0]
+    assert all(math.isnan(ap) for ap in evaluate([]).metrics().values())
+
+
+def test_metrics_are_named_by_order_space_and_threshold():
+    assert metric_name("bev", 0.5) == "ap_bev_50"
+    assert metric_name("3d", 0.7, opencood=True) == "ap_opencood_3d_70"
