@@ -5,7 +5,7 @@ on, the protocol fixes the settings, and every frame depends on the log, the set
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
@@ -30,8 +30,6 @@ Progress = Callable[[int, int], None]
 
 class FrameSource(Protocol):
     """Frames by number, each independent of the others."""
-
-    agent_ids: Sequence[int]
 
     def frame(self, index: int) -> Frame:
         """Return one frame; the same bytes whenever it is asked for."""
@@ -81,6 +79,8 @@ def generate(
     if not (interval_s > 0 and abs(steps - round(steps)) < 1e-6):
         expected = f"a positive multiple of the scenario's step of {scenario.step_s} s"
         raise SettingsError(complaint("generate", "interval_s", expected, interval_s))
+    if len(scenario.agents.roadside) > 1:
+        _log.warning("%s: OpenCOOD takes a roadside unit as ego when a drive has more than one", scenario.name)
     settings = {
         "format": FORMAT,
         "scenario": msgspec.to_builtins(scenario),

@@ -33,7 +33,6 @@ class Live:
 
     def __init__(self, recording: Recording, log: TrafficLog, interval_s: float) -> None:
         self.recording = recording
-        self.agent_ids = (*recording.vehicles, *(unit.agent_id for unit in recording.roadside))
         self._log = log
         self._stride = round(interval_s / log.step_s)
 

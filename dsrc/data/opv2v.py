@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dsrc.data.opv2v_record import Annotation, Record, encode_agent, read_agent
 from dsrc.data.pcd import encode_pcd, read_pcd
 from dsrc.data.yamlio import read_yaml
-from sensors.frame import AgentFrame, Frame, agent_order
+from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
 from sim.boxes import Boxes, concatenate
 from sim.errors import DataError, complaint, did_you_mean
 
@@ -165,7 +165,7 @@ class DriveReader:
         agents, points_on = [], np.zeros((len(notes), len(truth)), np.int32)
         for row, (agent_id, note) in enumerate(zip(self.agents, notes, strict=True)):
             sweep = read_pcd(self.drive / str(agent_id) / f"{stem}.pcd", note.world_from_lidar, time_s)
-            kind = "roadside" if agent_id < 0 else "vehicle"
+            kind: AgentKind = "roadside" if agent_id < 0 else "vehicle"
             agents.append(AgentFrame(agent_id, kind, note.world_from_body, note.speed, sweep))
             listed = np.isin(truth.object_id, note.boxes.object_id)
             counts = truth[listed].contains(sweep.world_points).sum(axis=1)

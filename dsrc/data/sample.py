@@ -134,7 +134,7 @@ def inside_range(boxes: Boxes, grid: GridSpec) -> NDArray[np.bool_]:
     """Return (N,) whether all 8 corners lie in the grid's range, faces included."""
     corners = boxes.corners()
     low, high = np.array(grid.range_m[:3]), np.array(grid.range_m[3:])
-    return ((corners >= low) & (corners <= high)).all(axis=(1, 2))
+    return np.all((corners >= low) & (corners <= high), axis=(1, 2))
 
 
 def _cloud(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
@@ -154,6 +154,6 @@ def _own_body(frame: Frame, row: int) -> NDArray[np.bool_]:
     points = agent.sweep.points
     if agent.sweep.spec is None:
         plane = points[:, :2]
-        return ((plane >= _OWN_BODY_LOW) & (plane <= _OWN_BODY_HIGH)).all(axis=1)
+        return np.all((plane >= _OWN_BODY_LOW) & (plane <= _OWN_BODY_HIGH), axis=1)
     own = frame.truth[frame.truth.object_id == agent.agent_id].transform(invert(agent.sweep.world_from_lidar))
-    return own.contains(points, _OWN_BODY_MARGIN_M).any(axis=0)
+    return np.any(own.contains(points, _OWN_BODY_MARGIN_M), axis=0)

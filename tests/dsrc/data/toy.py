@@ -95,8 +95,6 @@ def same_frames(a: Frame, b: Frame) -> bool:
 
 
 class ToySource:
-    agent_ids = (1000, 1002, -1)
-
     def __init__(self, delay_s: float = 0.0) -> None:
         self.delay_s = delay_s
         self.made: list[int] = []
