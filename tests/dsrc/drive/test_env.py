@@ -1,0 +1,77 @@
+"""The closed loop in a real SUMO junction: contract, determinism, consequences."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from dsrc.drive.env import CoopDrivingEnv
+from dsrc.drive.episodes import drive_episodes, idm_policy, make_perception
+from dsrc.drive.perception import TruthPerception
+from sim.boxes import Boxes
+from sim.errors import SettingsError
+from sim.traffic.base import Actors
+
+
+class Blind(TruthPerception):
+    """Sees nothing."""
+
+    def perceive(self, before: Actors, now: Actors) -> Boxes:
+        return Boxes.zeros()
+
+
+def run(env: CoopDrivingEnv, seed: int) -> tuple[list[float], dict]:
+    """Drive one episode with the follower; return the speeds and the last info."""
+    observation, info = env.reset(seed=seed)
+    speeds, done = [], False
+    while not done:
+        observation, _, terminated, truncated, info = env.step(idm_policy(observation))
+        speeds.append(float(observation["speed"][0]))
+        done = terminated or truncated
+    env.close()
+    return speeds, info
+
+
+def test_the_environment_keeps_gymnasiums_contract() -> None:
+    env = CoopDrivingEnv("four_way", duration_s=2.0)
+    check_env(env, skip_render_check=True)
+    env.close()
+
+
+def test_one_seed_is_one_episode() -> None:
+    env = CoopDrivingEnv("four_way", duration_s=4.0)
+    first, info = run(env, 3)
+    second, again = run(env, 3)
+    assert first == second
+    assert info == again
+    assert len(first) == 40
+
+
+def test_who_sees_nothing_crashes_where_who_sees_does_not() -> None:
+    crashes = {}
+    for eyes in (TruthPerception(), Blind()):
+        _, info = run(CoopDrivingEnv("braunschweig", eyes, duration_s=25.0), 2)
+        crashes[type(eyes).__name__] = bool(info["collided_with"])
+        assert (info["min_ttc_s"] == 0.0) == bool(info["collided_with"])
+    assert crashes == {"TruthPerception": False, "Blind": True}
+
+
+def test_episodes_are_rows_of_a_file(tmp_path: Path) -> None:
+    out = tmp_path / "rows.csv"
+    drive_episodes("four_way", seeds=(0, 1), duration_s=1.0, out=out)
+    lines = out.read_text().splitlines()
+    assert lines[0].startswith("scenario,perception,corruption,severity,seed,duration_s,progress_m")
+    assert [line.split(",")[4] for line in lines[1:]] == ["0", "1"]
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, np.nan])
+def test_a_duration_that_cannot_be_is_named(duration: float) -> None:
+    with pytest.raises(SettingsError, match="duration"):
+        drive_episodes("four_way", duration_s=duration)
+
+
+def test_the_truth_cannot_be_corrupted() -> None:
+    with pytest.raises(SettingsError, match="corruption"):
+        make_perception("truth", None, "fog")
