@@ -15,6 +15,7 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         elevation_deg: beam elevations, highest first: ring 0 is the top beam.
         columns: firings per rotation.
         rate_hz: rotations per second.
+        rolling_shutter: columns fire one after another; False freezes the world, as CARLA's sensor does in a tick.
         azimuth_start_deg, azimuth_end_deg: field of view, counter-clockwise from straight ahead.
         range_min_m, range_max_m: nearest and farthest range.
         range_10_m: range at which a target of reflectivity 0.1, hit squarely, is just detected in clear air.
@@ -32,6 +33,7 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     elevation_deg: tuple[float, ...]
     columns: int
     rate_hz: float = 10.0
+    rolling_shutter: bool = True
     azimuth_start_deg: float = -180.0
     azimuth_end_deg: float = 180.0
     range_min_m: float = 0.5
@@ -85,24 +87,15 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return np.radians(self.azimuth_start_deg + step * np.arange(self.columns))
 
     @property
-    def full_circle(self) -> bool:
-        """Whether the last column is a neighbour of column 0."""
-        return self.azimuth_end_deg - self.azimuth_start_deg >= 360.0
-
-    @property
-    def sweep_fraction(self) -> NDArray[np.float64]:
-        """(C,) firing time of each column as a fraction of the rotation, symmetric about 0.5."""
-        return (np.arange(self.columns) + 0.5) / self.columns
-
-    @property
     def period_s(self) -> float:
         """Duration of one rotation, s."""
         return 1.0 / self.rate_hz
 
     @property
     def time_offset(self) -> NDArray[np.float64]:
-        """(C,) firing time of each column minus the sweep's reference time, in +-1/2 period, s."""
-        return (self.sweep_fraction - 0.5) * self.period_s
+        """(C,) firing time of each column minus the sweep's reference time, s: centred, within half a period."""
+        fraction = (np.arange(self.columns) + 0.5) / self.columns - 0.5
+        return fraction * (self.period_s if self.rolling_shutter else 0.0)
 
 
 def _spread(top_deg: float, bottom_deg: float, beams: int) -> tuple[float, ...]:

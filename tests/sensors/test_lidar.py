@@ -99,6 +99,14 @@ def test_a_moving_car_is_smeared_by_its_motion_around_its_box():
     assert sweep.time_offset[rear].mean() == pytest.approx(0.025, abs=2e-3)
 
 
+def test_without_rolling_shutter_a_moving_car_is_not_smeared():
+    spec = ideal("opv2v-64", rolling_shutter=False)
+    sweep = sweep_of(scene_of(nothing(), cars([[0.0, 20.0, np.pi / 2]], speed=20.0)), spec)
+    assert len(sweep) > 50
+    assert (sweep.time_offset == 0.0).all()
+    assert sweep.points[:, 1].min() == pytest.approx(17.75, abs=1e-3)
+
+
 def test_a_still_world_is_sharp_however_the_sensor_moves():
     half = np.array([15.0, 11.0, 5.0])
     start, end = pose_matrix([-1.0, 0.2, 0.0], -0.1), pose_matrix([1.0, -0.2, 0.0], 0.1)

@@ -30,7 +30,6 @@ def test_firing_times_are_centred_on_the_reference_time():
 
 def test_field_of_view_of_a_roadside_unit_is_not_a_circle():
     spec = get_lidar("dair-roadside")
-    assert not spec.full_circle
     assert np.degrees(spec.azimuth[[0, -1]]) == pytest.approx([-50.0, 49.9])
     assert spec.rings == 300
 
