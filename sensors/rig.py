@@ -1,17 +1,21 @@
 """Where sensors sit: on the roofs of vehicles and on roadside units."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.scene import RayScene
+from sensors.scene import Rays, RayScene
 from sensors.spec import LidarSpec, get_lidar
 from sim.geometry import pose_matrix
 from sim.scenario import RoadsideUnit
 
 _ROOF_CLEARANCE_M = 0.2
+_BLOCKED_M = 1.0
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +42,10 @@ def mount(spec: LidarSpec, height_m: float) -> NDArray[np.float64]:
 
 
 def place_roadside(scene: RayScene, units: Sequence[RoadsideUnit]) -> tuple[Roadside, ...]:
-    """Stand roadside units on the ground of the world; the first gets id -1."""
+    """Stand roadside units on the ground of the world; the first gets id -1.
+
+    A unit that sees hardly anything but a wall right before it is logged as a warning.
+    """
     if not units:
         return ()
     ground = scene.ground_height(np.array([unit.xyz_m[:2] for unit in units]))
@@ -54,4 +61,18 @@ def place_roadside(scene: RayScene, units: Sequence[RoadsideUnit]) -> tuple[Road
                 spec=get_lidar(unit.lidar),
             )
         )
+        share = blocked_share(scene, placed[-1])
+        if share > 0.5:
+            log.warning(
+                "roadside unit %d at (%g, %g, %g) stands in or before a wall: %.0f %% of its view ends within %g m",
+                *(-1 - row, x, y, z, 100.0 * share, _BLOCKED_M),
+            )
     return tuple(placed)
+
+
+def blocked_share(scene: RayScene, unit: Roadside) -> float:
+    """Return the share of a unit's view that the static world blocks within a metre."""
+    azimuth = unit.spec.azimuth[::10]
+    poses = np.broadcast_to(unit.world_from_lidar, (len(azimuth), 4, 4))
+    rays = Rays(unit.spec.elevation, azimuth, np.zeros(len(azimuth)), poses, _BLOCKED_M)
+    return float(scene.trace(rays).hit.mean())

@@ -3,12 +3,12 @@ import pytest
 
 from sensors.agents import choose_agents
 from sensors.record import TRUTH_RANGE_M, record
-from sensors.rig import mount
+from sensors.rig import mount, place_roadside
 from sensors.spec import get_lidar
 from sensors.sweep import POINT_FIELDS
 from sim.errors import ScenarioError, SettingsError
 from sim.scenario import NetworkSpec, RoadsideUnit
-from tests.sensors.fakes import StraightTraffic, box_body, cars, ground, toy_scenario
+from tests.sensors.fakes import StraightTraffic, box, box_body, cars, ground, scene_of, toy_scenario
 
 ROWS = [[0, 0, 0], [12, 3.5, 0], [-15, -3.5, np.pi], [60, 0, 0], [300, 0, 0]]
 UNIT = RoadsideUnit(xyz_m=(20.0, 8.0, 5.0), yaw_deg=-90.0, pitch_deg=15.0, lidar="debug-16")
@@ -104,6 +104,13 @@ def test_a_roadside_unit_stands_on_the_ground_and_looks_down():
     np.testing.assert_allclose(agent.world_from_body[:3, 3], [20.0, 8.0, 0.0], atol=1e-3)
     np.testing.assert_allclose(agent.sweep.world_from_lidar[:3, 3], [20.0, 8.0, 5.0], atol=1e-3)
     assert agent.sweep.world_from_lidar[2, 0] < 0.0
+
+
+def test_a_roadside_unit_inside_a_building_is_warned_about(caplog):
+    place_roadside(scene_of(ground()), (UNIT,))
+    assert not caplog.records
+    place_roadside(scene_of(ground() + box((1.5, 1.5, 12.0), (20.0, 8.0, 6.0))), (UNIT,))
+    assert "roadside unit -1 at (20, 8, 5) stands in or before a wall" in caplog.text
 
 
 @pytest.mark.parametrize(("frames", "interval_s"), [(0, 0.1), (2, 0.15)])
