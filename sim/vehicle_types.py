@@ -38,8 +38,8 @@ class VehicleType:
     def xml(self) -> str:
         """Return the vType element.
 
-        The sublane model reads the width; a pedestrian keeps SUMO's own body, since its space on the pavement is not
-        the space that its swinging arms and legs fill.
+        A pedestrian keeps SUMO's own body, since its space on the pavement is not the space that its swinging arms and
+        legs fill. Others move sideways at no more than 0.15 of their speed: SUMO would let standing cars slide.
         """
         if self.label == "pedestrian":
             return f'<vType id="{self.name}" vClass="pedestrian" maxSpeed="{self.speed_mps}" speedDev="0.1"/>'
@@ -49,7 +49,8 @@ class VehicleType:
         return (
             f'<vType id="{self.name}" vClass="{self.vclass}" length="{length}" width="{width}" height="{height}" '
             f'maxSpeed="{self.speed_mps}" accel="{accel}" decel="{decel}" emergencyDecel="{emergency}" '
-            f'speedDev="{deviation}" minGapLat="0.5" maxSpeedLat="0.8" lcMaxSpeedLatStanding="0" lcMaxSpeedLatFactor="0.15" latAlignment="center"/>'
+            f'speedDev="{deviation}" minGapLat="0.5" latAlignment="center" '
+            'maxSpeedLat="0.8" lcMaxSpeedLatStanding="0" lcMaxSpeedLatFactor="0.15"/>'
         )
 
 

@@ -2,6 +2,7 @@
 
 import os
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Self
 
@@ -148,9 +149,10 @@ def _read_columns(path: Path) -> dict[str, NDArray]:
     if not path.is_file():
         raise DataError(complaint(path, "traffic log", "an existing file", "no such file"))
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Opened here, because numpy leaves a damaged archive open.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             columns = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile, zipfile.zlib.error) as error:
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
         raise DataError(f"{path}: not a readable traffic log: {' '.join(str(error).split())}") from None
     if int(columns.get("version", np.array(-1))) != VERSION:
         found = columns.get("version", "none")
