@@ -1,0 +1,301 @@
+"""ReviewModel: from a state to the arrays that are drawn, with what is expensive cached."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.opv2v import DriveReader, find_drives
+from dsrc.data.sample import Sample, make_sample
+from dsrc.detections import Detections
+from dsrc.review.matching import Counts, Matches, match
+from dsrc.review.palette import agent_color
+from dsrc.review.points import paint, thin
+from dsrc.review.state import ReviewState
+from dsrc.review.static import StaticPart, static_parts
+from dsrc.review.view import FOUND, LAYERS, MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES, AgentView, FrameView
+from sensors.corruptions import CORRUPTIONS, corrupt_frame
+from sensors.frame import Frame
+from sim.boxes import Boxes
+from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.geometry import invert
+
+CLEAN = "clean"
+SEED = 0
+"""Seed of the corruptions on the page."""
+
+T = TypeVar("T")
+
+COMM_RANGE_M = 70.0
+"""Agents within this distance hear each other, m; as `make_sample` has it."""
+
+_FRAMES_KEPT = 24
+_DETECTIONS_KEPT = 4096
+
+
+class Drive(Protocol):
+    """What the model needs of a drive: `dsrc.data.opv2v.DriveReader` has it."""
+
+    drive: Path
+    frames: tuple[int, ...]
+
+    def read(self, i: int) -> Frame:
+        """Read the i-th frame."""
+        ...
+
+
+class Detects(Protocol):
+    """What the model needs of a detector: `dsrc.models.detector.Detector` has it."""
+
+    settings: Any
+
+    def detect(self, sample: Sample) -> Detections:
+        """Detect in the ego LiDAR's frame."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """All detections of one frame and the truth that judges them, in the ego LiDAR's frame."""
+
+    detections: Detections
+    truth: Boxes
+    matches: dict[float, Matches] = field(default_factory=dict)
+
+    def at(self, iou: float) -> Matches:
+        """Return the matches at an IoU, computed once."""
+        if iou not in self.matches:
+            self.matches[iou] = match(self.detections, self.truth, iou)
+        return self.matches[iou]
+
+
+class ReviewModel:
+    """The drives, the detector and the caches. Called by one thread at a time.
+
+    Attributes:
+        drives: the drives.
+        names: their names.
+        has_detector: whether there are detections to look at.
+    """
+
+    def __init__(self, drives: list[Drive], detector: Detects | None = None) -> None:
+        """Take opened drives; see `open_model` for paths.
+
+        Raises:
+            DataError: there is no drive, or one without frames.
+        """
+        if not drives:
+            raise DataError("review: no drives")
+        for drive in drives:
+            if len(drive.frames) == 0:
+                raise DataError(complaint(drive.drive, "frames", "at least one frame", "none"))
+        self.drives = drives
+        self.names = [drive.drive.name for drive in drives]
+        self.detector = detector
+        self._frames: OrderedDict[Hashable, Frame] = OrderedDict()
+        self._corrupted: OrderedDict[Hashable, Frame] = OrderedDict()
+        self._found: OrderedDict[Hashable, _Found] = OrderedDict()
+        self._origin: dict[int, NDArray[np.float64]] = {}
+
+    @property
+    def has_detector(self) -> bool:
+        """Whether there are detections to look at."""
+        return self.detector is not None
+
+    def frame_count(self, drive: int) -> int:
+        """Return the number of frames of a drive."""
+        return len(self.drives[drive].frames)
+
+    def first_frame(self, drive: int) -> Frame:
+        """Return the first frame of a drive."""
+        return self._raw(drive, 0)
+
+    def interval_s(self, drive: int) -> float:
+        """Return the time between frames of a drive, s; 0.1 when it cannot be told."""
+        if self.frame_count(drive) < 2:
+            return 0.1
+        step = self._raw(drive, 1).time_s - self._raw(drive, 0).time_s
+        return step if 0.0 < step < 10.0 else 0.1
+
+    def origin(self, drive: int) -> NDArray[np.float64]:
+        """Return (3,) the world position that the review frame of a drive has its origin at, m.
+
+        It is the first agent's place at the first frame: what the browser gets stays within float32, and the
+        road is near z = 0.
+        """
+        if drive not in self._origin:
+            self._origin[drive] = self._raw(drive, 0).agents[0].world_from_body[:3, 3].copy()
+        return self._origin[drive]
+
+    def static_parts(self, drive: int) -> list[StaticPart]:
+        """Return the static world around the agents of a drive; empty when it cannot be rebuilt."""
+        rows = sorted({0, self.frame_count(drive) // 2, self.frame_count(drive) - 1})
+        places = [agent.world_from_body[:2, 3] for row in rows for agent in self._raw(drive, row).agents]
+        protocol = getattr(self.drives[drive], "protocol", {})
+        return static_parts(protocol, self.origin(drive), np.array(places, np.float64))
+
+    def ego_id(self, state: ReviewState) -> int:
+        """Return the agent that detects in this state."""
+        ids = [agent.agent_id for agent in self._raw(state.drive, state.frame).agents]
+        return state.ego_id if state.ego_id in ids else ids[0]
+
+    def view(self, state: ReviewState) -> FrameView:
+        """Return what is drawn of a state."""
+        frame = self._frame(state)
+        ego_id = self.ego_id(state)
+        review_from_world = np.eye(4)
+        review_from_world[:3, 3] = -self.origin(state.drive)
+        truth = frame.truth.transform(review_from_world)
+        agent_ids = [agent.agent_id for agent in frame.agents]
+        agent_of = np.array([agent_ids.index(i) if i in agent_ids else -1 for i in truth.object_id.tolist()], np.int64)
+        agents = tuple(_agent_view(frame, row, state, ego_id, review_from_world) for row in range(len(agent_ids)))
+        view = FrameView(
+            drive=self.names[state.drive],
+            index=frame.index,
+            time_s=frame.time_s,
+            agents=agents,
+            truth=truth,
+            agent_of=agent_of,
+            layers={},
+            linked=_links(agents) if state.cooperative else np.zeros((0, 2, 3)),
+            layers_off=state.layers_off,
+            point_size_m=state.point_size_m,
+        )
+        if self.detector is None:
+            evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)
+            return replace(view, layers={**_no_boxes(), FOUND: truth[evaluated], OTHER_BOXES: truth[~evaluated]})
+        return self._judged_view(view, state, review_from_world @ frame.agent(ego_id).sweep.world_from_lidar)
+
+    def _judged_view(self, view: FrameView, state: ReviewState, review_from_lidar: NDArray[np.float64]) -> FrameView:
+        found = self._detections(state)
+        matches = found.at(state.iou)
+        kept = matches.kept(state.threshold)
+        boxes = found.detections.boxes[:kept].transform(review_from_lidar)
+        right = matches.right[:kept]
+        # The truth is drawn as the frame has it; only which of it was found comes from the ego's frame.
+        found_ids = found.truth.object_id[matches.found(state.threshold)]
+        judged = np.isin(view.truth.object_id, found.truth.object_id)
+        hit = np.isin(view.truth.object_id, found_ids)
+        layers = {
+            OTHER_BOXES: view.truth[~judged],
+            FOUND: view.truth[judged & hit],
+            MISSED_BOXES: view.truth[judged & ~hit],
+            RIGHT_BOXES: boxes[right],
+            WRONG_BOXES: boxes[~right],
+        }
+        seen, seen_frames = self._seen(state)
+        return replace(view, layers=layers, counts=matches.counts(state.threshold), seen=seen, seen_frames=seen_frames)
+
+    def counts(self, state: ReviewState) -> Counts | None:
+        """Return TP, FP and FN of a state; None without a detector."""
+        if self.detector is None:
+            return None
+        return self._detections(state).at(state.iou).counts(state.threshold)
+
+    def _seen(self, state: ReviewState) -> tuple[Counts, int]:
+        """Sum the counts of all frames of the drive whose detections are known in this setting."""
+        keys = (self._key(replace(state, frame=row)) for row in range(self.frame_count(state.drive)))
+        known = [self._found[key] for key in keys if key in self._found]
+        counts = (found.at(state.iou).counts(state.threshold) for found in known)
+        return sum(counts, Counts()), len(known)
+
+    def _key(self, state: ReviewState) -> Hashable:
+        severity = 0 if state.corruption == CLEAN else state.severity
+        return (state.drive, state.frame, state.corruption, severity, state.ego_id, state.cooperative)
+
+    def _detections(self, state: ReviewState) -> _Found:
+        def detect() -> _Found:
+            detector = self.detector
+            if detector is None:
+                raise ValueError("no detector")
+            sample = make_sample(
+                self._frame(state), self.ego_id(state), detector.settings.grid, cooperative=state.cooperative
+            )
+            return _Found(detector.detect(sample), sample.boxes)
+
+        return _remember(self._found, self._key(state), _DETECTIONS_KEPT, detect)
+
+    def _raw(self, drive: int, row: int) -> Frame:
+        return _remember(self._frames, (drive, row), _FRAMES_KEPT, lambda: self.drives[drive].read(row))
+
+    def _frame(self, state: ReviewState) -> Frame:
+        raw = self._raw(state.drive, state.frame)
+        if state.corruption == CLEAN:
+            return raw
+        key = (state.drive, state.frame, state.corruption, state.severity)
+        return _remember(
+            self._corrupted, key, _FRAMES_KEPT, lambda: corrupt_frame(raw, state.corruption, state.severity, SEED)
+        )
+
+
+def _remember(cache: "OrderedDict[Hashable, T]", key: Hashable, limit: int, make: Callable[[], T]) -> T:
+    """Return the cached value of `key`, made when it is missing; the value unused for longest leaves a full cache."""
+    if key not in cache:
+        cache[key] = make()
+    cache.move_to_end(key)
+    while len(cache) > limit:
+        cache.popitem(last=False)
+    return cache[key]
+
+
+def _no_boxes() -> dict[str, Boxes]:
+    return {name: Boxes.zeros() for name in LAYERS}
+
+
+def _agent_view(
+    frame: Frame, row: int, state: ReviewState, ego_id: int, review_from_world: NDArray[np.float64]
+) -> AgentView:
+    agent = frame.agents[row]
+    visible = agent.agent_id not in state.hidden
+    sweep = agent.sweep[thin(agent.sweep, state.max_points)] if visible else agent.sweep[:0]
+    body_from_lidar = invert(agent.world_from_body) @ agent.sweep.world_from_lidar
+    rgb = agent_color(row)
+    return AgentView(
+        agent_id=agent.agent_id,
+        kind=agent.kind,
+        is_ego=agent.agent_id == ego_id,
+        visible=visible,
+        rgb=rgb,
+        review_from_lidar=review_from_world @ agent.sweep.world_from_lidar,
+        review_from_body=review_from_world @ agent.world_from_body,
+        points=sweep.points,
+        colors=paint(sweep, state.color_by, rgb, -float(body_from_lidar[2, 3])),
+        total=len(agent.sweep),
+    )
+
+
+def _links(agents: tuple[AgentView, ...]) -> NDArray[np.float64]:
+    """Return (K, 2, 3) lines from the ego's sensor to the sensors that it hears."""
+    ego = next(agent for agent in agents if agent.is_ego).review_from_lidar[:3, 3]
+    others = [agent.review_from_lidar[:3, 3] for agent in agents if not agent.is_ego]
+    heard = [other for other in others if np.hypot(*(other - ego)[:2]) <= COMM_RANGE_M]
+    return np.array([[ego, other] for other in heard], np.float64).reshape(-1, 2, 3)
+
+
+def check_corruption(kind: str, severity: int) -> None:
+    """Raise SettingsError unless this corruption exists."""
+    known = [CLEAN, *CORRUPTIONS]
+    if kind not in known:
+        raise SettingsError(f"unknown corruption '{kind}'{did_you_mean(kind, known)}")
+    if not 1 <= severity <= 5:
+        raise SettingsError(f"corruption severity: expected 1 to 5, found {severity}")
+
+
+def open_model(root: Path, checkpoint: Path | None = None) -> ReviewModel:
+    """Open all drives at or below a folder, and a detector.
+
+    Raises:
+        DataError: the folder is missing, or holds no drive.
+        CheckpointError: the checkpoint cannot be loaded.
+    """
+    drives: list[Drive] = [DriveReader(path) for path in find_drives(Path(root))]
+    if checkpoint is None:
+        return ReviewModel(drives)
+    # Torch takes seconds to import and is not needed to look at the truth.
+    from dsrc.models.checkpoint import load_detector
+
+    return ReviewModel(drives, load_detector(Path(checkpoint)))

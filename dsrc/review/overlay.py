@@ -1,0 +1,132 @@
+"""What an exported page shows beside the scene: title, legend, counts of the playing frame, camera buttons.
+
+viser leaves its panels out of exported pages, so these are plain HTML. They read the time from the slider of the
+player; where a later viser has none, the counts of the first frame stay.
+"""
+
+import json
+from dataclasses import dataclass
+from html import escape
+
+from dsrc.review import palette
+from dsrc.review.palette import Rgb
+from dsrc.review.view import MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES, FrameView
+
+_CSS = """
+#review{position:fixed;z-index:5;left:16px;top:14px;max-width:min(330px,80vw);padding:14px 16px 12px;
+ font:13px/1.45 system-ui,"Segoe UI",Roboto,"DejaVu Sans",sans-serif;color:#dbe3ee;background:rgba(13,16,23,.80);
+ border:1px solid rgba(148,163,184,.20);border-radius:10px;backdrop-filter:blur(6px);user-select:none}
+#review h1{margin:0 0 1px;font-size:15px;font-weight:650;color:#fff;letter-spacing:.01em}
+#review p{margin:0;color:#93a1b5;font-size:12px}
+#review ul{list-style:none;margin:9px 0 0;padding:8px 0 0;border-top:1px solid rgba(148,163,184,.18)}
+#review li{display:flex;align-items:center;gap:9px;padding:1.5px 0}
+#review i{flex:none;width:10px;height:10px;border-radius:50%}
+#review i.box{width:11px;height:11px;border-radius:2px;background:none;border:2px solid}
+#review i.dash{border-style:dashed}
+#review b{margin-left:auto;padding-left:16px;font-weight:600;color:#fff;font-variant-numeric:tabular-nums}
+#review small{margin-left:auto;padding-left:16px;color:#7c8aa0;font-size:11.5px;font-variant-numeric:tabular-nums}
+#review nav{display:flex;gap:6px;margin-top:10px}
+#review button{flex:1;padding:4px 0;font:inherit;font-size:12px;color:#cbd5e1;cursor:pointer;border-radius:6px;
+ background:rgba(148,163,184,.12);border:1px solid rgba(148,163,184,.22)}
+#review button:hover{background:rgba(148,163,184,.28);color:#fff}
+"""
+
+_JS = """
+(()=>{const d=window.__REVIEW__,$=i=>document.getElementById(i);let last=-1;
+const show=k=>{if(k===last)return;last=k;const f=d.frames[k];
+ for(const n in f){const e=$('review-'+n);if(e)e.textContent=f[n];}};
+const tick=()=>{const s=document.querySelector('[role=slider]');
+ const t=s?parseFloat(s.getAttribute('aria-valuenow')):NaN;
+ if(Number.isFinite(t))show(Math.max(0,Math.min(d.frames.length-1,Math.floor(t/d.interval+1e-3))));};
+show(0);setInterval(tick,50);
+for(const b of document.querySelectorAll('#review button'))b.onclick=()=>{
+ const c=window.__viserMutable&&window.__viserMutable.cameraControl,p=d.cameras[b.dataset.camera];
+ if(c&&p)c.setLookAt(p[0],p[2],-p[1],p[3],p[5],-p[4],true);};
+window.addEventListener('keydown',e=>{const b=document.querySelector('#review button[data-key="'+e.key+'"]');
+ if(b&&!/INPUT|TEXTAREA/.test(document.activeElement.tagName))b.click();});
+})();
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A button that moves the camera: name, key, and position and point looked at, review frame."""
+
+    name: str
+    key: str
+    position: tuple[float, float, float]
+    look_at: tuple[float, float, float]
+
+
+def frame_texts(view: FrameView) -> dict[str, str]:
+    """Return the texts of the legend that change with the frame, by id."""
+    texts = {"time": f"frame {view.index} · {view.time_s:.1f} s"}
+    if view.counts is None:
+        judged = len(view.truth) - len(view.layers[OTHER_BOXES])
+        return {**texts, "objects": str(judged), "other": str(len(view.layers[OTHER_BOXES]))}
+    counts = view.counts
+    share = [("precision", counts.precision), ("recall", counts.recall)]
+    texts |= {"right": str(counts.right), "wrong": str(counts.wrong), "missed": str(counts.missed)}
+    return texts | {name: "–" if value is None else f"{value:.2f}" for name, value in share}
+
+
+def add_overlay(
+    html: str, title: str, subtitle: str, views: list[dict[str, str]], first: FrameView, interval_s: float,
+    cameras: list[Camera],
+) -> str:  # fmt: skip
+    """Put the overlay into an exported page.
+
+    Args:
+        html: the page.
+        title: its heading, and the document's.
+        subtitle: one line below it.
+        views: `frame_texts` of every frame.
+        first: the first frame, for the agents and their colours.
+        interval_s: time between frames of the player, s.
+        cameras: the buttons.
+    """
+    data = {
+        "frames": views,
+        "interval": interval_s,
+        "cameras": {camera.name: [*camera.position, *camera.look_at] for camera in cameras},
+    }
+    # `</` would end the script element early, whatever text a drive's name brings.
+    packed = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
+    agents = "".join(
+        _row(agent.rgb, "", escape(f"{agent.title}{' · ego' if agent.is_ego else ''}"),
+             f"<small>{agent.total // 1000}k points</small>" if agent.total >= 1000 else "")
+        for agent in first.agents
+    )  # fmt: skip
+    buttons = "".join(
+        f'<button data-camera="{c.name}" data-key="{c.key}" title="key {c.key}">{c.name}</button>' for c in cameras
+    )
+    body = (
+        f'<style>{_CSS}</style><div id="review"><h1>{escape(title)}</h1><p>{escape(subtitle)}</p>'
+        f'<p id="review-time"></p><ul>{agents}</ul><ul>{_verdicts(first)}</ul><nav>{buttons}</nav></div>'
+        f"<script>window.__REVIEW__={packed};{_JS}</script>"
+    )
+    head = html.index("</head>")
+    html = html[:head] + f"<title>{escape(title)}</title>" + html[head:]
+    end = html.rindex("</body>")
+    return html[:end] + body + html[end:]
+
+
+def _verdicts(view: FrameView) -> str:
+    if view.counts is None:
+        return _row(palette.TRUTH, "box", "ground truth", '<b id="review-objects"></b>') + _row(
+            palette.OTHER, "box", "out of sight or class", '<b id="review-other"></b>'
+        )
+    rows = [
+        (palette.RIGHT, "box", "right (TP)", RIGHT_BOXES, "right"),
+        (palette.WRONG, "box", "wrong (FP), crossed", WRONG_BOXES, "wrong"),
+        (palette.MISSED, "box dash", "missed (FN), dashed", MISSED_BOXES, "missed"),
+    ]
+    text = "".join(_row(rgb, kind, label, f'<b id="review-{name}"></b>') for rgb, kind, label, _, name in rows)
+    shares = "".join(f'<li>{name}<b id="review-{name}"></b></li>' for name in ("precision", "recall"))
+    return text + shares
+
+
+def _row(rgb: Rgb, kind: str, label: str, end: str) -> str:
+    color = f"rgb({rgb[0]},{rgb[1]},{rgb[2]})"
+    style = f"border-color:{color}" if kind else f"background:{color}"
+    return f'<li><i class="{kind}" style="{style}"></i>{label}{end}</li>'

@@ -1,0 +1,80 @@
+"""Which points of a sweep are drawn, and in which colour."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.review.palette import FATE_COLORS, TURBO, VIRIDIS, Rgb, ramp
+from dsrc.review.state import ColorBy
+from sensors.sweep import Sweep
+
+FLOAT16_LIMIT_M = 1000.0
+"""Points farther than this are not drawn: the wire format is float16, whose steps are 0.5 m there."""
+
+
+def thin(sweep: Sweep, max_points: int) -> NDArray[np.intp]:
+    """Return the rows of at most `max_points` points, ascending.
+
+    Points on actors come first. Of the rest whole rings are left out and the others thinned along the ring by
+    distance, so that the dense ground beside the sensor pays for the far field and the pattern of rings stays.
+    """
+    far = sweep.range
+    rows = np.flatnonzero(np.isfinite(sweep.points).all(axis=1) & (far < FLOAT16_LIMIT_M))
+    if len(rows) <= max_points:
+        return rows
+    on_actor = sweep.object_id[rows] >= 0
+    actors, others = rows[on_actor], rows[~on_actor]
+    if len(actors) > max_points // 2:
+        actors = actors[np.linspace(0, len(actors) - 1, max_points // 2).astype(np.intp)]
+    budget = max_points - len(actors)
+    every = max(int(np.sqrt(len(others) / max(budget, 1)) + 0.5), 1)
+    in_kept_rings = others[sweep.ring[others] % every == 0]
+    others = in_kept_rings if len(in_kept_rings) >= budget else others
+    if len(others) > budget:
+        others = others[_strided(np.maximum(far[others], 1.0), budget)]
+    return np.sort(np.concatenate([actors, others]))
+
+
+def _strided(far: NDArray[np.floating], budget: int) -> NDArray[np.intp]:
+    """Return rows of every k-th point, k falling with the distance `far` (P,), as many as the budget allows."""
+    order = np.arange(len(far))
+
+    def kept(reach: float) -> NDArray[np.bool_]:
+        return order % np.ceil(np.maximum(reach / far, 1.0)) == 0
+
+    low, high = 0.0, float(far.max()) * (len(far) / max(budget, 1) + 1.0)
+    for _ in range(20):
+        reach = 0.5 * (low + high)
+        low, high = (reach, high) if np.count_nonzero(kept(reach)) > budget else (low, reach)
+    return np.flatnonzero(kept(high))[:budget]
+
+
+def paint(sweep: Sweep, color_by: ColorBy, agent_rgb: Rgb, ground_z: float) -> NDArray[np.uint8]:
+    """Return (P, 3) colours of the points.
+
+    Args:
+        sweep: the points that are drawn.
+        color_by: the meaning of the colour.
+        agent_rgb: the agent's colour.
+        ground_z: height of the road in the sensor frame, m.
+    """
+    if color_by == "intensity":
+        # A square root spreads the dark materials that make most of a street.
+        return ramp(np.sqrt(np.clip(sweep.intensity, 0.0, 1.0)), 0.0, 1.0, VIRIDIS)
+    if color_by == "height":
+        return ramp(sweep.points[:, 2] - ground_z, -0.5, 8.0, TURBO)
+    if color_by == "ring":
+        rings = sweep.spec.rings if sweep.spec is not None else int(sweep.ring.max(initial=0)) + 1
+        return ramp(sweep.ring.astype(np.float64), 0.0, max(rings - 1, 1), TURBO)
+    if color_by == "fate":
+        table = np.array([FATE_COLORS[f] for f in sorted(FATE_COLORS)], np.uint8)
+        return table[np.minimum(sweep.fate, len(table) - 1)]
+    return _shade(sweep, agent_rgb, ground_z)
+
+
+def _shade(sweep: Sweep, rgb: Rgb, ground_z: float) -> NDArray[np.uint8]:
+    """Dim the ground and the buildings, so that actors stand out of their agent's one colour."""
+    levels = np.array([0.38, 0.6, 1.0])
+    above = sweep.points[:, 2] > ground_z + 0.35
+    level = np.where(sweep.object_id >= 0, 2, above.astype(np.intp))
+    table = np.round(levels[:, None] * np.array(rgb, np.float64)).astype(np.uint8)
+    return table[level]

@@ -1,0 +1,191 @@
+"""Pictures of a page by a headless Chromium, spoken to over its DevTools protocol."""
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from sim.errors import DataError, SettingsError
+
+# Software rendering by name, so that a later Chromium cannot fall back to no WebGL at all.
+_FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-dev-shm-usage",
+    "--hide-scrollbars",
+    "--no-first-run",
+    "--remote-debugging-port=0",
+)
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+# Notices (`Software WebGL`, `connecting`) would lie over the picture.
+_HIDE_NOTICES = """
+document.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')
+"""
+# The player of an exported page is the only one with a slider and without a connection to a server.
+_READY = "document.querySelector('canvas') && (!window.__VISER_EMBED_DATA__ || document.querySelector('[role=slider]'))"
+_PAUSE = """
+if(window.__VISER_EMBED_DATA__)window.dispatchEvent(new KeyboardEvent('keydown',{code:'Space',key:' '}))
+"""
+
+
+def find_chromium() -> str | None:
+    """Return the path of an installed Chromium, None when there is none."""
+    return next((path for name in _NAMES if (path := shutil.which(name))), None)
+
+
+class Page:
+    """One open page of a browser."""
+
+    def __init__(self, socket: Any) -> None:
+        """Take the page's DevTools connection."""
+        self._socket = socket
+        self._ids = count(1)
+
+    def send(self, method: str, timeout_s: float = 60.0, **parameters: Any) -> dict[str, Any]:
+        """Call a DevTools method and return its result."""
+        number = next(self._ids)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self._socket.recv(timeout=timeout_s))
+            if message.get("id") == number:
+                if "error" in message:
+                    raise RuntimeError(f"{method}: {message['error'].get('message')}")
+                return message["result"]
+
+    def evaluate(self, script: str) -> Any:
+        """Run JavaScript and return its value."""
+        result = self.send("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in result:
+            raise RuntimeError(f"script failed: {result['exceptionDetails'].get('text')}")
+        return result["result"].get("value")
+
+    def wait_for(self, script: str, timeout_s: float) -> None:
+        """Wait until JavaScript is true; TimeoutError when it does not become so."""
+        end = time.monotonic() + timeout_s
+        while not self.evaluate(f"Boolean({script})"):
+            if time.monotonic() > end:
+                raise TimeoutError(f"the page did not get ready: {script}")
+            time.sleep(0.1)
+
+    def png(self) -> bytes:
+        """Return a picture of what the page shows."""
+        return base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"])
+
+
+@contextmanager
+def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str | None = None) -> Iterator[Page]:
+    """Open an address in a browser of our own, which ends with the block.
+
+    Args:
+        address: URL.
+        size: width and height of the page in pixels.
+        chromium: path of the browser; default: the installed one.
+
+    Raises:
+        SettingsError: no Chromium is installed.
+    """
+    from websockets.sync.client import connect
+
+    program = chromium or find_chromium()
+    if program is None:
+        raise SettingsError(f"screenshot: no browser found; install one of: {', '.join(_NAMES)}")
+    with tempfile.TemporaryDirectory(prefix="review-", ignore_cleanup_errors=True) as profile:
+        arguments = [
+            program,
+            *_FLAGS,
+            f"--user-data-dir={profile}",
+            f"--window-size={size[0]},{size[1]}",
+            "about:blank",
+        ]
+        browser = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            with connect(_page_socket(browser, Path(profile)), max_size=None) as socket:
+                page = Page(socket)
+                page.send("Page.enable")
+                page.send("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1,
+                          mobile=False)  # fmt: skip
+                page.send("Page.navigate", url=address)
+                yield page
+        finally:
+            browser.terminate()
+            try:
+                browser.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                browser.kill()
+                browser.wait()
+
+
+def _page_socket(browser: subprocess.Popen, profile: Path) -> str:
+    """Return the DevTools address of the browser's one page."""
+    import urllib.request
+
+    note = profile / "DevToolsActivePort"
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:
+        if browser.poll() is not None:
+            raise RuntimeError(f"the browser ended with code {browser.returncode}")
+        lines = note.read_text().splitlines() if note.exists() else []
+        if len(lines) >= 2:
+            with urllib.request.urlopen(f"http://127.0.0.1:{lines[0]}/json/list", timeout=30.0) as answer:
+                pages = [target for target in json.load(answer) if target["type"] == "page"]
+            if pages:
+                return str(pages[0]["webSocketDebuggerUrl"])
+        time.sleep(0.05)
+    raise TimeoutError("the browser did not start")
+
+
+def screenshot(
+    url_or_file: str | Path,
+    out_png: Path,
+    size: tuple[int, int] = (1280, 720),
+    settle_s: float = 4.0,
+    pause: bool = True,
+    script: str = "",
+) -> Path:
+    """Write a PNG of a live or an exported page.
+
+    Args:
+        url_or_file: URL, or path of an HTML file.
+        out_png: the picture.
+        size: width and height in pixels.
+        settle_s: time for the scene to be drawn after the canvas is there.
+        pause: stop an exported page where it is: software rendering is slower than its player.
+        script: JavaScript to run before that, to press a button of the page.
+
+    Raises:
+        DataError: the file is missing.
+        SettingsError: no Chromium is installed.
+    """
+    address = str(url_or_file)
+    if not address.startswith(("http://", "https://")):
+        path = Path(url_or_file)
+        if not path.is_file():
+            raise DataError(f"{path}: no such page")
+        address = path.resolve().as_uri()
+    with open_page(f"{address}?fixedDpr=1&darkMode", size) as page:
+        page.wait_for(_READY, 90.0)
+        page.evaluate(_HIDE_NOTICES)
+        if pause:
+            page.evaluate(_PAUSE)
+        if script:
+            page.evaluate(script)
+        time.sleep(settle_s)
+        content = page.png()
+    out_png = Path(out_png)
+    out_png.parent.mkdir(parents=True, exist_ok=True)
+    temporary = out_png.with_name(out_png.name + ".tmp")
+    temporary.write_bytes(content)
+    os.replace(temporary, out_png)
+    return out_png

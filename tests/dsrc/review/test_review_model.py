@@ -1,0 +1,111 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.review.model import ReviewModel, check_corruption, open_model
+from dsrc.review.state import ReviewState
+from dsrc.review.view import FOUND, LAYERS, MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES
+from sim.errors import DataError, SettingsError
+from sim.geometry import transform_points
+
+
+def test_points_under_their_pose_are_the_world_around_the_first_ego(truth_model, frame):
+    view = truth_model.view(ReviewState())
+    origin = frame.agents[0].world_from_body[:3, 3]
+    for agent, drawn in zip(frame.agents, view.agents, strict=True):
+        placed = transform_points(drawn.review_from_lidar, drawn.points.astype(np.float64))
+        np.testing.assert_allclose(placed, agent.sweep.world_points - origin, atol=1e-6)
+
+
+def test_drawn_points_survive_float16_although_the_world_is_far_away(truth_model):
+    for agent in truth_model.view(ReviewState()).agents:
+        assert np.abs(agent.points.astype(np.float16) - agent.points).max() < 0.04
+
+
+def test_without_a_detector_there_is_only_truth_and_no_verdict(truth_model):
+    view = truth_model.view(ReviewState())
+    assert view.counts is None
+    assert len(view.layers[RIGHT_BOXES]) == len(view.layers[WRONG_BOXES]) == len(view.layers[MISSED_BOXES]) == 0
+    # The ego's own body is not an object that it could detect.
+    assert view.layers[FOUND].object_id.tolist() == [1001, 1002, 1003, 1004, 1005]
+    assert view.layers[OTHER_BOXES].object_id.tolist() == [1000]
+
+
+def test_boxes_are_told_apart_as_right_wrong_and_missed(model):
+    view = model.view(ReviewState(threshold=0.0))
+    objects = len(view.layers[FOUND]) + len(view.layers[MISSED_BOXES])
+    assert (view.counts.right, view.counts.wrong, view.counts.missed) == (objects - 1, 1, 1)
+    assert len(view.layers[RIGHT_BOXES]) == objects - 1 and len(view.layers[WRONG_BOXES]) == 1
+    assert sum(len(view.layers[name]) for name in (FOUND, MISSED_BOXES, OTHER_BOXES)) == len(view.truth)
+    assert view.counts.precision == pytest.approx(view.counts.right / (view.counts.right + 1))
+    assert set(view.layers) == set(LAYERS)
+
+
+def test_right_detections_are_drawn_on_the_objects_that_they_found(model):
+    view = model.view(ReviewState(frame=3))
+    np.testing.assert_allclose(view.layers[RIGHT_BOXES].center, view.layers[FOUND].center, atol=0.01)
+
+
+def test_the_threshold_cuts_detections_without_detecting_again(model, detector):
+    counts = [model.view(ReviewState(threshold=t)).counts for t in (0.0, 0.5, 0.7, 1.0)]
+    assert len(detector.samples) == 1
+    assert [c.wrong for c in counts] == [1, 0, 0, 0]
+    assert counts[0].right == counts[1].right > counts[2].right > counts[3].right == 0
+    assert all(c.right + c.missed == counts[0].right + counts[0].missed for c in counts)
+
+
+def test_a_corruption_changes_what_is_drawn_and_what_the_detector_gets_once(model, detector, fake_fog):
+    clean = model.view(ReviewState())
+    foggy = replace(ReviewState(), corruption="fog", severity=4)
+    for threshold in (0.1, 0.5):
+        view = model.view(replace(foggy, threshold=threshold))
+    assert fake_fog == [(0, "fog", 4)]
+    assert len(view.agents[0].points) == (len(clean.agents[0].points) + 1) // 2
+    assert len(detector.samples) == 2
+    assert len(detector.samples[1].clouds[0]) < len(detector.samples[0].clouds[0])
+
+
+def test_counts_sum_over_the_frames_that_were_looked_at(model):
+    first = model.view(ReviewState(frame=0))
+    second = model.view(ReviewState(frame=1))
+    assert (first.seen_frames, second.seen_frames) == (1, 2)
+    assert second.seen == first.counts + second.counts
+
+
+def test_another_ego_detects_from_its_own_place(model, detector):
+    model.view(ReviewState(ego_id=1002, cooperative=False))
+    assert detector.samples[0].agent_ids == (1002,)
+
+
+def test_a_hidden_agent_has_no_points_and_still_speaks(model, detector):
+    view = model.view(ReviewState(hidden=frozenset({1002})))
+    assert len(view.agents[1].points) == 0 and not view.agents[1].visible
+    assert 1002 in detector.samples[0].agent_ids
+
+
+def test_frames_are_read_once(truth_model, drive):
+    for frame in (0, 1, 0, 1):
+        truth_model.view(ReviewState(frame=frame))
+    assert sorted(drive.reads) == [0, 1]
+
+
+def test_links_join_the_ego_with_those_it_hears(model):
+    view = model.view(ReviewState())
+    assert view.linked.shape == (2, 2, 3)
+    assert len(model.view(ReviewState(cooperative=False)).linked) == 0
+
+
+def test_wrong_input_is_one_line(tmp_path, drive):
+    with pytest.raises(SettingsError, match=r"^unknown corruption 'clea'; did you mean 'clean'\?$"):
+        check_corruption("clea", 3)
+    with pytest.raises(SettingsError, match="severity: expected 1 to 5, found 6"):
+        check_corruption("clean", 6)
+    with pytest.raises(DataError, match=str(tmp_path)):
+        open_model(tmp_path)
+    with pytest.raises(DataError):
+        open_model(Path("nowhere/at/all"))
+    drive.frames = ()
+    with pytest.raises(DataError, match="at least one frame"):
+        ReviewModel([drive])

@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from dsrc.review.palette import AGENT_COLORS, FATE_COLORS
+from dsrc.review.points import paint, thin
+from dsrc.review.state import COLOR_BY
+from sensors.sweep import KEPT, SCATTERED, make_sweep
+
+
+def ground(n: int = 20_000, actors: int = 500):
+    rng = np.random.default_rng(3)
+    radius = rng.uniform(3.0, 80.0, n) ** 1.0
+    angle = rng.uniform(0, 2 * np.pi, n)
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(n, -1.8)], axis=1)
+    ids = np.full(n, -1)
+    ids[:actors] = 1000
+    return make_sweep(points, object_id=ids, ring=np.arange(n) % 64, intensity=rng.random(n))
+
+
+@pytest.mark.parametrize("limit", [1, 50, 999, 7000, 19_999, 20_000, 50_000])
+def test_thinning_keeps_the_limit_and_the_order(limit):
+    rows = thin(ground(), limit)
+    assert len(rows) <= limit
+    assert (np.diff(rows) > 0).all()
+    assert len(rows) >= min(limit, 20_000) // 2
+
+
+def test_thinning_keeps_points_on_actors_before_the_ground():
+    sweep = ground()
+    rows = thin(sweep, 3000)
+    assert np.count_nonzero(sweep.object_id[rows] >= 0) == 500
+
+
+def test_thinning_takes_more_from_what_is_near():
+    sweep = ground(actors=0)
+    share = [np.isin(np.flatnonzero(band), thin(sweep, 4000)).mean() for band in (sweep.range < 20, sweep.range > 60)]
+    assert share[0] < share[1]
+
+
+def test_points_that_float16_cannot_hold_are_not_drawn():
+    sweep = make_sweep(np.array([[1.0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0], [70_000.0, 0, 0]]))
+    assert thin(sweep, 100).tolist() == [0]
+
+
+@pytest.mark.parametrize("color_by", COLOR_BY)
+def test_every_colouring_gives_one_colour_per_point(color_by):
+    for sweep in (ground(100), ground(0, 0)):
+        colors = paint(sweep, color_by, AGENT_COLORS[0], -1.8)
+        assert colors.shape == (len(sweep), 3) and colors.dtype == np.uint8
+
+
+def test_actors_shine_in_their_agents_colour_and_the_ground_is_dim():
+    colors = paint(ground(1000, 10), "agent", (200, 100, 50), -1.8)
+    assert (colors[:10] == (200, 100, 50)).all()
+    assert colors[10:].max() < 100
+
+
+def test_fates_have_their_colours():
+    sweep = make_sweep(np.zeros((2, 3)), fate=np.array([KEPT, SCATTERED]))
+    assert paint(sweep, "fate", (1, 2, 3), 0.0).tolist() == [list(FATE_COLORS[KEPT]), list(FATE_COLORS[SCATTERED])]
