@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from sim.world.facades import STOREY_M, WALLS, colours, wall_rectangles, windows
 from sim.world.markings import cut_line, offset
 from sim.world.meshfiles import read_3ds
 from sim.world.roads import TOWN_SPEED_MPS
@@ -17,7 +18,11 @@ from sim.world.streets import Streets
 CLEARANCE_M = 4.5
 """Height over a lane below which nothing may stand."""
 
-_WALLS = ("brick", "plaster", "concrete")
+_PAVED_BELOW_M = 0.02
+"""How far yards and car parks of the mesh lie below our road, which is laid over them."""
+
+_NO_HOUSE_M = 60.0
+"""No houses are made up this close to a motorway."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +36,14 @@ class Placement:
 
 
 # Placement as in tools/game/bs3d/view_B.xml of SUMO; what its numbered materials show was found by their areas,
-# heights and slopes. Its ground is drawn narrower than SUMO's lanes and is therefore left out.
+# heights and slopes. Its roads are drawn narrower than SUMO's lanes, so ours lie above them.
 PLACEMENTS = {
     "bs3.3ds": Placement(
         660.0, 679.0, 1.30,
         (
             ("Material - 19", "brick"), ("Material - 20", "roof"), ("Material - 15", "kerb"),
             ("Material - 17", "hedge"), ("Material - 18", "hedge"), ("Material - 11", "concrete"),
+            ("Material - 0", "asphalt"), ("Material - 14", "pavement"),
         ),
     )
 }  # fmt: skip
@@ -71,17 +77,22 @@ def city_mesh(path: Path, streets: Streets) -> Town:
     footprints = _footprints(triangles)
     shapely.prepare(streets.road)
     # A house over the street stays, a wall across it goes: the lanes are driven on whatever the mesh says.
+    paved = np.isin(material, ["asphalt", "pavement"])
     low = triangles[:, :, 2].min(axis=1) < CLEARANCE_M
-    keep = ~(low & shapely.intersects(streets.road, footprints))
-    triangles, material, footprints = triangles[keep], material[keep], footprints[keep]
-    base = streets.height(triangles[:, :, :2].mean(axis=1))
-    triangles = triangles + base[:, None, None] * np.array([0.0, 0.0, 1.0])
-    pieces = []
+    keep = paved | ~(low & shapely.intersects(streets.road, footprints))
+    triangles, material, footprints, paved = triangles[keep], material[keep], footprints[keep], paved[keep]
+    footprint = shapely.unary_union(footprints[np.isin(material, ["roof", "brick", "concrete"])])
+    centers = triangles[:, :, :2].mean(axis=1)
+    rise = streets.height(centers) - _PAVED_BELOW_M * paved
+    triangles = triangles + rise[:, None, None] * np.array([0.0, 0.0, 1.0])
+    walls = material == "brick"
+    panes = windows(*wall_rectangles(triangles[walls], footprint))
+    material[walls] = colours(centers[walls], footprint)
+    pieces = [panes]
     for name in sorted(set(material)):
         chosen = triangles[material == name]
         pieces.append(piece(chosen, np.arange(3 * len(chosen)), name))
-    solid = np.isin(material, ["roof", "brick", "concrete", "plaster"])
-    return Town(tuple(pieces), shapely.unary_union(footprints[solid]))
+    return Town(tuple(pieces), footprint)
 
 
 @lru_cache(maxsize=1)
@@ -112,7 +123,9 @@ def _footprints(triangles: Array) -> NDArray[np.object_]:
 
 def blocks(streets: Streets, rng: np.random.Generator) -> Town:
     """Return seeded houses along the streets of a town, none of them on a lane, a footway or a junction."""
-    blocked = (streets.road | streets.walk | streets.rail).buffer(2.0)
+    fast = [shapely.LineString(lane.line) for lane in streets.lanes if lane.speed > TOWN_SPEED_MPS]
+    near_fast = shapely.unary_union(fast).buffer(_NO_HOUSE_M)
+    blocked = (streets.road | streets.walk | streets.rail).buffer(2.0) | near_fast
     shapely.prepare(blocked)
     taken: list[shapely.Polygon] = []
     pieces: list[Piece] = []
@@ -121,7 +134,7 @@ def blocks(streets: Streets, rng: np.random.Generator) -> Town:
         at = float(rng.uniform(4.0, 10.0))
         while at + 9.0 < length:
             width, depth = float(rng.uniform(9.0, 26.0)), float(rng.uniform(9.0, 14.0))
-            storeys, wall = int(rng.integers(2, 6)), _WALLS[int(rng.integers(len(_WALLS)))]
+            storeys, wall = int(rng.integers(2, 6)), WALLS[int(rng.integers(len(WALLS)))]
             setback, gap = float(rng.uniform(0.5, 5.0)), float(rng.choice([0.0, 0.0, 4.0, 12.0]))
             house = _rectangle(front, at, min(width, length - at), setback, depth)
             at += width + gap
@@ -131,19 +144,30 @@ def blocks(streets: Streets, rng: np.random.Generator) -> Town:
             if any((taken[row] & house).area > 0.5 for row in tree.query(house)):
                 continue
             taken.append(house)
-            pieces.append(slab(house, streets.height, 3.1 * storeys + 0.8, wall, "roof", 0.6))
+            pieces += _house(house, streets, STOREY_M * storeys + 0.8, wall)
     return Town(tuple(pieces), shapely.unary_union(taken))
 
 
+def _house(house: shapely.Polygon, streets: Streets, height_m: float, wall: str) -> list[Piece]:
+    """Return walls, a flat roof and windows over a footprint."""
+    corners = np.asarray(shapely.geometry.polygon.orient(house).exterior.coords)
+    ends = np.stack([corners[:-1], corners[1:]], axis=1)
+    foot = streets.height(corners[:-1])
+    return [
+        slab(house, streets.height, height_m, wall, "roof", 0.6),
+        windows(ends, foot, foot + height_m),
+    ]
+
+
 def _fronts(streets: Streets) -> list[Array]:
-    """Return the lines along which houses stand, each running with its street on the right... and seen from it."""
+    """Return the lines along which houses stand, each with its street on its right."""
     fronts = []
     for lane in streets.lanes:
         if lane.kind != "road" or lane.internal or not 8.0 <= lane.speed <= TOWN_SPEED_MPS:
             continue
         reach = 0.5 * lane.width + 5.0
         if lane.index == 0:
-            fronts.append(offset(lane.line, -reach)[::-1])
+            fronts.append(offset(lane.line, -reach - lane.verge)[::-1])
         if lane.index == lane.count - 1 and not lane.opposite:
             fronts.append(offset(lane.line, reach))
     return fronts

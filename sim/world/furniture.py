@@ -10,7 +10,7 @@ from sim.world.streets import Lane, Streets
 
 _LAMP_EVERY_M = 32.0
 _TREE_EVERY_M = 11.0
-_LEAVES_PER_TREE = 70
+_LEAVES_PER_TREE = 110
 _UNIT_CLEAR_M = 12.0
 
 
@@ -75,7 +75,7 @@ def _signals(streets: Streets, places: _Places) -> list[Piece]:
         end, way = lane.line[-1], lane.line[-1] - lane.line[-2]
         way = way / max(float(np.hypot(*way)), 1e-9)
         for aside in (0.9, 1.4, 2.0):
-            xy = end + (0.5 * lane.width + aside) * np.array([way[1], -way[0]])
+            xy = end + (0.5 * lane.width + lane.verge + aside) * np.array([way[1], -way[0]])
             if places.free(xy, 0.6, 0.5, 1.0, 1.0):
                 pieces.append(move(traffic_light(), _base(streets, xy), float(np.arctan2(way[1], way[0]))))
                 break
@@ -106,7 +106,7 @@ def _lamps(streets: Streets, places: _Places) -> list[Piece]:
     """Return lamps and, between some of them, signs along the right side of each street of a town."""
     pieces = []
     for lane in _kerbside(streets):
-        line = offset(lane.line, -0.5 * lane.width - 0.8)
+        line = offset(lane.line, -0.5 * lane.width - lane.verge - 0.8)
         for number, at in enumerate(np.arange(8.0, _length(line) - 4.0, 0.5 * _LAMP_EVERY_M)):
             here, ahead = cut_line(line, at, at + 0.5)[[0, -1]]
             if not places.free(here, 0.6, 0.8, 3.0, 6.0):
@@ -122,9 +122,9 @@ def _lamps(streets: Streets, places: _Places) -> list[Piece]:
 def _trees(streets: Streets, places: _Places, rng: np.random.Generator) -> list[Piece]:
     """Return trees in a row along the streets and loose ones behind it."""
     pieces = []
-    for lane in _kerbside(streets, fast=True):
+    for lane, side in _edges(streets):
         for row, chance in ((3.4, 0.55), (9.0, 0.35), (16.0, 0.35)):
-            line = offset(lane.line, -0.5 * lane.width - row)
+            line = offset(lane.line, side * (0.5 * lane.width + lane.verge + row))
             for at in np.arange(5.0, _length(line) - 5.0, _TREE_EVERY_M):
                 shake, lot, size = rng.uniform(-1.5, 1.5, 2), rng.uniform(), rng.uniform(0.8, 1.25)
                 xy = cut_line(line, at, at + 0.5)[0] + shake
@@ -150,14 +150,17 @@ def tree(rng: np.random.Generator, size: float) -> Piece:
     return join([trunk, piece(leaves, np.arange(3 * _LEAVES_PER_TREE), "leaves")])
 
 
-def _kerbside(streets: Streets, fast: bool = False) -> list[Lane]:
-    """Return the rightmost lanes of streets; of a town only, unless `fast` ones are wanted too."""
-    top = 100.0 if fast else TOWN_SPEED_MPS
-    return [
-        lane
-        for lane in streets.lanes
-        if lane.kind == "road" and not lane.internal and lane.index == 0 and 8.0 <= lane.speed <= top
-    ]
+def _kerbside(streets: Streets) -> list[Lane]:
+    """Return the rightmost lanes of the streets of a town."""
+    return [lane for lane, side in _edges(streets) if side < 0 and lane.speed <= TOWN_SPEED_MPS]
+
+
+def _edges(streets: Streets) -> list[tuple[Lane, float]]:
+    """Return the outer lanes of all streets and the side on which the street ends: -1 right, 1 left."""
+    lanes = [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal and lane.speed >= 8.0]
+    right = [(lane, -1.0) for lane in lanes if lane.index == 0]
+    left = [(lane, 1.0) for lane in lanes if lane.index == lane.count - 1 and not lane.opposite]
+    return right + left
 
 
 def _length(line: Array) -> float:

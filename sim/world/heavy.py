@@ -66,5 +66,5 @@ def bus(paint: str) -> Piece:
         box([-5.985, -0.26, 0.60], [-5.945, 0.26, 0.71], "plate"),
         box([5.97, -0.26, 0.40], [6.0, 0.26, 0.51], "plate"),
     ]
-    wheels = _wheels((3.55, -2.70), 1.27, 0.48)
+    wheels = _wheels((3.55, -2.70), 1.28, 0.48)
     return join([body, screen, rear, *panes, *doors, *mirrors, top, *lamps, *front, *plates, *wheels])

@@ -35,11 +35,12 @@ def surfaces(streets: Streets) -> list[Piece]:
 
 def pavement(streets: Streets) -> shapely.Geometry:
     """Return the polygon of footways and of a strip along the carriageways of a town."""
-    town = [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal and _in_town(lane.speed)]
-    reach = [
-        shapely.LineString(lane.line).buffer(0.5 * lane.width + _PAVEMENT_WIDTH_M, cap_style="flat") for lane in town
+    strips = [
+        shapely.LineString(lane.line).buffer(-0.5 * lane.width - _PAVEMENT_WIDTH_M, single_sided=True)
+        for lane in streets.lanes
+        if lane.kind == "road" and not lane.internal and lane.index == 0 and _in_town(lane.speed)
     ]
-    around = shapely.unary_union(reach) & shapely.box(*streets.window)
+    around = shapely.unary_union(strips).buffer(0.2).buffer(-0.2) & shapely.box(*streets.window)
     return ((around | streets.walk) - streets.road - streets.rail).simplify(0.05).buffer(0)
 
 
@@ -53,7 +54,7 @@ def _kerbs(streets: Streets) -> shapely.Geometry:
     town = [lane for lane in streets.lanes if lane.kind == "road" and _in_town(lane.speed)]
     reach = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width + 1.0) for lane in town])
     outline = streets.road.buffer(_KERB_WIDTH_M, join_style="mitre") - streets.road
-    ways = [lane for lane in streets.lanes if lane.kind in ("walk", "bicycle", "crossing", "rail")]
+    ways = [lane for lane in streets.lanes if lane.kind in ("walk", "crossing", "rail") and not lane.beside_road]
     openings = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width) for lane in ways])
     return (outline & reach & shapely.box(*streets.window)) - openings
 

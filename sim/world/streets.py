@@ -22,16 +22,18 @@ class Lane:
     """One lane near the area.
 
     Attributes:
-        kind: "road", "walk", "bicycle", "rail" or "crossing".
+        kind: "road", "bicycle" (part of a carriageway), "walk", "rail" or "crossing".
         line: (K, 2) centre line, m.
         width: m.
         edge: id of the edge it belongs to.
-        index: from the right, 0 first.
-        count: lanes of the edge.
+        index: from the right among the lanes of its kind, 0 first.
+        count: lanes of its kind on the edge.
+        verge: width of the lanes of other kinds on its right, sidewalks and the like, m.
         internal: it leads through a junction.
         speed: limit, m/s.
         stop: how it ends: "signal", "yield" or "".
         opposite: the edge has a partner in the other direction along its left side.
+        beside_road: the edge has lanes for motor vehicles.
     """
 
     kind: str
@@ -40,10 +42,12 @@ class Lane:
     edge: str
     index: int
     count: int
+    verge: float
     internal: bool
     speed: float
     stop: str
     opposite: bool
+    beside_road: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +58,7 @@ class Streets:
         area: (x_min, y_min, x_max, y_max) the part that carries agents, m.
         window: the wider part that is meshed.
         lanes: all lanes that touch the window.
-        road: polygon of everything that motor vehicles drive on.
+        road: polygon of the carriageways and of the junctions between them.
         walk: polygon of footways and crossings, where they do not lie on the road.
         rail: polygon of tracks off the road.
         knots: lane points that carry the height, or None when the network is flat.
@@ -93,38 +97,54 @@ def read_streets(net: Any, area: Area | None, margin_m: float) -> Streets:
     points: list[NDArray[np.float64]] = []
     for edge in sorted(edges, key=lambda edge: edge.getID()):
         opposite = _has_opposite(edge)
+        kinds = [_kind(edge, lane) for lane in edge.getLanes()]
         for lane in edge.getLanes():
             line = np.array(lane.getShape3D(), np.float64)
             if len(line) < 2 or not frame.intersects(shapely.LineString(line[:, :2])):
                 continue
             points.append(_resample(line))
-            lanes.append(_lane(edge, lane, _without_repeats(line[:, :2]), opposite))
+            lanes.append(_lane(edge, lane, kinds, _without_repeats(line[:, :2]), opposite))
     knots, level = _levels(points)
-    road = _close(_cover(lanes, ("road",)) | _junctions(net, frame)) & frame
+    road = _close(_cover(lanes, ("road", "bicycle")) | _junctions(net, frame)) & frame
     areas = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() == "walkingarea"]
-    walk = _cover(lanes, ("walk", "bicycle")) | _walking_areas(areas, frame)
+    walk = _cover(lanes, ("walk",)) | _walking_areas(areas, frame)
     walk = _close(walk & frame) - road
     rail = (_cover(lanes, ("rail",)) & frame) - road - walk
     return Streets(area, window, tuple(lanes), road, walk, rail, knots, level)
 
 
-def _lane(edge: Any, lane: Any, line: Array, opposite: bool) -> Lane:
+def _kind(edge: Any, lane: Any) -> str:
     if edge.getFunction() == "crossing":
-        kind = "crossing"
-    elif any(lane.allows(name) for name in _ROAD_CLASSES):
-        kind = "road"
-    elif lane.allows("bicycle"):
-        kind = "bicycle"
-    elif lane.allows("pedestrian"):
+        return "crossing"
+    if any(lane.allows(name) for name in _ROAD_CLASSES):
+        return "road"
+    if lane.allows("bicycle"):
+        return "bicycle" if not lane.allows("pedestrian") else "walk"
+    return "walk" if lane.allows("pedestrian") else "rail"
+
+
+def _lane(edge: Any, lane: Any, kinds: list[str], line: Array, opposite: bool) -> Lane:
+    own = lane.getIndex()
+    kind = kinds[own]
+    # A cycle lane beside a carriageway is part of it.
+    if kind == "bicycle" and "road" not in kinds and edge.getFunction() == "":
         kind = "walk"
-    else:
-        kind = "rail"
-    width = lane.getWidth() if kind not in ("walk", "bicycle") else min(lane.getWidth(), _WALK_WIDTH_M)
     internal = edge.getFunction() != ""
+    others = [other.getWidth() for other, of in zip(edge.getLanes()[:own], kinds, strict=False) if of != kinds[own]]
     return Lane(
-        kind=kind, line=line, width=width, edge=edge.getID(), index=lane.getIndex(), count=len(edge.getLanes()),
-        internal=internal, speed=edge.getSpeed(), stop="" if internal else _stop(edge, lane), opposite=opposite,
-    )  # fmt: skip
+        kind=kind,
+        line=line,
+        width=min(lane.getWidth(), _WALK_WIDTH_M) if kind == "walk" and "road" not in kinds else lane.getWidth(),
+        edge=edge.getID(),
+        index=kinds[:own].count(kinds[own]),
+        count=kinds.count(kinds[own]),
+        verge=float(sum(others)),
+        internal=internal,
+        speed=edge.getSpeed(),
+        stop="" if internal else _stop(edge, lane),
+        opposite=opposite,
+        beside_road="road" in kinds and not internal,
+    )
 
 
 def _stop(edge: Any, lane: Any) -> str:

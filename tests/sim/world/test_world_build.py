@@ -1,0 +1,167 @@
+import numpy as np
+import pytest
+import shapely
+from embreex import rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+
+from sim.networks import read_network, resolve_network
+from sim.scenario import list_scenarios, load_scenario
+from sim.world.build import MARGIN_M, build_world
+from sim.world.materials import MATERIALS, material_index
+from sim.world.streets import read_streets
+
+SOLID = ("brick", "plaster", "concrete", "roof", "glass", "metal", "dark_metal", "hedge", "bark", "leaves", "kerb")
+TOWNS = [name for name in list_scenarios() if name != "highway"]
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    made = {}
+
+    def of(name):
+        if name not in made:
+            scenario = load_scenario(name)
+            streets = read_streets(read_network(resolve_network(scenario, 1)), scenario.network.area_m, MARGIN_M)
+            made[name] = build_world(scenario, 1), streets
+        return made[name]
+
+    return of
+
+
+def look(mesh, origin, direction):
+    """Return (N,) distance (inf: nothing) and (N,) face of rays in the world."""
+    middle = np.round(mesh.bounds.mean(axis=0))
+    scene = rtcore_scene.EmbreeScene()
+    TriangleMesh(scene, (mesh.vertices - middle).astype(np.float32), mesh.faces.astype(np.int32))
+    start = (np.asarray(origin) - middle).astype(np.float32)
+    hits = scene.run(start, np.ascontiguousarray(np.broadcast_to(direction, start.shape), np.float32), output=1)
+    return np.where(hits["primID"] >= 0, hits["tfar"], np.inf), hits["primID"]
+
+
+def lane_samples(streets, kinds=("road",)):
+    """Return (N, 2) points in the middle of lanes, 3 m apart, and whether each lies on a junction."""
+    frame = shapely.box(*streets.area)
+    points, internal = [], []
+    for lane in streets.lanes:
+        line = shapely.LineString(lane.line)
+        at = shapely.line_interpolate_point(line, np.arange(0.5, line.length, 3.0))
+        chosen = at[shapely.contains(frame, at)] if lane.kind in kinds else at[:0]
+        points.append(shapely.get_coordinates(chosen))
+        internal.append(np.full(len(chosen), lane.internal))
+    return np.concatenate(points), np.concatenate(internal)
+
+
+def names(mesh, faces):
+    return np.array([m.name for m in MATERIALS])[mesh.face_attributes["material"][faces]]
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_a_ray_straight_down_on_a_lane_meets_the_road_or_its_paint(worlds, name):
+    mesh, streets = worlds(name)
+    points, _ = lane_samples(streets)
+    assert len(points) > 200
+    above = np.column_stack([points, np.full(len(points), 4.4)])
+    distance, face = look(mesh, above, [0, 0, -1])
+    assert set(names(mesh, face)) <= {"asphalt", "marking"}
+    assert np.abs(distance - 4.4).max() < 0.011
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_nothing_stands_in_the_way_of_a_vehicle(worlds, name):
+    mesh, streets = worlds(name)
+    low = mesh.triangles[:, :, 2].min(axis=1) < 4.4
+    solid = np.isin(mesh.face_attributes["material"], [material_index(n) for n in SOLID]) & low
+    hull = shapely.convex_hull(shapely.multipoints([shapely.points(t) for t in mesh.triangles[solid][:, :, :2]]))
+    lanes = [lane for lane in streets.lanes if lane.kind == "road"]
+    middle = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width - 0.2) for lane in lanes])
+    middle &= shapely.box(*streets.window)
+    shapely.prepare(middle)
+    assert not shapely.intersects(middle, hull).any()
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_every_face_has_a_valid_material_and_finite_corners(worlds, name):
+    mesh, _ = worlds(name)
+    material = mesh.face_attributes["material"]
+    assert material.dtype == np.uint8 and material.shape == (len(mesh.faces),) and material.max() < len(MATERIALS)
+    assert np.isfinite(mesh.vertices).all() and mesh.faces.max() < len(mesh.vertices)
+    assert {"asphalt", "marking", "ground", "metal"} <= set(names(mesh, np.arange(len(mesh.faces))))
+    assert len(mesh.faces) < 250_000
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_the_ground_is_below_everything_and_reaches_beyond_the_area(worlds, name):
+    mesh, streets = worlds(name)
+    low_x, low_y, high_x, high_y = streets.area
+    x, y = np.meshgrid(np.linspace(low_x - 150, high_x + 150, 23), np.linspace(low_y - 150, high_y + 150, 23))
+    above = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 100.0)])
+    distance, _ = look(mesh, above, [0, 0, -1])
+    assert np.isfinite(distance).all()
+    below, face = look(mesh, above * [1, 1, -1], [0, 0, 1])
+    assert set(names(mesh, face)) <= {"ground", "bark", "kerb", "brick", "plaster", "concrete"}
+    assert np.abs(below - 99.95).max() < 0.61
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_paint_lies_above_the_road(worlds, name):
+    mesh, _ = worlds(name)
+    material = mesh.face_attributes["material"]
+    paint = mesh.triangles[material == material_index("marking")][:, :, 2]
+    roads = mesh.triangles[material == material_index("asphalt")][:, :, 2]
+    assert len(paint) > 100 and paint.min() >= roads.max() + 0.005
+
+
+def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds):
+    mesh, streets = worlds("braunschweig")
+    material = mesh.face_attributes["material"]
+    house = np.isin(material, [material_index(n) for n in ("brick", "plaster", "concrete", "roof", "glass")])
+    triangles = mesh.triangles[house]
+    near = np.hypot(*(triangles[:, :, :2].mean(axis=1) - [671.0, 639.2]).T) < 250.0
+    hull = shapely.convex_hull(shapely.multipoints([shapely.points(t) for t in triangles[near][:, :, :2]]))
+    covered = shapely.unary_union(hull)
+    points, _ = lane_samples(streets)
+    points = points[np.hypot(*(points - [671.0, 639.2]).T) < 250.0]
+    assert len(hull) > 1000 and len(points) > 500
+    assert not shapely.contains_xy(covered, *points.T).any()
+
+
+def test_the_real_houses_of_braunschweig_are_seen_from_the_junction(worlds):
+    mesh, _ = worlds("braunschweig")
+    angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    eye = np.tile([671.0, 639.2, 1.9], (720, 1))
+    way = np.column_stack([np.cos(angle), np.sin(angle), np.full(720, 0.02)])
+    distance, face = look(mesh, eye, way)
+    seen = names(mesh, face[np.isfinite(distance) & (distance < 120.0)])
+    assert np.isin(seen, ["brick", "plaster", "concrete", "glass"]).sum() > 200
+
+
+def test_a_mast_does_not_stand_before_its_roadside_sensor(worlds):
+    for name in list_scenarios():
+        units = load_scenario(name).agents.roadside
+        mesh, _ = worlds(name)
+        for unit in units:
+            angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+            way = np.column_stack([np.cos(angle), np.sin(angle), np.full(360, -np.tan(np.radians(30.0)))])
+            distance, _ = look(mesh, np.tile(unit.xyz_m, (360, 1)), way / np.linalg.norm(way, axis=1)[:, None])
+            assert distance.min() > 1.5
+
+
+def test_a_world_depends_on_its_seed_only_where_no_map_tells():
+    scenario = load_scenario("four_way")
+    first, again, other = build_world(scenario, 3), build_world(scenario, 3), build_world(scenario, 4)
+    assert np.array_equal(first.vertices, again.vertices) and np.array_equal(first.faces, again.faces)
+    assert np.array_equal(first.face_attributes["material"], again.face_attributes["material"])
+    assert first.vertices.shape != other.vertices.shape or not np.array_equal(first.vertices, other.vertices)
+
+
+def test_towns_have_houses_kerbs_and_trees(worlds):
+    for name in TOWNS:
+        mesh, _ = worlds(name)
+        found = set(names(mesh, np.arange(len(mesh.faces))))
+        assert {"roof", "kerb", "pavement", "leaves", "bark", "signal_lamp", "glass"} <= found
+
+
+def test_names_of_materials_are_unique_and_reflectivities_physical():
+    assert len({m.name for m in MATERIALS}) == len(MATERIALS) < 256
+    assert all(0.0 <= m.reflectivity <= 1.0 for m in MATERIALS)
+    assert all(MATERIALS[material_index(m.name)] is m for m in MATERIALS)
