@@ -136,15 +136,10 @@ def test_a_perfect_detector_has_ap_1_and_the_truth_itself_is_one():
 
 def test_height_counts_in_3d_only():
     frames = random_frames(np.random.default_rng(10), 10)
-    lifted = [
-        FrameResult(
-            Detections(
-                replace(f.truth, center=f.truth.center + np.array([0, 0, 5])), np.full(len(f.truth), 0.5, np.float32)
-            ),
-            f.truth,
-        )
-        for f in frames
-    ]
+    lifted = []
+    for frame in frames:
+        boxes = replace(frame.truth, center=frame.truth.center + np.array([0, 0, 5]))
+        lifted.append(FrameResult(Detections(boxes, np.full(len(boxes), 0.5, np.float32)), frame.truth))
     result = evaluate(lifted)
     assert result.curves["bev", 0.7].ap == pytest.approx(1.0)
     assert result.curves["3d", 0.3].ap == 0.0

@@ -1,0 +1,156 @@
+"""Benchmark runner: methods on drives, clean and under corruptions."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from dsrc.data.opv2v import DriveReader
+from dsrc.data.sample import GridSpec, Sample, inside_range, make_sample
+from dsrc.detections import Detections
+from dsrc.evaluation.ap import FrameResult, evaluate
+from dsrc.evaluation.rows import CLEAN, Row, make_row, summary_rows
+from sensors.frame import Frame
+from sim.errors import DataError, SettingsError, complaint, did_you_mean
+
+Progress = Callable[[int, int], None]
+
+
+class SampleDetector(Protocol):
+    """What the benchmark needs of a detector; its `settings.grid` says what it looks at."""
+
+    @property
+    def settings(self) -> Any:
+        """Settings with at least `grid`; `max_agents`, when there, limits the collaborators."""
+        ...
+
+    def detect(self, sample: Sample) -> Detections:
+        """Return detections in the ego LiDAR's frame."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A detector, its name in tables, and whether it gets the collaborators' clouds."""
+
+    name: str
+    detector: SampleDetector
+    cooperative: bool = True
+
+
+def run_benchmark(
+    methods: Sequence[Method],
+    drives: Sequence[Path],
+    corruptions: Sequence[str] = ("all",),
+    severity: int = 3,
+    seed: int = 0,
+    limit: int | None = None,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """Evaluate methods under the clean condition and under each corruption.
+
+    Each frame is read once and corrupted once per corruption; all methods see the same sweeps. The ground truth is
+    that of the clean frame: an object whose points a corruption took away is still there to be missed. Detections
+    that are not wholly inside the detector's range are left out, as such ground truth is.
+
+    Args:
+        methods: detectors with names that differ.
+        drives: folders of drives.
+        corruptions: kinds, `all`, or `clean` for none; the clean condition is always there.
+        severity: 1 to 5.
+        seed: of the corruptions.
+        limit: evaluate at most this many frames, evenly spread over all drives.
+        progress: called with frames done and frames in all, conditions counted separately.
+
+    Returns:
+        Rows by condition and method, then `mean_ap` and `mce` of each method.
+
+    Raises:
+        SettingsError: an unknown corruption, a severity or limit out of range, two methods of one name.
+        DataError: a drive cannot be read, or there is no frame.
+    """
+    conditions = [CLEAN, *corruption_kinds(corruptions)]
+    _check(methods, severity, limit)
+    places = _places([DriveReader(drive) for drive in drives], limit)
+    if not places:
+        raise DataError(complaint("evaluate", "drives", "at least one frame", "none"))
+    results: dict[tuple[str, str], list[FrameResult]] = {(c, m.name): [] for c in conditions for m in methods}
+    seconds = dict.fromkeys(results, 0.0)
+    done, total = 0, len(places) * len(conditions)
+    for reader, i in places:
+        frame = reader.read(i)
+        for condition in conditions:
+            seen = corrupted(frame, condition, severity, seed)
+            samples: dict[tuple[GridSpec, int, bool], Sample] = {}
+            for method in methods:
+                sample = _sample(seen, method, samples, reader.drive.name)
+                start = time.perf_counter()
+                found = method.detector.detect(sample)
+                seconds[condition, method.name] += time.perf_counter() - start
+                judged = found[inside_range(found.boxes, method.detector.settings.grid)]
+                results[condition, method.name].append(FrameResult(judged, sample.boxes))
+            done += 1
+            if progress is not None:
+                progress(done, total)
+    rows = [
+        make_row(name, condition, 0 if condition == CLEAN else severity, evaluate(frames), seconds[condition, name])
+        for (condition, name), frames in results.items()
+    ]
+    return [*rows, *summary_rows(rows)]
+
+
+def corruption_kinds(names: Sequence[str]) -> tuple[str, ...]:
+    """Return corruptions by name, in the order of `CORRUPTIONS`: `all` stands for all, `clean` for none.
+
+    Raises:
+        SettingsError: there is no such corruption.
+    """
+    from sensors.corruptions import CORRUPTIONS
+
+    for name in names:
+        if name not in (CLEAN, "all", *CORRUPTIONS):
+            hint = did_you_mean(name, [CLEAN, "all", *CORRUPTIONS])
+            raise SettingsError(complaint("evaluate", "corruptions", "a corruption", name, hint))
+    return tuple(kind for kind in CORRUPTIONS if kind in names or "all" in names)
+
+
+def corrupted(frame: Frame, condition: str, severity: int, seed: int) -> Frame:
+    """Return the frame as the sensors deliver it under a condition."""
+    if condition == CLEAN:
+        return frame
+    from sensors.corruptions import corrupt_frame
+
+    return corrupt_frame(frame, condition, severity, seed)
+
+
+def _check(methods: Sequence[Method], severity: int, limit: int | None) -> None:
+    names = [method.name for method in methods]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise SettingsError(complaint("evaluate", "methods", "names that differ", repeated[0]))
+    if not 1 <= severity <= 5:
+        raise SettingsError(complaint("evaluate", "severity", "1 to 5", severity))
+    if limit is not None and limit < 1:
+        raise SettingsError(complaint("evaluate", "limit", "at least 1 frame", limit))
+
+
+def _places(readers: Sequence[DriveReader], limit: int | None) -> list[tuple[DriveReader, int]]:
+    """Return the frames to evaluate, all or `limit` of them evenly spread, as (drive, position)."""
+    places = [(reader, i) for reader in readers for i in range(len(reader.frames))]
+    if limit is None or limit >= len(places):
+        return places
+    chosen = np.linspace(0, len(places) - 1, limit).round().astype(int)
+    return [places[i] for i in chosen]
+
+
+def _sample(frame: Frame, method: Method, samples: dict[tuple[GridSpec, int, bool], Sample], drive: str) -> Sample:
+    """Return what a method sees; methods with one grid and one company share it."""
+    settings = method.detector.settings
+    key = (settings.grid, getattr(settings, "max_agents", 5), method.cooperative)
+    if key not in samples:
+        sample = make_sample(frame, None, key[0], max_agents=key[1], cooperative=key[2])
+        samples[key] = replace(sample, key=f"{drive}/{sample.key}")
+    return samples[key]

@@ -1,0 +1,166 @@
+"""Figures of a result: AP per corruption, mCE against mean AP, precision over recall. Rows in, figure out."""
+
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from dsrc.evaluation.ap import Space, envelope, metric_name
+from dsrc.evaluation.rows import CLEAN, MCE, MEAN_AP, Row, condition_title, conditions_of, find_row, methods_of
+
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#6B6B6B")
+"""One colour per method, distinct with any colour vision (Okabe and Ito 2008)."""
+_INK, _GRID = "#22272E", "#E3E6EA"
+_MARKERS = "osD^vPX"
+
+
+@contextmanager
+def _style() -> Iterator[None]:
+    """Set the look while a figure is made and drawn; global settings stay as they were."""
+    look: dict[Any, Any] = {
+        "font.family": "DejaVu Sans",
+        "font.size": 10,
+        "text.color": _INK,
+        "axes.labelcolor": _INK,
+        "axes.edgecolor": "#9AA3AD",
+        "axes.titlesize": 11,
+        "axes.titleweight": "bold",
+        "axes.titlelocation": "left",
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.axisbelow": True,
+        "axes.grid": True,
+        "grid.color": _GRID,
+        "xtick.color": _INK,
+        "ytick.color": _INK,
+        "legend.frameon": False,
+        "figure.facecolor": "white",
+    }
+    with mpl.rc_context(look):
+        yield
+
+
+def _figure(width: float, height: float, columns: int = 1) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, columns, squeeze=False)[0]
+    return figure, list(axes)
+
+
+def corruption_bars(rows: Sequence[Row], space: Space = "bev") -> Figure:
+    """Draw AP at IoU 0.5 (light) and, inside it, at 0.7 (dark): a group per condition, a bar per method.
+
+    The paper's Figure 4 shows the same quantity as the mean over all methods.
+    """
+    methods, conditions = methods_of(rows), conditions_of(rows)
+    width = 0.8 / max(len(methods), 1)
+    with _style():
+        figure, (axes,) = _figure(min(12.0, max(7.0, 1.0 + 0.6 * len(conditions) * len(methods) ** 0.75)), 4.2)
+        for i, method in enumerate(methods):
+            color = COLORS[i % len(COLORS)]
+            place = [c + (i - (len(methods) - 1) / 2) * width for c in range(len(conditions))]
+            found = [find_row(rows, method, condition) for condition in conditions]
+            for threshold, shade in ((0.5, _tint(color)), (0.7, color)):
+                heights = [_metric(row, metric_name(space, threshold)) for row in found]
+                axes.bar(place, heights, width * 0.88, color=shade, linewidth=0)
+                if threshold == 0.5:
+                    _label_bars(axes, place, heights, size=8 if len(methods) < 4 else 6)
+        axes.set_xticks(range(len(conditions)), [condition_title(c) for c in conditions])
+        axes.tick_params(axis="x", length=0)
+        axes.grid(visible=False, axis="x")
+        axes.set_ylim(0, 1.0)
+        axes.set_ylabel("average precision")
+        figure.suptitle(
+            f"Detection under corruption ({_space_title(space)})", x=0.012, ha="left", fontsize=12, fontweight="bold"
+        )
+        handles = [Patch(color=COLORS[i % len(COLORS)], label=method) for i, method in enumerate(methods)]
+        handles += [Patch(color=_tint("#777777"), label="IoU 0.5"), Patch(color="#777777", label="IoU 0.7")]
+        figure.legend(handles=handles, loc="outside lower left", ncols=min(len(handles), 6), fontsize=9)
+    return figure
+
+
+def robustness_scatter(rows: Sequence[Row], space: Space = "bev") -> Figure:
+    """Draw mean AP over clean and all corruptions against mCE, one panel per IoU, as the paper's Figure 5."""
+    methods = methods_of(rows)
+    with _style():
+        figure, panels = _figure(9.0, 4.4, columns=2)
+        for axes, threshold in zip(panels, (0.5, 0.7), strict=True):
+            name = metric_name(space, threshold)
+            for i, method in enumerate(methods):
+                x = _metric(find_row(rows, method, MCE), name)
+                y = _metric(find_row(rows, method, MEAN_AP), name)
+                if math.isnan(x) or math.isnan(y):
+                    continue
+                axes.scatter(
+                    [100 * x], [100 * y], s=90, color=COLORS[i % len(COLORS)], marker=_MARKERS[i % len(_MARKERS)],
+                    edgecolor="white", linewidth=0.8, label=method, zorder=3,
+                )  # fmt: skip
+            axes.margins(0.25)
+            axes.set_title(f"IoU {threshold}")
+            axes.set_xlabel("mCE, % of the clean AP lost (left is better)")
+        panels[0].set_ylabel(f"mean AP, %, {_space_title(space)} (up is better)")
+        _legend_below(figure, panels[0])
+    return figure
+
+
+def precision_recall_curves(rows: Sequence[Row], condition: str = CLEAN, space: Space = "bev") -> Figure:
+    """Draw precision over recall of each method that still has its curves, one panel per IoU."""
+    with _style():
+        figure, panels = _figure(9.0, 4.4, columns=2)
+        for axes, threshold in zip(panels, (0.5, 0.7), strict=True):
+            for i, method in enumerate(methods_of(rows)):
+                row = find_row(rows, method, condition)
+                if row is None or row.result is None or (space, threshold) not in row.result.curves:
+                    continue
+                curve = row.result.curves[space, threshold]
+                recall, precision = envelope(curve.recall, curve.precision)
+                axes.plot(recall[:-1], precision[:-1], color=COLORS[i % len(COLORS)], linewidth=2, label=method)
+                axes.plot(curve.recall, curve.precision, color=COLORS[i % len(COLORS)], linewidth=0.7, alpha=0.5)
+            axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", title=f"IoU {threshold}")
+        panels[0].set_ylabel(f"precision, {condition_title(condition)} ({_space_title(space)})")
+        _legend_below(figure, panels[0])
+    return figure
+
+
+def png_bytes(figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int = 150) -> bytes:
+    """Return a figure as PNG; `made_by` goes into its description, where image tools show it."""
+    description = json.dumps(made_by or {}, sort_keys=True)
+    buffer = io.BytesIO()
+    with _style():
+        figure.savefig(buffer, format="png", dpi=dpi, metadata={"Description": description})
+    return buffer.getvalue()
+
+
+def _legend_below(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(handles), 4), fontsize=9)
+
+
+def _label_bars(axes: Axes, place: Sequence[float], heights: Sequence[float], size: float) -> None:
+    for x, height in zip(place, heights, strict=True):
+        if not math.isnan(height):
+            axes.text(x, height + 0.008, f"{100 * height:.0f}", ha="center", va="bottom", fontsize=size)
+
+
+def _tint(color: str, strength: float = 0.4) -> tuple[float, float, float]:
+    """Return an opaque light version of a colour."""
+    red, green, blue = to_rgb(color)
+    return tuple(1 - strength * (1 - c) for c in (red, green, blue))  # type: ignore[return-value]
+
+
+def _metric(row: Row | None, name: str) -> float:
+    return math.nan if row is None else row.metrics.get(name, math.nan)
+
+
+def _space_title(space: Space) -> str:
+    return "bird's-eye IoU" if space == "bev" else "3D IoU"

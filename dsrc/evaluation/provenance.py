@@ -1,0 +1,75 @@
+"""Provenance: what made a result, in a form that goes into every result file."""
+
+import hashlib
+import platform
+import subprocess
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+PACKAGES = (
+    "dsrc-testbed",
+    "numpy",
+    "torch",
+    "lightning",
+    "powerboxes",
+    "scipy",
+    "trimesh",
+    "embreex",
+    "libsumo",
+    "eclipse-sumo",
+    "highway-env",
+)
+"""Distributions whose version can change a number."""
+
+
+def provenance(settings: Mapping[str, Any], seed: int, data: Sequence[Path] = ()) -> dict[str, Any]:
+    """Describe a run: its settings and seed, versions, machine, code and data. The same run gives the same answer.
+
+    Args:
+        settings: whatever was chosen, JSON types only.
+        seed: the root seed.
+        data: drives, listed with their hashes.
+    """
+    from dsrc.data.opv2v import data_hash
+
+    return {
+        "settings": dict(settings),
+        "seed": seed,
+        "versions": versions(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "commit": commit(),
+        "data": {drive.name: data_hash([drive]) for drive in data},
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of those `PACKAGES` that are installed."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def commit(folder: Path | None = None) -> str | None:
+    """Return the git commit of the code, `-dirty` after it when files differ from it; None outside a repository."""
+    folder = Path(__file__).resolve().parents[2] if folder is None else folder
+    if not (folder / ".git").exists():
+        return None
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40", "--exclude", "*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None
+
+
+def hash_file(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

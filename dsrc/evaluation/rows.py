@@ -1,0 +1,91 @@
+"""Row: one line of a result, the result of one method under one condition or a summary over all of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from dsrc.evaluation.ap import EvalResult
+from dsrc.evaluation.robustness import mce, mean_ap
+
+CLEAN = "clean"
+MEAN_AP = "mean_ap"
+MCE = "mce"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a result.
+
+    Attributes:
+        method: name of the detector as shown.
+        condition: `clean`, a corruption, or a summary: `mean_ap` over clean and all corruptions, `mce`.
+        severity: of the corruption, 1 to 5; 0 for clean and for summaries.
+        frames: frames evaluated.
+        truth: ground-truth boxes in them.
+        detections: detected boxes.
+        metrics: average precisions by name, see `metric_name`; in an `mce` row the mean corruption errors of them.
+        seconds_per_frame: mean time of one detection; never in a result file, since it differs from run to run.
+        result: the curves behind the metrics; None in a summary and in a row read from a file.
+    """
+
+    method: str
+    condition: str
+    severity: int
+    frames: int
+    truth: int
+    detections: int
+    metrics: dict[str, float]
+    seconds_per_frame: float | None = field(default=None, compare=False)
+    result: EvalResult | None = field(default=None, compare=False, repr=False)
+
+
+def make_row(method: str, condition: str, severity: int, result: EvalResult, seconds: float | None = None) -> Row:
+    """Return the row of a result; `seconds` is the time that all its detections took together."""
+    return Row(
+        method=method,
+        condition=condition,
+        severity=severity,
+        frames=result.frames,
+        truth=result.truth,
+        detections=result.detections,
+        metrics=result.metrics(),
+        seconds_per_frame=None if seconds is None or not result.frames else seconds / result.frames,
+        result=result,
+    )
+
+
+def summary_rows(rows: Sequence[Row]) -> list[Row]:
+    """Return the `mean_ap` and the `mce` row of each method; none for a method without clean and corrupted rows."""
+    summaries = []
+    for method in methods_of(rows):
+        own = {row.condition: row for row in rows if row.method == method}
+        clean = own.get(CLEAN)
+        corrupted = {kind: row for kind, row in own.items() if kind not in (CLEAN, MEAN_AP, MCE)}
+        if clean is None or not corrupted:
+            continue
+        for condition, formula in ((MEAN_AP, mean_ap), (MCE, mce)):
+            metrics = {
+                name: formula(ap, {kind: row.metrics[name] for kind, row in corrupted.items()})
+                for name, ap in clean.metrics.items()
+            }
+            summaries.append(Row(method, condition, 0, clean.frames, clean.truth, 0, metrics))
+    return summaries
+
+
+def methods_of(rows: Sequence[Row]) -> list[str]:
+    """Return the names of the methods in the order of their first rows."""
+    return list(dict.fromkeys(row.method for row in rows))
+
+
+def conditions_of(rows: Sequence[Row]) -> list[str]:
+    """Return the conditions in the order of their first rows, summaries left out."""
+    return [c for c in dict.fromkeys(row.condition for row in rows) if c not in (MEAN_AP, MCE)]
+
+
+def find_row(rows: Sequence[Row], method: str, condition: str) -> Row | None:
+    """Return the row of a method under a condition, None when there is none."""
+    return next((row for row in rows if row.method == method and row.condition == condition), None)
+
+
+def condition_title(condition: str) -> str:
+    """Return a condition as people read it."""
+    return {MEAN_AP: "mean AP", MCE: "mCE"}.get(condition, condition.replace("_", " "))

@@ -1,0 +1,107 @@
+"""Evaluate checkpoints on a folder of drives: the work behind `dsrc evaluate` and the demo."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.table import Table
+
+from dsrc.evaluation.benchmark import Method, Progress, corruption_kinds, run_benchmark
+from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
+from dsrc.evaluation.provenance import hash_file, provenance
+from dsrc.evaluation.rows import Row
+from dsrc.evaluation.tables import result_table, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
+from sim.errors import CheckpointError, SettingsError, complaint
+
+EGO_ALONE = "ego alone"
+
+
+def evaluate_checkpoints(
+    checkpoints: Sequence[Path] | Mapping[str, Path],
+    *,
+    data: Path,
+    out: Path,
+    corruptions: Sequence[str] = ("all",),
+    severity: int = 3,
+    seed: int = 0,
+    limit: int | None = None,
+    ego_alone: bool = True,
+    progress: Progress | None = None,
+) -> Table:
+    """Evaluate detectors and write `results.csv`, `results.json`, `timings.csv` and the plots.
+
+    Args:
+        checkpoints: detector files, or names and files; in a sequence `name=path` names one, else the file does.
+        data: folder of drives, or one drive.
+        out: folder for the results.
+        corruptions: kinds, `all` or `clean`.
+        severity: 1 to 5; 3 is the paper's setting.
+        seed: of the corruptions.
+        limit: evaluate at most this many frames, evenly spread.
+        ego_alone: also evaluate the first detector without collaborators.
+        progress: called with frames done and frames in all.
+
+    Returns:
+        The table for the terminal.
+
+    Raises:
+        UserError: a file, a corruption or a setting is wrong.
+    """
+    from dsrc.data.opv2v import find_drives
+    from dsrc.models.checkpoint import load_detector
+
+    kinds = corruption_kinds(corruptions)
+    named = dict(checkpoints) if isinstance(checkpoints, Mapping) else name_checkpoints(checkpoints)
+    methods = [Method(name, load_detector(path)) for name, path in named.items()]
+    if not methods:
+        raise SettingsError(complaint("evaluate", "checkpoints", "at least one detector", "none"))
+    if ego_alone:
+        methods.append(Method(f"{methods[0].name}, {EGO_ALONE}", methods[0].detector, cooperative=False))
+    drives = find_drives(data)
+    rows = run_benchmark(methods, drives, kinds or ("clean",), severity, seed, limit, progress)
+    settings = {
+        "checkpoints": {name: {"file": path.name, "sha256": hash_file(path)} for name, path in named.items()},
+        "conditions": ["clean", *kinds],
+        "severity": severity,
+        "limit": limit,
+        "ego_alone": ego_alone,
+    }
+    write_results(out, rows, provenance(settings, seed, drives))
+    return result_table(rows)
+
+
+def name_checkpoints(checkpoints: Sequence[Path]) -> dict[str, Path]:
+    """Return checkpoints by name: `name=path` as it says, else the file's stem, its folder's name where stems repeat.
+
+    Raises:
+        CheckpointError: two of them have one name.
+    """
+    stems = [path.stem for path in checkpoints]
+    named: dict[str, Path] = {}
+    for path in checkpoints:
+        name, equals, rest = str(path).partition("=")
+        if equals and rest:
+            path = Path(rest)
+        else:
+            name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}/{path.stem}"
+        if name in named:
+            raise CheckpointError(f"{path}: a detector of the name '{name}' is there already; give names: name=path")
+        named[name] = path
+    return named
+
+
+def write_results(out: Path, rows: Sequence[Row], made_by: Mapping[str, object]) -> None:
+    """Write tables and plots, each file atomically.
+
+    `results.csv`, `results.json` and the plots are the same for the same run; times, which are not, have their own
+    file.
+    """
+    write_atomic(out / "results.json", rows_to_json(rows, made_by))
+    write_atomic(out / "results.csv", rows_to_csv(rows, made_by))
+    write_atomic(out / "timings.csv", timings_to_csv(rows))
+    figures = {
+        "ap_per_corruption": corruption_bars(rows),
+        "mce_map": robustness_scatter(rows),
+        "precision_recall": precision_recall_curves(rows),
+    }
+    for name, figure in figures.items():
+        write_atomic(out / f"{name}.png", png_bytes(figure, made_by))

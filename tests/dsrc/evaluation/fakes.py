@@ -1,0 +1,46 @@
+"""A detector made of the truth, a corruption made of a number, and a drive made of formulas."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from dsrc.data.opv2v import write_frame
+from dsrc.data.sample import GridSpec
+from dsrc.detections import Detections
+from tests.dsrc.data.toy import toy_frame
+
+GRID = GridSpec(range_m=(-51.2, -25.6, -3, 51.2, 25.6, 3))
+
+
+class PointCounter:
+    """Detects exactly the true boxes that hold enough points of the clouds that it is given."""
+
+    def __init__(self, need=3, offset=0.0, grid=GRID):
+        self.settings = SimpleNamespace(grid=grid)
+        self.need, self.offset = need, offset
+        self.seen = []
+
+    def detect(self, sample):
+        self.seen.append(sample)
+        points = np.concatenate([cloud[:, :3] for cloud in sample.clouds])
+        counts = sample.boxes.contains(points).sum(axis=1)
+        order = np.argsort(-counts, kind="stable")[: (counts >= self.need).sum()]
+        boxes = sample.boxes[order].array
+        boxes[:, 0] += self.offset
+        score = (counts[order] / (counts[order] + 10.0)).astype(np.float32)
+        return Detections(type(sample.boxes).from_array(boxes), score)
+
+
+def halve(frame, kind, severity, seed):
+    """Leave every `2 * severity`-th point."""
+    return frame.with_sweeps([agent.sweep[:: 2 * severity] for agent in frame.agents])
+
+
+def write_drives(root, drives=2, frames=3):
+    paths = []
+    for drive in range(drives):
+        path = root / f"drive_{drive}"
+        for index in range(frames):
+            write_frame(path, toy_frame(index, seed=drive))
+        paths.append(path)
+    return paths

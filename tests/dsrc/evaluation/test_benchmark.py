@@ -1,0 +1,128 @@
+import math
+
+import numpy as np
+import pytest
+
+from dsrc.detections import Detections
+from dsrc.evaluation.benchmark import Method, corruption_kinds, run_benchmark
+from dsrc.evaluation.rows import find_row
+from sim.boxes import Boxes
+from sim.errors import DataError, SettingsError
+from tests.dsrc.evaluation.fakes import PointCounter, halve, write_drives
+
+KINDS = {"fog": None, "snow": None}
+
+
+@pytest.fixture(autouse=True)
+def _corruptions(monkeypatch):
+    monkeypatch.setattr("sensors.corruptions.CORRUPTIONS", KINDS, raising=False)
+    monkeypatch.setattr("sensors.corruptions.corrupt_frame", halve, raising=False)
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    return write_drives(tmp_path_factory.mktemp("drives"))
+
+
+def test_one_row_per_method_and_condition_and_two_summaries(drives):
+    rows = run_benchmark([Method("a", PointCounter()), Method("b", PointCounter(9))], drives, ("all",))
+    labels = [(row.condition, row.method) for row in rows]
+    assert labels == [
+        ("clean", "a"), ("clean", "b"), ("fog", "a"), ("fog", "b"), ("snow", "a"), ("snow", "b"),
+        ("mean_ap", "a"), ("mce", "a"), ("mean_ap", "b"), ("mce", "b"),
+    ]  # fmt: skip
+    assert [row.severity for row in rows[:3]] == [0, 0, 3]
+    assert all(row.frames == 6 for row in rows)
+    assert all(row.seconds_per_frame > 0 for row in rows[:6])
+
+
+def test_truth_stays_that_of_the_clean_frame(drives):
+    rows = run_benchmark([Method("a", PointCounter(need=20))], drives, ("fog",), severity=5)
+    clean, fog = find_row(rows, "a", "clean"), find_row(rows, "a", "fog")
+    assert clean.truth == fog.truth > 0
+    assert fog.detections < clean.detections
+    mce, mean = find_row(rows, "a", "mce"), find_row(rows, "a", "mean_ap")
+    ap, low = clean.metrics["ap_bev_50"], fog.metrics["ap_bev_50"]
+    assert low < ap
+    assert mce.metrics["ap_bev_50"] == pytest.approx((ap - low) / ap)
+    assert mean.metrics["ap_bev_50"] == pytest.approx((ap + low) / 2)
+
+
+def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives):
+    together, alone = PointCounter(need=90), PointCounter(need=90)
+    rows = run_benchmark([Method("all", together), Method("ego", alone, cooperative=False)], drives, ("clean",))
+    assert {len(s.clouds) for s in together.seen} == {3}
+    assert {len(s.clouds) for s in alone.seen} == {1}
+    assert rows[0].truth == rows[1].truth
+    assert rows[1].metrics["ap_bev_50"] < rows[0].metrics["ap_bev_50"]
+    assert len(rows) == 2
+
+
+def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
+    calls = []
+
+    def count(frame, kind, severity, seed):
+        calls.append((frame.index, kind, severity, seed))
+        return halve(frame, kind, severity, seed)
+
+    monkeypatch.setattr("sensors.corruptions.corrupt_frame", count)
+    one, two = PointCounter(), PointCounter()
+    run_benchmark([Method("a", one), Method("b", two)], drives[:1], ("all",), severity=2, seed=7)
+    assert sorted(calls) == [(i, kind, 2, 7) for i in range(3) for kind in ("fog", "snow")]
+    assert [a is b for a, b in zip(one.seen, two.seen, strict=True)] == [True] * 9
+    assert one.seen[0].key == "drive_0/1000/000000"
+
+
+def test_two_runs_give_the_same_rows(drives):
+    first, second = (run_benchmark([Method("a", PointCounter())], drives, ("all",), seed=1) for _ in range(2))
+    assert first == second
+
+
+def test_a_limit_spreads_the_frames_evenly(drives):
+    detector = PointCounter()
+    run_benchmark([Method("a", detector)], drives, ("clean",), limit=3)
+    assert [s.key for s in detector.seen] == ["drive_0/1000/000000", "drive_0/1000/000002", "drive_1/1000/000002"]
+
+
+def test_progress_counts_to_the_total(drives):
+    told = []
+    run_benchmark([Method("a", PointCounter())], drives, ("all",), limit=2, progress=lambda *x: told.append(x))
+    assert told == [(i, 6) for i in range(1, 7)]
+
+
+def test_detections_beyond_the_range_are_not_judged(drives):
+    class Beyond(PointCounter):
+        def detect(self, sample):
+            inside = super().detect(sample)
+            far = Boxes.from_array([[51.0, 0, 0, 4, 2, 1.5, 0]])
+            array = np.concatenate([far.array, inside.boxes.array])
+            return Detections(Boxes.from_array(array), np.concatenate([[1.0], inside.score]).astype(np.float32))
+
+    rows = run_benchmark([Method("a", Beyond()), Method("b", PointCounter())], drives, ("clean",))
+    assert rows[0].metrics == rows[1].metrics
+
+
+def test_a_blind_detector_gets_zeros_and_no_mce(drives):
+    rows = run_benchmark([Method("a", PointCounter(need=10**6))], drives, ("fog",))
+    assert find_row(rows, "a", "clean").metrics["ap_bev_50"] == 0.0
+    assert math.isnan(find_row(rows, "a", "mce").metrics["ap_bev_50"])
+
+
+def test_kinds_come_in_the_order_of_the_registry():
+    assert corruption_kinds(("snow", "fog")) == ("fog", "snow")
+    assert corruption_kinds(("all", "fog")) == ("fog", "snow")
+    assert corruption_kinds(("clean",)) == ()
+
+
+def test_wrong_settings_are_told(drives):
+    methods = [Method("a", PointCounter())]
+    with pytest.raises(SettingsError, match="did you mean 'fog'"):
+        run_benchmark(methods, drives, ("fogg",))
+    with pytest.raises(SettingsError, match="severity: expected 1 to 5, found 6"):
+        run_benchmark(methods, drives, severity=6)
+    with pytest.raises(SettingsError, match="limit"):
+        run_benchmark(methods, drives, limit=0)
+    with pytest.raises(SettingsError, match="names that differ"):
+        run_benchmark(methods * 2, drives)
+    with pytest.raises(DataError, match="at least one frame"):
+        run_benchmark(methods, [])
