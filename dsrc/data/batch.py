@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,6 +39,10 @@ class Targets:
     positive: Tensor
     regression: Tensor
 
+    def to(self, device: torch.device | str) -> "Targets":
+        """Move to a device."""
+        return Targets(self.positive.to(device), self.regression.to(device))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
@@ -62,6 +67,17 @@ class Batch:
     teacher: Pillars | None = None
     foreground: Tensor | None = None
     scene: Scene | None = None
+
+    def to(self, device: torch.device | str) -> "Batch":
+        """Move the tensors to a device."""
+        if torch.device(device).type == "cpu":
+            return self
+        moved: dict[str, Any] = {
+            name: part.to(device)
+            for name in ("student", "teacher", "foreground", "targets", "scene")
+            if (part := getattr(self, name)) is not None
+        }
+        return replace(self, **moved)
 
 
 def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) -> Batch:

@@ -53,7 +53,7 @@ class Detector(nn.Module):
         self.encoder = PillarEncoder(settings)
         self.backbone = Res2Net(settings.pillar_channels, channels, settings.stage_blocks, settings.base_width)
         self.fuse = FUSIONS[settings.fusion]
-        self.decoder = nn.ModuleList(_upsample(channels[k], decoder, 2**k) for k in range(3))
+        self.decoder = nn.ModuleList(_upsample(channels[k], decoder, 2**k, settings.norm_momentum) for k in range(3))
         self.shrink = nn.Sequential(
             nn.Conv2d(3 * decoder, shrink, 3, padding=1),
             nn.ReLU(inplace=True),
@@ -102,10 +102,10 @@ class Detector(nn.Module):
         return join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
 
 
-def _upsample(inputs: int, outputs: int, stride: int) -> nn.Sequential:
+def _upsample(inputs: int, outputs: int, stride: int, momentum: float) -> nn.Sequential:
     """Bring a scale back to half the grid's resolution."""
     return nn.Sequential(
         nn.ConvTranspose2d(inputs, outputs, stride, stride=stride, bias=False),
-        nn.BatchNorm2d(outputs, eps=1e-3, momentum=0.01),
+        nn.BatchNorm2d(outputs, eps=1e-3, momentum=momentum),
         nn.ReLU(inplace=True),
     )

@@ -77,7 +77,7 @@ class PillarEncoder(nn.Module):
         self.max_points = settings.max_points
         self.padded_slots = settings.padded_slots
         self.linear = nn.Linear(settings.point_features + 6, settings.pillar_channels, bias=False)
-        self.norm = SlotNorm(settings.pillar_channels, eps=1e-3, momentum=0.01)
+        self.norm = SlotNorm(settings.pillar_channels, eps=1e-3, momentum=settings.norm_momentum)
 
     def forward(self, pillars: Pillars) -> Tensor:
         """Return the (N, C, H, W) feature map; cells without points are zero."""

@@ -27,6 +27,10 @@ class Scene:
     offset: Tensor
     samples: int
 
+    def to(self, device: torch.device | str) -> "Scene":
+        """Move to a device."""
+        return Scene(self.voxel.to(device), self.offset.to(device), self.samples)
+
 
 class Reconstruction(nn.Module):
     """Fused feature to occupancy logits and point offsets of a voxel grid at the input's resolution."""

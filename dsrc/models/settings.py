@@ -31,6 +31,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         base_width: width of a Res2Net split at 64 channels; the split is `channels * base_width // 64`.
         decoder_channels: width of each scale after it was brought back to half the grid's resolution.
         shrink_channels: width of the two 3 x 3 convolutions before the heads.
+        norm_momentum: of the batch norms of the encoder and the decoder.
         score_prior: confidence that an untrained head gives, None for the framework's own start.
         reconstruction_channels: widths of the reconstruction head, per vertical bin and after reduction.
         reconstruction_cell_z_m: height of a reconstruction voxel; the released code's is the whole range.
@@ -54,6 +55,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     base_width: int = 26
     decoder_channels: int = 128
     shrink_channels: int = 256
+    norm_momentum: float = 0.01
     score_prior: float | None = 0.01
     reconstruction_channels: tuple[int, int] = (128, 32)
     reconstruction_cell_z_m: float = 0.4

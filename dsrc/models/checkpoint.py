@@ -1,0 +1,86 @@
+"""Detector files: weights, settings and where they came from, loadable without running code from the file."""
+
+import pickle  # noqa: TID251  only the name of the error that torch raises for a file that is none of its own
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+
+from dsrc.models.detector import Detector
+from dsrc.models.settings import ModelSettings
+from sim.errors import CheckpointError, complaint
+
+FORMAT = "dsrc-detector-1"
+
+
+def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None = None, half: bool = True) -> None:
+    """Write a detector file, whole or not at all.
+
+    Args:
+        path: the file.
+        detector: its weights and settings are kept, nothing else.
+        meta: plain values that say where the weights came from.
+        half: store floats in half precision: half the size, and differences far below those of two trainings.
+    """
+    state = {name: _stored(tensor, half) for name, tensor in detector.state_dict().items()}
+    content = {"format": FORMAT, "settings": msgspec.to_builtins(detector.settings), "state": state}
+    content["meta"] = msgspec.to_builtins(dict(meta or {}))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    torch.save(content, temporary)
+    temporary.replace(path)
+
+
+def load_detector(path: Path, device: str = "cpu") -> Detector:
+    """Read a detector file; the detector is in evaluation mode and in full precision.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, no detector, or of another version of the network.
+    """
+    content = _content(Path(path))
+    try:
+        settings = msgspec.convert(content["settings"], ModelSettings)
+        detector = Detector(settings)
+    except (KeyError, msgspec.ValidationError, ValueError, TypeError, RuntimeError) as error:
+        raise CheckpointError(complaint(path, "settings", "those of a detector", str(error))) from None
+    state = content.get("state")
+    wanted = detector.state_dict()
+    if not isinstance(state, dict) or set(state) != set(wanted):
+        name = next(iter(sorted(set(wanted) ^ set(state if isinstance(state, dict) else {}))))
+        raise CheckpointError(complaint(path, "state", "the tensors of its settings", f"{name} missing or too many"))
+    for name, tensor in wanted.items():
+        shape = tuple(getattr(state[name], "shape", (-1,)))
+        if shape != tuple(tensor.shape):
+            raise CheckpointError(complaint(path, f"state.{name}", f"shape {tuple(tensor.shape)}", shape))
+        if tensor.is_floating_point() and not bool(torch.isfinite(state[name]).all()):
+            raise CheckpointError(complaint(path, f"state.{name}", "finite numbers", "NaN or infinity"))
+    detector.load_state_dict({name: state[name].to(tensor.dtype) for name, tensor in wanted.items()})
+    return detector.to(device).eval()
+
+
+def read_meta(path: Path) -> dict[str, Any]:
+    """Return where a detector file's weights came from."""
+    return dict(_content(Path(path)).get("meta", {}))
+
+
+def _content(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such checkpoint file")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, ValueError, KeyError, EOFError, zipfile.BadZipFile, pickle.UnpicklingError):
+        raise CheckpointError(complaint(path, "file", f"a {FORMAT} checkpoint", "something else or damaged")) from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = content.get("format", "none") if isinstance(content, dict) else type(content).__name__
+        hint = "; the deployable file of a training is its detector.pt"
+        raise CheckpointError(complaint(path, "format", FORMAT, found, hint))
+    return content
+
+
+def _stored(tensor: torch.Tensor, half: bool) -> torch.Tensor:
+    tensor = tensor.detach().cpu().contiguous()
+    # Vectors stay: they are small, and a running variance can exceed what half precision holds.
+    return tensor.half() if half and tensor.is_floating_point() and tensor.ndim > 1 else tensor

@@ -1,0 +1,87 @@
+"""Augmentation of samples: all clouds and boxes of a sample move together, in the ego LiDAR's frame."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.sample import GridSpec, Sample, inside_range
+from dsrc.training.recipes import Augmentation
+from sim.boxes import Boxes
+from sim.geometry import wrap_angle
+
+
+def source_grid(grid: GridSpec, augmentation: Augmentation) -> GridSpec:
+    """Return the range to read, large enough that the turned and resized sample still fills the grid."""
+    angle = np.radians(augmentation.rotation_deg)
+    cos, sin, grow = np.cos(angle), np.sin(angle), 1 + augmentation.scale
+    x = max(abs(grid.range_m[0]), abs(grid.range_m[3]))
+    y = max(abs(grid.range_m[1]), abs(grid.range_m[4]))
+    # Multiples of two cells keep the enlarged range a legal grid.
+    step = 2 * grid.cell_m
+    reach_x = float(np.ceil((x * cos + y * sin) * grow / step) * step)
+    reach_y = float(np.ceil((y * cos + x * sin) * grow / step) * step)
+    low, high = grid.range_m[2], grid.range_m[5]
+    if augmentation.rotation_deg == 0 and augmentation.scale == 0:
+        return grid
+    return GridSpec(range_m=(-reach_x, -reach_y, low, reach_x, reach_y, high), cell_m=grid.cell_m)
+
+
+def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.random.Generator) -> Sample:
+    """Drop collaborators, mirror, turn and resize a sample, then crop it to the grid.
+
+    `ego_from_agent` is left as it was: a mirror image has no pose.
+    """
+    # Every draw is made every time, so that a switch does not change the others' luck.
+    drop, mirrors, turn, grow = rng.random(), rng.random(2) < 0.5, rng.uniform(-1, 1), rng.uniform(-1, 1)
+    count = int(rng.integers(1, len(sample.clouds) + 1))
+    if drop < augmentation.dropout:
+        sample = with_agents(sample, count)
+    signs = np.where(mirrors & augmentation.flip, -1.0, 1.0)
+    angle = float(np.radians(augmentation.rotation_deg * turn))
+    scale = 1 + augmentation.scale * grow
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    # Columns: x, y turned and mirrored; z resized about the road would move it, so only the plane is resized.
+    plane = scale * rotation @ np.diag(signs)
+    return replace(
+        sample,
+        clouds=tuple(_cloud(cloud, plane, grid) for cloud in sample.clouds),
+        boxes=_boxes(sample.boxes, plane, scale, grid),
+        agent_boxes=tuple(_boxes(boxes, plane, scale, grid) for boxes in sample.agent_boxes),
+    )
+
+
+def with_agents(sample: Sample, count: int) -> Sample:
+    """Keep the first agents only, and of the ground truth what these have annotated."""
+    seen = [boxes.object_id for boxes in sample.agent_boxes[:count]]
+    known = np.isin(sample.boxes.object_id, np.concatenate([np.zeros(0, np.int64), *seen]))
+    return replace(
+        sample,
+        agent_ids=sample.agent_ids[:count],
+        clouds=sample.clouds[:count],
+        ego_from_agent=sample.ego_from_agent[:count],
+        boxes=sample.boxes[known],
+        agent_boxes=sample.agent_boxes[:count],
+    )
+
+
+def _cloud(cloud: NDArray[np.float32], plane: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
+    moved = cloud.copy()
+    moved[:, :2] = cloud[:, :2] @ plane.T.astype(np.float32)
+    inside = np.ones(len(moved), bool)
+    for axis in range(3):
+        inside &= (moved[:, axis] > grid.range_m[axis]) & (moved[:, axis] < grid.range_m[axis + 3])
+    return moved[inside]
+
+
+def _boxes(boxes: Boxes, plane: NDArray[np.float64], scale: float, grid: GridSpec) -> Boxes:
+    forward = np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1) @ plane.T
+    center = boxes.center.copy()
+    center[:, :2] = boxes.center[:, :2] @ plane.T
+    moved = replace(
+        boxes,
+        center=center,
+        size=boxes.size * np.array([scale, scale, 1.0]),
+        yaw=wrap_angle(np.arctan2(forward[:, 1], forward[:, 0])),
+    )
+    return moved[inside_range(moved, grid)]

@@ -1,0 +1,159 @@
+"""The data of a training: which frames, through whose eyes, augmented how, and in which order."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import lightning.pytorch as pl
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from dsrc.data.batch import Batch, collate
+from dsrc.data.sample import Sample
+from dsrc.models.settings import ModelSettings
+from dsrc.training.augment import augment, source_grid
+from dsrc.training.recipes import Recipe
+from dsrc.training.store import FrameRef, SampleStore
+
+Draw = tuple[int, int]
+"""Epoch and number of a frame: together with the seed they fix a training sample completely."""
+
+
+class EpochSampler(Sampler[Draw]):
+    """All frames in an order that depends on the seed and the epoch alone, so that a resumed run repeats it."""
+
+    def __init__(self, frames: int, seed: int) -> None:
+        self.frames, self.seed, self.epoch = frames, seed, 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Start this epoch; called by the trainer."""
+        self.epoch = epoch
+
+    def __iter__(self) -> Iterator[Draw]:
+        order = np.random.default_rng([self.seed, 1, self.epoch]).permutation(self.frames)
+        return iter([(self.epoch, int(i)) for i in order])
+
+    def __len__(self) -> int:
+        return self.frames
+
+
+class TrainingSet(Dataset[Sample]):
+    """Augmented samples."""
+
+    def __init__(self, store: SampleStore, frames: list[FrameRef], recipe: Recipe, seed: int) -> None:
+        self.store, self.frames, self.recipe, self.seed = store, frames, recipe, seed
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, draw: Draw) -> Sample:
+        epoch, number = draw
+        rng = np.random.default_rng([self.seed, 2, epoch, number])
+        egos = self.store.egos(self.frames[number])
+        choice = int(rng.integers(len(egos)))
+        ego = egos[choice if self.recipe.augmentation.random_ego else 0]
+        sample = self.store.sample(self.frames[number], ego)
+        return augment(sample, self.recipe.model.grid, self.recipe.augmentation, rng)
+
+
+class ValidationSet(Dataset[Sample]):
+    """Samples as they are, seen by the first vehicle of each drive."""
+
+    def __init__(self, store: SampleStore, frames: list[FrameRef]) -> None:
+        self.store, self.frames = store, frames
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, number: int) -> Sample:
+        return self.store.sample(self.frames[number], self.store.egos(self.frames[number])[0])
+
+
+class Collate:
+    """Turns a list of samples into a batch for a network of these settings."""
+
+    def __init__(self, settings: ModelSettings, training: bool) -> None:
+        self.settings, self.training = settings, training
+
+    def __call__(self, samples: list[Sample]) -> Batch:
+        """Collate."""
+        return collate(samples, self.settings, self.training)
+
+
+class DetectionData(pl.LightningDataModule):
+    """Loaders of training and validation batches."""
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        settings: ModelSettings,
+        drives: list[Path],
+        validation_drives: list[Path] | None,
+        seed: int,
+        cache: Path | None,
+    ) -> None:
+        """Look at the drives.
+
+        Args:
+            recipe: batch size, augmentation, hold-out.
+            settings: of the network that is trained.
+            drives: to train on.
+            validation_drives: to validate on; None holds out the end of each training drive.
+            seed: of order and augmentation.
+            cache: folder for made samples.
+        """
+        super().__init__()
+        self.recipe, self.settings = recipe, settings
+        agents = (recipe.comm_range_m, recipe.model.max_agents, cache)
+        wide = SampleStore(drives, source_grid(recipe.model.grid, recipe.augmentation), *agents)
+        frames, held_out = wide.frames, wide.frames
+        if validation_drives is None and recipe.validation_share > 0:
+            held = {f for f in wide.frames if _is_held_out(f, len(wide.drives[f.drive]), recipe.validation_share)}
+            frames, held_out = [f for f in wide.frames if f not in held], [f for f in wide.frames if f in held]
+        exact = SampleStore(validation_drives or drives, recipe.model.grid, *agents)
+        if validation_drives is not None:
+            held_out = exact.frames
+        self.training = TrainingSet(wide, frames, recipe, seed)
+        self.validation = ValidationSet(exact, _evenly(held_out or exact.frames, recipe.validation_frames))
+        self.sampler = EpochSampler(len(frames), seed)
+
+    def train_dataloader(self) -> DataLoader:
+        """Return the training batches; a last batch that is not full is dropped unless it is the only one."""
+        return DataLoader(
+            self.training,
+            batch_size=self.recipe.batch_size,
+            sampler=self.sampler,
+            collate_fn=Collate(self.settings, training=True),
+            drop_last=len(self.training) >= self.recipe.batch_size,
+            **_workers(self.recipe.workers),
+        )
+
+    def val_dataloader(self) -> DataLoader:
+        """Return the validation batches, one sample each."""
+        return DataLoader(
+            self.validation,
+            batch_size=1,
+            collate_fn=Collate(self.settings, training=False),
+            **_workers(min(self.recipe.workers, 1)),
+        )
+
+    def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
+        """Move a batch's tensors."""
+        return batch.to(device)
+
+
+def _workers(count: int) -> dict:
+    if count == 0:
+        return {"num_workers": 0}
+    return {"num_workers": count, "persistent_workers": True, "prefetch_factor": 3}
+
+
+def _is_held_out(frame: FrameRef, frames: int, share: float) -> bool:
+    """Return whether a frame lies in the last part of its drive; the first frame never does."""
+    return frame.position >= max(frames - max(round(frames * share), 1), 1)
+
+
+def _evenly(frames: list[FrameRef], limit: int) -> list[FrameRef]:
+    if len(frames) <= limit:
+        return frames
+    return [frames[i] for i in np.linspace(0, len(frames) - 1, limit).round().astype(int)]

@@ -1,0 +1,135 @@
+"""DetectionModule: one training step, one validation, and the alarms."""
+
+import math
+from typing import Any
+
+import lightning.pytorch as pl
+import torch
+from torch import Tensor
+from torch.optim.lr_scheduler import LambdaLR
+
+from dsrc.data.batch import Batch
+from dsrc.evaluation.ap import FrameResult, evaluate
+from dsrc.models.detector import Detector, Output
+from dsrc.models.encoder import Pillars
+from dsrc.models.reconstruction import Reconstruction, reconstruction_losses
+from dsrc.training.losses import detection_loss, distillation_losses
+from dsrc.training.recipes import Recipe
+from sim.errors import UserError
+
+
+class TrainingAlarm(UserError):
+    """A training has gone wrong in a way that more epochs do not mend."""
+
+
+class DetectionModule(pl.LightningModule):
+    """Trains a teacher, a plain student, or a student with distillation and reconstruction."""
+
+    def __init__(self, recipe: Recipe, detector: Detector, teacher: Detector | None = None) -> None:
+        """Join the networks.
+
+        Args:
+            recipe: rates, weights and alarms.
+            detector: the network to train; its settings say what it learns from.
+            teacher: frozen; needed when the detector distils.
+        """
+        super().__init__()
+        self.recipe, self.detector = recipe, detector
+        settings = detector.settings
+        self.reconstruction = Reconstruction(settings) if settings.rec and settings.role == "student" else None
+        # In a tuple the teacher is no submodule: it is not saved with the student, trained, or set to training mode.
+        self._teacher = (teacher.eval().requires_grad_(False),) if teacher is not None else ()
+        self._results: list[FrameResult] = []
+        self._zeros_in_a_row = 0
+
+    def forward(self, batch: Batch) -> Output:
+        """Detect, on the clouds that this network reads."""
+        return self.detector(self._pillars(batch), batch.agents)
+
+    def _pillars(self, batch: Batch) -> Pillars:
+        pillars = batch.teacher if self.detector.settings.role == "teacher" else batch.student
+        if pillars is None:
+            raise ValueError("the batch was collated for another network")
+        return pillars
+
+    def losses(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the weighted losses of a training batch by name; their sum is what is minimised."""
+        output = self(batch)
+        if batch.targets is None:
+            raise ValueError("the batch was collated without targets")
+        cls, reg = detection_loss(output.cls, output.reg, batch.targets.positive, batch.targets.regression)
+        losses = {"cls": cls, "reg": reg}
+        if self._teacher and batch.teacher is not None and batch.foreground is not None:
+            with torch.no_grad():
+                taught = self._teacher[0](batch.teacher, batch.agents)
+            losses |= distillation_losses(output, taught, batch.foreground, batch.agents, self.recipe.distill)
+        if self.reconstruction is not None and batch.scene is not None:
+            mask, offset = reconstruction_losses(self.reconstruction, output.fused, batch.scene)
+            losses |= {"rec_mask": mask, "rec_offset": offset}
+        return losses
+
+    def training_step(self, batch: Batch, batch_index: int) -> Tensor:
+        """Return the loss of a batch.
+
+        Raises:
+            TrainingAlarm: the loss is not a finite number.
+        """
+        losses = self.losses(batch)
+        total = torch.stack(list(losses.values())).sum()
+        if not bool(torch.isfinite(total)):
+            values = ", ".join(f"{name} {value.item():.3g}" for name, value in losses.items())
+            where = f"epoch {self.current_epoch}, step {self.global_step}, samples {', '.join(batch.keys)}"
+            raise TrainingAlarm(f"training: loss: expected a finite number, found {values} at {where}")
+        logged = {f"train/{name}": value.detach() for name, value in losses.items()} | {"train/loss": total.detach()}
+        self.log_dict(logged, on_step=True, on_epoch=True, batch_size=len(batch.keys))
+        return total
+
+    def validation_step(self, batch: Batch, batch_index: int) -> None:
+        """Detect in a batch and keep the result."""
+        for found, truth in zip(self.detector.decode(self(batch)), batch.boxes, strict=True):
+            self._results.append(FrameResult(found, truth))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the average precisions.
+
+        Raises:
+            TrainingAlarm: they have been 0 for too long.
+        """
+        curves = evaluate(self._results, thresholds=(0.3, 0.5, 0.7)).curves
+        self._results.clear()
+        ap = {f"val/ap_bev_{round(100 * t)}": float(curves["bev", t].ap) for t in (0.3, 0.5, 0.7)}
+        self.log_dict({name: 0.0 if math.isnan(value) else value for name, value in ap.items()})
+        if self.trainer.sanity_checking or math.isnan(ap["val/ap_bev_50"]):
+            return
+        self._zeros_in_a_row = self._zeros_in_a_row + 1 if ap["val/ap_bev_30"] == 0 else 0
+        if self._zeros_in_a_row >= self.recipe.alarm_after:
+            raise TrainingAlarm(
+                f"training: AP@0.3: expected more than 0 by epoch {self.current_epoch}, found 0 in "
+                f"{self._zeros_in_a_row} validations in a row; look at the labels' frame and the learning rate"
+            )
+
+    def configure_optimizers(self) -> Any:
+        """Return AdamW and the schedule, which advances with every step."""
+        decayed = [p for p in self.parameters() if p.ndim > 1]
+        others = [p for p in self.parameters() if p.ndim <= 1]
+        groups = [{"params": decayed, "weight_decay": self.recipe.weight_decay}, {"params": others, "weight_decay": 0}]
+        optimizer = torch.optim.AdamW(groups, lr=self.recipe.learning_rate)
+        steps = max(int(self.trainer.estimated_stepping_batches), 1)
+        schedule = LambdaLR(optimizer, RateCurve(self.recipe, steps))
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+class RateCurve:
+    """The learning rate over the steps, as a share of its peak: a linear rise, then half a cosine."""
+
+    def __init__(self, recipe: Recipe, steps: int) -> None:
+        self.steps = steps
+        self.rise = max(round(steps * recipe.warmup), 1)
+        self.start, self.end = 0.04, 1e-4 if recipe.schedule == "one_cycle" else 1e-2
+
+    def __call__(self, step: int) -> float:
+        """Return the share at a step."""
+        if step < self.rise:
+            return self.start + (1 - self.start) * step / self.rise
+        fall = min((step - self.rise) / max(self.steps - self.rise, 1), 1.0)
+        return self.end + (1 - self.end) * 0.5 * (1 + math.cos(math.pi * fall))

@@ -1,0 +1,133 @@
+"""Recipes: functions that return everything that makes a training what it is."""
+
+from collections.abc import Callable
+from typing import Literal
+
+import msgspec
+from msgspec.structs import replace
+
+from dsrc.data.sample import GridSpec
+from dsrc.models.settings import ModelSettings
+from dsrc.training.losses import DistillSettings
+
+Stage = Literal["teacher", "student", "plain"]
+
+
+class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Changes of a training sample, drawn anew each time; clouds, boxes and all agents move together.
+
+    Attributes:
+        flip: mirror left and right, and front and back, each with probability one half.
+        rotation_deg: turn about the vertical axis by up to this.
+        scale: resize by up to this fraction.
+        random_ego: look through any of the frame's vehicles, not always the first.
+        dropout: probability that only some agents (one to all, evenly) take part; the ground truth is then what these
+            have seen. One network so learns to be good alone and in company.
+    """
+
+    flip: bool = True
+    rotation_deg: float = 15.0
+    scale: float = 0.05
+    random_ego: bool = True
+    dropout: float = 0.3
+
+
+class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that makes a training what it is, data and seed aside.
+
+    Attributes:
+        name: key in `RECIPES`.
+        model: the student's settings.
+        distill: weights and forms of the distillation.
+        augmentation: changes of the training samples.
+        epochs: passes over the data.
+        batch_size: samples per step.
+        learning_rate: its peak.
+        weight_decay: of AdamW, on weights of convolutions and the linear layer only.
+        schedule: per step, after a linear warm-up: `one_cycle` and `cosine` fall along a half cosine, the first to
+            almost nothing, the second to a hundredth of the peak.
+        warmup: share of the steps in which the rate rises.
+        clip: gradients longer than this are shortened.
+        comm_range_m: agents farther from the ego than this do not take part.
+        validate_every: epochs between validations; the last epoch always has one.
+        validation_share: without a validation set, this last part of each drive is held out.
+        validation_frames: at most this many frames are validated on, evenly spread.
+        alarm_after: validations in a row with an average precision of 0 that end the training.
+        workers: processes that prepare batches.
+        half: ship the weights in half precision.
+    """
+
+    name: str
+    model: ModelSettings
+    distill: DistillSettings = DistillSettings()
+    augmentation: Augmentation = Augmentation()
+    epochs: int = 40
+    batch_size: int = 2
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    schedule: Literal["one_cycle", "cosine"] = "one_cycle"
+    warmup: float = 0.1
+    clip: float = 10.0
+    comm_range_m: float = 70.0
+    validate_every: int = 2
+    validation_share: float = 0.1
+    validation_frames: int = 40
+    alarm_after: int = 5
+    workers: int = 1
+    half: bool = True
+
+    def settings(self, stage: Stage) -> ModelSettings:
+        """Return the settings of the network that a stage trains."""
+        if stage == "teacher":
+            return replace(self.model, role="teacher", rec=False)
+        if stage == "plain":
+            return replace(self.model, sdd=False, pcp=False, rec=False)
+        return self.model
+
+
+def opv2v() -> Recipe:
+    """The paper's range, sizes and schedule (Implementation Details); wants a GPU."""
+    return Recipe(name="opv2v", model=ModelSettings(), schedule="cosine", validate_every=4, workers=4)
+
+
+def small() -> Recipe:
+    """102.4 m x 51.2 m and half the channels: trains on two CPU cores in under an hour per stage."""
+    model = ModelSettings(
+        grid=GridSpec(range_m=(-51.2, -25.6, -3.0, 51.2, 25.6, 1.0)),
+        pillar_channels=32,
+        stage_channels=(32, 64, 128),
+        stage_blocks=(2, 3, 3),
+        base_width=32,
+        decoder_channels=64,
+        shrink_channels=128,
+        reconstruction_channels=(32, 8),
+    )
+    return Recipe(name="small", model=model, epochs=8)
+
+
+def debug() -> Recipe:
+    """A network that learns four frames by heart in about a minute."""
+    model = replace(
+        small().model,
+        grid=GridSpec(range_m=(-25.6, -12.8, -3.0, 25.6, 12.8, 1.0)),
+        pillar_channels=16,
+        stage_channels=(16, 32, 64),
+        stage_blocks=(1, 1, 1),
+        decoder_channels=32,
+        shrink_channels=64,
+        norm_momentum=0.1,
+    )
+    still = Augmentation(flip=False, rotation_deg=0.0, scale=0.0, random_ego=False, dropout=0.0)
+    return Recipe(
+        name="debug",
+        model=model,
+        augmentation=still,
+        epochs=60,
+        learning_rate=4e-3,
+        validate_every=20,
+        validation_share=0.0,
+        workers=0,
+    )
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {"debug": debug, "small": small, "opv2v": opv2v}

@@ -1,0 +1,222 @@
+"""train: one stage of a recipe on a folder of drives, resumable, into one run folder."""
+
+import logging
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import lightning.pytorch as pl
+import msgspec
+import torch
+from lightning.fabric.utilities.warnings import PossibleUserWarning
+from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
+from lightning.pytorch.loggers import TensorBoardLogger
+from msgspec.structs import replace
+
+from dsrc.data.opv2v import data_hash, find_drives
+from dsrc.evaluation.provenance import hash_file, provenance
+from dsrc.models.checkpoint import load_detector, save_detector
+from dsrc.models.detector import Detector
+from dsrc.models.settings import ModelSettings
+from dsrc.training.datamodule import DetectionData
+from dsrc.training.logs import MetricsFile, ValidateLast
+from dsrc.training.module import DetectionModule
+from dsrc.training.recipes import RECIPES, Recipe, Stage
+from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
+
+LOG = logging.getLogger(__name__)
+DETECTOR = "detector.pt"
+
+logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+
+
+def train_stages(
+    recipe: str,
+    *,
+    data: Path,
+    out: Path,
+    stage: Literal["all", "teacher", "student", "plain"] = "all",
+    teacher: Path | None = None,
+    validate: Path | None = None,
+    seed: int = 0,
+    epochs: int | None = None,
+    overrides: Sequence[str] = (),
+) -> Path:
+    """Train one stage, or the teacher and then the student, each in its own subfolder of `out`.
+
+    Args:
+        recipe: a key of `RECIPES`.
+        data: folder of drives.
+        out: run folder.
+        stage: `all` is teacher, then student; a student that does not distil needs no teacher.
+        teacher: detector file of a trained teacher; default: the one in `out`.
+        validate: folder of drives to validate on; None holds out the end of each training drive.
+        seed: of weights, order and augmentation.
+        epochs: instead of the recipe's.
+        overrides: `field=value` of `ModelSettings`, or of the recipe when the model has no such field.
+
+    Returns:
+        The detector file of the last stage.
+    """
+    if recipe not in RECIPES:
+        raise SettingsError(f"recipe: unknown '{recipe}'{did_you_mean(recipe, RECIPES)}")
+    chosen = override(RECIPES[recipe](), overrides)
+    if epochs is not None:
+        chosen = replace(chosen, epochs=epochs)
+    if chosen.epochs < 1:
+        raise SettingsError(complaint("recipe", "epochs", "at least 1", chosen.epochs))
+    stages: list[Stage] = ["teacher", "student"] if stage == "all" else [stage]
+    if stage == "all" and not chosen.model.distils:
+        stages = ["student"]
+    path = out
+    for part in stages:
+        known = teacher
+        if part == "student" and known is None and chosen.model.distils:
+            known = out / "teacher" / DETECTOR
+        path = train(chosen, data, out / part, part, teacher=known, validate=validate, seed=seed, cache=out / "samples")
+    return path
+
+
+def train(
+    recipe: Recipe,
+    data: Path,
+    out: Path,
+    stage: Stage,
+    *,
+    teacher: Path | None = None,
+    validate: Path | None = None,
+    resume: bool = True,
+    seed: int = 0,
+    cache: Path | None = None,
+    callbacks: Sequence[pl.Callback] = (),
+) -> Path:
+    """Train one stage.
+
+    The run folder gets `settings.json` (recipe, seed, versions, hash of the data), `metrics.csv` (one row per epoch),
+    `tensorboard/` where it is installed, `checkpoints/last.ckpt` (to resume from) and `detector.pt` (to use).
+
+    Args:
+        recipe: what to do.
+        data: folder of drives.
+        out: run folder.
+        stage: `teacher` reads clouds made with ground truth; `student` is the recipe's model; `plain` is it without
+            distillation and reconstruction.
+        teacher: detector file of a teacher, for a student that distils.
+        validate: folder of drives to validate on; None holds out the end of each training drive.
+        resume: continue from the run folder's last checkpoint if there is one; a run interrupted and resumed ends with
+            the same weights as one that was not.
+        seed: of weights, order and augmentation.
+        cache: folder for prepared samples, shareable between runs; default: in the run folder.
+        callbacks: further Lightning callbacks.
+
+    Returns:
+        The detector file.
+
+    Raises:
+        DataError: the data is missing or wrong.
+        CheckpointError: the teacher is missing or does not fit.
+        TrainingAlarm: the loss became NaN, or nothing is ever detected.
+    """
+    settings = recipe.settings(stage)
+    taught_by = _teacher(teacher, settings) if stage == "student" and settings.distils else None
+    drives = find_drives(data)
+    validation = None if validate is None else find_drives(validate)
+    out.mkdir(parents=True, exist_ok=True)
+    loaders = DetectionData(recipe, settings, drives, validation, seed, cache or out / "samples")
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        module = DetectionModule(recipe, Detector(settings), taught_by)
+    record = _record(recipe, stage, seed, drives, validation, teacher if taught_by else None)
+    _write_json(out / "settings.json", record)
+    last = out / "checkpoints" / "last.ckpt"
+    with warnings.catch_warnings():
+        # Advice about the number of workers and of log steps; both are the recipe's choice.
+        warnings.simplefilter("ignore", PossibleUserWarning)
+        trainer = _trainer(recipe, out, callbacks)
+        trainer.fit(module, loaders, ckpt_path=str(last) if resume and last.exists() else None)
+    if trainer.interrupted:
+        raise KeyboardInterrupt
+    metrics = {k: float(v) for k, v in trainer.callback_metrics.items() if k.startswith("val/")}
+    path = out / DETECTOR
+    save_detector(path, module.detector, {**record, "metrics": metrics}, half=recipe.half)
+    return path
+
+
+def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
+    """Return the recipe with `field=value` of its model, or of itself, changed.
+
+    Raises:
+        SettingsError: no such field, or a value of another type.
+    """
+    for text in overrides:
+        name, _, value = text.partition("=")
+        in_model = name in ModelSettings.__struct_fields__
+        if not in_model and name not in Recipe.__struct_fields__:
+            raise SettingsError(f"--set {name}: no such setting{did_you_mean(name, ModelSettings.__struct_fields__)}")
+        target: ModelSettings | Recipe = recipe.model if in_model else recipe
+        try:
+            parsed = msgspec.json.decode(value)
+        except msgspec.DecodeError:
+            parsed = value
+        try:
+            changed = msgspec.convert({**msgspec.to_builtins(target), name: parsed}, type(target), strict=False)
+        except msgspec.ValidationError as error:
+            raise SettingsError(f"--set {text}: {error}") from None
+        recipe = replace(recipe, model=changed) if isinstance(changed, ModelSettings) else changed
+    return recipe
+
+
+def _teacher(path: Path | None, student: ModelSettings) -> Detector:
+    """Load a teacher and compare what must be equal for its features to be a model for the student's."""
+    if path is None:
+        raise CheckpointError("teacher: a student with sdd or pcp needs a teacher's detector.pt; train it first")
+    teacher = load_detector(path)
+    wanted = {"role": "teacher"}
+    wanted |= {name: getattr(student, name) for name in ("grid", "sdd", "pcp", "stage_channels", "shrink_channels")}
+    for name, value in wanted.items():
+        if getattr(teacher.settings, name) != value:
+            raise CheckpointError(complaint(path, name, f"{value} as the student's", getattr(teacher.settings, name)))
+    return teacher
+
+
+def _trainer(recipe: Recipe, out: Path, callbacks: Sequence[pl.Callback]) -> pl.Trainer:
+    keep = ModelCheckpoint(
+        out / "checkpoints", filename="last", save_top_k=1, enable_version_counter=False, save_on_train_epoch_end=True
+    )
+    shown = [RichProgressBar()] if sys.stderr.isatty() else []
+    try:
+        logger: TensorBoardLogger | bool = TensorBoardLogger(out, name="tensorboard", version="")
+    except ModuleNotFoundError:
+        logger = False
+    return pl.Trainer(
+        max_epochs=recipe.epochs,
+        accelerator="auto",
+        devices=1,
+        logger=logger,
+        callbacks=[ValidateLast(recipe.validate_every), MetricsFile(out / "metrics.csv"), keep, *shown, *callbacks],
+        gradient_clip_val=recipe.clip,
+        num_sanity_val_steps=0,
+        log_every_n_steps=10,
+        enable_progress_bar=bool(shown),
+        enable_model_summary=False,
+        default_root_dir=out,
+    )
+
+
+def _record(
+    recipe: Recipe, stage: Stage, seed: int, drives: list[Path], validation: list[Path] | None, teacher: Path | None
+) -> dict:
+    """Return everything that made a training: settings, seed, versions, data."""
+    return {
+        **provenance({"recipe": msgspec.to_builtins(recipe), "stage": stage}, seed, drives),
+        "validation": None if validation is None else {drive.name: data_hash([drive]) for drive in validation},
+        "teacher": None if teacher is None else hash_file(teacher),
+    }
+
+
+def _write_json(path: Path, content: dict) -> None:
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
+    temporary.replace(path)

@@ -1,0 +1,119 @@
+"""Training end to end on a made-up drive: it learns, resumes, and says so when it goes wrong."""
+
+import csv
+from pathlib import Path
+
+import lightning.pytorch as pl
+import numpy as np
+import pytest
+import torch
+from msgspec.structs import replace
+
+from dsrc.data.opv2v import DriveReader
+from dsrc.data.sample import make_sample
+from dsrc.evaluation.ap import FrameResult, evaluate
+from dsrc.models.checkpoint import load_detector
+from dsrc.training.recipes import Augmentation, Recipe, debug
+from dsrc.training.train import train, train_stages
+from sim.errors import CheckpointError, SettingsError
+from tests.dsrc.training.drive import write_drive
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("data"), 4)
+
+
+def tiny(**changes: object) -> Recipe:
+    """The debug recipe, cut down to what a fast test can run."""
+    recipe = debug()
+    model = replace(recipe.model, pillar_channels=8, stage_channels=(8, 16, 16), shrink_channels=16, decoder_channels=8)
+    model = replace(model, base_width=64, reconstruction_channels=(4, 2))
+    return replace(recipe, model=model, epochs=4, augmentation=Augmentation(), validate_every=2, **changes)
+
+
+class Power(pl.Callback):
+    """Fails at the start of an epoch."""
+
+    def __init__(self, epoch: int) -> None:
+        self.epoch = epoch
+
+    def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        if trainer.current_epoch == self.epoch:
+            raise RuntimeError("power cut")
+
+
+def test_a_resumed_training_ends_with_the_same_weights(data: Path, tmp_path: Path) -> None:
+    whole = train(tiny(), data, tmp_path / "whole", "plain", seed=3)
+    with pytest.raises(RuntimeError, match="power cut"):
+        train(tiny(), data, tmp_path / "cut", "plain", seed=3, callbacks=[Power(2)])
+    resumed = train(tiny(), data, tmp_path / "cut", "plain", seed=3)
+    expected = load_detector(whole).state_dict()
+    for name, tensor in load_detector(resumed).state_dict().items():
+        torch.testing.assert_close(tensor, expected[name], rtol=0, atol=0)
+    with (tmp_path / "cut/metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["epoch"] for row in rows] == ["0", "1", "2", "3"]
+    assert [bool(row["val/ap_bev_50"]) for row in rows] == [False, True, False, True]
+    assert (tmp_path / "cut/settings.json").exists()
+    assert list((tmp_path / "cut/tensorboard").glob("events*"))
+
+
+def test_teacher_then_student_with_all_designs(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("dsrc.training.recipes", fromlist=["x"]).RECIPES, "debug", tiny)
+    path = train_stages("debug", data=data, out=tmp_path, epochs=2)
+    student = load_detector(path)
+    assert path == tmp_path / "student/detector.pt"
+    assert load_detector(tmp_path / "teacher/detector.pt").settings.point_features == 5
+    with (tmp_path / "student/metrics.csv").open() as file:
+        row = list(csv.DictReader(file))[-1]
+    assert {"train/dae", "train/daf", "train/dap", "train/rec_mask", "train/rec_offset"} <= set(row)
+    sample = make_sample(DriveReader(data / "made_up").read(0), 1000, student.settings.grid)
+    student.detect(sample)
+
+
+@pytest.mark.parametrize("fusion", ["max", "none", "late"])
+def test_other_fusions_train_and_detect(data: Path, tmp_path: Path, fusion: str) -> None:
+    recipe = tiny()
+    path = train(replace(recipe, epochs=1, model=replace(recipe.model, fusion=fusion)), data, tmp_path, "plain")
+    detector = load_detector(path)
+    detector.detect(make_sample(DriveReader(data / "made_up").read(0), 1000, detector.settings.grid))
+
+
+def test_a_nan_stops_the_training_with_one_line(data: Path, tmp_path: Path) -> None:
+    class Poison(pl.Callback):
+        def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+            torch.nn.init.constant_(pl_module.detector.cls_head.bias, torch.nan)
+
+    from dsrc.training.module import TrainingAlarm
+
+    with pytest.raises(TrainingAlarm, match=r"loss: expected a finite number, found .* nan.* epoch 0, step 0"):
+        train(tiny(), data, tmp_path, "plain", callbacks=[Poison()])
+
+
+def test_an_ap_that_stays_zero_stops_the_training(data: Path, tmp_path: Path) -> None:
+    from dsrc.training.module import TrainingAlarm
+
+    recipe = tiny(learning_rate=1e-9, alarm_after=2)
+    with pytest.raises(TrainingAlarm, match="found 0 in 2 validations"):
+        train(recipe, data, tmp_path, "plain")
+
+
+def test_a_student_without_its_teacher_is_told(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match="no such checkpoint file"):
+        train_stages("debug", data=data, out=tmp_path, stage="student")
+    with pytest.raises(SettingsError, match="did you mean 'fusion'"):
+        train_stages("debug", data=data, out=tmp_path, overrides=("fusoin=max",))
+    with pytest.raises(SettingsError, match="did you mean 'debug'"):
+        train_stages("debgu", data=data, out=tmp_path)
+
+
+@pytest.mark.slow
+def test_debug_learns_four_frames_by_heart(data: Path, tmp_path: Path) -> None:
+    detector = load_detector(train_stages("debug", data=data, out=tmp_path, seed=0))
+    reader = DriveReader(data / "made_up")
+    samples = [make_sample(reader.read(i), 1000, detector.settings.grid) for i in range(4)]
+    results = [FrameResult(detector.detect(sample), sample.boxes) for sample in samples]
+    assert evaluate(results).curves["bev", 0.5].ap >= 0.9
+    assert sum(len(r.truth) for r in results) >= 20
+    assert np.isfinite([r.detections.score.sum() for r in results]).all()
