@@ -1,6 +1,5 @@
 """Traffic by SUMO, in this process: the only module that knows libsumo."""
 
-import math
 import tempfile
 import threading
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from sim.networks import read_network, resolve_network
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.lane_path import lane_path
+from sim.traffic.red_light import red_light_speed
 from sim.traffic.sumo_input import signals_xml, sumo_options
 from sim.vehicle_types import TYPES, VehicleType, choose_model
 
@@ -29,9 +29,6 @@ FIRST_ID = 1000
 # consequences. SUMO's stop at red lights (16) is left out too: without the safe speed it brakes at 14 m/s2.
 _OWN_SPEED_MODE = 2 | 4 | 32
 _SUMO_SPEED_MODE = 31
-
-_STOP_M = 0.5
-"""Gap between a commanded vehicle's bumper and the line at a red light, m."""
 
 _running = threading.Lock()
 
@@ -200,7 +197,8 @@ class SumoTraffic:
         if not self._open:
             raise TrafficError("this SUMO simulation is closed")
         for name, speed_mps in self._commanded.items():
-            self._sumo.vehicle.setSpeed(name, min(speed_mps, self._signal_speed(name)))
+            limit_mps = red_light_speed(self._sumo, name, self._users[name].kind.accel_mps2[1], self.step_s)
+            self._sumo.vehicle.setSpeed(name, min(speed_mps, limit_mps))
         try:
             self._sumo.simulationStep()
         except Exception as error:  # see _start
@@ -211,21 +209,6 @@ class SumoTraffic:
             self._welcome(name, self._sumo.person.getTypeID(name), is_person=True)
         for name in self._sumo.simulation.getArrivedIDList():
             self._commanded.pop(name, None)
-
-    def _signal_speed(self, name: str) -> float:
-        """Return the highest speed from which a vehicle still stops comfortably before the next light, if that is red.
-
-        Who is too close to stop at the change to yellow or red drives on.
-        """
-        lights = self._sumo.vehicle.getNextTLS(name)
-        if not lights or lights[0][3] not in "ryu":
-            return math.inf
-        decel = self._users[name].kind.accel_mps2[1]
-        now_mps, gap_m = self._sumo.vehicle.getSpeed(name), lights[0][2]
-        if now_mps**2 > 2.0 * decel * max(gap_m, 0.0) + 1.0:
-            return math.inf
-        step_mps = decel * self.step_s
-        return max(-step_mps + math.sqrt(step_mps**2 + 2.0 * decel * max(gap_m - _STOP_M, 0.0)), 0.0)
 
     def _welcome(self, name: str, type_id: str, *, is_person: bool) -> None:
         kind = TYPES[type_id]

@@ -33,7 +33,7 @@ def test_departures_ascend_and_come_at_the_rate_asked_for(tmp_path: Path) -> Non
     root = demand(scenario, 3, tmp_path)
     departures = [float(e.get("depart")) for e in root if e.tag in ("vehicle", "person")]
     assert departures == sorted(departures)
-    for letter, rate in (("v", 2400.0), ("b", 240.0), ("p", 600.0)):
+    for letter, rate in (("v", 1700.0), ("b", 240.0), ("p", 600.0)):
         count = sum(e.get("id").startswith(letter) for e in root if e.tag != "vType")
         expected = rate * (scenario.warmup_s + scenario.duration_s + 1800.0) / 3600.0
         assert abs(count - expected) < 5.0 * np.sqrt(expected)
