@@ -2,6 +2,7 @@
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from sim.networks import read_network, resolve_network, sumo_tools
 from sim.scenario import Scenario
@@ -33,14 +34,14 @@ def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
     """
     net = read_network(resolve_network(scenario, seed))
     streets = read_streets(net, scenario.network.area_m, MARGIN_M)
-    town = build_town(scenario, streets, seed)
     units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
+    town = _town(scenario, streets, units, seed)
     things = furniture(streets, town.footprint, units, np.random.default_rng([seed, _FURNITURE]))
     return to_mesh(join([*surfaces(streets), *markings(streets), *town.pieces, guard_rails(streets), *things]))
 
 
-def build_town(scenario: Scenario, streets: Streets, seed: int) -> Town:
+def _town(scenario: Scenario, streets: Streets, units: NDArray[np.float64], seed: int) -> Town:
     """Return the buildings: the scenario's city mesh, or seeded blocks when it has none."""
     if scenario.network.city_mesh:
         return city_mesh(sumo_tools() / scenario.network.city_mesh, streets)
-    return blocks(streets, np.random.default_rng([seed, _BLOCKS]))
+    return blocks(streets, units, np.random.default_rng([seed, _BLOCKS]))

@@ -21,6 +21,7 @@ CLEARANCE_M = 4.5
 _PAVED_BELOW_M = 0.02
 """How far yards and car parks of the mesh lie below our road, which is laid over them."""
 
+_UNIT_CLEAR_M = 8.0
 _NO_HOUSE_M = 60.0
 """No houses are made up this close to a motorway."""
 
@@ -121,11 +122,18 @@ def _footprints(triangles: Array) -> NDArray[np.object_]:
     return shapely.buffer(hull, 0.02, quad_segs=1)
 
 
-def blocks(streets: Streets, rng: np.random.Generator) -> Town:
-    """Return seeded houses along the streets of a town, none of them on a lane, a footway or a junction."""
+def blocks(streets: Streets, units: Array, rng: np.random.Generator) -> Town:
+    """Return seeded houses along the streets of a town, none of them on a lane, a footway or a junction.
+
+    Args:
+        streets: lanes and polygons.
+        units: (U, 3) roadside sensors, around which the view stays free.
+        rng: chooses places, sizes and walls.
+    """
     fast = [shapely.LineString(lane.line) for lane in streets.lanes if lane.speed > TOWN_SPEED_MPS]
     near_fast = shapely.unary_union(fast).buffer(_NO_HOUSE_M)
     blocked = (streets.road | streets.walk | streets.rail).buffer(2.0) | near_fast
+    blocked |= shapely.unary_union(shapely.points(units[:, :2]).reshape(-1)).buffer(_UNIT_CLEAR_M)
     shapely.prepare(blocked)
     taken: list[shapely.Polygon] = []
     pieces: list[Piece] = []

@@ -55,8 +55,14 @@ def _kerbs(streets: Streets) -> shapely.Geometry:
     reach = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width + 1.0) for lane in town])
     outline = streets.road.buffer(_KERB_WIDTH_M, join_style="mitre") - streets.road
     ways = [lane for lane in streets.lanes if lane.kind in ("walk", "crossing", "rail") and not lane.beside_road]
-    openings = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width) for lane in ways])
-    return (outline & reach & shapely.box(*streets.window)) - openings
+    openings = [shapely.LineString(lane.line).buffer(0.5 * lane.width) for lane in ways]
+    # The end of a lane in the network is not the end of the street.
+    openings += [
+        shapely.LineString(lane.line).buffer(0.5 * lane.width - 0.05, cap_style="square")
+        for lane in streets.lanes
+        if lane.kind in ("road", "bicycle")
+    ]
+    return (outline & reach & shapely.box(*streets.window)) - shapely.unary_union(openings)
 
 
 def _tracks(streets: Streets) -> list[Piece]:
@@ -67,7 +73,7 @@ def _tracks(streets: Streets) -> list[Piece]:
         for line in lines
         for rail in (line.offset_curve(0.5 * _GAUGE_M), line.offset_curve(-0.5 * _GAUGE_M))
     ]
-    bars = shapely.unary_union(rails) & streets.rail
+    bars = (shapely.unary_union(rails) & streets.rail) - streets.road.buffer(0.2)
     return [slab(bars, streets.height, 0.12, "metal", "metal", 0.02)] if not bars.is_empty else []
 
 

@@ -140,7 +140,7 @@ def ring(center: ArrayLike, radius: float, thickness: float, material: str, side
     corners = [(radius, -half), (radius, half), (radius - thickness, half), (radius - thickness, -half)]
     loops = [center + np.column_stack([r * np.cos(angle), np.full(sides, y), r * np.sin(angle)]) for r, y in corners]
     here, there = np.arange(sides), np.roll(np.arange(sides), -1)
-    faces = []
+    faces: list[NDArray[np.int64]] = []
     for loop in range(4):
         a, b = loop * sides, (loop + 1) % 4 * sides
         faces += _band(here + a, there + a, here + b, there + b)
