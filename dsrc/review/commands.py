@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from dsrc.review.model import CLEAN
@@ -51,7 +52,7 @@ def commands(app: "ReviewApp") -> list[Command]:
         Command("Points of all agents", "0", lambda: only_agent(app, None)),
     ]
     for row in range(min(_AGENT_KEYS, len(app.model.first_frame(0).agents))):
-        listed.append(Command(f"Points of agent {row + 1} alone", str(row + 1), lambda row=row: only_agent(app, row)))
+        listed.append(Command(f"Points of agent {row + 1} alone", str(row + 1), partial(only_agent, app, row)))
     if not app.model.has_detector:
         listed = [command for command in listed if "mistake" not in command.label]
     return listed

@@ -22,9 +22,9 @@ AGENT_COLORS: tuple[Rgb, ...] = (
 
 TRUTH: Rgb = (226, 232, 240)
 OTHER: Rgb = (112, 122, 140)
-RIGHT: Rgb = (38, 232, 96)
-WRONG: Rgb = (255, 59, 64)
-MISSED: Rgb = (255, 170, 0)
+RIGHT: Rgb = (70, 208, 60)
+WRONG: Rgb = (250, 58, 64)
+MISSED: Rgb = (242, 166, 34)
 BACKGROUND: Rgb = (10, 12, 17)
 
 FATE_COLORS: dict[int, Rgb] = {
@@ -48,6 +48,31 @@ def _ramp(stops: str) -> NDArray[np.uint8]:
 
 VIRIDIS = _ramp(_VIRIDIS)
 TURBO = _ramp(_TURBO)
+
+
+# The ACES curve as three.js has it (S. Hill's fit, after an exposure of 1 / 0.6): linear colours in and out.
+_ACES_IN = np.array([[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]])
+_ACES_OUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
+_FIT = (0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081)
+_EXPOSURE = 1.0 / 0.6
+
+
+def before_tone_mapping(rgb: Rgb) -> Rgb:
+    """Return the colour to send so that the viewer, which maps tones as films do, shows `rgb` or comes near it.
+
+    The viewer maps lines and meshes, but not points; sent as they are, saturated colours turn pale.
+    """
+    shown = np.array(rgb, np.float64) / 255.0
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    fitted = np.clip(np.linalg.solve(_ACES_OUT, linear), 0.0, 0.99)
+    a, b, c, d, e = _FIT
+    # fitted = (v^2 + a v - b) / (c v^2 + d v + e), solved for v.
+    square, slope, rest = 1.0 - c * fitted, a - d * fitted, -(b + e * fitted)
+    v = (-slope + np.sqrt(slope**2 - 4.0 * square * rest)) / (2.0 * square)
+    sent = np.clip(np.linalg.solve(_ACES_IN, v) / _EXPOSURE, 0.0, 1.0)
+    encoded = np.where(sent <= 0.0031308, 12.92 * sent, 1.055 * sent ** (1.0 / 2.4) - 0.055)
+    red, green, blue = np.round(255.0 * encoded).astype(int).tolist()
+    return red, green, blue
 
 
 def agent_color(row: int) -> Rgb:

@@ -1,12 +1,13 @@
 """The panels of the live page: they build the controls and turn what happens to them into changes of the state."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from dsrc.review.commands import commands
 from dsrc.review.model import CLEAN
 from dsrc.review.report import keys_table, legend, report
-from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS, ReviewState
+from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS, Camera, ReviewState
 from dsrc.review.view import FrameView
 from sensors.corruptions import CORRUPTIONS
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from dsrc.review.app import ReviewApp
 
 SPEEDS = {"0.25×": 0.25, "0.5×": 0.5, "1×": 1.0, "2×": 2.0, "4×": 4.0}
+
+CAMERAS: dict[str, Camera] = {"Chase": "chase", "BEV": "bev", "Free": "free"}
 
 
 class Panels:
@@ -109,8 +112,8 @@ class Panels:
         self.play.on_click(lambda _: app.toggle_play())
         self.speed = self.gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1×")
         self._on_change(self.speed, lambda name: app.play(SPEEDS[name]) if app.playing else None)
-        self.camera = self.gui.add_button_group("Camera", ("Chase", "BEV", "Free"))
-        self.camera.on_click(lambda event: app.set_camera(event.target.value.lower()))
+        self.camera = self.gui.add_button_group("Camera", tuple(CAMERAS))
+        self.camera.on_click(lambda event: app.set_camera(CAMERAS[event.target.value]))
 
     def _conditions(self) -> None:
         app, state = self.app, self.app.state
@@ -153,7 +156,7 @@ class Panels:
         for command in listed:
             modifier = "shift" if command.shift else None
             handle = self.gui.add_command(command.label, hotkey=command.key, modifier=modifier)  # type: ignore[arg-type]
-            handle.on_trigger(lambda _, run=command.run: run())
+            handle.on_trigger(_ignoring_event(command.run))
         with self.gui.add_folder("Keys", expand_by_default=False):
             self.gui.add_markdown(keys_table((command.label, command.key_text) for command in listed))
 
@@ -170,8 +173,12 @@ class Panels:
             for agent in view.agents:
                 handle = self.gui.add_checkbox(agent.title.capitalize(), agent.visible)
                 self.agent_boxes[agent.agent_id] = handle
-                self._on_change(handle, lambda on, agent_id=agent.agent_id: self._show_agent(agent_id, on))
+                self._on_change(handle, partial(self._show_agent, agent.agent_id))
 
     def _show_agent(self, agent_id: int, shown: bool) -> None:
         hidden = self.app.state.hidden
         self.app.update(hidden=hidden - {agent_id} if shown else hidden | {agent_id})
+
+
+def _ignoring_event(run: Callable[[], None]) -> Callable[[Any], None]:
+    return lambda _: run()

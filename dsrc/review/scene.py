@@ -160,7 +160,7 @@ class SceneWriter:
         self._frame("bodies").visible = "bodies" not in view.layers_off
         colors = np.full((len(view.truth), 3), (70, 78, 94), np.uint8)
         for row, agent in enumerate(view.agents):
-            colors[view.agent_of == row] = agent.rgb
+            colors[view.agent_of == row] = palette.before_tone_mapping(agent.rgb)
         base = view.truth.center - [0.0, 0.0, 0.5] * view.truth.size
         for label, class_name in enumerate(CLASSES):
             rows = view.truth.label == label
@@ -178,7 +178,7 @@ class SceneWriter:
         self._lines(f"{name}/edges", _FORMS[style.form](boxes), style.rgb, style.thickness)
         if style.fill > 0.0:
             pose = (quaternions(boxes.yaw), boxes.center, boxes.size)
-            colors = np.tile(np.array(style.rgb, np.uint8), (len(boxes), 1))
+            colors = np.tile(np.array(palette.before_tone_mapping(style.rgb), np.uint8), (len(boxes), 1))
             self._batch(f"{name}/faces", (CUBE_VERTICES, CUBE_FACES), pose, colors, style.fill)
 
     def _write_links(self, view: FrameView) -> None:
@@ -191,13 +191,14 @@ class SceneWriter:
             if node is not None:
                 node.visible = False
             return
-        colors = np.broadcast_to(np.array(rgb, np.uint8), lines.shape).copy()
+        # One colour for all: viser shows colours per vertex too pale, as if they were linear.
+        color = np.array(palette.before_tone_mapping(rgb), np.uint8)
         if node is None:
             self._nodes[name] = self.scene.add_line_segments(
-                f"{self.root}/{name}", lines, colors, thickness=thickness, thickness_units="screen"
+                f"{self.root}/{name}", lines, color, thickness=thickness, thickness_units="screen"
             )
             return
-        node.points, node.colors = lines, colors
+        node.points, node.colors = lines, color
         node.thickness = thickness
         node.visible = True
 

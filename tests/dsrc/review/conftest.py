@@ -50,7 +50,7 @@ def sweep_of(truth: Boxes, world_from_lidar: np.ndarray, own: int, time_s: float
     angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
     for radius in (6.0, 12.0):
         ground = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(400)], axis=1)
-        points.append(ground + [*world_from_lidar[:2, 3], FAR_AWAY[2]])
+        points.append(ground + np.append(world_from_lidar[:2, 3], FAR_AWAY[2]))
         ids += [STATIC] * 400
     world = np.concatenate(points)
     inverse = invert(world_from_lidar)
@@ -72,10 +72,12 @@ def street_frame(index: int) -> Frame:
         body = pose_matrix(truth.center[row] - [0, 0, 0.8], truth.yaw[row])
         sweep = sweep_of(truth, body @ pose_matrix([0, 0, 1.9]), 1000 + row, 0.1 * index)
         agents.append(AgentFrame(1000 + row, "vehicle", body, 5.0, sweep))
-    pole = pose_matrix(FAR_AWAY + [25.0, 10.0, 0.0], -1.5)
+    pole = pose_matrix(FAR_AWAY + np.array([25.0, 10.0, 0.0]), -1.5)
     mast = sweep_of(truth, pole @ pose_matrix([0, 0, 5.0]), -99, 0.1 * index)
     agents.append(AgentFrame(-1, "roadside", pole, 0.0, mast))
-    points_on = np.array([[np.count_nonzero(a.sweep.object_id == i) for i in truth.object_id] for a in agents], np.int32)
+    points_on = np.array(
+        [[np.count_nonzero(a.sweep.object_id == i) for i in truth.object_id] for a in agents], np.int32
+    )
     return Frame(index, 0.1 * index, tuple(agents), truth, np.zeros((6, 2)), points_on)
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dsrc.review.palette import AGENT_COLORS, FATE_COLORS
+from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, before_tone_mapping
 from dsrc.review.points import paint, thin
 from dsrc.review.state import COLOR_BY
 from sensors.sweep import KEPT, SCATTERED, make_sweep
@@ -58,3 +58,10 @@ def test_actors_shine_in_their_agents_colour_and_the_ground_is_dim():
 def test_fates_have_their_colours():
     sweep = make_sweep(np.zeros((2, 3)), fate=np.array([KEPT, SCATTERED]))
     assert paint(sweep, "fate", (1, 2, 3), 0.0).tolist() == [list(FATE_COLORS[KEPT]), list(FATE_COLORS[SCATTERED])]
+
+
+def test_grey_is_sent_as_measured_and_verdicts_stay_saturated():
+    # three.js 0.17x shows a line of (106, 114, 129) as (112, 122, 140).
+    assert np.abs(np.array(before_tone_mapping((112, 122, 140))) - (106, 114, 129)).max() <= 1
+    assert before_tone_mapping((0, 0, 0)) == (0, 0, 0)
+    assert max(before_tone_mapping((255, 255, 255))) <= 255

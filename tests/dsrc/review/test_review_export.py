@@ -1,0 +1,154 @@
+import base64
+import json
+import re
+import time
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from dsrc.data.opv2v import write_frame
+from dsrc.review import palette
+from dsrc.review.app import ReviewApp
+from dsrc.review.export import export_html, export_states
+from dsrc.review.screenshot import find_chromium, open_page, screenshot
+from dsrc.review.server import start_server
+from dsrc.review.state import ReviewState
+from sim.errors import DataError, SettingsError
+
+
+def recording(html: str) -> dict:
+    """The messages that an exported page plays."""
+    import zstandard
+
+    data = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="([^"]+)"', html)[1])
+    inner = zstandard.ZstdDecompressor().decompressobj().decompress(data[8:])
+    return msgspec.msgpack.decode(inner[8 : 8 + int.from_bytes(inner[:8], "little")])
+
+
+@pytest.fixture
+def page(model, tmp_path):
+    return export_states(model, [ReviewState(frame=i, max_points=500) for i in range(4)], tmp_path / "a" / "page.html")
+
+
+def test_an_exported_page_plays_all_frames_with_named_nodes(page):
+    recorded = recording(page.read_text())
+    assert recorded["durationSeconds"] == pytest.approx(0.4)
+    names = {m[1].get("name") for m in recorded["messages"]}
+    for name in ("agents/ego_vehicle_1000/lidar/points", "truth/missed/edges", "detections/right/edges", "bodies/car"):
+        assert f"/drive/{name}" in names
+    times = {m[0] for m in recorded["messages"] if m[1].get("name", "").endswith("1000/lidar/points")}
+    assert len(times) == 4
+
+
+def test_an_exported_page_needs_nothing_else(page):
+    html = page.read_text()
+    # Whatever is loaded would stand in an element's src or href, or in a style's url().
+    assert not re.findall(r"<(?:script|link|img|iframe)[^>]+(?:src|href)=[\"']?(?:https?:)?//", html)
+    assert not re.findall(r"url\(\s*[\"']?https?:", html)
+    assert not list(page.parent.glob("*.tmp"))
+    assert 0.5e6 < page.stat().st_size < 4e6
+
+
+def test_the_legend_holds_the_counts_of_every_frame(page, model):
+    data = json.loads(re.search(r"__REVIEW__=(\{.*?\});", page.read_text())[1])
+    assert len(data["frames"]) == 4
+    counts = model.view(ReviewState(frame=2)).counts
+    assert data["frames"][2]["missed"] == str(counts.missed)
+    assert data["frames"][2]["right"] == str(counts.right)
+    assert len(data["cameras"]) == 3
+
+
+def test_a_drives_name_cannot_break_the_page(truth_model, tmp_path):
+    truth_model.names[0] = "</script><script>alert(1)</script>"
+    html = export_states(truth_model, [ReviewState()], tmp_path / "page.html").read_text()
+    assert "alert(1)</script>" not in html
+
+
+def test_the_ego_stays_where_it_starts(page):
+    recorded = recording(page.read_text())
+    moves = [m[1]["position"] for m in recorded["messages"] if m[1].get("name") == "/drive" and "position" in m[1]]
+    assert np.asarray(moves[-1]) == pytest.approx([-6.0, 0.0, 0.0])
+
+
+def test_export_takes_a_folder_and_a_slice(tmp_path, frame):
+    for index in range(3):
+        write_frame(tmp_path / "data" / "drive", replace(frame, index=index, time_s=0.1 * index))
+    page = export_html(tmp_path / "data", tmp_path / "page.html", frames=slice(1, 3), max_points=300)
+    assert recording(page.read_text())["durationSeconds"] == pytest.approx(0.2)
+    for frames in (0, -3, slice(5, 9)):
+        with pytest.raises(SettingsError, match="frames"):
+            export_html(tmp_path / "data", tmp_path / "other.html", frames=frames)
+    with pytest.raises(SettingsError, match="drive: expected 0 to 0, found 3"):
+        export_html(tmp_path / "data", tmp_path / "other.html", drive=3)
+    with pytest.raises(SettingsError, match="unknown corruption"):
+        export_html(tmp_path / "data", tmp_path / "other.html", corruption="fogg")
+    with pytest.raises(DataError):
+        export_html(tmp_path / "nothing", tmp_path / "other.html")
+    assert not (tmp_path / "other.html").exists()
+
+
+def test_a_picture_of_nothing_is_one_line(tmp_path, monkeypatch):
+    with pytest.raises(DataError, match="no such page"):
+        screenshot(tmp_path / "none.html", tmp_path / "none.png")
+    (tmp_path / "some.html").write_text("<p>")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SettingsError, match="no browser found"):
+        screenshot(tmp_path / "some.html", tmp_path / "none.png")
+
+
+def near(image: np.ndarray, rgb: palette.Rgb) -> int:
+    """Pixels of about this colour, whatever their brightness."""
+    pixels = image[..., :3].reshape(-1, 3).astype(np.float64)
+    bright = pixels[pixels.max(axis=1) > 90]
+    unit = bright / np.linalg.norm(bright, axis=1, keepdims=True)
+    return int(np.count_nonzero(unit @ (np.array(rgb) / np.linalg.norm(rgb)) > 0.985))
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
+def test_right_wrong_and_missed_are_seen_in_their_colours(model, tmp_path):
+    quiet = frozenset({"bodies", "labels", "links"})
+    state = ReviewState(threshold=0.0, hidden=frozenset({1000, 1002, -1}), layers_off=quiet)
+    app = ReviewApp(model, start_server(), state)
+    try:
+        app.wait_drawn()
+        with open_page(f"{app.url}?fixedDpr=1&darkMode", (640, 400)) as page:
+            end = time.monotonic() + 60
+            while not app.server.get_clients():
+                assert time.monotonic() < end, f"no browser connected: {page.evaluate('document.title')}"
+                time.sleep(0.1)
+            client = next(iter(app.server.get_clients().values()))
+            render = {"height": 400, "width": 640, "transport_format": "png", "timeout": 60.0}
+            client.get_render(**render)
+            # The first picture can come before the browser has built all nodes.
+            time.sleep(1.0)
+            image = client.get_render(**render)
+            assert min(near(image, rgb) for rgb in (palette.RIGHT, palette.WRONG, palette.MISSED)) > 15
+            app.update(threshold=1.0)
+            app.wait_drawn()
+            image = client.get_render(**render)
+            assert near(image, palette.RIGHT) == 0 and near(image, palette.MISSED) > 50
+    finally:
+        app.close()
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
+def test_an_exported_page_shows_the_scene_and_its_legend(page, tmp_path):
+    from matplotlib.image import imread
+
+    picture = screenshot(page, tmp_path / "page.png", (640, 400), settle_s=3.0)
+    image = (imread(picture) * 255).astype(np.uint8)
+    assert image.shape[:2] == (400, 640)
+    assert near(image[:, 340:], palette.RIGHT) > 15
+
+
+def test_pictures_leave_no_browser_behind(tmp_path, monkeypatch):
+    # A browser that ends at once must be an error and not a wait of a minute.
+    fake = tmp_path / "chromium"
+    fake.write_text("#!/bin/sh\nexit 3\n")
+    fake.chmod(0o755)
+    with pytest.raises(RuntimeError, match="ended with code 3"), open_page("about:blank", chromium=str(fake)):
+        pass
