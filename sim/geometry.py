@@ -16,7 +16,9 @@ _MIRROR_Y = np.diag([1.0, -1.0, 1.0, 1.0])
 
 def wrap_angle(angle: ArrayLike) -> Array:
     """Wrap angles in radians into (-pi, pi]."""
-    return np.pi - np.mod(np.pi - np.asarray(angle, dtype=np.float64), 2.0 * np.pi)
+    wrapped = np.pi - np.mod(np.pi - np.asarray(angle, dtype=np.float64), 2.0 * np.pi)
+    # Just above pi the remainder rounds to a full turn.
+    return np.where(wrapped <= -np.pi, np.pi, wrapped)[()]
 
 
 def pose_matrix(
@@ -134,7 +136,9 @@ def sumo_from_center(
     slope = -np.asarray(pitch, np.float64)
     half = 0.5 * np.asarray(length, np.float64)
     forward = np.stack([np.cos(slope) * np.cos(yaw), np.cos(slope) * np.sin(yaw), np.sin(slope)], axis=-1)
-    return base + half[..., None] * forward, np.mod(90.0 - np.degrees(yaw), 360.0), np.degrees(slope)
+    # Twice: the remainder of a tiny negative angle rounds to 360.
+    angle_deg = np.mod(np.mod(90.0 - np.degrees(yaw), 360.0), 360.0)
+    return base + half[..., None] * forward, angle_deg, np.degrees(slope)
 
 
 def carla_matrix(pose: ArrayLike) -> Array:
