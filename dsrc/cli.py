@@ -189,7 +189,7 @@ def evaluate(
         limit: evaluate at most this many frames, evenly spread.
         ego_alone: also evaluate the first detector without collaborators.
     """
-    from dsrc.evaluation.benchmark import evaluate_checkpoints
+    from dsrc.evaluation.run import evaluate_checkpoints
 
     with _progress() as progress:
         task = progress.add_task("evaluate", total=None)
