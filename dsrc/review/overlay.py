@@ -39,9 +39,12 @@ const tick=()=>{const s=document.querySelector('[role=slider]');
  const t=s?parseFloat(s.getAttribute('aria-valuenow')):NaN;
  if(Number.isFinite(t))show(Math.max(0,Math.min(d.frames.length-1,Math.floor(t/d.interval+1e-3))));};
 show(0);setInterval(tick,50);
+const turn=([w,x,y,z],[a,b,c])=>{const u=2*(y*c-z*b),v=2*(z*a-x*c),t=2*(x*b-y*a);
+ return[a+w*u+y*t-z*v,b+w*v+z*u-x*t,c+w*t+x*v-y*u];};
 for(const b of document.querySelectorAll('#review button'))b.onclick=()=>{
- const c=window.__viserMutable&&window.__viserMutable.cameraControl,p=d.cameras[b.dataset.camera];
- if(c&&p)c.setLookAt(p[0],p[2],-p[1],p[3],p[5],-p[4],true);};
+ const m=window.__viserMutable,p=d.cameras[b.dataset.camera];if(!m||!m.cameraControl||!p)return;
+ const q=m.nodePoseData[''].wxyz;
+ m.cameraControl.setLookAt(...turn(q,p.slice(0,3)),...turn(q,p.slice(3)),true);};
 window.addEventListener('keydown',e=>{const b=document.querySelector('#review button[data-key="'+e.key+'"]');
  if(b&&!/INPUT|TEXTAREA/.test(document.activeElement.tagName))b.click();});
 })();
