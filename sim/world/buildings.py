@@ -19,7 +19,7 @@ CLEARANCE_M = 4.5
 """Height over a lane below which nothing may stand."""
 
 _PAVED_BELOW_M = 0.02
-"""How far yards and car parks of the mesh lie below our road, which is laid over them."""
+"""How far yards and car parks of the mesh lie below our road, which is not to meet them at one height."""
 
 _UNIT_CLEAR_M = 8.0
 _NO_HOUSE_M = 60.0
@@ -77,10 +77,11 @@ def city_mesh(path: Path, streets: Streets) -> Town:
     triangles, material = triangles[near], material[near]
     footprints = _footprints(triangles)
     shapely.prepare(streets.road)
-    # A house over the street stays, a wall across it goes: the lanes are driven on whatever the mesh says.
+    # A roof over the street stays, a wall across it goes: the lanes are driven on whatever the mesh says. Of its
+    # pavings only yards and car parks are left, as its roads lie under ours.
     paved = np.isin(material, ["asphalt", "pavement"])
     low = triangles[:, :, 2].min(axis=1) < CLEARANCE_M
-    keep = paved | ~(low & shapely.intersects(streets.road, footprints))
+    keep = ~(low & shapely.intersects(streets.road, footprints))
     triangles, material, footprints, paved = triangles[keep], material[keep], footprints[keep], paved[keep]
     footprint = shapely.unary_union(footprints[np.isin(material, ["roof", "brick", "concrete"])])
     centers = triangles[:, :, :2].mean(axis=1)

@@ -3,7 +3,7 @@
 import numpy as np
 import shapely
 
-from sim.world.solids import Array, Piece, carpet, join, piece, slab
+from sim.world.solids import Array, Piece, carpet, piece, rings_of, slab
 from sim.world.streets import Streets
 
 GROUND_BELOW_M = 0.05
@@ -17,17 +17,19 @@ _PAVEMENT_WIDTH_M = 2.5
 _KERB_WIDTH_M = 0.15
 _KERB_HEIGHT_M = 0.10
 _GAUGE_M = 1.435
+_CELL_M = 4.0
 
 
 def surfaces(streets: Streets) -> list[Piece]:
     """Return carriageways, pavements with kerbs, tracks and the ground."""
     height = streets.height
-    road, walk = _dense(streets, streets.road), _dense(streets, pavement(streets))
+    walk, kerbs = pavement(streets), _kerbs(streets)
+    kerbs = kerbs if streets.flat else shapely.segmentize(kerbs, _CELL_M)
     return [
-        carpet(road, height, 0.0, "asphalt"),
-        carpet(walk, height, 0.0, "pavement"),
-        carpet(_dense(streets, streets.rail - walk), height, -0.01, "gravel"),
-        slab(_dense(streets, _kerbs(streets)), height, _KERB_HEIGHT_M, "kerb", "kerb", GROUND_BELOW_M),
+        carpet(_cells(streets, streets.road), height, 0.0, "asphalt"),
+        carpet(_cells(streets, walk), height, 0.0, "pavement"),
+        carpet(_cells(streets, streets.rail - walk), height, -0.01, "gravel"),
+        slab(kerbs, height, _KERB_HEIGHT_M, "kerb", "kerb", GROUND_BELOW_M),
         *_tracks(streets),
         ground(streets),
     ]
@@ -95,11 +97,13 @@ def ground(streets: Streets) -> Piece:
     return piece(np.column_stack([flat, streets.height(flat) + lift]), faces, "ground")
 
 
-def _dense(streets: Streets, shape: shapely.Geometry) -> shapely.Geometry:
-    """Return a shape with enough corners to follow the heights of its streets."""
-    return shape if streets.flat else shapely.segmentize(shape, 5.0)
-
-
-def all_surfaces(streets: Streets) -> Piece:
-    """Return `surfaces` as one piece."""
-    return join(surfaces(streets))
+def _cells(streets: Streets, shape: shapely.Geometry) -> shapely.Geometry:
+    """Return a shape cut into cells that can follow the heights of the streets; a flat one stays whole."""
+    if streets.flat or shape.is_empty:
+        return shape
+    low_x, low_y, high_x, high_y = shape.bounds
+    x, y = np.meshgrid(np.arange(low_x, high_x, _CELL_M), np.arange(low_y, high_y, _CELL_M), indexing="ij")
+    cells = shapely.box(x.ravel(), y.ravel(), x.ravel() + _CELL_M, y.ravel() + _CELL_M)
+    shapely.prepare(shape)
+    parts = shapely.intersection(cells[shapely.intersects(shape, cells)], shape)
+    return shapely.multipolygons([part for whole in parts for part in rings_of(whole)])

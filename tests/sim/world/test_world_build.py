@@ -1,13 +1,15 @@
+import subprocess
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 import shapely
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
-from sim.networks import read_network, resolve_network
-from sim.scenario import list_scenarios, load_scenario
+from sim.networks import read_network, resolve_network, sumo_home
+from sim.scenario import AgentRule, NetworkSpec, list_scenarios, load_scenario
 from sim.world.build import MARGIN_M, build_world
 from sim.world.materials import MATERIALS, material_index
 from sim.world.streets import read_streets
@@ -158,6 +160,32 @@ def test_a_world_depends_on_its_seed_only_where_no_map_tells():
     assert np.array_equal(first.vertices, again.vertices) and np.array_equal(first.faces, again.faces)
     assert np.array_equal(first.face_attributes["material"], again.face_attributes["material"])
     assert first.vertices.shape != other.vertices.shape or not np.array_equal(first.vertices, other.vertices)
+
+
+def test_the_world_follows_the_heights_of_its_lanes(tmp_path):
+    nodes = "".join(
+        f'<node id="{k}" x="{x}" y="{y}" z="{z}"/>' for k, x, y, z in
+        [("a", 0, 0, 10), ("b", 200, 0, 20), ("c", 400, 0, 10), ("d", 200, 200, 30)]
+    )  # fmt: skip
+    edges = "".join(
+        f'<edge id="{p}{q}" from="{p}" to="{q}" numLanes="2" speed="13.9"/>' for p, q in ("ab", "bc", "db", "ba", "bd")
+    )
+    (tmp_path / "n.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
+    (tmp_path / "n.edg.xml").write_text(f"<edges>{edges}</edges>")
+    command = [str(sumo_home() / "bin" / "netconvert"), "-n", "n.nod.xml", "-e", "n.edg.xml", "-o", "n.net.xml"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    scenario = load_scenario("four_way")
+    network = NetworkSpec(file=str(tmp_path / "n.net.xml"))
+    scenario = msgspec.structs.replace(scenario, network=network, agents=AgentRule())
+    mesh = build_world(scenario, 1)
+    net = read_network(tmp_path / "n.net.xml")
+    points = np.array([p for edge in net.getEdges(False) for lane in edge.getLanes() for p in lane.getShape3D()])
+    starts, ends = points[::2], points[1::2]
+    on_lanes = np.concatenate([starts + f * (ends - starts) for f in (0.2, 0.35, 0.5, 0.65, 0.8)])
+    assert np.ptp(on_lanes[:, 2]) > 10.0
+    distance, face = look(mesh, on_lanes + np.array([0, 0, 4.0]), [0, 0, -1])
+    assert set(names(mesh, face)) <= {"asphalt", "marking"}
+    assert np.abs(distance - 4.0).max() < 0.15
 
 
 def test_towns_have_houses_kerbs_and_trees(worlds):
