@@ -34,6 +34,7 @@ COMM_RANGE_M = 70.0
 """Agents within this distance hear each other, m; as `make_sample` has it."""
 
 _FRAMES_KEPT = 24
+_VIEWS_KEPT = 4
 _DETECTIONS_KEPT = 4096
 
 
@@ -98,6 +99,7 @@ class ReviewModel:
         self.detector = detector
         self._frames: OrderedDict[Hashable, Frame] = OrderedDict()
         self._corrupted: OrderedDict[Hashable, Frame] = OrderedDict()
+        self._agents: OrderedDict[Hashable, tuple[AgentView, ...]] = OrderedDict()
         self._found: OrderedDict[Hashable, _Found] = OrderedDict()
         self._origin: dict[int, NDArray[np.float64]] = {}
 
@@ -152,7 +154,7 @@ class ReviewModel:
         truth = frame.truth.transform(review_from_world)
         agent_ids = [agent.agent_id for agent in frame.agents]
         agent_of = np.array([agent_ids.index(i) if i in agent_ids else -1 for i in truth.object_id.tolist()], np.int64)
-        agents = tuple(_agent_view(frame, row, state, ego_id, review_from_world) for row in range(len(agent_ids)))
+        agents = self._agent_views(frame, state, ego_id, review_from_world)
         view = FrameView(
             drive=self.names[state.drive],
             index=frame.index,
@@ -169,6 +171,20 @@ class ReviewModel:
             evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)
             return replace(view, layers={**_no_boxes(), FOUND: truth[evaluated], OTHER_BOXES: truth[~evaluated]})
         return self._judged_view(view, state, review_from_world @ frame.agent(ego_id).sweep.world_from_lidar)
+
+    def _agent_views(
+        self, frame: Frame, state: ReviewState, ego_id: int, review_from_world: NDArray[np.float64]
+    ) -> tuple[AgentView, ...]:
+        """Return the sweeps as they are drawn; the same objects while nothing that they depend on changes."""
+        weather = (state.corruption, state.severity)
+        key = (state.drive, state.frame, weather, ego_id, state.hidden, state.color_by, state.max_points)
+        rows = range(len(frame.agents))
+        return _remember(
+            self._agents,
+            key,
+            _VIEWS_KEPT,
+            lambda: tuple(_agent_view(frame, row, state, ego_id, review_from_world) for row in rows),
+        )
 
     def _judged_view(self, view: FrameView, state: ReviewState, review_from_lidar: NDArray[np.float64]) -> FrameView:
         found = self._detections(state)
@@ -251,7 +267,8 @@ def _agent_view(
 ) -> AgentView:
     agent = frame.agents[row]
     visible = agent.agent_id not in state.hidden
-    sweep = agent.sweep[thin(agent.sweep, state.max_points)] if visible else agent.sweep[:0]
+    rows = thin(agent.sweep, state.max_points if visible else 0)
+    sweep = agent.sweep if len(rows) == len(agent.sweep) else agent.sweep[rows]
     body_from_lidar = invert(agent.world_from_body) @ agent.sweep.world_from_lidar
     rgb = agent_color(row)
     return AgentView(

@@ -59,7 +59,7 @@ class Panels:
         for handle, value in controls:
             self._write(handle, value)
         self.severity.disabled = state.corruption == CLEAN
-        self.report.content = report(view, state)
+        self.report.content = report(view)
         self.legend.content = legend(view)
         self._list_agents(view)
         for agent in view.agents:

@@ -17,10 +17,12 @@ def thin(sweep: Sweep, max_points: int) -> NDArray[np.intp]:
     Points on actors come first. Of the rest whole rings are left out and the others thinned along the ring by
     distance, so that the dense ground beside the sensor pays for the far field and the pattern of rings stays.
     """
-    far = sweep.range
-    rows = np.flatnonzero(np.isfinite(sweep.points).all(axis=1) & (far < FLOAT16_LIMIT_M))
+    # No comparison with NaN is true, so this drops points that are not finite as well.
+    near = np.abs(sweep.points) < FLOAT16_LIMIT_M
+    rows = np.flatnonzero(near[:, 0] & near[:, 1] & near[:, 2])
     if len(rows) <= max_points:
         return rows
+    far = sweep.range
     on_actor = sweep.object_id[rows] >= 0
     actors, others = rows[on_actor], rows[~on_actor]
     if len(actors) > max_points // 2:

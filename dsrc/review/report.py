@@ -5,11 +5,10 @@ from html import escape
 
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
-from dsrc.review.state import ReviewState
 from dsrc.review.view import OTHER_BOXES, FrameView
 
 
-def report(view: FrameView, state: ReviewState) -> str:
+def report(view: FrameView) -> str:
     """Return the markdown of a frame: when it is, and how well it was seen."""
     head = f"**Frame {view.index}** · {view.time_s:.1f} s"
     if view.counts is None:
@@ -21,7 +20,7 @@ def report(view: FrameView, state: ReviewState) -> str:
         for name, c in rows
     )
     columns = "| | TP | FP | FN | prec. | recall |\n|:--|--:|--:|--:|--:|--:|"
-    return f"{head} · score ≥ {state.threshold:g}, IoU ≥ {state.iou:g}\n\n{columns}\n{table}"
+    return f"{head}\n\n{columns}\n{table}"
 
 
 def _share(value: float | None) -> str:

@@ -63,6 +63,8 @@ class SceneWriter:
         self.root = root
         self.point_step_m = point_step_m
         self._nodes: dict[str, Any] = {}
+        # The view that each cloud shows: what did not change is not sent again.
+        self._drawn: dict[str, AgentView] = {}
         self._background()
 
     def _background(self) -> None:
@@ -130,31 +132,34 @@ class SceneWriter:
         self._remove(other)
         self._frame("agents")
         self._frame(name)
-        points = agent.points
-        if self.point_step_m > 0.0:
-            points = np.round(points / self.point_step_m) * np.float32(self.point_step_m)
         lidar = self._frame(f"{name}/lidar")
         _place(lidar, agent.review_from_lidar)
-        if f"{name}/lidar/points" not in self._nodes:
-            self._nodes[f"{name}/lidar/points"] = self.scene.add_point_cloud(
-                f"{self.root}/{name}/lidar/points",
-                points,
-                agent.colors,
-                point_size=view.point_size_m,
-                point_shape="circle",
-                point_shading="flat",
-            )
+        self._write_points(f"{name}/lidar/points", agent, view.point_size_m)
+        if f"{name}/label" not in self._nodes:
             self._nodes[f"{name}/label"] = self.scene.add_label(
                 f"{self.root}/{name}/label", f"{'EGO ' if agent.is_ego else ''}{agent.title}", anchor="bottom-center"
             )
-        cloud = self._nodes[f"{name}/lidar/points"]
-        # Handles accept arrays of any shape in silence: both come from one view, whose shapes its tests hold.
-        cloud.points, cloud.colors = points, agent.colors
-        cloud.point_size = view.point_size_m
-        cloud.visible = agent.visible and len(points) > 0
         label = self._nodes[f"{name}/label"]
         label.position = tuple(agent.review_from_lidar[:3, 3] + [0.0, 0.0, 1.2])
         label.visible = "labels" not in view.layers_off
+
+    def _write_points(self, name: str, agent: AgentView, point_size_m: float) -> None:
+        node = self._nodes.get(name)
+        if node is not None and self._drawn.get(name) is agent:
+            node.point_size = point_size_m
+            return
+        self._drawn[name] = agent
+        points = agent.points
+        if self.point_step_m > 0.0:
+            points = np.round(points / self.point_step_m) * np.float32(self.point_step_m)
+        if node is None:
+            node = self._nodes[name] = self.scene.add_point_cloud(
+                f"{self.root}/{name}", points, agent.colors, point_shape="circle", point_shading="flat"
+            )
+        # Handles accept arrays of any shape in silence: both come from one view, whose shapes its tests hold.
+        node.points, node.colors = points, agent.colors
+        node.point_size = point_size_m
+        node.visible = agent.visible and len(points) > 0
 
     def _write_bodies(self, view: FrameView) -> None:
         self._frame("bodies").visible = "bodies" not in view.layers_off
@@ -246,6 +251,7 @@ class SceneWriter:
         below = [key for key in self._nodes if not name or key == name or key.startswith(f"{name}/")]
         # Children first: viser warns about a handle whose parent took it away.
         for key in sorted(below, key=len, reverse=True):
+            self._drawn.pop(key, None)
             self._nodes.pop(key).remove()
 
 

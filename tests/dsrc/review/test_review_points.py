@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, before_tone_mapping
+from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, MISSED, RIGHT, WRONG, before_tone_mapping
 from dsrc.review.points import paint, thin
 from dsrc.review.state import COLOR_BY
 from sensors.sweep import KEPT, SCATTERED, make_sweep
@@ -60,8 +60,9 @@ def test_fates_have_their_colours():
     assert paint(sweep, "fate", (1, 2, 3), 0.0).tolist() == [list(FATE_COLORS[KEPT]), list(FATE_COLORS[SCATTERED])]
 
 
-def test_grey_is_sent_as_measured_and_verdicts_stay_saturated():
+def test_tone_mapping_is_undone_as_far_as_colours_can_be_sent():
     # three.js 0.17x shows a line of (106, 114, 129) as (112, 122, 140).
     assert np.abs(np.array(before_tone_mapping((112, 122, 140))) - (106, 114, 129)).max() <= 1
-    assert before_tone_mapping((0, 0, 0)) == (0, 0, 0)
-    assert max(before_tone_mapping((255, 255, 255))) <= 255
+    for red, green, blue in [(0, 0, 0), (255, 255, 255), (0, 255, 0), RIGHT, WRONG, MISSED]:
+        assert all(0 <= c <= 255 for c in before_tone_mapping((red, green, blue)))
+    assert max(before_tone_mapping((0, 0, 0))) < 12
