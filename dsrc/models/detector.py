@@ -65,7 +65,8 @@ class Detector(nn.Module):
         if settings.score_prior is not None:
             # With a start of 0.5 everywhere, the loss of the empty cells drowns the objects for many epochs.
             nn.init.constant_(self.cls_head.bias, -log((1 - settings.score_prior) / settings.score_prior))  # type: ignore[arg-type]
-        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        # Measured on CPUs: channels last makes the backbone 30 % faster and the decoder 40 % slower.
+        self.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, pillars: Pillars, agents: tuple[int, ...]) -> Output:
         """Detect in B samples.
@@ -75,7 +76,7 @@ class Detector(nn.Module):
             agents: number of agents of each sample.
         """
         stages = self.backbone(self.encoder(pillars))
-        scales = [up(self.fuse(stage, agents)) for up, stage in zip(self.decoder, stages, strict=True)]
+        scales = [up(self.fuse(stage, agents).contiguous()) for up, stage in zip(self.decoder, stages, strict=True)]
         fused = self.shrink(torch.cat(scales, dim=1))
         return Output(stages, fused, self.cls_head(fused), self.reg_head(fused))
 

@@ -6,6 +6,7 @@ maximum is a closed expression (`padded_slots`).
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -41,18 +42,26 @@ class Pillars:
 
 
 class SlotNorm(nn.BatchNorm1d):
-    """Batch norm over points that can count zero rows that are not there.
+    """Batch norm of a linear layer's output, which it never looks at: the input's moments say the same.
 
-    Source: the reference pads each pillar to 32 rows and normalises over all of them.
+    The moments are (D,) and (D, D), D = 10 or 11, whatever the number of points, and gradients flow through them to
+    the layer's weight. Rows of zeros that stand for padded slots enter as a count.
     """
 
-    def scale_shift(self, x: Tensor, zeros: int = 0) -> tuple[Tensor, Tensor]:
-        """Return (C,) scale and shift that normalise (P, C) rows and `zeros` rows of zeros; updates the statistics."""
+    def scale_shift(self, x: Tensor, weight: Tensor, zeros: int = 0) -> tuple[Tensor, Tensor]:
+        """Return the (C,) scale and shift that normalise `x @ weight.T`; in training, update the statistics.
+
+        Args:
+            x: (P, D) rows, without gradient.
+            weight: (C, D) of the linear layer.
+            zeros: further rows of zeros to count.
+        """
         mean, variance = self.running_mean, self.running_var
         if self.training:
             n = len(x) + zeros
-            mean = x.sum(0) / n
-            variance = ((x - mean).square().sum(0) + zeros * mean.square()) / n
+            centre, spread = _moments(x, zeros)
+            mean = weight @ centre
+            variance = ((weight @ spread) * weight).sum(1)
             self._update(mean.detach(), variance.detach(), n)
         scale = self.weight * torch.rsqrt(variance + self.eps)  # type: ignore[operator]
         return scale, self.bias - mean * scale  # type: ignore[operator]
@@ -62,6 +71,38 @@ class SlotNorm(nn.BatchNorm1d):
         self.running_mean.lerp_(mean, momentum)  # type: ignore[union-attr]
         self.running_var.lerp_(variance * (n / max(n - 1, 1)), momentum)  # type: ignore[union-attr]
         self.num_batches_tracked.add_(1)  # type: ignore[union-attr]
+
+
+def _moments(x: Tensor, zeros: int) -> tuple[Tensor, Tensor]:
+    """Return the (D,) mean and (D, D) covariance of rows and zero rows; centred first, so float32 is enough."""
+    n = len(x) + zeros
+    mean = x.sum(0, dtype=torch.float64) / n
+    centred = x - mean.to(x.dtype)
+    spread = (centred.T @ centred).double() + zeros * torch.outer(mean, mean)
+    return mean.to(x.dtype), (spread / n).to(x.dtype)
+
+
+class _LinearMax(torch.autograd.Function):
+    """A linear layer and the maximum per pillar in one: the backward pass needs no (P, C) index arithmetic.
+
+    Where two points of a pillar share a maximum, both get its gradient.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> Tensor:
+        values = x @ weight.T
+        start = values.new_full((n_pillars, len(weight)), -torch.inf)
+        best = start.scatter_reduce(0, pillar[:, None].expand_as(values), values, "amax", include_self=False)
+        ctx.save_for_backward(x, values, best, pillar)
+        return best
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None, None]:
+        x, values, best, pillar = ctx.saved_tensors
+        passed_over = values != best.index_select(0, pillar)
+        gradient = gradients[0].index_select(0, pillar).masked_fill_(passed_over, 0.0)
+        # Ten times faster on CPUs than its transpose.
+        return None, (x.T @ gradient).T, None, None
 
 
 class PillarEncoder(nn.Module):
@@ -88,12 +129,13 @@ class PillarEncoder(nn.Module):
         n_pillars = len(pillars.coords)
         if n_pillars == 0:
             return pillars.points.new_zeros((0, self.linear.out_features))
-        x_pc = self.linear(self.augment(pillars))
-        zeros = n_pillars * self.max_points - len(x_pc) if self.padded_slots else 0
-        scale, shift = self.norm.scale_shift(x_pc, zeros)
+        points = self.augment(pillars)
+        zeros = n_pillars * self.max_points - len(points) if self.padded_slots else 0
+        weight = self.linear.weight
+        scale, shift = self.norm.scale_shift(points, weight, zeros)
         # The norm grows or falls monotonically per channel: take the extreme first, normalise V rows and not P.
         sign = torch.where(scale < 0, -1.0, 1.0).detach()
-        x_vc = _pillar_max(x_pc * sign, pillars.pillar, n_pillars) * sign
+        x_vc = _LinearMax.apply(points, weight * sign[:, None], pillars.pillar, n_pillars) * sign
         x_vc = torch.addcmul(shift, x_vc, scale)
         if self.padded_slots:
             # Where a zero row pads the pillar, the maximum also sees the norm of zero, which is the shift.
@@ -127,9 +169,3 @@ class PillarEncoder(nn.Module):
         dense = dense.index_copy(0, cell, features)
         # (N, H, W, C) seen as (N, C, H, W): already the memory order that CPU convolutions like best.
         return dense.view(pillars.clouds, height, width, -1).permute(0, 3, 1, 2)
-
-
-def _pillar_max(x: Tensor, pillar: Tensor, n_pillars: int) -> Tensor:
-    """Return (V, C) the maximum of the (P, C) rows of each pillar; no pillar is empty."""
-    start = x.new_full((n_pillars, x.shape[1]), -torch.inf)
-    return start.scatter_reduce(0, pillar[:, None].expand_as(x), x, "amax", include_self=False)

@@ -134,6 +134,7 @@ def train(
     with warnings.catch_warnings():
         # Advice about the number of workers and of log steps; both are the recipe's choice.
         warnings.simplefilter("ignore", PossibleUserWarning)
+        warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
         trainer = _trainer(recipe, out, callbacks)
         trainer.fit(module, loaders, ckpt_path=str(last) if resume and last.exists() else None)
     if trainer.interrupted:

@@ -72,6 +72,8 @@ def step() -> tuple[Step, dict[str, NDArray], dict]:
     nets["teacher"].requires_grad_(False)
     # Torch sums a batch norm's statistics less exactly (5e-5) in the memory order that is fast on CPUs.
     nets.to(memory_format=torch.contiguous_format)
+    for name in ("student", "teacher"):
+        nets[name].backbone.register_forward_pre_hook(lambda _, inputs: (inputs[0].contiguous(),))
     paint = [arrays[f"voxel_paint/{k}"] for k in ("features", "coords", "num_points")]
     cloud = paint[1][:, 0]
     rows = np.isin(cloud, [0, 1, 4])
