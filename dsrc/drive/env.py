@@ -26,14 +26,13 @@ LOOK_AHEAD = 60.0
 
 
 class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
-    """One ego keeps its route in SUMO traffic and chooses its acceleration.
+    """One ego keeps its route in SUMO traffic and chooses its acceleration; red signals hold it whatever it chooses.
 
     Observation (float32; obstacles come from the tracked boxes of the perception, never from the simulation):
         speed (1,): the ego's, m/s.
         desired_speed (1,): on a free road, m/s.
-        gap (1,): to the nearest perceived box in the ego's corridor or the stop line of a red signal before it, m;
-            `LOOK_AHEAD` when free.
-        lead_speed (1,): of that box along the path, m/s; 0 for a stop line, the ego's own when free.
+        gap (1,): to the nearest perceived box in the ego's corridor, m; `LOOK_AHEAD` when free.
+        lead_speed (1,): of that box along the path, m/s; the ego's own when free.
         boxes (M, 6): the nearest perceived boxes, nearest first, zero-padded: x, y, length, width, yaw, speed in
             the ego's body frame, m, rad and m/s.
 
@@ -162,28 +161,14 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         ego = self._ego(actors)
         path = self._traffic.route(self._ego_id, LOOK_AHEAD)
         obstacle = nearest_obstacle(path, boxes, ego.size[0, 0], ego.size[0, 1])
-        stop = self._stop_distance()
-        if stop < obstacle.gap:
-            obstacle = Obstacle(stop, -1, 0.0)
         return self._observation(obstacle, boxes, velocity, ego)
-
-    def _stop_distance(self) -> float:
-        """Distance to the stop line of a red signal, or of a yellow one that can still be obeyed; inf if there is none.
-
-        The signal comes from the map and its broadcast, not from the LiDAR: no corruption hides it.
-        """
-        distance, signal = self._traffic.stop_line(self._ego_id)
-        needed = self._speed() ** 2 / (2.0 * max(distance, 0.1))
-        if signal.lower() == "r" or (signal.lower() == "y" and needed <= self.idm.comfortable_deceleration):
-            return distance
-        return math.inf
 
     def _observation(
         self, obstacle: Obstacle, boxes: Boxes, velocity: NDArray[np.float64], ego: Boxes | None
     ) -> Observation:
         speed = 0.0 if ego is None else self._speed()
         desired = 0.0 if ego is None else self._traffic.allowed_speed(self._ego_id)
-        lead = speed if math.isinf(obstacle.gap) else 0.0
+        lead = speed
         if obstacle.row >= 0:
             lead = float(velocity[obstacle.row] @ [math.cos(obstacle.heading), math.sin(obstacle.heading)])
         table = np.zeros((self.max_boxes, 6), np.float32)

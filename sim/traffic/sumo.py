@@ -143,14 +143,6 @@ class SumoTraffic:
         """Return a vehicle's speed along its lane, m/s: what its own odometer shows."""
         return float(self._sumo.vehicle.getSpeed(self._vehicle(object_id)))
 
-    def stop_line(self, object_id: int) -> tuple[float, str]:
-        """Return the distance of a vehicle's front to its next signal's stop line, m, and the signal's letter.
-
-        (inf, "") when no signal lies ahead; letters as in SUMO: `r` red, `y` yellow, `g` and `G` green.
-        """
-        ahead = self._sumo.vehicle.getNextTLS(self._vehicle(object_id))
-        return (float(ahead[0][2]), str(ahead[0][3])) if ahead else (float("inf"), "")
-
     def allowed_speed(self, object_id: int) -> float:
         """Return the speed that a vehicle may drive where it is, m/s."""
         return float(self._sumo.vehicle.getAllowedSpeed(self._vehicle(object_id)))
