@@ -95,7 +95,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._before = self._traffic.actors
         self._tracker = Tracker()
         self.perception.reset(self.scenario, self._ego_id, episode_seed)
-        self._min_ttc, self._progress = math.inf, 0.0
+        self._min_ttc, self._progress, self._last_speed = math.inf, 0.0, 0.0
         self._traffic.command_speed(self._ego_id, self._speed())
         actors = self._traffic.step()
         self._start_s = actors.time_s
@@ -166,7 +166,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
     def _observation(
         self, obstacle: Obstacle, boxes: Boxes, velocity: NDArray[np.float64], ego: Boxes | None
     ) -> Observation:
-        speed = 0.0 if ego is None else self._speed()
+        self._last_speed = speed = self._last_speed if ego is None else self._speed()
         desired = 0.0 if ego is None else self._traffic.allowed_speed(self._ego_id)
         lead = speed
         if obstacle.row >= 0:
