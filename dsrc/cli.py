@@ -241,7 +241,7 @@ def view(
         return
     from dsrc.review.app import serve
 
-    serve(data, checkpoint, port=port, corruption=corruption, severity=severity)
+    serve(data, checkpoint, port=port, corruption=corruption, severity=severity, announce=_say)
 
 
 @app.command(name="drive")

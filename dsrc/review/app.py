@@ -4,6 +4,7 @@ import logging
 import threading
 import time
 import webbrowser
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -237,6 +238,7 @@ def serve(
     severity: int = 3,
     open_browser: bool = False,
     block: bool = True,
+    announce: Callable[[str], None] | None = None,
 ) -> ReviewApp:
     """Open a review page on drives.
 
@@ -249,6 +251,7 @@ def serve(
         severity: 1 to 5.
         open_browser: open the page in the user's browser.
         block: serve until interrupted; otherwise return the running page.
+        announce: called with the address of the page as soon as it answers.
 
     Returns:
         The page; its `url` is where it is, `close` ends it.
@@ -264,6 +267,8 @@ def serve(
     model = open_model(Path(drives_root), checkpoint)
     app = ReviewApp(model, start_server(host, port), ReviewState(corruption=corruption, severity=severity))
     log.info("review page: %s", app.url)
+    if announce is not None:
+        announce(app.url)
     if open_browser:
         webbrowser.open(app.url)
     if not block:

@@ -11,12 +11,16 @@ from dsrc.review.model import CLEAN, ReviewModel, check_corruption, open_model
 from dsrc.review.overlay import Camera, add_overlay, frame_texts
 from dsrc.review.scene import SceneWriter, set_start_camera
 from dsrc.review.server import start_server, stop_server
-from dsrc.review.state import ReviewState
+from dsrc.review.state import ColorBy, ReviewState
 from sim.errors import SettingsError, complaint
 
 ROOT = "/drive"
 """The frame that everything hangs below; moving it lets the camera of an exported page follow the ego."""
 
+MAX_POINTS = 44_000
+"""Points of one frame of a page: what rings and objects need to be recognised, and a laptop draws easily."""
+PAGE_POINTS = 40 * MAX_POINTS
+"""Points of a whole page: about 10 MB."""
 POINT_SIZE_M = 0.13
 """Thinned clouds need larger points, m."""
 POINT_STEP_M = 1.0 / 32.0
@@ -30,10 +34,11 @@ def export_html(
     corruption: str = CLEAN,
     severity: int = 3,
     frames: slice | int = 40,
-    max_points: int = 44_000,
+    max_points: int | None = None,
     drive: int = 0,
     threshold: float = 0.3,
     follow: bool = True,
+    color_by: ColorBy = "agent",
 ) -> Path:
     """Write one HTML file that plays a drive in any browser, without a server.
 
@@ -44,10 +49,11 @@ def export_html(
         corruption: `clean` or a kind of corruption.
         severity: 1 to 5.
         frames: a slice of the drive's frames, or how many from the first.
-        max_points: points per frame, all agents together.
+        max_points: points per frame, all agents together; default: so many that the page stays below 12 MB.
         drive: row of the drive below `root`.
         threshold: detections below this score are left out.
         follow: keep the ego where it starts on the screen.
+        color_by: what the colour of a point means.
 
     Returns:
         The path of the page.
@@ -61,7 +67,9 @@ def export_html(
     model = open_model(root, checkpoint)
     if not 0 <= drive < len(model.drives):
         raise SettingsError(complaint("export", "drive", f"0 to {len(model.drives) - 1}", drive))
-    per_agent = max(max_points // len(model.first_frame(drive).agents), 1)
+    rows = _rows(model, drive, frames)
+    budget = min(MAX_POINTS, PAGE_POINTS // len(rows)) if max_points is None else max_points
+    per_agent = max(budget // len(model.first_frame(drive).agents), 1)
     state = ReviewState(
         drive=drive,
         corruption=corruption,
@@ -69,8 +77,9 @@ def export_html(
         threshold=threshold,
         max_points=per_agent,
         point_size_m=POINT_SIZE_M,
+        color_by=color_by,
     )
-    return export_states(model, [replace(state, frame=row) for row in _rows(model, drive, frames)], Path(out), follow)
+    return export_states(model, [replace(state, frame=row) for row in rows], Path(out), follow)
 
 
 def _rows(model: ReviewModel, drive: int, frames: slice | int) -> list[int]:

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from dsrc.data.opv2v import DriveReader, find_drives
 from dsrc.data.sample import Sample, make_sample
 from dsrc.detections import Detections
+from dsrc.review.agents import agent_view, links
 from dsrc.review.matching import Counts, Matches, match
-from dsrc.review.palette import agent_color
-from dsrc.review.points import paint, thin
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
 from dsrc.review.view import FOUND, LAYERS, MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES, AgentView, FrameView
@@ -22,16 +21,12 @@ from sensors.corruptions import CORRUPTIONS, corrupt_frame
 from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
-from sim.geometry import invert
 
 CLEAN = "clean"
 SEED = 0
 """Seed of the corruptions on the page."""
 
 T = TypeVar("T")
-
-COMM_RANGE_M = 70.0
-"""Agents within this distance hear each other, m; as `make_sample` has it."""
 
 _FRAMES_KEPT = 24
 _VIEWS_KEPT = 4
@@ -163,8 +158,9 @@ class ReviewModel:
             truth=truth,
             agent_of=agent_of,
             layers={},
-            linked=_links(agents) if state.cooperative else np.zeros((0, 2, 3)),
+            linked=links(agents) if state.cooperative else np.zeros((0, 2, 3)),
             layers_off=state.layers_off,
+            color_by=state.color_by,
             point_size_m=state.point_size_m,
         )
         if self.detector is None:
@@ -183,7 +179,7 @@ class ReviewModel:
             self._agents,
             key,
             _VIEWS_KEPT,
-            lambda: tuple(_agent_view(frame, row, state, ego_id, review_from_world) for row in rows),
+            lambda: tuple(agent_view(frame, row, state, ego_id, review_from_world) for row in rows),
         )
 
     def _judged_view(self, view: FrameView, state: ReviewState, review_from_lidar: NDArray[np.float64]) -> FrameView:
@@ -260,37 +256,6 @@ def _remember(cache: "OrderedDict[Hashable, T]", key: Hashable, limit: int, make
 
 def _no_boxes() -> dict[str, Boxes]:
     return {name: Boxes.zeros() for name in LAYERS}
-
-
-def _agent_view(
-    frame: Frame, row: int, state: ReviewState, ego_id: int, review_from_world: NDArray[np.float64]
-) -> AgentView:
-    agent = frame.agents[row]
-    visible = agent.agent_id not in state.hidden
-    rows = thin(agent.sweep, state.max_points if visible else 0)
-    sweep = agent.sweep if len(rows) == len(agent.sweep) else agent.sweep[rows]
-    body_from_lidar = invert(agent.world_from_body) @ agent.sweep.world_from_lidar
-    rgb = agent_color(row)
-    return AgentView(
-        agent_id=agent.agent_id,
-        kind=agent.kind,
-        is_ego=agent.agent_id == ego_id,
-        visible=visible,
-        rgb=rgb,
-        review_from_lidar=review_from_world @ agent.sweep.world_from_lidar,
-        review_from_body=review_from_world @ agent.world_from_body,
-        points=sweep.points,
-        colors=paint(sweep, state.color_by, rgb, -float(body_from_lidar[2, 3])),
-        total=len(agent.sweep),
-    )
-
-
-def _links(agents: tuple[AgentView, ...]) -> NDArray[np.float64]:
-    """Return (K, 2, 3) lines from the ego's sensor to the sensors that it hears."""
-    ego = next(agent for agent in agents if agent.is_ego).review_from_lidar[:3, 3]
-    others = [agent.review_from_lidar[:3, 3] for agent in agents if not agent.is_ego]
-    heard = [other for other in others if np.hypot(*(other - ego)[:2]) <= COMM_RANGE_M]
-    return np.array([[ego, other] for other in heard], np.float64).reshape(-1, 2, 3)
 
 
 def check_corruption(kind: str, severity: int) -> None:

@@ -10,7 +10,7 @@ from html import escape
 
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
-from dsrc.review.view import MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES, FrameView
+from dsrc.review.view import OTHER_BOXES, FrameView
 
 _CSS = """
 #review{position:fixed;z-index:5;left:16px;top:14px;max-width:min(330px,80vw);padding:14px 16px 12px;
@@ -100,6 +100,9 @@ def add_overlay(
              f"<small>{agent.total // 1000}k points</small>" if agent.total >= 1000 else "")
         for agent in first.agents
     )  # fmt: skip
+    if first.color_by == "fate":
+        agents += "</ul><ul>"
+        agents += "".join(_row(rgb, "", palette.FATE_NAMES[fate], "") for fate, rgb in palette.FATE_COLORS.items())
     buttons = "".join(
         f'<button data-camera="{c.name}" data-key="{c.key}" title="key {c.key}">{c.name}</button>' for c in cameras
     )
@@ -120,11 +123,11 @@ def _verdicts(view: FrameView) -> str:
             palette.OTHER, "box", "out of sight or class", '<b id="review-other"></b>'
         )
     rows = [
-        (palette.RIGHT, "box", "right (TP)", RIGHT_BOXES, "right"),
-        (palette.WRONG, "box", "wrong (FP), crossed", WRONG_BOXES, "wrong"),
-        (palette.MISSED, "box dash", "missed (FN), dashed", MISSED_BOXES, "missed"),
+        (palette.RIGHT, "box", "right (TP)", "right"),
+        (palette.WRONG, "box", "wrong (FP), crossed", "wrong"),
+        (palette.MISSED, "box dash", "missed (FN), dashed", "missed"),
     ]
-    text = "".join(_row(rgb, kind, label, f'<b id="review-{name}"></b>') for rgb, kind, label, _, name in rows)
+    text = "".join(_row(rgb, kind, label, f'<b id="review-{name}"></b>') for rgb, kind, label, name in rows)
     shares = "".join(f'<li>{name}<b id="review-{name}"></b></li>' for name in ("precision", "recall"))
     return text + shares
 

@@ -34,6 +34,8 @@ FATE_COLORS: dict[int, Rgb] = {
     SCATTERED: (255, 140, 40),
 }
 """Colours of what a corruption did to a point."""
+FATE_NAMES = {KEPT: "untouched", ATTENUATED: "dimmer", MOVED: "moved", SCATTERED: "made by the corruption"}
+"""The same in words."""
 
 # Nine stops of each map, dark to bright; interpolated to 256 colours below.
 _VIRIDIS = "46085c 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725"

@@ -30,6 +30,7 @@ class Panels:
         self._written: dict[int, Any] = {}
         self._agents: tuple[int, ...] = ()
         self.agent_boxes: dict[int, Any] = {}
+        self._titles: dict[str, int] = {}
         self.gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(56, 150, 255), control_width="medium"
         )
@@ -62,6 +63,7 @@ class Panels:
         self.report.content = report(view)
         self.legend.content = legend(view)
         self._list_agents(view)
+        self._write(self.ego, view.ego.title)
         for agent in view.agents:
             self._write(self.agent_boxes[agent.agent_id], agent.visible)
 
@@ -130,6 +132,8 @@ class Panels:
                 "IoU ≥", tuple(str(iou) for iou in IOU_THRESHOLDS), initial_value=str(state.iou)
             )
             self._on_change(self.iou, lambda iou: app.update(iou=float(iou)))
+            self.ego = self.gui.add_dropdown("Ego", ("–",))
+            self._on_change(self.ego, self._choose_ego)
             self.cooperative = self.gui.add_checkbox("Hear collaborators", state.cooperative)
             self._on_change(self.cooperative, lambda on: app.update(cooperative=on))
 
@@ -169,11 +173,19 @@ class Panels:
         for handle in self.agent_boxes.values():
             handle.remove()
         self.agent_boxes = {}
+        self._titles = {agent.title: agent.agent_id for agent in view.agents}
+        # New options set the value, which is not the user's doing.
+        self._written[id(self.ego)] = view.agents[0].title
+        self.ego.options = tuple(self._titles)
         with self._agent_folder:
             for agent in view.agents:
                 handle = self.gui.add_checkbox(agent.title.capitalize(), agent.visible)
                 self.agent_boxes[agent.agent_id] = handle
                 self._on_change(handle, partial(self._show_agent, agent.agent_id))
+
+    def _choose_ego(self, title: str) -> None:
+        if title in self._titles:
+            self.app.update(ego_id=self._titles[title])
 
     def _show_agent(self, agent_id: int, shown: bool) -> None:
         hidden = self.app.state.hidden

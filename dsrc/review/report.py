@@ -33,6 +33,8 @@ def legend(view: FrameView) -> str:
         _entry(agent.rgb, f"{agent.title}{' · ego' if agent.is_ego else ''} · {_thousands(agent.total)} points")
         for agent in view.agents
     )
+    if view.color_by == "fate":
+        agents += "".join(_entry(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
     if view.counts is None:
         return _box(agents + _entry(palette.TRUTH, "ground truth", True))
     verdicts = (

@@ -46,14 +46,6 @@ def dashed(boxes: Boxes, dash_m: float = 0.45) -> NDArray[np.float32]:
     return np.stack([origin + start[:, None] * along, origin + end[:, None] * along], axis=1).astype(np.float32)
 
 
-def ring(radius_m: float, dashes: int = 90) -> NDArray[np.float32]:
-    """Return (dashes, 2, 3) lines of a dashed circle about the origin."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 2 * dashes, endpoint=False).reshape(dashes, 2)
-    return np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle), np.zeros_like(angle)], axis=2).astype(
-        np.float32
-    )
-
-
 def quaternions(yaw: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return (N, 4) w, x, y, z quaternions of turns about z."""
     zero = np.zeros_like(yaw)

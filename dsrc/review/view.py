@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from dsrc.review.matching import Counts
 from dsrc.review.palette import Rgb
+from dsrc.review.state import ColorBy
 from sensors.frame import AgentKind
 from sim.boxes import Boxes
 
@@ -64,6 +65,7 @@ class FrameView:
         layers: the boxes of each of `LAYERS`.
         linked: (K, 2, 3) float64 lines from the ego's sensor to those of the agents that it hears.
         layers_off: groups of layers that are not drawn.
+        color_by: what the colour of a point means.
         point_size_m: side of a drawn point, m.
         counts: TP, FP, FN of this frame; None without a detector.
         seen: the same, summed over all frames of the drive that were looked at in this setting.
@@ -80,6 +82,7 @@ class FrameView:
     layers: dict[str, Boxes]
     linked: NDArray[np.float64]
     layers_off: frozenset[str]
+    color_by: ColorBy
     point_size_m: float
     counts: Counts | None = None
     seen: Counts = field(default_factory=Counts)

@@ -60,6 +60,12 @@ def test_the_legend_holds_the_counts_of_every_frame(page, model):
     assert len(data["cameras"]) == 3
 
 
+def test_fates_are_explained_when_points_show_them(truth_model, tmp_path):
+    for color_by, explained in (("fate", True), ("agent", False)):
+        html = export_states(truth_model, [ReviewState(color_by=color_by)], tmp_path / "page.html").read_text()
+        assert ("made by the corruption" in html) is explained
+
+
 def test_a_drives_name_cannot_break_the_page(truth_model, tmp_path):
     truth_model.names[0] = "</script><script>alert(1)</script>"
     html = export_states(truth_model, [ReviewState()], tmp_path / "page.html").read_text()

@@ -2,6 +2,7 @@ import socket
 import threading
 import time
 import urllib.request
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -120,6 +121,16 @@ def test_an_agents_box_hides_its_points(app):
     assert not node(app.server, "/agents/vehicle_1002/lidar/points").visible
 
 
+def test_another_ego_is_chosen_by_name(app, detector):
+    assert app._panels.ego.value == "vehicle 1000"
+    app._panels.ego.value = "vehicle 1002"
+    wait_for(lambda: app.state.ego_id == 1002)
+    assert app.wait_drawn().ego.agent_id == 1002
+    assert detector.samples[-1].agent_ids[0] == 1002
+    assert node(app.server, "/agents/ego_vehicle_1000/lidar/points") is None
+    assert node(app.server, "/agents/ego_vehicle_1002/lidar/points").visible
+
+
 def test_steps_stop_at_the_ends(app):
     app.step(-1)
     assert app.state.frame == 0
@@ -224,11 +235,11 @@ def test_the_next_mistake_is_the_next_frame_with_one(app):
 
 def test_serve_opens_a_folder_of_drives(tmp_path, frame):
     for index in (0, 1):
-        from dataclasses import replace
-
         write_frame(tmp_path / "drive", replace(frame, index=index))
-    app = serve(tmp_path, block=False)
+    told = []
+    app = serve(tmp_path, block=False, announce=told.append)
     try:
+        assert told == [app.url]
         assert app.wait_drawn().drive == "drive"
     finally:
         app.close()
