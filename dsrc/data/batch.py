@@ -145,11 +145,14 @@ def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -
     start = 0
     for number, cloud in enumerate(clouds):
         voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
-        order = np.argsort(voxels.slot, kind="stable")
-        order = order[np.searchsorted(voxels.slot[order], 0) :]
+        # A kept point's place: behind all points of earlier pillars and the earlier points of its own.
+        kept = np.flatnonzero(voxels.slot >= 0)
+        slot, counted = voxels.slot[kept], voxels.count.astype(np.int64)
+        order = np.zeros(len(kept), np.int64)
+        order[(np.cumsum(counted) - counted)[slot] + voxels.rank[kept]] = kept
         points.append(cloud[order])
-        rows.append(voxels.slot[order].astype(np.int64) + start)
-        counts.append(np.bincount(voxels.slot[order], minlength=len(voxels.coords_zyx)))
+        rows.append(np.repeat(np.arange(start, start + len(counted)), counted))
+        counts.append(counted)
         cloud_number = np.full((len(voxels.coords_zyx), 1), number)
         coords.append(np.concatenate([cloud_number, voxels.coords_zyx[:, 1:]], axis=1))
         start += len(voxels.coords_zyx)
@@ -184,8 +187,10 @@ def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> 
     for number, cloud in enumerate(merged):
         x, y, z = _cells(cloud, grid, cell_z)
         flat = (z * grid.height + y) * grid.width + x
-        cells, index, count = np.unique(flat, return_inverse=True, return_counts=True)
-        mean = np.stack([np.bincount(index, cloud[:, k], len(cells)) for k in range(3)], axis=1) / count[:, None]
+        count = np.bincount(flat, minlength=settings.reconstruction_bins * grid.height * grid.width)
+        cells = np.flatnonzero(count)
+        total = [np.bincount(flat, cloud[:, k], len(count))[cells] for k in range(3)]
+        mean = np.stack(total, axis=1) / count[cells, None]
         zyx = np.stack(np.unravel_index(cells, (settings.reconstruction_bins, grid.height, grid.width)), axis=1)
         size = np.array([grid.cell_m, grid.cell_m, cell_z])
         centre = (zyx[:, ::-1] + 0.5) * size + np.array(grid.range_m[:3])

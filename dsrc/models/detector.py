@@ -97,8 +97,9 @@ class Detector(nn.Module):
         was_training = self.training
         self.eval()
         batch = collate([sample], self.settings, training=False)
-        device = self.cls_head.weight.device
-        parts = self.decode(self(batch.student.to(device), batch.agents))
+        if batch.student is None:
+            raise ValueError("a teacher reads clouds that are made with ground truth: it cannot detect in a sample")
+        parts = self.decode(self(batch.student.to(self.cls_head.weight.device), batch.agents))
         self.train(was_training)
         return join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
 

@@ -57,14 +57,16 @@ class SlotNorm(nn.BatchNorm1d):
             zeros: further rows of zeros to count.
         """
         mean, variance = self.running_mean, self.running_var
+        if mean is None or variance is None:
+            raise ValueError("SlotNorm needs running statistics")
         if self.training:
             n = len(x) + zeros
             centre, spread = _moments(x, zeros)
             mean = weight @ centre
             variance = ((weight @ spread) * weight).sum(1)
             self._update(mean.detach(), variance.detach(), n)
-        scale = self.weight * torch.rsqrt(variance + self.eps)  # type: ignore[operator]
-        return scale, self.bias - mean * scale  # type: ignore[operator]
+        scale = self.weight * torch.rsqrt(variance + self.eps)
+        return scale, self.bias - mean * scale
 
     def _update(self, mean: Tensor, variance: Tensor, n: int) -> None:
         momentum = float(self.momentum or 0.0)

@@ -90,7 +90,6 @@ class DetectionData(pl.LightningDataModule):
         drives: list[Path],
         validation_drives: list[Path] | None,
         seed: int,
-        cache: Path | None,
     ) -> None:
         """Look at the drives.
 
@@ -100,11 +99,10 @@ class DetectionData(pl.LightningDataModule):
             drives: to train on.
             validation_drives: to validate on; None holds out the end of each training drive.
             seed: of order and augmentation.
-            cache: folder for made samples.
         """
         super().__init__()
         self.recipe, self.settings = recipe, settings
-        agents = (recipe.comm_range_m, recipe.model.max_agents, cache)
+        agents = (recipe.comm_range_m, recipe.model.max_agents)
         wide = SampleStore(drives, source_grid(recipe.model.grid, recipe.augmentation), *agents)
         frames, held_out = wide.frames, wide.frames
         if validation_drives is None and recipe.validation_share > 0:

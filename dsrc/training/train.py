@@ -75,7 +75,7 @@ def train_stages(
         known = teacher
         if part == "student" and known is None and chosen.model.distils:
             known = out / "teacher" / DETECTOR
-        path = train(chosen, data, out / part, part, teacher=known, validate=validate, seed=seed, cache=out / "samples")
+        path = train(chosen, data, out / part, part, teacher=known, validate=validate, seed=seed)
     return path
 
 
@@ -89,7 +89,6 @@ def train(
     validate: Path | None = None,
     resume: bool = True,
     seed: int = 0,
-    cache: Path | None = None,
     callbacks: Sequence[pl.Callback] = (),
 ) -> Path:
     """Train one stage.
@@ -108,7 +107,6 @@ def train(
         resume: continue from the run folder's last checkpoint if there is one; a run interrupted and resumed ends with
             the same weights as one that was not.
         seed: of weights, order and augmentation.
-        cache: folder for prepared samples, shareable between runs; default: in the run folder.
         callbacks: further Lightning callbacks.
 
     Returns:
@@ -124,7 +122,7 @@ def train(
     drives = find_drives(data)
     validation = None if validate is None else find_drives(validate)
     out.mkdir(parents=True, exist_ok=True)
-    loaders = DetectionData(recipe, settings, drives, validation, seed, cache or out / "samples")
+    loaders = DetectionData(recipe, settings, drives, validation, seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         module = DetectionModule(recipe, Detector(settings), taught_by)
