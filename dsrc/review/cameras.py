@@ -53,7 +53,7 @@ def overview(view: FrameView) -> Pose:
     spread = float(np.clip(np.linalg.norm((near - middle)[:, :2], axis=1).max(initial=0.0), 22.0, 50.0))
     left = np.array([-forward[1], forward[0], 0.0])
     up = np.array([0.0, 0.0, 1.0])
-    return Pose(middle + spread * (-1.25 * forward + 0.55 * left + 0.95 * up), middle + 0.15 * spread * forward, up)
+    return Pose(middle + spread * (-1.5 * forward + 0.6 * left + 1.15 * up), middle + 0.15 * spread * forward, up)
 
 
 def followed(position: NDArray[np.float64], before: FrameView, after: FrameView, turn: bool) -> NDArray[np.float64]:
