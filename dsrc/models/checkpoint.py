@@ -22,12 +22,12 @@ def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None
     Args:
         path: the file.
         detector: its weights and settings are kept, nothing else.
-        meta: plain values that say where the weights came from.
+        meta: where the weights came from; what is not a plain value is kept as text.
         half: store floats in half precision: half the size, and differences far below those of two trainings.
     """
     state = {name: _stored(tensor, half) for name, tensor in detector.state_dict().items()}
     content = {"format": FORMAT, "settings": msgspec.to_builtins(detector.settings), "state": state}
-    content["meta"] = msgspec.to_builtins(dict(meta or {}))
+    content["meta"] = msgspec.to_builtins(dict(meta or {}), enc_hook=str)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(path.name + ".tmp")
     torch.save(content, temporary)

@@ -13,7 +13,7 @@ from dsrc.models.encoder import Pillars
 from dsrc.models.settings import ModelSettings
 
 ROOT = Path(__file__).parents[3]
-FIXTURES = ROOT / "tests/fixtures/goldens"
+FIXTURES = ROOT / "tests/fixtures/goldens/models"
 GOLDENS = ROOT.parent / "shared/goldens/models"
 
 

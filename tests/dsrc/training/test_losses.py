@@ -1,9 +1,11 @@
 """The losses against the reference, in value and in gradient."""
 
 import numpy as np
+import pytest
 import torch
 
-from dsrc.training.losses import detection_loss
+from dsrc.models.detector import Output
+from dsrc.training.losses import DistillSettings, detection_loss, distillation_losses, released
 from tests.dsrc.models.reference import golden
 
 
@@ -26,3 +28,25 @@ def test_a_sample_without_objects_has_no_box_loss() -> None:
     cls_loss, reg_loss = detection_loss(cls, reg, torch.zeros(1, 16, 32, 2, dtype=torch.bool), targets)
     assert reg_loss.item() == 0
     assert cls_loss.item() > 0
+
+
+def outputs(seed: int) -> Output:
+    make = torch.Generator().manual_seed(seed)
+    stages = tuple(torch.randn(3, 4, 16 // 2**k, 16 // 2**k, generator=make) for k in (1, 2, 3))
+    maps = [torch.randn(2, c, 8, 8, generator=make) for c in (6, 2, 14)]
+    return Output(stages, *maps)
+
+
+@pytest.mark.parametrize("settings", [DistillSettings(), released()])
+def test_a_student_that_equals_its_teacher_has_nothing_to_learn(settings: DistillSettings) -> None:
+    foreground = torch.rand(3, 16, 16, generator=torch.Generator().manual_seed(1)) > 0.8
+    same = distillation_losses(outputs(1), outputs(1), foreground, (2, 1), settings)
+    other = distillation_losses(outputs(1), outputs(2), foreground, (2, 1), settings)
+    assert all(abs(value) < 1e-6 for value in same.values())
+    assert all(value > 0 for value in other.values())
+
+
+def test_only_the_foreground_is_distilled() -> None:
+    student, teacher = outputs(1), outputs(2)
+    nothing = distillation_losses(student, teacher, torch.zeros(3, 16, 16, dtype=torch.bool), (2, 1), DistillSettings())
+    assert all(value == 0 for value in nothing.values())

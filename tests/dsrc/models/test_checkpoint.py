@@ -1,0 +1,86 @@
+"""Detector files: what is saved is loaded, and everything else is refused in one line."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from msgspec.structs import replace
+
+from dsrc.models.checkpoint import load_detector, read_meta, save_detector
+from dsrc.models.detector import Detector
+from dsrc.training.recipes import debug, small
+from sim.errors import CheckpointError
+
+
+def detector(seed: int = 0) -> Detector:
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        return Detector(debug().model)
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(CheckpointError) as error:
+        load_detector(path)
+    message = str(error.value)
+    assert "\n" not in message
+    assert str(path) in message
+    return message
+
+
+def test_a_detector_comes_back_in_full_or_half_precision(tmp_path: Path) -> None:
+    saved = detector()
+    for half, tolerance in ((False, 0.0), (True, 1e-3)):
+        save_detector(tmp_path / "detector.pt", saved, {"seed": 7, "path": Path("x")}, half=half)
+        loaded = load_detector(tmp_path / "detector.pt")
+        assert not loaded.training
+        assert loaded.settings == saved.settings
+        assert read_meta(tmp_path / "detector.pt") == {"seed": 7, "path": "x"}
+        for name, tensor in saved.state_dict().items():
+            torch.testing.assert_close(loaded.state_dict()[name], tensor, rtol=tolerance, atol=tolerance)
+
+
+def test_the_small_detector_ships_in_less_than_8_mb(tmp_path: Path) -> None:
+    save_detector(tmp_path / "detector.pt", Detector(small().model))
+    assert (tmp_path / "detector.pt").stat().st_size < 8e6
+
+
+def test_missing_garbage_and_foreign_files_are_refused(tmp_path: Path) -> None:
+    assert "no such checkpoint" in refusal(tmp_path / "nothing.pt")
+    garbage = tmp_path / "garbage.pt"
+    garbage.write_bytes(b"not a checkpoint at all")
+    assert "something else or damaged" in refusal(garbage)
+    whole = tmp_path / "whole.pt"
+    save_detector(whole, detector())
+    truncated = tmp_path / "truncated.pt"
+    truncated.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    assert "something else or damaged" in refusal(truncated)
+    torch.save({"state_dict": {}}, garbage)
+    assert "format" in refusal(garbage)
+
+
+def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "detector.pt"
+    save_detector(path, detector())
+    content = torch.load(path, weights_only=True)
+    wide = {**content, "settings": {**content["settings"], "shrink_channels": 96}}
+    torch.save(wide, path)
+    assert "expected shape" in refusal(path)
+    del content["state"]["cls_head.bias"]
+    torch.save(content, path)
+    assert "cls_head.bias" in refusal(path)
+    content = {**content, "settings": {**content["settings"], "fusion": "telepathy"}}
+    torch.save(content, path)
+    assert "telepathy" in refusal(path)
+
+
+def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    broken = detector()
+    torch.nn.init.constant_(broken.cls_head.bias, torch.nan)
+    save_detector(tmp_path / "detector.pt", broken)
+    assert "finite" in refusal(tmp_path / "detector.pt")
+
+
+def test_a_file_with_code_in_it_is_not_run(tmp_path: Path) -> None:
+    path = tmp_path / "detector.pt"
+    torch.save({"format": "dsrc-detector-1", "settings": replace(debug().model, rec=False), "state": {}}, path)
+    assert "something else or damaged" in refusal(path)
