@@ -21,10 +21,12 @@ class DistillSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         dae, daf, dap: weights of the distillation after encoding, fusion and prediction (alpha, beta, gamma).
-        form: `paper`: binary masks; squared differences are means over the foreground, since the sums of Equations 2
-            and 3 grow with the grid and the number of agents; prediction by the Kullback-Leibler divergence of each
-            anchor's own probability and, for the box residuals, of unit normals around both predictions (half the
-            squared difference), both over foreground cells. Equation 3 has no mask; `daf_mask` decides.
+        form: `paper`: binary masks. Squared feature differences are taken over the foreground, relative to the
+            teacher's mean square there, and averaged over the scales: the sums of Equations 2 and 3 grow with the
+            grid, the agents and the features, and would outweigh the detection loss tenfold. Prediction by the
+            Kullback-Leibler divergence of each anchor's own probability and, for the box residuals, of unit normals
+            around both predictions (half the squared difference), both as means over foreground cells.
+            Equation 3 has no mask; `daf_mask` decides.
             `released`: bilinear soft masks, means over all elements including the masked zeros, and softmaxes over
             the two anchors and over the 14 residuals.
         daf_mask: restrict the distillation after fusion to the foreground of any agent. On by default: over the whole
@@ -89,21 +91,27 @@ def distillation_losses(
         return _released_losses(student, teacher, foreground, agents, settings)
     masks = [functional.max_pool2d(foreground[:, None].float(), 2**k) for k in (1, 2, 3)]
     pairs = zip(student.stages, teacher.stages, masks, strict=True)
-    dae = sum((_masked_mean(s, t, mask) for s, t, mask in pairs), start=student.cls.new_zeros(()))
+    dae = torch.stack([_relative_error(s, t, mask) for s, t, mask in pairs]).mean()
     union = torch.stack([group.amax(0) for group in masks[0].split(list(agents))])
     whole = torch.ones_like(union)
-    daf = _masked_mean(student.fused, teacher.fused, union if settings.daf_mask else whole)
+    daf = _relative_error(student.fused, teacher.fused, union if settings.daf_mask else whole)
     cells = union.sum().clamp(min=1)
     dap = (_bernoulli_kl(teacher.cls, student.cls) * union).sum() / (cells * student.cls.shape[1])
-    dap = dap + 0.5 * _masked_mean(student.reg, teacher.reg, union)
+    row, y, x = union[:, 0].nonzero(as_tuple=True)
+    dap = dap + 0.5 * _mean_square(student.reg[row, :, y, x] - teacher.reg[row, :, y, x])
     return {"dae": settings.dae * dae, "daf": settings.daf * daf, "dap": settings.dap * dap}
 
 
-def _masked_mean(student: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
-    """Mean squared difference of (N, C, h, w) maps over the cells of a (N, 1, h, w) 0/1 mask."""
+def _relative_error(student: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
+    """Squared difference of (N, C, h, w) maps over the cells of a (N, 1, h, w) mask, by the teacher's square there."""
     n, row, column = mask[:, 0].nonzero(as_tuple=True)
-    difference = student[n, :, row, column] - teacher[n, :, row, column]
-    return difference.square().sum() / max(difference.numel(), 1)
+    wanted = teacher[n, :, row, column]
+    return _mean_square(student[n, :, row, column] - wanted) / (_mean_square(wanted) + 1e-6)
+
+
+def _mean_square(x: Tensor) -> Tensor:
+    """Mean of the squares; 0 of nothing."""
+    return x.square().sum() / max(x.numel(), 1)
 
 
 def _bernoulli_kl(teacher: Tensor, student: Tensor) -> Tensor:

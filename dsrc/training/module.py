@@ -65,7 +65,8 @@ class DetectionModule(pl.LightningModule):
             losses |= distillation_losses(output, taught, batch.foreground, batch.agents, self.recipe.distill)
         if self.reconstruction is not None and batch.scene is not None:
             mask, offset = reconstruction_losses(self.reconstruction, output.fused, batch.scene)
-            losses |= {"rec_mask": mask, "rec_offset": offset}
+            weight = self.recipe.reconstruction
+            losses |= {"rec_mask": weight * mask, "rec_offset": weight * offset}
         return losses
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:

@@ -39,6 +39,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         name: key in `RECIPES`.
         model: the student's settings.
         distill: weights and forms of the distillation.
+        reconstruction: weight of the reconstruction losses.
         augmentation: changes of the training samples.
         epochs: passes over the data.
         batch_size: samples per step.
@@ -60,6 +61,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str
     model: ModelSettings
     distill: DistillSettings = DistillSettings()
+    reconstruction: float = 1.0
     augmentation: Augmentation = Augmentation()
     epochs: int = 40
     batch_size: int = 2

@@ -130,8 +130,9 @@ def train(
     _write_json(out / "settings.json", record)
     last = out / "checkpoints" / "last.ckpt"
     with warnings.catch_warnings():
-        # Advice about the number of workers and of log steps; both are the recipe's choice.
+        # Advice about workers and log steps, which are the recipe's choice, and about Lightning's own inside.
         warnings.simplefilter("ignore", PossibleUserWarning)
+        warnings.filterwarnings("ignore", message=".*LeafSpec")
         warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
         trainer = _trainer(recipe, out, callbacks)
         trainer.fit(module, loaders, ckpt_path=str(last) if resume and last.exists() else None)

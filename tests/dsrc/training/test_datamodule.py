@@ -1,0 +1,60 @@
+"""Which frames are trained on, in which order, and how fast the learning rate moves."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from dsrc.training.datamodule import DetectionData, EpochSampler
+from dsrc.training.module import RateCurve
+from dsrc.training.recipes import RECIPES, debug
+from tests.dsrc.training.drive import write_drive
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("data"), 5) / "made_up"
+
+
+def test_held_out_frames_are_the_last_of_a_drive_and_are_not_trained_on(data: Path) -> None:
+    recipe = replace(debug(), validation_share=0.4)
+    loaders = DetectionData(recipe, recipe.model, [data], None, seed=0)
+    assert [f.position for f in loaders.training.frames] == [0, 1, 2]
+    assert [f.position for f in loaders.validation.frames] == [3, 4]
+    assert len(loaders.train_dataloader()) == 1
+
+
+def test_the_order_depends_on_seed_and_epoch_alone() -> None:
+    one, two = EpochSampler(50, seed=1), EpochSampler(50, seed=1)
+    for sampler in (one, two):
+        sampler.set_epoch(3)
+    assert list(one) == list(two)
+    assert sorted(number for _, number in one) == list(range(50))
+    two.set_epoch(4)
+    assert [n for _, n in one] != [n for _, n in two]
+
+
+def test_a_training_sample_depends_on_seed_epoch_and_number_alone(data: Path) -> None:
+    recipe = replace(debug(), augmentation=RECIPES["small"]().augmentation)
+    sets = [DetectionData(recipe, recipe.model, [data], None, seed=s).training for s in (1, 1, 2)]
+    clouds = [s[(2, 1)].clouds[0] for s in sets]
+    np.testing.assert_array_equal(clouds[0], clouds[1])
+    assert clouds[0].shape != clouds[2].shape or not np.array_equal(clouds[0], clouds[2])
+
+
+def test_the_rate_rises_to_its_peak_and_falls_to_almost_nothing() -> None:
+    curve = RateCurve(debug(), steps=100)
+    rates = [curve(step) for step in range(101)]
+    assert max(rates) == curve(10) == pytest.approx(1.0)
+    assert rates[0] < 0.05
+    assert rates[100] < 1e-3
+    assert (np.diff(rates[10:]) < 0).all()
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_every_recipe_has_a_grid_that_its_three_scales_divide(name: str) -> None:
+    recipe = RECIPES[name]()
+    assert recipe.name == name
+    assert recipe.model.grid.width % 8 == recipe.model.grid.height % 8 == 0
+    assert recipe.model.reconstruction_bins % 2 == 0
