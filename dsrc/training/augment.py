@@ -1,5 +1,6 @@
 """Augmentation of samples: all clouds and boxes of a sample move together, in the ego LiDAR's frame."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,9 +35,9 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     """
     # Every draw is made every time, so that a switch does not change the others' luck.
     drop, mirrors, turn, grow = rng.random(), rng.random(2) < 0.5, rng.uniform(-1, 1), rng.uniform(-1, 1)
-    count = int(rng.integers(1, len(sample.clouds) + 1))
+    others = rng.permutation(np.arange(1, len(sample.clouds)))[: rng.integers(len(sample.clouds))]
     if drop < augmentation.dropout:
-        sample = with_agents(sample, count)
+        sample = with_agents(sample, [0, *sorted(others.tolist())])
     signs = np.where(mirrors & augmentation.flip, -1.0, 1.0)
     angle = float(np.radians(augmentation.rotation_deg * turn))
     scale = 1 + augmentation.scale * grow
@@ -51,17 +52,17 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     )
 
 
-def with_agents(sample: Sample, count: int) -> Sample:
-    """Keep the first agents only, and of the ground truth what these have annotated."""
-    seen = [boxes.object_id for boxes in sample.agent_boxes[:count]]
-    known = np.isin(sample.boxes.object_id, np.concatenate([np.zeros(0, np.int64), *seen]))
+def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
+    """Keep some agents only, the ego first, and of the ground truth what these have annotated."""
+    agent_boxes = tuple(sample.agent_boxes[row] for row in rows)
+    known = np.isin(sample.boxes.object_id, np.concatenate([boxes.object_id for boxes in agent_boxes]))
     return replace(
         sample,
-        agent_ids=sample.agent_ids[:count],
-        clouds=sample.clouds[:count],
-        ego_from_agent=sample.ego_from_agent[:count],
+        agent_ids=tuple(sample.agent_ids[row] for row in rows),
+        clouds=tuple(sample.clouds[row] for row in rows),
+        ego_from_agent=sample.ego_from_agent[list(rows)],
         boxes=sample.boxes[known],
-        agent_boxes=sample.agent_boxes[:count],
+        agent_boxes=agent_boxes,
     )
 
 

@@ -51,10 +51,17 @@ def test_everything_ends_inside_the_grid(sample: Sample) -> None:
 
 
 def test_a_dropped_agent_takes_with_it_what_only_it_has_seen(sample: Sample) -> None:
-    alone = with_agents(sample, 1)
+    alone = with_agents(sample, [0])
     assert len(alone.clouds) == 1
     assert set(alone.boxes.object_id) == set(sample.agent_boxes[0].object_id)
     assert len(alone.boxes) < len(sample.boxes)
+
+
+def test_every_collaborator_is_dropped_now_and_then_but_never_the_ego(sample: Sample) -> None:
+    rng = np.random.default_rng(3)
+    kept = {augment(sample, GRID, replace_dropout(1.0), rng).agent_ids for _ in range(60)}
+    ego, one, two = sample.agent_ids
+    assert kept == {(ego,), (ego, one), (ego, two), (ego, one, two)}
 
 
 def test_equal_seeds_make_equal_samples(sample: Sample) -> None:
