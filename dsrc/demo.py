@@ -1,6 +1,7 @@
 """The demo: the whole walk on a real junction, from nothing to a table, plots, a page and an episode."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
@@ -36,7 +37,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
     columns = (TextColumn("{task.description:34s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
 
-        def follow(task: TaskID):  # noqa: ANN202
+        def follow(task: TaskID) -> Callable[[int, int], None]:
             return lambda done, total: progress.update(task, completed=done, total=total)
 
         drives = {}

@@ -56,9 +56,7 @@ class Frame:
         if self.velocity.shape != (n, 2):
             raise ValueError(f"Frame.velocity must have shape ({n}, 2), got {self.velocity.shape}")
         if self.points_on.shape != (len(self.agents), n):
-            raise ValueError(
-                f"Frame.points_on must have shape ({len(self.agents)}, {n}), got {self.points_on.shape}"
-            )
+            raise ValueError(f"Frame.points_on must have shape ({len(self.agents)}, {n}), got {self.points_on.shape}")
 
     def agent(self, agent_id: int) -> AgentFrame:
         """Return the agent of this id; KeyError when there is none."""
@@ -80,11 +78,9 @@ def agent_order(agent_ids: list[int]) -> list[int]:
 
 def count_points(sweep: Sweep, object_ids: NDArray[np.int64]) -> NDArray[np.int32]:
     """Return (N,) points of the sweep on each object of `object_ids` (N, sorted ascending)."""
-    counts = np.zeros(len(object_ids), np.int32)
     if len(object_ids) == 0:
-        return counts
+        return np.zeros(0, np.int32)
     slot = np.searchsorted(object_ids, sweep.object_id)
     slot[slot == len(object_ids)] = 0
     hit = object_ids[slot] == sweep.object_id
-    np.add.at(counts, slot[hit], 1)
-    return counts
+    return np.bincount(slot[hit], minlength=len(object_ids)).astype(np.int32)

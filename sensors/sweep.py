@@ -1,7 +1,7 @@
 """Sweep: the points of one rotation of one LiDAR."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +116,7 @@ def make_sweep(
 
 def concatenate(sweep: Sweep, *others: Sweep) -> Sweep:
     """Append the points of other sweeps of the same sensor and instant."""
-    return replace(
-        sweep,
-        **{name: np.concatenate([getattr(s, name) for s in (sweep, *others)]) for name in POINT_FIELDS},
-    )
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(s, name) for s in (sweep, *others)]) for name in POINT_FIELDS
+    }
+    return replace(sweep, **columns)

@@ -16,11 +16,7 @@ VEHICLES = ("car", "van", "truck", "bus")
 
 # Corner order of the OPV2V tools: front right, front left, rear left, rear right; bottom, then top.
 _CORNER_SIGNS = np.array(
-    [
-        [x, y, z]
-        for z in (-0.5, 0.5)
-        for x, y in ((0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5))
-    ]
+    [[x, y, z] for z in (-0.5, 0.5) for x, y in ((0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5))]
 )
 
 
@@ -50,9 +46,7 @@ class Boxes:
                 raise ValueError(f"Boxes.{name} must have shape {shape}, got {getattr(self, name).shape}")
 
     @classmethod
-    def from_array(
-        cls, array: ArrayLike, label: ArrayLike | None = None, object_id: ArrayLike | None = None
-    ) -> Self:
+    def from_array(cls, array: ArrayLike, label: ArrayLike | None = None, object_id: ArrayLike | None = None) -> Self:
         """Make boxes of (N, 7) rows x, y, z, l, w, h, yaw; without labels they are cars, without ids -1."""
         array = np.asarray(array, dtype=np.float64).reshape(-1, 7)
         n = len(array)
@@ -74,9 +68,7 @@ class Boxes:
 
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Self:
         """Select boxes by a mask, indices or a slice."""
-        return type(self)(
-            self.center[rows], self.size[rows], self.yaw[rows], self.label[rows], self.object_id[rows]
-        )
+        return type(self)(self.center[rows], self.size[rows], self.yaw[rows], self.label[rows], self.object_id[rows])
 
     @property
     def array(self) -> NDArray[np.float64]:

@@ -21,9 +21,7 @@ def wrap_angle(angle: ArrayLike) -> Array:
     return np.where(wrapped <= -np.pi, np.pi, wrapped)[()]
 
 
-def pose_matrix(
-    xyz: ArrayLike, yaw: ArrayLike = 0.0, pitch: ArrayLike = 0.0, roll: ArrayLike = 0.0
-) -> Array:
+def pose_matrix(xyz: ArrayLike, yaw: ArrayLike = 0.0, pitch: ArrayLike = 0.0, roll: ArrayLike = 0.0) -> Array:
     """Return parent_from_body for bodies at `xyz` turned by Rz(yaw) Ry(pitch) Rx(roll).
 
     Args:
@@ -95,10 +93,7 @@ def interpolate_pose(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> A
     """
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     fraction = np.asarray(fraction, np.float64)
-    angles = [
-        a + fraction * wrap_angle(b - a)
-        for a, b in zip(pose_angles(start), pose_angles(end), strict=True)
-    ]
+    angles = [a + fraction * wrap_angle(b - a) for a, b in zip(pose_angles(start), pose_angles(end), strict=True)]
     xyz = start[:3, 3] + fraction[..., None] * (end[:3, 3] - start[:3, 3])
     return pose_matrix(xyz, *angles)
 

@@ -67,7 +67,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.max_boxes = max_boxes
         self.idm = idm or IdmSettings()
         scalar = spaces.Box(-100.0, 200.0, (1,), np.float32)
-        self.observation_space = spaces.Dict(
+        self.observation_space: spaces.Dict = spaces.Dict(  # type: ignore[assignment]
             {
                 "speed": scalar,
                 "desired_speed": scalar,
