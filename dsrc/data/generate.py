@@ -5,6 +5,7 @@ on, the protocol fixes the settings, and every frame depends on the log, the set
 """
 
 import logging
+import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -75,8 +76,10 @@ def generate(
     seed = scenario.seed if seed is None else seed
     if frames < 1:
         raise SettingsError(complaint("generate", "frames", "at least 1", frames))
+    if seed < 0:
+        raise SettingsError(complaint("generate", "seed", "at least 0", seed))
     steps = interval_s / scenario.step_s
-    if not (interval_s > 0 and abs(steps - round(steps)) < 1e-6):
+    if not (math.isfinite(steps) and interval_s > 0 and abs(steps - round(steps)) < 1e-6):
         expected = f"a positive multiple of the scenario's step of {scenario.step_s} s"
         raise SettingsError(complaint("generate", "interval_s", expected, interval_s))
     if len(scenario.agents.roadside) > 1:

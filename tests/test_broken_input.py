@@ -1,0 +1,119 @@
+"""Broken input gets one line that names it and exit code 2, at the command line, with nothing else written."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from dsrc.__main__ import main
+from dsrc.data.generate import write_drive
+from tests.dsrc.data.toy import SETTINGS, ToySource
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """A folder with one good drive."""
+    write_drive(tmp_path / "data" / "toy_3", SETTINGS, ToySource().open)
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs `dsrc` and returns its one line of complaint; a stack trace would be an exception here."""
+
+    def run(*args: object) -> str:
+        with pytest.raises(SystemExit) as leaving:
+            main([str(arg) for arg in args])
+        assert leaving.value.code == 2
+        lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+        assert len(lines) == 1, lines
+        return lines[0]
+
+    return run
+
+
+def first(data: Path, pattern: str) -> Path:
+    return sorted(data.glob(f"*/*/{pattern}"))[0]
+
+
+def cut(data: Path) -> str:
+    path = first(data, "*.pcd")
+    path.write_bytes(path.read_bytes()[:-100])
+    return path.name
+
+
+def execute(data: Path) -> str:
+    path = first(data, "*.yaml")
+    body = path.read_text().partition("\n")[2]
+    path.write_text(body + "extra: !!python/object/apply:os.system ['touch owned']\n")
+    return path.name
+
+
+def not_a_number(data: Path) -> str:
+    path = first(data, "*.yaml")
+    body = path.read_text().partition("\n")[2]
+    assert "extent:" in body
+    head, _, tail = body.partition("extent:")
+    line, _, rest = tail.partition("\n")
+    broken = line.replace(line.strip(" []").split(",")[0], ".nan", 1) if "[" in line else line
+    rest = rest if "[" in line else "\n".join(["    - .nan", *rest.split("\n")[1:]])
+    path.write_text(f"{head}extent:{broken}\n{rest}")
+    return path.name
+
+
+def lost_agent(data: Path) -> str:
+    folder = next(p for p in sorted(data.glob("*/*")) if p.is_dir() and p.name.startswith("-"))
+    shutil.rmtree(folder)
+    return folder.name
+
+
+@pytest.mark.parametrize("damage", [cut, execute, not_a_number, lost_agent])
+def test_a_damaged_drive_is_named(
+    data: Path, tmp_path: Path, damage: Callable[[Path], str], refused: Callable[..., str]
+) -> None:
+    name = damage(data)
+    page = tmp_path / "page.html"
+    assert name in refused("view", data, "--export", page)
+    assert not page.exists()
+    assert not Path("owned").exists()
+
+
+def test_a_checkpoint_of_another_model_is_named(data: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
+    path = tmp_path / "other.pt"
+    torch.save({"state_dict": {"weight": torch.zeros(3)}}, path)
+    assert "other.pt" in refused("evaluate", path, "--data", data, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scenario_with_a_typo_is_named_with_the_right_word(tmp_path: Path, refused: Callable[..., str]) -> None:
+    source = Path(__file__).parents[1] / "scenarios" / "four_way" / "scenario.toml"
+    path = tmp_path / "scenario.toml"
+    path.write_text(source.read_text().replace("warmup_s", "warmpu_s"))
+    line = refused("generate", path, "--out", tmp_path / "out")
+    assert "scenario.toml" in line
+    assert "warmpu_s" in line
+    assert "did you mean 'warmup_s'" in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("generate", "four_way", "--frames", "0", "--out", "{out}"), "frames"),
+        (("generate", "four_way", "--interval", "0.03", "--out", "{out}"), "interval"),
+        (("generate", "four_way", "--seed", "-1", "--out", "{out}"), "seed"),
+        (("view", "{data}", "--corruption", "frog", "--export", "{out}"), "fog"),
+        (("view", "{data}", "--corruption", "fog", "--severity", "9", "--export", "{out}"), "severity"),
+        (("train", "smal", "--data", "{data}", "--out", "{out}"), "small"),
+        (("train", "debug", "--data", "{out}", "--out", "{out}"), "out"),
+        (("drive", "four_way", "--corruption", "fog"), "corruption"),
+    ],
+)
+def test_a_wrong_option_is_named(
+    data: Path, tmp_path: Path, arguments: tuple[str, ...], word: str, refused: Callable[..., str]
+) -> None:
+    out = tmp_path / "out"
+    assert word in refused(*(a.format(data=data, out=out) for a in arguments))
+    assert not out.exists()
