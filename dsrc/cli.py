@@ -217,6 +217,7 @@ def view(
     severity: int = 3,
     port: int | None = None,
     export: Path | None = None,
+    picture: Path | None = None,
     limit: int = 40,
 ) -> None:
     """Review drives in the browser, or write one self-contained page.
@@ -228,16 +229,22 @@ def view(
         severity: 1 to 5.
         port: of the page on 127.0.0.1; default: a free one.
         export: write this HTML page and leave.
+        picture: with `--export`, write a PNG of the page too; needs Chromium.
         limit: frames in an exported page.
     """
+    if picture is not None and export is None:
+        from sim.errors import SettingsError
+
+        raise SettingsError("view: picture: expected together with --export, found without")
     if export is not None:
         from dsrc.review.export import export_html
 
-        _say(
-            str(
-                export_html(data, export, checkpoint=checkpoint, corruption=corruption, severity=severity, frames=limit)
-            )
-        )
+        page = export_html(data, export, checkpoint=checkpoint, corruption=corruption, severity=severity, frames=limit)
+        _say(str(page))
+        if picture is not None:
+            from dsrc.review.screenshot import screenshot
+
+            _say(str(screenshot(page, picture)))
         return
     from dsrc.review.app import serve
 

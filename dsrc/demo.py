@@ -30,10 +30,11 @@ def run_demo(out: Path, quick: bool = False) -> None:
     from dsrc.drive.episodes import drive_episodes
     from dsrc.evaluation.run import evaluate_checkpoints
     from dsrc.review.export import export_html
+    from dsrc.review.screenshot import find_chromium, screenshot
 
     console = Console(highlight=False)
     start = time.perf_counter()
-    train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 3.0) if quick else (20, 20, 2.0, 20.0)
+    train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 2.0) if quick else (16, 16, 2.0, 12.0)
     columns = (TextColumn("{task.description:34s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
 
@@ -54,9 +55,11 @@ def run_demo(out: Path, quick: bool = False) -> None:
             out=out / "results",
             progress=follow(task),
         )
-        task = progress.add_task("review page", total=None)
-        page = export_html(out / "test", out / "review.html", checkpoint=dsrc, corruption="fog")
-        progress.update(task, completed=1, total=1)
+        task = progress.add_task("review page", total=2)
+        page = export_html(out / "test", out / "review.html", checkpoint=dsrc)
+        progress.update(task, completed=1)
+        picture = screenshot(page, out / "review.png") if find_chromium() else None
+        progress.update(task, completed=2)
         task = progress.add_task("closed-loop episode", total=None)
         episodes = drive_episodes(
             SCENARIO,
@@ -76,6 +79,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
         "AP per corruption": out / "results" / "ap_per_corruption.png",
         "mCE against mAP": out / "results" / "mce_map.png",
         "review page": page,
+        "picture of it": picture or "none: no Chromium here",
         "episode": out / "episode.csv",
     }.items():
         console.print(f"{what:18s} {where}")
