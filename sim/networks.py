@@ -89,7 +89,7 @@ def _generate(name: str, options: dict[str, str | int | float | bool], seed: int
     for option, value in sorted(options.items()):
         text = str(value).lower() if isinstance(value, bool) else str(value)
         arguments += [f"--{option}={text}"]
-    arguments += [f"--seed={seed}", "--no-warnings=true"]
+    arguments += [f"--seed={seed % 2**31}", "--no-warnings=true"]  # an int of netgenerate
     binary = sumo_home() / "bin" / ("netgenerate.exe" if sys.platform == "win32" else "netgenerate")
     key = hashlib.sha256(json.dumps([arguments, version("eclipse-sumo")]).encode()).hexdigest()[:16]
     folder = cache_folder() / "networks"
@@ -103,8 +103,9 @@ def _generate(name: str, options: dict[str, str | int | float | bool], seed: int
             [str(binary), *arguments, "--output-file", str(made)], capture_output=True, text=True, check=False
         )
         if done.returncode != 0 or not made.is_file():
-            lines = [line for line in done.stderr.splitlines() if line.startswith("Error")] or ["no network came out"]
-            raise ScenarioError(f"{name}: network.generate: netgenerate refuses the options: {lines[0]}")
+            _, error, reason = done.stderr.partition("Error: ")
+            reason = " ".join(reason.removesuffix("Quitting (on error).\n").split()) if error else "no network came out"
+            raise ScenarioError(f"{name}: network.generate: netgenerate refuses the options: {reason}")
         text = made.read_text(encoding="utf-8")
         # The header comment holds the date and paths of this run: without it the bytes depend on the options only.
         start, end = text.find("<!--"), text.find("-->")

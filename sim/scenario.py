@@ -22,13 +22,16 @@ ROOT = Path(__file__).resolve().parents[1] / "scenarios"
 
 MOTOR_CLASSES = tuple(name for name in CLASSES if name not in ("bicycle", "pedestrian"))
 
+SIGNAL_LETTERS = "rugGyYosO"
+"""States of one signal in SUMO: red, red and yellow, green that yields, green, yellow (2), blinking, arrow, off."""
+
 
 class SignalProgram(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A fixed-time program that replaces the one in the network.
 
     Attributes:
         junction: id of the traffic light in the network.
-        phases: (duration in s, one letter of `rugGy...` per signal index) in their order.
+        phases: (duration in s, one letter of `SIGNAL_LETTERS` per signal index) in their order.
         offset_s: shift of the cycle, s.
     """
 
@@ -45,7 +48,7 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         generate: netgenerate arguments as a table of option -> value.
         file: path of a .net.xml; relative ones are looked up beside the scenario file.
         city_mesh: path of a 3DS city mesh below `tools/` with its placement, or "".
-        area_m: (x_min, y_min, x_max, y_max) part of the network that is meshed and may carry agents; empty = all.
+        area_m: (x_min, y_min, x_max, y_max) part of the network that is meshed and may carry agents; left out: all.
         signals: programs that replace those of the network.
     """
 
@@ -65,7 +68,7 @@ class DemandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         bicycles_per_hour: bicycles, on the lanes that allow them.
         persons_per_hour: pedestrians, on sidewalks and footways.
         through_area: trips touch `network.area_m` and begin and end close around it.
-        focus_m: trips prefer to pass near this point, m; empty = the centre of the area.
+        focus_m: trips prefer to pass near this point, m; left out: the centre of the area.
         max_vehicles: no insertion while this many vehicles are on the road.
         type_mix: class name -> weight.
     """
@@ -96,7 +99,7 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Attributes:
         vehicles: how many vehicles are connected.
         lidar: sensor preset of the vehicles.
-        within_m: collaborators are chosen within this distance of the ego when the drive starts, m.
+        within_m: those are chosen that spend the most of the drive within this distance of the ego, m.
         roadside: roadside units.
     """
 
@@ -222,6 +225,10 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
     for index, program in enumerate(network.signals):
         if len({len(state) for _, state in program.phases}) != 1:
             yield f"network.signals[{index}].phases", "states of one length", "different lengths or none", ""
+        for _, state in program.phases:
+            if not state or set(state) - set(SIGNAL_LETTERS):
+                expected = f"states of the letters {SIGNAL_LETTERS}"
+                yield f"network.signals[{index}].phases", expected, f"'{state}'", ""
     for name in demand.type_mix:
         if name not in MOTOR_CLASSES:
             yield "demand.type_mix", "classes of motor vehicles", f"'{name}'", did_you_mean(name, MOTOR_CLASSES)
@@ -240,7 +247,8 @@ def _wrong_tools_path(field: str, relative: str) -> Iterator[tuple[str, str, obj
     target = sumo_tools() / relative
     if target.is_file() and target.resolve().is_relative_to(sumo_tools().resolve()):
         return
-    siblings = [str(Path(relative).parent / p.name) for p in target.parent.glob("*.*")]
+    inside = target.parent.resolve().is_relative_to(sumo_tools().resolve())
+    siblings = [str(Path(relative).parent / p.name) for p in target.parent.glob("*.*")] if inside else []
     yield field, "a file below tools/ of eclipse-sumo", relative, did_you_mean(relative, siblings) if siblings else ""
 
 

@@ -176,6 +176,13 @@ def _check(path: Path, columns: dict[str, NDArray]) -> None:
         shape = (rows, *width.get(name.split("/")[1], ()))
         if columns[name].shape != shape:
             raise DataError(complaint(path, name, f"shape {shape}", str(columns[name].shape)))
+    numbers = [columns[name] for name, kind in expected.items() if kind == "f8"]
+    if not all(np.isfinite(values).all() for values in numbers) or not 0.0 < float(columns["step_s"]) < np.inf:
+        raise DataError(complaint(path, "traffic log", "finite numbers and a positive step_s", "others"))
+    if count["step"] and columns["step/count"].min() < 0:
+        raise DataError(complaint(path, "step/count", "at least 0", int(columns["step/count"].min())))
+    if (np.diff(columns["object/id"]) <= 0).any():
+        raise DataError(complaint(path, "object/id", "ascending ids", "others"))
     if count["row"] and not 0 <= columns["row/object"].min() <= columns["row/object"].max() < count["object"]:
         raise DataError(complaint(path, "row/object", f"rows of {count['object']} objects", "others"))
     if count["object"] and not 0 <= columns["object/label"].min() <= columns["object/label"].max() < len(CLASSES):

@@ -18,7 +18,7 @@ from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.lane_path import lane_path
 from sim.traffic.red_light import red_light_speed
-from sim.traffic.sumo_input import signals_xml, sumo_options
+from sim.traffic.sumo_input import check_signals, signals_xml, sumo_options
 from sim.vehicle_types import TYPES, VehicleType, choose_model
 
 FIRST_ID = 1000
@@ -63,7 +63,6 @@ class SumoTraffic:
         self.step_s = scenario.step_s
         self._seed = seed
         self._users: dict[str, _RoadUser] = {}
-        self._names: dict[int, str] = {}
         self._commanded: dict[str, float] = {}
         self._actors: Actors | None = None
         self._open = False
@@ -159,7 +158,9 @@ class SumoTraffic:
 
         self._sumo: Any = libsumo
         with tempfile.TemporaryDirectory(prefix="dsrc-traffic-") as folder:
-            routes = write_demand(scenario, read_network(network), self._seed, Path(folder) / "demand.rou.xml")
+            net = read_network(network)
+            check_signals(scenario, net)
+            routes = write_demand(scenario, net, self._seed, Path(folder) / "demand.rou.xml")
             command = [
                 "sumo",
                 "--net-file",

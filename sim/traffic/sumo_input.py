@@ -1,5 +1,8 @@
 """What SUMO is started with: options and signal programs."""
 
+from typing import Any
+
+from sim.errors import ScenarioError, complaint, did_you_mean
 from sim.scenario import Scenario, SignalProgram
 
 
@@ -20,6 +23,36 @@ def sumo_options(scenario: Scenario, seed: int) -> list[str]:
         "duration-log.disable": "true",
     }
     return [f"--{name}={value}" for name, value in options.items()]
+
+
+def check_signals(scenario: Scenario, net: Any) -> None:
+    """Refuse signal programs that do not fit the network: SUMO would only say that something went wrong, or nothing.
+
+    Args:
+        scenario: gives the programs.
+        net: `sumolib.net.Net`.
+
+    Raises:
+        ScenarioError: a program's junction has no signals, two programs, or another number of them.
+    """
+    signals = {
+        light.getID(): 1 + max(link for _, _, link in light.getConnections()) for light in net.getTrafficLights()
+    }
+    seen: set[str] = set()
+    for index, program in enumerate(scenario.network.signals):
+        field = f"network.signals[{index}]"
+        if program.junction not in signals:
+            hint = did_you_mean(program.junction, signals)
+            raise ScenarioError(
+                complaint(scenario.name, f"{field}.junction", "a traffic light of the network", program.junction, hint)
+            )
+        if program.junction in seen:
+            raise ScenarioError(complaint(scenario.name, f"{field}.junction", "one program each", program.junction))
+        seen.add(program.junction)
+        found = len(program.phases[0][1])
+        if found != signals[program.junction]:
+            expected = f"states of {signals[program.junction]} letters, one per signal"
+            raise ScenarioError(complaint(scenario.name, f"{field}.phases", expected, f"{found} letters"))
 
 
 def signals_xml(programs: tuple[SignalProgram, ...]) -> str:

@@ -44,6 +44,13 @@ def test_a_wrong_option_of_netgenerate_is_told(tmp_path: Path, monkeypatch: pyte
         resolve_network(with_network(generate={"grid": True, "grid.numbr": 2}), 0)
 
 
+def test_a_seed_of_any_size_makes_a_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DSRC_CACHE", str(tmp_path))
+    assert resolve_network(with_network(generate=SQUARE), 2**31 + 7) == resolve_network(
+        with_network(generate=SQUARE), 7
+    )
+
+
 def test_a_file_that_is_no_network_is_told(tmp_path: Path) -> None:
     path = tmp_path / "bad.net.xml"
     path.write_text("<net><edge")

@@ -65,6 +65,12 @@ MISTAKES = {
     "empty area": ("[471.0, 439.0", "[900.0, 439.0", ["network.area_m", "x_min < x_max"]),
     "unknown class": ("= 100", "= 100\ntype_mix = {cars = 1.0}", ["demand.type_mix", "'cars'", "mean 'car'?"]),
     "sunken roadside unit": ("5.0]", "-5.0]", ["agents.roadside[0].xyz_m", "height above the ground"]),
+    "unknown signal": ("[demand]", '[[network.signals]]\njunction = "J"\nphases = [[9.0, "GX"]]\n[demand]', ["'GX'"]),
+    "states of two lengths": (
+        "[demand]",
+        '[[network.signals]]\njunction = "J"\nphases = [[9.0, "G"], [9.0, "rr"]]\n[demand]',
+        ["network.signals[0].phases", "one length"],
+    ),
     "not TOML": ("[demand]", "[demand", ["not a readable TOML file", "line"]),
     "name with a slash": ('"mine"', '"a/b"', ["name", "matching regex"]),
 }

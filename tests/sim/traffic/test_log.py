@@ -114,9 +114,14 @@ def test_damaged_logs_are_told_in_one_line(tmp_path: Path) -> None:
     np.savez(tmp_path / "short.npz", **{**columns, "row/yaw": columns["row/yaw"][:-1]})
     np.savez(tmp_path / "ids.npz", **{**columns, "row/object": columns["row/object"] + 50})
     np.savez(tmp_path / "label.npz", **{**columns, "object/label": columns["object/label"] + 50})
+    np.savez(tmp_path / "nan.npz", **{**columns, "row/center": columns["row/center"] * np.nan})
+    np.savez(tmp_path / "step.npz", **{**columns, "step_s": np.array(0.0)})
+    np.savez(tmp_path / "count.npz", **{**columns, "step/count": np.array([3, -1, 3, 1])})
+    np.savez(tmp_path / "twice.npz", **{**columns, "object/id": np.array([1000, 1000, 1003, 1004])})
     np.savez(tmp_path / "kind.npz", **{**columns, "row/yaw": columns["row/yaw"].astype(np.float32)})
     np.savez(tmp_path / "object.npz", **{**columns, "object/name": np.array([{}] * 4, dtype=object)})
-    for name in (*cases, "other.npz", "short.npz", "ids.npz", "label.npz", "kind.npz", "object.npz", "missing.npz"):
+    made = ("other", "short", "ids", "label", "nan", "step", "count", "twice", "kind", "object", "missing")
+    for name in (*cases, *(f"{stem}.npz" for stem in made)):
         with pytest.raises(DataError) as caught:
             ReplayTraffic(tmp_path / name)
         assert name in str(caught.value) and "\n" not in str(caught.value)

@@ -12,7 +12,7 @@ import pytest
 
 from sim.boxes import CLASSES
 from sim.collisions import overlapping_pairs
-from sim.errors import TrafficError
+from sim.errors import ScenarioError, TrafficError
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario, SignalProgram, load_scenario
 from sim.traffic.base import Actors
@@ -130,12 +130,29 @@ def test_a_second_simulation_in_the_process_is_an_error_until_the_first_ends(tra
         _ = traffic.actors
 
 
-def test_a_simulation_that_cannot_start_is_told_and_leaves_the_process_free() -> None:
+@pytest.mark.parametrize(
+    ("junctions", "state", "message"),
+    [
+        (["A2"], "G" * 32, r"signals\[0\]\.junction: expected a traffic light .*, found A2; did you mean 'A[01]'\?"),
+        (["A0", "A0"], "G" * 32, r"signals\[1\]\.junction: expected one program each, found A0"),
+        (["A0", "A1"], "G" * 31, r"signals\[0\]\.phases: expected states of 32 letters, .*, found 31 letters"),
+        (["A0"], "G" * 33, r"signals\[0\]\.phases: .*, found 33 letters"),
+    ],
+)
+def test_signals_that_the_network_does_not_have_are_told(junctions: list[str], state: str, message: str) -> None:
     scenario = quick("four_way", 0.0)
-    signals = (SignalProgram(junction="nowhere", phases=((9.0, "G"),)),)
+    signals = tuple(SignalProgram(junction=name, phases=((9.0, state),)) for name in junctions)
     broken = msgspec.structs.replace(scenario, network=msgspec.structs.replace(scenario.network, signals=signals))
-    with pytest.raises(TrafficError, match="four_way: SUMO does not start") as caught:
+    with pytest.raises(ScenarioError, match=f"four_way: network.{message}"):
         SumoTraffic(broken, 1)
+
+
+def test_a_simulation_that_cannot_start_is_told_and_leaves_the_process_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = quick("four_way", 0.0)
+    with monkeypatch.context() as patch:
+        patch.setattr("sim.traffic.sumo.sumo_options", lambda scenario, seed: ["--no-such-option"])
+        with pytest.raises(TrafficError, match="four_way: SUMO does not start") as caught:
+            SumoTraffic(scenario, 1)
     assert "\n" not in str(caught.value)
     with SumoTraffic(scenario, 1) as traffic:
         assert len(traffic.actors) == 0
