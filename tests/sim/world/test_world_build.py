@@ -8,8 +8,10 @@ import shapely
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
+from sensors.rig import blocked_share, place_roadside
+from sensors.scene import RayScene
 from sim.networks import read_network, resolve_network, sumo_home
-from sim.scenario import AgentRule, NetworkSpec, list_scenarios, load_scenario
+from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit, list_scenarios, load_scenario
 from sim.world.build import MARGIN_M, build_world
 from sim.world.materials import MATERIALS, material_index
 from sim.world.streets import read_streets
@@ -176,7 +178,10 @@ def test_the_world_follows_the_heights_of_its_lanes(tmp_path):
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     scenario = load_scenario("four_way")
     network = NetworkSpec(file=str(tmp_path / "n.net.xml"))
-    scenario = msgspec.structs.replace(scenario, network=network, agents=AgentRule())
+    units = tuple(
+        RoadsideUnit(xyz_m=(x, y, 5.0), lidar="debug-16") for x, y in ((50.0, 14.0), (120.0, 11.0), (300.0, 12.0))
+    )
+    scenario = msgspec.structs.replace(scenario, network=network, agents=AgentRule(roadside=units))
     mesh = build_world(scenario, 1)
     net = read_network(tmp_path / "n.net.xml")
     points = np.array([p for edge in net.getEdges(False) for lane in edge.getLanes() for p in lane.getShape3D()])
@@ -186,6 +191,9 @@ def test_the_world_follows_the_heights_of_its_lanes(tmp_path):
     distance, face = look(mesh, on_lanes + np.array([0, 0, 4.0]), [0, 0, -1])
     assert set(names(mesh, face)) <= {"asphalt", "marking"}
     assert np.abs(distance - 4.0).max() < 0.15
+    scene = RayScene(mesh)
+    for unit in place_roadside(scene, units):
+        assert blocked_share(scene, unit) < 0.05
 
 
 def test_towns_have_houses_kerbs_and_trees(worlds):
