@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from sensors.corruptions.levels import at_level, check_range, share_of
-from sensors.corruptions.receiver import ring_count
+from sensors.corruptions.receiver import known_ring_count
 from sensors.sweep import Sweep
 
 RINGS_OF_64 = (4, 8, 16, 32, 48)
@@ -39,9 +39,13 @@ class BeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def corrupt(sweep: Sweep, severity: int | BeamMissing, rng: np.random.Generator) -> Sweep:
-    """Remove all points of some rings, drawn without replacement; the other points stay as they are, in order."""
+    """Remove all points of some rings, drawn without replacement; the other points stay as they are, in order.
+
+    Raises:
+        DataError: the sweep does not know its rings.
+    """
     settings = severity if isinstance(severity, BeamMissing) else BeamMissing.severity(severity)
-    rings = ring_count(sweep)
+    rings = known_ring_count(sweep, "beam_missing")
     alive = np.ones(rings, bool)
     alive[rng.permutation(rings)[: share_of(rings, settings.rings_of_64)]] = False
     return sweep[alive[sweep.ring]]

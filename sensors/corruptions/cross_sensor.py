@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.levels import at_level, check_range, share_of
-from sensors.corruptions.receiver import ring_count
+from sensors.corruptions.receiver import known_ring_count
 from sensors.sweep import Sweep
 
 RINGS_OF_64 = (16, 32, 32, 48, 48)
@@ -48,9 +48,13 @@ class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def corrupt(sweep: Sweep, severity: int | CrossSensor, rng: np.random.Generator) -> Sweep:
-    """Return the points that the other sensor would have had; `rng` is not used."""
+    """Return the points that the other sensor would have had; `rng` is not used.
+
+    Raises:
+        DataError: the sweep does not know its rings.
+    """
     settings = severity if isinstance(severity, CrossSensor) else CrossSensor.severity(severity)
-    rings = ring_count(sweep)
+    rings = known_ring_count(sweep, "cross_sensor")
     present = np.ones(rings, bool)
     present[removed_rings(rings, share_of(rings, settings.rings_of_64))] = False
     thinned = sweep[present[sweep.ring]]

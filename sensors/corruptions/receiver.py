@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sensors.spec import LidarSpec
 from sensors.sweep import Sweep
+from sim.errors import DataError
 
 LIGHT_SPEED = 299_792_458.0
 """m/s."""
@@ -49,3 +50,15 @@ def ring_count(sweep: Sweep) -> int:
     if sweep.spec is not None:
         return sweep.spec.rings
     return int(sweep.ring.max()) + 1 if len(sweep) else 0
+
+
+def known_ring_count(sweep: Sweep, kind: str) -> int:
+    """Return the number of rings of a sweep that knows which ring each point is of; `kind` is for the message.
+
+    Raises:
+        DataError: it does not, as in files without rings: a corruption of rings would quietly change nothing.
+    """
+    rings = ring_count(sweep)
+    if sweep.spec is None and rings == 1:
+        raise DataError(f"{kind}: expected points with their rings, found a sweep without rings and without a sensor")
+    return rings

@@ -1,6 +1,7 @@
 """Beam missing, motion blur, crosstalk, cross sensor."""
 
 import itertools
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from sensors.corruptions.beam_missing import BeamMissing
 from sensors.corruptions.cross_sensor import CrossSensor, removed_rings
 from sensors.corruptions.crosstalk import Crosstalk
 from sensors.corruptions.motion_blur import MotionBlur
-from sensors.sweep import ADDED, KEPT, MOVED, SCATTERED
-from sim.errors import SettingsError
+from sensors.sweep import ADDED, KEPT, MOVED, SCATTERED, make_sweep
+from sim.errors import DataError, SettingsError
 from tests.sensors.corruptions.street import same, shared, spinning, street, synth16, synth64
 
 
@@ -46,6 +47,12 @@ def test_beams_missing_at_a_severity_are_missing_at_the_next() -> None:
     sweep = street()
     left = [set(beam_missing.corrupt(sweep, severity, rng()).ring) for severity in range(1, 6)]
     assert all(a > b for a, b in itertools.pairwise(left))
+
+
+@pytest.mark.parametrize("module", [beam_missing, cross_sensor])
+def test_points_that_do_not_know_their_rings_are_refused(module: ModuleType) -> None:
+    with pytest.raises(DataError, match="expected points with their rings"):
+        module.corrupt(make_sweep(street().points), 3, rng())
 
 
 def test_no_or_all_beams_can_be_missing() -> None:
