@@ -25,7 +25,7 @@ from sensors.frame import AgentFrame, Frame, agent_order, count_points
 from sensors.lidar import scan
 from sensors.rig import Roadside, mount, place_roadside
 from sensors.scene import BodyMesh, RayScene
-from sensors.spec import LidarSpec, get_lidar
+from sensors.spec import LidarSpec, scenario_lidars
 from sim.errors import SettingsError
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, Traffic
@@ -130,11 +130,12 @@ def record(
 
     Raises:
         SettingsError: a number of frames or an interval that cannot be.
-        ScenarioError: too few vehicles stay for the whole drive.
+        ScenarioError: too few vehicles stay for the whole drive, or a LiDAR is not known.
     """
     stride = _stride(traffic.step_s, interval_s, frames)
-    specs = [get_lidar(name) for name in (scenario.agents.lidar, *(unit.lidar for unit in scenario.agents.roadside))]
-    margin = max(1, math.ceil(0.5 * max(spec.period_s for spec in specs) / traffic.step_s - 1e-9))
+    vehicle_spec, roadside_specs = scenario_lidars(scenario)
+    longest_s = max(spec.period_s for spec in (vehicle_spec, *roadside_specs))
+    margin = max(1, math.ceil(0.5 * longest_s / traffic.step_s - 1e-9))
     steps = [traffic.actors]
     steps.extend(traffic.step() for _ in range((frames - 1) * stride + margin))
     frame_steps = tuple(range(0, frames * stride, stride))
@@ -149,7 +150,7 @@ def record(
         margin=margin,
         vehicles=tuple(vehicles),
         roadside=place_roadside(scene, scenario.agents.roadside),
-        vehicle_spec=specs[0],
+        vehicle_spec=vehicle_spec,
         seed=seed,
     )
 
@@ -231,7 +232,7 @@ def _stride(step_s: float, interval_s: float, frames: int) -> int:
     """Return the traffic steps per frame."""
     if frames < 1:
         raise SettingsError(f"frames: expected at least 1, found {frames}")
-    stride = round(interval_s / step_s)
+    stride = round(interval_s / step_s) if math.isfinite(interval_s) else 0
     if stride < 1 or abs(stride * step_s - interval_s) > 1e-9:
         raise SettingsError(f"interval_s: expected a multiple of the traffic's step of {step_s} s, found {interval_s}")
     return stride

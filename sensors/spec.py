@@ -4,7 +4,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import SettingsError, did_you_mean
+from sim.errors import ScenarioError, SettingsError, complaint, did_you_mean
+from sim.scenario import Scenario
 
 
 class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -22,7 +23,8 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         range_noise_m: standard deviation of the range.
         dropoff_rate: share of beams lost at random before anything is measured (CARLA's general drop-off).
         dropoff_intensity_limit: returns of at least this intensity are never lost.
-        dropoff_zero_intensity: chance that a return of zero intensity is lost; linear up to the limit.
+        dropoff_zero_intensity: chance that a return of zero intensity is lost, at any range; linear up to the limit.
+            That is CARLA's model: real sensors lose what is too weak by `range_10_m`.
         divergence_rad: full beam divergence.
         pulse_s: pulse length at half power.
         mount_xyz_m: sensor above the footprint's centre at road level for vehicles, in the body frame.
@@ -128,6 +130,7 @@ def _hdl_64e() -> LidarSpec:
         range_10_m=50.0,
         range_noise_m=0.02,
         dropoff_rate=0.02,
+        dropoff_zero_intensity=0.0,
         divergence_rad=0.002,
         source="Velodyne HDL-64E S2 manual: upper block step 1/3 deg, lower block step 1/2 deg, 1.33 M points/s;"
         " 50 m at reflectivity 0.1, 120 m at 0.8",
@@ -143,6 +146,7 @@ def _vlp_16() -> LidarSpec:
         range_10_m=60.0,
         range_noise_m=0.03,
         dropoff_rate=0.02,
+        dropoff_zero_intensity=0.0,
         source="Velodyne VLP-16 manual: 16 beams, +-15 deg step 2, 0.2 deg at 10 Hz, 100 m, 3 cm",
     )
 
@@ -163,6 +167,7 @@ def _vlp_32c() -> LidarSpec:
         range_10_m=100.0,
         range_noise_m=0.03,
         dropoff_rate=0.02,
+        dropoff_zero_intensity=0.0,
         source="Velodyne VLP-32C: ROS driver's table of vertical angles, 0.2 deg at 10 Hz, 200 m, 3 cm",
     )
 
@@ -206,3 +211,19 @@ def get_lidar(name: str) -> LidarSpec:
     if name not in LIDARS:
         raise SettingsError(f"unknown lidar '{name}'{did_you_mean(name, LIDARS)}")
     return LIDARS[name]
+
+
+def scenario_lidars(scenario: Scenario) -> tuple[LidarSpec, tuple[LidarSpec, ...]]:
+    """Return the sensor of the vehicles and those of the roadside units of a scenario.
+
+    Raises:
+        ScenarioError: a name is that of no preset.
+    """
+    rule = scenario.agents
+    names = {"agents.lidar": rule.lidar}
+    names |= {f"agents.roadside[{index}].lidar": unit.lidar for index, unit in enumerate(rule.roadside)}
+    for field, name in names.items():
+        if name not in LIDARS:
+            raise ScenarioError(complaint(scenario.name, field, "a LiDAR preset", name, did_you_mean(name, LIDARS)))
+    first, *others = (LIDARS[name] for name in names.values())
+    return first, tuple(others)

@@ -86,18 +86,6 @@ def transform_points(destination_from_source: ArrayLike, points: ArrayLike) -> N
     return out.astype(dtype, copy=False)
 
 
-def interpolate_pose(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> Array:
-    """Interpolate between two (4, 4) poses at `fraction` (F,): straight in position, shortest way in each angle.
-
-    Exact for pure yaw, and within the square of the angle step for the small tilts of road vehicles.
-    """
-    start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
-    fraction = np.asarray(fraction, np.float64)
-    angles = [a + fraction * wrap_angle(b - a) for a, b in zip(pose_angles(start), pose_angles(end), strict=True)]
-    xyz = start[:3, 3] + fraction[..., None] * (end[:3, 3] - start[:3, 3])
-    return pose_matrix(xyz, *angles)
-
-
 def center_from_sumo(
     front_xyz: ArrayLike, angle_deg: ArrayLike, slope_deg: ArrayLike, length: ArrayLike
 ) -> tuple[Array, Array, Array]:

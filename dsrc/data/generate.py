@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
 from dsrc.data.opv2v import write_frame
 from sensors.frame import Frame
+from sensors.spec import scenario_lidars
 from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario, load_scenario
 
@@ -78,6 +79,7 @@ def generate(
         raise SettingsError(complaint("generate", "frames", "at least 1", frames))
     if seed < 0:
         raise SettingsError(complaint("generate", "seed", "at least 0", seed))
+    scenario_lidars(scenario)  # a typo is told before the traffic runs
     steps = interval_s / scenario.step_s
     if not (math.isfinite(steps) and interval_s > 0 and abs(steps - round(steps)) < 1e-6):
         expected = f"a positive multiple of the scenario's step of {scenario.step_s} s"

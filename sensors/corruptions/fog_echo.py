@@ -44,11 +44,6 @@ class FogEcho:
         """Return (P,) the strongest echo before targets at these ranges, s/m^2."""
         return np.interp(target_m, self.range_m, self.running_peak)
 
-    def peak_range(self, target_m: float) -> float:
-        """Return the R of the strongest echo before a target."""
-        before = self.range_m <= target_m
-        return float(self.range_m[np.argmax(self.waveform * before)])
-
     def place(self, quantile: NDArray[np.float64], target_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (P,) ranges before the targets, drawn with the waveform as density.
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sensors.agents import choose_agents
-from sensors.record import TRUTH_RANGE_M, record
+from sensors.record import TRUTH_RANGE_M, record, simulate
 from sensors.rig import mount, place_roadside
 from sensors.spec import get_lidar
 from sensors.sweep import POINT_FIELDS
@@ -60,6 +60,28 @@ def test_a_frame_does_not_depend_on_the_frames_before_it():
             assert getattr(agent.sweep, name).tobytes() == getattr(again.sweep, name).tobytes()
 
 
+def test_simulating_from_a_frame_on_yields_the_frames_of_the_recording(monkeypatch):
+    monkeypatch.setattr("sim.world.bodies.body_mesh", box_body)
+    traffic = StraightTraffic(cars(ROWS, speed=10.0))
+    frames = list(simulate(traffic, ground(1000.0), toy_scenario(roadside=(UNIT,)), 1, 3, start=1))
+    assert [frame.index for frame in frames] == [1, 2]
+    expected = recording_of(frames=3).frame(2)
+    for agent, again in zip(expected.agents, frames[-1].agents, strict=True):
+        assert agent.sweep.points.tobytes() == again.sweep.points.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("rule", "field"),
+    [
+        ({"lidar": "debug16"}, r"agents\.lidar"),
+        ({"roadside": (UNIT, RoadsideUnit(xyz_m=(0.0, 0.0, 5.0), lidar="debug16"))}, r"agents\.roadside\[1\]\.lidar"),
+    ],
+)
+def test_an_unknown_sensor_is_told_with_its_field(rule, field):
+    with pytest.raises(ScenarioError, match=rf"toy: {field}: expected a LiDAR preset, found debug16; .*'debug-16'"):
+        recording_of(scenario=toy_scenario(**rule))
+
+
 def test_noise_differs_between_agents_frames_and_seeds():
     recording = recording_of()
     first, second = recording.frame(0), recording.frame(1)
@@ -113,7 +135,7 @@ def test_a_roadside_unit_inside_a_building_is_warned_about(caplog):
     assert "roadside unit -1 at (20, 8, 5) stands in or before a wall" in caplog.text
 
 
-@pytest.mark.parametrize(("frames", "interval_s"), [(0, 0.1), (2, 0.15)])
+@pytest.mark.parametrize(("frames", "interval_s"), [(0, 0.1), (2, 0.15), (2, float("nan")), (2, float("inf"))])
 def test_impossible_frames_and_intervals_are_refused(frames, interval_s):
     with pytest.raises(SettingsError):
         recording_of(frames=frames, interval_s=interval_s)

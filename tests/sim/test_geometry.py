@@ -9,7 +9,6 @@ from sim.geometry import (
     carla_from_matrix,
     carla_matrix,
     center_from_sumo,
-    interpolate_pose,
     invert,
     matrix_from_carla,
     pose_angles,
@@ -97,17 +96,6 @@ def test_points_keep_their_dtype_but_are_moved_in_double_precision():
     assert transform_points(far, local).dtype == np.float32
     assert transform_points(far, [[1, 2, 3]]).dtype == np.float64
     assert transform_points(far, np.zeros((0, 3), np.float32)).shape == (0, 3)
-
-
-def test_a_pose_half_way_is_half_way_and_turns_the_short_way():
-    start, end = pose_matrix([0, 0, 0], 3.0, 0.02), pose_matrix([2, 4, 0], -3.0, 0.04)
-    start_again, middle, end_again = interpolate_pose(start, end, np.array([0.0, 0.5, 1.0]))
-    np.testing.assert_allclose(start_again, start, atol=1e-12)
-    np.testing.assert_allclose(end_again, end, atol=1e-12)
-    np.testing.assert_allclose(middle[:3, 3], [1, 2, 0])
-    yaw, pitch, _ = pose_angles(middle)
-    assert abs(yaw) == pytest.approx(np.pi)
-    assert pitch == pytest.approx(0.03)
 
 
 def test_a_sumo_car_heading_north_has_its_centre_south_of_its_bumper():
