@@ -158,9 +158,9 @@ def make_perception(
                 f"drive: corruption: expected 'clean' with perception 'truth' (no sensor), found '{corruption}'"
             )
         return TruthPerception()
-    from dsrc.models.checkpoint import load_detector
+    from dsrc.models.checkpoint import load_student
 
-    detector = load_detector(checkpoint or SHIPPED_DETECTOR)
+    detector = load_student(checkpoint or SHIPPED_DETECTOR)
     return DetectorPerception(detector, cooperative=kind == "dsrc", corruption=corruption, severity=severity)
 
 

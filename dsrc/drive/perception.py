@@ -1,6 +1,6 @@
 """What the ego perceives: the truth, or what a detector makes of the agents' sweeps."""
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -36,6 +36,11 @@ class Perception(Protocol):
 class SampleDetector(Protocol):
     """Anything that detects in samples, see `dsrc.models.detector.Detector`."""
 
+    @property
+    def settings(self) -> Any:
+        """Settings with at least `grid`; `max_agents`, when there, limits the collaborators."""
+        ...
+
     def detect(self, sample: Sample) -> Detections:
         """Return detections in the ego LiDAR's frame."""
         ...
@@ -69,7 +74,7 @@ class DetectorPerception:
     The rays of one sweep fire in the half rotation before and after an instant; the future half is extrapolated.
 
     Args:
-        detector: finds boxes in samples; it must have `settings.grid`.
+        detector: finds boxes in samples.
         cooperative: False leaves the ego alone.
         corruption: kind or `clean`.
         severity: 1 to 5.
@@ -115,8 +120,9 @@ class DetectorPerception:
     def perceive(self, before: Actors, now: Actors) -> Boxes:
         """Return the detected boxes, world frame."""
         frame = self.sense(before, now)
-        grid = self.detector.settings.grid  # type: ignore[attr-defined]
-        sample = make_sample(frame, self._ego_id, grid, cooperative=self.cooperative)
+        settings = self.detector.settings
+        agents = getattr(settings, "max_agents", 5)
+        sample = make_sample(frame, self._ego_id, settings.grid, max_agents=agents, cooperative=self.cooperative)
         world_from_lidar = frame.agent(self._ego_id).sweep.world_from_lidar
         return self.detector.detect(sample).boxes.transform(world_from_lidar)
 

@@ -47,11 +47,11 @@ def evaluate_checkpoints(
         UserError: a file, a corruption or a setting is wrong.
     """
     from dsrc.data.opv2v import find_drives
-    from dsrc.models.checkpoint import load_detector
+    from dsrc.models.checkpoint import load_student
 
     kinds = corruption_kinds(corruptions)
     named = dict(checkpoints) if isinstance(checkpoints, Mapping) else name_checkpoints(checkpoints)
-    methods = [Method(name, load_detector(path)) for name, path in named.items()]
+    methods = [Method(name, load_student(path)) for name, path in named.items()]
     if not methods:
         raise SettingsError(complaint("evaluate", "checkpoints", "at least one detector", "none"))
     if ego_alone:

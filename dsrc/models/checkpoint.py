@@ -61,6 +61,19 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
     return detector.to(device).eval()
 
 
+def load_student(path: Path, device: str = "cpu") -> Detector:
+    """Read a detector file as `load_detector` does, for use without ground truth.
+
+    Raises:
+        CheckpointError: as `load_detector`, or the file holds a teacher.
+    """
+    detector = load_detector(path, device)
+    if detector.settings.role != "student":
+        hint = "; a teacher reads clouds that are made with ground truth"
+        raise CheckpointError(complaint(path, "settings.role", "student", detector.settings.role, hint))
+    return detector
+
+
 def read_meta(path: Path) -> dict[str, Any]:
     """Return where a detector file's weights came from."""
     return dict(_content(Path(path)).get("meta", {}))

@@ -86,8 +86,9 @@ class Detector(nn.Module):
         return anchor_grid(self.settings.grid)
 
     def decode(self, output: Output) -> list[Detections]:
-        """Turn the heads' maps into detections, one per row of the batch."""
-        post = PostSettings(score_threshold=self.settings.score_threshold, nms_iou=self.settings.nms_iou)
+        """Turn the heads' maps into detections wholly inside the grid's range, one row of the batch each."""
+        settings = self.settings
+        post = PostSettings(settings.score_threshold, settings.nms_iou, range_m=settings.grid.range_m)
         cls, reg = output.cls.detach().float().cpu().numpy(), output.reg.detach().float().cpu().numpy()
         return [decode_detections(c, r, self.anchors, post) for c, r in zip(cls, reg, strict=True)]
 

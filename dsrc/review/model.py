@@ -225,7 +225,11 @@ class ReviewModel:
             if detector is None:
                 raise ValueError("no detector")
             sample = make_sample(
-                self._frame(state), self.ego_id(state), detector.settings.grid, cooperative=state.cooperative
+                self._frame(state),
+                self.ego_id(state),
+                detector.settings.grid,
+                max_agents=getattr(detector.settings, "max_agents", 5),
+                cooperative=state.cooperative,
             )
             return _Found(detector.detect(sample), sample.boxes)
 
@@ -278,6 +282,6 @@ def open_model(root: Path, checkpoint: Path | None = None) -> ReviewModel:
     if checkpoint is None:
         return ReviewModel(drives)
     # Torch takes seconds to import and is not needed to look at the truth.
-    from dsrc.models.checkpoint import load_detector
+    from dsrc.models.checkpoint import load_student
 
-    return ReviewModel(drives, load_detector(Path(checkpoint)))
+    return ReviewModel(drives, load_student(Path(checkpoint)))

@@ -22,8 +22,5 @@ def join_detections(parts: list[Detections], nms_iou: float) -> Detections:
     """Join the agents' detections, all in the ego LiDAR's frame, by one rotated non-maximum suppression."""
     boxes = concatenate([part.boxes for part in parts])
     score = np.concatenate([np.zeros(0, np.float32), *(part.score for part in parts)])
-    if len(boxes) == 0:
-        return Detections.zeros()
-    kept = np.asarray(rotated_nms(boxes.array, score, nms_iou))
-    kept = kept[np.argsort(-score[kept], kind="stable")]
+    kept = rotated_nms(boxes.array, score, nms_iou)
     return Detections(boxes[kept], score[kept])
