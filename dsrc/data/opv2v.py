@@ -6,6 +6,7 @@ all objects are cars, and an agent has at least one point on everything that it 
 """
 
 import hashlib
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -110,8 +111,11 @@ class DriveReader:
             siblings = [p.name for p in self.drive.parent.iterdir()] if self.drive.parent.is_dir() else []
             raise DataError(f"{self.drive}: no such folder{did_you_mean(self.drive.name, siblings)}")
         found = [int(p.name) for p in self.drive.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)]
-        promised = self.protocol.get("testbed", {})
-        for agent in promised.get("agents", {}) if isinstance(promised, dict) else ():
+        own = self.protocol.get("testbed", {})
+        promised = own.get("agents", {}) if isinstance(own, dict) else {}
+        if not isinstance(promised, dict) or not all(_AGENT.fullmatch(str(agent)) for agent in promised):
+            raise DataError(complaint(self.drive / PROTOCOL, "testbed.agents", "a mapping of agent ids", promised))
+        for agent in promised:
             if int(agent) not in found:
                 raise DataError(f"{self.drive / str(agent)}: agent folder is missing; {PROTOCOL} names it")
         if not found:
@@ -176,7 +180,7 @@ class DriveReader:
     def _tick_s(self) -> float:
         world = self.protocol.get("world", {})
         tick = world.get("fixed_delta_seconds", _TICK_S) if isinstance(world, dict) else _TICK_S
-        return float(tick) if isinstance(tick, int | float) and tick > 0 else _TICK_S
+        return float(tick) if isinstance(tick, int | float) and 0 < tick < math.inf else _TICK_S
 
 
 def _union(notes: list[Annotation]) -> tuple[Boxes, NDArray[np.float64]]:

@@ -11,7 +11,7 @@ import math
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -26,6 +26,8 @@ from sim.geometry import carla_from_matrix, matrix_from_carla, wrap_angle
 
 VERSION = 1
 _PREFIX = "testbed: '"
+_ID_LIMIT = 2**31
+_Id = Annotated[int, msgspec.Meta(gt=-_ID_LIMIT, lt=_ID_LIMIT)]
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -42,11 +44,11 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     world_from_lidar: list[list[float]]
     sweep_time_s: float
     lidar: LidarSpec | None
-    object_id: list[int]
+    object_id: list[_Id]
     label: list[str]
     box: list[tuple[float, float, float, float, float, float, float]]
     velocity: list[tuple[float, float]]
-    points_on: list[int]
+    points_on: list[Annotated[int, msgspec.Meta(ge=0, lt=2**31)]]
 
     def truth(self) -> Boxes:
         """Return the boxes exactly as they were written."""
@@ -180,6 +182,9 @@ def _checked(path: Path, record: Record) -> Record:
     for name in ("world_from_body", "world_from_lidar"):
         if [len(r) for r in getattr(record, name)] != [4, 4, 4, 4]:
             raise DataError(complaint(path, f"testbed.{name}", "4 rows of 4 numbers", getattr(record, name)))
+    flat = next((i for i, box in zip(record.object_id, record.box, strict=True) if min(box[3:6]) <= 0.0), None)
+    if flat is not None:
+        raise DataError(complaint(path, f"testbed.box of object {flat}", "positive sizes", "a size of 0 or less"))
     unknown = set(record.label) - set(CLASSES)
     if unknown:
         raise DataError(complaint(path, "testbed.label", f"one of {', '.join(CLASSES)}", min(unknown)))
@@ -212,7 +217,7 @@ def _annotation(path: Path, content: dict) -> Annotation:
 
 def _vehicle(path: Path, key: object, entry: object) -> tuple[int, list[float], list[float], list[float], float]:
     """Return (id, centre in CARLA's world, angle in deg, half extent, m/s) of one entry of `vehicles`."""
-    if not isinstance(key, int) or isinstance(key, bool):
+    if not isinstance(key, int) or isinstance(key, bool) or abs(key) >= _ID_LIMIT:
         raise DataError(complaint(path, "vehicles", "whole numbers as ids", key))
     if not isinstance(entry, dict):
         raise DataError(complaint(path, f"vehicles.{key}", "a mapping", type(entry).__name__))

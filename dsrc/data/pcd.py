@@ -136,10 +136,16 @@ def read_pcd(
     for field in ("x", "y", "z"):
         if field not in names:
             raise DataError(complaint(path, "FIELDS", f"a field {field}", " ".join(names)))
-        bad = np.flatnonzero(~np.isfinite(table[field]))
+    for field in ("x", "y", "z", "rgb", *_COLUMNS):
+        if field in names and table.dtype[field].shape:
+            raise DataError(complaint(path, f"COUNT of {field}", "1", table.dtype[field].shape[0]))
+    with np.errstate(over="ignore"):
+        coordinates = {field: table[field].astype(np.float32) for field in ("x", "y", "z")}
+    for field, values in coordinates.items():
+        bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             raise DataError(complaint(path, f"{field} of point {bad[0]}", "a finite number", str(table[field][bad[0]])))
-    points = np.stack([table["x"], -table["y"].astype(np.float32), table["z"]], axis=1).astype(np.float32)
+    points = np.stack([coordinates["x"], -coordinates["y"], coordinates["z"]], axis=1)
     columns = {column: table[field] for field, column in _COLUMNS.items() if field in names}
     columns["intensity"] = _intensity(path, table)
     return make_sweep(points, world_from_lidar, time_s, spec, **columns)

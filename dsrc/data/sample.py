@@ -23,6 +23,11 @@ class GridSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     range_m: tuple[float, float, float, float, float, float] = (-140.8, -40.0, -3.0, 140.8, 40.0, 1.0)
     cell_m: float = 0.4
 
+    def __post_init__(self) -> None:
+        ends = zip(self.range_m[:3], self.range_m[3:], strict=True)
+        if not (self.cell_m > 0 and all(low < high for low, high in ends)):
+            raise ValueError(f"grid: expected a positive cell and minima below maxima, found {self}")
+
     @property
     def width(self) -> int:
         """Cells along x."""

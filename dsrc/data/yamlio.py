@@ -97,6 +97,9 @@ def parse_yaml(path: Path, text: str) -> dict:
         where = f"line {mark.line + 1}: " if mark else ""
         problem = getattr(error, "problem", None) or str(error)
         raise DataError(f"{path}: {where}not YAML: {' '.join(str(problem).split())}") from None
+    except (ValueError, AttributeError, RecursionError) as error:
+        # The library's own converters: a date of month 99, `0x` without digits.
+        raise DataError(f"{path}: expected plain values, found one that cannot be read ({error})") from None
     if not isinstance(value, dict):
         raise DataError(f"{path}: expected a mapping, found {type(value).__name__}")
     return value

@@ -69,11 +69,11 @@ def run_benchmark(
         Rows by condition and method, then `mean_ap` and `mce` of each method.
 
     Raises:
-        SettingsError: an unknown corruption, a severity or limit out of range, two methods of one name.
+        SettingsError: an unknown corruption, a severity, seed or limit out of range, two methods of one name.
         DataError: a drive cannot be read, or there is no frame.
     """
     conditions = [CLEAN, *corruption_kinds(corruptions)]
-    _check(methods, severity, limit)
+    _check(methods, severity, seed, limit)
     places = _places([DriveReader(drive) for drive in drives], limit)
     if not places:
         raise DataError(complaint("evaluate", "drives", "at least one frame", "none"))
@@ -126,13 +126,15 @@ def corrupted(frame: Frame, condition: str, severity: int, seed: int) -> Frame:
     return corrupt_frame(frame, condition, severity, seed)
 
 
-def _check(methods: Sequence[Method], severity: int, limit: int | None) -> None:
+def _check(methods: Sequence[Method], severity: int, seed: int, limit: int | None) -> None:
     names = [method.name for method in methods]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise SettingsError(complaint("evaluate", "methods", "names that differ", repeated[0]))
     if not 1 <= severity <= 5:
         raise SettingsError(complaint("evaluate", "severity", "1 to 5", severity))
+    if seed < 0:
+        raise SettingsError(complaint("evaluate", "seed", "at least 0", seed))
     if limit is not None and limit < 1:
         raise SettingsError(complaint("evaluate", "limit", "at least 1 frame", limit))
 

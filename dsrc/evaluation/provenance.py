@@ -32,8 +32,6 @@ def provenance(settings: Mapping[str, Any], seed: int, data: Sequence[Path] = ()
         seed: the root seed.
         data: drives, listed with their hashes.
     """
-    from dsrc.data.opv2v import data_hash
-
     return {
         "settings": dict(settings),
         "seed": seed,
@@ -41,7 +39,18 @@ def provenance(settings: Mapping[str, Any], seed: int, data: Sequence[Path] = ()
         "python": platform.python_version(),
         "platform": platform.platform(),
         "commit": commit(),
-        "data": {drive.name: data_hash([drive]) for drive in data},
+        "data": hashes(data),
+    }
+
+
+def hashes(drives: Sequence[Path]) -> dict[str, str]:
+    """Return the hash of each drive by its name, or by its folder's too where drives share a name."""
+    from dsrc.data.opv2v import data_hash
+
+    names = [drive.name for drive in drives]
+    return {
+        drive.name if names.count(drive.name) == 1 else f"{drive.parent.name}/{drive.name}": data_hash([drive])
+        for drive in drives
     }
 
 

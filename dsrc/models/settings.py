@@ -1,12 +1,15 @@
 """ModelSettings: everything that fixes the shape and the meaning of a detector's weights."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
 
 from dsrc.data.sample import GridSpec
 
 Fusion = Literal["attention", "max", "none", "late"]
+Count = Annotated[int, Meta(ge=1)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -46,22 +49,32 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sdd: bool = True
     pcp: bool = True
     rec: bool = True
-    max_points: int = 32
-    max_pillars: int = 70_000
+    max_points: Count = 32
+    max_pillars: Count = 70_000
     padded_slots: bool = False
-    pillar_channels: int = 64
-    stage_channels: tuple[int, int, int] = (64, 128, 256)
-    stage_blocks: tuple[int, int, int] = (3, 5, 8)
-    base_width: int = 26
-    decoder_channels: int = 128
-    shrink_channels: int = 256
-    norm_momentum: float = 0.01
-    score_prior: float | None = 0.01
-    reconstruction_channels: tuple[int, int] = (128, 32)
-    reconstruction_cell_z_m: float = 0.4
-    max_agents: int = 5
-    score_threshold: float = 0.2
-    nms_iou: float = 0.15
+    pillar_channels: Count = 64
+    stage_channels: tuple[Count, Count, Count] = (64, 128, 256)
+    stage_blocks: tuple[Count, Count, Count] = (3, 5, 8)
+    base_width: Count = 26
+    decoder_channels: Count = 128
+    shrink_channels: Count = 256
+    norm_momentum: Share = 0.01
+    score_prior: Annotated[float, Meta(gt=0, lt=1)] | None = 0.01
+    reconstruction_channels: tuple[Count, Count] = (128, 32)
+    reconstruction_cell_z_m: Annotated[float, Meta(gt=0)] = 0.4
+    max_agents: Count = 5
+    score_threshold: Share = 0.2
+    nms_iou: Share = 0.15
+
+    def __post_init__(self) -> None:
+        if self.grid.width % 8 or self.grid.height % 8:
+            raise ValueError(f"grid: expected multiples of 8 cells, found {self.grid.width} x {self.grid.height}")
+        if min(self.stage_channels) * self.base_width < 64:
+            raise ValueError(
+                f"base_width: expected at least {64 / min(self.stage_channels):g}, found {self.base_width}"
+            )
+        if self.rec and self.reconstruction_bins % 2:
+            raise ValueError(f"grid: expected an even number of 0.4 m layers, found {self.reconstruction_bins}")
 
     @property
     def point_features(self) -> int:

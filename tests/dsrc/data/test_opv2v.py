@@ -1,3 +1,4 @@
+import json
 import math
 import re
 import shutil
@@ -143,7 +144,7 @@ def test_drives_are_found_at_and_below_a_folder(mini: Path, tmp_path: Path):
         find_drives(tmp_path / "nowhere")
 
 
-def test_the_hash_sees_every_edit_and_no_location(drive: Path, tmp_path: Path):
+def test_the_hash_sees_an_edited_annotation_and_no_location(drive: Path, tmp_path: Path):
     before = data_hash([drive])
     copy = shutil.copytree(drive, tmp_path / "elsewhere" / "drive")
     assert data_hash([copy]) == before
@@ -166,6 +167,8 @@ def damage(path: Path, pattern: str, replacement: str) -> None:
         (r"angle: \[[^,]*,", "angle: [", "vehicles.1001.angle: expected 3 numbers"),
         (r"lidar_pose: .*", "lidar_pose: 3", "lidar_pose: expected 6 numbers, found 3"),
         (r"  1001:", "  truck:", "vehicles: expected whole numbers as ids, found truck"),
+        (r"  1001:", "  99999999999999999999:", "vehicles: expected whole numbers as ids"),
+        (r"ego_speed: .*", "ego_speed: 2001-99-99", "expected plain values, found one that cannot be read"),
         (r"ego_speed: .*", "ego_speed: !!python/object/apply:os.getcwd []", "expected plain values, found a tag"),
         (r"vehicles:(.|\n)*", "", "vehicles: expected a mapping of object id to box, found nothing"),
     ],
@@ -196,6 +199,28 @@ def test_an_edited_or_damaged_record_is_not_believed(drive: Path):
     path.write_text(text[:200])
     with pytest.raises(DataError, match="damaged record"):
         DriveReader(drive).read(0)
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [("points_on", 2**40), ("points_on", -1), ("object_id", 10**30), ("box", [0, 0, 0, -4, 2, 1.5, 0])],
+)
+def test_a_record_with_an_impossible_number_gets_one_line(drive: Path, field: str, change: object):
+    path = drive / "1000" / "000000.yaml"
+    line, _, rest = path.read_text().partition("\n")
+    record = json.loads(line.removeprefix("testbed: '").removesuffix("'"))
+    record[field][0] = change
+    path.write_text(f"testbed: '{json.dumps(record)}'\n{rest}")
+    with pytest.raises(DataError, match=rf"000000.yaml: testbed.*{field}") as caught:
+        DriveReader(drive).read(0)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("agents", [None, 5, ["a"], {"a": {}}])
+def test_a_protocol_with_impossible_agents_is_named(drive: Path, agents: object):
+    (drive / "data_protocol.yaml").write_text(yaml.safe_dump({"testbed": {"agents": agents}}))
+    with pytest.raises(DataError, match=r"data_protocol.yaml: testbed.agents"):
+        DriveReader(drive)
 
 
 def test_missing_parts_of_a_drive_are_named(drive: Path):

@@ -89,6 +89,11 @@ def test_a_truncated_file_is_named(written: Path, cut: int):
         ("FIELDS x y z rgb", "FIELDS x y z label", "FIELDS: expected a field rgb or intensity"),
         ("FIELDS x y z", "FIELDS x y y", "FIELDS: "),
         ("COUNT 1 1 1 1", "COUNT 1 1 1 0", "COUNT of rgb"),
+        (
+            "x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1",
+            "x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 2 1",
+            "COUNT of y",
+        ),
         ("DATA ascii", "DATA binary_compressed", "DATA: expected ascii or binary, found binary_compressed"),
         ("-0.25", "nan", "x of point 1: expected a finite number, found nan"),
         ("-0.25", "many", "DATA: expected numbers"),

@@ -26,6 +26,11 @@ def test_the_hash_is_of_the_content_not_of_the_place(tmp_path):
     assert provenance({}, 0, [drive])["data"] != provenance({}, 0, [copy])["data"]
 
 
+def test_drives_of_one_name_each_have_their_hash(tmp_path):
+    drives = [*write_drives(tmp_path / "a", drives=1, frames=1), *write_drives(tmp_path / "b", drives=2, frames=2)]
+    assert set(provenance({}, 0, drives)["data"]) == {"a/drive_0", "b/drive_0", "drive_1"}
+
+
 def test_the_commit_is_known_in_a_repository_only(tmp_path):
     assert commit(tmp_path) is None
     git = ["git", "-C", str(tmp_path), "-c", "user.name=t", "-c", "user.email=t@example.org"]

@@ -6,7 +6,7 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.models.checkpoint import load_detector, read_meta, save_detector
+from dsrc.models.checkpoint import load_detector, load_student, read_meta, save_detector
 from dsrc.models.detector import Detector
 from dsrc.training.recipes import debug, small
 from sim.errors import CheckpointError
@@ -84,3 +84,27 @@ def test_a_file_with_code_in_it_is_not_run(tmp_path: Path) -> None:
     path = tmp_path / "detector.pt"
     torch.save({"format": "dsrc-detector-1", "settings": replace(debug().model, rec=False), "state": {}}, path)
     assert "something else or damaged" in refusal(path)
+
+
+def test_a_teacher_is_refused_where_there_is_no_ground_truth(tmp_path: Path) -> None:
+    path = tmp_path / "teacher.pt"
+    save_detector(path, Detector(replace(debug().model, role="teacher")))
+    assert load_detector(path).settings.role == "teacher"
+    with pytest.raises(CheckpointError, match=r"teacher.pt: settings.role: expected student, found teacher"):
+        load_student(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"max_points": 0}, "max_points"),
+        ({"base_width": 1}, "base_width"),
+        ({"grid": {"cell_m": 0.3}}, "multiples of 8"),
+    ],
+)
+def test_settings_that_make_no_network_are_refused(tmp_path: Path, change: dict, word: str) -> None:
+    path = tmp_path / "detector.pt"
+    save_detector(path, detector())
+    content = torch.load(path, weights_only=True)
+    torch.save({**content, "settings": {**content["settings"], **change}}, path)
+    assert word in refusal(path)
