@@ -6,9 +6,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from msgspec.structs import replace
 
 from dsrc.__main__ import main
 from dsrc.data.generate import write_drive
+from dsrc.models.checkpoint import save_detector
+from dsrc.models.detector import Detector
+from dsrc.training.recipes import debug
 from tests.dsrc.data.toy import SETTINGS, ToySource
 
 
@@ -87,6 +91,24 @@ def test_a_checkpoint_of_another_model_is_named(data: Path, tmp_path: Path, refu
     assert not (tmp_path / "out").exists()
 
 
+def test_a_teacher_is_no_detector_for_the_road(data: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
+    path = tmp_path / "teacher.pt"
+    save_detector(path, Detector(replace(debug().model, role="teacher")))
+    for verb in (
+        ("evaluate", path, "--data", data, "--out", tmp_path / "out"),
+        ("view", data, "--checkpoint", path, "--export", tmp_path / "out"),
+        ("drive", "four_way", "--perception", "ego", "--checkpoint", path),
+    ):
+        assert "teacher.pt: settings.role: expected student" in refused(*verb)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_where_a_folder_should_be_is_named(data: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
+    (tmp_path / "taken").write_text("a file")
+    assert "taken" in refused("generate", "four_way", "--frames", "1", "--out", tmp_path / "taken")
+    assert "taken" in refused("train", "debug", "--data", data, "--out", tmp_path / "taken", "--stage", "plain")
+
+
 def test_a_scenario_with_a_typo_is_named_with_the_right_word(tmp_path: Path, refused: Callable[..., str]) -> None:
     source = Path(__file__).parents[1] / "scenarios" / "four_way" / "scenario.toml"
     path = tmp_path / "scenario.toml"
@@ -108,6 +130,8 @@ def test_a_scenario_with_a_typo_is_named_with_the_right_word(tmp_path: Path, ref
         (("view", "{data}", "--corruption", "fog", "--severity", "9", "--export", "{out}"), "severity"),
         (("train", "smal", "--data", "{data}", "--out", "{out}"), "small"),
         (("train", "debug", "--data", "{out}", "--out", "{out}"), "out"),
+        (("train", "debug", "--data", "{data}", "--out", "{out}", "--seed", "-1"), "seed"),
+        (("train", "debug", "--data", "{data}", "--out", "{out}", "--set", "batch_size=0"), "batch_size"),
         (("drive", "four_way", "--corruption", "fog"), "corruption"),
     ],
 )

@@ -89,7 +89,8 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
             the teacher's clouds too, in training, when its settings distil.
         training: make targets and everything else that needs ground truth.
     """
-    samples = [part for sample in samples for part in heard(sample, settings)]
+    whole = [(part, sample) for sample in samples for part in heard(sample, settings)]
+    samples = [part for part, _ in whole]
     for_teacher = settings.role == "teacher"
     clouds = [cloud for sample in samples for cloud in sample.clouds]
     batch = Batch(
@@ -99,7 +100,10 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
         student=None if for_teacher else pillars_of(clouds, settings),
     )
     if for_teacher or (training and settings.distils):
-        views = [teacher_clouds(sample, dense=settings.sdd, paint=settings.pcp) for sample in samples]
+        views = [
+            teacher_clouds(part, dense=settings.sdd, paint=settings.pcp, further=_unheard(part, sample))
+            for part, sample in whole
+        ]
         batch = replace(batch, teacher=_teacher_pillars(views, settings))
         if not for_teacher:
             batch = replace(batch, foreground=_foreground(views, settings.grid))
@@ -124,6 +128,11 @@ def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
         ]
     count = 1 if settings.fusion == "none" else settings.max_agents
     return [_select(sample, slice(0, count), sample.boxes)]
+
+
+def _unheard(part: Sample, whole: Sample) -> list[NDArray[np.float32]]:
+    """Return the clouds of the agents that are not in a part of a sample: a lone student's teacher has them still."""
+    return [cloud for agent, cloud in zip(whole.agent_ids, whole.clouds, strict=True) if agent not in part.agent_ids]
 
 
 def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:

@@ -4,6 +4,7 @@ An agent's objects are replaced by what all agents together see of them; the poi
 others 0. Source: DSRC, arXiv 2412.10739, "multi-view dense object construction" and "point painting".
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,7 +25,7 @@ class TeacherClouds:
     Attributes:
         clouds: per agent (P, 5) float32 x, y, z, intensity, paint; points on objects first.
         object_clouds: per agent (Q, 5) float32, its points on objects alone.
-        merged: (M, 4) float32 all agents' clouds, the target of the reconstruction.
+        merged: (M, 4) float32 the clouds of all agents, those of `further` ones last.
     """
 
     clouds: tuple[NDArray[np.float32], ...]
@@ -32,7 +33,13 @@ class TeacherClouds:
     merged: NDArray[np.float32]
 
 
-def teacher_clouds(sample: Sample, inside: Inside = "rotated", dense: bool = True, paint: bool = True) -> TeacherClouds:
+def teacher_clouds(
+    sample: Sample,
+    inside: Inside = "rotated",
+    dense: bool = True,
+    paint: bool = True,
+    further: Sequence[NDArray[np.float32]] = (),
+) -> TeacherClouds:
     """Build the teacher's clouds.
 
     Args:
@@ -41,11 +48,12 @@ def teacher_clouds(sample: Sample, inside: Inside = "rotated", dense: bool = Tru
             cloud, the released code's mistake; with `rotated` its object cloud is empty.
         dense: take the points on objects from all agents; else from the agent alone.
         paint: mark points on objects with 1 in the fifth column; else it is 0 everywhere.
+        further: (P, 4) clouds in the sample's frame of agents that its student does not hear: they make objects denser.
 
     Returns:
         Clouds with row order: points on objects in the order of `merged`, then the agent's others in its order.
     """
-    merged = np.concatenate([*sample.clouds, np.zeros((0, 4), np.float32)])
+    merged = np.concatenate([*sample.clouds, *further, np.zeros((0, 4), np.float32)])
     starts = np.cumsum([0] + [len(cloud) for cloud in sample.clouds])
     members = _Members(merged, inside)
     clouds, object_clouds = [], []

@@ -86,7 +86,7 @@ class DetectionModule(pl.LightningModule):
         return total
 
     def validation_step(self, batch: Batch, batch_index: int) -> None:
-        """Detect in a batch and keep the result."""
+        """Detect in a batch and keep the result; with late fusion that of each agent by itself."""
         for found, truth in zip(self.detector.decode(self(batch)), batch.boxes, strict=True):
             self._results.append(FrameResult(found, truth))
 

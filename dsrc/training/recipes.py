@@ -1,9 +1,10 @@
 """Recipes: functions that return everything that makes a training what it is."""
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
 from msgspec.structs import replace
 
 from dsrc.data.sample import GridSpec
@@ -11,6 +12,8 @@ from dsrc.models.settings import ModelSettings
 from dsrc.training.losses import DistillSettings
 
 Stage = Literal["teacher", "student", "plain"]
+Count = Annotated[int, Meta(ge=1)]
+NotNegative = Annotated[float, Meta(ge=0)]
 
 
 class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -26,10 +29,10 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     flip: bool = True
-    rotation_deg: float = 15.0
-    scale: float = 0.05
+    rotation_deg: Annotated[float, Meta(ge=0, le=180)] = 15.0
+    scale: Annotated[float, Meta(ge=0, lt=1)] = 0.05
     random_ego: bool = True
-    dropout: float = 0.3
+    dropout: Annotated[float, Meta(ge=0, le=1)] = 0.3
 
 
 class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -48,7 +51,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         schedule: per step, after a linear warm-up: `one_cycle` and `cosine` fall along a half cosine, the first to
             almost nothing, the second to a hundredth of the peak.
         warmup: share of the steps in which the rate rises.
-        clip: gradients longer than this are shortened.
+        clip: gradients longer than this are shortened; 0 leaves them.
         comm_range_m: agents farther from the ego than this do not take part.
         validate_every: epochs between validations; the last epoch always has one.
         validation_share: without a validation set, this last part of each drive is held out.
@@ -61,21 +64,21 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str
     model: ModelSettings
     distill: DistillSettings = DistillSettings()
-    reconstruction: float = 1.0
+    reconstruction: NotNegative = 1.0
     augmentation: Augmentation = Augmentation()
-    epochs: int = 40
-    batch_size: int = 2
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-2
+    epochs: Count = 40
+    batch_size: Count = 2
+    learning_rate: Annotated[float, Meta(gt=0)] = 2e-3
+    weight_decay: NotNegative = 1e-2
     schedule: Literal["one_cycle", "cosine"] = "one_cycle"
-    warmup: float = 0.1
-    clip: float = 10.0
-    comm_range_m: float = 70.0
-    validate_every: int = 2
-    validation_share: float = 0.1
-    validation_frames: int = 40
-    alarm_after: int = 5
-    workers: int = 1
+    warmup: Annotated[float, Meta(ge=0, le=1)] = 0.1
+    clip: NotNegative = 10.0
+    comm_range_m: NotNegative = 70.0
+    validate_every: Count = 2
+    validation_share: Annotated[float, Meta(ge=0, lt=1)] = 0.1
+    validation_frames: Count = 40
+    alarm_after: Count = 3
+    workers: Annotated[int, Meta(ge=0)] = 1
     half: bool = True
 
     def settings(self, stage: Stage) -> ModelSettings:
@@ -83,8 +86,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if stage == "teacher":
             return replace(self.model, role="teacher", rec=False)
         if stage == "plain":
-            return replace(self.model, sdd=False, pcp=False, rec=False)
-        return self.model
+            return replace(self.model, role="student", sdd=False, pcp=False, rec=False)
+        return replace(self.model, role="student")
 
 
 def opv2v() -> Recipe:

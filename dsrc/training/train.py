@@ -3,6 +3,7 @@
 import logging
 import sys
 import warnings
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -15,8 +16,8 @@ from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
 from lightning.pytorch.loggers import TensorBoardLogger
 from msgspec.structs import replace
 
-from dsrc.data.opv2v import data_hash, find_drives
-from dsrc.evaluation.provenance import hash_file, provenance
+from dsrc.data.opv2v import find_drives
+from dsrc.evaluation.provenance import hash_file, hashes, provenance
 from dsrc.models.checkpoint import load_detector, save_detector
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
@@ -28,6 +29,9 @@ from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 
 LOG = logging.getLogger(__name__)
 DETECTOR = "detector.pt"
+_PARTS = ("model", "distill", "augmentation")
+_WITHOUT_EFFECT = ("name", "validate_every", "validation_frames", "alarm_after", "workers", "half")
+"""Fields of a recipe that do not change the weights."""
 
 logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 
@@ -60,6 +64,8 @@ def train_stages(
     Returns:
         The detector file of the last stage.
     """
+    if seed < 0:
+        raise SettingsError(complaint("train", "seed", "at least 0", seed))
     if recipe not in RECIPES:
         raise SettingsError(f"recipe: unknown '{recipe}'{did_you_mean(recipe, RECIPES)}")
     chosen = override(RECIPES[recipe](), overrides)
@@ -105,7 +111,7 @@ def train(
         teacher: detector file of a teacher, for a student that distils.
         validate: folder of drives to validate on; None holds out the end of each training drive.
         resume: continue from the run folder's last checkpoint if there is one; a run interrupted and resumed ends with
-            the same weights as one that was not.
+            the same weights as one that was not, and a finished one is left as it is.
         seed: of weights, order and augmentation.
         callbacks: further Lightning callbacks.
 
@@ -114,7 +120,8 @@ def train(
 
     Raises:
         DataError: the data is missing or wrong.
-        CheckpointError: the teacher is missing or does not fit.
+        CheckpointError: the teacher is missing or does not fit, or the checkpoint to resume from is damaged.
+        SettingsError: the run to resume was started with other settings, data or teacher.
         TrainingAlarm: the loss became NaN, or nothing is ever detected.
     """
     settings = recipe.settings(stage)
@@ -127,19 +134,24 @@ def train(
         torch.manual_seed(seed)
         module = DetectionModule(recipe, Detector(settings), taught_by)
     record = _record(recipe, stage, seed, drives, validation, teacher if taught_by else None)
-    _write_json(out / "settings.json", record)
     last = out / "checkpoints" / "last.ckpt"
+    resume = resume and last.exists()
+    if resume:
+        _check_same_run(out / "settings.json", last, record)
+    _write_json(out / "settings.json", record)
     with warnings.catch_warnings():
         # Advice about workers and log steps, which are the recipe's choice, and about Lightning's own inside.
         warnings.simplefilter("ignore", PossibleUserWarning)
         warnings.filterwarnings("ignore", message=".*LeafSpec")
         warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
         trainer = _trainer(recipe, out, callbacks)
-        trainer.fit(module, loaders, ckpt_path=str(last) if resume and last.exists() else None)
+        trainer.fit(module, loaders, ckpt_path=str(last) if resume else None)
     if trainer.interrupted:
         raise KeyboardInterrupt
     metrics = {k: float(v) for k, v in trainer.callback_metrics.items() if k.startswith("val/")}
     path = out / DETECTOR
+    if path.exists() and resume and not trainer.callback_metrics:
+        return path  # it was finished before: not an epoch was left
     save_detector(path, module.detector, {**record, "metrics": metrics}, half=recipe.half)
     return path
 
@@ -154,7 +166,8 @@ def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
         name, _, value = text.partition("=")
         in_model = name in ModelSettings.__struct_fields__
         if not in_model and name not in Recipe.__struct_fields__:
-            raise SettingsError(f"--set {name}: no such setting{did_you_mean(name, ModelSettings.__struct_fields__)}")
+            known = [*ModelSettings.__struct_fields__, *Recipe.__struct_fields__]
+            raise SettingsError(f"--set {name}: no such setting{did_you_mean(name, known)}")
         target: ModelSettings | Recipe = recipe.model if in_model else recipe
         try:
             parsed = msgspec.json.decode(value)
@@ -179,6 +192,39 @@ def _teacher(path: Path | None, student: ModelSettings) -> Detector:
         if getattr(teacher.settings, name) != value:
             raise CheckpointError(complaint(path, name, f"{value} as the student's", getattr(teacher.settings, name)))
     return teacher
+
+
+def _check_same_run(settings: Path, last: Path, record: dict) -> None:
+    """Compare what made the run that is to be resumed with what is asked for now."""
+    if not zipfile.is_zipfile(last):
+        raise CheckpointError(complaint(last, "file", "a checkpoint", "a damaged one", "; remove it to start afresh"))
+    if not settings.exists():
+        return
+    try:
+        before, now = _made_of(msgspec.json.decode(settings.read_bytes())), _made_of(record)
+    except (msgspec.DecodeError, KeyError, TypeError, AttributeError):
+        raise SettingsError(complaint(settings, "file", "the settings of a training", "something else")) from None
+    for name in before.keys() & now.keys():
+        if before[name] != now[name]:
+            hint = "; choose another folder or remove this one"
+            raise SettingsError(complaint(settings, name, f"{now[name]} as asked for now", before[name], hint))
+
+
+def _made_of(record: dict) -> dict[str, object]:
+    """Return by name what decides over the weights of a run."""
+    plain = msgspec.json.decode(msgspec.json.encode(record))
+    recipe = plain["settings"]["recipe"]
+    parts = {f"{part}.{name}": value for part in _PARTS for name, value in recipe[part].items()}
+    whole = {name: value for name, value in recipe.items() if name not in (*_PARTS, *_WITHOUT_EFFECT)}
+    return {
+        **parts,
+        **whole,
+        "stage": plain["settings"]["stage"],
+        "seed": plain["seed"],
+        "data": sorted(plain["data"].values()),
+        "teacher": plain["teacher"],
+        "own validation drives": plain["validation"] is not None,
+    }
 
 
 def _trainer(recipe: Recipe, out: Path, callbacks: Sequence[pl.Callback]) -> pl.Trainer:
@@ -211,7 +257,7 @@ def _record(
     """Return everything that made a training: settings, seed, versions, data."""
     return {
         **provenance({"recipe": msgspec.to_builtins(recipe), "stage": stage}, seed, drives),
-        "validation": None if validation is None else {drive.name: data_hash([drive]) for drive in validation},
+        "validation": None if validation is None else hashes(validation),
         "teacher": None if teacher is None else hash_file(teacher),
     }
 

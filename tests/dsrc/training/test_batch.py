@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from msgspec.structs import replace
 
 from dsrc.data.batch import collate, scene_of
@@ -77,3 +78,13 @@ def test_voxel_centre_plus_offset_is_the_mean_of_the_points_in_the_voxel() -> No
         low + (cell + 0.5) * 0.4 + scene.offset.numpy(), inside.mean(0, keepdims=True), atol=1e-5
     )
     assert scene.samples == 2
+
+
+@pytest.mark.parametrize("fusion", ["none", "late"])
+def test_the_teacher_of_a_lone_student_has_the_points_of_all_agents_on_its_objects(
+    samples: list[Sample], fusion: str
+) -> None:
+    lone = replace(debug().model, fusion=fusion, max_points=1000)
+    dense, sparse = (collate(samples, replace(lone, sdd=sdd), training=True) for sdd in (True, False))
+    assert len(dense.teacher.points) > len(sparse.teacher.points) == len(sparse.student.points)
+    torch.testing.assert_close(dense.student.points, sparse.student.points)

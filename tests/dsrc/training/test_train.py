@@ -12,9 +12,9 @@ from msgspec.structs import replace
 from dsrc.data.opv2v import DriveReader
 from dsrc.data.sample import make_sample
 from dsrc.evaluation.ap import FrameResult, evaluate
-from dsrc.models.checkpoint import load_detector
+from dsrc.models.checkpoint import load_detector, read_meta
 from dsrc.training.recipes import Augmentation, Recipe, debug
-from dsrc.training.train import train, train_stages
+from dsrc.training.train import override, train, train_stages
 from sim.errors import CheckpointError, SettingsError
 from tests.dsrc.training.drive import write_drive
 
@@ -78,6 +78,40 @@ def test_other_fusions_train_and_detect(data: Path, tmp_path: Path, fusion: str)
     path = train(replace(recipe, epochs=1, model=replace(recipe.model, fusion=fusion)), data, tmp_path, "plain")
     detector = load_detector(path)
     detector.detect(make_sample(DriveReader(data / "made_up").read(0), 1000, detector.settings.grid))
+
+
+def test_a_finished_training_is_left_as_it_is(data: Path, tmp_path: Path) -> None:
+    recipe = replace(tiny(), epochs=1)
+    path = train(recipe, data, tmp_path, "plain")
+    before = path.read_bytes()
+    assert train(recipe, data, tmp_path, "plain") == path
+    assert path.read_bytes() == before
+    assert read_meta(path)["metrics"]
+
+
+def test_a_run_is_resumed_with_what_it_was_started_with_or_not_at_all(data: Path, tmp_path: Path) -> None:
+    recipe = replace(tiny(), epochs=1)
+    train(recipe, data, tmp_path, "plain")
+    written = (tmp_path / "settings.json").read_bytes()
+    wider = replace(recipe, model=replace(recipe.model, decoder_channels=16))
+    with pytest.raises(SettingsError, match=r"model.decoder_channels: expected 16 as asked for now, found 8"):
+        train(wider, data, tmp_path, "plain")
+    with pytest.raises(SettingsError, match=r"learning_rate: expected 1.0 as asked for now, found 0.004"):
+        train(replace(recipe, learning_rate=1.0), data, tmp_path, "plain")
+    with pytest.raises(SettingsError, match=r"seed: expected 4 as asked for now, found 0"):
+        train(recipe, data, tmp_path, "plain", seed=4)
+    assert (tmp_path / "settings.json").read_bytes() == written
+    train(replace(recipe, workers=0, alarm_after=9), data, tmp_path, "plain")
+    last = tmp_path / "checkpoints/last.ckpt"
+    last.write_bytes(last.read_bytes()[:5000])
+    with pytest.raises(CheckpointError, match=r"last.ckpt: .* remove it to start afresh"):
+        train(recipe, data, tmp_path, "plain")
+
+
+@pytest.mark.parametrize("text", ["batch_size=0", "learning_rate=nan", "score_prior=2", 'grid={"cell_m":0.3}', "seed"])
+def test_a_setting_that_cannot_be_is_named(text: str) -> None:
+    with pytest.raises(SettingsError, match=text.partition("=")[0]):
+        override(debug(), [text])
 
 
 def test_a_nan_stops_the_training_with_one_line(data: Path, tmp_path: Path) -> None:
