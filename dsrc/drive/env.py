@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from dsrc.drive.corridor import FREE, Obstacle, nearest_obstacle
 from dsrc.drive.idm import IdmSettings
-from dsrc.drive.metrics import overlap, time_to_collision
+from dsrc.drive.metrics import time_to_collision
 from dsrc.drive.perception import Perception, TruthPerception
 from dsrc.drive.tracker import Tracker
 from sim.boxes import CLASSES, Boxes
+from sim.collisions import collide
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario, load_scenario
@@ -146,8 +147,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _collisions(self, actors: Actors) -> tuple[int, ...]:
         others = actors.boxes[self._others(actors)]
-        hit = overlap(self._ego(actors).bev_polygons(), others.bev_polygons())
-        return tuple(int(i) for i in others.object_id[hit])
+        return tuple(int(i) for i in others.object_id[collide(self._ego(actors), others)])
 
     def _time_to_collision(self, actors: Actors) -> float:
         others = self._others(actors)

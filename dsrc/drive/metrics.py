@@ -1,4 +1,4 @@
-"""Surrogate safety measures of one episode: collisions, time to collision, progress."""
+"""Surrogate safety measure of an episode: time to collision."""
 
 import math
 
@@ -6,22 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.boxes import Boxes
+from sim.collisions import height_gap, overlap
 
-
-def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (...,) whether convex footprints (..., 4, 2) overlap, by the separating axis theorem.
-
-    Footprints that only touch do not overlap.
-    """
-    apart = np.zeros(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), bool)
-    for polygon in (a, b):
-        edges = np.roll(polygon, -1, axis=-2)[..., :2, :] - polygon[..., :2, :]  # a rectangle has two directions
-        normals = np.stack([-edges[..., 1], edges[..., 0]], axis=-1)
-        on_a = np.einsum("...kc,...ec->...ek", a, normals)
-        on_b = np.einsum("...kc,...ec->...ek", b, normals)
-        gap = (on_a.max(-1) <= on_b.min(-1)) | (on_b.max(-1) <= on_a.min(-1))
-        apart |= gap.any(axis=-1)
-    return ~apart
+_STEEPEST = 0.1
+"""Slope of the steepest road: a box ahead may be higher by this share of its distance and yet be on the ego's way."""
 
 
 def time_to_collision(
@@ -34,7 +22,7 @@ def time_to_collision(
 ) -> float:
     """Return the time until the ego's box first overlaps another, all at constant velocity, s; inf beyond the horizon.
 
-    Oriented boxes, not points, as SUMO's and nuPlan's measures use.
+    Oriented boxes, not points, as SUMO's and nuPlan's measures use. Who is on a bridge above or below does not count.
 
     Args:
         ego: one box, world frame.
@@ -54,6 +42,7 @@ def time_to_collision(
     speed2 = np.maximum(np.sum(relative**2, axis=1), 1e-9)
     closest_at = np.clip(-np.sum(offset * relative, axis=1) / speed2, 0.0, horizon_s)
     near = np.linalg.norm(offset + closest_at[:, None] * relative, axis=1) <= reach
+    near &= height_gap(ego, others) < _STEEPEST * np.maximum(np.linalg.norm(offset, axis=1) - reach, 0.0)
     if not near.any():
         return math.inf
     moved = others[near].bev_polygons()[:, None] + relative[near][:, None, None, :] * times[None, :, None, None]
