@@ -49,12 +49,15 @@ def test_one_seed_is_one_episode() -> None:
 
 
 def test_who_sees_nothing_crashes_where_who_sees_does_not() -> None:
-    crashes = {}
+    # Two seeds, because a blind drive may be lucky once.
+    crashes = {"TruthPerception": 0, "Blind": 0}
     for eyes in (TruthPerception(), Blind()):
-        _, info = run(CoopDrivingEnv("braunschweig", eyes, duration_s=25.0), 2)
-        crashes[type(eyes).__name__] = bool(info["collided_with"])
-        assert (info["min_ttc_s"] == 0.0) == bool(info["collided_with"])
-    assert crashes == {"TruthPerception": False, "Blind": True}
+        for seed in (0, 3):
+            _, info = run(CoopDrivingEnv("braunschweig", eyes, duration_s=15.0), seed)
+            crashes[type(eyes).__name__] += bool(info["collided_with"])
+            assert (info["min_ttc_s"] == 0.0) == bool(info["collided_with"])
+    assert crashes["TruthPerception"] == 0
+    assert crashes["Blind"] > 0
 
 
 def test_episodes_are_rows_of_a_file(tmp_path: Path) -> None:
