@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: demo test test-slow test-browser lint format types check-constraints clean
+.PHONY: demo test test-slow test-browser lint format types clean
 
 # `dsrc demo` goes on where an interrupted one stopped.
 demo: $(READY)
