@@ -48,6 +48,8 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         generate: netgenerate arguments as a table of option -> value.
         file: path of a .net.xml; relative ones are looked up beside the scenario file.
         city_mesh: path of a 3DS city mesh below `tools/` with its placement, or "".
+        polygons: path of a .poly.xml with outlines of buildings, as SUMO's polyconvert writes it, beside the scenario
+            file or below `tools/`, or "". Without a city mesh and polygons, houses are made up.
         area_m: (x_min, y_min, x_max, y_max) part of the network that is meshed and may carry agents; left out: all.
         signals: programs that replace those of the network.
     """
@@ -56,6 +58,7 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     generate: dict[str, str | int | float | bool] = {}
     file: str = ""
     city_mesh: str = ""
+    polygons: str = ""
     area_m: Area | None = None
     signals: tuple[SignalProgram, ...] = ()
 
@@ -149,11 +152,14 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         raise ScenarioError(_explain(path, raw, str(error))) from None
     for field, expected, found, hint in _wrong_values(scenario, path):
         raise ScenarioError(complaint(path, field, expected, found, hint))
-    if scenario.network.file:
-        file = str((path.parent / scenario.network.file).resolve())
-        network = msgspec.structs.replace(scenario.network, file=file)
-        scenario = msgspec.structs.replace(scenario, network=network)
-    return scenario
+    return msgspec.structs.replace(scenario, network=_beside(scenario.network, path.parent))
+
+
+def _beside(network: NetworkSpec, folder: Path) -> NetworkSpec:
+    """Replace the names of files that lie beside the scenario file by their full paths."""
+    named = {name: getattr(network, name) for name in ("file", "polygons")}
+    found = {name: str((folder / value).resolve()) for name, value in named.items() if (folder / value).is_file()}
+    return msgspec.structs.replace(network, **found)
 
 
 def _locate(name_or_path: str | Path) -> Path:
@@ -222,6 +228,10 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
         yield "network.file", "an existing .net.xml file", network.file, ""
     yield from _wrong_tools_path("network.shipped", network.shipped)
     yield from _wrong_tools_path("network.city_mesh", network.city_mesh)
+    if not (path.parent / network.polygons).is_file():
+        yield from _wrong_tools_path("network.polygons", network.polygons, "beside the scenario or ")
+    if network.city_mesh and network.polygons:
+        yield "network", "at most one of city_mesh, polygons", "both", ""
     for index, program in enumerate(network.signals):
         if len({len(state) for _, state in program.phases}) != 1:
             yield f"network.signals[{index}].phases", "states of one length", "different lengths or none", ""
@@ -239,7 +249,7 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
             yield f"agents.roadside[{index}].xyz_m", "a height above the ground > 0", list(unit.xyz_m), ""
 
 
-def _wrong_tools_path(field: str, relative: str) -> Iterator[tuple[str, str, object, str]]:
+def _wrong_tools_path(field: str, relative: str, elsewhere: str = "") -> Iterator[tuple[str, str, object, str]]:
     if not relative:
         return
     from sim.networks import sumo_tools
@@ -249,7 +259,8 @@ def _wrong_tools_path(field: str, relative: str) -> Iterator[tuple[str, str, obj
         return
     inside = target.parent.resolve().is_relative_to(sumo_tools().resolve())
     siblings = [str(Path(relative).parent / p.name) for p in target.parent.glob("*.*")] if inside else []
-    yield field, "a file below tools/ of eclipse-sumo", relative, did_you_mean(relative, siblings) if siblings else ""
+    expected = f"a file {elsewhere}below tools/ of eclipse-sumo"
+    yield field, expected, relative, did_you_mean(relative, siblings) if siblings else ""
 
 
 def _floats(value: object, where: tuple[str | int, ...]) -> Iterator[tuple[str, float]]:

@@ -9,6 +9,7 @@ from sim.scenario import Scenario
 from sim.world.buildings import Town, blocks, city_mesh, guard_rails
 from sim.world.furniture import furniture
 from sim.world.markings import markings
+from sim.world.outlines import outlined
 from sim.world.roads import surfaces
 from sim.world.solids import join, to_mesh
 from sim.world.streets import Streets, read_streets
@@ -16,21 +17,21 @@ from sim.world.streets import Streets, read_streets
 MARGIN_M = 120.0
 """How far beyond `network.area_m` the world is built: the reach of a sensor."""
 
-_BLOCKS, _FURNITURE = 1, 2
+_BLOCKS, _FURNITURE, _OUTLINES = 1, 2, 3
 
 
 def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
     """Build everything that does not move, in the coordinates of the SUMO network.
 
     Args:
-        scenario: names the network, the city mesh and the area.
-        seed: of houses and trees that no map tells; roads and real buildings do not depend on it.
+        scenario: names the network, the city mesh or the polygons, and the area.
+        seed: of houses, heights and trees that no map tells; roads and places of real buildings do not depend on it.
 
     Returns:
         A mesh whose `face_attributes["material"]` is (F,) uint8 indices into `sim.world.materials.MATERIALS`.
 
     Raises:
-        ScenarioError: the network or the city mesh is missing or cannot be read.
+        ScenarioError: the network, the city mesh or the polygons are missing or cannot be read.
     """
     net = read_network(resolve_network(scenario, seed))
     streets = read_streets(net, scenario.network.area_m, MARGIN_M)
@@ -41,7 +42,11 @@ def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
 
 
 def _town(scenario: Scenario, streets: Streets, units: NDArray[np.float64], seed: int) -> Town:
-    """Return the buildings: the scenario's city mesh, or seeded blocks when it has none."""
+    """Return the buildings: the scenario's city mesh or polygons, or seeded blocks when it has neither."""
     if scenario.network.city_mesh:
         return city_mesh(sumo_tools() / scenario.network.city_mesh, streets)
+    if scenario.network.polygons:
+        # A path beside the scenario file is absolute by now and stays what it is.
+        path = sumo_tools() / scenario.network.polygons
+        return outlined(path, streets, np.random.default_rng([seed, _OUTLINES]))
     return blocks(streets, units, np.random.default_rng([seed, _BLOCKS]))

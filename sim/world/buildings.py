@@ -153,11 +153,11 @@ def blocks(streets: Streets, units: Array, rng: np.random.Generator) -> Town:
             if any((taken[row] & house).area > 0.5 for row in tree.query(house)):
                 continue
             taken.append(house)
-            pieces += _house(house, streets, STOREY_M * storeys + 0.8, wall)
+            pieces += walled(house, streets, STOREY_M * storeys + 0.8, wall)
     return Town(tuple(pieces), shapely.unary_union(taken))
 
 
-def _house(house: shapely.Polygon, streets: Streets, height_m: float, wall: str) -> list[Piece]:
+def walled(house: shapely.Polygon, streets: Streets, height_m: float, wall: str) -> list[Piece]:
     """Return walls, a flat roof and windows over a footprint."""
     corners = np.asarray(shapely.geometry.polygon.orient(house).exterior.coords)
     ends = np.stack([corners[:-1], corners[1:]], axis=1)

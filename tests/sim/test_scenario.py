@@ -28,7 +28,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["braunschweig", "four_way", "highway", "ingolstadt"])
+@pytest.mark.parametrize("name", ["braunschweig", "four_way", "highway", "ingolstadt", "koenigs_wusterhausen"])
 def test_shipped_scenario_loads_under_its_own_name(name: str) -> None:
     assert name in list_scenarios()
     scenario = load_scenario(name)
@@ -48,6 +48,14 @@ def test_a_network_file_is_looked_up_beside_the_scenario(tmp_path: Path) -> None
     assert Path(load_scenario(path).network.file) == (tmp_path / "road.net.xml").resolve()
 
 
+def test_polygons_lie_beside_the_scenario_or_below_tools(tmp_path: Path) -> None:
+    shipped = GOOD.replace("[demand]", 'polygons = "game/A10KW/osm.poly.xml"\n[demand]')
+    assert load_scenario(write(tmp_path, shipped)).network.polygons == "game/A10KW/osm.poly.xml"
+    (tmp_path / "town.poly.xml").write_text("<additional/>")
+    own = load_scenario(write(tmp_path, shipped.replace("game/A10KW/osm.poly.xml", "town.poly.xml")))
+    assert Path(own.network.polygons) == (tmp_path / "town.poly.xml").resolve()
+
+
 # Each case: what is replaced in the good file, by what, and the words that the message must hold.
 MISTAKES = {
     "unknown key": ("vehicles_per_hour", "vehicle_per_hour", ["demand", "'vehicle_per_hour'", "'vehicles_per_hour'?"]),
@@ -61,6 +69,17 @@ MISTAKES = {
     "missing key": ('description = "A test."', "", ["description", "a value", "nothing"]),
     "missing network file": ("bs.net.xml", "bs.nett.xml", ["network.shipped", "'game/bs3d/bs.net.xml'?"]),
     "outside the package": ("game/bs3d/bs.net.xml", "../bin/netconvert", ["network.shipped", "below tools/"]),
+    "missing polygons": (
+        "[demand]",
+        'polygons = "game/A10KW/osm.pol.xml"\n[demand]',
+        ["network.polygons", "beside the scenario or below tools/", "'game/A10KW/osm.poly.xml'?"],
+    ),
+    "polygons outside": ("[demand]", 'polygons = "../bin/x"\n[demand]', ["network.polygons", "below tools/"]),
+    "two sources of buildings": (
+        "[demand]",
+        'polygons = "game/A10KW/osm.poly.xml"\ncity_mesh = "game/bs3d/bs3.3ds"\n[demand]',
+        ["network", "at most one of city_mesh, polygons"],
+    ),
     "two networks": ("[network]", '[network]\nfile = "x.net.xml"', ["network", "exactly one of", "shipped, file"]),
     "empty area": ("[471.0, 439.0", "[900.0, 439.0", ["network.area_m", "x_min < x_max"]),
     "unknown class": ("= 100", "= 100\ntype_mix = {cars = 1.0}", ["demand.type_mix", "'cars'", "mean 'car'?"]),
