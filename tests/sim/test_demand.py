@@ -49,7 +49,7 @@ def test_adding_bicycles_leaves_the_cars_as_they_were(tmp_path: Path) -> None:
     assert cars[0] == cars[1]
 
 
-@pytest.mark.parametrize("name", ["braunschweig", "four_way", "ingolstadt", "highway"])
+@pytest.mark.parametrize("name", ["braunschweig", "four_way", "ingolstadt", "highway", "koenigs_wusterhausen"])
 def test_every_route_is_connected_for_its_class_and_nobody_turns_back(name: str, tmp_path: Path) -> None:
     scenario = load_scenario(name)
     net = read_network(resolve_network(scenario, 0))

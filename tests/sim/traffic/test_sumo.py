@@ -233,7 +233,7 @@ def test_pedestrians_take_no_commands(traffic: SumoTraffic) -> None:
         traffic.command_speed(999_999, 1.0)
 
 
-@pytest.mark.parametrize("name", ["braunschweig", "highway", "ingolstadt"])
+@pytest.mark.parametrize("name", ["braunschweig", "highway", "ingolstadt", "koenigs_wusterhausen"])
 def test_shipped_scenario_runs(name: str) -> None:
     with SumoTraffic(quick(name, 20.0), 1) as traffic:
         for _ in range(50):
