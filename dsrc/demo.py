@@ -13,7 +13,7 @@ CHECKPOINTS = Path(__file__).parent / "checkpoints"
 SCENARIO = "braunschweig"
 TRAIN_SEED = 1
 TEST_SEED = 900
-"""No shipped detector was trained or tuned on a drive of this seed."""
+"""No shipped detector was trained or validated on a drive of this seed."""
 
 
 def run_demo(out: Path, quick: bool = False) -> None:
@@ -34,7 +34,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
 
     console = Console(highlight=False)
     start = time.perf_counter()
-    train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 2.0) if quick else (16, 16, 2.0, 12.0)
+    train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 2.0) if quick else (20, 30, 1.5, 12.0)
     columns = (TextColumn("{task.description:34s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
 
