@@ -146,7 +146,7 @@ def make_perception(
     """Return the perception of that kind.
 
     Raises:
-        SettingsError: a corruption of the truth, or an unknown one.
+        SettingsError: a corruption or a detector of the truth, or an unknown corruption.
         CheckpointError: the checkpoint is missing or wrong.
     """
     from sensors.corruptions import check_corruption
@@ -156,6 +156,10 @@ def make_perception(
         if corruption != "clean":
             raise SettingsError(
                 f"drive: corruption: expected 'clean' with perception 'truth' (no sensor), found '{corruption}'"
+            )
+        if checkpoint is not None:
+            raise SettingsError(
+                f"drive: checkpoint: expected none with perception 'truth' (no detector), found '{checkpoint}'"
             )
         return TruthPerception()
     from dsrc.models.checkpoint import load_student

@@ -57,6 +57,7 @@ def evaluate_checkpoints(
     if ego_alone:
         methods.append(Method(f"{methods[0].name}, {EGO_ALONE}", methods[0].detector, cooperative=False))
     drives = find_drives(data)
+    out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be is told before the work, not after
     rows = run_benchmark(methods, drives, kinds or ("clean",), severity, seed, limit, progress)
     settings = {
         "checkpoints": {name: {"file": path.name, "sha256": hash_file(path)} for name, path in named.items()},

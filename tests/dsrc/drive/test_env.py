@@ -78,3 +78,8 @@ def test_a_duration_that_cannot_be_is_named(duration: float) -> None:
 def test_the_truth_cannot_be_corrupted() -> None:
     with pytest.raises(SettingsError, match="corruption"):
         make_perception("truth", None, "fog")
+
+
+def test_the_truth_takes_no_detector() -> None:
+    with pytest.raises(SettingsError, match="checkpoint"):
+        make_perception("truth", Path("detector.pt"))
