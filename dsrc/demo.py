@@ -34,7 +34,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
 
     console = Console(highlight=False)
     start = time.perf_counter()
-    train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 2.0) if quick else (20, 30, 1.5, 12.0)
+    train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 2.0) if quick else (20, 24, 1.5, 12.0)
     columns = (TextColumn("{task.description:34s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
 
