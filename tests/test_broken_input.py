@@ -125,6 +125,7 @@ def test_a_scenario_with_a_typo_is_named_with_the_right_word(tmp_path: Path, ref
     [
         (("generate", "four_way", "--frames", "0", "--out", "{out}"), "frames"),
         (("generate", "four_way", "--interval", "0.03", "--out", "{out}"), "interval"),
+        (("generate", "four_way", "--frames", "9999", "--out", "{out}"), "duration_s"),
         (("generate", "four_way", "--seed", "-1", "--out", "{out}"), "seed"),
         (("view", "{data}", "--corruption", "frog", "--export", "{out}"), "fog"),
         (("view", "{data}", "--corruption", "fog", "--severity", "9", "--export", "{out}"), "severity"),

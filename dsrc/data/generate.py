@@ -84,6 +84,9 @@ def generate(
     if not (math.isfinite(steps) and interval_s > 0 and abs(steps - round(steps)) < 1e-6):
         expected = f"a positive multiple of the scenario's step of {scenario.step_s} s"
         raise SettingsError(complaint("generate", "interval_s", expected, interval_s))
+    if (frames - 1) * interval_s > scenario.duration_s:
+        expected = f"a drive of at most {scenario.duration_s:g} s, the scenario's duration_s"
+        raise SettingsError(complaint("generate", "frames", expected, f"{frames} frames every {interval_s:g} s"))
     if len(scenario.agents.roadside) > 1:
         _log.warning("%s: OpenCOOD takes a roadside unit as ego when a drive has more than one", scenario.name)
     settings = {
