@@ -134,6 +134,12 @@ def test_a_scenario_with_a_typo_is_named_with_the_right_word(tmp_path: Path, ref
         (("train", "debug", "--data", "{data}", "--out", "{out}", "--seed", "-1"), "seed"),
         (("train", "debug", "--data", "{data}", "--out", "{out}", "--set", "batch_size=0"), "batch_size"),
         (("drive", "four_way", "--corruption", "fog"), "corruption"),
+        (("drive", "four_way", "--seeds", "-1", "--out", "{out}/rows.csv"), "seeds"),
+        (("view", "{data}", "--picture", "{out}"), "picture"),
+        (("view", "{data}", "--export", "{out}", "--limit", "0"), "frames"),
+        (("view", "{data}", "--port", "99999999"), "port"),
+        (("train", "debug", "--data", "{data}", "--out", "{out}", "--epochs", "0"), "epochs"),
+        (("scenarios", "show"), "four_way"),
     ],
 )
 def test_a_wrong_option_is_named(
@@ -142,3 +148,11 @@ def test_a_wrong_option_is_named(
     out = tmp_path / "out"
     assert word in refused(*(a.format(data=data, out=out) for a in arguments))
     assert not out.exists()
+
+
+def test_a_place_that_cannot_be_written_to_costs_no_work(tmp_path: Path, refused: Callable[..., str]) -> None:
+    occupied = tmp_path / "file"
+    occupied.write_text("mine")
+    assert str(occupied) in refused("drive", "four_way", "--duration", "1", "--out", occupied / "rows.csv")
+    assert str(occupied) in refused("demo", "--out", occupied)
+    assert occupied.read_text() == "mine"

@@ -106,6 +106,9 @@ def drive_episodes(
         raise SettingsError(f"drive: duration: expected seconds > 0, found {duration_s}")
     if not seeds or min(seeds) < 0:
         raise SettingsError(f"drive: seeds: expected one or more integers >= 0, found {tuple(seeds)}")
+    if out is not None:
+        # A place that cannot be written to must not cost an episode.
+        out.parent.mkdir(parents=True, exist_ok=True)
     eyes = make_perception(perception, checkpoint, corruption, severity)
     env = CoopDrivingEnv(scenario, eyes, duration_s)
     total = len(seeds) * round(duration_s / env.scenario.step_s)
@@ -173,7 +176,6 @@ def _write_csv(path: Path, rows: list[Episode]) -> None:
     writer = csv.DictWriter(text, fieldnames=list(asdict(rows[0])), lineterminator="\n")
     writer.writeheader()
     writer.writerows(asdict(row) for row in rows)
-    path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     partial.write_text(text.getvalue(), encoding="utf-8")
     os.replace(partial, path)
