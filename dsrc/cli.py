@@ -79,7 +79,11 @@ def scenarios(action: Positional[Literal["list", "show"]] = "list", name: Positi
             raise SettingsError(
                 f"scenarios show: name: expected a scenario, found nothing{did_you_mean('', list_scenarios())}"
             )
-        _say(msgspec.json.format(msgspec.json.encode(load_scenario(name)).decode(), indent=2))
+        from sensors.spec import scenario_lidars
+
+        scenario = load_scenario(name)
+        scenario_lidars(scenario)  # what is shown can be generated
+        _say(msgspec.json.format(msgspec.json.encode(scenario).decode(), indent=2))
         return
     for known in list_scenarios():
         _say(f"{known:14s} {load_scenario(known).description}")

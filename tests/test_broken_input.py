@@ -120,6 +120,17 @@ def test_a_scenario_with_a_typo_is_named_with_the_right_word(tmp_path: Path, ref
     assert not (tmp_path / "out").exists()
 
 
+def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
+    tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    source = Path(__file__).parents[1] / "scenarios" / "braunschweig" / "scenario.toml"
+    path = tmp_path / "scenario.toml"
+    path.write_text(source.read_text().replace("opv2v-64", "opv2v-46"))
+    for verb in (("scenarios", "show", path), ("generate", path, "--out", tmp_path / "out")):
+        assert "did you mean 'opv2v-64'" in refused(*verb)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
