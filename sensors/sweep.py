@@ -1,18 +1,31 @@
 """Sweep: the points of one rotation of one LiDAR."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.motion import Path
 from sensors.spec import LidarSpec
-from sim.geometry import transform_points
+from sim.errors import DataError, complaint
+from sim.geometry import invert, transform_points
+
+Motion = Literal["middle", "start", "end", "raw"]
+"""How the sensor's own motion is compensated: all points in the sensor frame at the middle, the start or the end of the
+sweep; or raw, not at all: each point in the sensor frame at its own firing."""
+MOTIONS: tuple[Motion, ...] = get_args(Motion)
 
 STATIC = -1
 """`object_id` of points on the static world."""
 ADDED = -2
 """`object_id` of points that no surface returned: a corruption made them."""
+
+UNKNOWN_MATERIAL = 255
+"""`material` of points that files or corruptions brought without one."""
+
+_SLACK_S = 1e-6
+"""How far beyond its ends a path may be asked: firing times are float32."""
 
 KEPT, ATTENUATED, MOVED, SCATTERED = range(4)
 """Values of `fate`: untouched, dimmer, displaced, or a return that a corruption put there instead or in addition."""
@@ -22,6 +35,8 @@ KEPT, ATTENUATED, MOVED, SCATTERED = range(4)
 class Sweep:
     """One rotation of one LiDAR; P points in the sensor frame at `time_s` (x forward, y left, z up).
 
+    Raw points (see `motion`) are in the sensor frame at `time_s + time_offset` instead, each in its own.
+
     Attributes:
         points: (P, 3) float32, m.
         intensity: (P,) float32 in [0, 1].
@@ -29,11 +44,15 @@ class Sweep:
         column: (P,) int32 firing index within the rotation.
         time_offset: (P,) float32 firing time minus `time_s`, s.
         object_id: (P,) int32 actor hit, `STATIC` or `ADDED`.
-        return_number: (P,) uint8, 1 = first.
+        return_number: (P,) uint8, 1 = the nearest of those that the beam reports.
         fate: (P,) uint8, what a corruption did to the point: `KEPT`, `ATTENUATED`, `MOVED`, `SCATTERED`.
+        material: (P,) uint8 index into `sim.world.materials.MATERIALS`, `UNKNOWN_MATERIAL` where nobody knows.
+        cosine: (P,) float32 |cos| of the angle between ray and surface normal, 0 where unknown.
         world_from_lidar: (4, 4) float64 pose of the sensor at `time_s`.
-        time_s: reference time of the sweep, s.
+        time_s: reference time of the sweep, s: its middle unless `motion` says start or end.
         spec: the sensor, None when a file does not say.
+        path: true world_from_lidar over the sweep, None when nobody knows.
+        motion: how the sensor's motion is compensated; `sensors.deskew` changes it.
     """
 
     points: NDArray[np.float32]
@@ -44,9 +63,13 @@ class Sweep:
     object_id: NDArray[np.int32]
     return_number: NDArray[np.uint8]
     fate: NDArray[np.uint8]
+    material: NDArray[np.uint8]
+    cosine: NDArray[np.float32]
     world_from_lidar: NDArray[np.float64]
     time_s: float
     spec: LidarSpec | None = None
+    path: Path | None = None
+    motion: Motion = "middle"
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -70,12 +93,81 @@ class Sweep:
 
     @property
     def world_points(self) -> NDArray[np.float64]:
-        """(P, 3) points in the world frame, m."""
-        return np.asarray(transform_points(self.world_from_lidar, self.points.astype(np.float64)))
+        """(P, 3) points in the world frame, m, each where its beam hit at its firing.
+
+        Raises:
+            DataError: the points are raw and nobody knows the sensor's path.
+        """
+        return np.asarray(transform_points(self.world_from_lidar, self.compensated_points))
+
+    @property
+    def compensated_points(self) -> NDArray[np.float64]:
+        """(P, 3) points in the sensor frame at `time_s`, raw ones too; raises as `world_points`."""
+        points = self.points.astype(np.float64)
+        if self.motion != "raw":
+            return points
+        poses, row = firing_poses(self)
+        return moved(poses[row], points)
 
 
-POINT_FIELDS = tuple(f.name for f in fields(Sweep))[:8]
+POINT_FIELDS = tuple(f.name for f in fields(Sweep))[:10]
 """The fields of `Sweep` that have one row per point, `points` first."""
+
+
+def firing_poses(sweep: Sweep) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Return (T, 4, 4) reference_from_sensor at each firing time and (P,) which of them is each point's.
+
+    Only the relative motion is taken from the path, so it serves a pose estimate with an error as well.
+
+    Raises:
+        DataError: the path is unknown or ends before the sweep does, or the firing times are no times.
+    """
+    path = path_of(sweep)
+    times, row = firing_times(sweep)
+    return invert(path_at(path, np.array([sweep.time_s]))) @ path_at(path, times), row
+
+
+def firing_times(sweep: Sweep) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Return (T,) different firing times, s, ascending, and (P,) which of them is each point's.
+
+    Raises:
+        DataError: they are no numbers, or all are alike although the sensor fires one column after another.
+    """
+    if not np.isfinite(sweep.time_offset).all():
+        raise DataError(complaint("sweep", "time_offset", "finite firing times", "nan or inf"))
+    if len(sweep) > 1 and not sweep.time_offset.any() and not _fires_at_once(sweep):
+        raise DataError(complaint("sweep", "time_offset", "a firing time of each point", "none: all are 0"))
+    offset, row = np.unique(sweep.time_offset, return_inverse=True)
+    return sweep.time_s + offset.astype(np.float64), row
+
+
+def _fires_at_once(sweep: Sweep) -> bool:
+    """Return whether the sensor itself says that the points are all of the reference time."""
+    spec = sweep.spec
+    return spec is not None and not spec.time_offset[sweep.ring % spec.rings, sweep.column % spec.columns].any()
+
+
+def path_of(sweep: Sweep) -> Path:
+    """Return the sensor's path; DataError when nobody knows it."""
+    if sweep.path is None:
+        raise DataError(
+            complaint("sweep", "path", "the sensor's poses over the sweep", "none: nobody knows its motion")
+        )
+    return sweep.path
+
+
+def path_at(path: Path, time_s: NDArray[np.float64], whose: str = "sweep") -> NDArray[np.float64]:
+    """Return (T, 4, 4) poses as `Path.at`; DataError when the path of `whose` does not reach that far."""
+    first, last = path.time_s[[0, -1]]
+    if len(time_s) and not (first - _SLACK_S <= time_s.min() and time_s.max() <= last + _SLACK_S):
+        expected = f"poses from {time_s.min():.6f} to {time_s.max():.6f} s"
+        raise DataError(complaint(whose, "path", expected, f"those from {first:.6f} to {last:.6f} s"))
+    return path.at(time_s)
+
+
+def moved(transform: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Map (P, 3) points by as many (P, 4, 4) transforms, each by its own."""
+    return np.einsum("pij,pj->pi", transform[:, :3, :3], points) + transform[:, :3, 3]
 
 
 def make_sweep(
@@ -83,6 +175,8 @@ def make_sweep(
     world_from_lidar: NDArray[np.float64] | None = None,
     time_s: float = 0.0,
     spec: LidarSpec | None = None,
+    path: Path | None = None,
+    motion: Motion = "middle",
     **columns: NDArray,
 ) -> Sweep:
     """Make a sweep from (P, 3) points; columns left out are zero, or `STATIC` for the object."""
@@ -95,8 +189,10 @@ def make_sweep(
         "object_id": np.int32,
         "return_number": np.uint8,
         "fate": np.uint8,
+        "material": np.uint8,
+        "cosine": np.float32,
     }
-    defaults = {"object_id": STATIC, "return_number": 1}
+    defaults = {"object_id": STATIC, "return_number": 1, "material": UNKNOWN_MATERIAL}
     unknown = set(columns) - set(dtypes)
     if unknown:
         raise TypeError(f"unknown sweep columns: {sorted(unknown)}")
@@ -110,12 +206,14 @@ def make_sweep(
         world_from_lidar=pose,
         time_s=time_s,
         spec=spec,
+        path=path,
+        motion=motion,
         **filled,
     )
 
 
 def concatenate(sweep: Sweep, *others: Sweep) -> Sweep:
-    """Append the points of other sweeps of the same sensor and instant."""
+    """Append the points of other sweeps of the same sensor, instant and motion."""
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(s, name) for s in (sweep, *others)]) for name in POINT_FIELDS
     }
