@@ -79,7 +79,7 @@ def scenarios(action: Positional[Literal["list", "show"]] = "list", name: Positi
             raise SettingsError(
                 f"scenarios show: name: expected a scenario, found nothing{did_you_mean('', list_scenarios())}"
             )
-        from sensors.spec import scenario_lidars
+        from sensors.presets import scenario_lidars
 
         scenario = load_scenario(name)
         scenario_lidars(scenario)  # what is shown can be generated

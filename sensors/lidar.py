@@ -1,34 +1,67 @@
-"""scan: one rotation of a spinning LiDAR through a scene.
+"""scan: sweeps of LiDARs through a scene.
 
-Time: a sweep is centred on its reference time `time_s`; column c fires at `time_s + spec.time_offset[c]`, from half a
-rotation before to half a rotation after. Every ray starts at the sensor's pose at its firing and meets every body
-where that body is then (rolling shutter of both). Points are given in the sensor frame at `time_s`: the sensor's own
-motion is compensated, as drivers do with odometry, so a still world is sharp; what moves is smeared by its motion,
-and its ground-truth box at `time_s` sits in the middle of the smear.
+Time: a sweep is centred on its reference time `time_s`; beam r of column c fires at `time_s + spec.time_offset[r, c]`,
+within half a sweep of it. Every ray starts at the sensor's pose at its firing and meets every body where that body is
+then (rolling shutter of both). Points are given in the sensor frame at `time_s`: the sensor's own motion is
+compensated, as drivers do with odometry, so a still world is sharp; what moves is smeared by its motion, and its
+ground-truth box at `time_s` sits in the middle of the smear. `sensors.deskew` gives the other conventions.
 
-Signal: `reflectivity * cos(incidence) ** 0.5 * exp(-2 * extinction * range)`, eight times as much and hardly
-dependent on incidence for retro-reflectors, clipped to [0, 1]. Sensors report it calibrated, so 1/range^2 is not in
-the intensity; it is in the detection threshold: a return is seen while its signal is at least that of a target of
-reflectivity 0.1 at `spec.range_10_m`. The exponent below Lambert's 1 stands for rough road and render surfaces, whose
-backscatter falls off slower towards grazing incidence (Oren and Nayar 1994).
+What a beam measures is defined in `sensors.raycast.Engine`, how strongly surfaces return in `sensors.optics`.
 """
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.beams import BLOCK, Beams, beams_of
 from sensors.motion import Path
-from sensors.scene import Rays, RayScene, Trace
+from sensors.noise import draw_noise
+from sensors.optics import optics_of
+from sensors.raycast import Returns, Shot
+from sensors.scene import RayScene
 from sensors.spec import LidarSpec
-from sensors.sweep import Sweep, make_sweep
-from sim.geometry import invert, transform_points
-from sim.world.materials import MATERIALS
+from sensors.sweep import KEPT, Sweep
 
-CLEAR_AIR_EXTINCTION = 2e-4
-"""Extinction of clear air, 1/m: a meteorological range of 15 km."""
 
-_INCIDENCE_EXPONENT = 0.5
-_RETRO_GAIN = 8.0
-_RETRO_EXPONENT = 0.1
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensor:
+    """One LiDAR during one sweep.
+
+    Attributes:
+        spec: what it is.
+        path: world_from_lidar over at least the sweep.
+        time_s: reference time, s.
+        rng: its random numbers; they are the same whatever the scene, so a ray keeps its noise.
+        rides_on: object that carries it, not seen unless `spec.own_body`.
+    """
+
+    spec: LidarSpec
+    path: Path
+    time_s: float
+    rng: np.random.Generator
+    rides_on: int | None = None
+
+
+def scan_all(
+    scene: RayScene, sensors: Sequence[Sensor], *, wetness: float = 0.0, threads: int | None = None
+) -> list[Sweep]:
+    """Scan one instant of a scene by several sensors at once.
+
+    Args:
+        scene: static world and the bodies around the sensors' times.
+        sensors: who scans.
+        wetness: of the surfaces, 0 dry to 1 covered by a film of water.
+        threads: at most so many; one per core when left out. It changes no byte.
+
+    Returns:
+        One sweep per sensor, in the sensor frame at its `time_s`, ring by ring from the top, columns ascending.
+    """
+    shots = [_shot(sensor, wetness) for sensor in sensors]
+    made = scene.sweep(shots, threads or len(os.sched_getaffinity(0)))
+    return [_sweep(sensor, shot, returns) for sensor, shot, returns in zip(sensors, shots, made, strict=True)]
 
 
 def scan(
@@ -41,8 +74,9 @@ def scan(
     exclude_id: int | None = None,
     *,
     world_from_lidar: NDArray[np.float64] | None = None,
+    wetness: float = 0.0,
 ) -> Sweep:
-    """Scan a scene once.
+    """Scan a scene once by one sensor.
 
     Args:
         scene: static world and the bodies around `time_s`.
@@ -50,83 +84,60 @@ def scan(
         world_from_lidar_start: (4, 4) pose half a rotation before `time_s`.
         world_from_lidar_end: (4, 4) pose half a rotation after.
         time_s: reference time, s.
-        rng: noise and drop-off; the same draws whatever the scene, so a ray keeps its noise.
+        rng: noise and drop-off.
         exclude_id: object that the sensor rides on and cannot see.
         world_from_lidar: (4, 4) pose at `time_s`; half-way between start and end when left out.
-
-    Returns:
-        The sweep in the sensor frame at `time_s`, ring by ring from the top, columns ascending.
+        wetness: see `scan_all`.
     """
-    path = _sensor_path(spec, world_from_lidar_start, world_from_lidar, world_from_lidar_end, time_s)
-    times = time_s + spec.time_offset
-    rays = Rays(
-        elevation=spec.elevation,
-        azimuth=spec.azimuth,
-        time_s=times,
-        world_from_lidar=path.at(times),
-        reach_m=spec.range_max_m,
-    )
-    trace = scene.trace(rays, exclude_id)
-    return _measure(trace, rays, spec, path.at(np.array([time_s]))[0], time_s, rng)
-
-
-def _sensor_path(spec: LidarSpec, start: NDArray, middle: NDArray | None, end: NDArray, time_s: float) -> Path:
     half = 0.5 * spec.period_s
-    if middle is None:
-        return Path.through([time_s - half, time_s + half], np.stack([start, end]))
-    return Path.through([time_s - half, time_s, time_s + half], np.stack([start, middle, end]))
+    if world_from_lidar is None:
+        poses, times = [world_from_lidar_start, world_from_lidar_end], [-half, half]
+    else:
+        poses, times = [world_from_lidar_start, world_from_lidar, world_from_lidar_end], [-half, 0.0, half]
+    path = Path.through(time_s + np.array(times), np.stack(poses))
+    return scan_all(scene, [Sensor(spec, path, time_s, rng, exclude_id)], wetness=wetness)[0]
 
 
-def _measure(
-    trace: Trace, rays: Rays, spec: LidarSpec, pose: NDArray[np.float64], time_s: float, rng: np.random.Generator
-) -> Sweep:
-    """Turn what the rays met into what the sensor reports."""
-    shape = trace.hit.shape
-    noise = rng.standard_normal(shape, np.float32) * np.float32(spec.range_noise_m)
-    lost_before, lost_after = rng.random((2, *shape), np.float32)
-
-    intensity, seen = _returned_signal(trace, spec)
-    measured = trace.distance + noise
-    seen &= (trace.distance >= spec.range_min_m) & (measured >= spec.range_min_m) & (measured <= spec.range_max_m)
-    seen &= (lost_before >= spec.dropoff_rate) & (lost_after >= drop_chance(intensity, spec))
-
-    flat = np.flatnonzero(seen)
-    ring, column = np.divmod(flat, shape[1])
-    reach = measured.reshape(-1, 1)[flat].astype(np.float64)
-    world = trace.direction.reshape(-1, 3)[flat] * reach + rays.world_from_lidar[column, :3, 3]
-    sweep = make_sweep(
-        transform_points(invert(pose), world),
-        world_from_lidar=pose,
-        time_s=time_s,
+def _shot(sensor: Sensor, wetness: float) -> Shot:
+    spec = sensor.spec
+    beams = beams_of(spec, sensor.time_s)
+    return Shot(
         spec=spec,
-        intensity=intensity.reshape(-1)[flat],
-        ring=ring,
-        column=column,
-        time_offset=spec.time_offset[column],
-        object_id=trace.object_id.reshape(-1)[flat],
+        beams=beams,
+        optics=optics_of(spec, wetness),
+        noise=draw_noise(beams, sensor.rng),
+        knots=_knots(spec, beams, sensor.path, sensor.time_s),
+        pose=sensor.path.at(np.array([sensor.time_s]))[0],
+        time_s=sensor.time_s,
+        hidden_id=None if spec.own_body else sensor.rides_on,
     )
-    # Seen from the reference pose, a point may lie a little beyond the range that the firing pose had.
-    within = sweep.range <= spec.range_max_m
-    return sweep if within.all() else sweep[within]
 
 
-def _returned_signal(trace: Trace, spec: LidarSpec) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return (R, C) intensity in [0, 1] and whether the return is strong enough to be detected."""
-    gain = np.array([m.reflectivity * (_RETRO_GAIN if m.retro else 1.0) for m in MATERIALS], np.float32)
-    retro = np.array([m.retro for m in MATERIALS])
-    shine = trace.cosine**_INCIDENCE_EXPONENT
-    if retro[trace.material].any():
-        shine = np.where(retro[trace.material], trace.cosine**_RETRO_EXPONENT, shine)
-    distance = trace.distance
-    signal = gain[trace.material] * shine * np.exp(np.float32(-2.0 * CLEAR_AIR_EXTINCTION) * distance)
-    threshold = np.float32(0.1 * np.exp(-2.0 * CLEAR_AIR_EXTINCTION * spec.range_10_m) / spec.range_10_m**2)
-    seen = trace.hit & (signal >= threshold * distance * distance)
-    return np.clip(signal, 0.0, 1.0), seen
+def _knots(spec: LidarSpec, beams: Beams, path: Path, time_s: float) -> NDArray[np.float64]:
+    """Return (B + 1, 3, 4) world_from_lidar at the borders of the blocks."""
+    column = np.arange(beams.blocks + 1) * float(BLOCK)
+    # The last block may be cut short by the end of the sweep, and beyond it nobody knows the path.
+    full = BLOCK / (beams.columns - column[-2])
+    column[-1] = beams.columns
+    knots = path.at(time_s + (column - 0.5 * beams.columns) * spec.column_s)[:, :3]
+    knots[-1] = knots[-2] + full * (knots[-1] - knots[-2])
+    return knots
 
 
-def drop_chance(intensity: NDArray[np.float32], spec: LidarSpec) -> NDArray[np.float32]:
-    """Return the chance that CARLA's model loses a return: linear from zero intensity up to the limit, then none."""
-    if spec.dropoff_intensity_limit <= 0.0:
-        return np.zeros_like(intensity)
-    share = 1.0 - intensity / np.float32(spec.dropoff_intensity_limit)
-    return np.float32(spec.dropoff_zero_intensity) * np.clip(share, 0.0, 1.0)
+def _sweep(sensor: Sensor, shot: Shot, returns: Returns) -> Sweep:
+    return Sweep(
+        points=returns.points,
+        intensity=returns.intensity,
+        ring=returns.ring,
+        column=returns.column,
+        time_offset=returns.time_offset,
+        object_id=returns.object_id,
+        return_number=returns.return_number,
+        fate=np.full(len(returns.points), KEPT, np.uint8),
+        material=returns.material,
+        cosine=returns.cosine,
+        world_from_lidar=shot.pose,
+        time_s=sensor.time_s,
+        spec=sensor.spec,
+        path=sensor.path,
+    )

@@ -22,10 +22,13 @@ from numpy.typing import NDArray
 
 from sensors.agents import choose_agents
 from sensors.frame import AgentFrame, Frame, agent_order, count_points
-from sensors.lidar import scan
+from sensors.lidar import Sensor, scan_all
+from sensors.motion import Path
+from sensors.presets import scenario_lidars
 from sensors.rig import Roadside, mount, place_roadside
 from sensors.scene import BodyMesh, RayScene
-from sensors.spec import LidarSpec, scenario_lidars
+from sensors.spec import LidarSpec
+from sensors.sweep import Sweep
 from sim.errors import SettingsError
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, Traffic
@@ -170,12 +173,16 @@ def make_frame(
     """Scan one instant by all agents; a live simulation, which has no `after` yet, may leave it out."""
     specs = [vehicle_spec, *(unit.spec for unit in roadside)]
     scene = scene.with_bodies(now, before, after, reach_s=0.5 * max(spec.period_s for spec in specs))
-    agents: dict[int, AgentFrame] = {}
-    for agent_id in vehicles:
-        agents[agent_id] = _scan_vehicle(scene, now, agent_id, vehicle_spec, _sweep_rng(seed, index, agent_id))
-    for unit in roadside:
-        agents[unit.agent_id] = _scan_roadside(scene, now, unit, _sweep_rng(seed, index, unit.agent_id))
-    ordered = tuple(agents[agent_id] for agent_id in agent_order(list(agents)))
+    sensors = {agent_id: _on_vehicle(scene, now, agent_id, vehicle_spec, seed, index) for agent_id in vehicles}
+    sensors |= {unit.agent_id: _on_roadside(now, unit, seed, index) for unit in roadside}
+    sweeps = dict(zip(sensors, scan_all(scene, list(sensors.values())), strict=True))
+    bodies = {unit.agent_id: unit.world_from_body for unit in roadside}
+    ordered = tuple(
+        _roadside_frame(agent_id, bodies[agent_id], sweeps[agent_id])
+        if agent_id in bodies
+        else _vehicle_frame(now, agent_id, sweeps[agent_id])
+        for agent_id in agent_order(list(sensors))
+    )
     near = _near_agents(now, ordered)
     truth = now.boxes[near]
     counts = [count_points(agent.sweep, truth.object_id) for agent in ordered]
@@ -189,29 +196,26 @@ def make_frame(
     )
 
 
-def _scan_vehicle(scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, rng: np.random.Generator) -> AgentFrame:
+def _on_vehicle(scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, seed: int, index: int) -> Sensor:
     row = now.row(agent_id)
-    half = 0.5 * spec.period_s
-    poses = scene.bodies.path[row].at(now.time_s + np.array([-half, 0.0, half]))
-    start, middle, end = poses @ mount(spec, now.boxes.size[row, 2])
-    return AgentFrame(
-        agent_id=agent_id,
-        kind="vehicle",
-        world_from_body=now.world_from_body()[row],
-        speed=float(np.linalg.norm(now.velocity[row])),
-        sweep=scan(scene, spec, start, end, now.time_s, rng, agent_id, world_from_lidar=middle),
-    )
+    body = scene.bodies.path[row]
+    path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2]))
+    return Sensor(spec, path, now.time_s, _sweep_rng(seed, index, agent_id), rides_on=agent_id)
 
 
-def _scan_roadside(scene: RayScene, now: Actors, unit: Roadside, rng: np.random.Generator) -> AgentFrame:
-    pose = unit.world_from_lidar
-    return AgentFrame(
-        agent_id=unit.agent_id,
-        kind="roadside",
-        world_from_body=unit.world_from_body,
-        speed=0.0,
-        sweep=scan(scene, unit.spec, pose, pose, now.time_s, rng),
-    )
+def _on_roadside(now: Actors, unit: Roadside, seed: int, index: int) -> Sensor:
+    path = Path.through(now.time_s + np.array([-1.0, 1.0]), np.stack([unit.world_from_lidar] * 2))
+    return Sensor(unit.spec, path, now.time_s, _sweep_rng(seed, index, unit.agent_id))
+
+
+def _vehicle_frame(now: Actors, agent_id: int, sweep: Sweep) -> AgentFrame:
+    row = now.row(agent_id)
+    speed = float(np.linalg.norm(now.velocity[row]))
+    return AgentFrame(agent_id, "vehicle", now.world_from_body()[row], speed, sweep)
+
+
+def _roadside_frame(agent_id: int, world_from_body: NDArray[np.float64], sweep: Sweep) -> AgentFrame:
+    return AgentFrame(agent_id, "roadside", world_from_body, 0.0, sweep)
 
 
 def _near_agents(now: Actors, agents: Sequence[AgentFrame]) -> NDArray[np.bool_]:

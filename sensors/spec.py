@@ -1,76 +1,166 @@
-"""LidarSpec: what a LiDAR is, and the named presets."""
+"""LidarSpec: what a LiDAR is. The named sensors are in `sensors.presets`."""
+
+import math
+from itertools import pairwise
+from typing import Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import ScenarioError, SettingsError, complaint, did_you_mean
-from sim.scenario import Scenario
+from sim.errors import SettingsError, complaint
+
+Returns = Literal["strongest", "last", "dual"]
+IntensityLaw = Literal["reflectivity", "distance", "power"]
+
+MOST_RAYS = 20_000_000
+"""Most rays of one sweep, sub-rays included: a table of directions for more would not fit into memory."""
+
+
+class Prism(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One rotating wedge of a Risley scanner.
+
+    Attributes:
+        rate_hz: rotations per second, negative when clockwise as seen along the beam.
+        wedge_deg: angle between its faces.
+        refraction: refractive index.
+    """
+
+    rate_hz: float
+    wedge_deg: float
+    refraction: float
 
 
 class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A spinning LiDAR.
+    """A LiDAR whose beams fire together, or one shortly after another, in each of `columns` firings per sweep.
+
+    Tables of beams have one value per beam, or none where all beams are alike.
 
     Attributes:
         name: preset name.
         elevation_deg: beam elevations, highest first: ring 0 is the top beam.
-        columns: firings per rotation.
-        rate_hz: rotations per second.
+        azimuth_offset_deg: azimuth of each beam beyond that of its column, counter-clockwise.
+        columns: firings per sweep.
+        rate_hz: sweeps per second.
+        firing_s: how long after the start of its column each beam fires, s; left out: all in its middle. The head turns
+            on in between.
         rolling_shutter: columns fire one after another; False freezes the world, as CARLA's sensor does in a tick.
+        clockwise: turns clockwise as seen from above, from `azimuth_end_deg` down; else counter-clockwise.
         azimuth_start_deg, azimuth_end_deg: field of view, counter-clockwise from straight ahead.
+        prisms: wedges of a Risley scanner; with them the beams follow a rosette that does not repeat, a column is one
+            firing, `elevation_deg` and `azimuth_offset_deg` say where each line points before the prisms.
         range_min_m, range_max_m: nearest and farthest range.
+        beam_range_m: (nearest, farthest) range of each beam, within those of the sensor.
         range_10_m: range at which a target of reflectivity 0.1, hit squarely, is just detected in clear air.
         range_noise_m: standard deviation of the range.
+        angle_noise_deg: standard deviation of the true direction around the reported one, in azimuth and elevation.
         dropoff_rate: share of beams lost at random before anything is measured (CARLA's general drop-off).
         dropoff_intensity_limit: returns of at least this intensity are never lost.
         dropoff_zero_intensity: chance that a return of zero intensity is lost, at any range; linear up to the limit.
             That is CARLA's model: real sensors lose what is too weak by `range_10_m`.
-        divergence_rad: full beam divergence.
+        divergence_rad: full beam divergence (1/e^2), horizontal.
+        divergence_vertical_rad: vertical, when the beam is not round.
+        subrays: rays per beam, 1, 4 or 8, spread over its divergence; their echoes are merged by the pulse length.
         pulse_s: pulse length at half power.
+        returns: which echoes of a beam are reported: the strongest, the last, or both (the second strongest when the
+            strongest is the last). One ray per beam has one echo.
+        intensity_law: `reflectivity`: calibrated, independent of range in clear air; `distance`: exp(-attenuation *
+            range) whatever was hit, as CARLA's; `power`: received power, as 1/range^2, 1 for a white target at 10 m.
+        attenuation: of the `distance` law, 1/m.
+        own_body: the body that carries the sensor is seen, as real sensors do; datasets crop it.
         mount_xyz_m: sensor above the footprint's centre at road level for vehicles, in the body frame.
         source: the document that the numbers come from.
+        assumed: fields whose values no document gave.
     """
 
     name: str
     elevation_deg: tuple[float, ...]
+    azimuth_offset_deg: tuple[float, ...] = ()
     columns: int
     rate_hz: float = 10.0
+    firing_s: tuple[float, ...] = ()
     rolling_shutter: bool = True
+    clockwise: bool = False
     azimuth_start_deg: float = -180.0
     azimuth_end_deg: float = 180.0
+    prisms: tuple[Prism, ...] = ()
     range_min_m: float = 0.5
     range_max_m: float = 120.0
+    beam_range_m: tuple[tuple[float, float], ...] = ()
     range_10_m: float = 100.0
     range_noise_m: float = 0.02
+    angle_noise_deg: float = 0.0
     dropoff_rate: float = 0.0
     dropoff_intensity_limit: float = 0.8
-    dropoff_zero_intensity: float = 0.4
+    dropoff_zero_intensity: float = 0.0
     divergence_rad: float = 0.003
+    divergence_vertical_rad: float | None = None
+    subrays: int = 1
     pulse_s: float = 1e-8
+    returns: Returns = "strongest"
+    intensity_law: IntensityLaw = "reflectivity"
+    attenuation: float = 0.004
+    own_body: bool = False
     mount_xyz_m: tuple[float, float, float] = (0.0, 0.0, 1.9)
     source: str = ""
+    assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        facts = {
-            "elevation_deg: expected angles within +-90, highest first": len(self.elevation_deg) > 0
-            and max(map(abs, self.elevation_deg)) <= 90.0
-            and all(a > b for a, b in zip(self.elevation_deg, self.elevation_deg[1:], strict=False)),
-            "columns: expected at least 1": self.columns >= 1,
-            "rate_hz: expected a positive rate": self.rate_hz > 0.0,
-            "azimuth: expected start < end, at most 360 degrees apart": 0.0
-            < self.azimuth_end_deg - self.azimuth_start_deg
-            <= 360.0,
-            "range: expected 0 <= range_min_m < range_max_m": 0.0 <= self.range_min_m < self.range_max_m,
-            "range_10_m: expected a positive range": self.range_10_m > 0.0,
-            "range_noise_m: expected at least 0": self.range_noise_m >= 0.0,
-            "dropoff: expected shares in [0, 1]": all(
-                0.0 <= share <= 1.0
-                for share in (self.dropoff_rate, self.dropoff_intensity_limit, self.dropoff_zero_intensity)
-            ),
-        }
-        for fact, holds in facts.items():
+        for field, expected, holds in self._facts():
             if not holds:
-                raise SettingsError(f"LidarSpec '{self.name}': {fact}, found otherwise")
+                found = getattr(self, field)
+                raise SettingsError(complaint(f"LidarSpec '{self.name}'", field, expected, found))
+
+    def _facts(self) -> list[tuple[str, str, bool]]:
+        """Return (field, what is expected of it, whether it holds); comparisons with NaN do not hold."""
+        table, beams = self.elevation_deg, len(self.elevation_deg)
+        per_beam = f"one value for each of the {beams} beams, or none"
+        nearest, farthest = self.range_min_m, self.range_max_m
+        column_s = self.period_s / self.columns if self.columns > 0 and self.rate_hz > 0.0 else 0.0
+        vertical = self.divergence_rad if self.divergence_vertical_rad is None else self.divergence_vertical_rad
+        return [
+            ("elevation_deg", "at least one beam", beams > 0),
+            ("elevation_deg", "angles within +-90", all(-90.0 <= angle <= 90.0 for angle in table)),
+            ("elevation_deg", "the highest beam first", all(a >= b for a, b in pairwise(table))),
+            ("columns", "at least 1", self.columns >= 1),
+            ("subrays", "1, 4 or 8", self.subrays in (1, 4, 8)),
+            ("columns", f"at most {MOST_RAYS} rays per sweep", beams * self.columns * self.subrays <= MOST_RAYS),
+            ("rate_hz", "a positive rate", 0.0 < self.rate_hz < math.inf),
+            ("azimuth_offset_deg", per_beam, len(self.azimuth_offset_deg) in (0, beams)),
+            ("azimuth_offset_deg", "angles within +-180", all(-180.0 <= a <= 180.0 for a in self.azimuth_offset_deg)),
+            ("firing_s", per_beam, len(self.firing_s) in (0, beams)),
+            ("firing_s", f"times in [0, {column_s:.3g}) s", all(0.0 <= t < column_s for t in self.firing_s)),
+            ("azimuth_start_deg", "within +-360", -360.0 <= self.azimuth_start_deg <= 360.0),
+            (
+                "azimuth_end_deg",
+                "more than azimuth_start_deg, by at most 360",
+                0.0 < self.azimuth_end_deg - self.azimuth_start_deg <= 360.0,
+            ),
+            (
+                "prisms",
+                "finite rates, wedges within 45 degrees and refraction of at least 1",
+                all(math.isfinite(p.rate_hz) and 0 < p.wedge_deg < 45 and 1 <= p.refraction < 4 for p in self.prisms),
+            ),
+            ("range_min_m", "0 <= range_min_m < range_max_m", 0.0 <= nearest < farthest),
+            ("range_max_m", "a finite range", farthest < math.inf),
+            ("beam_range_m", per_beam, len(self.beam_range_m) in (0, beams)),
+            (
+                "beam_range_m",
+                "nearest < farthest, within those of the sensor",
+                all(nearest <= near < far <= farthest for near, far in self.beam_range_m),
+            ),
+            ("range_10_m", "a positive range", 0.0 < self.range_10_m < math.inf),
+            ("range_noise_m", "at least 0", 0.0 <= self.range_noise_m < math.inf),
+            ("angle_noise_deg", "0 to 10", 0.0 <= self.angle_noise_deg <= 10.0),
+            ("dropoff_rate", "a share in [0, 1]", 0.0 <= self.dropoff_rate <= 1.0),
+            ("dropoff_intensity_limit", "a share in [0, 1]", 0.0 <= self.dropoff_intensity_limit <= 1.0),
+            ("dropoff_zero_intensity", "a share in [0, 1]", 0.0 <= self.dropoff_zero_intensity <= 1.0),
+            ("divergence_rad", "0 to 0.1 rad", 0.0 <= self.divergence_rad <= 0.1),
+            ("divergence_vertical_rad", "0 to 0.1 rad", 0.0 <= vertical <= 0.1),
+            ("pulse_s", "0 to 1 microsecond", 0.0 < self.pulse_s <= 1e-6),
+            ("attenuation", "at least 0", 0.0 <= self.attenuation < math.inf),
+            ("mount_xyz_m", "finite coordinates", all(map(math.isfinite, self.mount_xyz_m))),
+        ]
 
     @property
     def rings(self) -> int:
@@ -84,146 +174,44 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @property
     def azimuth(self) -> NDArray[np.float64]:
-        """(C,) azimuth of each column in radians, column 0 first, counter-clockwise from straight ahead."""
+        """(C,) azimuth of each column in radians, column 0 first, from straight ahead, beams' own offsets apart."""
         step = (self.azimuth_end_deg - self.azimuth_start_deg) / self.columns
-        return np.radians(self.azimuth_start_deg + step * np.arange(self.columns))
+        degrees = self.azimuth_start_deg + step * np.arange(self.columns)
+        return np.radians(self.azimuth_start_deg + self.azimuth_end_deg - degrees if self.clockwise else degrees)
+
+    @property
+    def azimuth_offset(self) -> NDArray[np.float64]:
+        """(R,) azimuth of each beam beyond that of its column, rad, the head's turning until it fires included."""
+        offset = np.radians(np.array(self.azimuth_offset_deg or (0.0,) * self.rings, np.float64))
+        if not self.firing_s:
+            return offset
+        turn = np.radians(self.azimuth_end_deg - self.azimuth_start_deg) * (-1.0 if self.clockwise else 1.0)
+        return offset + turn / self.columns * self.firing_share
+
+    @property
+    def firing_share(self) -> NDArray[np.float64]:
+        """(R,) when each beam fires, as a share of its column, in [0, 1)."""
+        if not self.firing_s:
+            return np.full(self.rings, 0.5)
+        return np.array(self.firing_s, np.float64) * self.columns / self.period_s
+
+    @property
+    def beam_range(self) -> NDArray[np.float64]:
+        """(R, 2) nearest and farthest range of each beam, m."""
+        return np.array(self.beam_range_m or ((self.range_min_m, self.range_max_m),) * self.rings, np.float64)
 
     @property
     def period_s(self) -> float:
-        """Duration of one rotation, s."""
+        """Duration of one sweep, s."""
         return 1.0 / self.rate_hz
 
     @property
+    def column_s(self) -> float:
+        """Time from one column to the next, s; 0 without a rolling shutter."""
+        return self.period_s / self.columns if self.rolling_shutter else 0.0
+
+    @property
     def time_offset(self) -> NDArray[np.float64]:
-        """(C,) firing time of each column minus the sweep's reference time, s: centred, within half a period."""
-        fraction = (np.arange(self.columns) + 0.5) / self.columns - 0.5
-        return fraction * (self.period_s if self.rolling_shutter else 0.0)
-
-
-def _spread(top_deg: float, bottom_deg: float, beams: int) -> tuple[float, ...]:
-    return tuple(float(angle) for angle in np.linspace(top_deg, bottom_deg, beams).round(6))
-
-
-def _opv2v_64() -> LidarSpec:
-    return LidarSpec(
-        name="opv2v-64",
-        elevation_deg=_spread(2.0, -25.0, 64),
-        columns=1016,  # 1.3 M points/s over 64 beams and 20 ticks/s
-        range_max_m=120.0,
-        range_10_m=300.0,  # CARLA has no detection threshold: let none bite within 120 m of road
-        range_noise_m=0.02,
-        dropoff_rate=0.1,
-        dropoff_intensity_limit=0.7,
-        dropoff_zero_intensity=0.15,
-        source="OPV2V data protocol of 2021-08-18 (OpenCDA): CARLA ray_cast, 64 channels, +2..-25 deg, 1.3 M points/s"
-        " at 20 Hz; frames stored at 10 Hz",
-    )
-
-
-def _hdl_64e() -> LidarSpec:
-    return LidarSpec(
-        name="hdl-64e",
-        elevation_deg=_spread(2.0, -8.333333, 32) + _spread(-8.833333, -24.333333, 32),
-        columns=2083,
-        range_min_m=0.9,
-        range_max_m=120.0,
-        range_10_m=50.0,
-        range_noise_m=0.02,
-        dropoff_rate=0.02,
-        dropoff_zero_intensity=0.0,
-        divergence_rad=0.002,
-        source="Velodyne HDL-64E S2 manual: upper block step 1/3 deg, lower block step 1/2 deg, 1.33 M points/s;"
-        " 50 m at reflectivity 0.1, 120 m at 0.8",
-    )
-
-
-def _vlp_16() -> LidarSpec:
-    return LidarSpec(
-        name="vlp-16",
-        elevation_deg=_spread(15.0, -15.0, 16),
-        columns=1808,  # one firing sequence per 55.296 us
-        range_max_m=100.0,
-        range_10_m=60.0,
-        range_noise_m=0.03,
-        dropoff_rate=0.02,
-        dropoff_zero_intensity=0.0,
-        source="Velodyne VLP-16 manual: 16 beams, +-15 deg step 2, 0.2 deg at 10 Hz, 100 m, 3 cm",
-    )
-
-
-_VLP_32C_DEG = (
-    *(15.0, 10.333, 7.0, 4.667, 3.333, 2.333, 1.667, 1.333, 1.0, 0.667, 0.333, 0.0, -0.333, -0.667, -1.0, -1.333),
-    *(-1.667, -2.0, -2.333, -2.667, -3.0, -3.333, -3.667, -4.0, -4.667, -5.333, -6.148, -7.254, -8.843, -11.31),
-    *(-15.639, -25.0),
-)
-
-
-def _vlp_32c() -> LidarSpec:
-    return LidarSpec(
-        name="vlp-32c",
-        elevation_deg=_VLP_32C_DEG,
-        columns=1808,
-        range_max_m=200.0,
-        range_10_m=100.0,
-        range_noise_m=0.03,
-        dropoff_rate=0.02,
-        dropoff_zero_intensity=0.0,
-        source="Velodyne VLP-32C: ROS driver's table of vertical angles, 0.2 deg at 10 Hz, 200 m, 3 cm",
-    )
-
-
-def _dair_roadside() -> LidarSpec:
-    return LidarSpec(
-        name="dair-roadside",
-        elevation_deg=_spread(20.0, -20.0, 300),
-        columns=1000,
-        azimuth_start_deg=-50.0,
-        azimuth_end_deg=50.0,
-        range_max_m=280.0,
-        range_10_m=280.0,
-        range_noise_m=0.03,
-        dropoff_rate=0.02,
-        divergence_rad=0.001,
-        mount_xyz_m=(0.0, 0.0, 6.0),
-        source="DAIR-V2X infrastructure LiDAR: 300 lines, 100 x 40 deg, 10 Hz, 280 m, <= 3 cm; the field of view is"
-        " symmetric about the axis, so a roadside unit tilts it down; horizontal step 0.1 deg assumed",
-    )
-
-
-def _debug_16() -> LidarSpec:
-    return LidarSpec(
-        name="debug-16",
-        elevation_deg=_spread(2.0, -25.0, 16),
-        columns=360,
-        range_10_m=300.0,
-        source="a light sensor for tests: the field of view of opv2v-64",
-    )
-
-
-LIDARS: dict[str, LidarSpec] = {
-    spec.name: spec for spec in (_opv2v_64(), _hdl_64e(), _vlp_16(), _vlp_32c(), _dair_roadside(), _debug_16())
-}
-"""The shipped presets by name."""
-
-
-def get_lidar(name: str) -> LidarSpec:
-    """Return the preset of this name; SettingsError when there is none."""
-    if name not in LIDARS:
-        raise SettingsError(f"unknown lidar '{name}'{did_you_mean(name, LIDARS)}")
-    return LIDARS[name]
-
-
-def scenario_lidars(scenario: Scenario) -> tuple[LidarSpec, tuple[LidarSpec, ...]]:
-    """Return the sensor of the vehicles and those of the roadside units of a scenario.
-
-    Raises:
-        ScenarioError: a name is that of no preset.
-    """
-    rule = scenario.agents
-    names = {"agents.lidar": rule.lidar}
-    names |= {f"agents.roadside[{index}].lidar": unit.lidar for index, unit in enumerate(rule.roadside)}
-    for field, name in names.items():
-        if name not in LIDARS:
-            raise ScenarioError(complaint(scenario.name, field, "a LiDAR preset", name, did_you_mean(name, LIDARS)))
-    first, *others = (LIDARS[name] for name in names.values())
-    return first, tuple(others)
+        """(R, C) firing times minus the sweep's reference time, s: centred, within half a period."""
+        column = np.arange(self.columns) - 0.5 * self.columns
+        return (column + self.firing_share[:, None]) * self.column_s

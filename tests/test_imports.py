@@ -14,7 +14,8 @@ DOORS = {
     "lightning": ("dsrc/training/",),
     "viser": ("dsrc/review/",),
     "libsumo": ("sim/traffic/sumo.py",),
-    "embreex": ("sensors/raycast.py",),
+    "embreex": ("sensors/raycast/",),
+    "numba": ("sensors/raycast/",),
     "highway_env": ("sim/traffic/highway.py", "dsrc/drive/"),
 }
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
 from dsrc.data.opv2v import write_frame
 from sensors.frame import Frame
-from sensors.spec import scenario_lidars
+from sensors.presets import scenario_lidars
 from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario, load_scenario
 

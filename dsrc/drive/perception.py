@@ -10,7 +10,7 @@ from sensors.corruptions import corrupt_frame
 from sensors.frame import Frame
 from sensors.record import make_frame, place_roadside
 from sensors.scene import RayScene
-from sensors.spec import get_lidar
+from sensors.presets import get_lidar
 from sim.boxes import Boxes
 from sim.scenario import Scenario
 from sim.traffic.base import Actors

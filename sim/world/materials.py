@@ -1,6 +1,11 @@
 """Surfaces: how much of a 905 nm pulse each one sends back, and the colour it has on a screen."""
 
 from dataclasses import dataclass
+from typing import Literal
+
+Finish = Literal["diffuse", "beads", "retro", "glass"]
+"""How light comes back: from a rough surface, from paint with glass beads in it, from a retro-reflector (to where it
+came from, whatever the angle), or hardly at all unless the surface is hit squarely."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -10,53 +15,55 @@ class Material:
     Attributes:
         name: unique key.
         reflectivity: share of the light at 905 nm that comes back, diffuse and at normal incidence, in [0, 1].
-        retro: sends light back to where it came from, whatever the angle: plates, signs and glass-bead markings.
+        finish: how it comes back.
+        wets: takes up a film of water and darkens; metal, glass, lacquer and plates shed it.
         rgb: colour for pictures, each in [0, 255].
     """
 
     name: str
     reflectivity: float
-    retro: bool
+    finish: Finish
+    wets: bool
     rgb: tuple[int, int, int]
 
 
 MATERIALS: tuple[Material, ...] = (
-    Material("asphalt", 0.15, False, (74, 76, 80)),
-    Material("marking", 0.55, True, (236, 236, 232)),
-    Material("pavement", 0.30, False, (158, 156, 150)),
-    Material("kerb", 0.38, False, (182, 180, 174)),
-    Material("gravel", 0.25, False, (128, 120, 110)),
-    Material("ground", 0.45, False, (116, 140, 84)),
-    Material("hedge", 0.50, False, (70, 108, 58)),
-    Material("leaves", 0.50, False, (84, 128, 62)),
-    Material("bark", 0.30, False, (98, 78, 60)),
-    Material("brick", 0.35, False, (164, 96, 76)),
-    Material("plaster", 0.55, False, (214, 204, 184)),
-    Material("concrete", 0.40, False, (170, 168, 162)),
-    Material("roof", 0.25, False, (140, 84, 66)),
-    Material("glass", 0.06, False, (110, 150, 172)),
-    Material("metal", 0.45, False, (150, 154, 158)),
-    Material("dark_metal", 0.20, False, (66, 68, 72)),
-    Material("signal_lamp", 0.30, False, (30, 32, 34)),
-    Material("sign", 0.85, True, (36, 84, 168)),
-    Material("plate", 0.80, True, (238, 238, 232)),
-    Material("head_lamp", 0.50, False, (246, 240, 206)),
-    Material("tail_lamp", 0.60, True, (190, 28, 30)),
-    Material("indicator", 0.45, False, (232, 138, 32)),
-    Material("tyre", 0.05, False, (28, 28, 30)),
-    Material("paint_white", 0.75, False, (236, 238, 240)),
-    Material("paint_silver", 0.50, False, (176, 180, 186)),
-    Material("paint_red", 0.60, False, (178, 34, 38)),
-    Material("paint_blue", 0.35, False, (42, 80, 150)),
-    Material("paint_yellow", 0.65, False, (236, 190, 50)),
-    Material("paint_black", 0.06, False, (34, 36, 40)),
-    Material("plastic", 0.12, False, (48, 50, 54)),
-    Material("skin", 0.55, False, (214, 168, 138)),
-    Material("hair", 0.25, False, (72, 54, 42)),
-    Material("cloth_light", 0.55, False, (196, 186, 166)),
-    Material("cloth_dark", 0.25, False, (50, 58, 84)),
+    Material("asphalt", 0.15, "diffuse", True, (74, 76, 80)),
+    Material("marking", 0.55, "beads", True, (236, 236, 232)),
+    Material("pavement", 0.30, "diffuse", True, (158, 156, 150)),
+    Material("kerb", 0.38, "diffuse", True, (182, 180, 174)),
+    Material("gravel", 0.25, "diffuse", True, (128, 120, 110)),
+    Material("ground", 0.45, "diffuse", True, (116, 140, 84)),
+    Material("hedge", 0.50, "diffuse", True, (70, 108, 58)),
+    Material("leaves", 0.50, "diffuse", True, (84, 128, 62)),
+    Material("bark", 0.30, "diffuse", True, (98, 78, 60)),
+    Material("brick", 0.35, "diffuse", True, (164, 96, 76)),
+    Material("plaster", 0.55, "diffuse", True, (214, 204, 184)),
+    Material("concrete", 0.40, "diffuse", True, (170, 168, 162)),
+    Material("roof", 0.25, "diffuse", True, (140, 84, 66)),
+    Material("glass", 0.01, "glass", False, (110, 150, 172)),
+    Material("metal", 0.45, "diffuse", False, (150, 154, 158)),
+    Material("dark_metal", 0.20, "diffuse", False, (66, 68, 72)),
+    Material("signal_lamp", 0.30, "diffuse", False, (30, 32, 34)),
+    Material("sign", 0.85, "retro", False, (36, 84, 168)),
+    Material("plate", 0.80, "retro", False, (238, 238, 232)),
+    Material("head_lamp", 0.50, "diffuse", False, (246, 240, 206)),
+    Material("tail_lamp", 0.60, "retro", False, (190, 28, 30)),
+    Material("indicator", 0.45, "diffuse", False, (232, 138, 32)),
+    Material("tyre", 0.05, "diffuse", False, (28, 28, 30)),
+    Material("paint_white", 0.75, "diffuse", False, (236, 238, 240)),
+    Material("paint_silver", 0.50, "diffuse", False, (176, 180, 186)),
+    Material("paint_red", 0.60, "diffuse", False, (178, 34, 38)),
+    Material("paint_blue", 0.35, "diffuse", False, (42, 80, 150)),
+    Material("paint_yellow", 0.65, "diffuse", False, (236, 190, 50)),
+    Material("paint_black", 0.06, "diffuse", False, (34, 36, 40)),
+    Material("plastic", 0.12, "diffuse", False, (48, 50, 54)),
+    Material("skin", 0.55, "diffuse", True, (214, 168, 138)),
+    Material("hair", 0.25, "diffuse", True, (72, 54, 42)),
+    Material("cloth_light", 0.55, "diffuse", True, (196, 186, 166)),
+    Material("cloth_dark", 0.25, "diffuse", True, (50, 58, 84)),
 )
-"""All materials; a face carries the index of its own. New ones are appended: the index is stored in no file."""
+"""All materials; a face carries the index of its own. New ones are appended: files of points hold the index."""
 
 _INDEX = {material.name: index for index, material in enumerate(MATERIALS)}
 

@@ -4,7 +4,7 @@ import pytest
 from sensors.agents import choose_agents
 from sensors.record import TRUTH_RANGE_M, record, simulate
 from sensors.rig import mount, place_roadside
-from sensors.spec import get_lidar
+from sensors.presets import get_lidar
 from sensors.sweep import POINT_FIELDS
 from sim.errors import ScenarioError, SettingsError
 from sim.scenario import NetworkSpec, RoadsideUnit

@@ -1,0 +1,65 @@
+"""Which engine makes the sweeps."""
+
+import logging
+import os
+from functools import lru_cache
+
+from sensors.raycast.base import Engine
+from sim.errors import SettingsError, complaint, did_you_mean
+
+ENGINES = ("auto", "fused", "public")
+VARIABLE = "DSRC_LIDAR_ENGINE"
+"""Environment variable that names the engine where the caller does not."""
+
+log = logging.getLogger(__name__)
+
+
+class EngineUnavailable(Exception):
+    """This machine cannot run an engine; the message says why."""
+
+
+def open_engine(name: str | None = None, *, robust: bool = True) -> Engine:
+    """Return an engine, one per process and kind.
+
+    Args:
+        name: one of `ENGINES`, None for that of the environment variable `DSRC_LIDAR_ENGINE` or else `auto`: the fused
+            engine if it passes its self-test, which is done once, otherwise the public one, with a warning.
+        robust: watertight at shared edges, for an eighth of the speed.
+
+    Raises:
+        SettingsError: there is no such engine, or the fused one was asked for by name and cannot run.
+    """
+    asked = name if name is not None else os.environ.get(VARIABLE, "auto")
+    if asked not in ENGINES:
+        what = "engine" if name is not None else VARIABLE
+        raise SettingsError(complaint("LiDAR", what, "the name of an engine", asked, did_you_mean(asked, ENGINES)))
+    if asked == "public":
+        return _public(robust)
+    engine, fault = _fused(robust)
+    if engine is not None:
+        return engine
+    if asked == "fused":
+        raise SettingsError(f"LiDAR: the fused engine cannot run here: {fault}")
+    return _public(robust)
+
+
+@lru_cache(maxsize=2)
+def _public(robust: bool) -> Engine:
+    from sensors.raycast.public import PublicEngine
+
+    return PublicEngine(robust=robust)
+
+
+@lru_cache(maxsize=2)
+def _fused(robust: bool) -> tuple[Engine | None, str]:
+    try:
+        from sensors.raycast.fused import FusedEngine
+    except ImportError as error:
+        fault = str(error)
+    else:
+        try:
+            return FusedEngine(robust=robust), ""
+        except EngineUnavailable as error:
+            fault = str(error)
+    log.warning("LiDAR sweeps are made by the slower public engine: %s", fault)
+    return None, fault

@@ -1,0 +1,417 @@
+"""The fused engine: Embree's widest coherent packets inside one compiled loop.
+
+A hierarchy is built once per solid; per frame only the poses of instances change. The work of a frame is cut into
+sweeps, and the last ones into blocks of rings, which threads take in turn. A block writes its own rows, so that the
+number of threads changes no byte.
+"""
+
+import os
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.beams import BLOCK
+from sensors.raycast.base import Bodies, Hits, Returns, Shot, Solid
+from sensors.raycast.embree import ANY_RAY, RAY_ROWS, Hierarchy, InstanceScene, library
+from sensors.raycast.kernel import (
+    Calls,
+    Columns,
+    Scratch,
+    Tables,
+    World,
+    cast_rays,
+    close_gap,
+    place_bodies,
+    see_bodies,
+    sweep_rings,
+)
+
+_STATICS_KEPT = 4
+_BODIES_KEPT = 1200
+_FREE_BIT = 31
+"""Bit of the ray mask of sensors that hide no body; the bits below are for bodies that one sensor does not see."""
+_LERP_ERROR_M = 1e-4
+_MOST_SEGMENTS = 16
+_RETURNS = {"strongest": 0, "last": 1, "dual": 2}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fleet:
+    """The solids of all bodies, ready for rays: one hierarchy per slot, all faces' materials in one table."""
+
+    solids: tuple[Solid, ...]
+    hierarchies: list[Hierarchy]
+    material: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Placed:
+    """What the instance scene shows now."""
+
+    bodies: Bodies
+    origin: NDArray[np.float64]
+    hidden: tuple[int, ...]
+    fleet: _Fleet
+    pose: NDArray[np.float32]
+    steps: NDArray[np.int64]
+
+    def shows(self, bodies: Bodies, origin: NDArray[np.float64], hidden: tuple[int, ...]) -> bool:
+        return self.bodies is bodies and self.hidden == hidden and bool((self.origin == origin).all())
+
+
+class _Kept:
+    """Hierarchies by solid; those unseen for longest are dropped."""
+
+    def __init__(self, most: int, robust: bool) -> None:
+        self._most = most
+        self._robust = robust
+        self._known: dict[int, tuple[Solid, Hierarchy]] = {}
+
+    def of(self, solid: Solid) -> Hierarchy:
+        known = self._known.pop(id(solid), None)
+        if known is None:
+            known = (solid, Hierarchy(solid, self._robust))
+            while len(self._known) >= self._most:
+                self._known.pop(next(iter(self._known)))
+        self._known[id(solid)] = known
+        return known[1]
+
+
+class FusedEngine:
+    """See the module; implements `sensors.raycast.Engine`."""
+
+    name = "fused"
+
+    def __init__(self, *, robust: bool = True) -> None:
+        """Load Embree; `EngineUnavailable` when embreex's wheel carries none that we know."""
+        self._library = library()
+        # One instance scene serves all callers of the process.
+        self._lock = threading.Lock()
+        self._static = _Kept(_STATICS_KEPT, robust)
+        self._bodies = _Kept(_BODIES_KEPT, robust)
+        self._moving = InstanceScene(robust)
+        self._placed: _Placed | None = None
+        names = ("rtcSetGeometryTransform", "rtcCommitGeometry", "rtcSetGeometryMask", "rtcCommitScene")
+        self._calls = Calls(*map(self._library.address, names))
+
+    def cast(
+        self,
+        solid: Solid,
+        origins: NDArray[np.float32],
+        directions: NDArray[np.float32],
+        reach: NDArray[np.float32],
+    ) -> Hits:
+        """Cast single rays; see `sensors.raycast.Engine`."""
+        distance = np.array(reach, np.float32)
+        hits = Hits(distance, np.full(len(distance), -1, np.int32), np.zeros(len(distance), np.float32))
+        rays = (np.ascontiguousarray(rows, np.float32).reshape(-1, 3) for rows in (origins, directions))
+        with self._lock:
+            world = self._world(self._static.of(solid), None)
+            cast_rays(world, _scratch(self._library.width, 1), *rays, distance, hits.face, hits.cosine)
+        return hits
+
+    def place(self, bodies: Bodies, origin: NDArray[np.float64], hidden: tuple[int, ...] = ()) -> None:
+        """Move the instances to where the bodies are, relative to an origin; `sweep` does so where it must.
+
+        Args:
+            bodies: who is where.
+            origin: (3,) world frame.
+            hidden: ids of bodies that some sensor does not see, at most 31.
+        """
+        placed = self._placed
+        if placed is not None and placed.shows(bodies, origin, hidden):
+            return
+        fleet = self._fleet(bodies.solids)
+        steps = _steps(bodies)
+        pose = np.zeros((len(bodies), int(steps.max(initial=2)), 3, 4), np.float32)
+        self._moving.show(fleet.hierarchies, steps)
+        place_bodies(
+            self._calls,
+            self._moving.handle,
+            self._moving.geometry[: len(bodies)],
+            steps,
+            _masks(bodies.object_id, hidden),
+            np.array(bodies.span_s),
+            bodies.path.time_s,
+            bodies.path.xyz - origin,
+            bodies.path.angles,
+            pose,
+        )
+        self._library.check()
+        self._placed = _Placed(bodies, origin, hidden, fleet, pose, steps)
+
+    def sweep(self, static: Solid, bodies: Bodies, shots: Sequence[Shot], threads: int) -> list[Returns]:
+        """Make sweeps; see `sensors.raycast.Engine`."""
+        made: list[Returns] = []
+        with self._lock:
+            for group in _groups(shots):
+                hidden = _hidden(group)
+                self.place(bodies, static.origin, hidden)
+                world = self._world(self._static.of(static), self._placed)
+                jobs = [_Job(shot, static.origin, bodies, hidden) for shot in group]
+                _run(jobs, world, self._library.width, threads)
+                made.extend(job.returns() for job in jobs)
+        return made
+
+    def _fleet(self, solids: tuple[Solid, ...]) -> _Fleet:
+        if self._placed is not None and self._placed.fleet.solids == solids:
+            return self._placed.fleet
+        hierarchies = [self._bodies.of(solid) for solid in solids]
+        first = {id(hierarchy): hierarchy for hierarchy in hierarchies}
+        sizes = np.cumsum([0, *(len(hierarchy.material) for hierarchy in first.values())])
+        start = dict(zip(first, sizes.tolist(), strict=False))
+        material = [hierarchy.material for hierarchy in first.values()]
+        return _Fleet(
+            solids=solids,
+            hierarchies=hierarchies,
+            material=np.concatenate(material) if material else np.zeros(1, np.uint8),
+            offset=np.array([start[id(hierarchy)] for hierarchy in hierarchies], np.int64),
+        )
+
+    def _world(self, static: Hierarchy, placed: _Placed | None) -> World:
+        moving = placed is not None and len(placed.bodies) > 0
+        return World(
+            intersect=self._library.intersect,
+            arguments=self._library.arguments,
+            static=static.handle,
+            moving=self._moving.handle if moving else 0,
+            static_material=static.material,
+            body_material=placed.fleet.material if placed is not None else np.zeros(1, np.uint8),
+            body_offset=placed.fleet.offset if placed is not None else np.zeros(0, np.int64),
+            body_id=placed.bodies.object_id.astype(np.int32) if placed is not None else np.zeros(0, np.int32),
+            body_size=placed.bodies.size if placed is not None else np.zeros((0, 3)),
+            body_pose=placed.pose if placed is not None else np.zeros((0, 2, 3, 4), np.float32),
+            body_steps=placed.steps if placed is not None else np.zeros(0, np.int64),
+        )
+
+
+class _Job:
+    """One sweep being made: its tables and room for its points."""
+
+    def __init__(self, shot: Shot, origin: NDArray[np.float64], bodies: Bodies, hidden: tuple[int, ...]) -> None:
+        self.beams = shot.beams
+        self.tables = _tables(shot, origin, bodies.span_s, hidden)
+        self.columns = _room(shot)
+        self.unseen = -1
+        if shot.hidden_id is not None and shot.hidden_id in hidden:
+            self.unseen = int(np.searchsorted(bodies.object_id, shot.hidden_id))
+        self._rows: dict[int, int] = {}
+
+    def make(self, world: World, scratch: Scratch, first: int, last: int) -> None:
+        """Make the points of rings `first` to `last` in the rows that are theirs when no point is missing."""
+        start = first * self._rows_per_ring
+        visible = np.ones((last - first, self.beams.blocks), np.bool_)
+        if (fan := self.beams.fan) is not None and world.moving:
+            visible[:] = False
+            see_bodies(
+                visible,
+                fan.azimuth,
+                fan.elevation[first:last],
+                fan.spread,
+                self.tables.ray_pose[self._moments],
+                self.tables.clock[0] + self.tables.clock[1] * np.float32(BLOCK) * self._moments,
+                self.unseen,
+                world,
+            )
+        end = sweep_rings(self.tables, world, visible, scratch, self.columns, start, first, last)
+        self._rows[start] = end
+
+    def returns(self) -> Returns:
+        """Close the gaps between the blocks of rings and return the points."""
+        filled = 0
+        for start, end in sorted(self._rows.items()):
+            if start != filled:
+                close_gap(self.columns, filled, start, end)
+            filled += end - start
+        return Returns(**{name: rows[:filled] for name, rows in self.columns._asdict().items()})
+
+    @property
+    def _rows_per_ring(self) -> int:
+        return len(self.columns.ring) // self.beams.rings
+
+    @property
+    def _moments(self) -> NDArray[np.int64]:
+        return np.array([0, self.beams.blocks // 2, self.beams.blocks - 1])
+
+
+def _run(jobs: Sequence[_Job], world: World, width: int, threads: int) -> None:
+    """Make all jobs: whole sweeps first, the last ones in parts so that no thread ends long before another."""
+    whole = max(len(jobs) - threads, 0) if threads > 1 else len(jobs)
+    tasks = [(job, 0, job.beams.rings) for job in jobs[:whole]]
+    for job in jobs[whole:]:
+        edges = np.linspace(0, job.beams.rings, min(2 * threads, job.beams.rings) + 1).astype(int).tolist()
+        tasks.extend((job, first, last) for first, last in pairwise(edges))
+    if threads <= 1 or len(tasks) == 1:
+        scratch = _scratch(width, _subrays(jobs))
+        for job, first, last in tasks:
+            job.make(world, scratch, first, last)
+        return
+    waiting = iter(tasks)
+    turn = threading.Lock()
+
+    def work() -> None:
+        scratch = _scratch(width, _subrays(jobs))
+        while True:
+            with turn:
+                task = next(waiting, None)
+            if task is None:
+                return
+            job, first, last = task
+            job.make(world, scratch, first, last)
+
+    for future in [_pool(threads).submit(work) for _ in range(threads)]:
+        future.result()
+
+
+@lru_cache(maxsize=4)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="lidar")
+
+
+# A forked child has none of its parent's threads.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+def _subrays(jobs: Sequence[_Job]) -> int:
+    return max(job.beams.subray.shape[0] for job in jobs)
+
+
+def _tables(shot: Shot, origin: NDArray[np.float64], span_s: tuple[float, float], hidden: tuple[int, ...]) -> Tables:
+    spec, beams, optics = shot.spec, shot.beams, shot.optics
+    start, end = span_s
+    first_s = shot.time_s - 0.5 * beams.columns * spec.column_s
+    clock = ((first_s - start) / (end - start), spec.column_s / (end - start), spec.column_s)
+    law = (
+        optics.reach_m,
+        optics.gate_m,
+        spec.range_noise_m,
+        np.radians(spec.angle_noise_deg),
+        spec.dropoff_intensity_limit,
+        spec.dropoff_zero_intensity,
+        spec.dropoff_rate,
+    )
+    ray_pose, ray_step = _blocks(shot.knots, origin)
+    point_pose, point_step = _blocks(shot.knots, shot.pose[:3, 3], shot.pose[:3, :3].T)
+    bit = hidden.index(shot.hidden_id) if shot.hidden_id in hidden else _FREE_BIT
+    return Tables(
+        axis=beams.axis,
+        subray=beams.subray,
+        share=beams.firing_share,
+        reach=beams.reach,
+        ray_pose=ray_pose,
+        ray_step=ray_step,
+        point_pose=point_pose,
+        point_step=point_step,
+        clock=np.array(clock, np.float32),
+        power=optics.power,
+        need=optics.need,
+        scale=optics.scale,
+        of_material=optics.of_material,
+        law=np.array(law, np.float32),
+        returns=_RETURNS[spec.returns],
+        start=shot.noise.start,
+        normal=shot.noise.normal,
+        uniform=shot.noise.uniform,
+        mask=1 << bit,
+        columns=beams.columns,
+    )
+
+
+def _blocks(
+    knots: NDArray[np.float64], origin: NDArray[np.float64], turn: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return (B, 3, 4) poses at the starts of the blocks, in a frame at `origin`, and what is added until the next."""
+    placed = knots.copy()
+    placed[:, :, 3] -= origin
+    if turn is not None:
+        placed = turn @ placed
+    return placed[:-1].astype(np.float32), np.diff(placed, axis=0).astype(np.float32)
+
+
+def _room(shot: Shot) -> Columns:
+    rows = shot.beams.rings * shot.beams.columns * (2 if shot.spec.returns == "dual" else 1)
+    # Zeroing the room would cost a tenth of the sweep; every row that is handed out is written before.
+    room = np.empty  # noqa: TID251
+    return Columns(
+        points=room((rows, 3), np.float32),
+        intensity=room(rows, np.float32),
+        ring=room(rows, np.int16),
+        column=room(rows, np.int32),
+        time_offset=room(rows, np.float32),
+        object_id=room(rows, np.int32),
+        return_number=room(rows, np.uint8),
+        material=room(rows, np.uint8),
+        cosine=room(rows, np.float32),
+    )
+
+
+def _scratch(width: int, subrays: int) -> Scratch:
+    packets = BLOCK // width
+    # Embree reads packets with aligned instructions.
+    packet = _aligned(packets * RAY_ROWS * width).reshape(packets, RAY_ROWS, width)
+    valid = _aligned(width).view(np.int32)
+    valid[:] = -1
+    return Scratch(
+        lanes=(0,) * width,
+        packet=packet,
+        packet_word=packet.view(np.uint32),
+        valid=valid,
+        packet_address=packet.ctypes.data,
+        valid_address=valid.ctypes.data,
+        distance=np.zeros((subrays, BLOCK), np.float32),
+        cosine=np.zeros((subrays, BLOCK), np.float32),
+        margin=np.zeros((subrays, BLOCK), np.float32),
+        power=np.zeros((subrays, BLOCK), np.float32),
+        object_id=np.zeros((subrays, BLOCK), np.int32),
+        material=np.zeros((subrays, BLOCK), np.uint8),
+    )
+
+
+def _aligned(words: int) -> NDArray[np.float32]:
+    raw = np.zeros(4 * words + 64, np.uint8)
+    skip = -raw.ctypes.data % 64
+    return raw[skip : skip + 4 * words].view(np.float32)
+
+
+def _groups(shots: Sequence[Shot]) -> list[list[Shot]]:
+    """Cut the shots into groups that hide few enough bodies for the bits of a ray mask."""
+    groups: list[list[Shot]] = [[]]
+    for shot in shots:
+        if len(_hidden([*groups[-1], shot])) > _FREE_BIT:
+            groups.append([])
+        groups[-1].append(shot)
+    return groups
+
+
+def _hidden(shots: Sequence[Shot]) -> tuple[int, ...]:
+    return tuple(sorted({shot.hidden_id for shot in shots if shot.hidden_id is not None}))
+
+
+def _masks(object_id: NDArray[np.int64], hidden: tuple[int, ...]) -> NDArray[np.int64]:
+    """Return (N,) ray masks: all bits but that of the sensors that must not see the body."""
+    masks = np.full(len(object_id), ANY_RAY, np.int64)
+    for bit, key in enumerate(hidden):
+        masks[object_id == key] &= ~(1 << bit)
+    return masks
+
+
+def _steps(bodies: Bodies) -> NDArray[np.int64]:
+    """Return (N,) how many instants each body's motion needs: Embree moves matrices straight from one to the next."""
+    path, (start, end) = bodies.path, bodies.span_s
+    interval = np.diff(path.time_s)
+    share = min((end - start) / float(interval.min()), float(len(interval)))
+    turn = np.abs(np.diff(path.angles, axis=1)).sum(axis=2).max(axis=1, initial=0.0) * share
+    # A chord is off its arc by angle^2 / 8 of the radius, here half of the body's length.
+    segments = turn * np.sqrt(0.5 * bodies.size[:, 0] / (8.0 * _LERP_ERROR_M))
+    velocity = np.diff(path.xyz, axis=1) / interval[:, None]
+    bend = np.abs(np.diff(velocity, axis=1)).sum(axis=(1, 2)) * 0.25 * (end - start)
+    segments = np.maximum(segments, np.where(bend > _LERP_ERROR_M, 2.0, 1.0))
+    return np.asarray(2 ** np.ceil(np.log2(np.minimum(segments, _MOST_SEGMENTS))).astype(np.int64) + 1)
