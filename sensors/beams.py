@@ -72,7 +72,7 @@ def beams_of(spec: LidarSpec, time_s: float) -> Beams:
 @lru_cache(maxsize=8)
 def _spinning(spec: LidarSpec) -> Beams:
     azimuth = _padded(spec.azimuth)
-    fan = Fan(azimuth, spec.elevation, float(np.abs(spec.azimuth_offset).max(initial=0.0)) + _halo(spec))
+    fan = Fan(azimuth, spec.elevation, float(np.abs(spec.azimuth_offset).max(initial=0.0)) + halo(spec))
     return _beams(spec, azimuth + spec.azimuth_offset[:, None], spec.elevation[:, None], fan)
 
 
@@ -129,7 +129,7 @@ def _subray_offsets(spec: LidarSpec) -> tuple[NDArray[np.float64], NDArray[np.fl
     return across * spec.divergence_rad / 4.0, up * vertical / 4.0
 
 
-def _halo(spec: LidarSpec) -> float:
+def halo(spec: LidarSpec) -> float:
     """Return how far a ray may point from its beam's axis: divergence and five standard deviations of jitter, rad."""
     vertical = spec.divergence_rad if spec.divergence_vertical_rad is None else spec.divergence_vertical_rad
     widest = 0.5 * max(spec.divergence_rad, vertical) if spec.subrays > 1 else 0.0

@@ -32,11 +32,11 @@ class SweepNoise:
     normal: NDArray[np.float32]
     uniform: NDArray[np.float32]
 
-    def grid(self, row: int, columns: int) -> NDArray[np.float32]:
-        """Return (R, columns) numbers of one row."""
+    def grid(self, row: int, columns: int, rings: slice = slice(None)) -> NDArray[np.float32]:
+        """Return (R, columns) numbers of one row, or those of some rings."""
         table = self.normal if row <= UP else self.uniform
         windows = np.lib.stride_tricks.sliding_window_view(table, columns)
-        return windows[self.start[row]]
+        return windows[self.start[row, rings]]
 
 
 def draw_noise(beams: Beams, rng: np.random.Generator) -> SweepNoise:
