@@ -200,4 +200,4 @@ def guard_rails(streets: Streets) -> Piece:
     reach = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width + 1.5) for lane in fast])
     ring = streets.road.buffer(1.1) - streets.road.buffer(1.0)
     bars = ring & reach & shapely.box(*streets.window)
-    return slab(bars.simplify(0.03), streets.height, 0.75, "metal", "metal", -0.45)
+    return slab(streets.terrain.follow(bars.simplify(0.03)), streets.height, 0.75, "metal", "metal", -0.45)

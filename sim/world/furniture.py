@@ -63,9 +63,7 @@ def _base(streets: Streets, xy: Array) -> Array:
 def _mast(unit: Array, streets: Streets) -> Piece:
     """Return the mast below a roadside sensor, which itself stays free."""
     foot = _base(streets, unit[:2])
-    # In hilly country the ground that the unit's height counts from lies deeper than the road: see `roads.ground`.
-    clear_m = 0.25 if streets.flat else 2.0
-    return tube(foot, foot + np.array([0.0, 0.0, max(unit[2] - clear_m, 0.3)]), (0.09, 0.06), "metal", 8)
+    return tube(foot, foot + np.array([0.0, 0.0, max(unit[2] - 0.25, 0.3)]), (0.09, 0.06), "metal", 8)
 
 
 def _signals(streets: Streets, places: _Places) -> list[Piece]:

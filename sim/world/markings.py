@@ -4,7 +4,7 @@ import numpy as np
 import shapely
 
 from sim.world.roads import TOWN_SPEED_MPS
-from sim.world.solids import Array, Piece, strip
+from sim.world.solids import Array, Piece, carpet, strip
 from sim.world.streets import Lane, Streets
 
 LIFT_M = 0.01
@@ -23,12 +23,12 @@ def markings(streets: Streets) -> list[Piece]:
             lines += _zebra(lane)
         elif lane.kind == "road" and not lane.internal:
             lines += _lane_lines(lane)
-    pieces = []
-    for line, width in lines:
-        if frame.contains(shapely.LineString(line)):
-            left, right = offset(line, 0.5 * width), offset(line, -0.5 * width)
-            pieces.append(strip(left, right, streets.height, LIFT_M, "marking"))
-    return pieces
+    inside = [(line, width) for line, width in lines if frame.contains(shapely.LineString(line))]
+    bands = [(offset(line, 0.5 * width), offset(line, -0.5 * width)) for line, width in inside]
+    if streets.terrain.flat:
+        return [strip(left, right, streets.height, LIFT_M, "marking") for left, right in bands]
+    shapes = shapely.make_valid(np.array([shapely.Polygon([*left, *right[::-1]]) for left, right in bands]))
+    return [carpet(streets.terrain.cut(shapely.union_all(shapes)), streets.height, LIFT_M, "marking")]
 
 
 def _lane_lines(lane: Lane) -> list[tuple[Array, float]]:

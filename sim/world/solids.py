@@ -167,8 +167,10 @@ def carpet(shape: shapely.Geometry, height: Height, lift_m: float, material: str
     pieces = []
     for polygon in rings_of(shape):
         flat, faces = _triangles(polygon)
-        pieces.append(piece(np.column_stack([flat, height(flat) + lift_m]), faces, material))
-    return join(pieces)
+        pieces.append(piece(np.column_stack([flat, np.full(len(flat), lift_m)]), faces, material))
+    whole = join(pieces)
+    whole.vertices[:, 2] += height(whole.vertices[:, :2])
+    return whole
 
 
 def slab(shape: shapely.Geometry, height: Height, top_m: float, wall: str, top: str, depth_m: float = 0.0) -> Piece:

@@ -5,16 +5,14 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from sim.world.solids import Array
+from sim.world.terrain import Terrain, land
 
 Area = tuple[float, float, float, float]
 
 _ROAD_CLASSES = ("passenger", "delivery", "bus", "truck", "motorcycle", "taxi", "coach", "trailer")
 _WALK_WIDTH_M = 2.6
-_FLAT_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +59,7 @@ class Streets:
         road: polygon of the carriageways and of the junctions between them.
         walk: polygon of footways and crossings, where they do not lie on the road.
         rail: polygon of tracks off the road.
-        knots: lane points that carry the height, or None when the network is flat.
-        level: (K,) their heights, m; of length 1 when flat.
+        terrain: the land and the heights of all that stands on it.
     """
 
     area: Area
@@ -71,19 +68,11 @@ class Streets:
     road: shapely.Geometry
     walk: shapely.Geometry
     rail: shapely.Geometry
-    knots: cKDTree | None
-    level: Array
+    terrain: Terrain
 
     def height(self, xy: Array) -> Array:
-        """Return (N,) height of the road at (N, 2) places: that of the nearest point of a lane."""
-        if self.knots is None:
-            return np.full(len(xy), self.level[0])
-        return self.level[self.knots.query(np.asarray(xy, np.float64))[1]]
-
-    @property
-    def flat(self) -> bool:
-        """Whether all lanes lie on one level."""
-        return self.knots is None
+        """Return (N,) height of the road, or of the land between roads, at (N, 2) places."""
+        return self.terrain.height(xy)
 
 
 def read_streets(net: Any, area: Area | None, margin_m: float) -> Streets:
@@ -94,7 +83,7 @@ def read_streets(net: Any, area: Area | None, margin_m: float) -> Streets:
     frame = shapely.box(*window)
     edges = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() != "walkingarea"]
     lanes = []
-    points: list[NDArray[np.float64]] = []
+    lines: list[Array] = []
     for edge in sorted(edges, key=lambda edge: edge.getID()):
         opposite = _has_opposite(edge)
         kinds = [_kind(edge, lane) for lane in edge.getLanes()]
@@ -102,15 +91,15 @@ def read_streets(net: Any, area: Area | None, margin_m: float) -> Streets:
             line = np.array(lane.getShape3D(), np.float64)
             if len(line) < 2 or not frame.intersects(shapely.LineString(line[:, :2])):
                 continue
-            points.append(_resample(line))
+            lines.append(line)
             lanes.append(_lane(edge, lane, kinds, _without_repeats(line[:, :2]), opposite))
-    knots, level = _levels(points)
     road = _close(_cover(lanes, ("road", "bicycle")) | _junctions(net, frame)) & frame
     areas = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() == "walkingarea"]
     walk = _cover(lanes, ("walk",)) | _walking_areas(areas, frame)
     walk = _close(walk & frame) - road
     rail = (_cover(lanes, ("rail",)) & frame) - road - walk
-    return Streets(area, window, tuple(lanes), road, walk, rail, knots, level)
+    terrain = land(window, lines, shapely.union_all([road, walk, rail]))
+    return Streets(area, window, tuple(lanes), road, walk, rail, terrain)
 
 
 def _kind(edge: Any, lane: Any) -> str:
@@ -164,25 +153,9 @@ def _has_opposite(edge: Any) -> bool:
     return any(np.hypot(*(np.array(other.getLanes()[-1].getShape()[-1:]) - left)[0]) < reach for other in back)
 
 
-def _resample(line: Array, step_m: float = 2.0) -> Array:
-    """Return points of a (K, 3) line at most `step_m` apart."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], int(along[-1] / step_m) + 2)
-    return np.column_stack([np.interp(at, along, line[:, k]) for k in range(3)])
-
-
 def _without_repeats(line: Array) -> Array:
     keep = np.concatenate([[True], np.hypot(*np.diff(line, axis=0).T) > 1e-3])
     return line[keep] if keep.sum() > 1 else line + np.array([[0.0, 0.0]] * (len(line) - 1) + [[1e-2, 0.0]])
-
-
-def _levels(points: list[Array]) -> tuple[cKDTree | None, Array]:
-    if not points:
-        return None, np.zeros(1)
-    stacked = np.concatenate(points)
-    if np.ptp(stacked[:, 2]) < _FLAT_M:
-        return None, stacked[:1, 2].copy()
-    return cKDTree(stacked[:, :2]), stacked[:, 2].copy()
 
 
 def _cover(lanes: list[Lane], kinds: tuple[str, ...]) -> shapely.Geometry:

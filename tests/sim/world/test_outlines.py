@@ -17,6 +17,7 @@ from sim.world.materials import material_index
 from sim.world.outlines import outlined, read_outlines
 from sim.world.solids import join, to_mesh
 from sim.world.streets import Streets, read_streets
+from sim.world.terrain import level_land
 
 SHIPPED = sumo_tools() / "game" / "A10KW" / "osm.poly.xml"
 SQUARE = "0,0 20,0 20,20 0,20 0,0"
@@ -36,7 +37,7 @@ def poly(shape: str = SQUARE, kind: str = "building.yes", **params: str) -> str:
 def open_field(road: shapely.Geometry | None = None) -> Streets:
     """Return a flat window of 200 m without lanes but with a road."""
     nothing, window = shapely.Polygon(), (-100.0, -100.0, 100.0, 100.0)
-    return Streets(window, window, (), road or nothing, nothing, nothing, None, np.zeros(1))
+    return Streets(window, window, (), road or nothing, nothing, nothing, level_land(window, 0.0))
 
 
 def seed(number: int = 0) -> np.random.Generator:
