@@ -96,14 +96,12 @@ class RayScene:
         Where a ray hits, `Hits.face` counts the triangles around its origin: in a world of tiles not those of the mesh.
         """
         origins = np.asarray(origins, np.float64).reshape(-1, 3)
-        directions = np.asarray(directions, np.float32).reshape(-1, 3)
+        rays = np.asarray(directions, np.float32).reshape(-1, 3)
         reach = np.full(len(origins), reach_m, np.float32)
         hits = Hits(reach.copy(), np.full(len(origins), -1, np.int32), np.zeros(len(origins), np.float32))
         for rows in together(origins[:, :2]):
             solid = self._world.around(origins[rows, :2], reach_m)
-            some = self.engine.cast(
-                solid, (origins[rows] - solid.origin).astype(np.float32), directions[rows], reach[rows]
-            )
+            some = self.engine.cast(solid, (origins[rows] - solid.origin).astype(np.float32), rays[rows], reach[rows])
             hits.distance[rows], hits.face[rows], hits.cosine[rows] = some.distance, some.face, some.cosine
         return hits
 
