@@ -56,8 +56,16 @@ def _progress() -> "Iterator[Progress]":
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns) as progress:
+    progress = Progress(*columns)
+    progress.start()
+    try:
         yield progress
+    except BaseException:
+        # What went wrong is not told below an empty bar.
+        progress.live.transient = not any(task.completed for task in progress.tasks)
+        progress.live.stop()
+        raise
+    progress.stop()
 
 
 @app.command(name="scenarios")
@@ -97,6 +105,7 @@ def generate(
     frames: int = 100,
     seed: int | None = None,
     interval: float = 0.1,
+    motion: Literal["middle", "start", "end", "raw"] = "middle",
 ) -> None:
     """Simulate one drive, scan it with every agent's LiDAR and write it as an OPV2V tree.
 
@@ -108,6 +117,7 @@ def generate(
         frames: synchronised frames to write.
         seed: of everything random in the drive; default: the scenario's own.
         interval: seconds between written frames, a multiple of the LiDAR's 0.1 s.
+        motion: the sensors' own motion is compensated to the middle, start or end of their sweeps, or not (raw).
     """
     from dsrc.data.generate import generate as make_drive
     from sim.scenario import load_scenario
@@ -122,6 +132,7 @@ def generate(
             frames=frames,
             seed=seed,
             interval_s=interval,
+            motion=motion,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     _say(str(drive))

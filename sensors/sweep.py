@@ -175,8 +175,6 @@ def make_sweep(
     world_from_lidar: NDArray[np.float64] | None = None,
     time_s: float = 0.0,
     spec: LidarSpec | None = None,
-    path: Path | None = None,
-    motion: Motion = "middle",
     **columns: NDArray,
 ) -> Sweep:
     """Make a sweep from (P, 3) points; columns left out are zero, or `STATIC` for the object."""
@@ -196,7 +194,7 @@ def make_sweep(
     unknown = set(columns) - set(dtypes)
     if unknown:
         raise TypeError(f"unknown sweep columns: {sorted(unknown)}")
-    filled = {
+    filled: dict[str, Any] = {
         name: np.asarray(columns[name], dtype) if name in columns else np.full(n, defaults.get(name, 0), dtype)
         for name, dtype in dtypes.items()
     }
@@ -206,8 +204,6 @@ def make_sweep(
         world_from_lidar=pose,
         time_s=time_s,
         spec=spec,
-        path=path,
-        motion=motion,
         **filled,
     )
 

@@ -109,6 +109,14 @@ def test_a_file_where_a_folder_should_be_is_named(data: Path, tmp_path: Path, re
     assert "taken" in refused("train", "debug", "--data", data, "--out", tmp_path / "taken", "--stage", "plain")
 
 
+def test_a_folder_that_cannot_be_is_told_without_an_empty_bar(capsys: pytest.CaptureFixture[str]) -> None:
+    for wrong in (("--out", "/proc/nowhere"), ("--out", "/tmp", "--frames", "0")):
+        with pytest.raises(SystemExit):
+            main(["generate", "four_way", *wrong])
+        said = capsys.readouterr()
+        assert said.out == "" and said.err.count("\n") == 1
+
+
 def test_a_scenario_with_a_typo_is_named_with_the_right_word(tmp_path: Path, refused: Callable[..., str]) -> None:
     source = Path(__file__).parents[1] / "scenarios" / "four_way" / "scenario.toml"
     path = tmp_path / "scenario.toml"

@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 from dsrc.data.opv2v import PROTOCOL, frame_files
 from dsrc.data.yamlio import emit, read_yaml
@@ -22,12 +23,11 @@ def locked(drive: Path) -> Iterator[None]:
     """Hold the folder for this process; the system lets go of it when the process dies, however it dies.
 
     Raises:
-        DataError: another process holds it.
+        DataError: another process holds it, or there can be no such folder.
     """
-    drive.mkdir(parents=True, exist_ok=True)
     path = drive / LOCK
     while True:
-        with path.open("a+") as file:
+        with _opened(path) as file:
             if fcntl is not None:
                 try:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -45,6 +45,15 @@ def locked(drive: Path) -> Iterator[None]:
             finally:
                 path.unlink(missing_ok=True)
             return
+
+
+def _opened(path: Path) -> TextIO:
+    """Open a file for reading and appending, in a folder that is made if it is missing."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("a+")
+    except OSError as error:
+        raise DataError(f"{path.parent}: cannot write in this folder: {error.strerror}") from None
 
 
 def write_protocol(drive: Path, protocol: dict) -> None:

@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
 from dsrc.data.opv2v import write_frame
+from sensors.deskew import check_motion
 from sensors.frame import Frame
 from sensors.presets import scenario_lidars
+from sensors.sweep import Motion
 from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario, load_scenario
+from sim.world.materials import MATERIALS
 
-FORMAT = 1
+FORMAT = 2
 TRAFFIC_LOG = "traffic.npz"
 _log = logging.getLogger(__name__)
 
@@ -54,6 +57,7 @@ def generate(
     interval_s: float = 0.1,
     progress: Progress | None = None,
     connected_vehicles: bool = True,
+    motion: Motion = "middle",
 ) -> Path:
     """Simulate, scan and write one drive; start it again to go on after a stop.
 
@@ -65,6 +69,7 @@ def generate(
         interval_s: time between frames, s.
         progress: called after every frame.
         connected_vehicles: list other agents' bodies among an agent's `vehicles`.
+        motion: how the sensors' motion is compensated in the files; a reader can ask for another.
 
     Returns:
         The folder of the drive.
@@ -79,6 +84,7 @@ def generate(
         raise SettingsError(complaint("generate", "frames", "at least 1", frames))
     if seed < 0:
         raise SettingsError(complaint("generate", "seed", "at least 0", seed))
+    check_motion(motion)
     scenario_lidars(scenario)  # a typo is told before the traffic runs
     steps = interval_s / scenario.step_s
     if not (math.isfinite(steps) and interval_s > 0 and abs(steps - round(steps)) < 1e-6):
@@ -96,6 +102,8 @@ def generate(
         "frames": int(frames),
         "interval_s": float(interval_s),
         "connected_vehicles": bool(connected_vehicles),
+        "motion": motion,
+        "materials": [material.name for material in MATERIALS],
         "axes": "CARLA: y mirrored, angles in degrees, half extents",
     }
     from dsrc.data.live import open_live
@@ -110,7 +118,8 @@ def write_drive(drive: Path, settings: dict, open_source: Opener, progress: Prog
 
     Args:
         drive: its folder.
-        settings: what made it, plain values; must hold `frames`, `interval_s`, `seed` and `connected_vehicles`.
+        settings: what made it, plain values; must hold `frames`, `interval_s`, `seed`, `connected_vehicles` and
+            `motion`.
         open_source: opens the frames; not called when the drive is finished.
         progress: called once at the start and after every frame.
     """
@@ -136,7 +145,9 @@ def write_drive(drive: Path, settings: dict, open_source: Opener, progress: Prog
                     if found is None:
                         found = settings
                         write_protocol(drive, _protocol(settings, frame))
-                    write_frame(drive, frame, settings["connected_vehicles"], source.plans(i))
+                    write_frame(
+                        drive, frame, settings["connected_vehicles"], source.plans(i), motion=settings["motion"]
+                    )
                     done += 1
                     report(done, frames)
         remove_leftovers(drive)

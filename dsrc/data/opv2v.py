@@ -3,12 +3,17 @@
 A folder of drives is a split, a drive holds one folder per agent (the object id of a vehicle, a negative number for
 a roadside unit) and `data_protocol.yaml`. Trees that others made are read too; what they do not say is filled in:
 all objects are cars, and an agent has at least one point on everything that it has annotated.
+
+Points are written in the frame that their sweep has (`Sweep.motion`), `lidar_pose` is that frame, and the record says
+which it is together with the sensor's path, so that a reader can ask for another. Boxes are those of the frame's time
+(the middle of its sweeps) whatever the points.
 """
 
 import hashlib
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +22,9 @@ from numpy.typing import NDArray
 from dsrc.data.opv2v_record import Annotation, Record, encode_agent, read_agent
 from dsrc.data.pcd import encode_pcd, read_pcd
 from dsrc.data.yamlio import read_yaml
+from sensors.deskew import check_motion, deskew, deskew_frame
 from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
+from sensors.sweep import Motion, Sweep
 from sim.boxes import Boxes, concatenate
 from sim.errors import DataError, complaint, did_you_mean
 
@@ -38,6 +45,7 @@ def write_frame(
     frame: Frame,
     connected_vehicles: bool = True,
     plans: dict[int, NDArray[np.float64]] | None = None,
+    motion: Motion | None = None,
 ) -> None:
     """Write one frame of all agents; every file appears completely or not at all.
 
@@ -46,7 +54,12 @@ def write_frame(
         frame: the frame; its number becomes the file name.
         connected_vehicles: list other agents' bodies among an agent's vehicles, as any other vehicle.
         plans: per agent (K, 3) x, y in the world, m, and speed, m/s, of its coming way.
+        motion: how the sensors' motion is compensated in the files; None leaves the sweeps as they are.
+
+    Raises:
+        DataError: a sweep cannot be given so, because its path or its firing times are unknown.
     """
+    frame = frame if motion is None else deskew_frame(frame, motion)
     contents: dict[Path, bytes] = {}
     for row, agent in enumerate(frame.agents):
         points, notes = frame_files(drive, [agent.agent_id], frame.index)
@@ -60,9 +73,9 @@ def write_frame(
         path.with_name(path.name + ".tmp").replace(path)
 
 
-def read_frame(drive: Path, index: int) -> Frame:
+def read_frame(drive: Path, index: int, motion: Motion | None = None) -> Frame:
     """Read the frame of this number; see `DriveReader` for many."""
-    reader = DriveReader(drive)
+    reader = DriveReader(drive, motion)
     if index not in reader.frames:
         span = f"{reader.frames[0]} to {reader.frames[-1]}" if reader.frames else "no frames"
         raise DataError(complaint(drive, "frame", span, index))
@@ -74,17 +87,22 @@ class DriveReader:
 
     Attributes:
         drive: its folder.
+        motion: how the sensors' motion is compensated in the frames; None as in the files.
         agents: ids of the agents, in the order of their folders, roadside units last.
         frames: numbers of the frames, ascending.
     """
 
-    def __init__(self, drive: Path) -> None:
+    def __init__(self, drive: Path, motion: Motion | None = None) -> None:
         """Look at the folder; no frame is read yet.
 
         Raises:
             DataError: there is no drive here, an agent's folder or a frame of an agent is missing.
+            SettingsError: there is no such motion.
         """
+        if motion is not None:
+            check_motion(motion)
         self.drive = Path(drive)
+        self.motion = motion
         self.protocol = read_yaml(self.drive / PROTOCOL) if (self.drive / PROTOCOL).exists() else {}
         self.agents = tuple(self._agents())
         self._stems = self._timestamps()
@@ -94,7 +112,12 @@ class DriveReader:
         return len(self.frames)
 
     def read(self, i: int) -> Frame:
-        """Read the i-th frame (a position in `frames`, not the number in a file's name)."""
+        """Read the i-th frame (a position in `frames`, not the number in a file's name).
+
+        Raises:
+            DataError: a file is missing or broken, or does not say what another motion than its own needs: files
+                written before paths were kept, and those of other tools, can only be read as they are.
+        """
         stem = self._stems[i]
         notes = [read_agent(self.drive / str(agent) / f"{stem}.yaml") for agent in self.agents]
         records = [note for note in notes if isinstance(note, Record)]
@@ -152,6 +175,7 @@ class DriveReader:
                 raise DataError(f"{path.with_suffix('.yaml')}: testbed: differs from agent {self.agents[0]}'s truth")
             pose = np.array(record.world_from_lidar, np.float64)
             sweep = read_pcd(path, pose, record.sweep_time_s, record.lidar)
+            sweep = self._compensated(path, replace(sweep, path=record.lidar_path(), motion=record.motion))
             body = np.array(record.world_from_body, np.float64)
             agents.append(AgentFrame(agent_id, record.kind, body, record.speed_mps, sweep))
         return Frame(
@@ -168,7 +192,8 @@ class DriveReader:
         time_s = int(stem) * self._tick_s()
         agents, points_on = [], np.zeros((len(notes), len(truth)), np.int32)
         for row, (agent_id, note) in enumerate(zip(self.agents, notes, strict=True)):
-            sweep = read_pcd(self.drive / str(agent_id) / f"{stem}.pcd", note.world_from_lidar, time_s)
+            path = self.drive / str(agent_id) / f"{stem}.pcd"
+            sweep = self._compensated(path, read_pcd(path, note.world_from_lidar, time_s))
             kind: AgentKind = "roadside" if agent_id < 0 else "vehicle"
             agents.append(AgentFrame(agent_id, kind, note.world_from_body, note.speed, sweep))
             listed = np.isin(truth.object_id, note.boxes.object_id)
@@ -176,6 +201,14 @@ class DriveReader:
             # An annotation means that a ray has hit the object, even if no point of the file lies in its box.
             points_on[row, listed] = np.maximum(counts, 1)
         return Frame(int(stem), time_s, tuple(agents), truth, velocity, points_on)
+
+    def _compensated(self, path: Path, sweep: Sweep) -> Sweep:
+        if self.motion is None:
+            return sweep
+        try:
+            return deskew(sweep, self.motion)
+        except DataError as error:
+            raise DataError(f"{path}: cannot be read as '{self.motion}': {error}") from None
 
     def _tick_s(self) -> float:
         world = self.protocol.get("world", {})

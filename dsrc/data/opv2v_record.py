@@ -10,6 +10,7 @@ Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.
 import math
 import zlib
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +20,9 @@ from numpy.typing import NDArray
 
 from dsrc.data.yamlio import emit, parse_yaml, read_text
 from sensors.frame import AgentKind, Frame
+from sensors.motion import Path as LidarPath
 from sensors.spec import LidarSpec
+from sensors.sweep import Motion
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, SettingsError, complaint
 from sim.geometry import carla_from_matrix, matrix_from_carla, wrap_angle
@@ -31,7 +34,15 @@ _Id = Annotated[int, msgspec.Meta(gt=-_ID_LIMIT, lt=_ID_LIMIT)]
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The JSON under `testbed`: N objects, in the order of `Frame.truth`."""
+    """The JSON under `testbed`: N objects, in the order of `Frame.truth`.
+
+    Trees written before `motion` and `path` were kept lack both; their points are those of the middle of the sweep.
+
+    Attributes:
+        motion: how the points beside this record are compensated, see `sensors.sweep.Motion`.
+        path: true way of the LiDAR in our world through the sweep: time, s, x, y, z, m, yaw, pitch, roll, rad, without
+            jumps of a full turn; empty when nobody knows.
+    """
 
     version: int
     check: int
@@ -49,6 +60,15 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     box: list[tuple[float, float, float, float, float, float, float]]
     velocity: list[tuple[float, float]]
     points_on: list[Annotated[int, msgspec.Meta(ge=0, lt=2**31)]]
+    motion: Motion = "middle"
+    path: list[tuple[float, float, float, float, float, float, float]] = []
+
+    def lidar_path(self) -> LidarPath | None:
+        """Return the way of the LiDAR exactly as it was written."""
+        if not self.path:
+            return None
+        knots = np.array(self.path, np.float64)
+        return LidarPath(knots[:, 0].copy(), knots[:, 1:4].copy(), knots[:, 4:].copy())
 
     def truth(self) -> Boxes:
         """Return the boxes exactly as they were written."""
@@ -89,7 +109,7 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
     """
     agent = frame.agents[row]
     numbers = (frame.truth.array, frame.velocity, agent.world_from_body, agent.sweep.world_from_lidar)
-    if not all(np.isfinite(n).all() for n in numbers):
+    if not all(np.isfinite(n).all() for n in (*numbers, _knots(agent.sweep.path))):
         raise ValueError(f"frame {frame.index}: a box, velocity or pose is not finite")
     body = carla_from_matrix(agent.world_from_body).tolist()
     plan = np.zeros((0, 3)) if plan is None else plan
@@ -127,7 +147,16 @@ def _record(frame: Frame, row: int, check: int) -> Record:
         box=truth.array.tolist(),
         velocity=frame.velocity.tolist(),
         points_on=frame.points_on[row].tolist(),
+        motion=agent.sweep.motion,
+        path=_knots(agent.sweep.path).tolist(),
     )
+
+
+def _knots(path: LidarPath | None) -> NDArray[np.float64]:
+    """Return (K, 7) rows of `Record.path`."""
+    if path is None:
+        return np.zeros((0, 7))
+    return np.concatenate([path.time_s[:, None], path.xyz, path.angles], axis=1)
 
 
 def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> dict[int, dict[str, Any]]:
@@ -182,6 +211,9 @@ def _checked(path: Path, record: Record) -> Record:
     for name in ("world_from_body", "world_from_lidar"):
         if [len(r) for r in getattr(record, name)] != [4, 4, 4, 4]:
             raise DataError(complaint(path, f"testbed.{name}", "4 rows of 4 numbers", getattr(record, name)))
+    times = [knot[0] for knot in record.path]
+    if len(times) == 1 or any(b <= a for a, b in pairwise(times)):
+        raise DataError(complaint(path, "testbed.path", "none or at least two poses, times ascending", times))
     flat = next((i for i, box in zip(record.object_id, record.box, strict=True) if min(box[3:6]) <= 0.0), None)
     if flat is not None:
         raise DataError(complaint(path, f"testbed.box of object {flat}", "positive sizes", "a size of 0 or less"))

@@ -33,6 +33,8 @@ _RECORD = np.dtype(
         ("object_id", "<i4"),
         ("return", "u1"),
         ("fate", "u1"),
+        ("material", "u1"),
+        ("cosine", "<f4"),
     ]
 )
 _COLUMNS = {
@@ -43,8 +45,10 @@ _COLUMNS = {
     "object_id": "object_id",
     "return": "return_number",
     "fate": "fate",
+    "material": "material",
+    "cosine": "cosine",
 }
-"""Field of the file -> column of `Sweep`."""
+"""Field of the file -> column of `Sweep`; `material` counts in the order of `sim.world.materials.MATERIALS`."""
 
 
 def encode_table(table: NDArray[np.void]) -> bytes:
@@ -120,7 +124,7 @@ def read_pcd(
     time_s: float = 0.0,
     spec: LidarSpec | None = None,
 ) -> Sweep:
-    """Read a sweep from our files or those of OPV2V; columns that the file lacks are zero.
+    """Read a sweep from our files or those of OPV2V; columns that the file lacks are those of `make_sweep`.
 
     Args:
         path: a PCD file with x, y, z and `intensity` or `rgb`.

@@ -10,6 +10,7 @@ import pytest
 from dsrc.data.drive_folder import LOCK, locked
 from dsrc.data.generate import write_drive
 from dsrc.data.opv2v import DriveReader
+from sensors.deskew import deskew_frame
 from sim.errors import DataError
 from tests.dsrc.data.toy import SETTINGS, ToySource, same_frames, toy_frame
 
@@ -66,6 +67,21 @@ def test_a_log_of_unknown_settings_is_not_replayed(tmp_path: Path):
 def test_other_settings_are_refused_by_name(drive: Path):
     with pytest.raises(DataError, match=r"data_protocol.yaml: seed: expected 4 as asked for now, found 3"):
         write_drive(drive, {**SETTINGS, "seed": 4}, ToySource().open)
+
+
+def test_a_drive_is_written_in_the_motion_asked_for_and_in_no_other_afterwards(tmp_path: Path):
+    write_drive(tmp_path / "d", {**SETTINGS, "motion": "raw"}, ToySource().open)
+    assert DriveReader(tmp_path / "d").protocol["testbed"]["motion"] == "raw"
+    assert same_frames(DriveReader(tmp_path / "d").read(3), deskew_frame(toy_frame(3), "raw"))
+    with pytest.raises(DataError, match=r"data_protocol.yaml: motion: expected 'middle' as asked for now, found raw"):
+        write_drive(tmp_path / "d", SETTINGS, ToySource().open)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path):
+    (tmp_path / "taken").write_text("a file")
+    for place in (tmp_path / "taken" / "d", Path("/proc/nowhere/d")):
+        with pytest.raises(DataError, match=f"{place}: cannot write in this folder: "):
+            write_drive(place, SETTINGS, ToySource().open)
 
 
 def test_a_second_run_in_the_same_folder_is_refused(tmp_path: Path):

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from dsrc.data.generate import generate
@@ -81,9 +82,23 @@ def test_a_killed_generate_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path
     assert tree(killed) == tree(drive)
 
 
+def test_a_generated_drive_knows_the_way_of_its_sensors(drive: Path):
+    middle, raw = (DriveReader(drive, motion).read(1) for motion in ("middle", "raw"))
+    fast = max(middle.agents, key=lambda agent: agent.speed)
+    assert fast.speed > 3.0
+    bent, straight = raw.agent(fast.agent_id).sweep, fast.sweep
+    np.testing.assert_allclose(bent.world_points, straight.world_points, atol=2e-5)
+    # The first and the last column are half a sweep away from the middle.
+    moved = np.linalg.norm(bent.points - straight.points, axis=1).max()
+    assert 0.4 * 0.1 * fast.speed < moved
+    np.testing.assert_allclose(raw.agents[-1].sweep.points, middle.agents[-1].sweep.points, atol=1e-6)
+
+
 def test_another_seed_or_interval_never_mixes_into_a_drive(drive: Path):
     with pytest.raises(DataError, match=r"interval_s: expected 0.1 as asked for now, found 0.2"):
         generate(quick(), drive.parent, FRAMES, seed=5, interval_s=0.1)
+    with pytest.raises(DataError, match=r"motion: expected 'end' as asked for now, found middle"):
+        generate(quick(), drive.parent, FRAMES, seed=5, interval_s=0.2, motion="end")
     other = msgspec.structs.replace(quick(), warmup_s=31.0)
     with pytest.raises(DataError, match=r"scenario.warmup_s: expected 31.0 as asked for now, found 30.0"):
         generate(other, drive.parent, FRAMES, seed=5, interval_s=0.2)
@@ -94,4 +109,6 @@ def test_settings_out_of_range_are_refused_before_anything_is_made(tmp_path: Pat
         generate(quick(), tmp_path, 0)
     with pytest.raises(SettingsError, match="interval_s: expected a positive multiple"):
         generate(quick(), tmp_path, 1, interval_s=0.07)
+    with pytest.raises(SettingsError, match="motion: expected a compensation, found stat; did you mean 'start'"):
+        generate(quick(), tmp_path, 1, motion="stat")  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())

@@ -2,6 +2,7 @@ import json
 import math
 import re
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,13 @@ import yaml
 from dsrc.data.drive_folder import write_protocol
 from dsrc.data.opv2v import DriveReader, data_hash, find_drives, read_frame, write_frame
 from dsrc.data.opv2v_record import upright_boxes
+from dsrc.data.pcd import read_pcd
+from sensors.deskew import deskew_frame
 from sensors.frame import Frame
+from sensors.sweep import MOTIONS, Motion
 from sim.boxes import Boxes
-from sim.errors import DataError
-from sim.geometry import matrix_from_carla
+from sim.errors import DataError, SettingsError
+from sim.geometry import matrix_from_carla, transform_points
 from tests.dsrc.data import goldens
 from tests.dsrc.data.toy import same_frames, toy_frame
 
@@ -92,6 +96,94 @@ def test_connected_vehicles_can_be_left_out(tmp_path: Path):
     write_frame(tmp_path / "d", toy_frame(0), connected_vehicles=False)
     assert set(plain(tmp_path / "d" / "-1" / "000000.yaml")["vehicles"]) == {1001, 1004}
     assert same_frames(read_frame(tmp_path / "d", 0), toy_frame(0))
+
+
+@pytest.mark.parametrize("written", MOTIONS)
+@pytest.mark.parametrize("wanted", MOTIONS)
+def test_a_drive_written_in_one_motion_reads_in_any_other(tmp_path: Path, written: Motion, wanted: Motion):
+    write_frame(tmp_path / "d", toy_frame(1), motion=written)
+    assert read_frame(tmp_path / "d", 1).agents[0].sweep.motion == written
+    frame, expected = read_frame(tmp_path / "d", 1, wanted), deskew_frame(toy_frame(1), wanted)
+    for mine, other in zip(frame.agents, expected.agents, strict=True):
+        assert mine.sweep.motion == wanted and mine.sweep.time_s == pytest.approx(other.sweep.time_s, abs=1e-12)
+        np.testing.assert_allclose(mine.sweep.points, other.sweep.points, atol=5e-5)
+        np.testing.assert_allclose(mine.sweep.world_from_lidar, other.sweep.world_from_lidar, atol=1e-9)
+        np.testing.assert_allclose(mine.sweep.time_offset, other.sweep.time_offset, atol=1e-8)
+    assert np.array_equal(frame.truth.array, toy_frame(1).truth.array) and frame.time_s == toy_frame(1).time_s
+
+
+def test_a_frame_keeps_the_way_of_its_sensors_and_their_motion(tmp_path: Path):
+    frame = deskew_frame(toy_frame(2), "raw")
+    write_frame(tmp_path / "d", frame)
+    assert same_frames(read_frame(tmp_path / "d", 2), frame)
+    assert same_frames(read_frame(tmp_path / "d", 2, "raw"), frame)
+
+
+@pytest.mark.parametrize(("motion", "after"), [("start", -0.05), ("middle", 0.0), ("end", 0.05), ("raw", 0.0)])
+def test_lidar_pose_is_the_frame_of_the_points(tmp_path: Path, motion: Motion, after: float):
+    sweep = toy_frame(1).agents[0].sweep
+    write_frame(tmp_path / "d", toy_frame(1), motion=motion)
+    pose = matrix_from_carla(plain(tmp_path / "d" / "1000" / "000001.yaml")["lidar_pose"])
+    np.testing.assert_allclose(pose, sweep.path.at(np.array([sweep.time_s + after]))[0], atol=1e-9)
+    if motion != "raw":
+        points = read_pcd(tmp_path / "d" / "1000" / "000001.pcd").points.astype(np.float64)
+        np.testing.assert_allclose(transform_points(pose, points), sweep.world_points, atol=5e-5)
+
+
+def record_of(path: Path) -> tuple[dict, str]:
+    line, _, rest = path.read_text().partition("\n")
+    return json.loads(line.removeprefix("testbed: '").removesuffix("'")), rest
+
+
+def age(drive: Path) -> None:
+    """Make the drive one that was written before records kept the sensors' paths."""
+    for path in drive.glob("*/*.yaml"):
+        record, rest = record_of(path)
+        del record["motion"], record["path"]
+        path.write_text(f"testbed: '{json.dumps(record)}'\n{rest}")
+
+
+@pytest.mark.parametrize("older", [age, strip])
+@pytest.mark.parametrize("motion", ["start", "end", "raw"])
+def test_a_drive_without_paths_reads_as_it_is_and_not_otherwise(drive: Path, older: Callable, motion: Motion):
+    older(drive)
+    plainly, middle = DriveReader(drive).read(0), DriveReader(drive, "middle").read(0)
+    assert plainly.agents[0].sweep.path is None and plainly.agents[0].sweep.motion == "middle"
+    assert np.array_equal(plainly.agents[0].sweep.points, toy_frame(0).agents[0].sweep.points)
+    assert same_frames(plainly, middle)
+    with pytest.raises(DataError, match=rf"1000/000000.pcd: cannot be read as '{motion}': sweep: path: ") as caught:
+        DriveReader(drive, motion).read(0)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_motion_with_a_typo_is_named_before_anything_is_read(drive: Path):
+    with pytest.raises(SettingsError, match="did you mean 'raw'"):
+        DriveReader(drive, "row")  # type: ignore[arg-type]
+
+
+def test_a_sweep_without_a_path_cannot_be_written_in_another_motion(tmp_path: Path):
+    frame = toy_frame(0)
+    frame = frame.with_sweeps([replace(agent.sweep, path=None) for agent in frame.agents])
+    with pytest.raises(DataError, match="frame 0: agent 1000: sweep: path"):
+        write_frame(tmp_path / "d", frame, motion="raw")
+    assert not (tmp_path / "d").exists()
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ([[0.0] * 7], "testbed.path: expected none or at least two poses, times ascending"),
+        ([[0.1] + [0.0] * 6, [0.1] + [0.0] * 6], "testbed.path: expected none or at least two poses"),
+        ([[0.0] * 6, [0.1] * 6], "testbed: damaged record"),
+    ],
+)
+def test_a_path_that_is_none_gets_one_line(drive: Path, path: list, message: str):
+    notes = drive / "1000" / "000000.yaml"
+    record, rest = record_of(notes)
+    notes.write_text(f"testbed: '{json.dumps({**record, 'path': path})}'\n{rest}")
+    with pytest.raises(DataError) as caught:
+        DriveReader(drive).read(0)
+    assert f"{notes}: {message}" in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_drive_without_our_record_reads_as_plain_opv2v(drive: Path):
@@ -207,8 +299,7 @@ def test_an_edited_or_damaged_record_is_not_believed(drive: Path):
 )
 def test_a_record_with_an_impossible_number_gets_one_line(drive: Path, field: str, change: object):
     path = drive / "1000" / "000000.yaml"
-    line, _, rest = path.read_text().partition("\n")
-    record = json.loads(line.removeprefix("testbed: '").removesuffix("'"))
+    record, rest = record_of(path)
     record[field][0] = change
     path.write_text(f"testbed: '{json.dumps(record)}'\n{rest}")
     with pytest.raises(DataError, match=rf"000000.yaml: testbed.*{field}") as caught:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dsrc.data.pcd import encode_table, read_pcd, read_table, write_pcd
-from sensors.sweep import POINT_FIELDS, make_sweep
+from sensors.sweep import POINT_FIELDS, UNKNOWN_MATERIAL, make_sweep
 from sim.errors import DataError
 from tests.dsrc.data.toy import toy_frame
 
@@ -70,10 +70,10 @@ def test_intensity_of_0_to_255_is_scaled_when_there_is_no_colour(tmp_path: Path)
     assert read_pcd(tmp_path / "a.pcd").intensity.tolist() == [0.0, 1.0]
 
 
-@pytest.mark.parametrize("cut", [1, 35, 36 * 400, 36 * 400 + 5, 36 * 400 + 200])
+@pytest.mark.parametrize("cut", [1, 40, 41 * 400, 41 * 400 + 5, 41 * 400 + 200])
 def test_a_truncated_file_is_named(written: Path, cut: int):
     written.write_bytes(written.read_bytes()[:-cut])
-    with pytest.raises(DataError, match=r"000000.pcd: (DATA: expected 14400 bytes for 400 points|header)") as caught:
+    with pytest.raises(DataError, match=r"000000.pcd: (DATA: expected 16400 bytes for 400 points|header)") as caught:
         read_pcd(written)
     assert "\n" not in str(caught.value)
 
@@ -110,6 +110,17 @@ def test_a_broken_file_gets_one_line_that_names_the_field(tmp_path: Path, old: s
         read_pcd(tmp_path / "broken.pcd")
     assert str(caught.value).startswith(f"{tmp_path / 'broken.pcd'}: ") and message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_without_the_newer_fields_reads_as_before(written: Path):
+    sweep, table = toy_frame(0).agents[0].sweep, read_table(written)
+    older = table.dtype.names[:-2]
+    assert table.dtype.names == (*older, "material", "cosine")
+    written.write_bytes(encode_table(np.array(table[list(older)].tolist(), [(n, table.dtype[n]) for n in older])))
+    back = read_pcd(written)
+    assert (back.material == UNKNOWN_MATERIAL).all() and not back.cosine.any()
+    for name in POINT_FIELDS[:-2]:
+        assert np.array_equal(getattr(back, name), getattr(sweep, name)), name
 
 
 def test_infinite_intensity_and_a_missing_file_are_refused(written: Path):

@@ -3,15 +3,18 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from sensors.frame import AgentFrame, Frame, count_points
+from sensors.motion import Path as SensorPath
 from sensors.spec import LidarSpec
-from sensors.sweep import POINT_FIELDS, make_sweep
+from sensors.sweep import POINT_FIELDS, UNKNOWN_MATERIAL, make_sweep
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import invert, pose_matrix, transform_points
+from sim.world.materials import MATERIALS
 
 SPEC = LidarSpec(name="toy", elevation_deg=(2.0, -3.0, -10.0), columns=100, source="a toy")
 IDS = np.array([1000, 1001, 1002, 1003, 1004, 1005])
@@ -74,8 +77,18 @@ def _agent(agent_id, truth, body, lidar, rng, points, time_s):
         object_id=np.where(target < 0, -1, IDS[target]),
         return_number=rng.integers(1, 3, points),
         fate=rng.integers(0, 4, points),
+        material=np.where(rng.random(points) < 0.1, UNKNOWN_MATERIAL, rng.integers(0, len(MATERIALS), points)),
+        cosine=rng.random(points, dtype=np.float32),
     )
-    return AgentFrame(agent_id, kind, body, 7.25, sweep)
+    return AgentFrame(agent_id, kind, body, 7.25, replace(sweep, path=path_at(lidar, time_s, agent_id)))
+
+
+def path_at(lidar: np.ndarray, time_s: float, agent_id: int) -> SensorPath:
+    """Vehicles drive a curve, the roadside unit stands."""
+    times = np.array([-0.2, 0.0, 0.2])
+    speed, turn = (0.0, 0.0) if agent_id < 0 else (7.25, 0.5)
+    way = pose_matrix(np.stack([speed * times, 0 * times, 0 * times], 1), turn * times)
+    return SensorPath.through(time_s + times, lidar @ way)
 
 
 def same_frames(a: Frame, b: Frame) -> bool:
@@ -90,6 +103,10 @@ def same_frames(a: Frame, b: Frame) -> bool:
             return False
         arrays += [(one.world_from_body, two.world_from_body)]
         arrays += [(one.sweep.world_from_lidar, two.sweep.world_from_lidar)]
+        if one.sweep.motion != two.sweep.motion or (one.sweep.path is None) != (two.sweep.path is None):
+            return False
+        if one.sweep.path is not None:
+            arrays += [(getattr(one.sweep.path, n), getattr(two.sweep.path, n)) for n in ("time_s", "xyz", "angles")]
         arrays += [(getattr(one.sweep, name), getattr(two.sweep, name)) for name in POINT_FIELDS]
     return all(x.dtype == y.dtype and np.array_equal(x, y) for x, y in arrays)
 
@@ -114,4 +131,4 @@ class ToySource:
         yield self
 
 
-SETTINGS = {"format": 1, "seed": 3, "frames": 5, "interval_s": 0.1, "connected_vehicles": True}
+SETTINGS = {"format": 1, "seed": 3, "frames": 5, "interval_s": 0.1, "connected_vehicles": True, "motion": "middle"}
