@@ -72,7 +72,10 @@ def beams_of(spec: LidarSpec, time_s: float) -> Beams:
 @lru_cache(maxsize=8)
 def _spinning(spec: LidarSpec) -> Beams:
     azimuth = _padded(spec.azimuth)
-    fan = Fan(azimuth, spec.elevation, float(np.abs(spec.azimuth_offset).max(initial=0.0)) + halo(spec))
+    # The same angle across the beam is more azimuth the steeper the beam points.
+    level = np.cos(min(np.abs(spec.elevation).max() + halo(spec), 0.5 * np.pi))
+    spread = float(np.abs(spec.azimuth_offset).max() + min(halo(spec) / max(level, 1e-9), np.pi))
+    fan = Fan(azimuth, spec.elevation, spread)
     return _beams(spec, azimuth + spec.azimuth_offset[:, None], spec.elevation[:, None], fan)
 
 
@@ -115,15 +118,17 @@ def _subray_offsets(spec: LidarSpec) -> tuple[NDArray[np.float64], NDArray[np.fl
     """Return (S,) angles across and up of equally strong parts of a Gaussian beam, rad.
 
     The beam's radius at 1/e^2 is two standard deviations. Four rays at one standard deviation on both axes have its
-    second moments; of eight, four stand for the inner half of the energy and four for the outer.
+    second moments; so have eight, four at the root mean square radius of the inner half of the energy and four at that
+    of the outer half.
     """
     vertical = spec.divergence_rad if spec.divergence_vertical_rad is None else spec.divergence_vertical_rad
     diagonal = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
     upright = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    inner, outer = np.sqrt(2.0 - 2.0 * np.log(2.0)), np.sqrt(2.0 + 2.0 * np.log(2.0))
     patterns = {
         1: np.zeros((1, 2)),
         4: diagonal,
-        8: np.concatenate([0.75 * diagonal / np.sqrt(2.0), 1.77 * upright]),
+        8: np.concatenate([inner * diagonal / np.sqrt(2.0), outer * upright]),
     }
     across, up = patterns[spec.subrays].T
     return across * spec.divergence_rad / 4.0, up * vertical / 4.0

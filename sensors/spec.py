@@ -24,11 +24,13 @@ class Prism(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         rate_hz: rotations per second, negative when clockwise as seen along the beam.
         wedge_deg: angle between its faces.
         refraction: refractive index.
+        slanted_exit: the beam leaves by the slanted face; else it enters by it. The other face is square to the axis.
     """
 
     rate_hz: float
     wedge_deg: float
     refraction: float
+    slanted_exit: bool = False
 
 
 class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -1,0 +1,73 @@
+"""The sensors of datasets and simulators, and one for tests."""
+
+import numpy as np
+
+from sensors.spec import LidarSpec
+
+
+def _spread(top_deg: float, bottom_deg: float, beams: int) -> tuple[float, ...]:
+    return tuple(float(angle) for angle in np.linspace(top_deg, bottom_deg, beams).round(6))
+
+
+OPV2V_64 = LidarSpec(
+    name="opv2v-64",
+    elevation_deg=_spread(2.0, -25.0, 64),
+    columns=1016,  # 1.3 M points/s over 64 beams and 20 ticks/s
+    range_max_m=120.0,
+    range_10_m=300.0,  # CARLA has no detection threshold: let none bite within 120 m of road
+    range_noise_m=0.02,
+    dropoff_rate=0.1,
+    dropoff_intensity_limit=0.7,
+    dropoff_zero_intensity=0.15,
+    source="OPV2V data protocol of 2021-08-18 (OpenCDA): CARLA ray_cast, 64 channels, +2..-25 deg, 1.3 M points/s"
+    " at 20 Hz; frames stored at 10 Hz, here with the rolling shutter of a 10 Hz sensor; intensity is reflectivity, so"
+    " that detectors may learn from it: CARLA's own, which only tells the range, is in carla-64",
+    assumed=("rolling_shutter", "intensity_law", "range_min_m", "divergence_rad", "pulse_s"),
+)
+
+CARLA_64 = LidarSpec(
+    name="carla-64",
+    elevation_deg=_spread(10.0, -30.0, 64),
+    columns=1800,
+    clockwise=True,
+    rolling_shutter=False,
+    range_min_m=0.0,
+    range_max_m=100.0,
+    range_10_m=1e4,  # CARLA has no detection threshold
+    range_noise_m=0.0,
+    dropoff_rate=0.45,
+    dropoff_intensity_limit=0.8,
+    dropoff_zero_intensity=0.4,
+    divergence_rad=0.0,
+    intensity_law="distance",
+    attenuation=0.004,
+    source="CARLA sensors reference, sensor.lidar.ray_cast: its defaults (+10..-30 deg, drop-off 0.45, 0.8 and 0.4,"
+    " atmosphere_attenuation_rate 0.004, noise_stddev 0, 10 Hz), but 64 channels at 0.2 deg to 100 m, not 32 to 10 m",
+    assumed=("columns", "range_max_m", "mount_xyz_m"),
+)
+
+DAIR_ROADSIDE = LidarSpec(
+    name="dair-roadside",
+    elevation_deg=_spread(20.0, -20.0, 300),
+    columns=1000,
+    azimuth_start_deg=-50.0,
+    azimuth_end_deg=50.0,
+    range_max_m=280.0,
+    range_10_m=280.0,
+    range_noise_m=0.03,
+    divergence_rad=0.001,
+    mount_xyz_m=(0.0, 0.0, 6.0),
+    source="DAIR-V2X infrastructure LiDAR: 300 lines, 100 x 40 deg, 10 Hz, 280 m, <= 3 cm; the field of view is"
+    " symmetric about the axis, so a roadside unit tilts it down",
+    assumed=("columns", "clockwise", "range_min_m", "range_10_m", "divergence_rad", "pulse_s", "mount_xyz_m"),
+)
+
+DEBUG_16 = LidarSpec(
+    name="debug-16",
+    elevation_deg=_spread(2.0, -25.0, 16),
+    columns=360,
+    range_10_m=300.0,
+    source="a light sensor for tests: the field of view of opv2v-64",
+)
+
+SPECS = (OPV2V_64, CARLA_64, DAIR_ROADSIDE, DEBUG_16)
