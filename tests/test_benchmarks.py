@@ -1,0 +1,88 @@
+"""The benchmarks start, and measure the streets that they say they measure."""
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+import tyro
+
+from benchmarks.quiet import measure
+from benchmarks.street import BENCHMARK_LIDAR, FLEETS, baked, city, fleet, street_world
+from sim.collisions import overlapping_pairs
+from sim.world.materials import MATERIALS
+
+
+@pytest.mark.parametrize("name", ["lidar"])
+def test_benchmark_explains_itself(name, capsys):
+    with pytest.raises(SystemExit) as stop:
+        tyro.cli(import_module(f"benchmarks.{name}").main, args=["--help"])
+    assert stop.value.code == 0
+    assert "--quick" in capsys.readouterr().out
+
+
+def test_streets_have_the_stated_triangles():
+    world = street_world()
+    assert 275_000 <= len(world.faces) <= 285_000
+    material = world.face_attributes["material"]
+    found = {MATERIALS[index].name for index in np.unique(material)}
+    assert {"asphalt", "marking", "pavement", "kerb", "ground", "leaves", "bark", "glass", "metal"} <= found
+    assert np.abs(world.bounds[:, :2]).max() < 202.0
+    assert (world.area_faces > 0.0).all()
+
+
+@pytest.mark.parametrize(("vehicles", "triangles"), [(60, 260_000), (200, 1_110_000)])
+def test_fleets_have_the_stated_triangles(vehicles, triangles):
+    cars = fleet(vehicles)
+    assert vehicles in FLEETS
+    assert len(cars.start) == vehicles
+    assert len(cars.agents) == 5
+    assert sum(len(mesh.faces) for mesh in cars.meshes()) == pytest.approx(triangles, rel=0.02)
+    for time_s in (-0.1, 0.0, 0.1):
+        assert len(overlapping_pairs(cars.actors(time_s).boxes)) == 0
+    for mesh, size in zip(cars.meshes(), cars.start.boxes.size, strict=True):
+        assert mesh.extents == pytest.approx(size, abs=1e-3)
+        assert len(mesh.face_attributes["material"]) == len(mesh.faces)
+
+
+def test_vehicles_drive_where_they_look_and_at_their_speed():
+    cars = fleet(60)
+    before, now, after = (cars.actors(time_s) for time_s in (-0.05, 0.0, 0.05))
+    driven = (after.boxes.center - before.boxes.center)[:, :2] / 0.1
+    assert driven == pytest.approx(now.velocity, abs=0.01)
+    heading = np.stack([np.cos(now.boxes.yaw), np.sin(now.boxes.yaw)], axis=1)
+    speed = np.linalg.norm(now.velocity, axis=1)
+    assert (heading * now.velocity).sum(axis=1) == pytest.approx(speed)
+    assert speed.min() > 1.0
+
+
+def test_sensors_ride_above_their_cars():
+    cars = fleet(60)
+    sensors = cars.sensors(0.0, np.random.default_rng(0))
+    poses = cars.actors(0.0).world_from_body()
+    for sensor, row in zip(sensors, cars.agents, strict=True):
+        assert sensor.rides_on == cars.start.boxes.object_id[row]
+        offset = sensor.path.at(np.array([0.0]))[0, :3, 3] - poses[row, :3, 3]
+        assert offset == pytest.approx(BENCHMARK_LIDAR.mount_xyz_m, abs=1e-6)
+
+
+def test_baked_scene_leaves_one_vehicle_out():
+    world, cars = street_world(), fleet(60)
+    _, faces = baked(world, cars, 0.0)
+    vertices, without = baked(world, cars, 0.0, left_out=7)
+    assert len(faces) - len(without) == len(cars.meshes()[7].faces)
+    assert without.max() == len(vertices) - 1
+
+
+def test_city_is_districts_side_by_side():
+    one, two = street_world(), city(300_000)
+    assert 1.9 * len(one.faces) < len(two.faces) < 2.1 * len(one.faces)
+    assert two.extents[0] == pytest.approx(one.extents[0] + 400.0, abs=2.0)
+
+
+def test_variants_take_turns_and_each_gets_its_samples():
+    called = []
+    timings = measure({name: lambda name=name: called.append(name) for name in "ab"}, rounds=4, keep=3, sample_s=1e-9)
+    assert {name: timing.samples for name, timing in timings.items()} == {"a": 3, "b": 3}
+    assert all(timing.wall_s >= 0.0 for timing in timings.values())
+    # Two calls each to find the number of calls, then a sample is a call to warm up and one that counts.
+    assert "".join(called) == "aabb" + 2 * ("aabb" + "bbaa")
