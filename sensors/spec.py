@@ -2,7 +2,7 @@
 
 import math
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 import numpy as np
@@ -162,6 +162,9 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             ("pulse_s", "0 to 1 microsecond", 0.0 < self.pulse_s <= 1e-6),
             ("attenuation", "at least 0", 0.0 <= self.attenuation < math.inf),
             ("mount_xyz_m", "finite coordinates", all(map(math.isfinite, self.mount_xyz_m))),
+            ("returns", f"one of {get_args(Returns)}", self.returns in get_args(Returns)),
+            ("intensity_law", f"one of {get_args(IntensityLaw)}", self.intensity_law in get_args(IntensityLaw)),
+            ("assumed", "names of fields", set(self.assumed) <= set(self.__struct_fields__)),
         ]
 
     @property

@@ -1,59 +1,150 @@
+import math
+import re
+
 import msgspec
 import numpy as np
 import pytest
 
-from sensors.spec import LIDARS, LidarSpec, get_lidar
+from sensors.presets import get_lidar
+from sensors.spec import LidarSpec, Prism
 from sim.errors import SettingsError
 
+NAN = math.nan
+WEDGE = Prism(rate_hz=10.0, wedge_deg=20.0, refraction=1.5)
 
-@pytest.mark.parametrize("name", sorted(LIDARS))
-def test_presets_list_beams_from_the_top_and_name_their_source(name):
-    spec = get_lidar(name)
-    assert spec.name == name
-    assert (np.diff(spec.elevation_deg) < 0).all()
-    assert len(spec.azimuth) == len(spec.time_offset) == spec.columns
-    assert spec.source
+REFUSED = [
+    # field, what is wrong, what the error must say was expected
+    ("elevation_deg", {"elevation_deg": ()}, "at least one beam"),
+    ("elevation_deg", {"elevation_deg": (NAN,)}, "angles within"),
+    ("elevation_deg", {"elevation_deg": (91.0, 0.0)}, "angles within"),
+    ("elevation_deg", {"elevation_deg": (-1.0, 1.0)}, "the highest beam first"),
+    ("columns", {"columns": 0}, "at least 1"),
+    ("columns", {"columns": -5}, "at least 1"),
+    ("columns", {"columns": 10**9}, "at most 20000000 rays"),
+    ("columns", {"columns": 10**6, "subrays": 8}, "at most 20000000 rays"),
+    ("subrays", {"subrays": 3}, "1, 4 or 8"),
+    ("subrays", {"subrays": 0}, "1, 4 or 8"),
+    ("rate_hz", {"rate_hz": 0.0}, "a positive rate"),
+    ("rate_hz", {"rate_hz": NAN}, "a positive rate"),
+    ("rate_hz", {"rate_hz": math.inf}, "a positive rate"),
+    ("azimuth_offset_deg", {"azimuth_offset_deg": (0.0, 1.0)}, "one value for each of the 16 beams"),
+    ("azimuth_offset_deg", {"azimuth_offset_deg": (NAN,) * 16}, "angles within"),
+    ("azimuth_offset_deg", {"azimuth_offset_deg": (181.0,) * 16}, "angles within"),
+    ("firing_s", {"firing_s": (0.0,)}, "one value for each of the 16 beams"),
+    ("firing_s", {"firing_s": (-1e-6,) * 16}, "times in"),
+    ("firing_s", {"firing_s": (0.1 / 360,) * 16}, "times in"),
+    ("firing_s", {"firing_s": (NAN,) * 16}, "times in"),
+    ("azimuth_start_deg", {"azimuth_start_deg": NAN}, "within"),
+    ("azimuth_start_deg", {"azimuth_start_deg": -361.0, "azimuth_end_deg": -180.0}, "within"),
+    ("azimuth_end_deg", {"azimuth_end_deg": 181.0}, "by at most 360"),
+    ("azimuth_end_deg", {"azimuth_end_deg": -180.0}, "more than azimuth_start_deg"),
+    ("azimuth_end_deg", {"azimuth_end_deg": NAN}, "more than azimuth_start_deg"),
+    ("prisms", {"prisms": (msgspec.structs.replace(WEDGE, rate_hz=NAN),)}, "finite rates"),
+    ("prisms", {"prisms": (WEDGE, msgspec.structs.replace(WEDGE, wedge_deg=45.0))}, "wedges within 45 degrees"),
+    ("prisms", {"prisms": (msgspec.structs.replace(WEDGE, wedge_deg=0.0),)}, "wedges within 45 degrees"),
+    ("prisms", {"prisms": (msgspec.structs.replace(WEDGE, refraction=0.9),)}, "refraction of at least 1"),
+    ("range_min_m", {"range_min_m": 200.0}, "range_min_m < range_max_m"),
+    ("range_min_m", {"range_min_m": -0.1}, "0 <= range_min_m"),
+    ("range_min_m", {"range_max_m": NAN}, "range_min_m < range_max_m"),
+    ("range_max_m", {"range_max_m": math.inf}, "a finite range"),
+    ("beam_range_m", {"beam_range_m": ((1.0, 100.0),)}, "one value for each of the 16 beams"),
+    ("beam_range_m", {"beam_range_m": ((5.0, 5.0),) * 16}, "nearest < farthest"),
+    ("beam_range_m", {"beam_range_m": ((0.1, 50.0),) * 16}, "within those of the sensor"),
+    ("beam_range_m", {"beam_range_m": ((1.0, 500.0),) * 16}, "within those of the sensor"),
+    ("beam_range_m", {"beam_range_m": ((NAN, 50.0),) * 16}, "nearest < farthest"),
+    ("range_10_m", {"range_10_m": 0.0}, "a positive range"),
+    ("range_10_m", {"range_10_m": math.inf}, "a positive range"),
+    ("range_noise_m", {"range_noise_m": -0.01}, "at least 0"),
+    ("range_noise_m", {"range_noise_m": NAN}, "at least 0"),
+    ("angle_noise_deg", {"angle_noise_deg": -0.1}, "0 to 10"),
+    ("angle_noise_deg", {"angle_noise_deg": 11.0}, "0 to 10"),
+    ("dropoff_rate", {"dropoff_rate": 1.5}, "a share in"),
+    ("dropoff_rate", {"dropoff_rate": NAN}, "a share in"),
+    ("dropoff_intensity_limit", {"dropoff_intensity_limit": -0.1}, "a share in"),
+    ("dropoff_zero_intensity", {"dropoff_zero_intensity": 1.1}, "a share in"),
+    ("divergence_rad", {"divergence_rad": -0.001}, "0 to 0.1 rad"),
+    ("divergence_rad", {"divergence_rad": NAN, "divergence_vertical_rad": 0.0}, "0 to 0.1 rad"),
+    ("divergence_vertical_rad", {"divergence_vertical_rad": 0.2}, "0 to 0.1 rad"),
+    ("pulse_s", {"pulse_s": 0.0}, "0 to 1 microsecond"),
+    ("pulse_s", {"pulse_s": 1e-3}, "0 to 1 microsecond"),
+    ("attenuation", {"attenuation": -1.0}, "at least 0"),
+    ("attenuation", {"attenuation": NAN}, "at least 0"),
+    ("mount_xyz_m", {"mount_xyz_m": (0.0, NAN, 1.9)}, "finite coordinates"),
+    ("returns", {"returns": "first"}, "strongest"),
+    ("intensity_law", {"intensity_law": "linear"}, "reflectivity"),
+    ("assumed", {"assumed": ("wavelength_nm",)}, "names of fields"),
+]
 
 
-def test_opv2v_preset_follows_the_data_protocol():
-    spec = get_lidar("opv2v-64")
-    np.testing.assert_allclose(spec.elevation_deg, np.linspace(2.0, -25.0, 64), atol=1e-6)
-    assert spec.rings * spec.columns * 20 == pytest.approx(1_300_000, rel=1e-3)
-    assert (spec.range_max_m, spec.range_noise_m, spec.dropoff_rate) == (120.0, 0.02, 0.1)
+@pytest.mark.parametrize(("field", "changes", "expected"), REFUSED)
+def test_an_impossible_sensor_is_refused_with_its_name_the_field_what_was_expected_and_found(field, changes, expected):
+    found = changes.get(field, getattr(get_lidar("debug-16"), field))
+    shown = found if isinstance(found, str) else repr(found)
+    with pytest.raises(SettingsError, match=re.escape(expected)) as error:
+        msgspec.structs.replace(get_lidar("debug-16"), **changes)
+    message = str(error.value)
+    assert message.startswith(f"LidarSpec 'debug-16': {field}: expected ")
+    assert f"found {shown[:60]}" in message
+    assert "\n" not in message
+
+
+def test_every_fact_about_a_sensor_has_a_refusal_here():
+    facts = {(field, expected) for field, expected, _ in get_lidar("debug-16")._facts()}
+    untested = {
+        (field, expected)
+        for field, expected in facts
+        if not any(field == f and part in expected for f, _, part in REFUSED)
+    }
+    assert not untested
+
+
+def test_a_sensor_at_the_limits_is_fine():
+    msgspec.structs.replace(
+        get_lidar("debug-16"),
+        elevation_deg=(90.0, 0.0, 0.0, -90.0),
+        columns=1,
+        range_min_m=0.0,
+        azimuth_start_deg=-360.0,
+        azimuth_end_deg=0.0,
+        dropoff_rate=1.0,
+        divergence_rad=0.0,
+    )
+
+
+def test_a_misspelt_field_is_refused():
+    with pytest.raises(TypeError, match="ring_count"):
+        LidarSpec(name="x", elevation_deg=(0.0,), columns=1, ring_count=3)
+
+
+def test_columns_share_the_field_of_view_evenly_in_both_directions():
+    spec = msgspec.structs.replace(
+        get_lidar("debug-16"), azimuth_start_deg=-60.0, azimuth_end_deg=60.0, columns=4, clockwise=True
+    )
+    np.testing.assert_allclose(np.degrees(spec.azimuth), [60.0, 30.0, 0.0, -30.0])
+    back = msgspec.structs.replace(spec, clockwise=False)
+    np.testing.assert_allclose(np.degrees(back.azimuth), [-60.0, -30.0, 0.0, 30.0])
 
 
 def test_firing_times_are_centred_on_the_reference_time():
     spec = get_lidar("opv2v-64")
+    assert spec.time_offset.shape == (64, 1016)
     assert spec.time_offset.mean() == pytest.approx(0.0, abs=1e-12)
-    assert -0.05 < spec.time_offset[0] < spec.time_offset[-1] < 0.05
+    assert -0.05 < spec.time_offset[0, 0] < spec.time_offset[0, -1] < 0.05
 
 
-def test_field_of_view_of_a_roadside_unit_is_not_a_circle():
-    spec = get_lidar("dair-roadside")
-    assert np.degrees(spec.azimuth[[0, -1]]) == pytest.approx([-50.0, 49.9])
-    assert spec.rings == 300
+def test_beams_fire_in_the_middle_of_their_column_unless_told_when():
+    spec = msgspec.structs.replace(get_lidar("debug-16"), elevation_deg=(1.0, 0.0), columns=100)
+    assert spec.time_offset[0, 50] == pytest.approx(0.5 * 1e-3)
+    told = msgspec.structs.replace(spec, firing_s=(0.0, 2e-4))
+    np.testing.assert_allclose(told.time_offset[:, 50], [0.0, 2e-4], atol=1e-12)
 
 
-def test_a_typo_in_a_preset_name_gets_the_nearest_name():
-    with pytest.raises(SettingsError, match=r"unknown lidar 'opv2v64'; did you mean 'opv2v-64'\?"):
-        get_lidar("opv2v64")
+def test_without_a_rolling_shutter_everything_fires_at_once():
+    spec = msgspec.structs.replace(get_lidar("vlp-16"), rolling_shutter=False)
+    assert np.abs(spec.time_offset).max() == 0.0
 
 
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"elevation_deg": (-1.0, 1.0)}, "elevation_deg"),
-        ({"columns": 0}, "columns"),
-        ({"range_min_m": 200.0}, "range"),
-        ({"dropoff_rate": 1.5}, "dropoff"),
-        ({"azimuth_end_deg": 181.0}, "azimuth"),
-    ],
-)
-def test_impossible_sensors_are_refused(changes, field):
-    with pytest.raises(SettingsError, match=field):
-        msgspec.structs.replace(get_lidar("debug-16"), **changes)
-
-
-def test_spec_survives_json():
-    spec = get_lidar("vlp-32c")
-    assert msgspec.json.decode(msgspec.json.encode(spec), type=LidarSpec) == spec
+def test_beams_reach_as_far_as_the_sensor_unless_told_otherwise():
+    np.testing.assert_array_equal(get_lidar("debug-16").beam_range, [[0.5, 120.0]] * 16)
+    told = msgspec.structs.replace(get_lidar("debug-16"), beam_range_m=((1.0, 50.0),) * 16)
+    np.testing.assert_array_equal(told.beam_range, [[1.0, 50.0]] * 16)
