@@ -1,6 +1,7 @@
 """Print docs/lidar_presets.md: `python -m sensors.presets > docs/lidar_presets.md`."""
 
 import sys
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -38,7 +39,7 @@ def document() -> str:
     )
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
     return ["| " + " | ".join(row) + " |" for row in (head, ("---",) * len(head), *rows)]
 
 
