@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.scene import Rays, RayScene
-from sensors.spec import LidarSpec, get_lidar
+from sensors.beams import beams_of
+from sensors.presets import get_lidar
+from sensors.scene import RayScene
+from sensors.spec import LidarSpec
 from sim.geometry import pose_matrix
 from sim.scenario import RoadsideUnit
 
@@ -72,7 +74,7 @@ def place_roadside(scene: RayScene, units: Sequence[RoadsideUnit]) -> tuple[Road
 
 def blocked_share(scene: RayScene, unit: Roadside) -> float:
     """Return the share of a unit's view that the static world blocks within a metre."""
-    azimuth = unit.spec.azimuth[::10]
-    poses = np.broadcast_to(unit.world_from_lidar, (len(azimuth), 4, 4))
-    rays = Rays(unit.spec.elevation, azimuth, np.zeros(len(azimuth)), poses, _BLOCKED_M)
-    return float(scene.trace(rays).hit.mean())
+    axes = beams_of(unit.spec, 0.0).axis[:, :, ::10].reshape(3, -1)
+    directions = unit.world_from_lidar[:3, :3] @ axes
+    origins = np.broadcast_to(unit.world_from_lidar[:3, 3], (axes.shape[1], 3))
+    return float((scene.cast(origins, directions.T, _BLOCKED_M).face >= 0).mean())

@@ -1,0 +1,37 @@
+"""A small net in hilly country: slopes up to 14 %, with bends, a junction and footways."""
+
+import subprocess
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from sim.networks import sumo_home
+from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit, Scenario, load_scenario
+
+_NODES = {"a": (0, 0, 410), "b": (150, 0, 422), "c": (300, 40, 414), "d": (150, 160, 440), "e": (290, 170, 432)}
+_WAYS = ("ab", "bc", "bd", "de", "ce")
+
+
+def hilly_scenario(folder: Path, units: tuple[RoadsideUnit, ...] = ()) -> Scenario:
+    """Write the net into a folder and return a scenario on it."""
+    nodes = "".join(f'<node id="{k}" x="{x}" y="{y}" z="{z}"/>' for k, (x, y, z) in _NODES.items())
+    edges = "".join(
+        f'<edge id="{p}{q}" from="{p}" to="{q}" numLanes="2" speed="13.9" sidewalkWidth="2"/>'
+        for way in _WAYS
+        for p, q in (way, way[::-1])
+    )
+    (folder / "n.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
+    (folder / "n.edg.xml").write_text(f"<edges>{edges}</edges>")
+    command = [str(sumo_home() / "bin" / "netconvert"), "-n", "n.nod.xml", "-e", "n.edg.xml", "-o", "n.net.xml"]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    network = NetworkSpec(file=str(folder / "n.net.xml"))
+    return msgspec.structs.replace(load_scenario("four_way"), network=network, agents=AgentRule(roadside=units))
+
+
+def lane_points(net) -> np.ndarray:
+    """Return (N, 3) points along the middles of all lanes of edges."""
+    shapes = [np.array(lane.getShape3D()) for edge in net.getEdges(False) for lane in edge.getLanes()]
+    share = np.linspace(0.01, 0.99, 41)[:, None]
+    return np.concatenate([a + share * (b - a) for line in shapes for a, b in pairwise(line)])
