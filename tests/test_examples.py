@@ -1,0 +1,50 @@
+"""The examples run: each says how to use it, and draws on a small setting."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SCRIPTS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != "look.py")
+SMALL = {
+    "lidar_presets.py": ("--only", "debug-16", "--scenario", "four_way"),
+    "lidar_effects.py": (),
+    "lidar_realism.py": ("--scenarios", "four_way", "--sensors", "debug-16", "--frames", "1"),
+}
+
+
+def run(script: Path, *args: str) -> str:
+    """Run an example in its own process, warnings being errors, and return what it printed."""
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-W", "ignore::DeprecationWarning", str(script), *args],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        cwd=ROOT,
+        env=os.environ | {"DSRC_LIDAR_ENGINE": "public", "PYTHONPATH": str(ROOT)},
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_an_example_says_what_it_is_and_how_to_use_it(script: Path) -> None:
+    text = ast.get_docstring(ast.parse(script.read_text())) or ""
+    assert f"Usage:\n    python examples/{script.name}" in text
+    assert script.name in (ROOT / "examples" / "README.md").read_text()
+    assert text.splitlines()[0] in run(script, "--help")
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_an_example_draws_in_seconds_on_a_small_setting(script: Path, tmp_path: Path) -> None:
+    printed = run(script, "--out", str(tmp_path), *SMALL[script.name])
+    pictures = list(tmp_path.glob("*.png"))
+    assert pictures
+    for picture in pictures:
+        assert str(picture) in printed
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        assert picture.stat().st_size < 300_000
