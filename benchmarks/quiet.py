@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _STAT = Path("/proc/stat")
-_SLOW_S = 0.5
+_SLOW_S = 0.2
 """A call that takes so long keeps nothing warm that matters."""
 
 
@@ -20,12 +20,14 @@ class Timing:
 
     Attributes:
         wall_s: median over the quietest samples, s.
+        cpu_s: the same of the CPU time of all threads: the better figure of one thread where nothing is ever quiet.
         load: median over the same of how many cores other processes kept busy; NaN where the system does not say.
         samples: how many they are.
         calls: calls per sample.
     """
 
     wall_s: float
+    cpu_s: float
     load: float
     samples: int
     calls: int
@@ -46,7 +48,7 @@ def measure(
     """
     duration = {name: _warm_seconds(run) for name, run in variants.items()}
     calls = {name: max(1, int(np.ceil(sample_s / duration[name]))) for name in variants}
-    samples: dict[str, list[tuple[float, float]]] = {name: [] for name in variants}
+    samples: dict[str, list[tuple[float, float, float]]] = {name: [] for name in variants}
     names = list(variants)
     for turn in range(rounds):
         for name in names[turn % len(names) :] + names[: turn % len(names)]:
@@ -58,10 +60,10 @@ def measure(
 
 
 def _timing(samples: NDArray[np.float64], keep: int, calls: int) -> Timing:
-    """Take the quietest of (N, 2) rows load and duration; by the load alone, not by how fast they were."""
+    """Take the quietest of (N, 3) rows load, wall and CPU time; by the load alone, not by how fast they were."""
     quietest = samples[np.argsort(samples[:, 0], kind="stable")[:keep]]
-    load, wall = np.median(quietest, axis=0)
-    return Timing(float(wall), float(load), len(quietest), calls)
+    load, wall, cpu = np.median(quietest, axis=0).tolist()
+    return Timing(wall, cpu, load, len(quietest), calls)
 
 
 def _warm_seconds(run: Callable[[], object]) -> float:
@@ -72,13 +74,13 @@ def _warm_seconds(run: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def _sample(run: Callable[[], object], calls: int) -> tuple[float, float]:
-    """Return how many cores others kept busy meanwhile, and seconds per call."""
-    others, start = _others_s(), time.perf_counter()
+def _sample(run: Callable[[], object], calls: int) -> tuple[float, float, float]:
+    """Return how many cores others kept busy meanwhile, and seconds and CPU seconds per call."""
+    others, own, start = _others_s(), time.process_time(), time.perf_counter()
     for _ in range(calls):
         run()
     wall = time.perf_counter() - start
-    return (_others_s() - others) / wall, wall / calls
+    return (_others_s() - others) / wall, wall / calls, (time.process_time() - own) / calls
 
 
 def _others_s() -> float:
