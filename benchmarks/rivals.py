@@ -78,7 +78,7 @@ class Open3DFrame:
             made.append((rays.origins[hit] + distance[hit, None] * rays.directions[hit], owner[hit]))
         return made
 
-    def _add(self, scene: object, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+    def _add(self, scene: object, vertices: NDArray[np.floating], faces: NDArray[np.int64]) -> None:
         tensor = self._core.Tensor
         scene.add_triangles(  # type: ignore[attr-defined]
             tensor(np.ascontiguousarray(vertices, np.float32)), tensor(np.ascontiguousarray(faces, np.uint32))
