@@ -71,7 +71,7 @@ def shear() -> Figure:
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, points, title in (
         (panels[0], cars, "As measured"),
-        (panels[1], whole, "Put together by deskew_objects: moved back by velocity × time offset"),
+        (panels[1], whole, "Put together by deskew_objects"),
     ):
         _cars_from_above(axes, actors, points)
         axes.set_title(title)
@@ -196,7 +196,6 @@ def _echoes(axes: Axes, spec: LidarSpec, behind: float) -> None:
 # ── intensity ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 SHOWN = ("plate", "marking", "plaster", "brick", "asphalt", "paint_black", "glass")
-SENSOR_HEIGHT_M = 1.9
 
 
 def intensity() -> Figure:
@@ -241,7 +240,8 @@ def _over_range(axes: Axes, spec: LidarSpec) -> None:
         if name != "asphalt":
             power = returned_power(MATERIALS[material_index(name)], squarely)
             axes.plot(distance, power / need, color=color)
-    road = np.minimum(1.0, SENSOR_HEIGHT_M / distance)
+    above = spec.mount_xyz_m[2]
+    road = np.minimum(1.0, above / distance)
     asphalt = MATERIALS[material_index("asphalt")]
     color = COLORS[SHOWN.index("asphalt")]
     axes.plot(distance, returned_power(asphalt, road) / need, color=color)
@@ -249,7 +249,7 @@ def _over_range(axes: Axes, spec: LidarSpec) -> None:
     axes.axhspan(1e-3, 1.0, color="black", alpha=0.45, linewidth=0)
     axes.annotate("not detected", (0.97, 0.03), xycoords="axes fraction", ha="right", fontsize=8, color=FAINT)
     axes.set(yscale="log", xlim=(0, spec.range_max_m), ylim=(0.1, 1e4), xlabel="range, m", ylabel="margin")
-    axes.set_title(f"Margin of {spec.name}: hit squarely,\nasphalt from {SENSOR_HEIGHT_M} m above it")
+    axes.set_title(f"Margin of {spec.name}: hit squarely,\nasphalt from {above:g} m above it")
 
 
 def _laws(axes: Axes, spec: LidarSpec) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from sensors.presets import LIDARS
+
 ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != "look.py")
 SMALL = {
@@ -48,3 +50,12 @@ def test_an_example_draws_in_seconds_on_a_small_setting(script: Path, tmp_path: 
         assert str(picture) in printed
         assert picture.read_bytes().startswith(b"\x89PNG")
         assert picture.stat().st_size < 300_000
+
+
+@pytest.mark.parametrize("name", LIDARS)
+def test_every_preset_is_pictured(name: str) -> None:
+    picture = f"pictures/lidar/{name}.png"
+    assert (ROOT / "docs" / picture).is_file(), (
+        f"python examples/lidar_presets.py --out docs/pictures/lidar --only {name}"
+    )
+    assert f"]({picture})" in (ROOT / "docs" / "lidar.md").read_text()
