@@ -78,7 +78,7 @@ def shear() -> Figure:
     panels[0].set_ylabel("y, m")
     texts = ("0 ms: in its box", "+25 ms: 0.75 m on", "−25 ms: 0.75 m back", "−50 and +50 ms: torn by 3 m")
     for (x, y, _), text in zip(CARS, texts, strict=True):
-        panels[0].annotate(text, (max(x, -13.0), y + 1.7), ha="center", fontsize=8, color=INK)
+        panels[0].annotate(text, (max(x, -12.2), y + 1.7), ha="center", fontsize=8, color=INK)
     colorbar(panels[1], Normalize(-50.0, 50.0), "coolwarm", "time offset, ms", (-50, -25, 0, 25, 50))
     return figure
 
