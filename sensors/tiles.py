@@ -67,8 +67,8 @@ class StaticWorld:
             self._tiles.append(Solid((vertices - origin).astype(np.float32), faces, material, origin))
         else:
             boxes = self._cut(vertices, faces, material)
-        self._boxes = np.array(boxes, np.float64).reshape(-1, 2, 2)
-        self._large_boxes = np.stack([self._large.min(axis=1), self._large.max(axis=1)], axis=1)[:, :, :2]
+        self._boxes = np.array(boxes, np.float64).reshape(-1, 2, 2).transpose(1, 2, 0).copy()
+        self._large_boxes = np.stack([self._large.min(axis=1).T[:2], self._large.max(axis=1).T[:2]])
 
     def around(self, xy: NDArray[np.float64], reach_m: float) -> Solid:
         """Return at least the triangles within `reach_m` of any of (N, 2) places.
@@ -169,6 +169,9 @@ def _cells(xy: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _touching(boxes: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (T,) whether (T, 2, 2) lowest and highest corners touch any of (C, 2) to (C, 2)."""
-    touching: NDArray[np.bool_] = np.all((boxes[:, None, 0] <= high) & (boxes[:, None, 1] >= low), axis=2)
-    return np.any(touching, axis=1)
+    """Return (T,) whether (2, 2, T) lowest and highest x and y touch any of the squares from (C, 2) to (C, 2)."""
+    touching = np.zeros(boxes.shape[2], bool)
+    for (west, south), (east, north) in zip(low.tolist(), high.tolist(), strict=True):
+        along = (boxes[0, 0] <= east) & (boxes[1, 0] >= west)
+        touching |= along & (boxes[0, 1] <= north) & (boxes[1, 1] >= south)
+    return touching
