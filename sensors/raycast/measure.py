@@ -1,7 +1,7 @@
 """From what rays met to what the sensor reports, for an engine that works on whole arrays.
 
-The definition is that of `sensors.raycast.Engine`. Shapes: S sub-rays, n beams: those of some rings, ring by ring,
-K returns at most per beam.
+The definition is that of `sensors.raycast.Engine`. Shapes: S sub-rays; r rings, C columns and n = r C beams, ring by
+ring; K returns at most per beam, 1 or 2.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.noise import LOST_AFTER, LOST_BEFORE, RANGE, SECOND_RANGE
+from sensors.noise import LOST_AFTER, RANGE, SECOND_RANGE
 from sensors.optics import Optics, drop_chance
 from sensors.raycast.base import Returns, Shot
 
@@ -21,100 +21,131 @@ class Met:
     """What the rays of some beams met.
 
     Attributes:
+        hit: (S, n) whether anything was met; the others have any value where nothing was.
         distance: (S, n) float32, m.
         cosine: (S, n) float32.
         material: (S, n) uint8.
         object_id: (S, n) int32.
-        hit: (S, n) whether anything was met; the others have any value where nothing was.
     """
 
+    hit: NDArray[np.bool_]
     distance: Floats
     cosine: Floats
     material: NDArray[np.uint8]
     object_id: NDArray[np.int32]
-    hit: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Echoes:
+class Aim:
+    """Where the beams point and start, along the axes of the world.
+
+    Attributes:
+        direction: (3, n) float32 of the beams' axes.
+        place: (3, 1 or r, C) float32 of the sensor at each firing, from where it is at the reference time, m.
+    """
+
+    direction: Floats
+    place: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Echoes:
     """The echoes that are reported, the nearer one first: (K, n) arrays; `power` is their whole power."""
 
+    found: NDArray[np.bool_]
     distance: Floats
+    place: "_Place"
     power: Floats
     cosine: Floats
     material: NDArray[np.uint8]
     object_id: NDArray[np.int32]
-    found: NDArray[np.bool_]
 
 
-def measure(met: Met, shot: Shot, rings: slice, point_motion: tuple[Floats, Floats]) -> Returns:
-    """Return the points of some rings.
-
-    Args:
-        met: what their rays met.
-        shot: the sweep.
-        rings: which.
-        point_motion: (3, 3, 1 or r, C) rotation and (3, 1 or r, C) place of the sensor at each firing, in the frame of
-            the points.
-    """
-    spec, beams = shot.spec, shot.beams
-    echoes = _single(met, shot.optics) if len(met.hit) == 1 else _merged(met, shot.optics, spec.returns)
-    count, n = echoes.found.shape
-    numbers = [shot.noise.grid(row, beams.columns, rings).reshape(n) for row in (RANGE, SECOND_RANGE)[:count]]
-    near, far = (np.repeat(limit, beams.columns) for limit in beams.reach[rings].T)
-
-    intensity = _read(shot.optics.scale, echoes.distance / np.float32(shot.optics.reach_m))
+def measure(met: Met, aim: Aim, shot: Shot, rings: slice) -> Returns:
+    """Return the points of some rings; beams that are lost before must have met nothing."""
+    echoes = _single(met, shot.optics) if len(met.hit) == 1 else _merged(met, shot.optics, shot.spec.returns)
+    intensity = echoes.place.read(shot.optics.scale)
     if shot.optics.of_material:
         intensity *= echoes.power
-    np.minimum(intensity, 1.0, out=intensity)
-    measured = echoes.distance + np.float32(spec.range_noise_m) * np.stack(numbers)
-    kept = echoes.found & (echoes.distance >= near) & (measured >= near) & (measured <= far)
-    if spec.dropoff_rate > 0.0:
-        kept &= shot.noise.grid(LOST_BEFORE, beams.columns, rings).reshape(n) >= np.float32(spec.dropoff_rate)
-    if spec.dropoff_zero_intensity > 0.0:
-        kept &= shot.noise.grid(LOST_AFTER, beams.columns, rings).reshape(n) >= drop_chance(intensity, spec)
+    np.minimum(intensity, np.float32(1.0), out=intensity)
+    measured = np.zeros_like(echoes.distance)
+    for number, row in zip(measured, (RANGE, SECOND_RANGE), strict=False):
+        number[:] = shot.noise.grid(row, shot.beams.columns, rings).reshape(-1)
+    measured *= np.float32(shot.spec.range_noise_m)
+    measured += echoes.distance
+    kept = _in_reach(echoes.distance, measured, shot, rings)
+    kept &= echoes.found
+    if shot.spec.dropoff_zero_intensity > 0.0:
+        kept &= shot.noise.grid(LOST_AFTER, shot.beams.columns, rings).reshape(-1) >= drop_chance(intensity, shot.spec)
+    return _pack(echoes, measured, intensity, kept, aim, shot, rings)
 
-    beam, number = np.divmod(np.flatnonzero(kept.T), count)
-    row, column = np.divmod(beam, beams.columns)
-    chosen = number * n + beam
-    reach = measured.take(chosen)
-    rotation, place = point_motion
-    at = row if rotation.shape[2] > 1 else np.zeros_like(row)
-    axis = beams.axis[:, rings, : beams.columns].reshape(3, n)[:, beam]
-    points = np.zeros((len(beam), 3), np.float32)
-    for i in range(3):
-        direction = sum(rotation[i, j][at, column] * axis[j] for j in range(3))
-        points[:, i] = direction * reach + place[i][at, column]
-    ring = (row + rings.start).astype(np.int16)
-    fired = column.astype(np.float32) + beams.firing_share[ring] - np.float32(0.5 * beams.columns)
+
+def _in_reach(distance: Floats, measured: Floats, shot: Shot, rings: slice) -> NDArray[np.bool_]:
+    """Return (K, n) whether ranges are within those of their beams."""
+    near, far = shot.beams.reach[rings].T[:, None, :, None]
+    distance, measured = (values.reshape(len(values), -1, shot.beams.columns) for values in (distance, measured))
+    within = (distance >= near) & (measured >= near) & (measured <= far)
+    return within.reshape(len(within), -1)
+
+
+def _pack(
+    echoes: _Echoes,
+    measured: Floats,
+    intensity: Floats,
+    kept: NDArray[np.bool_],
+    aim: Aim,
+    shot: Shot,
+    rings: slice,
+) -> Returns:
+    """Return the points that are kept, from (K, n) arrays."""
+    most, columns = len(kept), shot.beams.columns
+    if most == 1:
+        beam = chosen = np.flatnonzero(kept)
+        number = np.ones(len(beam), np.uint8)
+    else:
+        beam, second = np.divmod(np.flatnonzero(kept.T), most)
+        chosen = second * kept.shape[1] + beam
+        number = (second + 1).astype(np.uint8)
+    border = np.arange(rings.stop - rings.start + 1) * columns
+    per_ring = np.diff(np.searchsorted(beam, border))
+    column = beam - np.repeat(border[:-1], per_ring)
+    points = np.zeros((3, most, kept.shape[1]), np.float32)
+    np.multiply(aim.direction[:, None], measured, out=points)
+    on_grid = points.reshape(3, most, -1, columns)
+    on_grid += aim.place[:, None]
+    points = points.reshape(3, -1).take(chosen, axis=1, mode="clip")
+    fired = column.astype(np.float32)
+    fired += np.repeat(shot.beams.firing_share[rings] - np.float32(0.5 * columns), per_ring)
+    fired *= np.float32(shot.spec.column_s)
     return Returns(
-        points=points,
+        points=points.T @ shot.pose[:3, :3].astype(np.float32),
         intensity=intensity.take(chosen),
-        ring=ring,
+        ring=np.repeat(np.arange(rings.start, rings.stop, dtype=np.int16), per_ring),
         column=column.astype(np.int32),
-        time_offset=fired * np.float32(spec.column_s),
+        time_offset=fired,
         object_id=echoes.object_id.take(chosen),
-        return_number=(number + 1).astype(np.uint8),
+        return_number=number,
         material=echoes.material.take(chosen),
         cosine=echoes.cosine.take(chosen),
     )
 
 
-def _single(met: Met, optics: Optics) -> Echoes:
+def _single(met: Met, optics: Optics) -> _Echoes:
     """Return the echoes of beams of one ray."""
     power = _power(met, optics)
-    found = met.hit & (power >= _need(met, optics))
-    return Echoes(met.distance, power, met.cosine, met.material, met.object_id, found)
+    place = _Place.on(optics.need, met.distance, optics.reach_m)
+    found = power >= place.read(optics.need)
+    found &= met.hit
+    return _Echoes(found, met.distance, place, power, met.cosine, met.material, met.object_id)
 
 
-def _merged(met: Met, optics: Optics, returns: str) -> Echoes:
+def _merged(met: Met, optics: Optics, returns: str) -> _Echoes:
     """Return the reported echoes of beams of several rays."""
     subrays, n = met.hit.shape
     # What missed comes last and so late that it is an echo of its own, without power.
     distance = np.where(met.hit, met.distance, np.float32(4.0 * optics.reach_m + 4.0 * optics.gate_m))
-    share = met.hit * np.float32(1.0 / subrays)
-    power = share * _power(met, optics)
-    margin = power / _need(met, optics)
+    power = met.hit * np.float32(1.0 / subrays) * _power(met, optics)
+    margin = power / _Place.on(optics.need, distance, optics.reach_m).read(optics.need)
     order = np.argsort(distance, axis=0, kind="stable")
     distance, power, margin = (np.take_along_axis(v, order, axis=0) for v in (distance, power, margin))
     starts = np.ones((subrays, n), bool)
@@ -123,40 +154,38 @@ def _merged(met: Met, optics: Optics, returns: str) -> Echoes:
     ends[:-1] = starts[1:]
 
     # Running sums over each echo; where it ends they are the echo's own.
-    first, moment, largest = (np.zeros(n, np.float32) for _ in range(3))
-    best = np.zeros((subrays, n), np.int64)
-    mean = np.zeros((subrays, n), np.float32)
-    for ray in range(subrays):
-        new = starts[ray]
-        if ray > 0:
-            power[ray] += np.where(new, 0.0, power[ray - 1])
-        first = np.where(new, distance[ray], first)
-        moment = np.where(new, 0.0, moment) + margin[ray] * (distance[ray] - first)
-        better = new | (margin[ray] > largest)
-        largest = np.where(better, margin[ray], largest)
-        best[ray] = np.where(better, order[ray], best[ray - 1])
-        if ray > 0:
-            margin[ray] += np.where(new, 0.0, margin[ray - 1])
-        mean[ray] = first + moment / np.maximum(margin[ray], np.float32(1e-30))
+    best, largest = order.copy(), margin.copy()
+    first, moment = distance.copy(), np.zeros_like(distance)
+    for ray in range(1, subrays):
+        goes_on = ~starts[ray]
+        np.copyto(first[ray], first[ray - 1], where=goes_on)
+        moment[ray] = goes_on * moment[ray - 1] + margin[ray] * (distance[ray] - first[ray])
+        less = goes_on & (largest[ray] <= largest[ray - 1])
+        np.copyto(best[ray], best[ray - 1], where=less)
+        np.copyto(largest[ray], largest[ray - 1], where=less)
+        power[ray] += goes_on * power[ray - 1]
+        margin[ray] += goes_on * margin[ray - 1]
+    mean = first + moment / np.maximum(margin, np.float32(1e-30))
 
-    margin = np.where(ends & (margin >= 1.0), margin, 0.0)
-    chosen, found = _choose(margin, returns)
+    chosen, found = _choose(np.where(ends & (margin >= 1.0), margin, 0.0), returns)
     best = np.take_along_axis(best, chosen, axis=0)
-    return Echoes(
-        distance=np.take_along_axis(mean, chosen, axis=0),
+    distance = np.take_along_axis(mean, chosen, axis=0)
+    return _Echoes(
+        found=found,
+        distance=distance,
+        place=_Place.on(optics.scale, distance, optics.reach_m),
         power=np.take_along_axis(power, chosen, axis=0),
         cosine=np.take_along_axis(met.cosine, best, axis=0),
         material=np.take_along_axis(met.material, best, axis=0),
         object_id=np.take_along_axis(met.object_id, best, axis=0),
-        found=found,
     )
 
 
 def _choose(margin: Floats, returns: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return (K, n) which of the echoes, by distance, are reported, and whether there are so many.
+    """Return (K, n) which of the echoes are reported, the nearer one first, and whether there are so many.
 
     Args:
-        margin: (S, n) 0 where there is no echo that is detected.
+        margin: (S, n) by distance, 0 where there is no echo that is detected.
         returns: see `LidarSpec`.
     """
     strongest = margin.argmax(axis=0)[None]
@@ -173,24 +202,37 @@ def _choose(margin: Floats, returns: str) -> tuple[NDArray[np.int64], NDArray[np
     return chosen, np.concatenate([np.take_along_axis(margin, first, axis=0) > 0.0, both])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """Places in a table: the entry below and the share of the way to the next."""
+
+    low: NDArray[np.intp]
+    share: Floats
+
+    @classmethod
+    def on(cls, table: Floats, values: Floats, end: float) -> "_Place":
+        """Find values in a table over [0, end]."""
+        at = values * np.float32((len(table) - 1) / end)
+        whole = np.floor(at)
+        np.minimum(whole, np.float32(len(table) - 2), out=whole)
+        at -= whole
+        return cls(whole.astype(np.intp), np.minimum(at, np.float32(1.0), out=at))
+
+    def read(self, table: Floats) -> Floats:
+        """Return the interpolated values."""
+        # Indices are right; "clip" only spares the check.
+        value = table.take(self.low, mode="clip")
+        step = table[1:].take(self.low, mode="clip")
+        step -= value
+        step *= self.share
+        step += value
+        return step
+
+
 def _power(met: Met, optics: Optics) -> Floats:
-    bins = optics.power.shape[1] - 1
-    at = met.cosine * np.float32(bins)
-    low = np.minimum(at.astype(np.int32), bins - 1)
-    share = at - low.astype(np.float32)
-    low += met.material * np.int32(bins + 1)
-    table = optics.power.reshape(-1)
-    value = table.take(low)
-    return value + share * (table.take(low + 1) - value)
-
-
-def _need(met: Met, optics: Optics) -> Floats:
-    return _read(optics.need, met.distance / np.float32(optics.reach_m))
-
-
-def _read(table: Floats, place: Floats) -> Floats:
-    """Return values of a table at places in [0, 1], linearly interpolated."""
-    at = np.minimum(place, np.float32(1.0)) * np.float32(len(table) - 1)
-    low = np.minimum(at.astype(np.int32), len(table) - 2)
-    value = table.take(low)
-    return value + (at - low.astype(np.float32)) * (table.take(low + 1) - value)
+    """Return (S, n) returned power over a whole beam."""
+    place = _Place.on(optics.power[0], met.cosine, 1.0)
+    row = met.material.astype(np.intp)
+    row *= optics.power.shape[1]
+    row += place.low
+    return _Place(row, place.share).read(optics.power.reshape(-1))
