@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import tyro
 
-from benchmarks.quiet import measure
+from benchmarks.frames import rays_of
+from benchmarks.lidar import figures_of, stage_ms
+from benchmarks.quiet import Timing, measure
 from benchmarks.street import BENCHMARK_LIDAR, FLEETS, baked, city, fleet, street_world
 from sim.collisions import overlapping_pairs
 from sim.world.materials import MATERIALS
@@ -86,3 +88,31 @@ def test_variants_take_turns_and_each_gets_its_samples():
     assert all(timing.wall_s >= 0.0 for timing in timings.values())
     # Two calls each to find the number of calls, then a sample is a call to warm up and one that counts.
     assert "".join(called) == "aabb" + 2 * ("aabb" + "bbaa")
+
+
+def test_rays_leave_the_sensor_where_it_is_when_they_fire():
+    cars = fleet(60)
+    sensor = cars.sensors(0.0, np.random.default_rng(0))[0]
+    rays = rays_of(sensor)
+    assert len(rays.origins) == 64 * 1800
+    assert np.linalg.norm(rays.directions, axis=1) == pytest.approx(1.0, abs=1e-6)
+    speed = np.linalg.norm(cars.start.velocity[cars.agents[0]])
+    driven = np.linalg.norm(rays.origins[1799] - rays.origins[0])
+    assert driven == pytest.approx(speed * 0.1, rel=0.01)
+
+
+def test_figures_say_null_for_what_was_not_measured():
+    times = {"bare": 0.1, "public_1t": 0.13, "trimesh": 1.0}
+    figures = figures_of({name: Timing(wall, wall, 0.0, 5, 1) for name, wall in times.items()}, 5)
+    assert figures["ratio_public_1t"] == pytest.approx(1.3)
+    assert figures["bare_sweep_ms"] == pytest.approx(20.0)
+    assert figures["ratio_fused_1t"] is figures["realtime_factor"] is figures["speedup_open3d"] is None
+
+
+def test_stages_add_up_to_the_sweep():
+    parts = ("update_60", "python", "kernel", "kernel_lost", "kernel_static", "kernel_void", "fused_1t")
+    times = dict(zip(parts, (0.001, 0.002, 0.050, 0.040, 0.030, 0.005, 0.060), strict=True))
+    stages = stage_ms({name: Timing(wall, wall, 0.0, 5, 1) for name, wall in times.items()}, 5)
+    assert sum(stages.values()) == pytest.approx(12.0)
+    assert stages["report"] == pytest.approx(2.0)
+    assert stages["static"] == pytest.approx(3.0)
