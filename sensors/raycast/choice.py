@@ -29,7 +29,7 @@ def open_engine(name: str | None = None, *, robust: bool = True) -> Engine:
     Raises:
         SettingsError: there is no such engine, or the fused one was asked for by name and cannot run.
     """
-    asked = name if name is not None else os.environ.get(VARIABLE, "auto")
+    asked = name if name is not None else os.environ.get(VARIABLE) or "auto"
     if asked not in ENGINES:
         what = "engine" if name is not None else VARIABLE
         raise SettingsError(complaint("LiDAR", what, "the name of an engine", asked, did_you_mean(asked, ENGINES)))
@@ -54,11 +54,14 @@ def _public(robust: bool) -> Engine:
 def _fused(robust: bool) -> tuple[Engine | None, str]:
     try:
         from sensors.raycast.fused import FusedEngine
+        from sensors.raycast.selftest import self_test
     except ImportError as error:
         fault = str(error)
     else:
         try:
-            return FusedEngine(robust=robust), ""
+            engine = FusedEngine(robust=robust)
+            self_test(engine, _public(robust))
+            return engine, ""
         except EngineUnavailable as error:
             fault = str(error)
     log.warning("LiDAR sweeps are made by the slower public engine: %s", fault)

@@ -16,10 +16,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.beams import BLOCK
+from sensors.beams import BLOCK, Beams
 from sensors.raycast.base import Bodies, Hits, Returns, Shot, Solid
-from sensors.raycast.embree import ANY_RAY, RAY_ROWS, Hierarchy, InstanceScene, library
+from sensors.raycast.embree import ANY_RAY, Hierarchy, InstanceScene, library
 from sensors.raycast.kernel import (
+    ROOM_WORDS,
     Calls,
     Columns,
     Scratch,
@@ -34,6 +35,7 @@ from sensors.raycast.kernel import (
 
 _STATICS_KEPT = 4
 _BODIES_KEPT = 1200
+_PACKED_KEPT = 8
 _FREE_BIT = 31
 """Bit of the ray mask of sensors that hide no body; the bits below are for bodies that one sensor does not see."""
 _LERP_ERROR_M = 1e-4
@@ -114,7 +116,7 @@ class FusedEngine:
         rays = (np.ascontiguousarray(rows, np.float32).reshape(-1, 3) for rows in (origins, directions))
         with self._lock:
             world = self._world(self._static.of(solid), None)
-            cast_rays(world, _scratch(self._library.width, 1), *rays, distance, hits.face, hits.cosine)
+            cast_rays(world, _scratch(self._library.width), *rays, distance, hits.face, hits.cosine)
         return hits
 
     def place(self, bodies: Bodies, origin: NDArray[np.float64], hidden: tuple[int, ...] = ()) -> None:
@@ -216,7 +218,7 @@ class _Job:
                 fan.elevation[first:last],
                 fan.spread,
                 self.tables.ray_pose[self._moments],
-                self.tables.clock[0] + self.tables.clock[1] * np.float32(BLOCK) * self._moments,
+                self.tables.clock[0] + self.tables.clock[1] * self._moments.astype(np.float32),
                 self.unseen,
                 world,
             )
@@ -249,7 +251,7 @@ def _run(jobs: Sequence[_Job], world: World, width: int, threads: int) -> None:
         edges = np.linspace(0, job.beams.rings, min(2 * threads, job.beams.rings) + 1).astype(int).tolist()
         tasks.extend((job, first, last) for first, last in pairwise(edges))
     if threads <= 1 or len(tasks) == 1:
-        scratch = _scratch(width, _subrays(jobs))
+        scratch = _scratch(width)
         for job, first, last in tasks:
             job.make(world, scratch, first, last)
         return
@@ -257,7 +259,7 @@ def _run(jobs: Sequence[_Job], world: World, width: int, threads: int) -> None:
     turn = threading.Lock()
 
     def work() -> None:
-        scratch = _scratch(width, _subrays(jobs))
+        scratch = _scratch(width)
         while True:
             with turn:
                 task = next(waiting, None)
@@ -280,49 +282,80 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
-def _subrays(jobs: Sequence[_Job]) -> int:
-    return max(job.beams.subray.shape[0] for job in jobs)
-
-
 def _tables(shot: Shot, origin: NDArray[np.float64], span_s: tuple[float, float], hidden: tuple[int, ...]) -> Tables:
     spec, beams, optics = shot.spec, shot.beams, shot.optics
     start, end = span_s
     first_s = shot.time_s - 0.5 * beams.columns * spec.column_s
-    clock = ((first_s - start) / (end - start), spec.column_s / (end - start), spec.column_s)
+    clock = ((first_s - start) / (end - start), BLOCK * spec.column_s / (end - start))
     law = (
-        optics.reach_m,
+        1.0 / optics.reach_m,
         optics.gate_m,
         spec.range_noise_m,
         np.radians(spec.angle_noise_deg),
-        spec.dropoff_intensity_limit,
+        1.0 / max(spec.dropoff_intensity_limit, 1e-9),
         spec.dropoff_zero_intensity,
         spec.dropoff_rate,
     )
+    packed = _packed(beams)
     ray_pose, ray_step = _blocks(shot.knots, origin)
     point_pose, point_step = _blocks(shot.knots, shot.pose[:3, 3], shot.pose[:3, :3].T)
     bit = hidden.index(shot.hidden_id) if shot.hidden_id in hidden else _FREE_BIT
     return Tables(
-        axis=beams.axis,
-        subray=beams.subray,
-        share=beams.firing_share,
+        axis=packed.axis,
+        subray=packed.subray,
+        lane=packed.lane,
         reach=beams.reach,
         ray_pose=ray_pose,
         ray_step=ray_step,
         point_pose=point_pose,
         point_step=point_step,
         clock=np.array(clock, np.float32),
-        power=optics.power,
+        power=optics.power.reshape(-1),
         need=optics.need,
         scale=optics.scale,
         of_material=optics.of_material,
         law=np.array(law, np.float32),
         returns=_RETURNS[spec.returns],
-        start=shot.noise.start,
+        start=shot.noise.start.astype(np.uint64),
         normal=shot.noise.normal,
         uniform=shot.noise.uniform,
-        mask=1 << bit,
+        share=beams.firing_share,
+        column_s=np.float32(spec.column_s),
         columns=beams.columns,
+        mask=1 << bit,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Packed:
+    """Directions of a sweep's rays in the order in which packets take them; see `kernel.Tables`."""
+
+    beams: Beams
+    axis: NDArray[np.float32]
+    subray: NDArray[np.float32]
+    lane: NDArray[np.float32]
+
+
+_last_packed: dict[int, _Packed] = {}
+
+
+def _packed(beams: Beams) -> _Packed:
+    """Return the packed tables of some beams, which spinning sensors use again and again."""
+    known = _last_packed.get(id(beams))
+    if known is None:
+        if len(_last_packed) >= _PACKED_KEPT:
+            _last_packed.pop(next(iter(_last_packed)))
+        lane = (np.arange(BLOCK, dtype=np.float32) + beams.firing_share[:, None]) / np.float32(BLOCK)
+        known = _Packed(beams, _by_block(beams.axis), _by_block(beams.subray), lane)
+        _last_packed[id(beams)] = known
+    return known
+
+
+def _by_block(directions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Turn (..., 3, R, 16 B) into (..., R, B, 3, 16)."""
+    *outer, axes, rings, columns = directions.shape
+    split = directions.reshape(*outer, axes, rings, columns // BLOCK, BLOCK)
+    return np.ascontiguousarray(np.moveaxis(split, -4, -2))
 
 
 def _blocks(
@@ -353,32 +386,25 @@ def _room(shot: Shot) -> Columns:
     )
 
 
-def _scratch(width: int, subrays: int) -> Scratch:
-    packets = BLOCK // width
-    # Embree reads packets with aligned instructions.
-    packet = _aligned(packets * RAY_ROWS * width).reshape(packets, RAY_ROWS, width)
-    valid = _aligned(width).view(np.int32)
+def _scratch(width: int) -> Scratch:
+    # Embree reads packets and the row of valid rays with aligned instructions.
+    owner = np.zeros(4 * (ROOM_WORDS + BLOCK) + 64, np.uint8)
+    skip = -owner.ctypes.data % 64
+    room = owner[skip : skip + 4 * ROOM_WORDS].view(np.float32)
+    valid = owner[skip + 4 * ROOM_WORDS : skip + 4 * (ROOM_WORDS + BLOCK)].view(np.int32)
     valid[:] = -1
     return Scratch(
         lanes=(0,) * width,
-        packet=packet,
-        packet_word=packet.view(np.uint32),
-        valid=valid,
-        packet_address=packet.ctypes.data,
+        room=room,
+        word=room.view(np.uint32),
+        number=room.view(np.int32),
+        address=room.ctypes.data,
         valid_address=valid.ctypes.data,
-        distance=np.zeros((subrays, BLOCK), np.float32),
-        cosine=np.zeros((subrays, BLOCK), np.float32),
-        margin=np.zeros((subrays, BLOCK), np.float32),
-        power=np.zeros((subrays, BLOCK), np.float32),
-        object_id=np.zeros((subrays, BLOCK), np.int32),
-        material=np.zeros((subrays, BLOCK), np.uint8),
+        material=np.zeros((8, BLOCK), np.uint8),
+        keep=np.zeros((2, BLOCK), np.bool_),
+        keep_axes=np.zeros((BLOCK, 3), np.bool_),
+        owner=owner,
     )
-
-
-def _aligned(words: int) -> NDArray[np.float32]:
-    raw = np.zeros(4 * words + 64, np.uint8)
-    skip = -raw.ctypes.data % 64
-    return raw[skip : skip + 4 * words].view(np.float32)
 
 
 def _groups(shots: Sequence[Shot]) -> list[list[Shot]]:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -22,39 +23,59 @@ from sensors.sweep import STATIC
 
 _FAST = {"contract", "nsz", "reassoc", "arcp"}
 _OPTIONS: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": _FAST}
+_PART: dict[str, Any] = {**_OPTIONS, "forceinline": True}
+"""Of the parts of a loop: passing dozens of arrays by value would cost more than what they do."""
 
-(_ORIGIN, _NEAR, _DIRECTION, _TIME, _REACH, _MASK) = (0, 3, 4, 7, 8, 9)
-(_NORMAL, _PRIMITIVE, _GEOMETRY, _INSTANCE) = (12, 17, 18, 19)
+_DIRECTION, _TIME, _REACH, _MASK = 4, 7, 8, 9
+_NORMAL, _PRIMITIVE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
+"""Rows of a packet; the ray's origin is row 0 and its nearest distance, always 0, row 3."""
+
 _MOST_SUBRAYS = 8
-_STRONGEST, _LAST, _DUAL = range(3)
+_LAST, _DUAL = 1, 2
+
+# Where the rows of 16 words of `Scratch.room` start, after the packets.
+_LANE = RAY_ROWS * BLOCK
+_AIM = _LANE + BLOCK
+_DISTANCE = _AIM + 3 * BLOCK
+_COSINE = _DISTANCE + _MOST_SUBRAYS * BLOCK
+_POWER = _COSINE + _MOST_SUBRAYS * BLOCK
+_OBJECT = _POWER + _MOST_SUBRAYS * BLOCK
+_MEASURED = _OBJECT + _MOST_SUBRAYS * BLOCK
+_INTENSITY = _MEASURED + 2 * BLOCK
+_POINT = _INTENSITY + 2 * BLOCK
+_COLUMN = _POINT + 2 * 3 * BLOCK
+_SCALE = _COLUMN + BLOCK
+ROOM_WORDS = _SCALE + BLOCK
 
 
 class Tables(NamedTuple):
     """Everything about one sweep that the loop reads; see `sensors.raycast.base.Shot`.
 
     Attributes:
-        axis: (3, R, 16 B) float32.
-        subray: (S, 3, R, 16 B) float32.
-        share: (R,) float32 when a beam fires within its column, in columns.
+        axis: (R, B, 3, 16) float32 directions of the beams.
+        subray: (S, R, B, 3, 16) float32 directions of the rays.
+        lane: (R, 16) float32 when each column of a block fires, as a share of the block.
         reach: (R, 2) float32.
         ray_pose, ray_step: (B, 3, 4) float32 pose in the static solid's frame at the start of a block, and its change
             until the next block.
         point_pose, point_step: the same in the frame of the points.
-        clock: (3,) float32 body time of column 0 and its change per column; seconds per column.
-        power, need, scale: see `sensors.optics.Optics`.
+        clock: (2,) float32 body time at the start of the sweep and its change per block.
+        power: (M * (COSINE_BINS + 1),) float32, need, scale: see `sensors.optics.Optics`.
         of_material: intensity depends on what was hit.
-        law: (7,) float32 reach of the tables, echo gate, range noise, angle noise, intensity limit and zero-intensity
-            chance of the drop-off, general drop-off.
+        law: (7,) float32: 1 / reach of the tables, echo gate, range noise, angle noise, 1 / intensity limit and
+            zero-intensity chance of the drop-off, general drop-off.
         returns: 0 strongest, 1 last, 2 dual.
-        start: (6, R) int64 starts in the tables of random numbers.
+        start: (6, R) uint64 starts in the tables of random numbers.
         normal, uniform: those tables.
-        mask: ray mask.
+        share: (R,) float32 when a beam fires, as a share of its column.
+        column_s: float32 time from one column to the next, s.
         columns: C.
+        mask: ray mask.
     """
 
     axis: NDArray[np.float32]
     subray: NDArray[np.float32]
-    share: NDArray[np.float32]
+    lane: NDArray[np.float32]
     reach: NDArray[np.float32]
     ray_pose: NDArray[np.float32]
     ray_step: NDArray[np.float32]
@@ -67,11 +88,13 @@ class Tables(NamedTuple):
     of_material: bool
     law: NDArray[np.float32]
     returns: int
-    start: NDArray[np.int64]
+    start: NDArray[np.uint64]
     normal: NDArray[np.float32]
     uniform: NDArray[np.float32]
-    mask: int
+    share: NDArray[np.float32]
+    column_s: np.float32
     columns: int
+    mask: int
 
 
 class World(NamedTuple):
@@ -117,31 +140,36 @@ class Columns(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """The packet of one thread and what its rays hit.
+    """What one thread works in: the packet and what came of its rays.
+
+    Everything of 4 bytes lies in one array, at places that are known when the loop is compiled: only then does the
+    compiler know that rows do not overlap, and turns loops over lanes into vector instructions.
 
     Attributes:
         lanes: a tuple of `width` zeros: its length is part of the type, so that loops over lanes have a fixed length.
-        packet: (16 / width, 21, width) float32, 64-byte aligned as Embree asks.
-        packet_word: the same memory as uint32.
-        valid: (width,) int32 of -1, aligned.
-        packet_address, valid_address: where they lie.
-        distance, cosine, margin, power: (S, 16) float32 of each sub-ray; distance is infinite where it missed.
-        object_id: (S, 16) int32.
-        material: (S, 16) uint8.
+        room: (ROOM_WORDS,) float32, 64-byte aligned as Embree asks: 16 / width packets of (21, width), then rows of 16,
+            one per sub-ray or echo: shares of the block at which columns fire, directions, distances (infinite where
+            nothing was hit), cosines, powers, object ids, and for echoes measured ranges, intensities and (16, 3)
+            points. Once a block is read, the first two rows are those of the echoes to report.
+        word, number: the same memory as uint32 and int32.
+        address: where it lies.
+        valid_address: where an aligned row of int32 of -1 lies: all rays of a packet are cast.
+        material: (8, 16) uint8 of sub-rays, then of echoes.
+        keep: (2, 16) bool: the return is not lost.
+        keep_axes: (16, 3) bool: the same for each coordinate of the first return.
+        owner: keeps the memory alive.
     """
 
     lanes: tuple[int, ...]
-    packet: NDArray[np.float32]
-    packet_word: NDArray[np.uint32]
-    valid: NDArray[np.int32]
-    packet_address: int
+    room: NDArray[np.float32]
+    word: NDArray[np.uint32]
+    number: NDArray[np.int32]
+    address: int
     valid_address: int
-    distance: NDArray[np.float32]
-    cosine: NDArray[np.float32]
-    margin: NDArray[np.float32]
-    power: NDArray[np.float32]
-    object_id: NDArray[np.int32]
     material: NDArray[np.uint8]
+    keep: NDArray[np.bool_]
+    keep_axes: NDArray[np.bool_]
+    owner: NDArray[np.uint8]
 
 
 def _typed_call(typing_context: Any, address: Any, arguments: Any) -> Any:
@@ -164,251 +192,245 @@ def _typed_call(typing_context: Any, address: Any, arguments: Any) -> Any:
 call: Any = intrinsic(_typed_call)
 
 
-@njit(inline="always")
-def _read(table: Any, place: Any, bins: Any) -> Any:
-    """Return the value of a table at a place in [0, 1]."""
-    at = place * np.float32(bins)
-    low = min(np.uint32(at), np.uint32(bins - 1))
-    share = at - np.float32(low)
-    return table[low] + share * (table[low + np.uint32(1)] - table[low])
+def _typed_bits(typing_context: Any, address: Any) -> Any:
+    """Return as 16 bits which of 16 bytes at an address are not zero."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        row = ir.VectorType(ir.IntType(8), BLOCK)
+        flags = builder.load(builder.inttoptr(values[0], row.as_pointer()), align=1)
+        return builder.bitcast(builder.icmp_unsigned("!=", flags, ir.Constant(row, None)), ir.IntType(BLOCK))
+
+    return types.uint16(types.int64), generate
 
 
-@njit(**_OPTIONS)
-def _fill(tables: Any, scratch: Any, ring: int, block: int, subray: int) -> None:
-    """Fill the packets of one block of one ring with the rays of one sub-ray."""
-    width = len(scratch.lanes)
-    pose, step = tables.ray_pose[block], tables.ray_step[block]
-    reach = tables.reach[ring, 1]
-    share = tables.share[ring]
-    first = np.float32(block * BLOCK)
+bits_of: Any = intrinsic(_typed_bits)
+
+
+def _typed_squeeze(typing_context: Any, bits: Any, source: Any, target: Any, size: Any) -> Any:
+    """Copy those of 16 values at an address whose bit is set, one after another, to another address.
+
+    numba has no word for it and LLVM does: with AVX-512 it is one instruction instead of sixteen branches.
+    """
+    word = ir.IntType(8 * size.literal_value)
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        row, chosen = ir.VectorType(word, BLOCK), ir.VectorType(ir.IntType(1), BLOCK)
+        kind = ir.FunctionType(ir.VoidType(), [row, word.as_pointer(), chosen])
+        name = f"llvm.masked.compressstore.v{BLOCK}i{word.width}"
+        function = cgutils.get_or_insert_function(builder.module, kind, name)
+        lanes = builder.load(builder.inttoptr(values[1], row.as_pointer()), align=1)
+        target = builder.inttoptr(values[2], word.as_pointer())
+        builder.call(function, [lanes, target, builder.bitcast(values[0], chosen)])
+        return context.get_dummy_value()
+
+    return types.void(types.uint16, types.int64, types.int64, size), generate
+
+
+squeeze: Any = intrinsic(prefer_literal=True)(_typed_squeeze)
+
+
+@njit(**_PART)
+def _bin(place: Any, bins: Any) -> Any:
+    """Return the nearest bin of a place in [0, 1]."""
+    return np.uint32(np.int32(min(place, np.float32(1.0)) * np.float32(bins) + np.float32(0.5)))
+
+
+@njit(**_PART)
+def _at(start: Any, row: Any, lane: Any) -> Any:
+    """Return the place of a lane of a row; unsigned, because of signed ones numba asks whether they count backwards."""
+    return np.uint64(start) + np.uint64(row) * np.uint64(BLOCK) + np.uint64(lane)
+
+
+@njit(**_PART)
+def _in_packet(width: Any, part: Any, row: Any, lane: Any) -> Any:
+    """Return the place of a lane of a row of a packet."""
+    return (np.uint64(part) * np.uint64(RAY_ROWS) + np.uint64(row)) * np.uint64(width) + np.uint64(lane)
+
+
+@njit(**_PART)
+def _aim(tables: Any, scratch: Any, ring: Any, block: Any, subray: Any) -> None:
+    """Point the rays of a block in the sensor frame, jitter included."""
+    room = scratch.room
+    for lane in range(BLOCK):
+        room[_at(_AIM, 0, lane)] = tables.subray[subray, ring, block, 0, lane]
+        room[_at(_AIM, 1, lane)] = tables.subray[subray, ring, block, 1, lane]
+        room[_at(_AIM, 2, lane)] = tables.subray[subray, ring, block, 2, lane]
     sigma = tables.law[3]
+    if sigma > np.float32(0.0):
+        across = tables.start[ACROSS, ring] + np.uint64(block * BLOCK)
+        up = tables.start[UP, ring] + np.uint64(block * BLOCK)
+        for lane in range(BLOCK):
+            x, y, z = room[_at(_AIM, 0, lane)], room[_at(_AIM, 1, lane)], room[_at(_AIM, 2, lane)]
+            level = max(np.sqrt(x * x + y * y), np.float32(1e-6))
+            a = sigma * tables.normal[across + np.uint64(lane)] / level
+            e = sigma * tables.normal[up + np.uint64(lane)] / level
+            room[_at(_AIM, 0, lane)] = x - a * y - e * x * z
+            room[_at(_AIM, 1, lane)] = y + a * x - e * y * z
+            room[_at(_AIM, 2, lane)] = z + e * level * level
+
+
+@njit(**_PART)
+def _load(tables: Any, scratch: Any, ring: Any, block: Any, moving: Any) -> None:
+    """Fill the packets with the rays that were aimed, from where the sensor is when each fires."""
+    width = len(scratch.lanes)
+    room, word = scratch.room, scratch.word
+    for axis in range(3):
+        m0, m1, m2, m3 = (
+            tables.ray_pose[block, axis, 0],
+            tables.ray_pose[block, axis, 1],
+            tables.ray_pose[block, axis, 2],
+            tables.ray_pose[block, axis, 3],
+        )
+        d0, d1, d2, d3 = (
+            tables.ray_step[block, axis, 0],
+            tables.ray_step[block, axis, 1],
+            tables.ray_step[block, axis, 2],
+            tables.ray_step[block, axis, 3],
+        )
+        for part in range(BLOCK // width):
+            for lane in range(width):
+                at = part * width + lane
+                f = room[_at(_LANE, 0, at)]
+                x, y, z = room[_at(_AIM, 0, at)], room[_at(_AIM, 1, at)], room[_at(_AIM, 2, at)]
+                room[_in_packet(width, part, axis, lane)] = m3 + f * d3
+                room[_in_packet(width, part, _DIRECTION + axis, lane)] = (
+                    (m0 + f * d0) * x + (m1 + f * d1) * y + (m2 + f * d2) * z
+                )
+    reach = tables.reach[ring, 1]
     for part in range(BLOCK // width):
-        ray = scratch.packet[part]
-        word = scratch.packet_word[part]
-        base = block * BLOCK + part * width
-        x = tables.subray[subray, 0, ring, base : base + width]
-        y = tables.subray[subray, 1, ring, base : base + width]
-        z = tables.subray[subray, 2, ring, base : base + width]
-        if sigma > np.float32(0.0):
-            across = tables.normal[tables.start[ACROSS, ring] + base :]
-            up = tables.normal[tables.start[UP, ring] + base :]
-            for lane in range(width):
-                level = max(np.sqrt(x[lane] * x[lane] + y[lane] * y[lane]), np.float32(1e-6))
-                a = sigma * across[lane] / level
-                e = sigma * up[lane] / level
-                ray[4, lane] = x[lane] - a * y[lane] - e * x[lane] * z[lane]
-                ray[5, lane] = y[lane] + a * x[lane] - e * y[lane] * z[lane]
-                ray[6, lane] = z[lane] + e * level * level
-        else:
-            for lane in range(width):
-                ray[4, lane] = x[lane]
-                ray[5, lane] = y[lane]
-                ray[6, lane] = z[lane]
         for lane in range(width):
-            column = np.float32(lane + part * width) + share
-            f = column * np.float32(1.0 / BLOCK)
-            dx = ray[4, lane]
-            dy = ray[5, lane]
-            dz = ray[6, lane]
-            ray[0, lane] = pose[0, 3] + f * step[0, 3]
-            ray[1, lane] = pose[1, 3] + f * step[1, 3]
-            ray[2, lane] = pose[2, 3] + f * step[2, 3]
-            ray[3, lane] = np.float32(0.0)
-            ray[4, lane] = (
-                (pose[0, 0] + f * step[0, 0]) * dx
-                + (pose[0, 1] + f * step[0, 1]) * dy
-                + (pose[0, 2] + f * step[0, 2]) * dz
-            )
-            ray[5, lane] = (
-                (pose[1, 0] + f * step[1, 0]) * dx
-                + (pose[1, 1] + f * step[1, 1]) * dy
-                + (pose[1, 2] + f * step[1, 2]) * dz
-            )
-            ray[6, lane] = (
-                (pose[2, 0] + f * step[2, 0]) * dx
-                + (pose[2, 1] + f * step[2, 1]) * dy
-                + (pose[2, 2] + f * step[2, 2]) * dz
-            )
-            time = tables.clock[0] + tables.clock[1] * (first + column)
-            ray[7, lane] = min(max(time, np.float32(0.0)), np.float32(1.0))
-            ray[8, lane] = reach
+            room[_in_packet(width, part, _REACH, lane)] = reach
         for lane in range(width):
-            word[9, lane] = np.uint32(tables.mask)
-            word[11, lane] = 0
-            word[18, lane] = INVALID
-            word[19, lane] = INVALID
+            word[_in_packet(width, part, _GEOMETRY, lane)] = np.uint32(INVALID)
+            word[_in_packet(width, part, _INSTANCE, lane)] = np.uint32(INVALID)
+    if moving:
+        start, change = tables.clock[0] + tables.clock[1] * np.float32(block), tables.clock[1]
+        for part in range(BLOCK // width):
+            for lane in range(width):
+                time = start + change * room[_at(_LANE, 0, part * width + lane)]
+                room[_in_packet(width, part, _TIME, lane)] = min(max(time, np.float32(0.0)), np.float32(1.0))
 
 
-@njit(**_OPTIONS)
-def _trace(world: Any, scratch: Any, moving: bool) -> None:
+@njit(**_PART)
+def _trace(world: Any, scratch: Any, moving: Any) -> None:
     """Find what the packets hit: the bodies first, which shortens the rays for the static world."""
     width = len(scratch.lanes)
     for part in range(BLOCK // width):
-        packet = scratch.packet_address + part * RAY_ROWS * width * 4
+        packet = scratch.address + part * RAY_ROWS * width * 4
         if moving:
             call(world.intersect, (scratch.valid_address, world.moving, packet, world.arguments))
         call(world.intersect, (scratch.valid_address, world.static, packet, world.arguments))
 
 
-@njit(**_OPTIONS)
-def _incidence_on_body(world: Any, ray: Any, lane: int, slot: int) -> np.float32:
+@njit(**_PART)
+def _incidence_on_body(world: Any, room: Any, width: Any, part: Any, lane: Any, slot: Any) -> Any:
     """Return the cosine between a ray and a normal that Embree gives in the body's own frame."""
+    pose = world.body_pose
     last = world.body_steps[slot] - 1
-    at = ray[7, lane] * np.float32(last)
+    at = room[_in_packet(width, part, _TIME, lane)] * np.float32(last)
     low = min(np.int64(at), last - 1)
     f = at - np.float32(low)
-    a, b = world.body_pose[slot, low], world.body_pose[slot, low + 1]
     total = np.float32(0.0)
     length = np.float32(0.0)
     for axis in range(3):
-        normal = ray[12 + axis, lane]
+        normal = room[_in_packet(width, part, _NORMAL + axis, lane)]
         along = np.float32(0.0)
         for row in range(3):
-            along += (a[row, axis] + f * (b[row, axis] - a[row, axis])) * ray[4 + row, lane]
+            turn = pose[slot, low, row, axis]
+            turn += f * (pose[slot, low + 1, row, axis] - turn)
+            along += turn * room[_in_packet(width, part, _DIRECTION + row, lane)]
         total += along * normal
         length += normal * normal
     return np.abs(total) / np.sqrt(max(length, np.float32(1e-30)))
 
 
-@njit(**_OPTIONS)
-def _read_hits(world: Any, tables: Any, scratch: Any, subray: int) -> int:
+@njit(**_PART)
+def _read(world: Any, tables: Any, scratch: Any, subray: Any) -> Any:
     """Take what was hit out of the packets; return how many rays hit."""
     width = len(scratch.lanes)
-    distance, cosine = scratch.distance[subray], scratch.cosine[subray]
-    object_id, material = scratch.object_id[subray], scratch.material[subray]
-    power = scratch.power[subray]
-    count = 0
+    room, word, number = scratch.room, scratch.word, scratch.number
+    hits = np.int32(0)
     for part in range(BLOCK // width):
-        ray = scratch.packet[part]
-        word = scratch.packet_word[part]
-        base = part * width
         for lane in range(width):
-            nx, ny, nz = ray[12, lane], ray[13, lane], ray[14, lane]
-            along = nx * ray[4, lane] + ny * ray[5, lane] + nz * ray[6, lane]
+            nx = room[_in_packet(width, part, _NORMAL, lane)]
+            ny = room[_in_packet(width, part, _NORMAL + 1, lane)]
+            nz = room[_in_packet(width, part, _NORMAL + 2, lane)]
+            along = (
+                nx * room[_in_packet(width, part, _DIRECTION, lane)]
+                + ny * room[_in_packet(width, part, _DIRECTION + 1, lane)]
+                + nz * room[_in_packet(width, part, _DIRECTION + 2, lane)]
+            )
             length = max(nx * nx + ny * ny + nz * nz, np.float32(1e-30))
-            cosine[base + lane] = min(np.abs(along) / np.sqrt(length), np.float32(1.0))
+            level = np.abs(along) / np.sqrt(length)
+            room[_at(_COSINE, subray, part * width + lane)] = min(level, np.float32(1.0))
         for lane in range(width):
-            at = base + lane
-            if word[18, lane] == np.uint32(INVALID):
-                distance[at] = np.float32(np.inf)
+            # The number that Embree writes for no geometry is not a number when read as float32; indices are.
+            geometry = room[_in_packet(width, part, _GEOMETRY, lane)]
+            hit = geometry == geometry
+            hits += np.int32(hit)
+            reached = room[_in_packet(width, part, _REACH, lane)]
+            room[_at(_DISTANCE, subray, part * width + lane)] = reached if hit else np.float32(np.inf)
+        for lane in range(width):
+            number[_at(_OBJECT, subray, part * width + lane)] = STATIC
+    for part in range(BLOCK // width):
+        for lane in range(width):
+            at = part * width + lane
+            if word[_in_packet(width, part, _GEOMETRY, lane)] == np.uint32(INVALID):
                 continue
-            count += 1
-            distance[at] = ray[8, lane]
-            slot = word[19, lane]
-            face = np.uint64(word[17, lane])
-            if slot == np.uint32(INVALID):
-                object_id[at] = STATIC
-                kind = world.static_material[face]
+            face = np.uint64(word[_in_packet(width, part, _PRIMITIVE, lane)])
+            slot = np.uint64(word[_in_packet(width, part, _INSTANCE, lane)])
+            if slot == np.uint64(INVALID):
+                material = world.static_material[face]
             else:
-                object_id[at] = world.body_id[slot]
-                kind = world.body_material[np.uint64(world.body_offset[slot]) + face]
-                cosine[at] = min(_incidence_on_body(world, ray, lane, np.int64(slot)), np.float32(1.0))
-            material[at] = kind
-            power[at] = _read(tables.power[kind], cosine[at], COSINE_BINS)
-    return count
+                number[_at(_OBJECT, subray, at)] = world.body_id[slot]
+                material = world.body_material[np.uint64(world.body_offset[slot]) + face]
+                level = _incidence_on_body(world, room, width, part, lane, slot)
+                room[_at(_COSINE, subray, at)] = min(level, np.float32(1.0))
+            scratch.material[subray, at] = material
+            place = room[_at(_COSINE, subray, at)] * np.float32(COSINE_BINS)
+            low = min(np.uint32(place), np.uint32(COSINE_BINS - 1))
+            kind = np.uint64(material) * np.uint64(COSINE_BINS + 1) + np.uint64(low)
+            weak, strong = tables.power[kind], tables.power[kind + np.uint64(1)]
+            room[_at(_POWER, subray, at)] = weak + (place - np.float32(low)) * (strong - weak)
+    return hits
+
+
+@njit(**_PART)
+def _detect(tables: Any, scratch: Any) -> None:
+    """Make the one ray of each beam its echo, if it is strong enough."""
+    room = scratch.room
+    for lane in range(BLOCK):
+        distance = room[_at(_DISTANCE, 0, lane)]
+        if room[_at(_POWER, 0, lane)] < tables.need[_bin(distance * tables.law[0], RANGE_BINS)]:
+            room[_at(_DISTANCE, 0, lane)] = np.float32(np.inf)
 
 
 @njit(**_OPTIONS)
-def _report(
-    tables: Any,
-    columns: Any,
-    row: int,
-    ring: int,
-    column: int,
-    distance: np.float32,
-    power: np.float32,
-    object_id: int,
-    material: int,
-    cosine: np.float32,
-    number: int,
-    noise: int,
-) -> int:
-    """Write one return unless it is lost; return the next free row."""
-    place = min(distance / tables.law[0], np.float32(1.0))
-    scale = _read(tables.scale, place, RANGE_BINS)
-    intensity = min(power * scale if tables.of_material else scale, np.float32(1.0))
-    limit, most = tables.law[4], tables.law[5]
-    if most > np.float32(0.0) and intensity < limit:
-        chance = most * (np.float32(1.0) - intensity / limit)
-        if tables.uniform[tables.start[LOST_AFTER, ring] + column] < chance:
-            return row
-    measured = distance + tables.law[2] * tables.normal[tables.start[noise, ring] + column]
-    near, far = tables.reach[ring, 0], tables.reach[ring, 1]
-    if distance < near or measured < near or measured > far:
-        return row
-    block = column // BLOCK
-    pose, step = tables.point_pose[block], tables.point_step[block]
-    fired = np.float32(column) + tables.share[ring]
-    f = (fired - np.float32(block * BLOCK)) * np.float32(1.0 / BLOCK)
-    x = tables.axis[0, ring, column] * measured
-    y = tables.axis[1, ring, column] * measured
-    z = tables.axis[2, ring, column] * measured
-    for axis in range(3):
-        columns.points[row, axis] = (
-            (pose[axis, 0] + f * step[axis, 0]) * x
-            + (pose[axis, 1] + f * step[axis, 1]) * y
-            + (pose[axis, 2] + f * step[axis, 2]) * z
-            + (pose[axis, 3] + f * step[axis, 3])
-        )
-    columns.intensity[row] = intensity
-    columns.ring[row] = ring
-    columns.column[row] = column
-    columns.time_offset[row] = (fired - np.float32(0.5) * np.float32(tables.columns)) * tables.clock[2]
-    columns.object_id[row] = object_id
-    columns.return_number[row] = number
-    columns.material[row] = material
-    columns.cosine[row] = cosine
-    return row + 1
+def _merge(tables: Any, scratch: Any, subrays: int, order: Any, margins: Any, found: Any) -> None:
+    """Merge the sub-rays of each beam into echoes and choose those that are reported.
 
-
-@njit(**_OPTIONS)
-def _report_single(tables: Any, scratch: Any, columns: Any, row: int, ring: int, block: int) -> int:
-    """Report a block of beams of one ray each."""
-    lost = tables.uniform[tables.start[LOST_BEFORE, ring] + block * BLOCK :]
-    lanes = min(BLOCK, tables.columns - block * BLOCK)
-    for lane in range(lanes):
-        distance = scratch.distance[0, lane]
-        if distance == np.float32(np.inf) or lost[lane] < tables.law[6]:
-            continue
-        power = scratch.power[0, lane]
-        if power < _read(tables.need, min(distance / tables.law[0], np.float32(1.0)), RANGE_BINS):
-            continue
-        row = _report(
-            tables,
-            columns,
-            row,
-            ring,
-            block * BLOCK + lane,
-            distance,
-            power,
-            scratch.object_id[0, lane],
-            scratch.material[0, lane],
-            scratch.cosine[0, lane],
-            1,
-            RANGE,
-        )
-    return row
-
-
-@njit(**_OPTIONS)
-def _report_many(tables: Any, scratch: Any, columns: Any, row: int, ring: int, block: int, echo: Any) -> int:
-    """Merge the sub-rays of a block of beams into echoes and report those that are asked for."""
-    subrays = scratch.distance.shape[0]
+    Args:
+        tables: the sweep.
+        scratch: what the sub-rays hit; its echoes are written.
+        subrays: how many there are.
+        order: (8,) int64 room.
+        margins: (8,) float32 room.
+        found: (8, 4) float32 room for distance, power, margin and strongest ray of each echo.
+    """
     part = np.float32(1.0) / np.float32(subrays)
-    lost = tables.uniform[tables.start[LOST_BEFORE, ring] + block * BLOCK :]
-    order = np.zeros(_MOST_SUBRAYS, np.int64)
-    for lane in range(min(BLOCK, tables.columns - block * BLOCK)):
-        if lost[lane] < tables.law[6]:
-            continue
+    room, number = scratch.room, scratch.number
+    for lane in range(BLOCK):
+        found[0, 3] = np.float32(0.0)
         hits = 0
         for subray in range(subrays):
-            distance = scratch.distance[subray, lane]
-            if distance == np.float32(np.inf):
+            reached = room[_at(_DISTANCE, subray, lane)]
+            if reached == np.float32(np.inf):
                 continue
-            need = _read(tables.need, min(distance / tables.law[0], np.float32(1.0)), RANGE_BINS)
-            scratch.margin[subray, lane] = part * scratch.power[subray, lane] / need
+            margins[subray] = (
+                part * room[_at(_POWER, subray, lane)] / tables.need[_bin(reached * tables.law[0], RANGE_BINS)]
+            )
             place = hits
-            while place > 0 and scratch.distance[order[place - 1], lane] > distance:
+            while place > 0 and room[_at(_DISTANCE, order[place - 1], lane)] > reached:
                 order[place] = order[place - 1]
                 place -= 1
             order[place] = subray
@@ -416,95 +438,235 @@ def _report_many(tables: Any, scratch: Any, columns: Any, row: int, ring: int, b
         echoes = 0
         first = 0
         while first < hits:
-            after = first + 1
-            while (
-                after < hits
-                and scratch.distance[order[after], lane] - scratch.distance[order[after - 1], lane] <= tables.law[1]
-            ):
-                after += 1
+            nearest = room[_at(_DISTANCE, order[first], lane)]
+            best = order[first]
             margin = np.float32(0.0)
             power = np.float32(0.0)
-            mean = np.float32(0.0)
-            best = order[first]
-            for index in range(first, after):
-                subray = order[index]
-                margin += scratch.margin[subray, lane]
-                power += scratch.power[subray, lane] * part
-                mean += scratch.margin[subray, lane] * (scratch.distance[subray, lane] - scratch.distance[best, lane])
-            best_distance = scratch.distance[best, lane]
-            for index in range(first, after):
-                if scratch.margin[order[index], lane] > scratch.margin[best, lane]:
-                    best = order[index]
+            beyond = np.float32(0.0)
+            after = first
+            while after < hits:
+                subray = order[after]
+                if (
+                    after > first
+                    and room[_at(_DISTANCE, subray, lane)] - room[_at(_DISTANCE, order[after - 1], lane)]
+                    > tables.law[1]
+                ):
+                    break
+                margin += margins[subray]
+                power += part * room[_at(_POWER, subray, lane)]
+                beyond += margins[subray] * (room[_at(_DISTANCE, subray, lane)] - nearest)
+                if margins[subray] > margins[best]:
+                    best = subray
+                after += 1
             if margin >= np.float32(1.0):
-                echo[echoes, 0] = best_distance + mean / margin
-                echo[echoes, 1] = power
-                echo[echoes, 2] = margin
-                echo[echoes, 3] = np.float32(best)
+                found[echoes, 0] = nearest + beyond / margin
+                found[echoes, 1] = power
+                found[echoes, 2] = margin
+                found[echoes, 3] = np.float32(best)
                 echoes += 1
             first = after
-        if echoes == 0:
-            continue
-        strongest = 0
+        near = 0
         for index in range(1, echoes):
-            if echo[index, 2] > echo[strongest, 2]:
-                strongest = index
-        chosen = strongest if tables.returns != _LAST else echoes - 1
-        other = -1
-        if tables.returns == _DUAL and echoes > 1:
-            other = echoes - 1
-            if other == strongest:
-                other = 0
+            if found[index, 2] > found[near, 2]:
+                near = index
+        far = -1
+        if tables.returns == _LAST:
+            near = echoes - 1
+        elif tables.returns == _DUAL and echoes > 1:
+            far = echoes - 1
+            if far == near:
+                far = 0
                 for index in range(1, echoes - 1):
-                    if echo[index, 2] > echo[other, 2]:
-                        other = index
-            if other < chosen:
-                chosen, other = other, chosen
-        number = 0
-        for index in (chosen, other):
-            if index < 0:
-                continue
-            best = np.int64(echo[index, 3])
-            number += 1
-            row = _report(
-                tables,
-                columns,
-                row,
-                ring,
-                block * BLOCK + lane,
-                echo[index, 0],
-                echo[index, 1],
-                scratch.object_id[best, lane],
-                scratch.material[best, lane],
-                scratch.cosine[best, lane],
-                number,
-                RANGE if number == 1 else SECOND_RANGE,
+                    if found[index, 2] > found[far, 2]:
+                        far = index
+            near, far = min(near, far), max(near, far)
+        near_ray, far_ray = np.int64(found[near, 3]), np.int64(found[max(far, 0), 3])
+        hit = number[_at(_OBJECT, near_ray, lane)], scratch.material[near_ray, lane], room[_at(_COSINE, near_ray, lane)]
+        other = number[_at(_OBJECT, far_ray, lane)], scratch.material[far_ray, lane], room[_at(_COSINE, far_ray, lane)]
+        scratch.room[_at(_DISTANCE, 0, lane)] = found[near, 0] if echoes > 0 else np.float32(np.inf)
+        scratch.room[_at(_DISTANCE, 1, lane)] = found[far, 0] if far >= 0 else np.float32(np.inf)
+        room[_at(_POWER, 0, lane)], room[_at(_POWER, 1, lane)] = found[near, 1], found[max(far, 0), 1]
+        number[_at(_OBJECT, 0, lane)], scratch.material[0, lane], room[_at(_COSINE, 0, lane)] = hit
+        number[_at(_OBJECT, 1, lane)], scratch.material[1, lane], room[_at(_COSINE, 1, lane)] = other
+
+
+@njit(**_PART)
+def _locate(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any, noise: Any) -> None:
+    """Measure the echoes of a block and place their points in the frame of the sweep."""
+    room = scratch.room
+    start = tables.start[noise, ring] + np.uint64(block * BLOCK)
+    sigma = tables.law[2]
+    for lane in range(BLOCK):
+        error = sigma * tables.normal[start + np.uint64(lane)]
+        room[_at(_MEASURED, echo, lane)] = room[_at(_DISTANCE, echo, lane)] + error
+    for axis in range(3):
+        m0, m1, m2, m3 = (
+            tables.point_pose[block, axis, 0],
+            tables.point_pose[block, axis, 1],
+            tables.point_pose[block, axis, 2],
+            tables.point_pose[block, axis, 3],
+        )
+        d0, d1, d2, d3 = (
+            tables.point_step[block, axis, 0],
+            tables.point_step[block, axis, 1],
+            tables.point_step[block, axis, 2],
+            tables.point_step[block, axis, 3],
+        )
+        for lane in range(BLOCK):
+            f = room[_at(_LANE, 0, lane)]
+            along = (
+                (m0 + f * d0) * tables.axis[ring, block, 0, lane]
+                + (m1 + f * d1) * tables.axis[ring, block, 1, lane]
+                + (m2 + f * d2) * tables.axis[ring, block, 2, lane]
             )
+            point = along * room[_at(_MEASURED, echo, lane)] + (m3 + f * d3)
+            room[np.uint64(_POINT) + np.uint64(3 * BLOCK * echo + 3 * lane + axis)] = point
+
+
+@njit(**_PART)
+def _judge(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any) -> None:
+    """Give the echoes of a block their intensity and decide which returns are kept."""
+    room, keep = scratch.room, scratch.keep
+    before = tables.start[LOST_BEFORE, ring] + np.uint64(block * BLOCK)
+    after = tables.start[LOST_AFTER, ring] + np.uint64(block * BLOCK)
+    near, far = tables.reach[ring, 0], tables.reach[ring, 1]
+    limit, most, dropoff = tables.law[4], tables.law[5], tables.law[6]
+    for lane in range(BLOCK):
+        place = room[_at(_DISTANCE, echo, lane)] * tables.law[0]
+        room[_at(_SCALE, 0, lane)] = tables.scale[_bin(place, RANGE_BINS)]
+    for lane in range(BLOCK):
+        power = room[_at(_POWER, echo, lane)] if tables.of_material else np.float32(1.0)
+        room[_at(_INTENSITY, echo, lane)] = min(room[_at(_SCALE, 0, lane)] * power, np.float32(1.0))
+    for lane in range(BLOCK):
+        distance, measured = room[_at(_DISTANCE, echo, lane)], room[_at(_MEASURED, echo, lane)]
+        chance = most * max(np.float32(1.0) - room[_at(_INTENSITY, echo, lane)] * limit, np.float32(0.0))
+        keep[echo, lane] = (
+            (tables.uniform[before + np.uint64(lane)] >= dropoff)
+            & (tables.uniform[after + np.uint64(lane)] >= chance)
+            & (distance >= near)
+            & (measured >= near)
+            & (measured <= far)
+        )
+    # The last block is filled up with beams that are not there.
+    for lane in range(min(BLOCK, tables.columns - block * BLOCK), BLOCK):
+        keep[echo, lane] = False
+
+
+@njit(**_PART)
+def _pack(scratch: Any, columns: Any, row: Any, block: Any) -> Any:
+    """Write the kept returns of a block of beams with one return each; return the next free row."""
+    first = np.int32(block * BLOCK)
+    for lane in range(BLOCK):
+        scratch.number[_at(_COLUMN, 0, lane)] = first + np.int32(lane)
+    for lane in range(BLOCK):
+        for axis in range(3):
+            scratch.keep_axes[lane, axis] = scratch.keep[0, lane]
+    bits = bits_of(scratch.keep.ctypes.data)
+    at = np.int64(row)
+    squeeze(bits, scratch.address + 4 * _INTENSITY, columns.intensity.ctypes.data + 4 * at, 4)
+    squeeze(bits, scratch.address + 4 * _COLUMN, columns.column.ctypes.data + 4 * at, 4)
+    squeeze(bits, scratch.address + 4 * _OBJECT, columns.object_id.ctypes.data + 4 * at, 4)
+    squeeze(bits, scratch.address + 4 * _COSINE, columns.cosine.ctypes.data + 4 * at, 4)
+    squeeze(bits, scratch.material.ctypes.data, columns.material.ctypes.data + at, 1)
+    target = columns.points.ctypes.data + 12 * at
+    for third in range(3):
+        kept = bits_of(scratch.keep_axes.ctypes.data + BLOCK * third)
+        squeeze(kept, scratch.address + 4 * (_POINT + BLOCK * third), target, 4)
+        target += 4 * _count(kept)
+    return row + np.uint64(_count(bits))
+
+
+@njit(**_PART)
+def _count(bits: Any) -> Any:
+    """Return how many of 16 bits are set."""
+    word = np.uint32(bits)
+    word = (word & np.uint32(0x5555)) + ((word >> np.uint32(1)) & np.uint32(0x5555))
+    word = (word & np.uint32(0x3333)) + ((word >> np.uint32(2)) & np.uint32(0x3333))
+    word = (word & np.uint32(0x0F0F)) + ((word >> np.uint32(4)) & np.uint32(0x0F0F))
+    return np.int64((word & np.uint32(0x00FF)) + (word >> np.uint32(8)))
+
+
+@njit(**_OPTIONS)
+def _pack_pairs(scratch: Any, columns: Any, row: Any, block: int) -> Any:
+    """Write the kept returns of a block of beams with up to two returns each; return the next free row."""
+    room = scratch.room
+    for lane in range(BLOCK):
+        for echo in range(2):
+            if scratch.keep[echo, lane]:
+                for axis in range(3):
+                    columns.points[row, axis] = room[_POINT + 3 * BLOCK * echo + 3 * lane + axis]
+                columns.intensity[row] = room[_at(_INTENSITY, echo, lane)]
+                columns.column[row] = block * BLOCK + lane
+                columns.object_id[row] = scratch.number[_at(_OBJECT, echo, lane)]
+                columns.return_number[row] = echo + 1
+                columns.material[row] = scratch.material[echo, lane]
+                columns.cosine[row] = room[_at(_COSINE, echo, lane)]
+                row += np.uint64(1)
     return row
 
 
 @njit(**_OPTIONS)
 def sweep_rings(
-    tables: Any, world: Any, visible: Any, scratch: Any, columns: Any, first_row: int, first: int, last: int
+    tables: Any, world: Any, visible: Any, scratch: Any, columns: Any, start: int, first: int, last: int
 ) -> int:
-    """Make the points of rings `first` to `last` (exclusive) from row `first_row` on; return the row after."""
-    row = first_row
+    """Make the points of rings `first` to `last` (exclusive) from row `start` on; return the row after.
+
+    Args:
+        tables: the sweep.
+        world: what the rays meet.
+        visible: (last - first, B) bool: the rays of a block may meet a body.
+        scratch: of this thread.
+        columns: written.
+        start: row of the first point.
+        first: ring.
+        last: ring after the last.
+    """
+    row = np.uint64(start)
     subrays = tables.subray.shape[0]
-    echo = np.zeros((_MOST_SUBRAYS, 4), np.float32)
+    pairs = tables.returns == _DUAL and subrays > 1
+    order, margins = np.zeros(_MOST_SUBRAYS, np.int64), np.zeros(_MOST_SUBRAYS, np.float32)
+    found = np.zeros((_MOST_SUBRAYS, 4), np.float32)
+    width = len(scratch.lanes)
+    scratch.room[:] = np.float32(0.0)
+    for part in range(BLOCK // width):
+        for lane in range(width):
+            scratch.word[_in_packet(width, part, _MASK, lane)] = np.uint32(tables.mask)
     for ring in range(first, last):
+        begun = row
+        for lane in range(BLOCK):
+            scratch.room[_at(_LANE, 0, lane)] = tables.lane[ring, lane]
         for block in range(tables.ray_pose.shape[0]):
             moving = world.moving != 0 and visible[ring - first, block]
-            hits = 0
-            for subray in range(subrays):
-                _fill(tables, scratch, ring, block, subray)
-                _trace(world, scratch, moving)
-                hits += _read_hits(world, tables, scratch, subray)
-            if hits == 0:
-                continue
             if subrays == 1:
-                row = _report_single(tables, scratch, columns, row, ring, block)
+                # Said apart, the number 0 lets the compiler place every row.
+                _aim(tables, scratch, ring, block, 0)
+                _load(tables, scratch, ring, block, moving)
+                _trace(world, scratch, moving)
+                if _read(world, tables, scratch, 0) == 0:
+                    continue
+                _detect(tables, scratch)
             else:
-                row = _report_many(tables, scratch, columns, row, ring, block, echo)
-    return row
+                for subray in range(subrays):
+                    _aim(tables, scratch, ring, block, subray)
+                    _load(tables, scratch, ring, block, moving)
+                    _trace(world, scratch, moving)
+                    _read(world, tables, scratch, subray)
+                _merge(tables, scratch, subrays, order, margins, found)
+            _locate(tables, scratch, ring, block, 0, RANGE)
+            _judge(tables, scratch, ring, block, 0)
+            if pairs:
+                _locate(tables, scratch, ring, block, 1, SECOND_RANGE)
+                _judge(tables, scratch, ring, block, 1)
+                row = _pack_pairs(scratch, columns, row, block)
+            else:
+                row = _pack(scratch, columns, row, block)
+        columns.ring[begun:row] = ring
+        if not pairs:
+            columns.return_number[begun:row] = 1
+        early = np.float32(0.5) * np.float32(tables.columns) - tables.share[ring]
+        for done in range(begun, row):
+            columns.time_offset[done] = (np.float32(columns.column[done]) - early) * tables.column_s
+    return int(row)
 
 
 class Calls(NamedTuple):
@@ -680,29 +842,37 @@ def close_gap(columns: Any, row: int, start: int, end: int) -> None:
 def cast_rays(world: Any, scratch: Any, origins: Any, directions: Any, distance: Any, face: Any, cosine: Any) -> None:
     """Cast (N, 3) single rays against the static scene, each up to its `distance`, and write what they hit."""
     width = len(scratch.lanes)
-    ray, word = scratch.packet[0], scratch.packet_word[0]
+    room, word = scratch.room, scratch.word
     total = distance.shape[0]
     for base in range(0, total, width):
         for lane in range(width):
             # The last packet is filled up with its last ray.
             at = min(base + lane, total - 1)
             for axis in range(3):
-                ray[axis, lane] = origins[at, axis]
-                ray[4 + axis, lane] = directions[at, axis]
-            ray[3, lane] = np.float32(0.0)
-            ray[7, lane] = np.float32(0.0)
-            ray[8, lane] = distance[at]
-            word[9, lane] = np.uint32(INVALID)
-            word[11, lane] = 0
-            word[18, lane] = np.uint32(INVALID)
-        call(world.intersect, (scratch.valid_address, world.static, scratch.packet_address, world.arguments))
+                room[_in_packet(width, 0, axis, lane)] = origins[at, axis]
+                room[_in_packet(width, 0, 4 + axis, lane)] = directions[at, axis]
+            room[_in_packet(width, 0, 3, lane)] = np.float32(0.0)
+            room[_in_packet(width, 0, 7, lane)] = np.float32(0.0)
+            room[_in_packet(width, 0, 8, lane)] = distance[at]
+            word[_in_packet(width, 0, 9, lane)] = np.uint32(INVALID)
+            word[_in_packet(width, 0, 11, lane)] = 0
+            word[_in_packet(width, 0, 18, lane)] = np.uint32(INVALID)
+        call(world.intersect, (scratch.valid_address, world.static, scratch.address, world.arguments))
         for lane in range(min(width, total - base)):
-            if word[18, lane] == np.uint32(INVALID):
+            if word[_in_packet(width, 0, 18, lane)] == np.uint32(INVALID):
                 continue
             at = base + lane
-            nx, ny, nz = ray[12, lane], ray[13, lane], ray[14, lane]
-            along = nx * ray[4, lane] + ny * ray[5, lane] + nz * ray[6, lane]
+            nx, ny, nz = (
+                room[_in_packet(width, 0, 12, lane)],
+                room[_in_packet(width, 0, 13, lane)],
+                room[_in_packet(width, 0, 14, lane)],
+            )
+            along = (
+                nx * room[_in_packet(width, 0, 4, lane)]
+                + ny * room[_in_packet(width, 0, 5, lane)]
+                + nz * room[_in_packet(width, 0, 6, lane)]
+            )
             length = np.sqrt(max(nx * nx + ny * ny + nz * nz, np.float32(1e-30)))
-            distance[at] = ray[8, lane]
-            face[at] = word[17, lane]
+            distance[at] = room[_in_packet(width, 0, 8, lane)]
+            face[at] = word[_in_packet(width, 0, 17, lane)]
             cosine[at] = min(np.abs(along) / length, np.float32(1.0))

@@ -140,7 +140,7 @@ def test_drop_chance_is_linear_up_to_the_limit():
     np.testing.assert_allclose(chance, [0.4, 0.2, 0.0, 0.0], atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["hdl-64e", "vlp-16", "vlp-32c"])
+@pytest.mark.parametrize("name", ["hdl-64e-s3", "vlp-16", "vlp-32c"])
 def test_a_real_sensor_hardly_loses_the_road_beside_it(name):
     road = ground()
     road.face_attributes["material"][:] = material_index("asphalt")
