@@ -6,6 +6,7 @@ days are about the same triangles.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 import trimesh
@@ -81,31 +82,29 @@ def _district(rng: np.random.Generator) -> Piece:
 
 def _sheets() -> list[Piece]:
     """Return roads, pavements and yards as grids of cells of 1.5 to 2 m, and the kerbs between them."""
-    borders = [-0.5 * SIDE_M]
-    kinds = []
-    for road in ROADS_M:
-        for kind, far in (("yard", -HALF_ROAD_M - _WALK_M), ("walk", -HALF_ROAD_M), ("road", HALF_ROAD_M)):
-            borders.append(road + far)
-            kinds.append(kind)
-        borders.append(road + HALF_ROAD_M + _WALK_M)
-        kinds.append("walk")
-    borders.append(0.5 * SIDE_M)
-    kinds.append("yard")
-    strips = list(zip(borders, borders[1:], kinds, strict=False))
+    strips = _strips()
     pieces = []
     for x_low, x_high, across in strips:
         for y_low, y_high, along in strips:
             on_road = "road" in (across, along)
             material = "asphalt" if on_road else "pavement" if "walk" in (across, along) else "ground"
-            low, high = np.array([x_low, y_low]), np.array([x_high, y_high])
-            pieces.append(_sheet(low, high, 0.0 if on_road else _KERB_M, material))
-            if not on_road and across == "walk":
-                edge = x_high if any(abs(x_high - road + HALF_ROAD_M) < 1e-9 for road in ROADS_M) else x_low
-                pieces.append(_kerb(np.array([edge, y_low]), np.array([edge, y_high])))
-            if not on_road and along == "walk":
-                edge = y_high if any(abs(y_high - road + HALF_ROAD_M) < 1e-9 for road in ROADS_M) else y_low
-                pieces.append(_kerb(np.array([x_low, edge]), np.array([x_high, edge])))
+            z = 0.0 if on_road else _KERB_M
+            pieces.append(_sheet(np.array([x_low, y_low]), np.array([x_high, y_high]), z, material))
+    for low, high, kind in strips:
+        if kind != "road":
+            edges = [road + side * HALF_ROAD_M for road in ROADS_M for side in (-1.0, 1.0)]
+            pieces.extend(_both_ways([_kerb(np.array([low, edge]), np.array([high, edge])) for edge in edges]))
     return pieces
+
+
+def _strips() -> list[tuple[float, float, str]]:
+    """Return (low, high, kind) of the strips that a way across all roads of one direction meets, m."""
+    kinds = ("walk", "road", "walk", "yard")
+    ends = [-0.5 * SIDE_M]
+    for road in ROADS_M:
+        ends += [road + far for far in (-HALF_ROAD_M - _WALK_M, -HALF_ROAD_M, HALF_ROAD_M, HALF_ROAD_M + _WALK_M)]
+    ends.append(0.5 * SIDE_M)
+    return list(zip(ends, ends[1:], ("yard", *kinds * len(ROADS_M)), strict=False))
 
 
 def _sheet(low: NDArray[np.float64], high: NDArray[np.float64], z: float, material: str) -> Piece:
@@ -152,14 +151,12 @@ def _houses(rng: np.random.Generator) -> list[Piece]:
     for turned in (False, True):
         # At the corners of a block the rows along x come first.
         clear = set_back + (_HOUSE_DEPTH_M + 1.0 if turned else 0.0)
-        for low, high in _between(clear):
-            for road in ROADS_M:
-                for side in (-1.0, 1.0):
-                    for start, end in _plots(low, high, rng):
-                        house = _house(end - start, int(rng.integers(3, 6)), rng)
-                        place = (start, road + side * set_back, 0.0) if side > 0 else (end, road - set_back, 0.0)
-                        house = move(house, place, 0.0 if side > 0 else np.pi)
-                        pieces.append(move(house, yaw=0.5 * np.pi) if turned else house)
+        for (low, high), road, side in product(_between(clear), ROADS_M, (-1.0, 1.0)):
+            for start, end in _plots(low, high, rng):
+                house = _house(end - start, int(rng.integers(3, 6)), rng)
+                place = (start if side > 0.0 else end, road + side * set_back, 0.0)
+                house = move(house, place, 0.0 if side > 0.0 else np.pi)
+                pieces.append(move(house, yaw=0.5 * np.pi) if turned else house)
     return pieces
 
 
@@ -223,19 +220,17 @@ def _verge(rng: np.random.Generator) -> list[Piece]:
     aside = HALF_ROAD_M + 0.8
     pieces = []
     for turned in (False, True):
-        for low, high in _between(HALF_ROAD_M + _WALK_M + 4.0):
-            for road in ROADS_M:
-                for side in (-1.0, 1.0):
-                    y = road + side * aside
-                    parts = [
-                        move(_tree(rng), (x, y, _KERB_M), rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.8, 1.2))
-                        for x in np.arange(low, high, _TREE_EVERY_M)
-                    ]
-                    parts += [
-                        move(lamp_post(), (x, y, _KERB_M), -side * 0.5 * np.pi)
-                        for x in np.arange(low + 5.0, high, _LAMP_EVERY_M)
-                    ]
-                    pieces += [move(part, yaw=0.5 * np.pi) for part in parts] if turned else parts
+        for (low, high), road, side in product(_between(HALF_ROAD_M + _WALK_M + 4.0), ROADS_M, (-1.0, 1.0)):
+            y = road + side * aside
+            parts = [
+                move(_tree(rng), (x, y, _KERB_M), rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.8, 1.2))
+                for x in np.arange(low, high, _TREE_EVERY_M)
+            ]
+            parts += [
+                move(lamp_post(), (x, y, _KERB_M), -side * 0.5 * np.pi)
+                for x in np.arange(low + 5.0, high, _LAMP_EVERY_M)
+            ]
+            pieces += [move(part, yaw=0.5 * np.pi) for part in parts] if turned else parts
     return pieces
 
 
