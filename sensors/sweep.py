@@ -53,6 +53,7 @@ class Sweep:
         spec: the sensor, None when a file does not say.
         path: true world_from_lidar over the sweep, None when nobody knows.
         motion: how the sensor's motion is compensated; `sensors.deskew` changes it.
+        lost: how many points of surfaces corruptions took away. It is of the whole sweep: selecting points keeps it.
     """
 
     points: NDArray[np.float32]
@@ -70,6 +71,7 @@ class Sweep:
     spec: LidarSpec | None = None
     path: Path | None = None
     motion: Motion = "middle"
+    lost: int = 0
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -209,7 +211,7 @@ def make_sweep(
 
 
 def concatenate(sweep: Sweep, *others: Sweep) -> Sweep:
-    """Append the points of other sweeps of the same sensor, instant and motion."""
+    """Append the points of other sweeps of the same sensor, instant and motion; `lost` is the first one's."""
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(s, name) for s in (sweep, *others)]) for name in POINT_FIELDS
     }

@@ -175,7 +175,8 @@ class DriveReader:
                 raise DataError(f"{path.with_suffix('.yaml')}: testbed: differs from agent {self.agents[0]}'s truth")
             pose = np.array(record.world_from_lidar, np.float64)
             sweep = read_pcd(path, pose, record.sweep_time_s, record.lidar)
-            sweep = self._compensated(path, replace(sweep, path=record.lidar_path(), motion=record.motion))
+            sweep = replace(sweep, path=record.lidar_path(), motion=record.motion, lost=record.lost)
+            sweep = self._compensated(path, sweep)
             body = np.array(record.world_from_body, np.float64)
             agents.append(AgentFrame(agent_id, record.kind, body, record.speed_mps, sweep))
         return Frame(

@@ -36,12 +36,14 @@ _Id = Annotated[int, msgspec.Meta(gt=-_ID_LIMIT, lt=_ID_LIMIT)]
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The JSON under `testbed`: N objects, in the order of `Frame.truth`.
 
-    Trees written before `motion` and `path` were kept lack both; their points are those of the middle of the sweep.
+    Trees written before `motion`, `path` and `lost` were kept lack them; their points are those of the middle of the
+    sweep.
 
     Attributes:
         motion: how the points beside this record are compensated, see `sensors.sweep.Motion`.
         path: true way of the LiDAR in our world through the sweep: time, s, x, y, z, m, yaw, pitch, roll, rad, without
             jumps of a full turn; empty when nobody knows.
+        lost: see `Sweep.lost`.
     """
 
     version: int
@@ -62,6 +64,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     points_on: list[Annotated[int, msgspec.Meta(ge=0, lt=2**31)]]
     motion: Motion = "middle"
     path: list[tuple[float, float, float, float, float, float, float]] = []
+    lost: Annotated[int, msgspec.Meta(ge=0)] = 0
 
     def lidar_path(self) -> LidarPath | None:
         """Return the way of the LiDAR exactly as it was written."""
@@ -149,6 +152,7 @@ def _record(frame: Frame, row: int, check: int) -> Record:
         points_on=frame.points_on[row].tolist(),
         motion=agent.sweep.motion,
         path=_knots(agent.sweep.path).tolist(),
+        lost=int(agent.sweep.lost),
     )
 
 

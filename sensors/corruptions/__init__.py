@@ -1,44 +1,89 @@
 """Corruptions: what weather and faults do to a sweep.
 
-Weather is shared: its parameters follow from the severity alone, so all agents of a frame are in the same fog or snow.
-Faults are each sensor's own. Streams of randomness, children of the seed by spawn key:
+Two families of settings, never mixed: `physical`, modules of this package, one per physical cause, is the default;
+`paper`, modules of `sensors.corruptions.paper`, one per published model, computes what was published, to compare with
+its tables. Not every kind has a published model.
+
+Weather is shared: all agents of a frame are in the same fog, whose strength drifts slowly over a drive (`weather`).
+Faults are each sensor's own. Streams of randomness, children of the drive's seed by spawn key:
 
 | key                                       | what                                                  |
 |-------------------------------------------|-------------------------------------------------------|
 | (2, crc32 of kind, 1 + frame, agent)      | one agent's sweep in one frame                        |
 | (2, crc32 of kind, 0, agent)              | a fault that stays for a drive (`Corruption.steady`)  |
+| (3, crc32 of kind)                        | the weather of a drive (`weather.weather_rng`)        |
+| (4, crc32 of the drive's name)            | seed of one of many drives (`drive_seed`)             |
 
 (agent modulo 2^32). A corruption draws the same numbers at every severity, wherever that can be.
 """
 
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol, Self, cast, get_args
 
 import numpy as np
 
-from sensors.corruptions import beam_missing, cross_sensor, crosstalk, fog, motion_blur, snow
+from sensors.corruptions import (
+    beam_missing,
+    clock_offset,
+    cross_sensor,
+    crosstalk,
+    fog,
+    motion_blur,
+    pose_error,
+    snow,
+)
 from sensors.corruptions.levels import PAPER, SEVERITIES, check_severity
-from sensors.frame import Frame
-from sensors.sweep import Sweep
-from sim.errors import SettingsError, did_you_mean
+from sensors.corruptions.weather import strength
+from sensors.frame import AgentFrame, Frame
+from sensors.sweep import ADDED, Sweep
+from sim.errors import DataError, SettingsError, did_you_mean
 
 __all__ = [
     "CLEAN",
     "CORRUPTIONS",
+    "FAMILIES",
     "PAPER",
+    "PAPER_SIX",
     "SEVERITIES",
     "Corruption",
+    "Family",
     "check_corruption",
+    "check_family",
     "corrupt",
     "corrupt_frame",
     "corruption_rng",
+    "drive_seed",
+    "kinds_of",
 ]
 
 CLEAN = "clean"
 """The kind that changes nothing."""
 
-_STREAM = 2
+Family = Literal["physical", "paper"]
+FAMILIES: tuple[Family, ...] = get_args(Family)
+
+Level = Literal["sweep", "frame"]
+
+_STREAM, _DRIVE_STREAM = 2, 4
+
+
+class Settings(Protocol):
+    """Parameters of a corruption: a frozen struct."""
+
+    @classmethod
+    def severity(cls, level: int) -> Self:
+        """Return the settings of a severity, 1 to 5."""
+        ...
+
+
+class Weather(Settings, Protocol):
+    """Parameters of a kind of weather."""
+
+    def scaled(self, factor: float) -> Self:
+        """Return the settings of weather so many times as strong."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,40 +91,91 @@ class Corruption:
     """One kind of corruption.
 
     Attributes:
-        settings: its parameters, a frozen struct whose defaults are the paper's, with `severity(level)`.
-        apply: `apply(sweep, severity or settings, rng) -> Sweep`, never in place.
+        settings: its physical parameters; the defaults are those of severity 3.
+        apply: `apply(sweep, settings, rng) -> Sweep`, never in place; of a kind that acts on frames
+            `apply(frame, row, settings, rng) -> Sweep`, the sweep of the agent in that row.
+        paper_settings: parameters of the published model, None where there is none.
+        paper_apply: the published model.
         steady: what it draws stays the same over a drive.
+        weather: shared by all agents, and drifting.
+        level: `frame` when it needs to know more than the sweep: motion, neighbours, time.
+        spares_ego: the ego is left as it is: the corruption is an error relative to it.
     """
 
-    settings: type
+    settings: type[Settings]
     apply: Callable[..., Sweep]
+    paper_settings: type[Settings] | None = None
+    paper_apply: Callable[..., Sweep] | None = None
     steady: bool = False
+    weather: bool = False
+    level: Level = "sweep"
+    spares_ego: bool = False
+
+    def model(self, family: Family) -> tuple[type[Settings], Callable[..., Sweep]]:
+        """Return the settings and the function of a family; KeyError when it has no such model."""
+        if family == "physical":
+            return self.settings, self.apply
+        if self.paper_settings is None or self.paper_apply is None:
+            raise KeyError(family)
+        return self.paper_settings, self.paper_apply
 
 
 CORRUPTIONS: dict[str, Corruption] = {
     "beam_missing": Corruption(beam_missing.BeamMissing, beam_missing.corrupt, steady=True),
     "motion_blur": Corruption(motion_blur.MotionBlur, motion_blur.corrupt),
-    "fog": Corruption(fog.Fog, fog.corrupt),
-    "snow": Corruption(snow.Snow, snow.corrupt),
+    "fog": Corruption(fog.Fog, fog.corrupt, weather=hasattr(fog.Fog, "scaled")),
+    "snow": Corruption(snow.Snow, snow.corrupt, weather=hasattr(snow.Snow, "scaled")),
     "crosstalk": Corruption(crosstalk.Crosstalk, crosstalk.corrupt),
     "cross_sensor": Corruption(cross_sensor.CrossSensor, cross_sensor.corrupt),
+    "pose_error": Corruption(pose_error.PoseError, pose_error.corrupt, steady=True, level="frame", spares_ego=True),
+    "clock_offset": Corruption(
+        clock_offset.ClockOffset, clock_offset.corrupt, steady=True, level="frame", spares_ego=True
+    ),
 }
-"""The paper's six corruptions, in its order."""
+"""Every corruption by its name."""
+
+PAPER_SIX = ("beam_missing", "motion_blur", "fog", "snow", "crosstalk", "cross_sensor")
+"""The six corruptions of the DSRC paper's tables, in its order."""
 
 
-def corrupt(sweep: Sweep, kind: str, severity: int, rng: np.random.Generator) -> Sweep:
-    """Return the sweep as the sensor would have delivered it under a corruption; severity 3 is the paper's.
+def kinds_of(family: Family = "physical") -> tuple[str, ...]:
+    """Return the kinds that a family has a model of, in the order of `CORRUPTIONS`."""
+    return tuple(kind for kind, c in CORRUPTIONS.items() if family == "physical" or c.paper_apply is not None)
+
+
+def corrupt(sweep: Sweep, kind: str, severity: int, rng: np.random.Generator, family: Family = "physical") -> Sweep:
+    """Return the sweep as the sensor would have delivered it under a corruption, with the points that it lost counted.
+
+    Args:
+        sweep: as measured.
+        kind: key of `CORRUPTIONS`, or `clean`.
+        severity: 1 to 5; 3 is the paper's.
+        rng: the only randomness.
+        family: of the settings.
 
     Raises:
-        SettingsError: an unknown kind or severity.
+        SettingsError: an unknown kind, severity or family, or a kind that acts on frames: see `corrupt_frame`.
+        DataError: the sweep does not say what the corruption needs, such as its rings.
     """
-    check_corruption(kind, severity)
+    check_corruption(kind, severity, family)
     if kind == CLEAN:
         return sweep
-    return CORRUPTIONS[kind].apply(sweep, severity, rng)
+    corruption = CORRUPTIONS[kind]
+    if corruption.level == "frame":
+        raise SettingsError(f"corruption '{kind}' acts on whole frames: use corrupt_frame")
+    settings, apply = corruption.model(family)
+    return _counted(sweep, apply(sweep, settings.severity(severity), rng))
 
 
-def corrupt_frame(frame: Frame, kind: str, severity: int, seed: int) -> Frame:
+def corrupt_frame(
+    frame: Frame,
+    kind: str,
+    severity: int,
+    seed: int,
+    family: Family = "physical",
+    *,
+    ego_id: int | None = None,
+) -> Frame:
     """Corrupt the sweeps of all agents of a frame; ground truth and its point counts stay.
 
     Args:
@@ -87,17 +183,35 @@ def corrupt_frame(frame: Frame, kind: str, severity: int, seed: int) -> Frame:
         kind: key of `CORRUPTIONS`, or `clean`.
         severity: 1 to 5.
         seed: of the drive's corruption; frames may be corrupted in any order.
+        family: of the settings.
+        ego_id: the agent that errors of pose and clock are relative to; None takes the first vehicle in the order of
+            the folders, else the first agent. No other kind minds who it is.
 
     Raises:
-        SettingsError: an unknown kind or severity.
+        SettingsError: an unknown kind, severity or family.
+        DataError: a sweep does not say what the corruption needs; the message names the agent.
     """
-    check_corruption(kind, severity)
+    check_corruption(kind, severity, family)
     if kind == CLEAN:
         return frame
-    streams = (corruption_rng(seed, kind, frame.index, agent.agent_id) for agent in frame.agents)
-    return frame.with_sweeps(
-        [corrupt(agent.sweep, kind, severity, rng) for agent, rng in zip(frame.agents, streams, strict=True)]
-    )
+    corruption = CORRUPTIONS[kind]
+    make, apply = corruption.model(family)
+    settings = make.severity(severity)
+    if corruption.weather and family == "physical":
+        settings = cast(Weather, settings).scaled(strength(seed, kind, frame.time_s))
+    spared = _ego_row(frame.agents, ego_id) if corruption.spares_ego else -1
+    sweeps = []
+    for row, agent in enumerate(frame.agents):
+        if row == spared:
+            sweeps.append(agent.sweep)
+            continue
+        rng = corruption_rng(seed, kind, frame.index, agent.agent_id)
+        given = (frame, row) if corruption.level == "frame" else (agent.sweep,)
+        try:
+            sweeps.append(_counted(agent.sweep, apply(*given, settings, rng)))
+        except DataError as error:
+            raise DataError(f"frame {frame.index}: agent {agent.agent_id}: {error}") from None
+    return frame.with_sweeps(sweeps)
 
 
 def corruption_rng(seed: int, kind: str, index: int, agent_id: int) -> np.random.Generator:
@@ -107,9 +221,43 @@ def corruption_rng(seed: int, kind: str, index: int, agent_id: int) -> np.random
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
-def check_corruption(kind: str, severity: int = PAPER) -> None:
-    """Raise SettingsError unless this kind, or `clean`, and this severity exist."""
+def drive_seed(seed: int, drive: str) -> int:
+    """Return the seed of a drive among many of one run, by its name: each has weather and faults of its own."""
+    key = (_DRIVE_STREAM, zlib.crc32(drive.encode()))
+    return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0])
+
+
+def check_corruption(kind: str, severity: int = PAPER, family: str = "physical") -> None:
+    """Raise SettingsError unless this kind, or `clean`, is in this family and this severity exists."""
+    check_family(family)
     if kind != CLEAN and kind not in CORRUPTIONS:
         raise SettingsError(f"unknown corruption '{kind}'{did_you_mean(kind, [CLEAN, *CORRUPTIONS])}")
-    if kind != CLEAN:
-        check_severity(severity)
+    if kind != CLEAN and family == "paper" and CORRUPTIONS[kind].paper_apply is None:
+        raise SettingsError(
+            f"corruption '{kind}' has no published model; family 'paper' has {', '.join(kinds_of('paper'))}"
+        )
+    check_severity(severity)
+
+
+def check_family(family: str) -> None:
+    """Raise SettingsError unless this is one of `FAMILIES`."""
+    if family not in FAMILIES:
+        raise SettingsError(f"unknown family of corruptions '{family}'{did_you_mean(family, FAMILIES)}")
+
+
+def _counted(before: Sweep, after: Sweep) -> Sweep:
+    """Return the corrupted sweep with the points of surfaces that it lacks counted in `lost`."""
+    lost = before.lost + max(0, _real(before) - _real(after))
+    return after if after.lost == lost else replace(after, lost=lost)
+
+
+def _real(sweep: Sweep) -> int:
+    """Return the number of points that a surface returned."""
+    return int(np.count_nonzero(sweep.object_id != ADDED))
+
+
+def _ego_row(agents: tuple[AgentFrame, ...], ego_id: int | None) -> int:
+    """Return the row of the ego; -1 when there is no such agent."""
+    if ego_id is None:
+        return next((row for row, agent in enumerate(agents) if agent.kind == "vehicle"), 0)
+    return next((row for row, agent in enumerate(agents) if agent.agent_id == ego_id), -1)

@@ -1,4 +1,4 @@
-"""Severities: five levels, of which 3 is the paper's setting."""
+"""Severities: five levels, of which 3 is the paper's setting, or of its strength where the paper gives no number."""
 
 from collections.abc import Sequence
 from typing import TypeVar

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,13 @@ def test_concatenation_with_no_points_changes_nothing():
     assert len(joined) == 2
     added = concatenate(sweep, make_sweep(np.zeros((1, 3)), object_id=np.array([ADDED])))
     assert added.object_id.tolist() == [STATIC, STATIC, ADDED]
+
+
+def test_lost_points_are_of_the_whole_sweep():
+    assert make_sweep(np.ones((2, 3))).lost == 0
+    sweep = replace(make_sweep(np.ones((4, 3))), lost=7)
+    assert sweep[:2].lost == sweep[np.array([3])].lost == 7
+    assert concatenate(sweep[:2], sweep[2:]).lost == 7
 
 
 def test_world_points_use_the_pose_in_double_precision():

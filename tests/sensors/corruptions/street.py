@@ -33,7 +33,7 @@ def street(spec: LidarSpec | None = None) -> Sweep:
     points = (ray * reach[..., None])[ring, column]
     intensity = 0.05 + 0.5 * np.sin(points[:, 0] * 3.0 + points[:, 2] * 5.0) ** 4
     return make_sweep(
-        points, spec=spec, intensity=intensity, ring=ring, column=column, time_offset=spec.time_offset[column]
+        points, spec=spec, intensity=intensity, ring=ring, column=column, time_offset=spec.time_offset[ring, column]
     )
 
 

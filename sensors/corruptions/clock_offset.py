@@ -1,0 +1,140 @@
+"""Clock offset: an agent's sweep is older than its stamp says.
+
+| severity                          | 1  | 2  | 3   | 4   | 5   |
+|-----------------------------------|----|----|-----|-----|-----|
+| sweep is late by, on average, ms  | 20 | 50 | 100 | 200 | 400 |
+
+100 ms is the delay of V2X-ViT's noisy setting (Xu et al., ECCV 2022), 400 ms the worst that it was tried with. Every
+agent has a clock of its own: its sweep is late by the level times a factor from U(0.5, 1.5) that stays for the drive.
+
+A sweep that is stamped t but was measured at t - d shows the world as the agent saw it then, and is put at the place
+where the agent is now. With P(t) the agent's true path and v the velocity of what a point lies on,
+
+    p' = inv(P(t - d)) (P(t) p - v d)        in the sensor frame; the pose at the stamp, P(t), is what is reported
+
+so houses run ahead with a moving agent by its own way in d, a car that drives beside it stays right, and for a
+roadside unit only what moves is displaced. Position and heading run straight on where the path ends or is unknown, and
+objects keep their velocity. What was hidden then and is seen now is not known to a frame: it keeps its points, which
+is the approximation here. Ground truth stays that of t. The ego is not touched: its clock is the one that counts.
+"""
+
+from dataclasses import replace
+from typing import Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.corruptions.levels import at_level, check_range
+from sensors.deskew import deskew
+from sensors.frame import AgentFrame, Frame
+from sensors.motion import Path
+from sensors.sweep import MOVED, Sweep
+from sim.geometry import invert
+
+LATE_MS = (20.0, 50.0, 100.0, 200.0, 400.0)
+
+_SPREAD = 0.5
+_STILL_M = 1e-4
+
+
+class ClockOffset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of `corrupt`.
+
+    Attributes:
+        late_ms: how much older than its stamp a sweep is, mean over agents, ms.
+    """
+
+    late_ms: float = 100.0
+
+    def __post_init__(self) -> None:
+        check_range("ClockOffset", "late_ms", self.late_ms, 0.0, 10_000.0)
+
+    @classmethod
+    def severity(cls, level: int) -> Self:
+        """Return the settings of a severity, 1 to 5."""
+        return cls(late_ms=at_level(LATE_MS, level))
+
+
+def corrupt(frame: Frame, row: int, severity: int | ClockOffset, rng: np.random.Generator) -> Sweep:
+    """Return the sweep of the agent in a row of the frame as it was a little earlier, under the stamp of now.
+
+    Args:
+        frame: as recorded.
+        row: of the agent.
+        severity: or settings.
+        rng: of the agent, from its start in every frame of a drive.
+    """
+    settings = severity if isinstance(severity, ClockOffset) else ClockOffset.severity(severity)
+    late_s = 1e-3 * settings.late_ms * rng.uniform(1.0 - _SPREAD, 1.0 + _SPREAD)
+    agent = frame.agents[row]
+    if late_s == 0.0 or len(agent.sweep) == 0:
+        return agent.sweep
+    if agent.sweep.motion == "raw":
+        known = replace(agent, sweep=deskew(agent.sweep, "middle"))
+        return deskew(_late(frame, known, late_s), "raw")
+    return _late(frame, agent, late_s)
+
+
+def _late(frame: Frame, agent: AgentFrame, late_s: float) -> Sweep:
+    sweep = agent.sweep
+    path = way(agent)
+    then, now = run_on(path, sweep.time_s - np.array([late_s, 0.0]))
+    shift = _velocity(frame, sweep) @ sweep.world_from_lidar[:2, :3] * late_s
+    then_from_now = invert(then) @ now
+    points = (sweep.points.astype(np.float64) - shift) @ then_from_now[:3, :3].T + then_from_now[:3, 3]
+    moved = np.linalg.norm(points - sweep.points, axis=1) > _STILL_M
+    earlier = Path.through(path.time_s, run_on(path, path.time_s - late_s))
+    return replace(
+        sweep,
+        points=np.where(moved[:, None], points, sweep.points).astype(np.float32),
+        fate=np.where(moved, MOVED, sweep.fate).astype(np.uint8),
+        path=None if sweep.path is None else earlier,
+    )
+
+
+def way(agent: AgentFrame) -> Path:
+    """Return the sensor's path; where nobody knows it, straight on at the agent's speed and heading."""
+    sweep = agent.sweep
+    if sweep.path is not None:
+        return sweep.path
+    times = np.array([-1.0, 1.0])
+    poses = np.repeat(sweep.world_from_lidar[None], 2, axis=0)
+    poses[:, :3, 3] += times[:, None] * agent.speed * agent.world_from_body[:3, 0]
+    return Path.through(sweep.time_s + times, poses)
+
+
+def run_on(path: Path, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (T, 4, 4) poses at (T,) times; before its first pose and after its last a path runs straight on."""
+    first, last = path.time_s[[0, -1]]
+    reach_s = max(first - time_s.min(), time_s.max() - last, 0.0) + 1.0
+    times = np.concatenate([[first - reach_s], path.time_s, [last + reach_s]])
+    xyz, angles = (_run_on(values, path.time_s, reach_s) for values in (path.xyz, path.angles))
+    return Path(times, xyz, angles).at(time_s)
+
+
+def _run_on(values: NDArray[np.float64], time_s: NDArray[np.float64], reach_s: float) -> NDArray[np.float64]:
+    """Return (K + 2, 3) the values (K, 3) with one more on either side, so much earlier and later."""
+    slope = np.diff(values, axis=0) / np.diff(time_s)[:, None]
+    return np.concatenate([[values[0] - slope[0] * reach_s], values, [values[-1] + slope[-1] * reach_s]])
+
+
+def _velocity(frame: Frame, sweep: Sweep) -> NDArray[np.float64]:
+    """Return (P, 2) velocity of what each point lies on, in the world, m/s; 0 for the static world."""
+    owner = _owners(frame, sweep)
+    return np.where(owner[:, None] >= 0, np.append(frame.velocity, [[0.0, 0.0]], axis=0)[owner], 0.0)
+
+
+def _owners(frame: Frame, sweep: Sweep) -> NDArray[np.intp]:
+    """Return (P,) the row in `frame.truth` of what each point lies on, -1 for none.
+
+    By the points' object ids; in files of other tools, which have none, by the box that a point is in.
+    """
+    truth = frame.truth
+    if len(truth) == 0:
+        return np.full(len(sweep), -1)
+    if (sweep.object_id >= 0).any():
+        row = np.minimum(np.searchsorted(truth.object_id, sweep.object_id), len(truth) - 1)
+        return np.where(truth.object_id[row] == sweep.object_id, row, -1)
+    inside = truth.contains(sweep.world_points)
+    return np.where(inside.any(axis=0), inside.argmax(axis=0), -1)

@@ -1,0 +1,94 @@
+"""Pose error: an agent is not quite where it says it is.
+
+| severity                           | 1    | 2   | 3   | 4   | 5   |
+|------------------------------------|------|-----|-----|-----|-----|
+| deviation to the side and ahead, m | 0.05 | 0.1 | 0.2 | 0.4 | 0.8 |
+| deviation of the heading, degrees  | 0.05 | 0.1 | 0.2 | 0.4 | 0.8 |
+
+Level 3 is the noisy setting of V2X-ViT (Xu et al., ECCV 2022). There every frame has an error of its own; that of a
+satellite receiver is correlated over time, as an Ornstein-Uhlenbeck process is (Sensors 2020, 20(21), 6050), and a
+tracker or a fusion that averages over frames does not get rid of it. Each of the three errors here is such a process
+with standard deviation s and correlation exp(-|t - t'| / T), made as a sum of cosines (Rahimi, Recht 2007),
+
+    e(t) = s sqrt(2 / K) * sum over k of cos(w_k t + phi_k),    w_k ~ Cauchy(0, 1 / T), phi_k ~ U(0, 2 pi), K = 64
+
+whose frequencies follow the spectral density of that process. It is a pure function of the agent's stream and the time.
+The correlation time T = 30 s is chosen. A roadside unit does not move: its error is that of its survey and stays.
+
+The reported pose is wrong, `Sweep.world_from_lidar`; the points are as they were measured, so their fate is kept, and
+`world_from_body`, `path` and the ground truth stay true. The ego has no error: everything is judged in its own frame,
+and only errors relative to it matter (OpenCOOD does the same).
+"""
+
+import math
+from dataclasses import replace
+from typing import Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.corruptions.levels import at_level, check_range
+from sensors.frame import Frame
+from sensors.sweep import Sweep
+from sim.geometry import invert, pose_matrix
+
+DEVIATION_M = (0.05, 0.1, 0.2, 0.4, 0.8)
+DEVIATION_DEG = (0.05, 0.1, 0.2, 0.4, 0.8)
+
+_WAVES = 64
+
+
+class PoseError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of `corrupt`.
+
+    Attributes:
+        lateral_m: standard deviation of the error to the side, m.
+        longitudinal_m: standard deviation of the error ahead, m.
+        heading_deg: standard deviation of the error of the heading, degrees.
+        correlation_s: after this time the correlation of an error with itself has fallen to 1 / e, s.
+    """
+
+    lateral_m: float = 0.2
+    longitudinal_m: float = 0.2
+    heading_deg: float = 0.2
+    correlation_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        check_range("PoseError", "lateral_m", self.lateral_m, 0.0, 100.0)
+        check_range("PoseError", "longitudinal_m", self.longitudinal_m, 0.0, 100.0)
+        check_range("PoseError", "heading_deg", self.heading_deg, 0.0, 180.0)
+        check_range("PoseError", "correlation_s", self.correlation_s, 1e-3, 1e6)
+
+    @classmethod
+    def severity(cls, level: int) -> Self:
+        """Return the settings of a severity, 1 to 5."""
+        deviation_m = at_level(DEVIATION_M, level)
+        return cls(lateral_m=deviation_m, longitudinal_m=deviation_m, heading_deg=at_level(DEVIATION_DEG, level))
+
+
+def corrupt(frame: Frame, row: int, severity: int | PoseError, rng: np.random.Generator) -> Sweep:
+    """Return the sweep of the agent in a row of the frame with the pose that the agent believes in.
+
+    Args:
+        frame: as recorded.
+        row: of the agent.
+        severity: or settings.
+        rng: of the agent, from its start in every frame of a drive.
+    """
+    settings = severity if isinstance(severity, PoseError) else PoseError.severity(severity)
+    agent = frame.agents[row]
+    ahead, aside, turn = errors(settings, frame.time_s if agent.kind == "vehicle" else 0.0, rng)
+    if ahead == aside == turn == 0.0:
+        return agent.sweep
+    body = agent.world_from_body
+    believed_from_true = body @ pose_matrix([ahead, aside, 0.0], turn) @ invert(body)
+    return replace(agent.sweep, world_from_lidar=believed_from_true @ agent.sweep.world_from_lidar)
+
+
+def errors(settings: PoseError, time_s: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return (3,) the errors ahead, m, to the left, m, and of the heading, rad, at a time of the drive."""
+    frequency = rng.standard_cauchy((3, _WAVES)) / settings.correlation_s
+    phase = rng.uniform(0.0, 2.0 * math.pi, (3, _WAVES))
+    unit = math.sqrt(2.0 / _WAVES) * np.cos(frequency * time_s + phase).sum(axis=1)
+    return unit * [settings.longitudinal_m, settings.lateral_m, math.radians(settings.heading_deg)]

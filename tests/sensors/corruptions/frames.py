@@ -1,0 +1,42 @@
+"""Frames to corrupt: two cars and a roadside unit on the street, driving for some seconds."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sensors.frame import AgentFrame, Frame
+from sensors.motion import Path
+from sensors.sweep import Sweep, make_sweep
+from sim.boxes import Boxes
+from sim.geometry import pose_matrix
+from tests.sensors.corruptions.street import spinning, street
+
+SPEED = 10.0
+AGENTS = (1000, 1003, -1)
+
+
+def frame(index: int = 0, agents: tuple[int, ...] = AGENTS, sweep: Sweep | None = None) -> Frame:
+    """One instant: every agent has the same sweep of a street in its own frame and drives east, the mast stands."""
+    sweep = street(spinning(16)) if sweep is None else sweep
+    time_s = 0.1 * index
+    return Frame(
+        index=index,
+        time_s=time_s,
+        agents=tuple(agent(agent_id, time_s, sweep) for agent_id in agents),
+        truth=Boxes.zeros(),
+        velocity=np.zeros((0, 2)),
+        points_on=np.zeros((len(agents), 0), np.int32),
+    )
+
+
+def agent(agent_id: int, time_s: float, sweep: Sweep) -> AgentFrame:
+    """An agent whose sensor is 1.9 m above its body, with its path over the sweep."""
+    speed = SPEED if agent_id >= 0 else 0.0
+    times = time_s + np.array([-0.1, 0.0, 0.1])
+    body = pose_matrix(np.stack([speed * times, np.full(3, float(agent_id)), np.zeros(3)], axis=1), np.zeros(3))
+    lidar = body @ pose_matrix([0.0, 0.0, 1.9])
+    columns = {name: getattr(sweep, name) for name in ("intensity", "ring", "column", "time_offset", "object_id")}
+    own = make_sweep(sweep.points, lidar[1], time_s, sweep.spec, **columns)
+    own = replace(own, path=Path.through(times, lidar))
+    kind = "vehicle" if agent_id >= 0 else "roadside"
+    return AgentFrame(agent_id, kind, body[1], speed, own)
