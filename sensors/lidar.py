@@ -101,27 +101,30 @@ def scan(
 def _shot(sensor: Sensor, wetness: float) -> Shot:
     spec = sensor.spec
     beams = beams_of(spec, sensor.time_s)
+    knots, pose = _poses(spec, beams, sensor.path, sensor.time_s)
     return Shot(
         spec=spec,
         beams=beams,
         optics=optics_of(spec, wetness),
         noise=draw_noise(beams, sensor.rng),
-        knots=_knots(spec, beams, sensor.path, sensor.time_s),
-        pose=sensor.path.at(np.array([sensor.time_s]))[0],
+        knots=knots,
+        pose=pose,
         time_s=sensor.time_s,
         hidden_id=None if spec.own_body else sensor.rides_on,
     )
 
 
-def _knots(spec: LidarSpec, beams: Beams, path: Path, time_s: float) -> NDArray[np.float64]:
-    """Return (B + 1, 3, 4) world_from_lidar at the borders of the blocks."""
-    column = np.arange(beams.blocks + 1) * float(BLOCK)
+def _poses(spec: LidarSpec, beams: Beams, path: Path, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (B + 1, 3, 4) world_from_lidar at the borders of the blocks and (4, 4) at the reference time."""
+    column = np.arange(beams.blocks + 2) * float(BLOCK)
     # The last block may be cut short by the end of the sweep, and beyond it nobody knows the path.
-    full = BLOCK / (beams.columns - column[-2])
-    column[-1] = beams.columns
-    knots = path.at(time_s + (column - 0.5 * beams.columns) * spec.column_s)[:, :3]
+    full = BLOCK / (beams.columns - column[-3])
+    column[-2:] = beams.columns, 0.5 * beams.columns
+    times = time_s + (column - 0.5 * beams.columns) * spec.column_s
+    poses = path.at(times.astype(np.float64))
+    knots = poses[:-1, :3]
     knots[-1] = knots[-2] + full * (knots[-1] - knots[-2])
-    return knots
+    return knots, poses[-1]
 
 
 def _sweep(sensor: Sensor, shot: Shot, returns: Returns) -> Sweep:

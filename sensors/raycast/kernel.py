@@ -32,6 +32,7 @@ _NORMAL, _PRIMITIVE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
 
 _MOST_SUBRAYS = 8
 _LAST, _DUAL = 1, 2
+_NO_AXIS = (np.float32(0.0), np.float32(0.0), np.float32(0.0))
 
 # Where the rows of 16 words of `Scratch.room` start, after the packets.
 _LANE = RAY_ROWS * BLOCK
@@ -45,7 +46,12 @@ _INTENSITY = _MEASURED + 2 * BLOCK
 _POINT = _INTENSITY + 2 * BLOCK
 _COLUMN = _POINT + 2 * 3 * BLOCK
 _SCALE = _COLUMN + BLOCK
-ROOM_WORDS = _SCALE + BLOCK
+_KEEP = _SCALE + BLOCK
+_KEEP_AXES = _KEEP + 2 * BLOCK
+_PLACE = _KEEP_AXES + 3 * BLOCK
+_DRAW = _PLACE + 3 * BLOCK
+_AXIS = _DRAW + 2 * BLOCK
+ROOM_WORDS = _AXIS + 3 * BLOCK
 
 
 class Tables(NamedTuple):
@@ -149,14 +155,13 @@ class Scratch(NamedTuple):
         lanes: a tuple of `width` zeros: its length is part of the type, so that loops over lanes have a fixed length.
         room: (ROOM_WORDS,) float32, 64-byte aligned as Embree asks: 16 / width packets of (21, width), then rows of 16,
             one per sub-ray or echo: shares of the block at which columns fire, directions, distances (infinite where
-            nothing was hit), cosines, powers, object ids, and for echoes measured ranges, intensities and (16, 3)
-            points. Once a block is read, the first two rows are those of the echoes to report.
+            nothing was hit), cosines, powers, object ids, and for echoes measured ranges, intensities, (16, 3) points,
+            columns, and 1 for returns that are not lost. Once a block is read, the first two rows of what the rays
+            hit are those of the echoes to report.
         word, number: the same memory as uint32 and int32.
         address: where it lies.
         valid_address: where an aligned row of int32 of -1 lies: all rays of a packet are cast.
         material: (8, 16) uint8 of sub-rays, then of echoes.
-        keep: (2, 16) bool: the return is not lost.
-        keep_axes: (16, 3) bool: the same for each coordinate of the first return.
         owner: keeps the memory alive.
     """
 
@@ -167,8 +172,6 @@ class Scratch(NamedTuple):
     address: int
     valid_address: int
     material: NDArray[np.uint8]
-    keep: NDArray[np.bool_]
-    keep_axes: NDArray[np.bool_]
     owner: NDArray[np.uint8]
 
 
@@ -193,10 +196,10 @@ call: Any = intrinsic(_typed_call)
 
 
 def _typed_bits(typing_context: Any, address: Any) -> Any:
-    """Return as 16 bits which of 16 bytes at an address are not zero."""
+    """Return as 16 bits which of 16 words at an address are not zero."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        row = ir.VectorType(ir.IntType(8), BLOCK)
+        row = ir.VectorType(ir.IntType(32), BLOCK)
         flags = builder.load(builder.inttoptr(values[0], row.as_pointer()), align=1)
         return builder.bitcast(builder.icmp_unsigned("!=", flags, ir.Constant(row, None)), ir.IntType(BLOCK))
 
@@ -204,6 +207,62 @@ def _typed_bits(typing_context: Any, address: Any) -> Any:
 
 
 bits_of: Any = intrinsic(_typed_bits)
+
+
+def _typed_copy(typing_context: Any, source: Any, target: Any) -> Any:
+    """Copy 16 words from one address to another, as one vector."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        row = ir.VectorType(ir.IntType(32), BLOCK).as_pointer()
+        lanes = builder.load(builder.inttoptr(values[0], row), align=4)
+        builder.store(lanes, builder.inttoptr(values[1], row), align=4)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), generate
+
+
+copy_row: Any = intrinsic(_typed_copy)
+
+
+def _typed_interleave(typing_context: Any, x: Any, y: Any, z: Any, target: Any) -> Any:
+    """Write three rows of 16 words at three addresses as 16 triples to a fourth."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        word = ir.IntType(32)
+        row = ir.VectorType(word, BLOCK)
+        first, second, third = (
+            builder.load(builder.inttoptr(value, row.as_pointer()), align=4) for value in values[:3]
+        )
+        pairs = builder.shuffle_vector(
+            first, second, ir.Constant(ir.VectorType(word, 2 * BLOCK), list(range(2 * BLOCK)))
+        )
+        padded = builder.shuffle_vector(
+            third, third, ir.Constant(ir.VectorType(word, 2 * BLOCK), list(range(2 * BLOCK)))
+        )
+        for part in range(3):
+            places = [divmod(part * BLOCK + lane, 3) for lane in range(BLOCK)]
+            order = [lane + axis * BLOCK for lane, axis in places]
+            mixed = builder.shuffle_vector(pairs, padded, ir.Constant(row, order))
+            address = builder.add(values[3], ir.Constant(ir.IntType(64), 4 * BLOCK * part))
+            builder.store(mixed, builder.inttoptr(address, row.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64, types.int64), generate
+
+
+interleave: Any = intrinsic(_typed_interleave)
+
+
+def _typed_count(typing_context: Any, bits: Any) -> Any:
+    """Return how many of 16 bits are set."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.zext(builder.ctpop(values[0]), ir.IntType(64))
+
+    return types.int64(types.uint16), generate
+
+
+count: Any = intrinsic(_typed_count)
 
 
 def _typed_squeeze(typing_context: Any, bits: Any, source: Any, target: Any, size: Any) -> Any:
@@ -251,10 +310,10 @@ def _in_packet(width: Any, part: Any, row: Any, lane: Any) -> Any:
 def _aim(tables: Any, scratch: Any, ring: Any, block: Any, subray: Any) -> None:
     """Point the rays of a block in the sensor frame, jitter included."""
     room = scratch.room
-    for lane in range(BLOCK):
-        room[_at(_AIM, 0, lane)] = tables.subray[subray, ring, block, 0, lane]
-        room[_at(_AIM, 1, lane)] = tables.subray[subray, ring, block, 1, lane]
-        room[_at(_AIM, 2, lane)] = tables.subray[subray, ring, block, 2, lane]
+    place = ((subray * tables.subray.shape[1] + ring) * tables.subray.shape[2] + block) * 3
+    for axis in range(3):
+        source = tables.subray.ctypes.data + 4 * BLOCK * (place + axis)
+        copy_row(source, scratch.address + 4 * (_AIM + BLOCK * axis))
     sigma = tables.law[3]
     if sigma > np.float32(0.0):
         across = tables.start[ACROSS, ring] + np.uint64(block * BLOCK)
@@ -323,25 +382,18 @@ def _trace(world: Any, scratch: Any, moving: Any) -> None:
 
 
 @njit(**_PART)
-def _incidence_on_body(world: Any, room: Any, width: Any, part: Any, lane: Any, slot: Any) -> Any:
-    """Return the cosine between a ray and a normal that Embree gives in the body's own frame."""
+def _turn_of(world: Any, slot: Any, time: Any, axis: Any) -> Any:
+    """Return one axis of a body in the static solid's frame at a time of the span."""
     pose = world.body_pose
     last = world.body_steps[slot] - 1
-    at = room[_in_packet(width, part, _TIME, lane)] * np.float32(last)
+    at = time * np.float32(last)
     low = min(np.int64(at), last - 1)
     f = at - np.float32(low)
-    total = np.float32(0.0)
-    length = np.float32(0.0)
-    for axis in range(3):
-        normal = room[_in_packet(width, part, _NORMAL + axis, lane)]
-        along = np.float32(0.0)
-        for row in range(3):
-            turn = pose[slot, low, row, axis]
-            turn += f * (pose[slot, low + 1, row, axis] - turn)
-            along += turn * room[_in_packet(width, part, _DIRECTION + row, lane)]
-        total += along * normal
-        length += normal * normal
-    return np.abs(total) / np.sqrt(max(length, np.float32(1e-30)))
+    return (
+        pose[slot, low, 0, axis] + f * (pose[slot, low + 1, 0, axis] - pose[slot, low, 0, axis]),
+        pose[slot, low, 1, axis] + f * (pose[slot, low + 1, 1, axis] - pose[slot, low, 1, axis]),
+        pose[slot, low, 2, axis] + f * (pose[slot, low + 1, 2, axis] - pose[slot, low, 2, axis]),
+    )
 
 
 @njit(**_PART)
@@ -372,6 +424,9 @@ def _read(world: Any, tables: Any, scratch: Any, subray: Any) -> Any:
             room[_at(_DISTANCE, subray, part * width + lane)] = reached if hit else np.float32(np.inf)
         for lane in range(width):
             number[_at(_OBJECT, subray, part * width + lane)] = STATIC
+    # Neighbouring rays meet the same body, and no body turns noticeably while 16 columns fire.
+    turned = np.uint64(INVALID)
+    ahead, left, up = _NO_AXIS, _NO_AXIS, _NO_AXIS
     for part in range(BLOCK // width):
         for lane in range(width):
             at = part * width + lane
@@ -384,8 +439,23 @@ def _read(world: Any, tables: Any, scratch: Any, subray: Any) -> Any:
             else:
                 number[_at(_OBJECT, subray, at)] = world.body_id[slot]
                 material = world.body_material[np.uint64(world.body_offset[slot]) + face]
-                level = _incidence_on_body(world, room, width, part, lane, slot)
-                room[_at(_COSINE, subray, at)] = min(level, np.float32(1.0))
+                if slot != turned:
+                    turned = slot
+                    time = room[_in_packet(width, part, _TIME, lane)]
+                    ahead = _turn_of(world, slot, time, 0)
+                    left = _turn_of(world, slot, time, 1)
+                    up = _turn_of(world, slot, time, 2)
+                # Embree gives the normal in the body's own frame.
+                nx = room[_in_packet(width, part, _NORMAL, lane)]
+                ny = room[_in_packet(width, part, _NORMAL + 1, lane)]
+                nz = room[_in_packet(width, part, _NORMAL + 2, lane)]
+                along = (
+                    (nx * ahead[0] + ny * left[0] + nz * up[0]) * room[_in_packet(width, part, _DIRECTION, lane)]
+                    + (nx * ahead[1] + ny * left[1] + nz * up[1]) * room[_in_packet(width, part, _DIRECTION + 1, lane)]
+                    + (nx * ahead[2] + ny * left[2] + nz * up[2]) * room[_in_packet(width, part, _DIRECTION + 2, lane)]
+                )
+                length = max(nx * nx + ny * ny + nz * nz, np.float32(1e-30))
+                room[_at(_COSINE, subray, at)] = min(np.abs(along) / np.sqrt(length), np.float32(1.0))
             scratch.material[subray, at] = material
             place = room[_at(_COSINE, subray, at)] * np.float32(COSINE_BINS)
             low = min(np.uint32(place), np.uint32(COSINE_BINS - 1))
@@ -494,11 +564,15 @@ def _merge(tables: Any, scratch: Any, subrays: int, order: Any, margins: Any, fo
 def _locate(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any, noise: Any) -> None:
     """Measure the echoes of a block and place their points in the frame of the sweep."""
     room = scratch.room
-    start = tables.start[noise, ring] + np.uint64(block * BLOCK)
+    start = np.int64(tables.start[noise, ring]) + block * BLOCK
+    copy_row(tables.normal.ctypes.data + 4 * start, scratch.address + 4 * _DRAW)
+    place = (ring * tables.axis.shape[1] + block) * 3
+    for axis in range(3):
+        source = tables.axis.ctypes.data + 4 * BLOCK * (place + axis)
+        copy_row(source, scratch.address + 4 * (_AXIS + BLOCK * axis))
     sigma = tables.law[2]
     for lane in range(BLOCK):
-        error = sigma * tables.normal[start + np.uint64(lane)]
-        room[_at(_MEASURED, echo, lane)] = room[_at(_DISTANCE, echo, lane)] + error
+        room[_at(_MEASURED, echo, lane)] = room[_at(_DISTANCE, echo, lane)] + sigma * room[_at(_DRAW, 0, lane)]
     for axis in range(3):
         m0, m1, m2, m3 = (
             tables.point_pose[block, axis, 0],
@@ -515,41 +589,47 @@ def _locate(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any, noise: 
         for lane in range(BLOCK):
             f = room[_at(_LANE, 0, lane)]
             along = (
-                (m0 + f * d0) * tables.axis[ring, block, 0, lane]
-                + (m1 + f * d1) * tables.axis[ring, block, 1, lane]
-                + (m2 + f * d2) * tables.axis[ring, block, 2, lane]
+                (m0 + f * d0) * room[_at(_AXIS, 0, lane)]
+                + (m1 + f * d1) * room[_at(_AXIS, 1, lane)]
+                + (m2 + f * d2) * room[_at(_AXIS, 2, lane)]
             )
-            point = along * room[_at(_MEASURED, echo, lane)] + (m3 + f * d3)
-            room[np.uint64(_POINT) + np.uint64(3 * BLOCK * echo + 3 * lane + axis)] = point
+            room[_at(_PLACE, axis, lane)] = along * room[_at(_MEASURED, echo, lane)] + (m3 + f * d3)
+    places = scratch.address + 4 * _PLACE
+    interleave(places, places + 4 * BLOCK, places + 8 * BLOCK, scratch.address + 4 * (_POINT + 3 * BLOCK * echo))
 
 
 @njit(**_PART)
 def _judge(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any) -> None:
     """Give the echoes of a block their intensity and decide which returns are kept."""
-    room, keep = scratch.room, scratch.keep
-    before = tables.start[LOST_BEFORE, ring] + np.uint64(block * BLOCK)
-    after = tables.start[LOST_AFTER, ring] + np.uint64(block * BLOCK)
+    room = scratch.room
+    before = np.int64(tables.start[LOST_BEFORE, ring]) + block * BLOCK
+    after = np.int64(tables.start[LOST_AFTER, ring]) + block * BLOCK
+    copy_row(tables.uniform.ctypes.data + 4 * before, scratch.address + 4 * _DRAW)
+    copy_row(tables.uniform.ctypes.data + 4 * after, scratch.address + 4 * (_DRAW + BLOCK))
+    plain = np.float32(0.0) if tables.of_material else np.float32(1.0)
+    full = np.float32(1.0) - plain
     near, far = tables.reach[ring, 0], tables.reach[ring, 1]
     limit, most, dropoff = tables.law[4], tables.law[5], tables.law[6]
     for lane in range(BLOCK):
         place = room[_at(_DISTANCE, echo, lane)] * tables.law[0]
         room[_at(_SCALE, 0, lane)] = tables.scale[_bin(place, RANGE_BINS)]
     for lane in range(BLOCK):
-        power = room[_at(_POWER, echo, lane)] if tables.of_material else np.float32(1.0)
+        power = full * room[_at(_POWER, echo, lane)] + plain
         room[_at(_INTENSITY, echo, lane)] = min(room[_at(_SCALE, 0, lane)] * power, np.float32(1.0))
     for lane in range(BLOCK):
         distance, measured = room[_at(_DISTANCE, echo, lane)], room[_at(_MEASURED, echo, lane)]
         chance = most * max(np.float32(1.0) - room[_at(_INTENSITY, echo, lane)] * limit, np.float32(0.0))
-        keep[echo, lane] = (
-            (tables.uniform[before + np.uint64(lane)] >= dropoff)
-            & (tables.uniform[after + np.uint64(lane)] >= chance)
+        kept = (
+            (room[_at(_DRAW, 0, lane)] >= dropoff)
+            & (room[_at(_DRAW, 1, lane)] >= chance)
             & (distance >= near)
             & (measured >= near)
             & (measured <= far)
         )
+        room[_at(_KEEP, echo, lane)] = np.float32(1.0) if kept else np.float32(0.0)
     # The last block is filled up with beams that are not there.
     for lane in range(min(BLOCK, tables.columns - block * BLOCK), BLOCK):
-        keep[echo, lane] = False
+        room[_at(_KEEP, echo, lane)] = np.float32(0.0)
 
 
 @njit(**_PART)
@@ -558,10 +638,9 @@ def _pack(scratch: Any, columns: Any, row: Any, block: Any) -> Any:
     first = np.int32(block * BLOCK)
     for lane in range(BLOCK):
         scratch.number[_at(_COLUMN, 0, lane)] = first + np.int32(lane)
-    for lane in range(BLOCK):
-        for axis in range(3):
-            scratch.keep_axes[lane, axis] = scratch.keep[0, lane]
-    bits = bits_of(scratch.keep.ctypes.data)
+    keep = scratch.address + 4 * _KEEP
+    bits = bits_of(keep)
+    interleave(keep, keep, keep, scratch.address + 4 * _KEEP_AXES)
     at = np.int64(row)
     squeeze(bits, scratch.address + 4 * _INTENSITY, columns.intensity.ctypes.data + 4 * at, 4)
     squeeze(bits, scratch.address + 4 * _COLUMN, columns.column.ctypes.data + 4 * at, 4)
@@ -570,20 +649,10 @@ def _pack(scratch: Any, columns: Any, row: Any, block: Any) -> Any:
     squeeze(bits, scratch.material.ctypes.data, columns.material.ctypes.data + at, 1)
     target = columns.points.ctypes.data + 12 * at
     for third in range(3):
-        kept = bits_of(scratch.keep_axes.ctypes.data + BLOCK * third)
+        kept = bits_of(scratch.address + 4 * (_KEEP_AXES + BLOCK * third))
         squeeze(kept, scratch.address + 4 * (_POINT + BLOCK * third), target, 4)
-        target += 4 * _count(kept)
-    return row + np.uint64(_count(bits))
-
-
-@njit(**_PART)
-def _count(bits: Any) -> Any:
-    """Return how many of 16 bits are set."""
-    word = np.uint32(bits)
-    word = (word & np.uint32(0x5555)) + ((word >> np.uint32(1)) & np.uint32(0x5555))
-    word = (word & np.uint32(0x3333)) + ((word >> np.uint32(2)) & np.uint32(0x3333))
-    word = (word & np.uint32(0x0F0F)) + ((word >> np.uint32(4)) & np.uint32(0x0F0F))
-    return np.int64((word & np.uint32(0x00FF)) + (word >> np.uint32(8)))
+        target += 4 * count(kept)
+    return row + np.uint64(count(bits))
 
 
 @njit(**_OPTIONS)
@@ -592,7 +661,7 @@ def _pack_pairs(scratch: Any, columns: Any, row: Any, block: int) -> Any:
     room = scratch.room
     for lane in range(BLOCK):
         for echo in range(2):
-            if scratch.keep[echo, lane]:
+            if room[_at(_KEEP, echo, lane)] > np.float32(0.0):
                 for axis in range(3):
                     columns.points[row, axis] = room[_POINT + 3 * BLOCK * echo + 3 * lane + axis]
                 columns.intensity[row] = room[_at(_INTENSITY, echo, lane)]
