@@ -86,7 +86,15 @@ class Sweep:
 
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Self:
         """Select points by a mask, indices or a slice."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in POINT_FIELDS})
+        if isinstance(rows, slice):
+            return replace(self, **{name: getattr(self, name)[rows] for name in POINT_FIELDS})
+        rows = np.asarray(rows)
+        if rows.dtype == bool:
+            if rows.shape != (len(self),):
+                raise IndexError(f"a mask for {len(self)} points must have shape ({len(self)},), got {rows.shape}")
+            # One search for all columns: a mask for each takes eight times as long.
+            rows = np.flatnonzero(rows)
+        return replace(self, **{name: getattr(self, name).take(rows, axis=0) for name in POINT_FIELDS})
 
     @property
     def range(self) -> NDArray[np.float32]:
