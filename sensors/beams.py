@@ -18,7 +18,7 @@ BLOCK = 16
 """Columns per block."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Beams:
     """The rays of one sweep: S sub-rays for each of R rings and W columns, W a multiple of `BLOCK`, at least C.
 

@@ -62,18 +62,25 @@ def actor_paths(now: Actors, before: Actors | None = None, after: Actors | None 
     times, tables = [now.time_s], [middle]
     for other, side in ((before, -1), (after, 1)):
         time_s = now.time_s + side * reach_s if other is None else other.time_s
+        place = 0 if side < 0 else len(times)
+        times.insert(place, time_s)
+        tables.insert(place, _elsewhen(now, middle, other, time_s))
+    stacked = np.stack(tables, axis=1)
+    return Path(np.array(times), stacked[..., :3], stacked[..., 3:])
+
+
+def _elsewhen(now: Actors, middle: NDArray[np.float64], other: Actors | None, time_s: float) -> NDArray[np.float64]:
+    """Return (N, 6) placements of the actors of `now` at a neighbouring instant."""
+    if other is not None and np.array_equal(now.boxes.object_id, other.boxes.object_id):
+        table = _placement(other)
+    else:
         table = middle.copy()
         table[:, :2] += now.velocity * (time_s - now.time_s)
         if other is not None:
             rows, found = _match(now, other)
-            there = _placement(other)[rows[found]]
-            there[:, 3] = middle[found, 3] + wrap_angle(there[:, 3] - middle[found, 3])
-            table[found] = there
-        place = 0 if side < 0 else len(times)
-        times.insert(place, time_s)
-        tables.insert(place, table)
-    stacked = np.stack(tables, axis=1)
-    return Path(np.array(times), stacked[..., :3], stacked[..., 3:])
+            table[found] = _placement(other)[rows[found]]
+    table[:, 3] = middle[:, 3] + wrap_angle(table[:, 3] - middle[:, 3])
+    return table
 
 
 def _placement(actors: Actors) -> NDArray[np.float64]:

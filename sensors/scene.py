@@ -53,6 +53,7 @@ class RayScene:
         self._world = StaticWorld(*mesh_arrays(static, "static world"))
         self._body_mesh = body_mesh
         self._solids: dict[tuple[str, tuple[float, ...]], Solid] = {}
+        self._fleet: tuple[tuple[str, ...], NDArray[np.float64], tuple[Solid, ...]] = ((), np.zeros((0, 3)), ())
 
     def with_bodies(
         self, now: Actors, before: Actors | None = None, after: Actors | None = None, reach_s: float = 0.05
@@ -70,10 +71,7 @@ class RayScene:
         scene.bodies = Bodies(
             object_id=now.boxes.object_id,
             size=now.boxes.size,
-            solids=tuple(
-                self._body(model, tuple(size))
-                for model, size in zip(now.model, now.boxes.size.round(3).tolist(), strict=True)
-            ),
+            solids=self._solids_of(now),
             path=actor_paths(now, before, after, reach_s),
             span_s=(now.time_s - reach_s, now.time_s + reach_s),
         )
@@ -113,6 +111,15 @@ class RayScene:
         low = np.column_stack([xy, np.full(len(xy), bottom - 1.0)])
         hits = self.cast(low, np.tile([0.0, 0.0, 1.0], (len(xy), 1)), top - bottom + 2.0)
         return np.where(hits.face >= 0, hits.distance + bottom - 1.0, 0.0)
+
+    def _solids_of(self, actors: Actors) -> tuple[Solid, ...]:
+        """Return the solid of each actor; those of the last instant serve as long as the same actors are there."""
+        model, size, solids = self._fleet
+        if actors.model != model or not np.array_equal(actors.boxes.size, size):
+            sizes = actors.boxes.size.round(3).tolist()
+            solids = tuple(self._body(name, tuple(lwh)) for name, lwh in zip(actors.model, sizes, strict=True))
+            self._fleet = actors.model, actors.boxes.size, solids
+        return solids
 
     def _body(self, model: str, size: tuple[float, ...]) -> Solid:
         key = (model, size)

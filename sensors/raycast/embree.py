@@ -165,7 +165,13 @@ class Hierarchy:
 
 
 class InstanceScene:
-    """A scene of slots, each an instance of some hierarchy; the compiled `place` moves them."""
+    """A scene of slots, each an instance of some hierarchy; the compiled `place_bodies` moves them.
+
+    Attributes:
+        handle: of the scene.
+        geometry: (N,) int64 handles of the slots.
+        steps: (N,) int64 instants of motion that each slot has, 0 before it was placed.
+    """
 
     def __init__(self, robust: bool) -> None:
         """Make an empty scene."""
@@ -179,8 +185,8 @@ class InstanceScene:
         self._shown: list[Hierarchy | None] = []
         self._used = 0
 
-    def show(self, hierarchies: list[Hierarchy], steps: NDArray[np.int64]) -> None:
-        """Let slot i show hierarchy i in `steps[i]` instants, and no others be seen."""
+    def show(self, hierarchies: list[Hierarchy]) -> None:
+        """Let slot i show hierarchy i, and no others be seen."""
         api, wanted, attached = self._lib.api, len(hierarchies), len(self._shown)
         for slot in range(self._used, min(wanted, attached)):
             api.rtcEnableGeometry(int(self.geometry[slot]))
@@ -197,9 +203,6 @@ class InstanceScene:
             if self._shown[slot] is not hierarchy:
                 api.rtcSetGeometryInstancedScene(int(self.geometry[slot]), hierarchy.handle)
                 self._shown[slot] = hierarchy
-        for slot in np.flatnonzero(self.steps[: len(steps)] != steps).tolist():
-            api.rtcSetGeometryTimeStepCount(int(self.geometry[slot]), int(steps[slot]))
-            self.steps[slot] = steps[slot]
 
     def __del__(self) -> None:
         if handle := getattr(self, "handle", None):

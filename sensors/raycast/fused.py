@@ -12,17 +12,19 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.beams import BLOCK, Beams
 from sensors.raycast.base import Bodies, Hits, Returns, Shot, Solid
-from sensors.raycast.embree import ANY_RAY, Hierarchy, InstanceScene, library
+from sensors.raycast.embree import Hierarchy, InstanceScene, library
 from sensors.raycast.kernel import (
     ROOM_WORDS,
     Calls,
     Columns,
+    Motion,
     Scratch,
     Tables,
     World,
@@ -33,12 +35,8 @@ from sensors.raycast.kernel import (
     sweep_rings,
 )
 
-_STATICS_KEPT = 4
-_BODIES_KEPT = 1200
-_PACKED_KEPT = 8
 _FREE_BIT = 31
 """Bit of the ray mask of sensors that hide no body; the bits below are for bodies that one sensor does not see."""
-_LERP_ERROR_M = 1e-4
 _MOST_SEGMENTS = 16
 _RETURNS = {"strongest": 0, "last": 1, "dual": 2}
 
@@ -68,24 +66,6 @@ class _Placed:
         return self.bodies is bodies and self.hidden == hidden and bool((self.origin == origin).all())
 
 
-class _Kept:
-    """Hierarchies by solid; those unseen for longest are dropped."""
-
-    def __init__(self, most: int, robust: bool) -> None:
-        self._most = most
-        self._robust = robust
-        self._known: dict[int, tuple[Solid, Hierarchy]] = {}
-
-    def of(self, solid: Solid) -> Hierarchy:
-        known = self._known.pop(id(solid), None)
-        if known is None:
-            known = (solid, Hierarchy(solid, self._robust))
-            while len(self._known) >= self._most:
-                self._known.pop(next(iter(self._known)))
-        self._known[id(solid)] = known
-        return known[1]
-
-
 class FusedEngine:
     """See the module; implements `sensors.raycast.Engine`."""
 
@@ -96,12 +76,18 @@ class FusedEngine:
         self._library = library()
         # One instance scene serves all callers of the process.
         self._lock = threading.Lock()
-        self._static = _Kept(_STATICS_KEPT, robust)
-        self._bodies = _Kept(_BODIES_KEPT, robust)
+        self._robust = robust
+        self._hierarchies: WeakKeyDictionary[Solid, Hierarchy] = WeakKeyDictionary()
         self._moving = InstanceScene(robust)
         self._placed: _Placed | None = None
-        names = ("rtcSetGeometryTransform", "rtcCommitGeometry", "rtcSetGeometryMask", "rtcCommitScene")
-        self._calls = Calls(*map(self._library.address, names))
+        address = self._library.address
+        self._calls = Calls(
+            set_steps=address("rtcSetGeometryTimeStepCount"),
+            set_transform=address("rtcSetGeometryTransform"),
+            set_mask=address("rtcSetGeometryMask"),
+            commit_geometry=address("rtcCommitGeometry"),
+            commit_scene=address("rtcCommitScene"),
+        )
 
     def cast(
         self,
@@ -115,7 +101,7 @@ class FusedEngine:
         hits = Hits(distance, np.full(len(distance), -1, np.int32), np.zeros(len(distance), np.float32))
         rays = (np.ascontiguousarray(rows, np.float32).reshape(-1, 3) for rows in (origins, directions))
         with self._lock:
-            world = self._world(self._static.of(solid), None)
+            world = self._world(self._hierarchy(solid), None)
             cast_rays(world, _scratch(self._library.width), *rays, distance, hits.face, hits.cosine)
         return hits
 
@@ -131,19 +117,18 @@ class FusedEngine:
         if placed is not None and placed.shows(bodies, origin, hidden):
             return
         fleet = self._fleet(bodies.solids)
-        steps = _steps(bodies)
-        pose = np.zeros((len(bodies), int(steps.max(initial=2)), 3, 4), np.float32)
-        self._moving.show(fleet.hierarchies, steps)
+        self._moving.show(fleet.hierarchies)
+        path, count = bodies.path, len(bodies)
+        steps, pose = np.zeros(count, np.int64), np.zeros((count, _MOST_SEGMENTS + 1, 3, 4), np.float32)
         place_bodies(
             self._calls,
             self._moving.handle,
-            self._moving.geometry[: len(bodies)],
+            self._moving.geometry[:count],
+            self._moving.steps[:count],
+            np.array(hidden, np.int64),
+            bodies.object_id,
+            Motion(np.array(bodies.span_s), path.time_s, path.xyz, path.angles, origin, bodies.size),
             steps,
-            _masks(bodies.object_id, hidden),
-            np.array(bodies.span_s),
-            bodies.path.time_s,
-            bodies.path.xyz - origin,
-            bodies.path.angles,
             pose,
         )
         self._library.check()
@@ -156,16 +141,23 @@ class FusedEngine:
             for group in _groups(shots):
                 hidden = _hidden(group)
                 self.place(bodies, static.origin, hidden)
-                world = self._world(self._static.of(static), self._placed)
+                world = self._world(self._hierarchy(static), self._placed)
                 jobs = [_Job(shot, static.origin, bodies, hidden) for shot in group]
                 _run(jobs, world, self._library.width, threads)
                 made.extend(job.returns() for job in jobs)
         return made
 
+    def _hierarchy(self, solid: Solid) -> Hierarchy:
+        """Return the hierarchy of a solid, built at first sight and kept as long as the solid."""
+        known = self._hierarchies.get(solid)
+        if known is None:
+            known = self._hierarchies[solid] = Hierarchy(solid, self._robust)
+        return known
+
     def _fleet(self, solids: tuple[Solid, ...]) -> _Fleet:
         if self._placed is not None and self._placed.fleet.solids == solids:
             return self._placed.fleet
-        hierarchies = [self._bodies.of(solid) for solid in solids]
+        hierarchies = [self._hierarchy(solid) for solid in solids]
         first = {id(hierarchy): hierarchy for hierarchy in hierarchies}
         sizes = np.cumsum([0, *(len(hierarchy.material) for hierarchy in first.values())])
         start = dict(zip(first, sizes.tolist(), strict=False))
@@ -330,24 +322,20 @@ def _tables(shot: Shot, origin: NDArray[np.float64], span_s: tuple[float, float]
 class _Packed:
     """Directions of a sweep's rays in the order in which packets take them; see `kernel.Tables`."""
 
-    beams: Beams
     axis: NDArray[np.float32]
     subray: NDArray[np.float32]
     lane: NDArray[np.float32]
 
 
-_last_packed: dict[int, _Packed] = {}
+_packed_beams: WeakKeyDictionary[Beams, _Packed] = WeakKeyDictionary()
 
 
 def _packed(beams: Beams) -> _Packed:
     """Return the packed tables of some beams, which spinning sensors use again and again."""
-    known = _last_packed.get(id(beams))
+    known = _packed_beams.get(beams)
     if known is None:
-        if len(_last_packed) >= _PACKED_KEPT:
-            _last_packed.pop(next(iter(_last_packed)))
         lane = (np.arange(BLOCK, dtype=np.float32) + beams.firing_share[:, None]) / np.float32(BLOCK)
-        known = _Packed(beams, _by_block(beams.axis), _by_block(beams.subray), lane)
-        _last_packed[id(beams)] = known
+        known = _packed_beams[beams] = _Packed(_by_block(beams.axis), _by_block(beams.subray), lane)
     return known
 
 
@@ -401,8 +389,6 @@ def _scratch(width: int) -> Scratch:
         address=room.ctypes.data,
         valid_address=valid.ctypes.data,
         material=np.zeros((8, BLOCK), np.uint8),
-        keep=np.zeros((2, BLOCK), np.bool_),
-        keep_axes=np.zeros((BLOCK, 3), np.bool_),
         owner=owner,
     )
 
@@ -419,25 +405,3 @@ def _groups(shots: Sequence[Shot]) -> list[list[Shot]]:
 
 def _hidden(shots: Sequence[Shot]) -> tuple[int, ...]:
     return tuple(sorted({shot.hidden_id for shot in shots if shot.hidden_id is not None}))
-
-
-def _masks(object_id: NDArray[np.int64], hidden: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return (N,) ray masks: all bits but that of the sensors that must not see the body."""
-    masks = np.full(len(object_id), ANY_RAY, np.int64)
-    for bit, key in enumerate(hidden):
-        masks[object_id == key] &= ~(1 << bit)
-    return masks
-
-
-def _steps(bodies: Bodies) -> NDArray[np.int64]:
-    """Return (N,) how many instants each body's motion needs: Embree moves matrices straight from one to the next."""
-    path, (start, end) = bodies.path, bodies.span_s
-    interval = np.diff(path.time_s)
-    share = min((end - start) / float(interval.min()), float(len(interval)))
-    turn = np.abs(np.diff(path.angles, axis=1)).sum(axis=2).max(axis=1, initial=0.0) * share
-    # A chord is off its arc by angle^2 / 8 of the radius, here half of the body's length.
-    segments = turn * np.sqrt(0.5 * bodies.size[:, 0] / (8.0 * _LERP_ERROR_M))
-    velocity = np.diff(path.xyz, axis=1) / interval[:, None]
-    bend = np.abs(np.diff(velocity, axis=1)).sum(axis=(1, 2)) * 0.25 * (end - start)
-    segments = np.maximum(segments, np.where(bend > _LERP_ERROR_M, 2.0, 1.0))
-    return np.asarray(2 ** np.ceil(np.log2(np.minimum(segments, _MOST_SEGMENTS))).astype(np.int64) + 1)

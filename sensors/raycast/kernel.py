@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sensors.beams import BLOCK
 from sensors.noise import ACROSS, LOST_AFTER, LOST_BEFORE, RANGE, SECOND_RANGE, UP
 from sensors.optics import COSINE_BINS, RANGE_BINS
-from sensors.raycast.embree import FORMAT_FLOAT3X4_ROW_MAJOR, INVALID, RAY_ROWS
+from sensors.raycast.embree import ANY_RAY, FORMAT_FLOAT3X4_ROW_MAJOR, INVALID, RAY_ROWS
 from sensors.sweep import STATIC
 
 _FAST = {"contract", "nsz", "reassoc", "arcp"}
@@ -32,6 +32,7 @@ _NORMAL, _PRIMITIVE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
 
 _MOST_SUBRAYS = 8
 _LAST, _DUAL = 1, 2
+_LERP_ERROR_M = 1e-4
 _NO_AXIS = (np.float32(0.0), np.float32(0.0), np.float32(0.0))
 
 # Where the rows of 16 words of `Scratch.room` start, after the packets.
@@ -741,24 +742,65 @@ def sweep_rings(
 class Calls(NamedTuple):
     """Addresses of the Embree functions that move instances."""
 
+    set_steps: int
     set_transform: int
-    commit_geometry: int
     set_mask: int
+    commit_geometry: int
     commit_scene: int
+
+
+class Motion(NamedTuple):
+    """Where N bodies are over a span.
+
+    Attributes:
+        span: (2,) float64 first and last instant, s.
+        times: (K,) float64 instants of the path.
+        xyz: (N, K, 3) float64 positions, m.
+        angles: (N, K, 3) float64 yaw, pitch and roll, rad.
+        origin: (3,) float64 of the scene.
+        size: (N, 3) float64 length, width and height, m.
+    """
+
+    span: NDArray[np.float64]
+    times: NDArray[np.float64]
+    xyz: NDArray[np.float64]
+    angles: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    size: NDArray[np.float64]
+
+
+@njit(**_PART)
+def _segments(motion: Any, slot: Any, most: Any) -> Any:
+    """Return how many straight pieces a body's motion needs, a power of two.
+
+    Embree moves matrices straight from one instant to the next. A chord is off its arc by angle^2 / 8 of the radius,
+    here half of the body's length, and off a bend in the middle of the span by a quarter of the change of velocity
+    times the span.
+    """
+    times, xyz, angles = motion.times, motion.xyz, motion.angles
+    span = motion.span[1] - motion.span[0]
+    fastest, bend = 0.0, 0.0
+    for knot in range(times.shape[0] - 1):
+        interval = times[knot + 1] - times[knot]
+        turn, change = 0.0, 0.0
+        for axis in range(3):
+            turn += np.abs(angles[slot, knot + 1, axis] - angles[slot, knot, axis])
+            if knot > 0:
+                speed = (xyz[slot, knot + 1, axis] - xyz[slot, knot, axis]) / interval
+                before = (xyz[slot, knot, axis] - xyz[slot, knot - 1, axis]) / (times[knot] - times[knot - 1])
+                change += np.abs(speed - before)
+        fastest = max(fastest, turn / interval)
+        bend = max(bend, 0.25 * change * span)
+    needed = fastest * span * np.sqrt(0.5 * motion.size[slot, 0] / (8.0 * _LERP_ERROR_M))
+    segments = 2 if bend > _LERP_ERROR_M else 1
+    while segments < needed and segments < most:
+        segments *= 2
+    return segments
 
 
 @njit(**_OPTIONS)
 def place_bodies(
-    calls: Any,
-    scene: int,
-    geometry: Any,
-    steps: Any,
-    masks: Any,
-    span: Any,
-    times: Any,
-    xyz: Any,
-    angles: Any,
-    pose: Any,
+    calls: Any, scene: int, geometry: Any, shown: Any, hidden: Any, object_id: Any, motion: Any, steps: Any, pose: Any
 ) -> None:
     """Move the instances of a scene and commit it.
 
@@ -766,15 +808,23 @@ def place_bodies(
         calls: see `Calls`.
         scene: handle.
         geometry: (N,) int64 handles of the slots.
-        steps: (N,) int64 instants of each slot, equally spaced over the span.
-        masks: (N,) int64 ray masks.
-        span: (2,) float64 first and last instant, s.
-        times: (K,) float64 instants of the path.
-        xyz: (N, K, 3) float64 positions of the path relative to the scene's origin, m.
-        angles: (N, K, 3) float64 its yaw, pitch and roll, rad.
-        pose: (N, T, 3, 4) float32, written: the poses at the slots' instants.
+        shown: (N,) int64 how many instants each slot had before; written.
+        hidden: (H,) int64 ids of the bodies that rays of mask bit 0, 1, ... do not see.
+        object_id: (N,) int64.
+        motion: see `Motion`.
+        steps: (N,) int64, written: instants of each slot, equally spaced over the span.
+        pose: (N, T, 3, 4) float32, written: the poses at those instants.
     """
+    span, times, xyz, angles = motion.span, motion.times, motion.xyz, motion.angles
     for slot in range(geometry.shape[0]):
+        steps[slot] = _segments(motion, slot, pose.shape[1] - 1) + 1
+        if shown[slot] != steps[slot]:
+            shown[slot] = steps[slot]
+            call(calls.set_steps, (geometry[slot], steps[slot]))
+        mask = np.int64(ANY_RAY)
+        for bit in range(hidden.shape[0]):
+            if hidden[bit] == object_id[slot]:
+                mask &= ~(np.int64(1) << bit)
         for instant in range(steps[slot]):
             time = span[0] + (span[1] - span[0]) * instant / (steps[slot] - 1)
             knot = 0
@@ -790,9 +840,10 @@ def place_bodies(
             matrix[2, 0], matrix[2, 1], matrix[2, 2] = -sp, cp * sr, cp * cr
             for axis in range(3):
                 start = xyz[slot, knot, axis]
-                matrix[axis, 3] = start + f * (xyz[slot, knot + 1, axis] - start)
+                moved = start + f * (xyz[slot, knot + 1, axis] - start)
+                matrix[axis, 3] = moved - motion.origin[axis]
             call(calls.set_transform, (geometry[slot], instant, FORMAT_FLOAT3X4_ROW_MAJOR, matrix.ctypes.data))
-        call(calls.set_mask, (geometry[slot], masks[slot]))
+        call(calls.set_mask, (geometry[slot], mask))
         call(calls.commit_geometry, (geometry[slot],))
     call(calls.commit_scene, (scene,))
 

@@ -49,7 +49,7 @@ def test_rays_are_cast_in_the_world_frame():
     hits = scene.cast(origins, np.array([[1.0, 0.0, 0.0]] * 2), 100.0)
     assert (hits.face >= 0).tolist() == [True, False]
     assert hits.distance.tolist() == [8.0, 100.0]
-    assert hits.cosine.tolist() == [1.0, 0.0]
+    np.testing.assert_allclose(hits.cosine, [1.0, 0.0], atol=1e-6)
 
 
 def broken(change) -> trimesh.Trimesh:
