@@ -138,6 +138,50 @@ def generate(
     _say(str(drive))
 
 
+@app.command(name="corrupt")
+def corrupt(
+    data: Positional[Path],
+    /,
+    kind: str,
+    out: Path,
+    severity: int = 3,
+    family: Literal["physical", "paper"] = "physical",
+    seed: int = 0,
+    workers: int | None = None,
+) -> None:
+    """Write drives again as they are in fog, snow or rain, or with failing sensors.
+
+    Killed and started again, it goes on where it stopped; the bytes are the same for any number of workers.
+
+    Args:
+        data: folder of drives, or one drive.
+        kind: of the corruption, such as fog; a wrong one is answered with the right ones.
+        out: folder of the corrupted drives, which keep their names.
+        severity: 1 to 5; 3 is the paper's.
+        family: physical models, or those of the published papers.
+        seed: of the corruption; every drive draws its own weather and faults from it.
+        workers: processes; default: one per core.
+    """
+    import os
+
+    from dsrc.data.corrupting import corrupt_dataset
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    with _progress() as progress:
+        task = progress.add_task(f"{kind.replace('_', ' ')}, severity {severity}", total=None)
+        corrupt_dataset(
+            data,
+            out,
+            kind,
+            severity,
+            family,
+            seed=seed,
+            workers=cores if workers is None else workers,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    _say(str(out))
+
+
 @app.command(name="train")
 def train(
     recipe: Positional[str],

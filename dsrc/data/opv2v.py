@@ -129,6 +129,10 @@ class DriveReader:
             raise DataError(complaint(path, "testbed", "a record as in the other agents' files", "none"))
         return self._own_frame(stem, records)
 
+    def stem(self, index: int) -> str:
+        """Return the name that the files of the frame of this number have."""
+        return self._stems[self.frames.index(index)]
+
     def _agents(self) -> list[int]:
         if not self.drive.is_dir():
             siblings = [p.name for p in self.drive.parent.iterdir()] if self.drive.parent.is_dir() else []
@@ -158,9 +162,9 @@ class DriveReader:
         own = self.protocol.get("testbed", {})
         promised = own.get("frames") if isinstance(own, dict) else None
         if promised is not None and promised != len(stems):
-            raise DataError(
-                complaint(self.drive, "frames", f"{promised} as in {PROTOCOL}", len(stems), "; run dsrc generate again")
-            )
+            verb = "corrupt" if "corruptions" in own else "generate"
+            hint = f"; run dsrc {verb} again"
+            raise DataError(complaint(self.drive, "frames", f"{promised} as in {PROTOCOL}", len(stems), hint))
         return stems
 
     def _own_frame(self, stem: str, records: list[Record]) -> Frame:

@@ -207,6 +207,18 @@ def read_agent(path: Path) -> Record | Annotation:
     return _checked(path, record)
 
 
+def read_plan(path: Path) -> NDArray[np.float64]:
+    """Return (K, 3) x, y in our world, m, and speed, m/s, of an agent's coming way; none where the file has no such."""
+    text = read_text(path)
+    content = parse_yaml(path, text.partition("\n")[2] if text.startswith(_PREFIX) else text)
+    rows = content.get("plan_trajectory")
+    try:
+        plan = np.array(rows, np.float64).reshape(-1, 3)
+    except (TypeError, ValueError):
+        return np.zeros((0, 3))
+    return plan / [1.0, -1.0, 3.6] if np.isfinite(plan).all() else np.zeros((0, 3))
+
+
 def _checked(path: Path, record: Record) -> Record:
     n = len(record.object_id)
     for name in ("label", "box", "velocity", "points_on"):
