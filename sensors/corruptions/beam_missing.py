@@ -1,11 +1,13 @@
 """Beam missing: some lasers are dead.
 
-| severity             | 1 | 2 | 3 (paper) | 4 (released code) | 5  |
-|----------------------|---|---|-----------|-------------------|----|
-| rings missing, of 64 | 4 | 8 | 16        | 32                | 48 |
+| severity             | 1 | 2 | 3  | 4  | 5  |
+|----------------------|---|---|----|----|----|
+| rings missing, of 64 | 4 | 8 | 16 | 32 | 48 |
 
-Other sensors lose the same share of their rings. With one random stream the rings of a lower severity are among those
-of a higher one. Source: DSRC, section on robustness.
+Other sensors lose the same share of their rings. Exactly so many different rings are missing, each equally likely, and
+those of a lower severity are among those of a higher one. A dead laser stays dead: with the same stream the same rings
+are missing in every sweep of a sensor, also where they had to be found by their elevation (`rings`) and some have no
+points for a while. Level 3 is the DSRC paper's text, 4 its released code.
 """
 
 from typing import Self
@@ -14,7 +16,7 @@ import msgspec
 import numpy as np
 
 from sensors.corruptions.levels import at_level, check_range, share_of
-from sensors.corruptions.receiver import known_ring_count
+from sensors.corruptions.rings import IDENTITIES, rings_of
 from sensors.sweep import Sweep
 
 RINGS_OF_64 = (4, 8, 16, 32, 48)
@@ -39,13 +41,22 @@ class BeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def corrupt(sweep: Sweep, severity: int | BeamMissing, rng: np.random.Generator) -> Sweep:
-    """Remove all points of some rings, drawn without replacement; the other points stay as they are, in order.
+    """Remove all points of some rings; the other points stay as they are, in order.
+
+    Args:
+        sweep: any sweep; of an unknown sensor the rings that have points count.
+        severity: 1 to 5, or the settings.
+        rng: draws the dead rings.
 
     Raises:
-        DataError: the sweep does not know its rings.
+        DataError: the sweep does not know its rings and they cannot be found, or they are not its sensor's.
     """
     settings = severity if isinstance(severity, BeamMissing) else BeamMissing.severity(severity)
-    rings = known_ring_count(sweep, "beam_missing")
-    alive = np.ones(rings, bool)
-    alive[rng.permutation(rings)[: share_of(rings, settings.rings_of_64)]] = False
-    return sweep[alive[sweep.ring]]
+    lifetime = rng.random(IDENTITIES)
+    if settings.rings_of_64 == 0:
+        return sweep
+    rings = rings_of(sweep, "beam_missing")
+    order = np.argsort(lifetime[rings.identity], kind="stable")
+    alive = np.ones(rings.count, bool)
+    alive[order[: share_of(rings.count, settings.rings_of_64)]] = False
+    return sweep[alive[rings.ring]]

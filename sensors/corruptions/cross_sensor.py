@@ -1,27 +1,46 @@
-"""Cross sensor: a model trained on one LiDAR meets a cheaper one, with fewer beams and fewer firings per rotation.
+"""Cross sensor: a model trained on one LiDAR meets another, with fewer beams, fewer firings and less reach.
 
-| severity               | 1  | 2  | 3 (paper) | 4  | 5  |
-|------------------------|----|----|-----------|----|----|
-| rings removed, of 64   | 16 | 32 | 32        | 48 | 48 |
-| one firing kept of     | 1  | 1  | 2         | 2  | 4  |
+| severity                             | 1   | 2   | 3   | 4   | 5   |
+|--------------------------------------|-----|-----|-----|-----|-----|
+| rings removed, of 64                 | 16  | 32  | 32  | 48  | 48  |
+| one firing kept of                   | 1   | 1   | 2   | 2   | 4   |
+| reach, relative to the sensor's own  | 0.9 | 0.8 | 0.7 | 0.6 | 0.5 |
 
-Rings are removed evenly, ring 0 stays. Firings are thinned by their column, which doubles the azimuth step of every
-ring as a slower sensor's is (Wei 2022, LiDAR-Distillation, which the paper cites); `thin_by="index"` keeps every n-th
-point of the list instead, whose phase slips from ring to ring, as the released code does. Nothing is random here.
+The severities make a cheaper sensor of the same kind: rings are removed evenly (ring 0 stays), of the columns every
+second or fourth is fired, and both the farthest range and the range at which dark targets are detected shrink. Instead,
+`target` names a sensor (`sensors.presets`): each of its beams takes the ring nearest to it, each of its firings the
+column nearest to it, and points outside its ranges or too faint for it are gone. A target with more beams than the
+sensor adds none.
+
+Firings are thinned by azimuth, with one phase for the whole rotation, so the azimuth step of every ring grows as a
+slower sensor's does (Wei 2022, LiDAR-Distillation); thinning a list of points lets the phase slip where a beam had no
+return. Files without columns are given them by azimuth (`_columns`). Nothing is random here. Level 3 has the rings and
+firings of the DSRC paper's code.
 """
 
-from typing import Literal, Self
+from typing import Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.levels import at_level, check_range, share_of
-from sensors.corruptions.receiver import known_ring_count
+from sensors.corruptions.receiver import UNKNOWN_RANGE_10_M, least_power, target_power
+from sensors.corruptions.rings import Rings, rings_of
+from sensors.presets import get_lidar
+from sensors.spec import LidarSpec
 from sensors.sweep import Sweep
+from sim.errors import DataError, SettingsError, complaint
 
 RINGS_OF_64 = (16, 32, 32, 48, 48)
 KEEP_ONE_OF = (1, 1, 2, 2, 4)
+REACH = (0.9, 0.8, 0.7, 0.6, 0.5)
+
+UNKNOWN_RANGE_MAX_M = 120.0
+"""Farthest range assumed of a sensor that is not known."""
+
+_FULL_TURN = 2.0 * np.pi
+_SAMPLED_RINGS = 8
 
 
 class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -30,37 +49,57 @@ class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     Attributes:
         rings_of_64: rings removed from a sensor of 64 rings; from others in proportion.
         keep_one_of: of so many firings one is kept.
-        thin_by: `column` keeps columns that are multiples, `index` every n-th point of the list.
+        reach: farthest range and range of detection, relative to the sensor's own.
+        target: name of a sensor to become instead; then the numbers above are not used.
     """
 
     rings_of_64: int = 32
     keep_one_of: int = 2
-    thin_by: Literal["column", "index"] = "column"
+    reach: float = 0.7
+    target: str | None = None
 
     def __post_init__(self) -> None:
         check_range("CrossSensor", "rings_of_64", self.rings_of_64, 0, 63)
         check_range("CrossSensor", "keep_one_of", self.keep_one_of, 1, 1000)
+        check_range("CrossSensor", "reach", self.reach, 0.01, 1.0)
+        if self.target is not None and get_lidar(self.target).prisms:
+            raise SettingsError(complaint("CrossSensor", "target", "a sensor with rings", self.target))
 
     @classmethod
     def severity(cls, level: int) -> Self:
         """Return the settings of a severity, 1 to 5."""
-        return cls(rings_of_64=at_level(RINGS_OF_64, level), keep_one_of=at_level(KEEP_ONE_OF, level))
+        return cls(
+            rings_of_64=at_level(RINGS_OF_64, level),
+            keep_one_of=at_level(KEEP_ONE_OF, level),
+            reach=at_level(REACH, level),
+        )
 
 
 def corrupt(sweep: Sweep, severity: int | CrossSensor, rng: np.random.Generator) -> Sweep:
-    """Return the points that the other sensor would have had; `rng` is not used.
+    """Return the points that the other sensor would have had, as they are and in order; `rng` is not used.
 
     Raises:
-        DataError: the sweep does not know its rings.
+        DataError: the sweep does not know its rings and they cannot be found, they are not its sensor's, or it should
+            become another sensor and has no rings at all.
     """
     settings = severity if isinstance(severity, CrossSensor) else CrossSensor.severity(severity)
-    rings = known_ring_count(sweep, "cross_sensor")
-    present = np.ones(rings, bool)
-    present[removed_rings(rings, share_of(rings, settings.rings_of_64))] = False
-    thinned = sweep[present[sweep.ring]]
-    if settings.thin_by == "index":
-        return thinned[:: settings.keep_one_of]
-    return thinned[_column(thinned) % settings.keep_one_of == 0]
+    if len(sweep) == 0:
+        return sweep
+    rings = rings_of(sweep, "cross_sensor")
+    if settings.target is not None:
+        target = get_lidar(settings.target)
+        if sweep.spec is not None and sweep.spec.prisms:
+            raise DataError(complaint("cross_sensor", "spec", "a sensor with rings", sweep.spec.name))
+        limits = (target.range_min_m, target.range_max_m, target.range_10_m)
+        return _within_reach(sweep[_beams_like(sweep, rings, target)], *limits)
+    present = np.ones(rings.count, bool)
+    present[removed_rings(rings.count, share_of(rings.count, settings.rings_of_64))] = False
+    kept = present[rings.ring]
+    if settings.keep_one_of > 1:
+        column, _ = _columns(sweep, rings)
+        kept &= column % settings.keep_one_of == 0
+    farthest, detected = _own_reach(sweep.spec)
+    return _within_reach(sweep[kept], 0.0, settings.reach * farthest, settings.reach * detected)
 
 
 def removed_rings(rings: int, removed: int) -> NDArray[np.int64]:
@@ -71,12 +110,76 @@ def removed_rings(rings: int, removed: int) -> NDArray[np.int64]:
     return 1 + np.arange(removed) * rings // removed
 
 
-def _column(sweep: Sweep) -> NDArray[np.int64]:
-    """Return (P,) columns; the place of a point within its ring when the sweep doesn't know its columns."""
-    if len(sweep) == 0 or sweep.column.any():
-        return sweep.column.astype(np.int64)
-    order = np.argsort(sweep.ring, kind="stable")
-    sorted_ring = sweep.ring[order]
-    place = np.zeros(len(sweep), np.int64)
-    place[order] = np.arange(len(sweep)) - np.searchsorted(sorted_ring, sorted_ring)
-    return place
+def _own_reach(spec: LidarSpec | None) -> tuple[float, float]:
+    return (UNKNOWN_RANGE_MAX_M, UNKNOWN_RANGE_10_M) if spec is None else (spec.range_max_m, spec.range_10_m)
+
+
+def _within_reach(sweep: Sweep, nearest: float, farthest: float, range_10_m: float) -> Sweep:
+    """Keep the points between two ranges that a sensor of this `LidarSpec.range_10_m` detects.
+
+    Where the intensity is below what the sweep's own sensor could detect, it tells nothing, and the ranges decide.
+    """
+    reach = sweep.range
+    kept = (reach >= nearest) & (reach <= farthest)
+    need, own = least_power(sweep.spec, range_10_m), least_power(sweep.spec)
+    if need > own:
+        power = target_power(sweep, reach)
+        kept &= (power >= need) | (power < own)
+    return sweep[kept]
+
+
+def _beams_like(sweep: Sweep, rings: Rings, target: LidarSpec) -> NDArray[np.bool_]:
+    """Return (P,) whether points are of beams that are the nearest to a beam of the target."""
+    present = np.zeros(rings.count, bool)
+    order = np.argsort(rings.elevation, kind="stable")
+    present[order[_nearest(rings.elevation[order], target.elevation)]] = True
+    column, azimuth = _columns(sweep, rings)
+    start, end = np.radians(target.azimuth_start_deg), np.radians(target.azimuth_end_deg)
+    seen = (azimuth - start) % _FULL_TURN < end - start
+    fired = np.zeros(len(azimuth), bool)
+    order = np.flatnonzero(seen)[np.argsort(((azimuth - start) % _FULL_TURN)[seen], kind="stable")]
+    if len(order):
+        wanted = (np.arange(target.columns) / target.columns) * (end - start)
+        fired[order[_nearest(((azimuth - start) % _FULL_TURN)[order], wanted)]] = True
+    return present[rings.ring] & fired[column]
+
+
+def _nearest(have: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the rows of ascending (N,) values that are nearest to the (M,) wanted, those of some farther off left out.
+
+    Farther off than half the distance to the next value, or half the usual one beyond both ends, is nowhere near.
+    """
+    if len(have) == 1:
+        return np.zeros(1, np.intp)
+    right = np.clip(np.searchsorted(have, wanted), 1, len(have) - 1)
+    row = right - (wanted - have[right - 1] <= have[right] - wanted)
+    margin = 0.5 * float(np.median(np.diff(have))) + 1e-9
+    return np.unique(row[(wanted >= have[0] - margin) & (wanted <= have[-1] + margin)])
+
+
+def _columns(sweep: Sweep, rings: Rings) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return (P,) columns and (C,) the azimuth of each, rad.
+
+    Without columns they follow from the azimuth: the step is that between neighbours in the fullest rings, the phase
+    each ring's own, since beams of a head point to different sides.
+    """
+    if sweep.spec is not None and (sweep.column.any() or len(sweep) <= sweep.spec.rings):
+        return sweep.column.astype(np.int64) % sweep.spec.columns, sweep.spec.azimuth
+    azimuth = np.arctan2(sweep.points[:, 1], sweep.points[:, 0]).astype(np.float64)
+    count = np.bincount(rings.ring, minlength=rings.count)
+    steps = [_step(azimuth[rings.ring == ring]) for ring in np.argsort(-count, kind="stable")[:_SAMPLED_RINGS]]
+    columns = max(1, round(_FULL_TURN / float(np.median(steps))))
+    turned = azimuth * (columns / _FULL_TURN)
+    # The circular mean of where points lie between two columns.
+    circle = np.exp(2j * np.pi * turned)
+    real, imaginary = (np.bincount(rings.ring, part, rings.count) for part in (circle.real, circle.imag))
+    phase = np.arctan2(imaginary, real) / _FULL_TURN
+    column = np.rint(turned - phase[rings.ring]).astype(np.int64) % columns
+    return column, np.arange(columns) * (_FULL_TURN / columns)
+
+
+def _step(azimuth: NDArray[np.float64]) -> float:
+    """Return the usual azimuth step between neighbouring points, rad; a full turn when there are none."""
+    steps = np.diff(np.sort(azimuth))
+    steps = steps[steps > 1e-5]
+    return float(np.median(steps)) if len(steps) else _FULL_TURN

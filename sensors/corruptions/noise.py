@@ -1,0 +1,84 @@
+"""Noise: coordinates that are wrong at random, by a bad clock, bad encoders or a bad interface.
+
+| severity                                    | 1    | 2    | 3    | 4    | 5    |
+|---------------------------------------------|------|------|------|------|------|
+| gaussian: standard deviation, m             | 0.02 | 0.04 | 0.06 | 0.08 | 0.10 |
+| uniform: half width, m                      | 0.02 | 0.04 | 0.06 | 0.08 | 0.10 |
+| impulse: one point of so many               | 30   | 25   | 20   | 15   | 10   |
+| impulse: its coordinates are off by +- m    | 0.1  | 0.1  | 0.1  | 0.1  | 0.1  |
+
+Numbers and kinds are those of Dong et al. (CVPR 2023), who add the noise to all columns; here coordinates alone are
+noisy: an intensity is no coordinate, nor is a ring. All three draw the same numbers at every severity, so that noise
+grows with it point by point, and the points hit by impulses at a severity are hit at the next.
+"""
+
+from dataclasses import replace
+from typing import Literal, Self
+
+import msgspec
+import numpy as np
+
+from sensors.corruptions.levels import at_level, check_range
+from sensors.sweep import MOVED, Sweep
+
+SIZE_M = (0.02, 0.04, 0.06, 0.08, 0.10)
+ONE_OF = (30.0, 25.0, 20.0, 15.0, 10.0)
+_IMPULSE_M = 0.1
+
+
+class Noise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of `corrupt`.
+
+    Attributes:
+        how: distribution of the displacement.
+        size_m: standard deviation (gaussian) or half width (uniform) of each coordinate, m.
+        one_of: impulses hit one point of so many, each with the same chance.
+        impulse_m: and displace each of its coordinates by this, up or down, m.
+    """
+
+    how: Literal["gaussian", "uniform", "impulse"] = "gaussian"
+    size_m: float = 0.06
+    one_of: float = 20.0
+    impulse_m: float = _IMPULSE_M
+
+    def __post_init__(self) -> None:
+        check_range("Noise", "size_m", self.size_m, 0.0, 100.0)
+        check_range("Noise", "one_of", self.one_of, 1.0, 1e9)
+        check_range("Noise", "impulse_m", self.impulse_m, 0.0, 100.0)
+
+    @classmethod
+    def severity(cls, level: int) -> Self:
+        """Return the settings of a severity, 1 to 5."""
+        return cls(size_m=at_level(SIZE_M, level), one_of=at_level(ONE_OF, level))
+
+
+def corrupt(sweep: Sweep, severity: int | Noise, rng: np.random.Generator) -> Sweep:
+    """Displace points; every one is still a return of its object, with its intensity."""
+    settings = severity if isinstance(severity, Noise) else Noise.severity(severity)
+    if settings.how == "impulse":
+        return _with_impulses(sweep, settings, rng)
+    if settings.size_m == 0.0:
+        return sweep
+    shape = sweep.points.shape
+    if settings.how == "gaussian":
+        offset = rng.standard_normal(shape, np.float32)
+    else:
+        offset = rng.random(shape, np.float32)
+        offset -= np.float32(0.5)
+        offset *= np.float32(2.0)
+    offset *= np.float32(settings.size_m)
+    offset += sweep.points
+    return replace(sweep, points=offset, fate=np.full(len(sweep), MOVED, np.uint8))
+
+
+def _with_impulses(sweep: Sweep, settings: Noise, rng: np.random.Generator) -> Sweep:
+    """Displace some points to the corners of a cube around them."""
+    hit = np.flatnonzero(rng.random(len(sweep), np.float32) < 1.0 / settings.one_of)
+    corner = rng.integers(0, 8, len(sweep), np.uint8)[hit]
+    if settings.impulse_m == 0.0:
+        return sweep
+    side = 2.0 * (corner[:, None] >> np.arange(3, dtype=np.uint8) & 1) - 1.0
+    points, fate = sweep.points.copy(), sweep.fate.copy()
+    points[hit] += (side * settings.impulse_m).astype(np.float32)
+    fate[hit] = MOVED
+    return replace(sweep, points=points, fate=fate)

@@ -1,0 +1,77 @@
+"""Point dropping: returns are lost at random, or in patches that something covers.
+
+| severity                  | 1  | 2  | 3  | 4  | 5  |
+|---------------------------|----|----|----|----|----|
+| share of the beams, %     | 6  | 12 | 18 | 24 | 30 |
+| patches of 2 % each       | 2  | 3  | 5  | 7  | 10 |
+
+Shares and patches are those of Dong et al. (CVPR 2023, `density` and `cutout`). `scattered` loses single beams, as
+packets and faint returns are lost; `patches` loses all that lies in so many directions, as drops, dirt and insects on
+the window do. A patch is a disc around one point as the sensor sees it, and holds the 2 % of the points nearest to its
+middle, so patches may overlap. (The reference's patches are balls of points around a point in space.) What is lost at a
+severity is lost at the next. Level 3 has no paper of its own; it is the middle one of the five published.
+"""
+
+from typing import Literal, Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.corruptions.levels import at_level, check_range
+from sensors.sweep import Sweep
+
+SHARE = (0.06, 0.12, 0.18, 0.24, 0.30)
+PATCHES = (2, 3, 5, 7, 10)
+_PATCH_SHARE = 0.02
+
+
+class PointDropping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of `corrupt`.
+
+    Attributes:
+        how: `scattered` over all beams, or in `patches`.
+        share: chance that a beam is lost when scattered.
+        patches: number of patches.
+        patch_share: share of the points that each of them holds.
+    """
+
+    how: Literal["scattered", "patches"] = "scattered"
+    share: float = 0.18
+    patches: int = 5
+    patch_share: float = _PATCH_SHARE
+
+    def __post_init__(self) -> None:
+        check_range("PointDropping", "share", self.share, 0.0, 1.0)
+        check_range("PointDropping", "patches", self.patches, 0, 10_000)
+        check_range("PointDropping", "patch_share", self.patch_share, 0.0, 1.0)
+
+    @classmethod
+    def severity(cls, level: int) -> Self:
+        """Return the settings of a severity, 1 to 5."""
+        return cls(share=at_level(SHARE, level), patches=at_level(PATCHES, level))
+
+
+def corrupt(sweep: Sweep, severity: int | PointDropping, rng: np.random.Generator) -> Sweep:
+    """Remove points; the others stay as they are, in order."""
+    settings = severity if isinstance(severity, PointDropping) else PointDropping.severity(severity)
+    if len(sweep) == 0:
+        return sweep
+    if settings.how == "patches":
+        return sweep[~_covered(sweep, settings, rng)]
+    return sweep[rng.random(len(sweep), np.float32) >= settings.share]
+
+
+def _covered(sweep: Sweep, settings: PointDropping, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return (P,) whether points lie in one of the patches."""
+    reach = np.maximum(sweep.range, np.float32(1e-6))
+    direction = sweep.points / reach[:, None]
+    covered = np.zeros(len(sweep), bool)
+    size = int(settings.patch_share * len(sweep))
+    if size == 0:
+        return covered
+    for _ in range(settings.patches):
+        middle = direction[int(rng.random() * len(sweep))]
+        near = direction @ middle
+        covered[np.argpartition(-near, size - 1)[:size]] = True
+    return covered
