@@ -119,7 +119,7 @@ def _within_reach(sweep: Sweep, nearest: float, farthest: float, range_10_m: flo
 
     Where the intensity is below what the sweep's own sensor could detect, it tells nothing, and the ranges decide.
     """
-    reach = sweep.range
+    reach = sweep.range.astype(np.float64)
     kept = (reach >= nearest) & (reach <= farthest)
     need, own = least_power(sweep.spec, range_10_m), least_power(sweep.spec)
     if need > own:
@@ -144,7 +144,7 @@ def _beams_like(sweep: Sweep, rings: Rings, target: LidarSpec) -> NDArray[np.boo
     return present[rings.ring] & fired[column]
 
 
-def _nearest(have: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.intp]:
+def _nearest(have: NDArray[np.floating], wanted: NDArray[np.floating]) -> NDArray[np.intp]:
     """Return the rows of ascending (N,) values that are nearest to the (M,) wanted, those of some farther off left out.
 
     Farther off than half the distance to the next value, or half the usual one beyond both ends, is nowhere near.
@@ -157,7 +157,7 @@ def _nearest(have: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[
     return np.unique(row[(wanted >= have[0] - margin) & (wanted <= have[-1] + margin)])
 
 
-def _columns(sweep: Sweep, rings: Rings) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _columns(sweep: Sweep, rings: Rings) -> tuple[NDArray[np.int64], NDArray[np.floating]]:
     """Return (P,) columns and (C,) the azimuth of each, rad.
 
     Without columns they follow from the azimuth: the step is that between neighbours in the fullest rings, the phase

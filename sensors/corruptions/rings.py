@@ -19,6 +19,7 @@ found for all beams first, then ring by ring.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,7 +188,7 @@ def _halted(points: NDArray[np.float64], way_m: float) -> NDArray[np.float64]:
     return points - np.stack([way_m * turned, np.zeros_like(turned), np.zeros_like(turned)], axis=1)
 
 
-def _sharpest(values: NDArray[np.float64], of: Callable[[float], NDArray[np.float64]]) -> float:
+def _sharpest(values: NDArray[np.floating], of: Callable[[float], NDArray[np.float64]]) -> float:
     """Return the value whose points have the sharpest histogram of elevations, refined; 0 when none is better."""
 
     def sharpness(value: float) -> float:
@@ -249,7 +250,7 @@ def _valleys(counts: NDArray[np.int64]) -> NDArray[np.float64] | None:
     peak = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
     if not 2 <= len(peak) <= 4 * _MOST_RINGS:
         return None
-    valley = peak[:-1] + np.array([density[a:b].argmin() for a, b in zip(peak[:-1], peak[1:], strict=True)])
+    valley = peak[:-1] + np.array([density[a:b].argmin() for a, b in pairwise(peak)])
     # A tooth without a valley beside it is a shoulder of its neighbour.
     kept_peak, kept_valley = [density[peak[0]]], []
     for where, top in zip(valley, density[peak[1:]], strict=True):
