@@ -290,9 +290,12 @@ squeeze: Any = intrinsic(prefer_literal=True)(_typed_squeeze)
 
 
 @njit(**_PART)
-def _bin(place: Any, bins: Any) -> Any:
-    """Return the nearest bin of a place in [0, 1]."""
-    return np.uint32(np.int32(min(place, np.float32(1.0)) * np.float32(bins) + np.float32(0.5)))
+def _look_up(table: Any, place: Any) -> Any:
+    """Return the value of a table over the range at a place in [0, 1], the last beyond."""
+    at = min(place, np.float32(1.0)) * np.float32(RANGE_BINS)
+    low = min(np.uint32(np.int32(at)), np.uint32(RANGE_BINS - 1))
+    value = table[low]
+    return value + (at - np.float32(low)) * (table[low + np.uint32(1)] - value)
 
 
 @njit(**_PART)
@@ -472,7 +475,7 @@ def _detect(tables: Any, scratch: Any) -> None:
     room = scratch.room
     for lane in range(BLOCK):
         distance = room[_at(_DISTANCE, 0, lane)]
-        if room[_at(_POWER, 0, lane)] < tables.need[_bin(distance * tables.law[0], RANGE_BINS)]:
+        if room[_at(_POWER, 0, lane)] < _look_up(tables.need, distance * tables.law[0]):
             room[_at(_DISTANCE, 0, lane)] = np.float32(np.inf)
 
 
@@ -497,9 +500,7 @@ def _merge(tables: Any, scratch: Any, subrays: int, order: Any, margins: Any, fo
             reached = room[_at(_DISTANCE, subray, lane)]
             if reached == np.float32(np.inf):
                 continue
-            margins[subray] = (
-                part * room[_at(_POWER, subray, lane)] / tables.need[_bin(reached * tables.law[0], RANGE_BINS)]
-            )
+            margins[subray] = part * room[_at(_POWER, subray, lane)] / _look_up(tables.need, reached * tables.law[0])
             place = hits
             while place > 0 and room[_at(_DISTANCE, order[place - 1], lane)] > reached:
                 order[place] = order[place - 1]
@@ -613,7 +614,7 @@ def _judge(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any) -> None:
     limit, most, dropoff = tables.law[4], tables.law[5], tables.law[6]
     for lane in range(BLOCK):
         place = room[_at(_DISTANCE, echo, lane)] * tables.law[0]
-        room[_at(_SCALE, 0, lane)] = tables.scale[_bin(place, RANGE_BINS)]
+        room[_at(_SCALE, 0, lane)] = _look_up(tables.scale, place)
     for lane in range(BLOCK):
         power = full * room[_at(_POWER, echo, lane)] + plain
         room[_at(_INTENSITY, echo, lane)] = min(room[_at(_SCALE, 0, lane)] * power, np.float32(1.0))
