@@ -1,7 +1,7 @@
-"""What weather needs to know of a receiver: how much a return must have to be seen, and what it sees up close.
+"""What weather needs to know of a receiver: how strong a return is, how strong it must be, how it is reported.
 
-Power is measured in units of a target of reflectivity 1, hit squarely in clear air at 1 m: a calibrated intensity i
-at range r arrives with power i / r^2. A LiDAR reports the strongest of the returns that it detects.
+Power is measured in units of a target of reflectivity 1, hit squarely in clear air at 1 m. A LiDAR reports the
+strongest of the returns that it detects.
 """
 
 import math
@@ -9,21 +9,21 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.optics import CLEAR_AIR_EXTINCTION, COSINE_BINS, optics_of
 from sensors.spec import LidarSpec
-from sensors.sweep import Sweep
+from sensors.sweep import UNKNOWN_MATERIAL, Sweep
 from sim.errors import DataError
-
-LIGHT_SPEED = 299_792_458.0
-"""m/s."""
-
-CLEAR_AIR_EXTINCTION = 2e-4
-"""Extinction of clear air that intensities already hold, 1/m; the same number as in `sensors.lidar`."""
 
 UNKNOWN_RANGE_10_M = 100.0
 """`LidarSpec.range_10_m` assumed for a sweep whose sensor is not known."""
 
+UNKNOWN_REFLECTIVITY = 0.2
+"""Assumed of a surface of which neither the material is known nor the intensity tells."""
+
 BLIND_M, SIGHT_M = 0.9, 1.0
 """Emitted beam and receiver's view do not overlap nearer than the first range, fully beyond the second (Hahner)."""
+
+_POWER_LAW_M = 10.0
 
 
 def least_power(spec: LidarSpec | None, range_10_m: float | None = None) -> float:
@@ -38,6 +38,33 @@ def least_power(spec: LidarSpec | None, range_10_m: float | None = None) -> floa
     if math.isinf(range_10_m):
         return 0.0
     return 0.1 * math.exp(-2.0 * CLEAR_AIR_EXTINCTION * range_10_m) / range_10_m**2
+
+
+def target_power(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (P,) the power that came back in clear air, as far as the sweep tells.
+
+    A calibrated intensity i at range r came with i / r^2, and received power says it itself. CARLA's intensity says
+    nothing of the surface: there the material decides, and `UNKNOWN_REFLECTIVITY` where a file has none.
+
+    Args:
+        sweep: as measured in clear air.
+        reach: (P,) range of its points, m.
+    """
+    law = "reflectivity" if sweep.spec is None else sweep.spec.intensity_law
+    if law == "power":
+        return sweep.intensity.astype(np.float64) / _POWER_LAW_M**2
+    surface = _reflectivity(sweep, reach) if law == "distance" else sweep.intensity
+    return surface / np.maximum(reach, 1e-6) ** 2
+
+
+def reported_intensity(
+    spec: LidarSpec | None, power: NDArray[np.float64], reach: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (P,) in [0, 1] the intensity that a sensor gives to returns of some power from some range, m."""
+    law = "reflectivity" if spec is None else spec.intensity_law
+    if spec is not None and law == "distance":
+        return np.exp(-spec.attenuation * reach)
+    return np.minimum(power * (_POWER_LAW_M**2 if law == "power" else reach**2), 1.0)
 
 
 def overlap(range_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,3 +89,13 @@ def known_ring_count(sweep: Sweep, kind: str) -> int:
     if sweep.spec is None and rings == 1:
         raise DataError(f"{kind}: expected points with their rings, found a sweep without rings and without a sensor")
     return rings
+
+
+def _reflectivity(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (P,) what the points' materials send back at their incidence, through clear air."""
+    known = sweep.material != UNKNOWN_MATERIAL
+    if sweep.spec is None or not known.any():
+        return np.full(len(sweep), UNKNOWN_REFLECTIVITY)
+    bin_ = np.rint(sweep.cosine * COSINE_BINS).astype(np.int64)
+    surface = optics_of(sweep.spec).power[np.where(known, sweep.material, 0), bin_]
+    return np.where(known, surface * np.exp(-2.0 * CLEAR_AIR_EXTINCTION * reach), UNKNOWN_REFLECTIVITY)

@@ -1,9 +1,12 @@
-"""Falling snow as discs in the surface that a ring of a LiDAR sweeps (Hahner et al., CVPR 2022).
+"""How many flakes falling snow has and how large they are, and samples of them in the planes that rings sweep.
 
 Snow falling at s mm/h of water with speed v fills the share O = s / (3.6e6 rho v) of the air, and its flakes' diameters
-are distributed exponentially with rate Lambda (Gunn and Marshall 1958). A plane through it cuts a flake with a chance
-proportional to its diameter, at a uniform height: so the discs' diameters before the cut follow D exp(-Lambda D), and
-the discs block exactly the share of a ray that the flakes block, O Lambda / 2 per metre.
+are distributed exponentially with rate L (Gunn and Marshall 1958), so there are O L^3 / pi per cubic metre. They cover
+O L / 2 of a thin ray per metre.
+
+A plane cuts a flake with a chance proportional to its diameter, at a uniform height: there are O L^2 / pi discs per
+square metre, and their diameters before the cut follow D exp(-L D). Discs block exactly the share of a ray that the
+flakes do.
 
 Two things differ from the published code, whose heavier snow has fewer flakes and touches fewer beams: Gunn and
 Marshall's law takes the snowfall in mm/h of water, which is what s is (the code converts it a second time), and gives
@@ -19,15 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.receiver import BLIND_M
+from sensors.corruptions.strongest import Particles
 
 DISC_RADIUS_M = 80.0
-"""Flakes are followed one by one up to this range; beyond it snow is a haze."""
+"""Flakes in discs are followed one by one up to this range; beyond it snow is a haze."""
 
-POOL = 64
-"""Samples of the medium; every ring of every sweep gets one of them, turned at random."""
-
-_LARGEST_M = 0.02
+_LARGEST_RADIUS_M = 0.01
 _POOL_SEED = 2022
+_POOL_FLAKES = 1 << 20
+_FEWEST_DISCS, _MOST_DISCS = 4, 64
+_LEAST_PER_DISC = 1 << 10
+_AREA_M2 = math.pi * (DISC_RADIUS_M**2 - BLIND_M**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +50,22 @@ class Flakes:
     half_width: NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class StandardFlakes:
+    """F discs in a plane, of which any snow takes its share and its size.
+
+    Attributes:
+        range_m, azimuth: as of `Flakes`.
+        radius: (F,) in units of 1 / L.
+        turn: (F,) uniform in [0, 1): snow with a share q of the flakes has those below q.
+    """
+
+    range_m: NDArray[np.float64]
+    azimuth: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    turn: NDArray[np.float64]
+
+
 def occupancy(snowfall_mm_h: float, fall_speed_mps: float, density: float) -> float:
     """Return the share of the air that is snow; density of the flakes relative to water."""
     return snowfall_mm_h / (3.6e6 * density * fall_speed_mps)
@@ -56,41 +77,69 @@ def gunn_marshall_rate(water_mm_h: float) -> float:
 
 
 def flake_rate(snowfall_mm_h: float, density: float) -> float:
-    """Return Lambda, the rate of the exponential law of the flakes' diameters, 1/m."""
+    """Return L, the rate of the exponential law of the flakes' diameters, 1/m."""
     return gunn_marshall_rate(snowfall_mm_h) * density ** (1.0 / 3.0)
 
 
-def extinction(snowfall_mm_h: float, fall_speed_mps: float, density: float) -> float:
-    """Return the share of a thin ray that flakes block, 1/m."""
-    return 0.5 * occupancy(snowfall_mm_h, fall_speed_mps, density) * flake_rate(snowfall_mm_h, density)
-
-
-@lru_cache(maxsize=8)
-def flake_pool(snowfall_mm_h: float, fall_speed_mps: float, density: float) -> tuple[Flakes, ...]:
-    """Return `POOL` samples of one snowfall, the same ones in every process."""
-    rng = np.random.default_rng(np.random.SeedSequence(_POOL_SEED))
+def snow_particles(snowfall_mm_h: float, fall_speed_mps: float, density: float, reflectivity: float) -> Particles:
+    """Return falling snow as a medium; extinction is twice the share of a ray that flakes cover."""
     filled = occupancy(snowfall_mm_h, fall_speed_mps, density)
     rate = flake_rate(snowfall_mm_h, density)
-    return tuple(sample_flakes(filled, rate, rng) for _ in range(POOL))
+    return Particles(
+        per_m3=filled * rate**3 / math.pi, rate_per_m=rate, reflectivity=reflectivity, extinction=filled * rate
+    )
 
 
-def sample_flakes(filled: float, rate: float, rng: np.random.Generator) -> Flakes:
-    """Sample the discs that a plane cuts out of snow.
+@dataclass(frozen=True, slots=True, eq=False)
+class FlakePool:
+    """Samples of discs for any snow that has no more flakes than they.
 
-    Args:
-        filled: share of the air, and of the plane, that is snow.
-        rate: Lambda, 1/m.
-        rng: the only randomness.
+    Attributes:
+        per_disc: expected number of flakes in each.
+        discs: the samples.
     """
-    # Mean area of a disc is pi / rate^2. Discs overlap so rarely (share ~1e-6) that none needs to be rejected.
-    area = math.pi * (DISC_RADIUS_M**2 - BLIND_M**2)
-    count = rng.poisson(filled * area * rate**2 / math.pi)
-    range_m = np.sort(np.sqrt(rng.uniform(BLIND_M**2, DISC_RADIUS_M**2, count)))
-    diameter = np.minimum(rng.gamma(2.0, 1.0 / rate, count), _LARGEST_M)
-    height = rng.uniform(-0.5, 0.5, count) * diameter
-    radius = np.sqrt(0.25 * diameter**2 - height**2)
-    return Flakes(
+
+    per_disc: int
+    discs: tuple[StandardFlakes, ...]
+
+    def flakes(self, number: int, snow: Particles) -> Flakes:
+        """Return what this snow has of one disc."""
+        disc = self.discs[number]
+        there = disc.turn < discs_per_m2(snow) * _AREA_M2 / self.per_disc
+        radius = np.minimum(disc.radius[there] / snow.rate_per_m, _LARGEST_RADIUS_M)
+        range_m = disc.range_m[there]
+        return Flakes(range_m, disc.azimuth[there], np.arcsin(np.minimum(radius / range_m, 1.0)))
+
+
+def discs_per_m2(snow: Particles) -> float:
+    """Return how many flakes a plane cuts."""
+    return snow.per_m3 / snow.rate_per_m
+
+
+def flake_pool(snow: Particles) -> FlakePool:
+    """Return samples for this snow, the same ones in every process and for snow somewhat lighter or heavier."""
+    needed = max(discs_per_m2(snow) * _AREA_M2, _LEAST_PER_DISC)
+    return sample_flakes(1 << math.ceil(math.log2(needed)))
+
+
+@lru_cache(maxsize=2)
+def sample_flakes(per_disc: int) -> FlakePool:
+    """Sample discs with so many flakes in each, as a rule; fewer discs when they hold many."""
+    rng = np.random.default_rng(np.random.SeedSequence(_POOL_SEED))
+    number = min(max(_POOL_FLAKES // per_disc, _FEWEST_DISCS), _MOST_DISCS)
+    return FlakePool(per_disc, tuple(_sample_disc(per_disc, rng) for _ in range(number)))
+
+
+def _sample_disc(per_disc: int, rng: np.random.Generator) -> StandardFlakes:
+    # Discs overlap so rarely (share ~1e-6) that none needs to be rejected.
+    count = rng.poisson(per_disc)
+    range_m = np.sqrt(rng.uniform(BLIND_M**2, DISC_RADIUS_M**2, count))
+    range_m.sort()
+    diameter = rng.standard_gamma(2.0, count)
+    height = rng.random(count)
+    return StandardFlakes(
         range_m=range_m,
         azimuth=rng.uniform(0.0, 2.0 * math.pi, count),
-        half_width=np.arcsin(np.minimum(radius / range_m, 1.0)),
+        radius=0.5 * diameter * np.sqrt(1.0 - height**2),
+        turn=rng.random(count),
     )
