@@ -230,8 +230,9 @@ def evaluate(
     /,
     data: Path,
     out: Path,
-    corruptions: tuple[str, ...] = ("all",),
+    corruptions: tuple[str, ...] = ("paper_six",),
     severity: int = 3,
+    family: Literal["physical", "paper"] = "physical",
     seed: int = 0,
     limit: int | None = None,
     ego_alone: bool = True,
@@ -242,8 +243,9 @@ def evaluate(
         checkpoints: detector files; `name=path` gives a row its name.
         data: folder of drives.
         out: folder for results.csv, results.json and the plots.
-        corruptions: kinds, `all` or `clean`.
+        corruptions: kinds, `paper_six` for those of the paper's table, `all` or `clean`.
         severity: 1 to 5; 3 is the paper's setting.
+        family: physical models, or those of the published papers.
         seed: of the corruptions.
         limit: evaluate at most this many frames, evenly spread.
         ego_alone: also evaluate the first detector without collaborators.
@@ -261,6 +263,7 @@ def evaluate(
             seed=seed,
             limit=limit,
             ego_alone=ego_alone,
+            family=family,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     _console().print(table)
@@ -274,6 +277,7 @@ def view(
     checkpoint: Path | None = None,
     corruption: str = "clean",
     severity: int = 3,
+    family: Literal["physical", "paper"] = "physical",
     port: int | None = None,
     export: Path | None = None,
     picture: Path | None = None,
@@ -286,6 +290,7 @@ def view(
         checkpoint: a detector whose detections are drawn and matched.
         corruption: the corruption to begin with.
         severity: 1 to 5.
+        family: physical models, or those of the published papers.
         port: of the page on 127.0.0.1; default: a free one.
         export: write this HTML page and leave.
         picture: with `--export`, write a PNG of the page too; needs Chromium.
@@ -298,7 +303,15 @@ def view(
     if export is not None:
         from dsrc.review.export import export_html
 
-        page = export_html(data, export, checkpoint=checkpoint, corruption=corruption, severity=severity, frames=limit)
+        page = export_html(
+            data,
+            export,
+            checkpoint=checkpoint,
+            corruption=corruption,
+            severity=severity,
+            frames=limit,
+            family=family,
+        )
         _say(str(page))
         if picture is not None:
             from dsrc.review.screenshot import screenshot
@@ -307,7 +320,7 @@ def view(
         return
     from dsrc.review.app import serve
 
-    serve(data, checkpoint, port=port, corruption=corruption, severity=severity, announce=_say)
+    serve(data, checkpoint, port=port, corruption=corruption, severity=severity, announce=_say, family=family)
 
 
 @app.command(name="drive")
@@ -318,6 +331,7 @@ def drive(
     checkpoint: Path | None = None,
     corruption: str = "clean",
     severity: int = 3,
+    family: Literal["physical", "paper"] = "physical",
     seeds: tuple[int, ...] = (0,),
     duration: float = 20.0,
     out: Path | None = None,
@@ -330,6 +344,7 @@ def drive(
         checkpoint: a detector; default: the shipped one.
         corruption: of every agent's sweeps.
         severity: 1 to 5.
+        family: physical models, or those of the published papers.
         seeds: one episode each.
         duration: of an episode, s.
         out: write the rows to this CSV file.
@@ -344,6 +359,7 @@ def drive(
             checkpoint=checkpoint,
             corruption=corruption,
             severity=severity,
+            family=family,
             seeds=seeds,
             duration_s=duration,
             out=out,

@@ -16,6 +16,7 @@ from rich.table import Table
 from dsrc.drive.env import LOOK_AHEAD, CoopDrivingEnv, Observation
 from dsrc.drive.idm import IdmSettings, idm_acceleration
 from dsrc.drive.perception import DetectorPerception, Perception, TruthPerception
+from sensors.corruptions import CLEAN, PAPER, Family, check_corruption
 from sim.errors import SettingsError
 
 PerceptionKind = Literal["truth", "ego", "dsrc"]
@@ -39,6 +40,7 @@ class Episode:
     collided_with: int
     min_ttc_s: float
     hardest_brake_mps2: float
+    family: str
 
 
 def idm_policy(observation: Observation, settings: IdmSettings | None = None) -> NDArray[np.float32]:
@@ -79,8 +81,9 @@ def drive_episodes(
     *,
     perception: PerceptionKind = "truth",
     checkpoint: Path | None = None,
-    corruption: str = "clean",
-    severity: int = 3,
+    corruption: str = CLEAN,
+    severity: int = PAPER,
+    family: Family = "physical",
     seeds: Sequence[int] = (0,),
     duration_s: float = 20.0,
     out: Path | None = None,
@@ -94,6 +97,7 @@ def drive_episodes(
         checkpoint: a detector; default: the shipped one.
         corruption: kind or `clean`.
         severity: 1 to 5.
+        family: of the corruption's settings.
         seeds: one episode each.
         duration_s: longest episode, s.
         out: CSV file, replaced as a whole.
@@ -109,7 +113,7 @@ def drive_episodes(
     if out is not None:
         # A place that cannot be written to must not cost an episode.
         out.parent.mkdir(parents=True, exist_ok=True)
-    eyes = make_perception(perception, checkpoint, corruption, severity)
+    eyes = make_perception(perception, checkpoint, corruption, severity, family)
     env = CoopDrivingEnv(scenario, eyes, duration_s)
     total = len(seeds) * round(duration_s / env.scenario.step_s)
     rows = []
@@ -125,7 +129,7 @@ def drive_episodes(
                 scenario=env.scenario.name,
                 perception=perception,
                 corruption=corruption,
-                severity=0 if corruption == "clean" else severity,
+                severity=0 if corruption == CLEAN else severity,
                 seed=seed,
                 duration_s=round(info["duration_s"], 3),
                 progress_m=round(info["progress_m"], 2),
@@ -134,6 +138,7 @@ def drive_episodes(
                 collided_with=info["collided_with"][0] if info["collided_with"] else -1,
                 min_ttc_s=round(info["min_ttc_s"], 2),
                 hardest_brake_mps2=round(hardest, 2),
+                family="" if corruption == CLEAN else family,
             )
         )
         if out is not None:
@@ -144,7 +149,11 @@ def drive_episodes(
 
 
 def make_perception(
-    kind: PerceptionKind, checkpoint: Path | None, corruption: str = "clean", severity: int = 3
+    kind: PerceptionKind,
+    checkpoint: Path | None,
+    corruption: str = CLEAN,
+    severity: int = PAPER,
+    family: Family = "physical",
 ) -> Perception:
     """Return the perception of that kind.
 
@@ -152,11 +161,9 @@ def make_perception(
         SettingsError: a corruption or a detector of the truth, or an unknown corruption.
         CheckpointError: the checkpoint is missing or wrong.
     """
-    from sensors.corruptions import check_corruption
-
-    check_corruption(corruption, severity)
+    check_corruption(corruption, severity, family)
     if kind == "truth":
-        if corruption != "clean":
+        if corruption != CLEAN:
             raise SettingsError(
                 f"drive: corruption: expected 'clean' with perception 'truth' (no sensor), found '{corruption}'"
             )
@@ -168,7 +175,7 @@ def make_perception(
     from dsrc.models.checkpoint import load_student
 
     detector = load_student(checkpoint or SHIPPED_DETECTOR)
-    return DetectorPerception(detector, cooperative=kind == "dsrc", corruption=corruption, severity=severity)
+    return DetectorPerception(detector, kind == "dsrc", corruption, severity, family)
 
 
 def _write_csv(path: Path, rows: list[Episode]) -> None:

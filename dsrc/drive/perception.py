@@ -6,11 +6,11 @@ import numpy as np
 
 from dsrc.data.sample import Sample, make_sample
 from dsrc.detections import Detections
-from sensors.corruptions import corrupt_frame
+from sensors.corruptions import CLEAN, PAPER, Family, corrupt_frame
 from sensors.frame import Frame
+from sensors.presets import get_lidar
 from sensors.record import make_frame, place_roadside
 from sensors.scene import RayScene
-from sensors.presets import get_lidar
 from sim.boxes import Boxes
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
@@ -78,15 +78,22 @@ class DetectorPerception:
         cooperative: False leaves the ego alone.
         corruption: kind or `clean`.
         severity: 1 to 5.
+        family: of the corruption's settings.
     """
 
     def __init__(
-        self, detector: SampleDetector, cooperative: bool = True, corruption: str = "clean", severity: int = 3
+        self,
+        detector: SampleDetector,
+        cooperative: bool = True,
+        corruption: str = CLEAN,
+        severity: int = PAPER,
+        family: Family = "physical",
     ) -> None:
         self.detector = detector
         self.cooperative = cooperative
         self.corruption = corruption
         self.severity = severity
+        self.family = family
         self._scene: RayScene | None = None
         self._built: tuple[Scenario, int] | None = None
 
@@ -115,7 +122,7 @@ class DetectorPerception:
             index=self._index,
         )
         self._index += 1
-        return corrupt_frame(frame, self.corruption, self.severity, self._seed)
+        return corrupt_frame(frame, self.corruption, self.severity, self._seed, self.family, ego_id=self._ego_id)
 
     def perceive(self, before: Actors, now: Actors) -> Boxes:
         """Return the detected boxes, world frame."""

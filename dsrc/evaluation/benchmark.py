@@ -13,10 +13,17 @@ from dsrc.data.sample import GridSpec, Sample, inside_range, make_sample
 from dsrc.detections import Detections
 from dsrc.evaluation.ap import FrameResult, evaluate
 from dsrc.evaluation.rows import CLEAN, Row, make_row, summary_rows
+from sensors import corruptions as registry
+from sensors.corruptions import Family, drive_seed
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 
 Progress = Callable[[int, int], None]
+
+ALL = "all"
+"""Every corruption of a family."""
+PAPER_TABLE = "paper_six"
+"""The six corruptions of the paper's tables."""
 
 
 class SampleDetector(Protocol):
@@ -44,11 +51,12 @@ class Method:
 def run_benchmark(
     methods: Sequence[Method],
     drives: Sequence[Path],
-    corruptions: Sequence[str] = ("all",),
+    corruptions: Sequence[str] = (PAPER_TABLE,),
     severity: int = 3,
     seed: int = 0,
     limit: int | None = None,
     progress: Progress | None = None,
+    family: Family = "physical",
 ) -> list[Row]:
     """Evaluate methods under the clean condition and under each corruption.
 
@@ -59,11 +67,12 @@ def run_benchmark(
     Args:
         methods: detectors with names that differ.
         drives: folders of drives.
-        corruptions: kinds, `all`, or `clean` for none; the clean condition is always there.
+        corruptions: see `corruption_kinds`; the clean condition is always there.
         severity: 1 to 5.
-        seed: of the corruptions.
+        seed: of the corruptions; every drive has its own weather and faults.
         limit: evaluate at most this many frames, evenly spread over all drives.
         progress: called with frames done and frames in all, conditions counted separately.
+        family: of the corruptions' settings.
 
     Returns:
         Rows by condition and method, then `mean_ap` and `mce` of each method.
@@ -72,7 +81,7 @@ def run_benchmark(
         SettingsError: an unknown corruption, a severity, seed or limit out of range, two methods of one name.
         DataError: a drive cannot be read, or there is no frame.
     """
-    conditions = [CLEAN, *corruption_kinds(corruptions)]
+    conditions = [CLEAN, *corruption_kinds(corruptions, family)]
     _check(methods, severity, seed, limit)
     places = _places([DriveReader(drive) for drive in drives], limit)
     if not places:
@@ -83,7 +92,7 @@ def run_benchmark(
     for reader, i in places:
         frame = reader.read(i)
         for condition in conditions:
-            seen = corrupted(frame, condition, severity, seed)
+            seen = corrupted(frame, condition, severity, drive_seed(seed, reader.drive.name), family)
             samples: dict[tuple[GridSpec, int, bool], Sample] = {}
             for method in methods:
                 sample = _sample(seen, method, samples, reader.drive.name)
@@ -102,28 +111,30 @@ def run_benchmark(
     return [*rows, *summary_rows(rows)]
 
 
-def corruption_kinds(names: Sequence[str]) -> tuple[str, ...]:
-    """Return corruptions by name, in the order of `CORRUPTIONS`: `all` stands for all, `clean` for none.
+def corruption_kinds(names: Sequence[str], family: Family = "physical") -> tuple[str, ...]:
+    """Return corruptions by name, in the order of `CORRUPTIONS`.
+
+    Args:
+        names: kinds, `paper_six` for those of the paper's tables, `all` for all of the family, `clean` for none.
+        family: of their settings.
 
     Raises:
-        SettingsError: there is no such corruption.
+        SettingsError: there is no such corruption or family, or the family has no model of it.
     """
-    from sensors.corruptions import CORRUPTIONS
-
+    groups = {CLEAN: (), PAPER_TABLE: registry.PAPER_SIX, ALL: registry.kinds_of(family)}
     for name in names:
-        if name not in (CLEAN, "all", *CORRUPTIONS):
-            hint = did_you_mean(name, [CLEAN, "all", *CORRUPTIONS])
+        if name not in (*groups, *registry.CORRUPTIONS):
+            hint = did_you_mean(name, [*groups, *registry.CORRUPTIONS])
             raise SettingsError(complaint("evaluate", "corruptions", "a corruption", name, hint))
-    return tuple(kind for kind in CORRUPTIONS if kind in names or "all" in names)
+        if name not in groups:
+            registry.check_corruption(name, family=family)
+    wanted = {kind for name in names for kind in groups.get(name, (name,))}
+    return tuple(kind for kind in registry.CORRUPTIONS if kind in wanted)
 
 
-def corrupted(frame: Frame, condition: str, severity: int, seed: int) -> Frame:
-    """Return the frame as the sensors deliver it under a condition."""
-    if condition == CLEAN:
-        return frame
-    from sensors.corruptions import corrupt_frame
-
-    return corrupt_frame(frame, condition, severity, seed)
+def corrupted(frame: Frame, condition: str, severity: int, seed: int, family: Family = "physical") -> Frame:
+    """Return the frame as the sensors deliver it under a condition; `seed` is the drive's."""
+    return frame if condition == CLEAN else registry.corrupt_frame(frame, condition, severity, seed, family)
 
 
 def _check(methods: Sequence[Method], severity: int, seed: int, limit: int | None) -> None:

@@ -5,11 +5,12 @@ from pathlib import Path
 
 from rich.table import Table
 
-from dsrc.evaluation.benchmark import Method, Progress, corruption_kinds, run_benchmark
+from dsrc.evaluation.benchmark import PAPER_TABLE, Method, Progress, corruption_kinds, run_benchmark
 from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
 from dsrc.evaluation.provenance import hash_file, provenance
 from dsrc.evaluation.rows import Row
 from dsrc.evaluation.tables import result_table, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
+from sensors.corruptions import Family
 from sim.errors import CheckpointError, SettingsError, complaint
 
 EGO_ALONE = "ego alone"
@@ -20,12 +21,13 @@ def evaluate_checkpoints(
     *,
     data: Path,
     out: Path,
-    corruptions: Sequence[str] = ("all",),
+    corruptions: Sequence[str] = (PAPER_TABLE,),
     severity: int = 3,
     seed: int = 0,
     limit: int | None = None,
     ego_alone: bool = True,
     progress: Progress | None = None,
+    family: Family = "physical",
 ) -> Table:
     """Evaluate detectors and write `results.csv`, `results.json`, `timings.csv` and the plots.
 
@@ -33,12 +35,13 @@ def evaluate_checkpoints(
         checkpoints: detector files, or names and files; in a sequence `name=path` names one, else the file does.
         data: folder of drives, or one drive.
         out: folder for the results.
-        corruptions: kinds, `all` or `clean`.
+        corruptions: kinds, `paper_six`, `all` or `clean`.
         severity: 1 to 5; 3 is the paper's setting.
         seed: of the corruptions.
         limit: evaluate at most this many frames, evenly spread.
         ego_alone: also evaluate the first detector without collaborators.
         progress: called with frames done and frames in all.
+        family: of the corruptions' settings.
 
     Returns:
         The table for the terminal.
@@ -49,7 +52,7 @@ def evaluate_checkpoints(
     from dsrc.data.opv2v import find_drives
     from dsrc.models.checkpoint import load_student
 
-    kinds = corruption_kinds(corruptions)
+    kinds = corruption_kinds(corruptions, family)
     named = dict(checkpoints) if isinstance(checkpoints, Mapping) else name_checkpoints(checkpoints)
     methods = [Method(name, load_student(path)) for name, path in named.items()]
     if not methods:
@@ -58,11 +61,12 @@ def evaluate_checkpoints(
         methods.append(Method(f"{methods[0].name}, {EGO_ALONE}", methods[0].detector, cooperative=False))
     drives = find_drives(data)
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be is told before the work, not after
-    rows = run_benchmark(methods, drives, kinds or ("clean",), severity, seed, limit, progress)
+    rows = run_benchmark(methods, drives, kinds or ("clean",), severity, seed, limit, progress, family)
     settings = {
         "checkpoints": {name: {"file": path.name, "sha256": hash_file(path)} for name, path in named.items()},
         "conditions": ["clean", *kinds],
         "severity": severity,
+        "family": family,
         "limit": limit,
         "ego_alone": ego_alone,
     }

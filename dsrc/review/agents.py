@@ -35,6 +35,7 @@ def agent_view(
         points=sweep.points,
         colors=paint(sweep, state.color_by, rgb, -float(body_from_lidar[2, 3])),
         total=len(agent.sweep),
+        lost=agent.sweep.lost,
     )
 
 

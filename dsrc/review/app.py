@@ -14,12 +14,13 @@ import viser
 from dsrc.review import cameras
 from dsrc.review.cameras import Pose
 from dsrc.review.matching import Counts
-from dsrc.review.model import CLEAN, ReviewModel, check_corruption, open_model
+from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.panels import Panels
 from dsrc.review.scene import SceneWriter, set_start_camera
 from dsrc.review.server import LOOPBACK, address, check_port, start_server, stop_server
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
+from sensors.corruptions import CLEAN, Family, check_corruption
 from sim.errors import UserError
 
 log = logging.getLogger(__name__)
@@ -239,6 +240,7 @@ def serve(
     open_browser: bool = False,
     block: bool = True,
     announce: Callable[[str], None] | None = None,
+    family: Family = "physical",
 ) -> ReviewApp:
     """Open a review page on drives.
 
@@ -252,6 +254,7 @@ def serve(
         open_browser: open the page in the user's browser.
         block: serve until interrupted; otherwise return the running page.
         announce: called with the address of the page as soon as it answers.
+        family: of the corruption's settings.
 
     Returns:
         The page; its `url` is where it is, `close` ends it.
@@ -261,11 +264,12 @@ def serve(
         SettingsError: the corruption is unknown, or the port taken.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    check_corruption(corruption, severity)
+    check_corruption(corruption, severity, family)
     if port is not None:
         check_port(host, port)
     model = open_model(Path(drives_root), checkpoint)
-    app = ReviewApp(model, start_server(host, port), ReviewState(corruption=corruption, severity=severity))
+    state = ReviewState(corruption=corruption, severity=severity, family=family)
+    app = ReviewApp(model, start_server(host, port), state)
     log.info("review page: %s", app.url)
     if announce is not None:
         announce(app.url)

@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dsrc.review.model import CLEAN
 from dsrc.review.state import COLOR_BY
-from sensors.corruptions import CORRUPTIONS
+from sensors.corruptions import CLEAN, CORRUPTIONS
 
 if TYPE_CHECKING:
     from dsrc.review.app import ReviewApp

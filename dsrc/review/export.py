@@ -7,11 +7,12 @@ from pathlib import Path
 import viser
 
 from dsrc.review.cameras import Pose, birds_eye, chase, overview
-from dsrc.review.model import CLEAN, ReviewModel, check_corruption, open_model
+from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.overlay import Camera, add_overlay, frame_texts
 from dsrc.review.scene import SceneWriter, set_start_camera
 from dsrc.review.server import start_server, stop_server
 from dsrc.review.state import ColorBy, ReviewState
+from sensors.corruptions import CLEAN, Family, check_corruption
 from sim.errors import SettingsError, complaint
 
 ROOT = "/drive"
@@ -39,6 +40,7 @@ def export_html(
     threshold: float = 0.3,
     follow: bool = True,
     color_by: ColorBy = "agent",
+    family: Family = "physical",
 ) -> Path:
     """Write one HTML file that plays a drive in any browser, without a server.
 
@@ -54,6 +56,7 @@ def export_html(
         threshold: detections below this score are left out.
         follow: keep the ego where it starts on the screen.
         color_by: what the colour of a point means.
+        family: of the corruption's settings.
 
     Returns:
         The path of the page.
@@ -63,7 +66,7 @@ def export_html(
         SettingsError: the corruption or a number is wrong.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    check_corruption(corruption, severity)
+    check_corruption(corruption, severity, family)
     model = open_model(root, checkpoint)
     if not 0 <= drive < len(model.drives):
         raise SettingsError(complaint("export", "drive", f"0 to {len(model.drives) - 1}", drive))
@@ -74,6 +77,7 @@ def export_html(
         drive=drive,
         corruption=corruption,
         severity=severity,
+        family=family,
         threshold=threshold,
         max_points=per_agent,
         point_size_m=POINT_SIZE_M,
@@ -132,7 +136,10 @@ def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewSt
 
 
 def _subtitle(model: ReviewModel, state: ReviewState) -> str:
-    weather = "clean" if state.corruption == CLEAN else f"{state.corruption.replace('_', ' ')}, level {state.severity}"
+    weather = CLEAN
+    if state.corruption != CLEAN:
+        published = " as published" if state.family == "paper" else ""
+        weather = f"{state.corruption.replace('_', ' ')}{published}, level {state.severity}"
     if not model.has_detector:
         return f"{weather} · ground truth"
     return f"{weather} · score ≥ {state.threshold:g} · IoU ≥ {state.iou:g}"

@@ -17,14 +17,13 @@ from dsrc.review.matching import Counts, Matches, match
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
 from dsrc.review.view import FOUND, LAYERS, MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES, AgentView, FrameView
-from sensors.corruptions import CORRUPTIONS, corrupt_frame
+from sensors.corruptions import CLEAN, CORRUPTIONS, corrupt_frame, drive_seed
 from sensors.frame import Frame
 from sim.boxes import Boxes
-from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.errors import DataError, complaint
 
-CLEAN = "clean"
 SEED = 0
-"""Seed of the corruptions on the page."""
+"""Seed of the corruptions on the page, as `dsrc evaluate` and `dsrc corrupt` have it."""
 
 T = TypeVar("T")
 
@@ -172,8 +171,7 @@ class ReviewModel:
         self, frame: Frame, state: ReviewState, ego_id: int, review_from_world: NDArray[np.float64]
     ) -> tuple[AgentView, ...]:
         """Return the sweeps as they are drawn; the same objects while nothing that they depend on changes."""
-        weather = (state.corruption, state.severity)
-        key = (state.drive, state.frame, weather, ego_id, state.hidden, state.color_by, state.max_points)
+        key = (state.drive, state.frame, self._condition(state), ego_id, state.hidden, state.color_by, state.max_points)
         rows = range(len(frame.agents))
         return _remember(
             self._agents,
@@ -216,8 +214,15 @@ class ReviewModel:
         return sum(counts, Counts()), len(known)
 
     def _key(self, state: ReviewState) -> Hashable:
-        severity = 0 if state.corruption == CLEAN else state.severity
-        return (state.drive, state.frame, state.corruption, severity, state.ego_id, state.cooperative)
+        return (state.drive, state.frame, self._condition(state), state.ego_id, state.cooperative)
+
+    def _condition(self, state: ReviewState) -> Hashable:
+        """Return what of the state decides how the sweeps are corrupted."""
+        if state.corruption == CLEAN:
+            return CLEAN
+        known = CORRUPTIONS.get(state.corruption)
+        ego = state.ego_id if known is not None and known.spares_ego else None
+        return (state.corruption, state.severity, state.family, ego)
 
     def _detections(self, state: ReviewState) -> _Found:
         def detect() -> _Found:
@@ -242,9 +247,12 @@ class ReviewModel:
         raw = self._raw(state.drive, state.frame)
         if state.corruption == CLEAN:
             return raw
-        key = (state.drive, state.frame, state.corruption, state.severity)
+        seed = drive_seed(SEED, self.names[state.drive])
         return _remember(
-            self._corrupted, key, _FRAMES_KEPT, lambda: corrupt_frame(raw, state.corruption, state.severity, SEED)
+            self._corrupted,
+            (state.drive, state.frame, self._condition(state)),
+            _FRAMES_KEPT,
+            lambda: corrupt_frame(raw, state.corruption, state.severity, seed, state.family, ego_id=self.ego_id(state)),
         )
 
 
@@ -260,15 +268,6 @@ def _remember(cache: "OrderedDict[Hashable, T]", key: Hashable, limit: int, make
 
 def _no_boxes() -> dict[str, Boxes]:
     return {name: Boxes.zeros() for name in LAYERS}
-
-
-def check_corruption(kind: str, severity: int) -> None:
-    """Raise SettingsError unless this corruption exists."""
-    known = [CLEAN, *CORRUPTIONS]
-    if kind not in known:
-        raise SettingsError(f"unknown corruption '{kind}'{did_you_mean(kind, known)}")
-    if not 1 <= severity <= 5:
-        raise SettingsError(f"corruption severity: expected 1 to 5, found {severity}")
 
 
 def open_model(root: Path, checkpoint: Path | None = None) -> ReviewModel:

@@ -5,11 +5,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from dsrc.review.commands import commands
-from dsrc.review.model import CLEAN
 from dsrc.review.report import keys_table, legend, report
 from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS, Camera, ReviewState
 from dsrc.review.view import FrameView
-from sensors.corruptions import CORRUPTIONS
+from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
 
 if TYPE_CHECKING:
     from dsrc.review.app import ReviewApp
@@ -54,12 +53,13 @@ class Panels:
             (self.frame, state.frame),
             (self.corruption, state.corruption),
             (self.severity, state.severity),
+            (self.family, state.family),
             (self.threshold, state.threshold),
             (self.color_by, state.color_by),
         )
         for handle, value in controls:
             self._write(handle, value)
-        self.severity.disabled = state.corruption == CLEAN
+        self.severity.disabled = self.family.disabled = state.corruption == CLEAN
         self.report.content = report(view)
         self.legend.content = legend(view)
         self._list_agents(view)
@@ -125,6 +125,8 @@ class Panels:
             self._on_change(self.corruption, lambda kind: app.update(corruption=kind))
             self.severity = self.gui.add_slider("Severity", 1, 5, 1, state.severity)
             self._on_change(self.severity, lambda level: app.update(severity=level))
+            self.family = self.gui.add_dropdown("Settings", FAMILIES, initial_value=state.family)
+            self._on_change(self.family, lambda family: app.update(family=family))
         with self.gui.add_folder("Detections", visible=app.model.has_detector):
             self.threshold = self.gui.add_slider("Score ≥", 0.0, 1.0, 0.01, state.threshold)
             self._on_change(self.threshold, lambda score: app.update(threshold=score))

@@ -5,7 +5,7 @@ from html import escape
 
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
-from dsrc.review.view import OTHER_BOXES, FrameView
+from dsrc.review.view import OTHER_BOXES, AgentView, FrameView
 
 
 def report(view: FrameView) -> str:
@@ -29,10 +29,7 @@ def _share(value: float | None) -> str:
 
 def legend(view: FrameView) -> str:
     """Return the HTML that says which colour is whose."""
-    agents = "".join(
-        _entry(agent.rgb, f"{agent.title}{' · ego' if agent.is_ego else ''} · {_thousands(agent.total)} points")
-        for agent in view.agents
-    )
+    agents = "".join(_entry(agent.rgb, _title(agent)) for agent in view.agents)
     if view.color_by == "fate":
         agents += "".join(_entry(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
     if view.counts is None:
@@ -43,6 +40,11 @@ def legend(view: FrameView) -> str:
         (palette.MISSED, "missed (FN), dashed"),
     )
     return _box(agents + "".join(_entry(rgb, text, True) for rgb, text in verdicts))
+
+
+def _title(agent: AgentView) -> str:
+    lost = f", {_thousands(agent.lost)} lost" if agent.lost else ""
+    return f"{agent.title}{' · ego' if agent.is_ego else ''} · {_thousands(agent.total)} points{lost}"
 
 
 def _thousands(count: int) -> str:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
+from sensors.corruptions import Family
+
 ColorBy = Literal["agent", "intensity", "height", "ring", "fate"]
 Camera = Literal["chase", "bev", "free"]
 
@@ -24,6 +26,7 @@ class ReviewState:
         cooperative: whether the ego hears its collaborators.
         corruption: `clean` or a kind of `sensors.corruptions`.
         severity: 1 to 5.
+        family: of the corruption's settings.
         threshold: detections below this score are not shown.
         iou: bird's-eye IoU from which a detection counts as right.
         color_by: what the colour of a point means.
@@ -39,6 +42,7 @@ class ReviewState:
     cooperative: bool = True
     corruption: str = "clean"
     severity: int = 3
+    family: Family = "physical"
     threshold: float = 0.3
     iou: float = 0.5
     color_by: ColorBy = "agent"

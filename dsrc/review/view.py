@@ -32,6 +32,7 @@ class AgentView:
         points: (P, 3) float32 in the sensor frame, m.
         colors: (P, 3) uint8.
         total: points of the sweep before thinning.
+        lost: points that a corruption took from it.
     """
 
     agent_id: int
@@ -44,6 +45,7 @@ class AgentView:
     points: NDArray[np.float32]
     colors: NDArray[np.uint8]
     total: int
+    lost: int = 0
 
     @property
     def title(self) -> str:

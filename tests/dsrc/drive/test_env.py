@@ -80,6 +80,13 @@ def test_the_truth_cannot_be_corrupted() -> None:
         make_perception("truth", None, "fog")
 
 
+def test_a_corruption_that_is_not_there_is_told_before_a_detector_is_loaded() -> None:
+    with pytest.raises(SettingsError, match="did you mean 'snow'"):
+        make_perception("dsrc", Path("nowhere.pt"), "snwo")
+    with pytest.raises(SettingsError, match="did you mean 'paper'"):
+        make_perception("dsrc", Path("nowhere.pt"), "fog", 3, "papr")  # type: ignore[arg-type]
+
+
 def test_the_truth_takes_no_detector() -> None:
     with pytest.raises(SettingsError, match="checkpoint"):
         make_perception("truth", Path("detector.pt"))

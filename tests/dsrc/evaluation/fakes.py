@@ -31,7 +31,7 @@ class PointCounter:
         return Detections(type(sample.boxes).from_array(boxes), score)
 
 
-def halve(frame, kind, severity, seed):
+def halve(frame, kind, severity, seed, family="physical"):
     """Leave every `2 * severity`-th point."""
     return frame.with_sweeps([agent.sweep[:: 2 * severity] for agent in frame.agents])
 

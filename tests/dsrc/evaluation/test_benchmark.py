@@ -6,11 +6,13 @@ import pytest
 from dsrc.detections import Detections
 from dsrc.evaluation.benchmark import Method, corruption_kinds, run_benchmark
 from dsrc.evaluation.rows import find_row
+from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from tests.dsrc.evaluation.fakes import PointCounter, halve, write_drives
 
 KINDS = {"fog": None, "snow": None}
+registered = CORRUPTIONS
 
 
 @pytest.fixture(autouse=True)
@@ -61,14 +63,15 @@ def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives):
 def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
     calls = []
 
-    def count(frame, kind, severity, seed):
-        calls.append((frame.index, kind, severity, seed))
+    def count(frame, kind, severity, seed, family):
+        calls.append((frame.index, kind, severity, seed, family))
         return halve(frame, kind, severity, seed)
 
     monkeypatch.setattr("sensors.corruptions.corrupt_frame", count)
     one, two = PointCounter(), PointCounter()
     run_benchmark([Method("a", one), Method("b", two)], drives[:1], ("all",), severity=2, seed=7)
-    assert sorted(calls) == [(i, kind, 2, 7) for i in range(3) for kind in ("fog", "snow")]
+    own = drive_seed(7, "drive_0")
+    assert sorted(calls) == [(i, kind, 2, own, "physical") for i in range(3) for kind in ("fog", "snow")]
     assert [a is b for a, b in zip(one.seen, two.seen, strict=True)] == [True] * 9
     assert one.seen[0].key == "drive_0/1000/000000"
 
@@ -112,6 +115,15 @@ def test_kinds_come_in_the_order_of_the_registry():
     assert corruption_kinds(("snow", "fog")) == ("fog", "snow")
     assert corruption_kinds(("all", "fog")) == ("fog", "snow")
     assert corruption_kinds(("clean",)) == ()
+
+
+def test_the_papers_six_are_six_and_all_are_all(monkeypatch):
+    monkeypatch.setattr("sensors.corruptions.CORRUPTIONS", registered)
+    assert corruption_kinds(("paper_six",)) == PAPER_SIX
+    assert corruption_kinds(("all",)) == tuple(registered)
+    assert "pose_error" in corruption_kinds(("paper_six", "pose_error"))
+    with pytest.raises(SettingsError, match="'pose_error' has no published model"):
+        corruption_kinds(("pose_error",), "paper")
 
 
 def test_wrong_settings_are_told(drives):

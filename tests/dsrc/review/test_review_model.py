@@ -4,10 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.review.model import ReviewModel, check_corruption, open_model
+from dsrc.review.model import ReviewModel, open_model
+from dsrc.review.report import legend
 from dsrc.review.state import ReviewState
 from dsrc.review.view import FOUND, LAYERS, MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES
-from sim.errors import DataError, SettingsError
+from sim.errors import DataError
 from sim.geometry import transform_points
 
 
@@ -67,6 +68,33 @@ def test_a_corruption_changes_what_is_drawn_and_what_the_detector_gets_once(mode
     assert len(detector.samples[1].clouds[0]) < len(detector.samples[0].clouds[0])
 
 
+def test_lost_points_are_counted_beside_those_that_are_left(truth_model, fake_fog):
+    clean = truth_model.view(ReviewState())
+    foggy = truth_model.view(ReviewState(corruption="fog"))
+    assert " lost" not in legend(clean)
+    for before, after in zip(clean.agents, foggy.agents, strict=True):
+        assert before.lost == 0 and after.lost == before.total // 2
+        assert f"points, {after.lost} lost" in legend(foggy)
+
+
+def test_both_families_are_kept_apart_in_the_caches(truth_model, fake_fog):
+    for family in ("physical", "paper", "physical"):
+        truth_model.view(ReviewState(corruption="fog", family=family))
+    assert len(fake_fog) == 2
+
+
+def test_an_error_relative_to_the_ego_follows_the_ego(truth_model):
+    poses = {}
+    for ego_id in (1000, 1002):
+        view = truth_model.view(ReviewState(corruption="pose_error", severity=5, ego_id=ego_id))
+        clean = truth_model.view(ReviewState(ego_id=ego_id))
+        poses[ego_id] = [
+            np.array_equal(a.review_from_lidar, b.review_from_lidar)
+            for a, b in zip(view.agents, clean.agents, strict=True)
+        ]
+    assert poses == {1000: [True, False, False], 1002: [False, True, False]}
+
+
 def test_counts_sum_over_the_frames_that_were_looked_at(model):
     first = model.view(ReviewState(frame=0))
     second = model.view(ReviewState(frame=1))
@@ -98,10 +126,6 @@ def test_links_join_the_ego_with_those_it_hears(model):
 
 
 def test_wrong_input_is_one_line(tmp_path, drive):
-    with pytest.raises(SettingsError, match=r"^unknown corruption 'clea'; did you mean 'clean'\?$"):
-        check_corruption("clea", 3)
-    with pytest.raises(SettingsError, match="severity: expected 1 to 5, found 6"):
-        check_corruption("clean", 6)
     with pytest.raises(DataError, match=str(tmp_path)):
         open_model(tmp_path)
     with pytest.raises(DataError):

@@ -114,6 +114,16 @@ def test_a_dropdown_brings_a_corruption(app, fake_fog):
     assert not app._panels.severity.disabled
 
 
+def test_a_dropdown_changes_the_family_of_the_settings(app, fake_fog):
+    app.update(corruption="fog")
+    app.wait_drawn()
+    app._panels.family.value = "paper"
+    wait_for(lambda: app.state.family == "paper")
+    app.wait_drawn()
+    assert len(fake_fog) == 2
+    assert not app._panels.family.disabled
+
+
 def test_an_agents_box_hides_its_points(app):
     app._panels.agent_boxes[1002].value = False
     wait_for(lambda: app.state.hidden == {1002})
