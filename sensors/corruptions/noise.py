@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from sensors.corruptions.levels import at_level, check_range
-from sensors.sweep import MOVED, Sweep
+from sensors.sweep import MOVED, SCATTERED, Sweep
 
 SIZE_M = (0.02, 0.04, 0.06, 0.08, 0.10)
 ONE_OF = (30.0, 25.0, 20.0, 15.0, 10.0)
@@ -68,7 +68,7 @@ def corrupt(sweep: Sweep, severity: int | Noise, rng: np.random.Generator) -> Sw
         offset *= np.float32(2.0)
     offset *= np.float32(settings.size_m)
     offset += sweep.points
-    return replace(sweep, points=offset, fate=np.full(len(sweep), MOVED, np.uint8))
+    return replace(sweep, points=offset, fate=np.where(sweep.fate == SCATTERED, sweep.fate, np.uint8(MOVED)))
 
 
 def _with_impulses(sweep: Sweep, settings: Noise, rng: np.random.Generator) -> Sweep:
@@ -80,5 +80,5 @@ def _with_impulses(sweep: Sweep, settings: Noise, rng: np.random.Generator) -> S
     side = 2.0 * (corner[:, None] >> np.arange(3, dtype=np.uint8) & 1) - 1.0
     points, fate = sweep.points.copy(), sweep.fate.copy()
     points[hit] += (side * settings.impulse_m).astype(np.float32)
-    fate[hit] = MOVED
+    fate[hit[fate[hit] != SCATTERED]] = MOVED
     return replace(sweep, points=points, fate=fate)
