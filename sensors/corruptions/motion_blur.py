@@ -12,8 +12,8 @@ time, B(t) the pose that odometry believes and S(t) the shaking, the driver deli
 
     p = B(t) S(t) p_t,    p_t = inv(G(t)) p_true
 
-B moves and turns the share `1 - missed_motion` of what G does: with 1 the sweep is not compensated at all. S is a sum of
-sines of 8 to 30 Hz, between a car's wheel hop and the resonance of a mast, too fast for odometry; 10 deg/s at 15 Hz
+B moves and turns the share `1 - missed_motion` of what G does: with 1 the sweep is not compensated at all. S is a sum
+of sines of 8 to 30 Hz, between a car's wheel hop and the resonance of a mast, too fast for odometry; 10 deg/s at 15 Hz
 are 0.1 degrees. Raw sweeps, which nobody has compensated, only shake.
 
 Objects that move are smeared by the rolling shutter already; a sweep that takes longer (a sensor at 5 Hz instead of

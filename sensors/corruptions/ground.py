@@ -1,0 +1,95 @@
+"""The ground of a sweep: by material where points know it, else the plane below the sensor that points agree on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.sweep import UNKNOWN_MATERIAL, Sweep
+from sim.world.materials import material_index
+
+MATERIALS_OF_GROUND = tuple(
+    material_index(name) for name in ("asphalt", "marking", "pavement", "kerb", "gravel", "ground")
+)
+
+_NEAR_M = 40.0
+_LEAST_BELOW_M = 0.3
+_LEVEL_BIN_M = 0.1
+_STEEPEST = 0.3
+_BANDS_M = (0.6, 0.4, 0.3, 0.2, 0.2)
+_THICKNESS_M, _THICKNESS_PER_M = 0.15, 0.005
+_LEAST_POINTS, _LEAST_SHARE = 30, 0.02
+_MOST_POINTS = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """Which points of a sweep are on the ground.
+
+    Attributes:
+        rows: (G,) rows of the points.
+        cosine: (G,) float32 |cos| of the angle between ray and ground, in [0, 1].
+    """
+
+    rows: NDArray[np.intp]
+    cosine: NDArray[np.float32]
+
+
+def find_ground(sweep: Sweep) -> Ground:
+    """Return the ground points of a sweep; none when there is no ground to be found.
+
+    Without materials it is sought below the sensor, within 40 m: the height that most points have, then the plane
+    through those near it, in narrowing bands. A plane steeper than 17 degrees, less than 0.3 m below the sensor or
+    with hardly a point on it is no ground. Points on objects are none either.
+    """
+    if (sweep.material != UNKNOWN_MATERIAL).any():
+        table = np.zeros(UNKNOWN_MATERIAL + 1, bool)
+        table[list(MATERIALS_OF_GROUND)] = True
+        rows = np.flatnonzero(table[sweep.material])
+        cosine = sweep.cosine[rows]
+        if not cosine.all():
+            points = sweep.points[rows]
+            cosine = np.where(cosine > 0.0, cosine, _incidence(points, _plane(points)))
+        return Ground(rows, cosine)
+    rows = np.flatnonzero(sweep.object_id < 0)
+    points = sweep.points[rows]
+    plane = _plane(points)
+    if plane is None:
+        return Ground(rows[:0], np.zeros(0, np.float32))
+    near = np.hypot(points[:, 0], points[:, 1])
+    on = np.flatnonzero(np.abs(_above(points, plane)) < _THICKNESS_M + _THICKNESS_PER_M * near)
+    return Ground(rows[on], _incidence(points[on], plane))
+
+
+def _incidence(points: NDArray[np.float32], plane: NDArray[np.float64] | None) -> NDArray[np.float32]:
+    """Return (G,) cosines of incidence of (G, 3) points on a plane, on level ground where there is none."""
+    a, b, _ = np.zeros(3) if plane is None else plane
+    normal = (np.array([-a, -b, 1.0]) / np.sqrt(1.0 + a * a + b * b)).astype(np.float32)
+    reach = np.sqrt(np.einsum("gi,gi->g", points, points))
+    return np.minimum(np.abs(points @ normal) / np.maximum(reach, np.float32(1e-6)), np.float32(1.0))
+
+
+def _plane(points: NDArray[np.float32]) -> NDArray[np.float64] | None:
+    """Return (a, b, c) of the ground z = a x + b y + c below the sensor; None when there is none."""
+    points = points[:: max(1, len(points) // _MOST_POINTS)]
+    x, y, z = points.T.astype(np.float64)
+    below = np.flatnonzero((x * x + y * y < _NEAR_M**2) & (z < -_LEAST_BELOW_M))
+    if len(below) < _LEAST_POINTS:
+        return None
+    near = np.stack([x[below], y[below], np.ones(len(below))], axis=1)
+    z = z[below]
+    level = np.bincount((-z / _LEVEL_BIN_M).astype(np.int64))
+    plane = np.array([0.0, 0.0, -(level.argmax() + 0.5) * _LEVEL_BIN_M])
+    for band in _BANDS_M:
+        close = np.flatnonzero(np.abs(z - near @ plane) < band)
+        if len(close) < _LEAST_POINTS:
+            return None
+        # A weak pull towards level ground decides what points on one line leave open.
+        pull = np.diag([1e-3 * len(close), 1e-3 * len(close), 0.0])
+        plane = np.linalg.solve(near[close].T @ near[close] + pull, near[close].T @ z[close])
+    enough = len(close) >= max(_LEAST_POINTS, _LEAST_SHARE * len(points))
+    return plane if enough and plane[2] < -_LEAST_BELOW_M and np.hypot(*plane[:2]) < _STEEPEST else None
+
+
+def _above(points: NDArray[np.float32], plane: NDArray[np.float64]) -> NDArray[np.float32]:
+    return points @ np.array([-plane[0], -plane[1], 1.0], np.float32) - np.float32(plane[2])
