@@ -160,7 +160,7 @@ def _protocol(job: Job, reader: DriveReader) -> dict:
         "family": job.family,
         "seed": job.seed,
         "drive_seed": job.drive_seed,
-        "settings": msgspec.to_builtins(CORRUPTIONS[job.kind].model(job.family)[0].severity(job.severity)),
+        "settings": msgspec.to_builtins(CORRUPTIONS[job.kind].settings_of(job.family).severity(job.severity)),
         "source": {"drive": job.source.name, "sha256": data_hash([job.source])},
     }
     own = reader.protocol.get("testbed")

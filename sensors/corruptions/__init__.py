@@ -29,10 +29,16 @@ from sensors.corruptions import (
     clock_offset,
     cross_sensor,
     crosstalk,
+    field_of_view,
     fog,
+    incomplete_echo,
     motion_blur,
+    noise,
+    point_dropping,
     pose_error,
+    rain,
     snow,
+    wet_ground,
 )
 from sensors.corruptions.levels import PAPER, SEVERITIES, check_severity
 from sensors.corruptions.weather import strength
@@ -86,51 +92,63 @@ class Weather(Settings, Protocol):
         ...
 
 
+Apply = Callable[..., Sweep]
+
+
 @dataclass(frozen=True, slots=True)
 class Corruption:
     """One kind of corruption.
 
     Attributes:
         settings: its physical parameters; the defaults are those of severity 3.
-        apply: `apply(sweep, settings, rng) -> Sweep`, never in place; of a kind that acts on frames
-            `apply(frame, row, settings, rng) -> Sweep`, the sweep of the agent in that row.
+        apply: `apply(sweep, settings, rng) -> Sweep`, never in place; None for a kind that a sweep alone cannot know.
+        in_frame: `in_frame(frame, row, settings, rng) -> Sweep`, the same for the agent in a row of a frame, where the
+            frame tells more than the sweep: time, motion, other actors. None where it does not.
         paper_settings: parameters of the published model, None where there is none.
-        paper_apply: the published model.
+        paper_apply: the published model, as `apply`.
         steady: what it draws stays the same over a drive.
         weather: shared by all agents, and drifting.
-        level: `frame` when it needs to know more than the sweep: motion, neighbours, time.
         spares_ego: the ego is left as it is: the corruption is an error relative to it.
     """
 
     settings: type[Settings]
-    apply: Callable[..., Sweep]
+    apply: Apply | None = None
+    in_frame: Apply | None = None
     paper_settings: type[Settings] | None = None
-    paper_apply: Callable[..., Sweep] | None = None
+    paper_apply: Apply | None = None
     steady: bool = False
     weather: bool = False
-    level: Level = "sweep"
     spares_ego: bool = False
 
-    def model(self, family: Family) -> tuple[type[Settings], Callable[..., Sweep]]:
-        """Return the settings and the function of a family; KeyError when it has no such model."""
+    @property
+    def level(self) -> Level:
+        """What it takes: a sweep, or a whole frame."""
+        return "frame" if self.apply is None else "sweep"
+
+    def settings_of(self, family: Family) -> type[Settings]:
+        """Return the settings of a family; KeyError when it has no model of this kind."""
         if family == "physical":
-            return self.settings, self.apply
-        if self.paper_settings is None or self.paper_apply is None:
+            return self.settings
+        if self.paper_settings is None:
             raise KeyError(family)
-        return self.paper_settings, self.paper_apply
+        return self.paper_settings
 
 
 CORRUPTIONS: dict[str, Corruption] = {
     "beam_missing": Corruption(beam_missing.BeamMissing, beam_missing.corrupt, steady=True),
-    "motion_blur": Corruption(motion_blur.MotionBlur, motion_blur.corrupt),
-    "fog": Corruption(fog.Fog, fog.corrupt, weather=hasattr(fog.Fog, "scaled")),
-    "snow": Corruption(snow.Snow, snow.corrupt, weather=hasattr(snow.Snow, "scaled")),
+    "motion_blur": Corruption(motion_blur.MotionBlur, motion_blur.corrupt, motion_blur.in_frame),
+    "fog": Corruption(fog.Fog, fog.corrupt, weather=True),
+    "snow": Corruption(snow.Snow, snow.corrupt, weather=True),
     "crosstalk": Corruption(crosstalk.Crosstalk, crosstalk.corrupt),
     "cross_sensor": Corruption(cross_sensor.CrossSensor, cross_sensor.corrupt),
-    "pose_error": Corruption(pose_error.PoseError, pose_error.corrupt, steady=True, level="frame", spares_ego=True),
-    "clock_offset": Corruption(
-        clock_offset.ClockOffset, clock_offset.corrupt, steady=True, level="frame", spares_ego=True
-    ),
+    "wet_ground": Corruption(wet_ground.WetGround, wet_ground.corrupt, weather=True),
+    "incomplete_echo": Corruption(incomplete_echo.IncompleteEcho, incomplete_echo.corrupt, incomplete_echo.in_frame),
+    "rain": Corruption(rain.Rain, rain.corrupt, weather=True),
+    "pose_error": Corruption(pose_error.PoseError, in_frame=pose_error.in_frame, steady=True, spares_ego=True),
+    "clock_offset": Corruption(clock_offset.ClockOffset, in_frame=clock_offset.in_frame, steady=True, spares_ego=True),
+    "point_dropping": Corruption(point_dropping.PointDropping, point_dropping.corrupt),
+    "field_of_view": Corruption(field_of_view.FieldOfView, field_of_view.corrupt, steady=True),
+    "noise": Corruption(noise.Noise, noise.corrupt),
 }
 """Every corruption by its name."""
 
@@ -161,10 +179,10 @@ def corrupt(sweep: Sweep, kind: str, severity: int, rng: np.random.Generator, fa
     if kind == CLEAN:
         return sweep
     corruption = CORRUPTIONS[kind]
-    if corruption.level == "frame":
+    apply = corruption.apply if family == "physical" else corruption.paper_apply
+    if apply is None:
         raise SettingsError(f"corruption '{kind}' acts on whole frames: use corrupt_frame")
-    settings, apply = corruption.model(family)
-    return _counted(sweep, apply(sweep, settings.severity(severity), rng))
+    return _counted(sweep, apply(sweep, corruption.settings_of(family).severity(severity), rng))
 
 
 def corrupt_frame(
@@ -195,8 +213,7 @@ def corrupt_frame(
     if kind == CLEAN:
         return frame
     corruption = CORRUPTIONS[kind]
-    make, apply = corruption.model(family)
-    settings = make.severity(severity)
+    settings = corruption.settings_of(family).severity(severity)
     if corruption.weather and family == "physical":
         settings = cast(Weather, settings).scaled(strength(seed, kind, frame.time_s))
     spared = _ego_row(frame.agents, ego_id) if corruption.spares_ego else -1
@@ -206,9 +223,8 @@ def corrupt_frame(
             sweeps.append(agent.sweep)
             continue
         rng = corruption_rng(seed, kind, frame.index, agent.agent_id)
-        given = (frame, row) if corruption.level == "frame" else (agent.sweep,)
         try:
-            sweeps.append(_counted(agent.sweep, apply(*given, settings, rng)))
+            sweeps.append(_counted(agent.sweep, _applied(corruption, family, frame, row, settings, rng)))
         except DataError as error:
             raise DataError(f"frame {frame.index}: agent {agent.agent_id}: {error}") from None
     return frame.with_sweeps(sweeps)
@@ -243,6 +259,18 @@ def check_family(family: str) -> None:
     """Raise SettingsError unless this is one of `FAMILIES`."""
     if family not in FAMILIES:
         raise SettingsError(f"unknown family of corruptions '{family}'{did_you_mean(family, FAMILIES)}")
+
+
+def _applied(
+    corruption: Corruption, family: Family, frame: Frame, row: int, settings: Settings, rng: np.random.Generator
+) -> Sweep:
+    """Return the sweep of the agent in a row of the frame by the model of the family that knows most."""
+    if family == "physical" and corruption.in_frame is not None:
+        return corruption.in_frame(frame, row, settings, rng)
+    apply = corruption.apply if family == "physical" else corruption.paper_apply
+    if apply is None:
+        raise KeyError(family)
+    return apply(frame.agents[row].sweep, settings, rng)
 
 
 def _counted(before: Sweep, after: Sweep) -> Sweep:

@@ -39,7 +39,7 @@ _STILL_M = 1e-4
 
 
 class ClockOffset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings of `corrupt`.
+    """Settings of `in_frame`.
 
     Attributes:
         late_ms: how much older than its stamp a sweep is, mean over agents, ms.
@@ -56,7 +56,7 @@ class ClockOffset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return cls(late_ms=at_level(LATE_MS, level))
 
 
-def corrupt(frame: Frame, row: int, severity: int | ClockOffset, rng: np.random.Generator) -> Sweep:
+def in_frame(frame: Frame, row: int, severity: int | ClockOffset, rng: np.random.Generator) -> Sweep:
     """Return the sweep of the agent in a row of the frame as it was a little earlier, under the stamp of now.
 
     Args:

@@ -40,7 +40,7 @@ _WAVES = 64
 
 
 class PoseError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings of `corrupt`.
+    """Settings of `in_frame`.
 
     Attributes:
         lateral_m: standard deviation of the error to the side, m.
@@ -67,7 +67,7 @@ class PoseError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return cls(lateral_m=deviation_m, longitudinal_m=deviation_m, heading_deg=at_level(DEVIATION_DEG, level))
 
 
-def corrupt(frame: Frame, row: int, severity: int | PoseError, rng: np.random.Generator) -> Sweep:
+def in_frame(frame: Frame, row: int, severity: int | PoseError, rng: np.random.Generator) -> Sweep:
     """Return the sweep of the agent in a row of the frame with the pose that the agent believes in.
 
     Args:

@@ -1,4 +1,4 @@
-"""Frames to corrupt: two cars and a roadside unit on the street, driving for some seconds."""
+"""Frames to corrupt: two cars and a roadside unit on the street with a parked car, driving for some seconds."""
 
 from dataclasses import replace
 
@@ -6,13 +6,15 @@ import numpy as np
 
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
-from sensors.sweep import Sweep, make_sweep
+from sensors.sweep import STATIC, Sweep, make_sweep
 from sim.boxes import Boxes
 from sim.geometry import pose_matrix
 from tests.sensors.corruptions.street import spinning, street
 
 SPEED = 10.0
 AGENTS = (1000, 1003, -1)
+PARKED, PARKED_RING = 1500, 8
+"""The car that stands, and the ring whose points are taken for its own."""
 
 
 def frame(index: int = 0, agents: tuple[int, ...] = AGENTS, sweep: Sweep | None = None) -> Frame:
@@ -23,9 +25,9 @@ def frame(index: int = 0, agents: tuple[int, ...] = AGENTS, sweep: Sweep | None 
         index=index,
         time_s=time_s,
         agents=tuple(agent(agent_id, time_s, sweep) for agent_id in agents),
-        truth=Boxes.zeros(),
-        velocity=np.zeros((0, 2)),
-        points_on=np.zeros((len(agents), 0), np.int32),
+        truth=Boxes.from_array([[20.0, 8.0, 0.75, 4.5, 1.8, 1.5, 0.0]], object_id=np.array([PARKED])),
+        velocity=np.zeros((1, 2)),
+        points_on=np.full((len(agents), 1), np.count_nonzero(sweep.ring == PARKED_RING), np.int32),
     )
 
 
@@ -35,7 +37,8 @@ def agent(agent_id: int, time_s: float, sweep: Sweep) -> AgentFrame:
     times = time_s + np.array([-0.1, 0.0, 0.1])
     body = pose_matrix(np.stack([speed * times, np.full(3, float(agent_id)), np.zeros(3)], axis=1), np.zeros(3))
     lidar = body @ pose_matrix([0.0, 0.0, 1.9])
-    columns = {name: getattr(sweep, name) for name in ("intensity", "ring", "column", "time_offset", "object_id")}
+    columns = {name: getattr(sweep, name) for name in ("intensity", "ring", "column", "time_offset")}
+    columns["object_id"] = np.where(sweep.ring == PARKED_RING, PARKED, STATIC)
     own = make_sweep(sweep.points, lidar[1], time_s, sweep.spec, **columns)
     own = replace(own, path=Path.through(times, lidar))
     kind = "vehicle" if agent_id >= 0 else "roadside"

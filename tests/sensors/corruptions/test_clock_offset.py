@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sensors.corruptions import corrupt_frame
-from sensors.corruptions.clock_offset import ClockOffset, corrupt, run_on, way
+from sensors.corruptions.clock_offset import ClockOffset, in_frame, run_on, way
 from sensors.deskew import deskew
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
@@ -30,7 +30,7 @@ class Exactly:
 
 
 def late(clean: Frame, row: int, late_s: float = LATE_S):
-    return corrupt(clean, row, ClockOffset(late_ms=1e3 * late_s), Exactly())  # type: ignore[arg-type]
+    return in_frame(clean, row, ClockOffset(late_ms=1e3 * late_s), Exactly())  # type: ignore[arg-type]
 
 
 def one_point(speed: float, target_speed: float, turn: float = 0.0) -> Frame:

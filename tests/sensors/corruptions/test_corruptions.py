@@ -1,106 +1,244 @@
-"""Facts that hold for every corruption, and for frames of several agents."""
+"""Facts that hold for every corruption of both families, on random sweeps, and for frames of several agents."""
 
 import itertools
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from sensors.corruptions import CLEAN, CORRUPTIONS, PAPER, check_corruption, corrupt, corrupt_frame
-from sensors.frame import AgentFrame, Frame
-from sensors.sweep import ADDED, KEPT, MOVED, POINT_FIELDS, SCATTERED, Sweep
-from sim.boxes import Boxes
-from sim.errors import SettingsError
-from tests.sensors.corruptions.street import rows_of, same, spinning, street, synth16
+from sensors.corruptions import (
+    CLEAN,
+    CORRUPTIONS,
+    PAPER,
+    PAPER_SIX,
+    SEVERITIES,
+    Family,
+    check_corruption,
+    corrupt,
+    corrupt_frame,
+    drive_seed,
+    kinds_of,
+)
+from sensors.frame import Frame
+from sensors.sweep import ADDED, ATTENUATED, KEPT, MOVED, POINT_FIELDS, SCATTERED, UNKNOWN_MATERIAL, Sweep, make_sweep
+from sim.errors import DataError, SettingsError
+from sim.geometry import invert
+from tests.sensors.corruptions.drives import HELPER_ID, World, one_car_frame, street_drive, worlds
+from tests.sensors.corruptions.frames import frame
+from tests.sensors.corruptions.street import same, spinning, street, synth16
 
 KINDS = tuple(CORRUPTIONS)
+MODELS: tuple[tuple[str, Family], ...] = tuple(
+    (kind, family) for family in ("physical", "paper") for kind in kinds_of(family)
+)
+WEATHER = tuple(kind for kind in KINDS if CORRUPTIONS[kind].weather)
+SWEEP_LEVEL = tuple((kind, family) for kind, family in MODELS if CORRUPTIONS[kind].level == "sweep")
+DETERMINISTIC = ("cross_sensor", "field_of_view", "wet_ground")
+"""Nothing is random in these."""
+LEVELS = st.sampled_from(SEVERITIES)
+SEEDS = st.integers(0, 2**32)
+
+each_model = pytest.mark.parametrize(("kind", "family"), MODELS)
+on_random_sweeps = settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
+
+
+def helper(kind: str, family: Family, sweep: Sweep, severity: int, seed: int, index: int = 3) -> Sweep:
+    """The sweep of the second car of a frame under a corruption."""
+    return corrupt_frame(one_car_frame(sweep, index), kind, severity, seed, family).agent(HELPER_ID).sweep
 
 
 def rng(seed: int = 1) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def frame(index: int = 0, agents: tuple[int, ...] = (1000, 1003, -1)) -> Frame:
-    sweep = street(spinning(16))
-    return Frame(
-        index=index,
-        time_s=0.1 * index,
-        agents=tuple(AgentFrame(a, "vehicle" if a > 0 else "roadside", np.eye(4), 0.0, sweep) for a in agents),
-        truth=Boxes.zeros(),
-        velocity=np.zeros((0, 2)),
-        points_on=np.zeros((len(agents), 0), np.int32),
-    )
+def real(sweep: Sweep) -> int:
+    return int((sweep.object_id != ADDED).sum())
 
 
-def test_the_six_corruptions_of_the_paper_are_registered() -> None:
-    assert KINDS == ("beam_missing", "motion_blur", "fog", "snow", "crosstalk", "cross_sensor")
+def check_legal(before: Sweep, after: Sweep) -> None:
+    """Types, ranges, and that every point says truly what happened to it."""
+    for name in POINT_FIELDS:
+        assert getattr(after, name).dtype == getattr(before, name).dtype, name
+    assert np.isfinite(after.points).all()
+    assert ((after.intensity >= 0.0) & (after.intensity <= 1.0)).all()
+    assert after.fate.max(initial=0) <= SCATTERED
+    assert (after.spec, after.time_s, after.motion) == (before.spec, before.time_s, before.motion)
+    assert after.lost == before.lost + max(0, real(before) - real(after))
+    added = after.object_id == ADDED
+    assert (added == (after.fate == SCATTERED)).all()
+    assert (after.material[added] == UNKNOWN_MATERIAL).all() and (after.cosine[added] == 0.0).all()
+    rings, columns = before.spec.rings, before.spec.columns
+    assert ((after.ring >= 0) & (after.ring < rings) & (after.column >= 0) & (after.column < columns)).all()
+
+
+def origin(after: Sweep, before: Sweep) -> np.ndarray:
+    """Rows of `before` that real points of `after` were, by ring, column and place among their beam's returns."""
+
+    def key(sweep: Sweep) -> np.ndarray:
+        return (sweep.ring.astype(np.int64) * 2**32 + sweep.column) * 8 + sweep.return_number
+
+    order = np.argsort(key(before))
+    rows = order[np.minimum(np.searchsorted(key(before)[order], key(after)), len(order) - 1)]
+    assert (key(before)[rows] == key(after)).all(), "a point that is not added comes from a beam that had none"
+    return rows
+
+
+@each_model
+@on_random_sweeps
+@given(world=worlds, severity=LEVELS, seed=SEEDS)
+def test_what_comes_out_is_legal_and_the_same_again(
+    kind: str, family: Family, world: World, severity: int, seed: int
+) -> None:
+    sweep = world.sweep()
+    for name in POINT_FIELDS:
+        getattr(sweep, name).flags.writeable = False  # never in place
+    out = helper(kind, family, sweep, severity, seed)
+    check_legal(one_car_frame(sweep, 3).agent(HELPER_ID).sweep, out)
+    again = helper(kind, family, sweep, severity, seed)
+    assert same(out, again) and out.lost == again.lost
+    assert out.world_from_lidar.tobytes() == again.world_from_lidar.tobytes()
+
+
+@each_model
+@on_random_sweeps
+@given(world=worlds, severity=LEVELS, seed=SEEDS)
+def test_fates_tell_the_truth(kind: str, family: Family, world: World, severity: int, seed: int) -> None:
+    sweep = world.sweep()
+    out = helper(kind, family, sweep, severity, seed)
+    left = out[out.object_id != ADDED]
+    if len(left) == 0:
+        return
+    was = sweep[origin(left, sweep)]
+    kept = left.fate == KEPT
+    assert same(left[kept], was[kept])
+    still = kept | (left.fate == ATTENUATED)
+    moved = np.linalg.norm(left.points - was.points, axis=1)
+    # Rain makes ranges noisier by millimetres, which is no displacement.
+    assert (moved[still] <= (0.5 if kind == "rain" else 1e-5)).all()
+    assert (left.object_id == was.object_id).all() and (left.material == was.material).all()
+    dimmed = left.fate == ATTENUATED
+    assert (left.intensity[dimmed] <= was.intensity[dimmed] + 1e-6).all()
+
+
+@each_model
+@on_random_sweeps
+@given(world=worlds, count=st.sampled_from([0, 1]), severity=LEVELS, seed=SEEDS)
+def test_no_and_single_returns_are_legal(
+    kind: str, family: Family, world: World, count: int, severity: int, seed: int
+) -> None:
+    few = world.sweep()[:count]
+    out = helper(kind, family, few, severity, seed)
+    check_legal(one_car_frame(few, 3).agent(HELPER_ID).sweep, out)
+    assert real(out) <= len(few)
+
+
+@each_model
+@pytest.mark.parametrize("severity", SEVERITIES)
+def test_a_sweep_of_an_unknown_sensor_without_points_stays_without(kind: str, family: Family, severity: int) -> None:
+    empty = replace(street(spinning(4))[:0], spec=None)
+    assert len(helper(kind, family, empty, severity, 1)) == 0
+
+
+@pytest.mark.parametrize("family", ["physical", "paper"])
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data(), world=worlds, severity=LEVELS, seed=SEEDS)
+def test_corruptions_can_follow_one_another(
+    family: Family, data: st.DataObject, world: World, severity: int, seed: int
+) -> None:
+    first, second = (data.draw(st.sampled_from(kinds_of(family))) for _ in range(2))
+    clean = one_car_frame(world.sweep(), 3)
+    once = corrupt_frame(clean, first, severity, seed, family)
+    twice = corrupt_frame(once, second, severity, seed + 1, family)
+    before, after = (f.agent(HELPER_ID).sweep for f in (once, twice))
+    check_legal(before, after)
+    assert after.lost >= before.lost
+    # What the first one made is never taken for a return of a surface.
+    assert real(after) <= real(before)
+
+
+@each_model
+def test_another_seed_gives_other_bytes(kind: str, family: Family) -> None:
+    if kind in DETERMINISTIC:
+        pytest.skip("nothing is random in it")
+    clean = street_drive()[1]
+    one, other = (corrupt_frame(clean, kind, 5, seed, family).agent(HELPER_ID).sweep for seed in (1, 2))
+    assert not (same(one, other) and np.array_equal(one.world_from_lidar, other.world_from_lidar))
+
+
+@each_model
+@pytest.mark.parametrize("severity", SEVERITIES)
+def test_every_severity_changes_a_street(kind: str, family: Family, severity: int) -> None:
+    clean = street_drive()[1]
+    out = corrupt_frame(clean, kind, severity, 4, family)
+    changed = [
+        not same(a.sweep, b.sweep) or not np.array_equal(a.sweep.world_from_lidar, b.sweep.world_from_lidar)
+        for a, b in zip(clean.agents, out.agents, strict=True)
+    ]
+    assert any(changed)
+    for before, after in zip(clean.agents, out.agents, strict=True):
+        check_legal(before.sweep, after.sweep)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_higher_severity_leaves_less_of_a_drive(kind: str) -> None:
+    drive = street_drive()
+    outs = [[corrupt_frame(clean, kind, severity, 4) for clean in drive] for severity in SEVERITIES]
+    count = [sum(real(agent.sweep) for out in made for agent in out.agents) for made in outs]
+    assert all(a >= b for a, b in itertools.pairwise(count)), count
+    left = [sum(known(out, clean) for out, clean in zip(made, drive, strict=True)) for made in outs]
+    assert left[0] < sum(len(agent.sweep) for clean in drive for agent in clean.agents)
+    assert all(a > b for a, b in itertools.pairwise(left)), left
+
+
+def known(out: Frame, clean: Frame) -> float:
+    """What is left of a frame: returns of surfaces, each worth less the dimmer it is and the farther from its place."""
+    worth = 0.0
+    for before, after in zip(clean.agents, out.agents, strict=True):
+        sweep = after.sweep[after.sweep.object_id != ADDED]
+        was = before.sweep[origin(sweep, before.sweep)]
+        off = np.linalg.norm(sweep.world_points - was.world_points, axis=1)
+        worth += float((np.exp(-off) * np.minimum(sweep.intensity / np.maximum(was.intensity, 1e-6), 1.0)).sum())
+    return worth
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_default_settings_are_severity_3(kind: str) -> None:
-    assert CORRUPTIONS[kind].settings() == CORRUPTIONS[kind].settings.severity(PAPER)
+    for family in ("physical", "paper"):
+        if kind in kinds_of(family):
+            make = CORRUPTIONS[kind].settings_of(family)
+            assert make() == make.severity(PAPER)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_one_seed_gives_the_same_bytes(kind: str) -> None:
-    sweep = street()
-    assert same(corrupt(sweep, kind, 3, rng()), corrupt(sweep, kind, 3, rng()))
-
-
-@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"cross_sensor"}))
-def test_another_seed_gives_other_bytes(kind: str) -> None:
-    sweep = street()
-    assert not same(corrupt(sweep, kind, 5, rng(1)), corrupt(sweep, kind, 5, rng(2)))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_input_is_never_changed(kind: str) -> None:
-    sweep = street()
-    for name in POINT_FIELDS:
-        getattr(sweep, name).flags.writeable = False
-    corrupt(sweep, kind, 5, rng())
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("severity", range(1, 6))
-def test_types_and_intensities_stay_legal(kind: str, severity: int) -> None:
-    sweep = street()
-    out = corrupt(sweep, kind, severity, rng())
-    for name in POINT_FIELDS:
-        assert getattr(out, name).dtype == getattr(sweep, name).dtype
-    assert np.isfinite(out.points).all()
-    assert out.intensity.min() >= 0.0 and out.intensity.max() <= 1.0
-    assert len(out) <= len(sweep)
-    assert ((out.object_id == ADDED) == (out.fate == SCATTERED)).all()
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("spec", [None, spinning(), spinning(1)], ids=["unknown", "64", "1"])
-def test_an_empty_sweep_stays_empty(kind: str, spec: object) -> None:
-    empty = Sweep(**{**_fields(street()[:0]), "spec": spec})
-    assert len(corrupt(empty, kind, 5, rng())) == 0
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "family"), SWEEP_LEVEL)
 @pytest.mark.parametrize("rings", [1, 16, 40, 300])
-def test_a_sensor_of_any_number_of_rings_works(kind: str, rings: int) -> None:
+def test_a_sensor_of_any_number_of_rings_works(kind: str, family: Family, rings: int) -> None:
     sweep = street(spinning(rings, columns=60))
-    out = corrupt(sweep, kind, 3, rng())
+    out = corrupt(sweep, kind, 3, rng(), family)
+    check_legal(sweep, out)
     assert len(out) > 0
-    assert set(np.unique(out.ring)) <= set(np.unique(sweep.ring))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_sweep_of_an_unknown_sensor_works(kind: str) -> None:
-    out = corrupt(synth16(), kind, 3, rng())
+@pytest.mark.parametrize(("kind", "family"), SWEEP_LEVEL)
+def test_a_sweep_of_an_unknown_sensor_works(kind: str, family: Family) -> None:
+    out = corrupt(synth16(), kind, 3, rng(), family)
     assert 0 < len(out) <= len(synth16())
+    assert out.lost == len(synth16()) - real(out)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_higher_severity_loses_more(kind: str) -> None:
-    sweep = street(spinning(64, columns=720))
-    known = [_known(corrupt(sweep, kind, severity, rng()), sweep) for severity in range(1, 6)]
-    assert known[0] < 1.0
-    assert all(a > b for a, b in itertools.pairwise(known)), known
+def test_the_six_corruptions_of_the_paper_come_first_and_are_in_both_families() -> None:
+    assert PAPER_SIX == ("beam_missing", "motion_blur", "fog", "snow", "crosstalk", "cross_sensor") == KINDS[:6]
+    assert set(PAPER_SIX) <= set(kinds_of("paper")) <= set(kinds_of("physical")) == set(KINDS)
+
+
+def test_families_are_never_mixed() -> None:
+    for kind in kinds_of("paper"):
+        physical, paper = (CORRUPTIONS[kind].settings_of(family).__module__ for family in ("physical", "paper"))
+        assert physical.startswith("sensors.corruptions.") and paper.startswith("sensors.corruptions.paper.")
+        assert not physical.startswith("sensors.corruptions.paper")
 
 
 def test_clean_returns_what_it_got() -> None:
@@ -110,32 +248,144 @@ def test_clean_returns_what_it_got() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "severity", "message"),
-    [("fogg", 3, "unknown corruption 'fogg'; did you mean 'fog'?"), ("fog", 0, "1 to 5, found 0"), ("snow", 6, "6")],
+    ("kind", "severity", "family", "message"),
+    [
+        ("fogg", 3, "physical", "unknown corruption 'fogg'; did you mean 'fog'?"),
+        ("fog", 0, "physical", "1 to 5, found 0"),
+        ("snow", 6, "paper", "1 to 5, found 6"),
+        ("fog", 3, "papier", "unknown family of corruptions 'papier'; did you mean 'paper'?"),
+        ("pose_error", 3, "paper", "'pose_error' has no published model; family 'paper' has beam_missing"),
+    ],
 )
-def test_a_wrong_kind_or_severity_is_one_line(kind: str, severity: int, message: str) -> None:
+def test_a_wrong_kind_severity_or_family_is_one_line(kind: str, severity: int, family: Family, message: str) -> None:
     for call in (
-        lambda: check_corruption(kind, severity),
-        lambda: corrupt(street(spinning(4)), kind, severity, rng()),
-        lambda: corrupt_frame(frame(), kind, severity, 0),
+        lambda: check_corruption(kind, severity, family),
+        lambda: corrupt(street(spinning(4)), kind, severity, rng(), family),
+        lambda: corrupt_frame(frame(), kind, severity, 0, family),
     ):
         with pytest.raises(SettingsError) as caught:
             call()
         assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"cross_sensor"}))
-def test_agents_of_a_frame_are_corrupted_independently(kind: str) -> None:
-    out = corrupt_frame(frame(), kind, 5, seed=4)
-    first, second, third = (agent.sweep for agent in out.agents)
-    assert not same(first, second) and not same(second, third)
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if CORRUPTIONS[kind].level == "frame"])
+def test_a_kind_that_acts_on_frames_says_so(kind: str) -> None:
+    with pytest.raises(SettingsError, match=f"'{kind}' acts on whole frames: use corrupt_frame"):
+        corrupt(street(spinning(4)), kind, 3, rng())
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_agent_is_corrupted_the_same_whoever_else_is_there(kind: str) -> None:
-    alone = corrupt_frame(frame(agents=(1003,)), kind, 3, seed=4)
-    together = corrupt_frame(frame(), kind, 3, seed=4)
+def test_a_sweep_that_cannot_be_corrupted_is_named_by_its_agent() -> None:
+    blind = make_sweep(rng().normal(0.0, 10.0, (500, 3)))
+    with pytest.raises(DataError, match="frame 4: agent 1000: "):
+        corrupt_frame(frame(4, sweep=blind), "beam_missing", 3, 0)
+
+
+# One weather per scene, faults of each agent ------------------------------------------------------------------------
+
+
+def settings_of(monkeypatch: pytest.MonkeyPatch, kind: str, index: int, seed: int = 4) -> list:
+    """The settings that each agent of a frame is corrupted with."""
+    seen: list = []
+    plain = CORRUPTIONS[kind]
+    name = "apply" if plain.in_frame is None else "in_frame"
+
+    def spy(*given: object) -> Sweep:
+        seen.append(given[-2])
+        return getattr(plain, name)(*given)
+
+    with monkeypatch.context() as patch:
+        patch.setitem(CORRUPTIONS, kind, replace(plain, **{name: spy}))
+        corrupt_frame(frame(index), kind, 3, seed)
+    return seen
+
+
+@pytest.mark.parametrize("kind", WEATHER)
+def test_all_agents_of_a_frame_are_in_the_same_weather_and_it_drifts_over_a_drive(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = {index: settings_of(monkeypatch, kind, index) for index in (0, 1, 400)}
+    for seen in made.values():
+        assert len(seen) == 3 and seen[0] == seen[1] == seen[2]
+    base = CORRUPTIONS[kind].settings.severity(3)
+    assert made[0][0] != base != made[400][0] != made[0][0]
+    assert settings_of(monkeypatch, kind, 0, seed=5) != made[0]
+
+
+def test_the_fog_that_two_agents_measure_is_the_same_and_hardly_another_a_moment_later() -> None:
+    def extinction(index: int, row: int) -> float:
+        clean = frame(index)
+        out = corrupt_frame(clean, "fog", 3, 4).agents[row].sweep
+        through = out[out.fate == ATTENUATED]
+        was = clean.agents[row].sweep[origin(through, clean.agents[row].sweep)]
+        return float(np.median(np.log(was.intensity / through.intensity) / (2.0 * was.range)))
+
+    here, there, later, much_later = (extinction(i, row) for i, row in ((0, 0), (0, 1), (1, 0), (200, 0)))
+    assert here == pytest.approx(there, rel=1e-4)
+    assert 0.0 < abs(here - later) / here < 0.005 < abs(here - much_later) / here < 0.3
+
+
+def test_the_published_models_know_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    if "fog" not in kinds_of("paper"):
+        pytest.skip("no published fog")
+    made = CORRUPTIONS["fog"].settings_of("paper")
+    seen: list = []
+    plain = CORRUPTIONS["fog"]
+    spy = replace(plain, paper_apply=lambda *given: seen.append(given[-2]) or plain.paper_apply(*given))  # type: ignore[misc,func-returns-value]
+    monkeypatch.setitem(CORRUPTIONS, "fog", spy)
+    for index in (0, 400):
+        corrupt_frame(frame(index), "fog", 3, 4, "paper")
+    assert seen == [made.severity(3)] * 6
+
+
+@each_model
+def test_agents_of_a_frame_are_corrupted_independently(kind: str, family: Family) -> None:
+    if kind in DETERMINISTIC:
+        pytest.skip("nothing is random in it")
+    clean = frame(agents=(999, 1000, 1003))
+    out = corrupt_frame(clean, kind, 5, 4, family)
+    one, other = (
+        (
+            out.agents[row].sweep,
+            invert(clean.agents[row].sweep.world_from_lidar) @ out.agents[row].sweep.world_from_lidar,
+        )
+        for row in (1, 2)
+    )
+    assert not (same(one[0], other[0]) and np.allclose(one[1], other[1], atol=1e-9))
+
+
+@each_model
+def test_an_agent_is_corrupted_the_same_whoever_else_is_there_and_whatever_came_before(
+    kind: str, family: Family
+) -> None:
+    alone = corrupt_frame(frame(5, agents=(1000, 1003)), kind, 3, 4, family)
+    corrupt_frame(frame(9), kind, 3, 4, family)
+    together = corrupt_frame(frame(5), kind, 3, 4, family)
     assert same(alone.agent(1003).sweep, together.agent(1003).sweep)
+
+
+@each_model
+def test_any_order_and_any_process_gives_the_same_bytes(kind: str, family: Family) -> None:
+    orders = ([0, 1, 2], [2, 0, 1])
+    made = [{i: digest(corrupt_frame(frame(i), kind, 4, 9, family)) for i in order} for order in orders]
+    assert made[0] == made[1]
+
+
+def digest(out: Frame) -> bytes:
+    parts = [getattr(a.sweep, name).tobytes() for a in out.agents for name in POINT_FIELDS]
+    return b"".join([*parts, *(a.sweep.world_from_lidar.tobytes() + bytes([a.sweep.lost % 256]) for a in out.agents)])
+
+
+def digest_of(task: tuple[str, Family, int]) -> bytes:
+    kind, family, index = task
+    return digest(corrupt_frame(frame(index), kind, 4, 9, family))
+
+
+def test_a_fresh_process_gives_the_same_bytes() -> None:
+    """No table, pool or global generator of one process may show."""
+    tasks = [(kind, family, index) for kind, family in MODELS for index in (3, 0)]
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        elsewhere = list(pool.map(digest_of, tasks))
+    assert elsewhere == [digest_of(task) for task in reversed(tasks)][::-1]
 
 
 def test_dead_beams_stay_dead_over_a_drive() -> None:
@@ -146,26 +396,24 @@ def test_dead_beams_stay_dead_over_a_drive() -> None:
     assert set(out[0].agent(1000).sweep.ring) != set(out[0].agent(1003).sweep.ring)
 
 
-@pytest.mark.parametrize("kind", ["motion_blur", "fog", "snow", "crosstalk"])
+@pytest.mark.parametrize("kind", [k for k in KINDS if not CORRUPTIONS[k].steady and k not in DETERMINISTIC])
 def test_other_draws_differ_from_frame_to_frame(kind: str) -> None:
     first, later = (corrupt_frame(frame(index), kind, 5, seed=4).agents[0].sweep for index in (0, 1))
     assert not same(first, later)
 
 
 def test_ground_truth_stays() -> None:
-    whole = frame()
-    out = corrupt_frame(whole, "fog", 5, 0)
-    assert out.truth is whole.truth and out.points_on is whole.points_on and out.index == whole.index
+    whole = street_drive()[0]
+    for kind in KINDS:
+        out = corrupt_frame(whole, kind, 5, 0)
+        assert out.truth is whole.truth and out.points_on is whole.points_on and out.velocity is whole.velocity
+        assert (out.index, out.time_s) == (whole.index, whole.time_s)
 
 
-def _fields(sweep: Sweep) -> dict:
-    return {name: getattr(sweep, name) for name in (*POINT_FIELDS, "world_from_lidar", "time_s", "spec")}
+def test_drives_of_one_run_have_seeds_of_their_own() -> None:
+    seeds = {drive_seed(seed, name) for seed in (0, 1) for name in ("a", "b", "c")}
+    assert len(seeds) == 6 and drive_seed(0, "a") == drive_seed(0, "a")
 
 
-def _known(out: Sweep, clean: Sweep) -> float:
-    """What is left of a sweep: returns of surfaces, each worth less the farther it was moved."""
-    moved = np.linalg.norm(out.points - clean.points[rows_of(out, clean)], axis=1)
-    worth = np.where(out.fate == MOVED, np.exp(-moved), 1.0)
-    worth = np.where(out.fate == SCATTERED, 0.0, worth)
-    assert (moved[out.fate == KEPT] == 0.0).all()
-    return float(worth.sum() / len(clean))
+def test_moved_and_scattered_are_told_apart() -> None:
+    assert len({KEPT, ATTENUATED, MOVED, SCATTERED}) == 4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sensors.corruptions import corrupt_frame, corruption_rng
-from sensors.corruptions.pose_error import PoseError, corrupt, errors
+from sensors.corruptions.pose_error import PoseError, errors, in_frame
 from sensors.frame import Frame
 from sim.errors import SettingsError
 from sim.geometry import invert
@@ -83,7 +83,7 @@ def test_helpers_err_independently_and_a_mast_always_alike() -> None:
 def test_error_to_the_side_is_to_the_side_of_the_body() -> None:
     clean = frame(3)
     body = clean.agents[1].world_from_body
-    out = corrupt(clean, 1, PoseError(longitudinal_m=0.0, lateral_m=1.0, heading_deg=0.0), np.random.default_rng(3))
+    out = in_frame(clean, 1, PoseError(longitudinal_m=0.0, lateral_m=1.0, heading_deg=0.0), np.random.default_rng(3))
     moved = out.world_from_lidar[:3, 3] - clean.agents[1].sweep.world_from_lidar[:3, 3]
     assert abs(moved @ body[:3, 0]) < 1e-12 < abs(moved @ body[:3, 1])
 
@@ -91,7 +91,7 @@ def test_error_to_the_side_is_to_the_side_of_the_body() -> None:
 def test_no_error_is_the_identity() -> None:
     clean = frame()
     none = PoseError(longitudinal_m=0.0, lateral_m=0.0, heading_deg=0.0)
-    assert corrupt(clean, 1, none, np.random.default_rng(0)) is clean.agents[1].sweep
+    assert in_frame(clean, 1, none, np.random.default_rng(0)) is clean.agents[1].sweep
 
 
 @pytest.mark.parametrize("wrong", [{"lateral_m": -1.0}, {"heading_deg": 181.0}, {"correlation_s": 0.0}])
