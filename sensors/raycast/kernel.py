@@ -327,9 +327,11 @@ def _aim(tables: Any, scratch: Any, ring: Any, block: Any, subray: Any) -> None:
             level = max(np.sqrt(x * x + y * y), np.float32(1e-6))
             a = sigma * tables.normal[across + np.uint64(lane)] / level
             e = sigma * tables.normal[up + np.uint64(lane)] / level
-            room[_at(_AIM, 0, lane)] = x - a * y - e * x * z
-            room[_at(_AIM, 1, lane)] = y + a * x - e * y * z
-            room[_at(_AIM, 2, lane)] = z + e * level * level
+            # Embree measures in units of the direction's length.
+            unit = np.float32(1.0) / np.sqrt(np.float32(1.0) + (a * a + e * e) * level * level)
+            room[_at(_AIM, 0, lane)] = (x - a * y - e * x * z) * unit
+            room[_at(_AIM, 1, lane)] = (y + a * x - e * y * z) * unit
+            room[_at(_AIM, 2, lane)] = (z + e * level * level) * unit
 
 
 @njit(**_PART)

@@ -68,29 +68,34 @@ def measure(met: Met, aim: Aim, shot: Shot, rings: slice) -> Returns:
     if shot.optics.of_material:
         intensity *= echoes.power
     np.minimum(intensity, np.float32(1.0), out=intensity)
-    measured = np.zeros_like(echoes.distance)
-    for number, row in zip(measured, (RANGE, SECOND_RANGE), strict=False):
-        number[:] = shot.noise.grid(row, shot.beams.columns, rings).reshape(-1)
-    measured *= np.float32(shot.spec.range_noise_m)
-    measured += echoes.distance
-    kept = _in_reach(echoes.distance, measured, shot, rings)
+    rows = (RANGE, SECOND_RANGE)[: len(echoes.found)]
+    range_m = np.concatenate([shot.noise.grid(row, shot.beams.columns, rings).reshape(1, -1) for row in rows])
+    range_m *= np.float32(shot.spec.range_noise_m)
+    range_m += echoes.distance
+    kept = _in_reach(echoes.distance, range_m, shot, rings)
     kept &= echoes.found
     if shot.spec.dropoff_zero_intensity > 0.0:
         kept &= shot.noise.grid(LOST_AFTER, shot.beams.columns, rings).reshape(-1) >= drop_chance(intensity, shot.spec)
-    return _pack(echoes, measured, intensity, kept, aim, shot, rings)
+    return _pack(echoes, range_m, intensity, kept, aim, shot, rings)
 
 
 def _in_reach(distance: Floats, measured: Floats, shot: Shot, rings: slice) -> NDArray[np.bool_]:
     """Return (K, n) whether ranges are within those of their beams."""
-    near, far = shot.beams.reach[rings].T[:, None, :, None]
-    distance, measured = (values.reshape(len(values), -1, shot.beams.columns) for values in (distance, measured))
-    within = (distance >= near) & (measured >= near) & (measured <= far)
-    return within.reshape(len(within), -1)
+    reach = shot.beams.reach[rings]
+    if (reach != reach[0]).any():
+        reach = np.repeat(reach, shot.beams.columns, axis=0)
+        near, far = reach[:, 0], reach[:, 1]
+    else:
+        near, far = reach[0]
+    within = distance >= near
+    within &= measured >= near
+    within &= measured <= far
+    return within
 
 
 def _pack(
     echoes: _Echoes,
-    measured: Floats,
+    range_m: Floats,
     intensity: Floats,
     kept: NDArray[np.bool_],
     aim: Aim,
@@ -104,29 +109,29 @@ def _pack(
         number = np.ones(len(beam), np.uint8)
     else:
         beam, second = np.divmod(np.flatnonzero(kept.T), most)
-        chosen = second * kept.shape[1] + beam
-        number = (second + 1).astype(np.uint8)
+        chosen, number = second * kept.shape[1] + beam, (second + 1).astype(np.uint8)
     border = np.arange(rings.stop - rings.start + 1) * columns
     per_ring = np.diff(np.searchsorted(beam, border))
     column = beam - np.repeat(border[:-1], per_ring)
-    points = np.zeros((3, most, kept.shape[1]), np.float32)
-    np.multiply(aim.direction[:, None], measured, out=points)
-    on_grid = points.reshape(3, most, -1, columns)
+    column_s = np.float32(shot.spec.column_s)
+    fired = (np.arange(columns, dtype=np.float32) - np.float32(0.5 * columns)) * column_s
+    # Indices are right: "clip" only spares the check.
+    time_offset = fired.take(column, mode="clip")
+    time_offset += np.repeat(shot.beams.firing_share[rings] * column_s, per_ring)
+    world = aim.direction[:, None] * range_m
+    on_grid = world.reshape(3, most, -1, columns)
     on_grid += aim.place[:, None]
-    points = points.reshape(3, -1).take(chosen, axis=1, mode="clip")
-    fired = column.astype(np.float32)
-    fired += np.repeat(shot.beams.firing_share[rings] - np.float32(0.5 * columns), per_ring)
-    fired *= np.float32(shot.spec.column_s)
+    world = world.reshape(3, -1).take(chosen, axis=1, mode="clip")
     return Returns(
-        points=points.T @ shot.pose[:3, :3].astype(np.float32),
-        intensity=intensity.take(chosen),
+        points=world.T @ shot.pose[:3, :3].astype(np.float32),
+        intensity=intensity.take(chosen, mode="clip"),
         ring=np.repeat(np.arange(rings.start, rings.stop, dtype=np.int16), per_ring),
         column=column.astype(np.int32),
-        time_offset=fired,
-        object_id=echoes.object_id.take(chosen),
+        time_offset=time_offset,
+        object_id=echoes.object_id.take(chosen, mode="clip"),
         return_number=number,
-        material=echoes.material.take(chosen),
-        cosine=echoes.cosine.take(chosen),
+        material=echoes.material.take(chosen, mode="clip"),
+        cosine=echoes.cosine.take(chosen, mode="clip"),
     )
 
 
@@ -145,7 +150,7 @@ def _merged(met: Met, optics: Optics, returns: str) -> _Echoes:
     # What missed comes last and so late that it is an echo of its own, without power.
     distance = np.where(met.hit, met.distance, np.float32(4.0 * optics.reach_m + 4.0 * optics.gate_m))
     power = met.hit * np.float32(1.0 / subrays) * _power(met, optics)
-    margin = power / _Place.on(optics.need, distance, optics.reach_m).read(optics.need)
+    margin = power / _Place.on(optics.need, met.distance, optics.reach_m).read(optics.need)
     order = np.argsort(distance, axis=0, kind="stable")
     distance, power, margin = (np.take_along_axis(v, order, axis=0) for v in (distance, power, margin))
     starts = np.ones((subrays, n), bool)
@@ -212,11 +217,11 @@ class _Place:
     @classmethod
     def on(cls, table: Floats, values: Floats, end: float) -> "_Place":
         """Find values in a table over [0, end]."""
-        at = values * np.float32((len(table) - 1) / end)
+        # A hair short of the end, so that each place has an entry after it.
+        at = values * np.float32((len(table) - 1) / end * (1.0 - 2.0**-22))
         whole = np.floor(at)
-        np.minimum(whole, np.float32(len(table) - 2), out=whole)
         at -= whole
-        return cls(whole.astype(np.intp), np.minimum(at, np.float32(1.0), out=at))
+        return cls(whole.astype(np.intp), at)
 
     def read(self, table: Floats) -> Floats:
         """Return the interpolated values."""

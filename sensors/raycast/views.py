@@ -147,8 +147,7 @@ def _by_cone(shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table
 def _anywhere(shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) -> Arcs:
     """Return arcs that hold the bodies all the time."""
     moments = shot.beams.columns * _MOMENTS
-    place = bodies.path[rows].at(shutter.time_s(moments))[:, :, :3, 3]
-    sensor = shutter.sensor(moments)
+    place, sensor = shutter.places(bodies, rows, moments), shutter.sensor(moments)
     centre = np.einsum("kji,nkj->nki", sensor[:, :, :3], place - sensor[:, :, 3])
     # A sphere around the middle of the footprint that holds the box however it leans.
     radius = np.sqrt(0.25 * (bodies.size[rows, :2] ** 2).sum(axis=1) + bodies.size[rows, 2] ** 2) + _GROW_M

@@ -4,7 +4,7 @@ import trimesh
 
 from sensors.lidar import scan
 from sensors.scene import RayScene, mesh_arrays
-from sim.errors import DataError, SettingsError
+from sim.errors import SettingsError
 from sim.geometry import pose_matrix
 from tests.sensors.fakes import box, box_body, cars, ground, ideal, nothing, scene_of
 
@@ -50,38 +50,6 @@ def test_rays_are_cast_in_the_world_frame():
     assert (hits.face >= 0).tolist() == [True, False]
     assert hits.distance.tolist() == [8.0, 100.0]
     np.testing.assert_allclose(hits.cosine, [1.0, 0.0], atol=1e-6)
-
-
-def broken(change) -> trimesh.Trimesh:
-    mesh = box((2.0, 2.0, 2.0))
-    vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
-    material = mesh.face_attributes["material"]
-    vertices, faces, material = change(vertices, faces, material)
-    return trimesh.Trimesh(vertices, faces, face_attributes={"material": material}, process=False, validate=False)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda v, f, m: (np.where(np.arange(8)[:, None] == 3, np.nan, v), f, m), "vertices: expected finite"),
-        (lambda v, f, m: (np.where(np.arange(8)[:, None] == 0, np.inf, v), f, m), "vertices: expected finite"),
-        (lambda v, f, m: (v, f + 4, m), "faces: expected rows of the 8 vertices"),
-        (lambda v, f, m: (v, f - 1, m), "faces: expected rows of the 8 vertices"),
-        (lambda v, f, m: (v, f, m[:5]), "material: expected one for each of the 12 faces"),
-    ],
-)
-def test_a_broken_mesh_is_refused(change, message):
-    mesh = broken(change)
-    with pytest.raises(DataError, match=f"the mesh: {message}"):
-        mesh_arrays(mesh, "the mesh")
-    with pytest.raises(DataError, match="static world"):
-        RayScene(mesh)
-
-
-def test_a_body_without_faces_is_refused():
-    scene = RayScene(nothing(), body_mesh=lambda model, size: nothing())
-    with pytest.raises(DataError, match="body 'box': faces: expected at least one triangle"):
-        scene.with_bodies(cars([[5, 0, 0]]))
 
 
 def test_a_mesh_without_materials_is_asphalt():
