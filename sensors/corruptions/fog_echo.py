@@ -37,6 +37,8 @@ _FARTHEST_M = 300.0
 _RANGES = 1024
 _STEP_PER_M = 0.01
 _LEAST = 1e-300
+_VERSION = 1
+"""Of the tables in users' caches: whoever changes what they hold counts on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,14 +109,15 @@ def fog_echo(extinction: float, pulse_s: float, patchiness: float) -> FogEcho:
 @lru_cache(maxsize=8)
 def _waveforms(pulse_s: float) -> dict[str, NDArray[np.float64]]:
     """Return `range_m` (K,) and `log_waveform` (A, K) of one pulse, row by row denser fog."""
+    alphas = np.linspace(0.0, MOST_EXTINCTION, round(MOST_EXTINCTION / _STEP_PER_M) + 1)
 
     def compute() -> dict[str, NDArray[np.float64]]:
         range_m = np.geomspace(BLIND_M, _FARTHEST_M, _RANGES)
-        alphas = np.linspace(0.0, MOST_EXTINCTION, round(MOST_EXTINCTION / _STEP_PER_M) + 1)
         table = waveforms(alphas, pulse_s, range_m + 0.5 * LIGHT_SPEED * pulse_s)
         return {"range_m": range_m, "log_waveform": np.log(np.maximum(table, _LEAST))}
 
-    return cached_tables(f"fog_echo_{pulse_s * 1e12:.0f}ps", compute)
+    shapes = {"range_m": (_RANGES,), "log_waveform": (len(alphas), _RANGES)}
+    return cached_tables(f"fog_echo_{_VERSION}_{pulse_s * 1e12:.0f}ps", shapes, compute)
 
 
 def waveforms(extinction: NDArray[np.float64], pulse_s: float, range_m: NDArray[np.float64]) -> NDArray[np.float64]:

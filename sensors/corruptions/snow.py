@@ -18,7 +18,7 @@ and the sensor reports the stronger one, if it detects it (`medium`). Two ways t
 * `discs`: as published (Hahner et al., CVPR 2022), each ring sweeps a plane with discs in it, which are sampled once
   and reused (`snow_flakes`); a beam is a fan in that plane, and a disc takes its share of the fan (`snow_beams`), on
   the way there and back. A disc at range r takes D / (divergence r) of a beam instead of the square of that: flat discs
-  overstate far flakes (one scattered return in twenty lies beyond 21 m instead of 10 m in 0.5 mm/h).
+  overstate far flakes (one scattered return in twenty lies beyond 21 m instead of 9 m in 0.5 mm/h).
 
 Diameters follow Gunn and Marshall (1958). Extinction is twice the flakes' cross-section (large particles, van de Hulst
 1957). A flake that fills a beam counts as a surface of reflectivity 2 pi / S with S = 30 sr, the ratio of extinction to

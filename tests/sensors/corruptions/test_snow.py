@@ -1,47 +1,30 @@
-"""Snow: flakes, beams, and what is heard."""
+"""Falling snow: its flakes, what they hide, what they return. What it shares with fog and rain is in test_medium."""
 
 import itertools
-import json
 import math
 
 import numpy as np
 import pytest
 
 from sensors.corruptions import snow
-from sensors.corruptions.receiver import BLIND_M
 from sensors.corruptions.snow import Snow
-from sensors.corruptions.snow_beams import Meetings, gather, meet, taken_shares
-from sensors.corruptions.snow_flakes import (
-    DISC_RADIUS_M,
-    Flakes,
-    extinction,
-    flake_pool,
-    flake_rate,
-    gunn_marshall_rate,
-    occupancy,
-)
-from sensors.sweep import ADDED, ATTENUATED, KEPT, SCATTERED
+from sensors.corruptions.snow_flakes import flake_rate, gunn_marshall_rate, occupancy, snow_particles
+from sensors.sweep import ATTENUATED, SCATTERED, Sweep
 from sim.errors import SettingsError
-from tests.sensors.corruptions.street import on_a_ray, rows_of, same, shared, spinning, street
-
-DIVERGENCE = 0.003
-PAPER = Snow()
-MEDIUM = (PAPER.snowfall_mm_h, PAPER.fall_speed_mps, PAPER.flake_density)
+from tests.sensors.corruptions.street import on_a_ray, rows_of, same, spinning, street
 
 
 def rng(seed: int = 1) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def flakes_of(discs: np.ndarray) -> Flakes:
-    """Flakes from rows of x, y, radius."""
-    discs = discs[np.argsort(np.hypot(discs[:, 0], discs[:, 1]))]
-    reach = np.hypot(discs[:, 0], discs[:, 1])
-    return Flakes(
-        range_m=reach,
-        azimuth=np.mod(np.arctan2(discs[:, 1], discs[:, 0]), 2 * np.pi),
-        half_width=np.arcsin(np.minimum(discs[:, 2] / reach, 1.0)),
-    )
+def around(reach_m: float, intensity: float, range_10_m: float, count: int = 3000) -> Sweep:
+    """Targets all around at one range."""
+    sweep = on_a_ray(np.full(count, reach_m), intensity, spinning(1, count, range_10_m=range_10_m))
+    azimuth = np.linspace(-np.pi, np.pi, count, endpoint=False)
+    sweep.points[:] = reach_m * np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], 1)
+    sweep.column[:] = np.arange(count)
+    return sweep
 
 
 def test_snow_fills_the_published_share_of_the_air() -> None:
@@ -55,153 +38,72 @@ def test_flakes_sizes_follow_gunn_and_marshall() -> None:
     assert math.isclose(flake_rate(0.5, 0.1), 1732.1, rel_tol=0.06)
 
 
-def test_discs_fill_their_share_of_the_plane_and_are_spread_evenly() -> None:
-    pool = flake_pool(*MEDIUM)
-    reach = np.concatenate([f.range_m for f in pool])
-    radius = reach * np.sin(np.concatenate([f.half_width for f in pool]))
-    plane = len(pool) * math.pi * (DISC_RADIUS_M**2 - BLIND_M**2)
-    assert math.isclose((math.pi * radius**2).sum() / plane, occupancy(*MEDIUM), rel_tol=0.02)
-    counts, _ = np.histogram(reach, np.arange(0, 81, 10))
-    assert np.allclose(counts / (np.arange(8) + 0.5), counts.sum() / 32, rtol=0.05)  # density grows as r
-    assert reach.min() >= BLIND_M
-    azimuth, _ = np.histogram(np.concatenate([f.azimuth for f in pool]), 16, (0, 2 * np.pi))
-    assert azimuth.std() / azimuth.mean() < 0.02
-
-
 @pytest.mark.parametrize("snowfall", [0.1, 0.5, 5.0])
-def test_flakes_block_what_their_cross_section_says(snowfall: float) -> None:
-    pool, azimuth, reach = flake_pool(snowfall, 2.0, 0.1), np.linspace(-3.1, 3.1, 1500), 60.0
-    blocked = 0.0
-    for flakes in pool[:20]:
-        met = gather([meet(azimuth, np.full(1500, reach), flakes, DIVERGENCE)])
-        blocked += np.bincount(met.beam, taken_shares(met, DIVERGENCE), 1500).mean() / 20
-    expected = 1.0 - math.exp(-extinction(snowfall, 2.0, 0.1) * (reach - BLIND_M))
-    assert math.isclose(blocked, expected, rel_tol=0.08)
+def test_a_medium_of_flakes_holds_the_snow_that_falls(snowfall: float) -> None:
+    flakes = snow_particles(snowfall, 1.0, 0.1, 0.2)
+    diameter = rng().exponential(1.0 / flakes.rate_per_m, 400_000)
+    water_mm_h = flakes.per_m3 * (math.pi / 6.0 * diameter**3).mean() * 0.1 * 1.0 * 3.6e6
+    assert math.isclose(water_mm_h, snowfall, rel_tol=0.03)
+    assert math.isclose(flakes.extinction, 2.0 * flakes.per_m3 * (math.pi / 4.0 * diameter**2).mean(), rel_tol=0.02)
 
 
-def test_more_snow_blocks_more() -> None:
-    blocked = [extinction(s, 2.0, 0.1) for s in snow.SNOWFALL_MM_H]
-    assert all(a < b for a, b in itertools.pairwise(blocked))
+def test_the_table_of_severities_holds() -> None:
+    extinction = [1e3 * snow_particles(s, 1.0, 0.1, 0.2).extinction for s in snow.SNOWFALL_MM_H]
+    assert np.allclose(extinction, [0.99, 1.60, 2.29, 4.06, 7.59], rtol=0.01)
+    assert Snow() == Snow.severity(3)
 
 
-def test_the_nearer_flake_owns_the_overlap() -> None:
-    flakes = Flakes(np.array([5.0, 10.0]), np.array([0.0, 0.0005]), np.array([0.0005, 0.0006]))
-    met = gather([meet(np.zeros(1), np.array([20.0]), flakes, DIVERGENCE)])
-    assert np.allclose(met.range_m, [5.0, 10.0])
-    assert np.allclose(taken_shares(met, DIVERGENCE), [1.0 / 3.0, 0.2])  # 0.1 .. 1.1 mrad less what -0.5 .. 0.5 took
+def test_heavier_snow_touches_more_beams_and_dims_more() -> None:
+    sweep = street(spinning(64, columns=720))
+    out = [snow.corrupt(sweep, level, rng()) for level in range(1, 6)]
+    flakes = [(o.fate == SCATTERED).sum() for o in out]
+    through = [o.intensity[o.fate == ATTENUATED].mean() for o in out]
+    assert all(a < b for a, b in itertools.pairwise(flakes))
+    assert all(a > b for a, b in itertools.pairwise(through))
 
 
-def test_flakes_behind_the_target_or_beside_the_beam_take_nothing() -> None:
-    flakes = Flakes(np.array([5.0, 10.0]), np.array([0.01, 0.0]), np.array([0.001, 0.001]))
-    assert len(meet(np.zeros(1), np.array([8.0]), flakes, DIVERGENCE)) == 0
-
-
-def test_shares_are_those_of_rays_shot_through_the_beam() -> None:
-    generator = rng(3)
-    lows = generator.uniform(-0.0015, 0.001, (40, 9))
-    met = Meetings(
-        beam=np.repeat(np.arange(40), 9),
-        range_m=np.tile(np.arange(1.0, 10.0), 40),
-        low=lows.ravel(),
-        high=np.minimum(lows + generator.uniform(0, 0.001, lows.shape), 0.0015).ravel(),
-    )
-    rays = np.linspace(-0.0015, 0.0015, 20_001)[:-1] + 0.0015 / 20_000
-    inside = (met.low[:, None] <= rays) & (rays < met.high[:, None])
-    inside = inside.reshape(40, 9, -1)
-    first = inside & (np.cumsum(inside, axis=1) == 1)
-    assert np.allclose(taken_shares(met, DIVERGENCE).reshape(40, 9), first.mean(axis=2), atol=1e-3)
-
-
-def test_shares_are_in_the_unit_interval_and_leave_no_less_than_nothing() -> None:
-    azimuth = np.linspace(-np.pi, np.pi, 3000, endpoint=False)
-    met = gather([meet(azimuth, np.full(3000, 75.0), flake_pool(5.0, 2.0, 0.1)[0], DIVERGENCE)])
-    shares = taken_shares(met, DIVERGENCE)
-    assert shares.min() >= 0.0 and shares.max() <= 1.0
-    assert np.bincount(met.beam, shares).max() <= 1.0 + 1e-9
-    assert len(met) > 3000
-
-
-def test_beams_across_azimuth_0_and_pi_are_like_the_others() -> None:
-    flakes, azimuth, reach = flake_pool(*MEDIUM)[0], np.linspace(-0.05, 0.05, 60), np.full(60, 60.0)
-    expected = None
-    for turn in (0.0, 1.0, math.pi, 2.0 * math.pi - 0.3, 2.0 * math.pi):
-        beams = np.mod(azimuth + turn + np.pi, 2 * np.pi) - np.pi
-        met = gather([meet(beams, reach, flakes, DIVERGENCE, turn)])
-        left = 1.0 - np.bincount(met.beam, taken_shares(met, DIVERGENCE), 60)
-        expected = left if expected is None else expected
-        assert np.allclose(left, expected, atol=1e-9)
-
-
-def test_occlusion_is_the_reference_s() -> None:
-    cases = json.loads(shared("snow/occlusion_unit.json").read_text())
-    agree = total = 0
-    for case in cases:
-        beams, divergence = np.array(case["beams"]), math.radians(case["div_deg"])
-        axis = beams[:, 0] + 0.5 * np.mod(beams[:, 1] - beams[:, 0], 2 * np.pi)
-        targets = np.array(case["ranges"])
-        met = gather([meet(axis, targets, flakes_of(np.array(case["particles"])), divergence)])
-        shares = taken_shares(met, divergence)
-        for beam, expected in enumerate(case["occl"]):
-            reference = sorted((reach, share) for index, reach, share in expected if index >= 0 and share > 1e-9)
-            rows = (met.beam == beam) & (shares > 1e-9)
-            ours = list(zip(met.range_m[rows], shares[rows], strict=True))
-            same_length = len(ours) == len(reference)
-            agree += same_length and (len(ours) == 0 or np.allclose(ours, reference, atol=1e-6))
-            total += 1
-    assert agree >= total - 4, f"{agree} of {total}"  # the reference errs in beams across azimuth 0
-
-
-@pytest.mark.parametrize("severity", range(1, 6))
-def test_flakes_returns_are_nearer_on_the_ray_and_on_no_object(severity: int) -> None:
+def test_what_shines_past_the_flakes_keeps_its_own_intensity_dimmed_by_extinction() -> None:
     sweep = street()
-    out = snow.corrupt(sweep, severity, rng())
-    clean = sweep[rows_of(out, sweep)]
-    scattered = out.fate == SCATTERED
-    assert scattered.sum() > 50
-    assert (out.range[scattered] < clean.range[scattered] - snow.SAME_RETURN_M + 1e-3).all()
-    assert (out.range[scattered] >= BLIND_M - 1e-3).all()
-    before, after = clean.points[scattered].astype(np.float64), out.points[scattered].astype(np.float64)
-    cosine = (before * after).sum(axis=1) / np.linalg.norm(before, axis=1) / np.linalg.norm(after, axis=1)
-    assert (cosine > 1.0 - 1e-9).all()
-    assert (out.object_id[scattered] == ADDED).all()
-    assert (out.points[~scattered] == clean.points[~scattered]).all()
+    out = snow.corrupt(sweep, 4, rng())
+    seen = out[out.fate == ATTENUATED]
+    clean = sweep[rows_of(seen, sweep)]
+    extinction = snow_particles(snow.SNOWFALL_MM_H[3], 1.0, 0.1, 0.2).extinction
+    assert np.allclose(seen.intensity, clean.intensity * np.exp(-2.0 * extinction * clean.range), rtol=1e-5)
 
 
-def test_what_shines_past_the_flakes_is_dimmer_and_the_rest_untouched() -> None:
-    sweep = street()
-    out = snow.corrupt(sweep, 5, rng())
-    clean = sweep[rows_of(out, sweep)]
-    dimmed, kept = out.fate == ATTENUATED, out.fate == KEPT
-    assert dimmed.any() and kept.any()
-    assert (out.intensity[dimmed] <= clean.intensity[dimmed]).all()
-    assert (out.intensity[kept] == clean.intensity[kept]).all()
-
-
-def test_bright_targets_are_heard_over_the_flakes() -> None:
-    reach = np.full(4000, 30.0)
-    azimuth = np.linspace(-np.pi, np.pi, 4000, endpoint=False)
-    share = []
-    for brightness in (0.05, 0.3, 1.0):
-        sweep = on_a_ray(reach, brightness, spinning(1, range_10_m=1e4))
-        sweep.points[:] = np.stack([30 * np.cos(azimuth), 30 * np.sin(azimuth), 0 * azimuth], 1)
-        share.append((snow.corrupt(sweep, 3, rng()).fate == SCATTERED).mean())
+@pytest.mark.parametrize("where", snow.FLAKES)
+def test_bright_targets_are_heard_over_the_flakes(where: str) -> None:
+    share = [
+        (snow.corrupt(around(30.0, i, 1e4), Snow(flakes=where), rng()).fate == SCATTERED).mean()
+        for i in (0.05, 0.3, 1.0)
+    ]
     assert share[0] > share[1] > share[2] > 0.0
 
 
-def test_near_targets_are_heard_more_often_than_far_ones() -> None:
-    sweep = street(spinning(64, columns=720))
-    out = snow.corrupt(sweep, 4, rng())
-    scattered = out.fate == SCATTERED
-    reach = sweep.range[rows_of(out, sweep)]
-    assert scattered[reach < 10].mean() < scattered[(reach > 10) & (reach < 25)].mean() < scattered[reach > 40].mean()
+@pytest.mark.parametrize("where", snow.FLAKES)
+def test_near_targets_are_heard_more_often_than_far_ones(where: str) -> None:
+    share = [
+        (snow.corrupt(around(reach, 0.2, 1e4), Snow(flakes=where), rng()).fate == SCATTERED).mean()
+        for reach in (5.0, 15.0, 60.0)
+    ]
+    assert share[0] < share[1] < share[2]
 
 
-def test_a_weak_receiver_loses_what_flakes_hide() -> None:
-    reach = np.full(3000, 38.0)
-    azimuth = np.linspace(-np.pi, np.pi, 3000, endpoint=False)
-    sweep = on_a_ray(reach, 0.1, spinning(1, range_10_m=40.0))
-    sweep.points[:] = np.stack([38 * np.cos(azimuth), 38 * np.sin(azimuth), 0 * azimuth], 1)
-    out = snow.corrupt(sweep, 5, rng())
+def test_whiter_flakes_and_slower_ones_answer_more() -> None:
+    sweep = around(30.0, 0.2, 1e4)
+
+    def answers(**settings: float) -> int:
+        return int((snow.corrupt(sweep, Snow(**settings), rng()).fate == SCATTERED).sum())
+
+    assert answers(flake_reflectivity=0.05) < answers(flake_reflectivity=0.2) < answers(flake_reflectivity=0.9)
+    assert answers(fall_speed_mps=2.0) < answers(fall_speed_mps=1.0) < answers(fall_speed_mps=0.5)
+    assert answers(flake_reflectivity=0.0) == 0
+
+
+@pytest.mark.parametrize("where", snow.FLAKES)
+def test_a_weak_receiver_loses_what_flakes_hide(where: str) -> None:
+    sweep = around(38.0, 0.1, 40.0)
+    out = snow.corrupt(sweep, Snow(snowfall_mm_h=5.0, flakes=where), rng())
     assert len(out) < len(sweep)
 
 
@@ -210,6 +112,8 @@ def test_no_snow_is_the_identity() -> None:
     assert same(snow.corrupt(sweep, Snow(snowfall_mm_h=0.0), rng()), sweep)
 
 
-def test_a_snowfall_that_cannot_be_is_one_line() -> None:
+def test_a_snow_that_cannot_be_is_one_line() -> None:
     with pytest.raises(SettingsError, match="Snow: snowfall_mm_h: expected 0 to 50, found -1"):
         Snow(snowfall_mm_h=-1.0)
+    with pytest.raises(SettingsError, match=r"Snow: flakes: .* found plane"):
+        Snow(flakes="plane")  # type: ignore[arg-type]
