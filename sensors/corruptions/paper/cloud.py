@@ -32,7 +32,7 @@ def with_cloud(sweep: Sweep, cloud: Cloud, fate: NDArray[np.integer]) -> Sweep:
     Args:
         sweep: of P points.
         cloud: (P, 4).
-        fate: (P,) of each point; what is `SCATTERED` belongs to no object, `KEPT` keeps what it had.
+        fate: (P,) of each point; what is `SCATTERED` belongs to no object and stays so, `KEPT` keeps what it had.
     """
     added = fate == SCATTERED
     return replace(
@@ -42,5 +42,5 @@ def with_cloud(sweep: Sweep, cloud: Cloud, fate: NDArray[np.integer]) -> Sweep:
         object_id=np.where(added, ADDED, sweep.object_id).astype(np.int32),
         material=np.where(added, UNKNOWN_MATERIAL, sweep.material).astype(np.uint8),
         cosine=np.where(added, 0.0, sweep.cosine).astype(np.float32),
-        fate=np.where(fate == KEPT, sweep.fate, fate).astype(np.uint8),
+        fate=np.where((fate == KEPT) | (sweep.fate == SCATTERED), sweep.fate, fate).astype(np.uint8),
     )
