@@ -2,7 +2,7 @@
 
 Two families of settings, never mixed: `physical`, modules of this package, one per physical cause, is the default;
 `paper`, modules of `sensors.corruptions.paper`, one per published model, computes what was published, to compare with
-its tables. Not every kind has a published model.
+its tables. Not every kind has a published model. Those models know no time: they draw anew for every frame.
 
 Weather is shared: all agents of a frame are in the same fog, whose strength drifts slowly over a drive (`weather`).
 Faults are each sensor's own. Streams of randomness, children of the drive's seed by spawn key:
@@ -41,6 +41,9 @@ from sensors.corruptions import (
     wet_ground,
 )
 from sensors.corruptions.levels import PAPER, SEVERITIES, check_severity
+from sensors.corruptions.paper import beams as paper_beams
+from sensors.corruptions.paper import incomplete_echo as paper_incomplete_echo
+from sensors.corruptions.paper import points as paper_points
 from sensors.corruptions.weather import strength
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import ADDED, Sweep
@@ -135,20 +138,59 @@ class Corruption:
 
 
 CORRUPTIONS: dict[str, Corruption] = {
-    "beam_missing": Corruption(beam_missing.BeamMissing, beam_missing.corrupt, steady=True),
-    "motion_blur": Corruption(motion_blur.MotionBlur, motion_blur.corrupt, motion_blur.in_frame),
+    "beam_missing": Corruption(
+        beam_missing.BeamMissing,
+        beam_missing.corrupt,
+        paper_settings=paper_beams.BeamMissing,
+        paper_apply=paper_beams.beam_missing,
+        steady=True,
+    ),
+    "motion_blur": Corruption(
+        motion_blur.MotionBlur,
+        motion_blur.corrupt,
+        motion_blur.in_frame,
+        paper_settings=paper_points.MotionBlur,
+        paper_apply=paper_points.motion_blur,
+    ),
     "fog": Corruption(fog.Fog, fog.corrupt, weather=True),
     "snow": Corruption(snow.Snow, snow.corrupt, weather=True),
-    "crosstalk": Corruption(crosstalk.Crosstalk, crosstalk.corrupt),
-    "cross_sensor": Corruption(cross_sensor.CrossSensor, cross_sensor.corrupt),
+    "crosstalk": Corruption(
+        crosstalk.Crosstalk,
+        crosstalk.corrupt,
+        paper_settings=paper_points.Crosstalk,
+        paper_apply=paper_points.crosstalk,
+    ),
+    "cross_sensor": Corruption(
+        cross_sensor.CrossSensor,
+        cross_sensor.corrupt,
+        paper_settings=paper_beams.CrossSensor,
+        paper_apply=paper_beams.cross_sensor,
+    ),
     "wet_ground": Corruption(wet_ground.WetGround, wet_ground.corrupt, weather=True),
-    "incomplete_echo": Corruption(incomplete_echo.IncompleteEcho, incomplete_echo.corrupt, incomplete_echo.in_frame),
+    "incomplete_echo": Corruption(
+        incomplete_echo.IncompleteEcho,
+        incomplete_echo.corrupt,
+        incomplete_echo.in_frame,
+        paper_settings=paper_incomplete_echo.IncompleteEcho,
+        paper_apply=paper_incomplete_echo.corrupt,
+    ),
     "rain": Corruption(rain.Rain, rain.corrupt, weather=True),
     "pose_error": Corruption(pose_error.PoseError, in_frame=pose_error.in_frame, steady=True, spares_ego=True),
     "clock_offset": Corruption(clock_offset.ClockOffset, in_frame=clock_offset.in_frame, steady=True, spares_ego=True),
-    "point_dropping": Corruption(point_dropping.PointDropping, point_dropping.corrupt),
-    "field_of_view": Corruption(field_of_view.FieldOfView, field_of_view.corrupt, steady=True),
-    "noise": Corruption(noise.Noise, noise.corrupt),
+    "point_dropping": Corruption(
+        point_dropping.PointDropping,
+        point_dropping.corrupt,
+        paper_settings=paper_points.PointDropping,
+        paper_apply=paper_points.point_dropping,
+    ),
+    "field_of_view": Corruption(
+        field_of_view.FieldOfView,
+        field_of_view.corrupt,
+        paper_settings=paper_points.FieldOfView,
+        paper_apply=paper_points.field_of_view,
+        steady=True,
+    ),
+    "noise": Corruption(noise.Noise, noise.corrupt, paper_settings=paper_points.Noise, paper_apply=paper_points.noise),
 }
 """Every corruption by its name."""
 
@@ -222,7 +264,7 @@ def corrupt_frame(
         if row == spared:
             sweeps.append(agent.sweep)
             continue
-        rng = corruption_rng(seed, kind, frame.index, agent.agent_id)
+        rng = corruption_rng(seed, kind, frame.index, agent.agent_id, family)
         try:
             sweeps.append(_counted(agent.sweep, _applied(corruption, family, frame, row, settings, rng)))
         except DataError as error:
@@ -230,9 +272,9 @@ def corrupt_frame(
     return frame.with_sweeps(sweeps)
 
 
-def corruption_rng(seed: int, kind: str, index: int, agent_id: int) -> np.random.Generator:
+def corruption_rng(seed: int, kind: str, index: int, agent_id: int, family: Family = "physical") -> np.random.Generator:
     """Return the stream of one agent's sweep in one frame."""
-    when = 0 if CORRUPTIONS[kind].steady else 1 + index
+    when = 0 if CORRUPTIONS[kind].steady and family == "physical" else 1 + index
     key = (_STREAM, zlib.crc32(kind.encode()), when, agent_id % 2**32)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
