@@ -26,10 +26,11 @@ from typing import Self
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from sensors.corruptions.fog_echo import MOST_EXTINCTION, fog_echo
 from sensors.corruptions.levels import at_level, check_range
-from sensors.corruptions.medium import Echo, look, report
+from sensors.corruptions.medium import Echo, Sight, look, report
 from sensors.sweep import Sweep
 
 VISIBILITY_M = (400.0, 200.0, 100.0, 50.0, 25.0)
@@ -90,12 +91,22 @@ def corrupt(sweep: Sweep, severity: int | Fog, rng: np.random.Generator) -> Swee
     if fog.extinction == fog.backscatter == 0.0:
         return sweep
     sight = look(sweep, fog.range_10_m, rng)
-    echo = fog_echo(fog.extinction, _pulse(sweep, fog), fog.patchiness)
-    place, strength = echo.strongest(
-        sight.near, sight.reach, sight.draw(rng.standard_exponential), sight.draw(rng.random)
-    )
     through = np.exp(-2.0 * fog.extinction * sight.reach[: len(sweep)])
-    return report(sight, through, Echo(place, strength * (fog.backscatter / TARGET_BACKSCATTER)))
+    return report(sight, through, _answer(fog, sight, through, rng))
+
+
+def _answer(fog: Fog, sight: Sight, through: NDArray[np.float64], rng: np.random.Generator) -> Echo:
+    """Draw the fog's echo on each line of sight, its place only where it is reported."""
+    echo = fog_echo(fog.extinction, _pulse(sight.sweep, fog), fog.patchiness)
+    strength, quantile = sight.draw(rng.standard_exponential), sight.draw(rng.random)
+    unseen = echo.cells(sight.near)
+    between = np.maximum(echo.cells(sight.reach) - unseen, 0.0)
+    power = echo.strongest(between, strength) * (fog.backscatter / TARGET_BACKSCATTER)
+    heard = np.flatnonzero(power > sight.floor(through))
+    range_m = np.zeros(len(sight))
+    place = echo.place(unseen[heard] + quantile[heard] * between[heard])
+    range_m[heard] = np.clip(place, sight.near[heard], sight.reach[heard])
+    return Echo(range_m, power)
 
 
 def _pulse(sweep: Sweep, fog: Fog) -> float:

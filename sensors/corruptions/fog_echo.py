@@ -57,27 +57,23 @@ class FogEcho:
     patchiness: float
     cumulated: NDArray[np.float64]
 
-    def strongest(
-        self,
-        near: NDArray[np.float64],
-        far: NDArray[np.float64],
-        strength: NDArray[np.float64],
-        quantile: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return where the strongest echo between two ranges lies, m, and how strong it is, s/m^2.
+    def cells(self, far: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (P,) S of the cells up to ranges as reported, m."""
+        return np.interp(far, self.range_m, self.cumulated)
+
+    def strongest(self, cells: NDArray[np.float64], strength: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (P,) the strongest echo of some cells, s/m^2.
 
         Args:
-            near: (P,) range as reported, m.
-            far: (P,) the same, farther.
-            strength: (P,) unit exponential draws: the strength of the patch.
-            quantile: (P,) uniform draws in [0, 1): the place.
+            cells: (P,) their S, at least 0.
+            strength: (P,) unit exponential draws.
         """
-        before, upto = (np.interp(range_m, self.range_m, self.cumulated) for range_m in (near, far))
-        cells = np.maximum(upto - before, 0.0)
-        place = np.interp(before + quantile * cells, self.cumulated, self.range_m)
-        patch = (cells / strength) ** self.patchiness / math.gamma(1.0 - self.patchiness)
-        power = np.where(cells > 0.0, patch * self.waveform.max(), 0.0)
-        return np.minimum(np.maximum(place, near), far), power
+        patch = (cells / strength) ** self.patchiness
+        return patch * (self.waveform.max() / math.gamma(1.0 - self.patchiness))
+
+    def place(self, cells: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (P,) the range, as reported, up to which the cells have some S, m."""
+        return np.interp(cells, self.cumulated, self.range_m)
 
 
 @lru_cache(maxsize=64)

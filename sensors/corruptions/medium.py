@@ -75,6 +75,21 @@ class Sight:
         """Return (L,) random numbers, `table(beams)`: one for each beam, so that no target shifts those of others."""
         return table(self.beams)[self.beam]
 
+    def floor(self, through: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (L,) the power that an echo must exceed to be reported.
+
+        Args:
+            through: (P,) transmission to the points and back.
+        """
+        floor = np.full(len(self), self.need)
+        hard = floor[: len(through)]
+        hard[:] = self.power[: len(through)] * through
+        if self.sweep.spec is None or self.sweep.spec.returns == "strongest":
+            np.maximum(hard, self.need, out=hard)
+        else:
+            hard[:] = np.where(hard < self.need, self.need, np.inf)
+        return floor
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Echo:
@@ -134,13 +149,9 @@ def report(sight: Sight, through: NDArray[np.float64], echo: Echo, shift_m: NDAr
         shift_m: (P,) by how much targets are reported too far, m.
     """
     count = len(sight.sweep)
-    hard = sight.power.copy()
-    hard[:count] *= through
-    heard = (echo.power > 0.0) & (echo.power >= sight.need)
-    first = sight.sweep.spec is None or sight.sweep.spec.returns == "strongest"
-    scattered = heard & (echo.power > hard if first else hard < sight.need)
+    scattered = echo.power > sight.floor(through)
     seen = _seen(sight, through, echo, np.flatnonzero(scattered[:count]), shift_m)
-    kept = np.flatnonzero(scattered[:count] | (hard[:count] >= sight.need))
+    kept = np.flatnonzero(scattered[:count] | (sight.power[:count] * through >= sight.need))
     answered = count + np.flatnonzero(scattered[count:])
     if len(answered) == 0:
         return seen if len(kept) == count else seen[kept]

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from sensors.optics import CLEAR_AIR_EXTINCTION, COSINE_BINS, optics_of
 from sensors.spec import LidarSpec
 from sensors.sweep import UNKNOWN_MATERIAL, Sweep
-from sim.errors import DataError
 
 UNKNOWN_RANGE_10_M = 100.0
 """`LidarSpec.range_10_m` assumed for a sweep whose sensor is not known."""
@@ -70,25 +69,6 @@ def reported_intensity(
 def overlap(range_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the share in [0, 1] of the beam that the receiver sees at a range (Hahner 2021, xi)."""
     return np.clip((range_m - BLIND_M) / (SIGHT_M - BLIND_M), 0.0, 1.0)
-
-
-def ring_count(sweep: Sweep) -> int:
-    """Return the sensor's number of rings; without a spec one more than the highest that has points."""
-    if sweep.spec is not None:
-        return sweep.spec.rings
-    return int(sweep.ring.max()) + 1 if len(sweep) else 0
-
-
-def known_ring_count(sweep: Sweep, kind: str) -> int:
-    """Return the number of rings of a sweep that knows which ring each point is of; `kind` is for the message.
-
-    Raises:
-        DataError: it does not, as in files without rings: a corruption of rings would quietly change nothing.
-    """
-    rings = ring_count(sweep)
-    if sweep.spec is None and rings == 1:
-        raise DataError(f"{kind}: expected points with their rings, found a sweep without rings and without a sensor")
-    return rings
 
 
 def _reflectivity(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64]:

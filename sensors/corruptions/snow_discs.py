@@ -42,29 +42,33 @@ def listen(sight: Sight, snow: Particles, rng: np.random.Generator) -> tuple[NDA
     seen = (meetings.range_m >= sight.near[meetings.beam]) * overlap(meetings.range_m)
     power = snow.reflectivity * share * seen / meetings.range_m**2
     pulse_m = LIGHT_SPEED * (UNKNOWN_PULSE_S if spec is None else spec.pulse_s)
-    return (left**2)[: len(sight.sweep)], loudest(meetings, power, sight.power * left**2, sight.reach, pulse_m)
+    through = (left**2)[: len(sight.sweep)]
+    echo = loudest(meetings, power, sight.power * left**2, sight.floor(through), sight.reach, pulse_m)
+    return through, echo
 
 
 def loudest(
     meetings: Meetings,
     power: NDArray[np.float64],
     target: NDArray[np.float64],
+    floor: NDArray[np.float64],
     reach: NDArray[np.float64],
     pulse_m: float,
 ) -> Echo:
-    """Return the loudest flake of each line of sight, if it is louder than the target.
+    """Return the loudest flake of each line of sight, if it is louder than what else there is.
 
     Args:
         meetings: M flakes in beams.
         power: (M,) of each flake alone.
         target: (L,) power of the targets.
+        floor: (L,) power that the flake must exceed.
         reach: (L,) their ranges, m.
         pulse_m: the pulse's length at half power, m.
     """
     echo = Echo(np.zeros(len(reach)), np.zeros(len(reach)))
-    # Only where all flakes together are louder than the target can one of them be reported.
+    # Only where all flakes together are louder can one of them be reported.
     together = np.bincount(meetings.beam, power, len(reach))
-    row = np.flatnonzero((together > target)[meetings.beam])
+    row = np.flatnonzero((together > floor)[meetings.beam])
     for rows, valid in grouped(meetings.beam[row]):
         rows = row[rows]
         beam = meetings.beam[rows[:, 0]]

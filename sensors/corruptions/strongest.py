@@ -13,7 +13,7 @@ r^4 exp(-c r^2): its square is Gamma(5/2) distributed with rate c (those louder 
 
 So the loudest particle between the nearest range that the sensor reports and the target is found without sampling the
 others: walk down from the loudest until one lies in between, or all that remain are too weak to matter. In 0.5 mm/h of
-snow a beam of 3 mrad passes some three hundred flakes on 50 m.
+snow a beam of 3 mrad passes some six hundred flakes on 50 m.
 
 What the closed form leaves out: particles that only graze the beam or fill it (D > theta r: a flake of 3 mm within
 1 m), and that the loudest is dimmed on its way by those before it, which is applied afterwards.
@@ -77,10 +77,7 @@ def strongest_particle(particles: Particles, sight: Sight, through: np.ndarray, 
     volume = particles.per_m3 * math.pi**1.5 * width**2 / 16.0
     if min(volume, particles.reflectivity, particles.rate_per_m) <= 0.0:
         return echo
-    floor = np.full(len(sight), sight.need)
-    first = sight.sweep.spec is None or sight.sweep.spec.returns == "strongest"
-    if first:
-        floor[: len(through)] = np.maximum(floor[: len(through)], sight.power[: len(through)] * through)
+    floor = sight.floor(through)
     near = np.maximum(sight.near, SIGHT_M)
     arrival = np.zeros(sight.beams)
     line = np.arange(len(sight))

@@ -163,7 +163,14 @@ def test_occlusion_is_the_reference_s() -> None:
 @pytest.mark.parametrize("brightness", [0.02, 0.2])
 def test_a_bright_target_is_heard_over_its_flakes(brightness: float) -> None:
     met = Meetings(np.zeros(2, np.int64), np.array([4.0, 9.0]), np.zeros(2), np.zeros(2))
-    echo = loudest(met, np.array([1e-4, 4e-5]), np.array([brightness / 400.0]), np.array([20.0]), 3.0)
+    echo = loudest(
+        met,
+        np.array([1e-4, 4e-5]),
+        np.full(1, brightness / 400.0),
+        np.full(1, brightness / 400.0),
+        np.array([20.0]),
+        3.0,
+    )
     assert (echo.power[0] > 0.0) == (brightness == 0.02)
     assert echo.range_m[0] in (0.0, 4.0)
 
@@ -171,7 +178,9 @@ def test_a_bright_target_is_heard_over_its_flakes(brightness: float) -> None:
 def test_echoes_less_than_half_a_pulse_apart_add_up() -> None:
     met = Meetings(np.zeros(2, np.int64), np.array([8.0, 8.5]), np.zeros(2), np.zeros(2))
     power = np.array([1e-4, 8e-5])
-    apart, together = (loudest(met, power, np.zeros(1), np.array([50.0]), pulse_m) for pulse_m in (0.5, 3.0))
+    apart, together = (
+        loudest(met, power, np.zeros(1), np.zeros(1), np.array([50.0]), pulse_m) for pulse_m in (0.5, 3.0)
+    )
     assert apart.power[0] == 1e-4 and apart.range_m[0] == 8.0
     assert math.isclose(together.power[0], 1e-4 + 8e-5 * math.cos(math.pi * 0.5 / 3.0) ** 2)
 
