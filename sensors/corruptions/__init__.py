@@ -11,7 +11,8 @@ Faults are each sensor's own. Streams of randomness, children of the drive's see
 |-------------------------------------------|-------------------------------------------------------|
 | (2, crc32 of kind, 1 + frame, agent)      | one agent's sweep in one frame                        |
 | (2, crc32 of kind, 0, agent)              | a fault that stays for a drive (`Corruption.steady`)  |
-| (3, crc32 of kind)                        | the weather of a drive (`weather.weather_rng`)        |
+| (3, crc32 of kind, 0)                     | drift of a weather's strength over a drive            |
+| (3, crc32 of kind, 1)                     | what the weather of a drive is made of: its patches   |
 | (4, crc32 of the drive's name)            | seed of one of many drives (`drive_seed`)             |
 
 (agent modulo 2^32). A corruption draws the same numbers at every severity, wherever that can be.
@@ -38,13 +39,16 @@ from sensors.corruptions import (
     pose_error,
     rain,
     snow,
+    spray,
     wet_ground,
 )
 from sensors.corruptions.levels import PAPER, SEVERITIES, check_severity
 from sensors.corruptions.paper import beams as paper_beams
+from sensors.corruptions.paper import fog as paper_fog
 from sensors.corruptions.paper import incomplete_echo as paper_incomplete_echo
 from sensors.corruptions.paper import points as paper_points
-from sensors.corruptions.weather import strength
+from sensors.corruptions.paper import wet_ground as paper_wet_ground
+from sensors.corruptions.weather import strength, weather_rng
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import ADDED, Sweep
 from sim.errors import DataError, SettingsError, did_you_mean
@@ -106,7 +110,8 @@ class Corruption:
         settings: its physical parameters; the defaults are those of severity 3.
         apply: `apply(sweep, settings, rng) -> Sweep`, never in place; None for a kind that a sweep alone cannot know.
         in_frame: `in_frame(frame, row, settings, rng) -> Sweep`, the same for the agent in a row of a frame, where the
-            frame tells more than the sweep: time, motion, other actors. None where it does not.
+            frame tells more than the sweep: time, motion, other actors. None where it does not. For weather `rng` is
+            the drive's, the same for every agent and frame; else the agent's.
         paper_settings: parameters of the published model, None where there is none.
         paper_apply: the published model, as `apply`.
         steady: what it draws stays the same over a drive.
@@ -152,7 +157,7 @@ CORRUPTIONS: dict[str, Corruption] = {
         paper_settings=paper_points.MotionBlur,
         paper_apply=paper_points.motion_blur,
     ),
-    "fog": Corruption(fog.Fog, fog.corrupt, weather=True),
+    "fog": Corruption(fog.Fog, fog.corrupt, paper_settings=paper_fog.Fog, paper_apply=paper_fog.corrupt, weather=True),
     "snow": Corruption(snow.Snow, snow.corrupt, weather=True),
     "crosstalk": Corruption(
         crosstalk.Crosstalk,
@@ -166,7 +171,13 @@ CORRUPTIONS: dict[str, Corruption] = {
         paper_settings=paper_beams.CrossSensor,
         paper_apply=paper_beams.cross_sensor,
     ),
-    "wet_ground": Corruption(wet_ground.WetGround, wet_ground.corrupt, weather=True),
+    "wet_ground": Corruption(
+        wet_ground.WetGround,
+        wet_ground.corrupt,
+        paper_settings=paper_wet_ground.WetGround,
+        paper_apply=paper_wet_ground.corrupt,
+        weather=True,
+    ),
     "incomplete_echo": Corruption(
         incomplete_echo.IncompleteEcho,
         incomplete_echo.corrupt,
@@ -175,6 +186,7 @@ CORRUPTIONS: dict[str, Corruption] = {
         paper_apply=paper_incomplete_echo.corrupt,
     ),
     "rain": Corruption(rain.Rain, rain.corrupt, weather=True),
+    "spray": Corruption(spray.Spray, in_frame=spray.corrupt, weather=True),
     "pose_error": Corruption(pose_error.PoseError, in_frame=pose_error.in_frame, steady=True, spares_ego=True),
     "clock_offset": Corruption(clock_offset.ClockOffset, in_frame=clock_offset.in_frame, steady=True, spares_ego=True),
     "point_dropping": Corruption(
@@ -258,13 +270,15 @@ def corrupt_frame(
     settings = corruption.settings_of(family).severity(severity)
     if corruption.weather and family == "physical":
         settings = cast(Weather, settings).scaled(strength(seed, kind, frame.time_s))
+    shared = corruption.weather and corruption.in_frame is not None and family == "physical"
     spared = _ego_row(frame.agents, ego_id) if corruption.spares_ego else -1
     sweeps = []
     for row, agent in enumerate(frame.agents):
         if row == spared:
             sweeps.append(agent.sweep)
             continue
-        rng = corruption_rng(seed, kind, frame.index, agent.agent_id, family)
+        own = corruption_rng(seed, kind, frame.index, agent.agent_id, family)
+        rng = weather_rng(seed, kind) if shared else own
         try:
             sweeps.append(_counted(agent.sweep, _applied(corruption, family, frame, row, settings, rng)))
         except DataError as error:

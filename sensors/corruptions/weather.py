@@ -24,6 +24,7 @@ PERIODS_S = (20.0, 120.0)
 
 _WAVES = 3
 _STREAM = 3
+_DRIFT, _MEDIUM = 0, 1
 
 
 def strength(seed: int, kind: str, time_s: float) -> float:
@@ -34,7 +35,7 @@ def strength(seed: int, kind: str, time_s: float) -> float:
         kind: of weather.
         time_s: of the frame, s.
     """
-    rng = weather_rng(seed, kind)
+    rng = _stream(seed, kind, _DRIFT)
     shortest, longest = PERIODS_S
     period_s = shortest * (longest / shortest) ** rng.random(_WAVES)
     phase = rng.uniform(0.0, 2.0 * math.pi, _WAVES)
@@ -42,5 +43,10 @@ def strength(seed: int, kind: str, time_s: float) -> float:
 
 
 def weather_rng(seed: int, kind: str) -> np.random.Generator:
-    """Return the stream of what the weather of a drive is, the same for every agent and frame."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, zlib.crc32(kind.encode()))))
+    """Return the stream of what the weather of a drive is made of, the same for every agent and frame."""
+    return _stream(seed, kind, _MEDIUM)
+
+
+def _stream(seed: int, kind: str, part: int) -> np.random.Generator:
+    key = (_STREAM, zlib.crc32(kind.encode()), part)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

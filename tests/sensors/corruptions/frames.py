@@ -21,13 +21,18 @@ def frame(index: int = 0, agents: tuple[int, ...] = AGENTS, sweep: Sweep | None 
     """One instant: every agent has the same sweep of a street in its own frame and drives east, the mast stands."""
     sweep = street(spinning(16)) if sweep is None else sweep
     time_s = 0.1 * index
+    ids = [*(i for i in agents if i >= 0), PARKED]
+    places = [*([SPEED * time_s, i] for i in ids[:-1]), [20.0, 8.0]]
+    rows = np.concatenate([places, np.tile([0.75, 4.5, 1.8, 1.5, 0.0], (len(ids), 1))], axis=1)
+    velocity = np.where(np.array(ids)[:, None] == PARKED, 0.0, [SPEED, 0.0])
+    points_on = np.where(np.array(ids) == PARKED, np.count_nonzero(sweep.ring == PARKED_RING), 0)
     return Frame(
         index=index,
         time_s=time_s,
         agents=tuple(agent(agent_id, time_s, sweep) for agent_id in agents),
-        truth=Boxes.from_array([[20.0, 8.0, 0.75, 4.5, 1.8, 1.5, 0.0]], object_id=np.array([PARKED])),
-        velocity=np.zeros((1, 2)),
-        points_on=np.full((len(agents), 1), np.count_nonzero(sweep.ring == PARKED_RING), np.int32),
+        truth=Boxes.from_array(rows, object_id=np.array(ids)),
+        velocity=velocity,
+        points_on=np.tile(points_on, (len(agents), 1)).astype(np.int32),
     )
 
 
