@@ -1,27 +1,28 @@
 """Spray: vehicles on a wet road draw plumes of drops behind them, which dim what lies behind and answer themselves.
 
-| severity                                               | 1    | 2    | 3    | 4    | 5    |
-|--------------------------------------------------------|------|------|------|------|------|
-| water on the road, mm                                  | 0.1  | 0.25 | 0.5  | 1    | 2    |
-| extinction behind a car at 50 km/h, 1/m                | 0.02 | 0.05 | 0.09 | 0.18 | 0.36 |
+| severity                                | 1    | 2    | 3    | 4    | 5    |
+|-----------------------------------------|------|------|------|------|------|
+| water on the road, mm                   | 0.2  | 0.5  | 1    | 1.5  | 2.5  |
+| extinction behind a car at 50 km/h, 1/m | 0.04 | 0.09 | 0.18 | 0.27 | 0.44 |
 
 Where the drops are and how many, says `plume`: it takes the vehicles of the frame, their sizes and their speeds, and
 vehicles that stand still make none. All agents of a frame see the same plumes and the same patches in them, their own
 ones included. Along each beam, at range r,
 
     transmission(r) = exp(-2 * integral of alpha up to r)
-    echo(r) = pi / S * integral of alpha * transmission over the pulse's length c tau / 2 around r, over r^2
+    echo(r) = pi / S * integral of alpha * transmission over the pulse's length c tau / 2 around r, over max(r, 10 m)^2
 
 in the units of `receiver`; S = 18.8 sr is the ratio of extinction to backscatter of water drops at 905 nm (O'Connor,
-Illingworth and Hogan 2004). Receivers lower their sensitivity at close range, or every haze would be a wall: an echo
-weaker than that of a surface of reflectivity 0.01 at its range is not reported (assumed; with a pulse of 10 ns that is
-an extinction of 0.04 per metre, a visibility of 75 m). The strongest echo competes with the target as in `medium`:
-dense spray buries what is behind it under points on no object, thin spray only dims it. Rays are probed every 0.8 m or
-more finely, on ways of more than 51 m at 64 places. During a sweep plumes move on with their vehicles.
+Illingworth and Hogan 2004). Receivers lower their sensitivity at close range, or every haze would be a wall (assumed):
+nearer than 10 m an echo counts no more than from there, and one weaker than that of a surface of reflectivity 1/255 at
+its range, the least step of an 8-bit intensity, is not reported; with a pulse of 10 ns that is an extinction of 0.016
+per metre, a visibility of 190 m. The strongest echo competes with the target as in `medium`: dense spray buries what is
+behind it under points on no object, thin spray only dims it. Rays are probed every 0.8 m or more finely, on ways of
+more than 51 m at 64 places. During a sweep plumes move on with their vehicles.
 
 What published LiDAR models do instead: Linnhoff et al. (2022) place clusters of points at rates fitted to one sensor;
 the spray of RainyPCSim (Yang et al. 2023) are particles of a game engine. Neither gives numbers per severity; these are
-chosen, level 3 as wet as level 3 of wet ground.
+chosen; level 5 has as much water as level 5 of wet ground.
 """
 
 from dataclasses import dataclass
@@ -39,7 +40,7 @@ from sensors.optics import LIGHT_SPEED
 from sensors.sweep import Sweep
 from sim.geometry import invert
 
-WATER_MM = (0.1, 0.25, 0.5, 1.0, 2.0)
+WATER_MM = (0.2, 0.5, 1.0, 1.5, 2.5)
 
 LIDAR_RATIO_SR = 18.8
 """Extinction over backscatter of water drops."""
@@ -47,8 +48,11 @@ LIDAR_RATIO_SR = 18.8
 UNKNOWN_PULSE_S = 1e-8
 """Length of the pulse of a sensor that is not known."""
 
-HAZE_REFLECTIVITY = 0.01
+HAZE_REFLECTIVITY = 1.0 / 255.0
 """Echoes weaker than those of a surface of this reflectivity at their range are not reported, however near they are."""
+
+FULL_GAIN_M = 10.0
+"""Receivers hear echoes of nearer haze as if it were so far away."""
 
 _STEP_M = 0.8
 _LEAST_WAY_M = 0.05
@@ -65,7 +69,7 @@ class Spray(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         range_10_m: see `LidarSpec`; None for the sensor's own, infinity for a receiver that detects everything.
     """
 
-    water_mm: float = 0.5
+    water_mm: float = 1.0
     range_10_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -87,17 +91,17 @@ class _Lines:
 
     Attributes:
         origin: (3,) of all of them, m.
-        direction: (L, 3) float32 unit vectors.
-        near, reach: (L,) where they begin to be heard and where they end, m.
-        lag_s: (L,) when they are fired, after the frame's time.
+        direction: (3, L) float32 unit vectors.
+        near, reach: (L,) float32 where they begin to be heard and where they end, m.
+        lag_s: (L,) float32 when they are fired, after the frame's time.
         pulse_m: length of the pulse in range.
     """
 
     origin: NDArray[np.float64]
     direction: NDArray[np.float32]
-    near: NDArray[np.float64]
-    reach: NDArray[np.float64]
-    lag_s: NDArray[np.float64]
+    near: NDArray[np.float32]
+    reach: NDArray[np.float32]
+    lag_s: NDArray[np.float32]
     pulse_m: float
 
 
@@ -130,15 +134,19 @@ def corrupt(frame: Frame, row: int, severity: int | Spray, rng: np.random.Genera
 
 def _lines(frame: Frame, sight: Sight) -> _Lines:
     sweep, spec, count = sight.sweep, sight.sweep.spec, len(sight.sweep)
-    toward = np.concatenate([sweep.points / np.maximum(sight.reach[:count, None], 1e-6), open_axis(sight)])
+    turn = sweep.world_from_lidar[:3, :3].astype(np.float32)
+    toward = np.concatenate([sweep.points, open_axis(sight)]).T.astype(np.float32)
+    # Sums of products by hand: threads of a matrix product this thin wait for each other longer than they compute.
+    direction = np.stack([row[0] * toward[0] + row[1] * toward[1] + row[2] * toward[2] for row in turn])
+    direction[:, :count] /= np.maximum(sight.reach[:count], 1e-6).astype(np.float32)
     lag_s = (sweep.time_s - frame.time_s) + sweep.time_offset.astype(np.float64)
     later = np.zeros(0) if spec is None else spec.time_offset[sight.open_ring, sight.open_column]
     return _Lines(
         origin=sweep.world_from_lidar[:3, 3],
-        direction=(toward @ sweep.world_from_lidar[:3, :3].T).astype(np.float32),
-        near=sight.near,
-        reach=sight.reach,
-        lag_s=np.concatenate([lag_s, later]),
+        direction=direction,
+        near=sight.near.astype(np.float32),
+        reach=sight.reach.astype(np.float32),
+        lag_s=np.concatenate([lag_s, later]).astype(np.float32),
         pulse_m=0.5 * LIGHT_SPEED * (UNKNOWN_PULSE_S if spec is None else spec.pulse_s),
     )
 
@@ -163,84 +171,112 @@ def _add(
         loudest: (L,) power of the strongest echo so far, raised.
         place: (L,) range of it, m.
     """
-    plume_from_world = invert(plume.world_from_plume)
-    start = plume_from_world[:3, :3] @ lines.origin + plume_from_world[:3, 3]
-    direction = lines.direction @ plume_from_world[:3, :3].T.astype(np.float32)
-    # The plume runs ahead with its vehicle: seen from it, lines fired later start farther back.
-    back = start[0] + plume.speed * lines.lag_s
-    first, last = _crossing(plume.bounds, back, start[1:], direction, lines.near, lines.reach)
-    way = last - first
-    rows = np.flatnonzero(way > _LEAST_WAY_M)
-    fineness = np.clip(np.ceil(np.log2(way[rows] / _STEP_M)), 2, 6).astype(np.intp)
+    rays = _through(plume, lines)
+    fineness = np.clip(np.ceil(np.log2(rays.way / _STEP_M)), 2, 6).astype(np.intp)
     for power_of_two in range(2, 7):
-        some = rows[fineness == power_of_two]
+        some = np.flatnonzero(fineness == power_of_two)
         steps = 1 << power_of_two
         for part in np.split(some, range(_PROBES // steps, len(some), _PROBES // steps)):
-            ray = _Ray(
-                origin=np.stack([back[part], np.full(len(part), start[1]), np.full(len(part), start[2])], axis=1),
-                direction=direction[part],
-                world=lines.direction[part],
-                first=first[part],
-                step=way[part] / steps,
-                jitter=jitter[part],
-            )
-            passed, along = _probe(plume, patches, lines.origin, ray, steps)
+            ray = rays[part]
+            row = ray.line
+            passed, along = _probe(plume, patches, lines, ray, jitter[row].astype(np.float32), steps)
             met = passed.sum(axis=1)
-            power = _echo(passed, depth[part], lines.pulse_m / ray.step) / along**2
+            answer = _echo(passed, depth[row].astype(np.float32), lines.pulse_m * steps / ray.way)
+            power = answer / np.maximum(along, np.float32(FULL_GAIN_M)) ** 2
             best = power.argmax(axis=1)
-            line = np.arange(len(part))
-            louder = power[line, best] > loudest[part]
-            loudest[part[louder]] = power[line, best][louder]
-            place[part[louder]] = along[line, best][louder]
-            depth[part] += np.where(met >= _LEAST_DEPTH, met, 0.0)
+            each = np.arange(len(row))
+            louder = power[each, best] > loudest[row]
+            loudest[row[louder]] = power[each, best][louder]
+            place[row[louder]] = along[each, best][louder]
+            depth[row] += np.where(met >= _LEAST_DEPTH, met, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Ray:
-    """N rays through a plume.
+class _Rays:
+    """N of the lines, on their way through a plume.
 
     Attributes:
-        origin: (N, 3) where they start in the plume's frame, m.
-        direction: (N, 3) float32 unit vectors in the plume's frame.
-        world: (N, 3) float32 the same in the world.
-        first: (N,) range where they enter, m.
-        step: (N,) length of a step, m.
-        jitter: (N,) where within a step they are probed, as a share of it.
+        line: (N,) which.
+        origin, direction: (3, N) float32 where they start, m, and unit vectors, in the plume's frame.
+        first, way: (N,) float32 range where they enter it, and how far it is from there to where they leave it, m.
     """
 
-    origin: NDArray[np.float64]
+    line: NDArray[np.intp]
+    origin: NDArray[np.float32]
     direction: NDArray[np.float32]
-    world: NDArray[np.float32]
-    first: NDArray[np.float64]
-    step: NDArray[np.float64]
-    jitter: NDArray[np.float64]
+    first: NDArray[np.float32]
+    way: NDArray[np.float32]
+
+    def __getitem__(self, rows: NDArray[np.intp]) -> "_Rays":
+        return _Rays(self.line[rows], self.origin[:, rows], self.direction[:, rows], self.first[rows], self.way[rows])
+
+
+def _through(plume: Plume, lines: _Lines) -> _Rays:
+    """Return the lines that pass through a plume."""
+    plume_from_world = invert(plume.world_from_plume)
+    start = (plume_from_world[:3, :3] @ lines.origin + plume_from_world[:3, 3]).astype(np.float32)
+    turn, bounds = plume_from_world[:3, :3].astype(np.float32), plume.bounds.astype(np.float32)
+    line = np.arange(len(lines.reach))
+    first, last = lines.near, lines.reach
+    # Across the plume first: that leaves the fewest.
+    found = {}
+    for axis in (1, 0, 2):
+        x, y, z = lines.direction[:, line]
+        slope = turn[axis, 0] * x + turn[axis, 1] * y + turn[axis, 2] * z
+        slope[np.abs(slope) < 1e-9] = 1e-9
+        at = np.full(len(line), start[axis])
+        if axis == 0:
+            # The plume runs ahead with its vehicle: seen from it, lines fired later start farther back.
+            at += np.float32(plume.speed) * lines.lag_s[line]
+        one, other = (bounds[0, axis] - at) / slope, (bounds[1, axis] - at) / slope
+        first = np.maximum(first, np.minimum(one, other))
+        last = np.minimum(last, np.maximum(one, other))
+        kept = np.flatnonzero(last - first > _LEAST_WAY_M)
+        line, first, last = line[kept], first[kept], last[kept]
+        found[axis] = at, slope
+        for before, (begin, rate) in found.items():
+            found[before] = begin[kept], rate[kept]
+    return _Rays(
+        line=line,
+        origin=np.stack([found[axis][0] for axis in range(3)]),
+        direction=np.stack([found[axis][1] for axis in range(3)]),
+        first=first,
+        way=last - first,
+    )
 
 
 def _probe(
-    plume: Plume, patches: NDArray[np.float32], origin: NDArray[np.float64], ray: _Ray, steps: int
+    plume: Plume,
+    patches: NDArray[np.float32],
+    lines: _Lines,
+    ray: _Rays,
+    jitter: NDArray[np.float32],
+    steps: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return (N, K) optical depth of each step and (N, K) the range where it was probed, m.
 
     Args:
         plume: the plume.
         patches: of the drive.
-        origin: (3,) where the rays start in the world, m.
-        ray: the rays.
+        lines: all lines.
+        ray: N of them.
+        jitter: (N,) where within a step they are probed, as a share of it.
         steps: K.
     """
-    along = (ray.first[:, None] + ray.step[:, None] * (np.arange(steps) + ray.jitter[:, None])).astype(np.float32)
-    x, y, z = ray.origin.astype(np.float32).T[..., None] + along * ray.direction.T[..., None]
+    step = (ray.way / np.float32(steps))[:, None]
+    along = ray.first[:, None] + step * (np.arange(steps, dtype=np.float32) + jitter[:, None])
+    x, y, z = (begin[:, None] + along * rate[:, None] for begin, rate in zip(ray.origin, ray.direction, strict=True))
     dense = plume.mean_extinction(x, y, z)
     dense[dense < np.float32(_LEAST_EXTINCTION)] = 0.0
     found = np.nonzero(dense)
     # World coordinates are large: the field of patches is asked relative to a place near by.
-    nearby = np.mod(origin, PERIOD_M).astype(np.float32)[:, None]
-    dense[found] *= patches_at(patches, plume, nearby + along[found] * ray.world.T[:, found[0]])
-    return dense * ray.step.astype(np.float32)[:, None], along
+    nearby = np.mod(lines.origin, PERIOD_M).astype(np.float32)[:, None]
+    dense[found] *= patches_at(patches, plume, nearby + along[found] * lines.direction[:, ray.line[found[0]]])
+    return dense * step, along
 
 
 def _echo(
-    passed: NDArray[np.float32], before: NDArray[np.float64], pulse_steps: NDArray[np.float64]
+    passed: NDArray[np.float32], before: NDArray[np.float32], pulse_steps: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Return (N, K) the echo from each step as the reflectivity of a surface there; 0 where haze is not reported.
 
@@ -249,37 +285,9 @@ def _echo(
         before: (N,) optical depth on the way to the plume.
         pulse_steps: (N,) length of the pulse in steps.
     """
-    left = np.exp(-2.0 * (before.astype(np.float32)[:, None] + np.cumsum(passed, axis=1) - 0.5 * passed))
-    answer = np.float32(np.pi / LIDAR_RATIO_SR) * _over_pulse(passed * left, pulse_steps.astype(np.float32))
+    left = np.exp(np.float32(-2.0) * (before[:, None] + np.cumsum(passed, axis=1) - np.float32(0.5) * passed))
+    answer = np.float32(np.pi / LIDAR_RATIO_SR) * _over_pulse(passed * left, pulse_steps)
     return np.where(answer >= np.float32(HAZE_REFLECTIVITY), answer, np.float32(0.0))
-
-
-def _crossing(
-    bounds: NDArray[np.float64],
-    back: NDArray[np.float64],
-    start: NDArray[np.float64],
-    direction: NDArray[np.float32],
-    near: NDArray[np.float64],
-    reach: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (L,) ranges at which lines enter and leave a box, within what is heard.
-
-    Args:
-        bounds: (2, 3) of the box.
-        back: (L,) x where the lines start.
-        start: (2,) y and z where they start.
-        direction: (L, 3) unit vectors in the box's frame.
-        near: (L,) range from which on they are heard.
-        reach: (L,) range at which they end.
-    """
-    first, last = near.copy(), reach.copy()
-    for axis, at in enumerate((back, *start)):
-        slope = direction[:, axis].astype(np.float64)
-        slope[np.abs(slope) < 1e-9] = 1e-9
-        one, other = (bounds[0, axis] - at) / slope, (bounds[1, axis] - at) / slope
-        np.maximum(first, np.minimum(one, other), out=first)
-        np.minimum(last, np.maximum(one, other), out=last)
-    return first, last
 
 
 def _over_pulse(answer: NDArray[np.float32], steps: NDArray[np.float32]) -> NDArray[np.float32]:
