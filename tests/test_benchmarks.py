@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 import tyro
 
+from benchmarks.corruptions import GOALS, POINTS, REFERENCES, goal_of, make_frame, peak_mb, variants_of
 from benchmarks.frames import rays_of
 from benchmarks.lidar import figures_of, stage_ms
 from benchmarks.quiet import Timing, measure
 from benchmarks.street import BENCHMARK_LIDAR, FLEETS, baked, city, fleet, street_world
+from sensors.corruptions import CORRUPTIONS
 from sim.collisions import overlapping_pairs
 from sim.world.materials import MATERIALS
 
 
-@pytest.mark.parametrize("name", ["lidar"])
+@pytest.mark.parametrize("name", ["lidar", "corruptions"])
 def test_benchmark_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as stop:
         tyro.cli(import_module(f"benchmarks.{name}").main, args=["--help"])
@@ -116,3 +118,13 @@ def test_stages_add_up_to_the_sweep():
     assert sum(stages.values()) == pytest.approx(12.0)
     assert stages["report"] == pytest.approx(2.0)
     assert stages["static"] == pytest.approx(3.0)
+
+
+def test_every_corruption_is_timed_on_a_sweep_of_the_stated_size():
+    frame = make_frame()
+    assert len(frame.agents[0].sweep) == POINTS
+    variants = variants_of(frame, 3)
+    assert set(CORRUPTIONS) | set(REFERENCES) <= set(variants)
+    assert set(GOALS) - {"peak_mb"} <= set(variants)
+    assert (goal_of("fog"), goal_of("wet_ground"), goal_of("paper_fog"), goal_of("spray")) == (0.05, 0.035, None, None)
+    assert 5.0 < peak_mb(variants["rain"]) < 300.0
