@@ -36,7 +36,10 @@ from sensors.sweep import Sweep
 VISIBILITY_M = (400.0, 200.0, 100.0, 50.0, 25.0)
 
 TARGET_BACKSCATTER = 1e-6 / math.pi
-"""Backscatter of a target of intensity 1 on the scale of the echo's integral (Hahner 2021, beta_0)."""
+"""Backscatter of a target of intensity 1 on the scale of the echo's integral (Hahner 2021, beta_0).
+
+The published figure is kept. In its units a white surface would have 2 / (pi c) = 2.1e-9 s/m, so that fog would be 150
+times as loud: real receivers turn down what they hear from up close, by how much is not known."""
 
 UNKNOWN_PULSE_S = 2e-8
 """Length at half power of the pulse when the sensor is not known (Hahner 2021)."""

@@ -13,7 +13,8 @@ reports the stronger, if it detects it at all; a sensor that reports last return
   that drops beams at random drops their echoes, too: as many of the open beams stay silent as the drop-off explains.
 
 Rays start at the origin of the sweep's frame: in a compensated sweep they truly start where the sensor was when it
-fired, less than a metre away at 15 m/s. Echoes in open beams know their firing and are placed exactly.
+fired, less than a metre away at 15 m/s. Echoes in open beams know their firing and are placed exactly. Weather comes
+before faults of the sensor: afterwards a dead beam looks open.
 """
 
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from sensors.beams import beams_of
 from sensors.corruptions.receiver import BLIND_M, least_power, reported_intensity, target_power
 from sensors.deskew import deskew
+from sensors.spec import LidarSpec
 from sensors.sweep import (
     ADDED,
     ATTENUATED,
@@ -40,7 +42,8 @@ from sensors.sweep import (
 _MOST_RETURNS = 2
 """Points that one beam may have: more mean that a file did not tell their columns."""
 
-_OF_NOTHING = {"object_id": ADDED, "fate": SCATTERED, "material": UNKNOWN_MATERIAL, "cosine": 0.0, "return_number": 1}
+OF_NOTHING = {"object_id": ADDED, "fate": SCATTERED, "material": UNKNOWN_MATERIAL, "cosine": 0.0, "return_number": 1}
+"""Columns of a return that no surface sent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,34 +181,52 @@ def _seen(
     place, power = echo.range_m[scattered], echo.power[scattered]
     columns["points"][scattered] = sweep.points[scattered] * (place / reach[scattered])[:, None]
     columns["intensity"][scattered] = reported_intensity(sweep.spec, power, place)
-    for name, value in _OF_NOTHING.items():
+    for name, value in OF_NOTHING.items():
         columns[name][scattered] = value
     return replace(sweep, **columns)
 
 
 def _added(sight: Sight, echo: Echo, lines: NDArray[np.intp]) -> Sweep:
     """Return the echoes of some open beams as a sweep of their own."""
-    sweep, spec = sight.sweep, sight.sweep.spec
-    which = lines - len(sweep)
+    which = lines - len(sight.sweep)
     ring, column = sight.open_ring[which], sight.open_column[which]
-    place = echo.range_m[lines]
+    return open_echoes(sight.sweep, ring, column, Echo(echo.range_m[lines], echo.power[lines]))
+
+
+def open_echoes(sweep: Sweep, ring: NDArray[np.intp], column: NDArray[np.intp], echo: Echo) -> Sweep:
+    """Return a sweep like another one with nothing but echoes of N of its beams, which are on no object.
+
+    Args:
+        sweep: gives the sensor, its motion and the time.
+        ring: (N,) of the beams.
+        column: (N,) of the beams.
+        echo: of each of them.
+    """
+    spec = sweep.spec
     bare = sweep[:0]
     known = sweep.path is not None and sweep.motion != "raw"
     fired = deskew(bare, "raw") if known else bare
     axis = _axis(fired, ring, column)
     made = make_sweep(
-        axis * place[:, None],
+        axis * echo.range_m[:, None],
         fired.world_from_lidar,
         fired.time_s,
         spec,
-        intensity=reported_intensity(spec, echo.power[lines], place),
+        intensity=reported_intensity(spec, echo.power, echo.range_m),
         ring=ring,
         column=column,
-        time_offset=np.zeros(0) if spec is None else spec.time_offset[ring, column],
-        **{name: np.full(len(lines), value) for name, value in _OF_NOTHING.items()},
+        time_offset=_firing(spec, ring, column),
+        **{name: np.full(len(ring), value) for name, value in OF_NOTHING.items()},
     )
     made = replace(made, path=sweep.path, motion=fired.motion)
     return deskew(made, sweep.motion) if known else made
+
+
+def _firing(spec: LidarSpec | None, ring: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return `spec.time_offset` of some beams: of all it would take longer than everything else."""
+    if spec is None:
+        return np.zeros(0)
+    return (column - 0.5 * spec.columns + spec.firing_share[ring]) * spec.column_s
 
 
 def open_axis(sight: Sight) -> NDArray[np.float64]:

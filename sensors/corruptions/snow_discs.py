@@ -22,8 +22,6 @@ from sensors.spec import LidarSpec
 UNKNOWN_PULSE_S = 1e-8
 """Length at half power of the pulse when the sensor is not known (Hahner 2022)."""
 
-_NARROWEST_RAD = 1e-6
-
 
 def listen(sight: Sight, snow: Particles, rng: np.random.Generator) -> tuple[NDArray[np.float64], Echo]:
     """Return (P,) the transmission to the points and back, and the loudest flakes.
@@ -113,4 +111,4 @@ def _meetings(sight: Sight, snow: Particles, rng: np.random.Generator) -> Meetin
 
 def _fan(spec: LidarSpec | None) -> float:
     """Return the full width of a beam in the plane of its ring, rad."""
-    return UNKNOWN_DIVERGENCE_RAD if spec is None else max(spec.divergence_rad, _NARROWEST_RAD)
+    return UNKNOWN_DIVERGENCE_RAD if spec is None else spec.divergence_rad or UNKNOWN_DIVERGENCE_RAD

@@ -23,13 +23,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sensors.corruptions.medium import Echo, Sight
 from sensors.corruptions.receiver import SIGHT_M
 from sensors.spec import LidarSpec
 
 UNKNOWN_DIVERGENCE_RAD = 0.003
-"""Divergence of a beam when the sensor is not known (Hahner 2022)."""
+"""Divergence of a beam when the sensor is not known, or is a simulator's whose rays have no width (Hahner 2022)."""
 
 SAME_RETURN_M = 0.2
 """An echo nearer than this to the target is the target's."""
@@ -59,10 +60,12 @@ def beam_width(spec: LidarSpec | None) -> float:
     if spec is None:
         return UNKNOWN_DIVERGENCE_RAD
     vertical = spec.divergence_rad if spec.divergence_vertical_rad is None else spec.divergence_vertical_rad
-    return math.sqrt(spec.divergence_rad * vertical)
+    return math.sqrt(spec.divergence_rad * vertical) or UNKNOWN_DIVERGENCE_RAD
 
 
-def strongest_particle(particles: Particles, sight: Sight, through: np.ndarray, rng: np.random.Generator) -> Echo:
+def strongest_particle(
+    particles: Particles, sight: Sight, through: NDArray[np.float64], rng: np.random.Generator
+) -> Echo:
     """Draw the loudest particle before the target of each line of sight, if it is louder than what else there is.
 
     Args:
@@ -75,7 +78,7 @@ def strongest_particle(particles: Particles, sight: Sight, through: np.ndarray, 
     echo = Echo(np.zeros(len(sight)), np.zeros(len(sight)))
     # M(p) of a particle that fills the beam with c = 1.
     volume = particles.per_m3 * math.pi**1.5 * width**2 / 16.0
-    if min(volume, particles.reflectivity, particles.rate_per_m) <= 0.0:
+    if volume * particles.reflectivity == 0.0:
         return echo
     floor = sight.floor(through)
     near = np.maximum(sight.near, SIGHT_M)

@@ -10,7 +10,13 @@ from scipy.stats import ks_2samp
 
 from sensors.corruptions.medium import Sight, look
 from sensors.corruptions.receiver import SIGHT_M
-from sensors.corruptions.strongest import SAME_RETURN_M, Particles, beam_width, strongest_particle
+from sensors.corruptions.strongest import (
+    SAME_RETURN_M,
+    UNKNOWN_DIVERGENCE_RAD,
+    Particles,
+    beam_width,
+    strongest_particle,
+)
 from sensors.presets import get_lidar
 from tests.sensors.corruptions.street import on_a_ray, spinning
 
@@ -100,8 +106,9 @@ def test_no_particles_and_black_ones_answer_nothing(nothing: dict[str, float]) -
     assert not strongest_particle(Particles(**fields), beams(50.0, 100), np.ones(100), rng()).power.any()
 
 
-def test_a_beam_without_width_meets_no_particle() -> None:
-    assert not strongest_particle(MEDIUM, beams(50.0, 100, width=0.0), np.ones(100), rng()).power.any()
+def test_a_simulator_s_rays_are_as_wide_as_an_unknown_sensor_s() -> None:
+    assert get_lidar("carla-64").divergence_rad == 0.0
+    assert beam_width(get_lidar("carla-64")) == beam_width(None) == UNKNOWN_DIVERGENCE_RAD
 
 
 def test_an_oval_beam_is_as_wide_as_a_round_one_of_its_area() -> None:
