@@ -25,6 +25,8 @@ _FAST = {"contract", "nsz", "reassoc", "arcp"}
 _OPTIONS: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": _FAST}
 _PART: dict[str, Any] = {**_OPTIONS, "forceinline": True}
 """Of the parts of a loop: passing dozens of arrays by value would cost more than what they do."""
+_WORD: dict[str, Any] = {**_OPTIONS, "inline": "always"}
+"""Of expressions: compiled on their own for each mixture of integers they would take longer than all else."""
 
 _DIRECTION, _TIME, _REACH, _MASK = 4, 7, 8, 9
 _NORMAL, _PRIMITIVE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
@@ -289,7 +291,7 @@ def _typed_squeeze(typing_context: Any, bits: Any, source: Any, target: Any, siz
 squeeze: Any = intrinsic(prefer_literal=True)(_typed_squeeze)
 
 
-@njit(**_PART)
+@njit(**_WORD)
 def _look_up(table: Any, place: Any) -> Any:
     """Return the value of a table over the range at a place in [0, 1], the last beyond."""
     at = min(place, np.float32(1.0)) * np.float32(RANGE_BINS)
@@ -298,13 +300,13 @@ def _look_up(table: Any, place: Any) -> Any:
     return value + (at - np.float32(low)) * (table[low + np.uint32(1)] - value)
 
 
-@njit(**_PART)
+@njit(**_WORD)
 def _at(start: Any, row: Any, lane: Any) -> Any:
     """Return the place of a lane of a row; unsigned, because of signed ones numba asks whether they count backwards."""
     return np.uint64(start) + np.uint64(row) * np.uint64(BLOCK) + np.uint64(lane)
 
 
-@njit(**_PART)
+@njit(**_WORD)
 def _in_packet(width: Any, part: Any, row: Any, lane: Any) -> Any:
     """Return the place of a lane of a row of a packet."""
     return (np.uint64(part) * np.uint64(RAY_ROWS) + np.uint64(row)) * np.uint64(width) + np.uint64(lane)
@@ -448,9 +450,9 @@ def _read(world: Any, tables: Any, scratch: Any, subray: Any) -> Any:
                 if slot != turned:
                     turned = slot
                     time = room[_in_packet(width, part, _TIME, lane)]
-                    ahead = _turn_of(world, slot, time, 0)
-                    left = _turn_of(world, slot, time, 1)
-                    up = _turn_of(world, slot, time, 2)
+                    ahead = _turn_of(world, slot, time, np.int64(0))
+                    left = _turn_of(world, slot, time, np.int64(1))
+                    up = _turn_of(world, slot, time, np.int64(2))
                 # Embree gives the normal in the body's own frame.
                 nx = room[_in_packet(width, part, _NORMAL, lane)]
                 ny = room[_in_packet(width, part, _NORMAL + 1, lane)]
@@ -711,11 +713,11 @@ def sweep_rings(
         for block in range(tables.ray_pose.shape[0]):
             moving = world.moving != 0 and visible[ring - first, block]
             if subrays == 1:
-                # Said apart, the number 0 lets the compiler place every row.
-                _aim(tables, scratch, ring, block, 0)
+                # Said apart, the constant lets the compiler place every row.
+                _aim(tables, scratch, ring, block, np.int64(0))
                 _load(tables, scratch, ring, block, moving)
                 _trace(world, scratch, moving)
-                if _read(world, tables, scratch, 0) == 0:
+                if _read(world, tables, scratch, np.int64(0)) == 0:
                     continue
                 _detect(tables, scratch)
             else:
@@ -725,11 +727,11 @@ def sweep_rings(
                     _trace(world, scratch, moving)
                     _read(world, tables, scratch, subray)
                 _merge(tables, scratch, subrays, order, margins, found)
-            _locate(tables, scratch, ring, block, 0, RANGE)
-            _judge(tables, scratch, ring, block, 0)
+            _locate(tables, scratch, ring, block, np.int64(0), np.int64(RANGE))
+            _judge(tables, scratch, ring, block, np.int64(0))
             if pairs:
-                _locate(tables, scratch, ring, block, 1, SECOND_RANGE)
-                _judge(tables, scratch, ring, block, 1)
+                _locate(tables, scratch, ring, block, np.int64(1), np.int64(SECOND_RANGE))
+                _judge(tables, scratch, ring, block, np.int64(1))
                 row = _pack_pairs(scratch, columns, row, block)
             else:
                 row = _pack(scratch, columns, row, block)
