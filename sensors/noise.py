@@ -35,11 +35,8 @@ class SweepNoise:
     def grid(self, row: int, columns: int, rings: slice = slice(None)) -> NDArray[np.float32]:
         """Return (R, columns) numbers of one row, or those of some rings."""
         table = self.normal if row <= UP else self.uniform
-        starts = self.start[row, rings].tolist()
-        numbers = np.zeros((len(starts), columns), np.float32)
-        for ring, start in enumerate(starts):
-            numbers[ring] = table[start : start + columns]
-        return numbers
+        windows = np.lib.stride_tricks.sliding_window_view(table, columns)
+        return windows[self.start[row, rings]]
 
 
 def draw_noise(beams: Beams, rng: np.random.Generator) -> SweepNoise:
