@@ -1,44 +1,53 @@
 """Crosstalk: pulses of other LiDARs are taken for own returns.
 
-| severity           | 1   | 2   | 3 (paper) | 4 | 5 |
-|--------------------|-----|-----|-----------|---|---|
-| share of points, % | 0.2 | 0.5 | 1         | 2 | 4 |
+| severity                              | 1 | 2 | 3 | 4 | 5  |
+|---------------------------------------|---|---|---|---|----|
+| beams that a foreign pulse reaches, % | 1 | 2 | 4 | 8 | 16 |
 
-A touched point is displaced by noise of 3 m in every coordinate (paper), or along its ray: a receiver that mistakes a
-foreign pulse is wrong in time of flight and never in direction (`along_ray`). Intensities stay, and touched points
-belong to no object. With one random stream the points of a lower severity are among those of a higher one. Source:
-DSRC, section on robustness.
+A receiver that hears a foreign pulse is wrong about the time of flight and never about the direction. Sensors do not
+fire in step, so the pulse comes at any time while the beam listens: the false range is uniform between the nearest and
+the farthest that the beam reports. Its power lies anywhere between the faintest that is detected and that of a white
+target at 10 m, uniform in its logarithm (assumed: the other sensor's light comes off all kinds of surfaces).
+
+A beam without a return reports the pulse; one with a return reports the stronger of the two, or the farther when the
+sensor reports last returns (of two returns the second competes). Dark and far targets are replaced more often, one of
+four over a street, so that at level 3 one return in a hundred is false, the share in the DSRC paper. False points are
+on no object; those of beams without a return come after all others. The rest stays bit-identical, and the pulses of a
+severity are among those of the next. Shares are chosen.
 """
 
 from dataclasses import replace
-from typing import Self
+from typing import Any, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.corruptions.cross_sensor import UNKNOWN_RANGE_MAX_M
 from sensors.corruptions.levels import at_level, check_range
-from sensors.sweep import ADDED, SCATTERED, Sweep
+from sensors.corruptions.medium import OF_NOTHING, Echo, open_echoes
+from sensors.corruptions.receiver import BLIND_M, least_power, reported_intensity, target_power
+from sensors.sweep import POINT_FIELDS, Sweep
 
-SHARE = (0.002, 0.005, 0.01, 0.02, 0.04)
+SHARE = (0.01, 0.02, 0.04, 0.08, 0.16)
+
+GLARE_POWER = 0.01
+"""Power of the strongest foreign pulse, see `receiver`: that of a white target at 10 m."""
 
 
 class Crosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
-        share: share of the points that are touched.
-        deviation_m: standard deviation of the displacement, m.
-        along_ray: displace along the ray instead of in every coordinate.
+        share: foreign pulses for each beam of a sweep.
+        range_10_m: see `LidarSpec`; None for the sensor's own.
     """
 
-    share: float = 0.01
-    deviation_m: float = 3.0
-    along_ray: bool = False
+    share: float = 0.04
+    range_10_m: float | None = None
 
     def __post_init__(self) -> None:
         check_range("Crosstalk", "share", self.share, 0.0, 1.0)
-        check_range("Crosstalk", "deviation_m", self.deviation_m, 0.0, 1000.0)
 
     @classmethod
     def severity(cls, level: int) -> Self:
@@ -47,22 +56,83 @@ class Crosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -> Sweep:
-    """Displace `int(share * P)` of the P points; the others stay bit-identical."""
+    """Replace returns by foreign pulses, and add those that beams without a return hear."""
     settings = severity if isinstance(severity, Crosstalk) else Crosstalk.severity(severity)
-    touched = rng.permutation(len(sweep))[: int(settings.share * len(sweep))]
-    points, object_id, fate = sweep.points.copy(), sweep.object_id.copy(), sweep.fate.copy()
-    if settings.along_ray:
-        points[touched] = _slide(sweep[touched], settings.deviation_m, rng)
-    else:
-        points[touched] += rng.normal(0.0, settings.deviation_m, (len(touched), 3)).astype(np.float32)
-    object_id[touched] = ADDED
-    fate[touched] = SCATTERED
-    return replace(sweep, points=points, object_id=object_id, fate=fate)
+    beams, columns = _beams(sweep)
+    beam, quantile = _pulses(beams, settings.share, rng)
+    if len(beam) == 0:
+        return sweep
+    ring, column = np.divmod(beam, columns)
+    nearest, farthest = _window(sweep, ring)
+    place = nearest + (farthest - nearest) * quantile[:, 0]
+    need = least_power(sweep.spec, settings.range_10_m)
+    power = need * (max(GLARE_POWER, need) / need) ** quantile[:, 1]
+    row = _last_row(sweep, beam, columns)
+    returned, silent = np.flatnonzero(row >= 0), np.flatnonzero(row < 0)
+    wins = returned[_wins(sweep[row[returned]], place[returned], power[returned], need)]
+    added = open_echoes(sweep, ring[silent], column[silent], Echo(place[silent], power[silent]))
+    return _with_false(sweep, row[wins], Echo(place[wins], power[wins]), added)
 
 
-def _slide(sweep: Sweep, deviation_m: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return (P, 3) the points displaced along their rays, within the sensor's ranges."""
-    near, far = (0.0, np.inf) if sweep.spec is None else (sweep.spec.range_min_m, sweep.spec.range_max_m)
-    reach = np.maximum(sweep.range.astype(np.float64), 1e-6)
-    displaced = np.clip(reach + rng.normal(0.0, deviation_m, len(sweep)), near, far)
-    return (sweep.points * (displaced / reach)[:, None]).astype(np.float32)
+def _beams(sweep: Sweep) -> tuple[int, int]:
+    """Return the number of beams and of columns of a sweep; points are beams of their own where it knows no columns."""
+    spec = sweep.spec
+    if spec is None or not (sweep.column.any() or len(sweep) <= 2 * spec.rings):
+        return len(sweep), 1
+    known = len(sweep) == 0 or (
+        0 <= sweep.column.min() <= sweep.column.max() < spec.columns
+        and 0 <= sweep.ring.min() <= sweep.ring.max() < spec.rings
+    )
+    return (spec.rings * spec.columns, spec.columns) if known else (len(sweep), 1)
+
+
+def _pulses(beams: int, share: float, rng: np.random.Generator) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return (N,) different beams that hear a pulse and (N, 2) uniform numbers of each; of two pulses the first."""
+    drawn = rng.random((round(share * beams), 3))
+    beam, first = np.unique((drawn[:, 0] * beams).astype(np.intp), return_index=True)
+    return beam, drawn[first, 1:]
+
+
+def _last_row(sweep: Sweep, beam: NDArray[np.intp], columns: int) -> NDArray[np.intp]:
+    """Return (N,) the row of each beam's last return, -1 where it has none."""
+    if columns == 1:
+        return beam
+    key = sweep.ring.astype(np.int32) * np.int32(columns) + sweep.column
+    order = None if (key[1:] >= key[:-1]).all() else np.argsort(key, kind="stable")
+    at = np.searchsorted(key, beam.astype(np.int32), side="right", sorter=order) - 1
+    row = at if order is None else order[at]
+    found = at >= 0
+    found[found] = key[row[found]] == beam[found]
+    return np.where(found, row, -1)
+
+
+def _window(sweep: Sweep, ring: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (N,) nearest and farthest range that beams of some rings report, m."""
+    if sweep.spec is None:
+        return np.full(len(ring), BLIND_M), np.full(len(ring), UNKNOWN_RANGE_MAX_M)
+    nearest, farthest = sweep.spec.beam_range[ring % sweep.spec.rings].T
+    return np.minimum(np.maximum(nearest, BLIND_M), farthest), farthest
+
+
+def _wins(own: Sweep, place: NDArray[np.float64], power: NDArray[np.float64], need: float) -> NDArray[np.bool_]:
+    """Return (N,) whether pulses are reported instead of beams' own returns."""
+    reach = own.range.astype(np.float64)
+    if own.spec is not None and own.spec.returns == "last":
+        return place > reach
+    return power > np.maximum(target_power(own, reach), need)
+
+
+def _with_false(sweep: Sweep, row: NDArray[np.integer], echo: Echo, added: Sweep) -> Sweep:
+    """Return the sweep with some points slid along their rays to where their echo seems to be, and others added."""
+    changed = {"points", "intensity", *OF_NOTHING}
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(sweep, name), getattr(added, name)])
+        for name in POINT_FIELDS
+        if len(added) or name in changed
+    }
+    reach = np.maximum(np.linalg.norm(sweep.points[row], axis=1), 1e-6)
+    columns["points"][row] *= (echo.range_m / reach)[:, None].astype(np.float32)
+    columns["intensity"][row] = reported_intensity(sweep.spec, echo.power, echo.range_m)
+    for name, value in OF_NOTHING.items():
+        columns[name][row] = value
+    return replace(sweep, **columns)
