@@ -72,7 +72,7 @@ class Effort:
     sample_s: float
 
 
-FULL, QUICK = Effort(15, 7, 0.1), Effort(5, 3, 0.02)
+FULL, QUICK = Effort(15, 7, 0.1), Effort(3, 2, 0.02)
 
 
 def make_frame() -> Frame:
