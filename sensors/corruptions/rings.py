@@ -287,12 +287,12 @@ def _quality(elevation: NDArray[np.float64], weight: NDArray, teeth: NDArray[np.
 
 
 def _identity(elevation: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return (R,) places of rings on a ladder from elevation 0 whose rungs are the usual distance apart.
+    """Return (R,) places of rings on a ladder from elevation 0 whose rungs are as far apart as close rings are.
 
     Rings without points in one sweep have points in the next: a place on the ladder stays, a rank does not.
     """
     if len(elevation) < 2:
         return np.zeros(len(elevation), np.int64)
-    rungs = elevation / np.median(-np.diff(elevation))
+    rungs = elevation / np.quantile(-np.diff(elevation), 0.2, method="nearest")
     phase = np.angle(np.exp(2j * np.pi * rungs).mean()) / (2.0 * np.pi)
     return np.rint(rungs - phase).astype(np.int64) % _SLOTS
