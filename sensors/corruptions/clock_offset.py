@@ -29,7 +29,7 @@ from sensors.corruptions.levels import at_level, check_range
 from sensors.deskew import deskew
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
-from sensors.sweep import MOVED, Sweep
+from sensors.sweep import MOVED, SCATTERED, Sweep
 from sim.geometry import invert
 
 LATE_MS = (20.0, 50.0, 100.0, 200.0, 400.0)
@@ -88,7 +88,7 @@ def _late(frame: Frame, agent: AgentFrame, late_s: float) -> Sweep:
     return replace(
         sweep,
         points=np.where(moved[:, None], points, sweep.points).astype(np.float32),
-        fate=np.where(moved, MOVED, sweep.fate).astype(np.uint8),
+        fate=np.where(moved & (sweep.fate != SCATTERED), MOVED, sweep.fate).astype(np.uint8),
         path=None if sweep.path is None else earlier,
     )
 
