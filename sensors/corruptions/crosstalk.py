@@ -62,7 +62,7 @@ def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -
     beam, quantile = _pulses(beams, settings.share, rng)
     if len(beam) == 0:
         return sweep
-    ring, column = np.divmod(beam, columns)
+    ring, column = np.divmod(beam, columns or 1)
     nearest, farthest = _window(sweep, ring)
     place = nearest + (farthest - nearest) * quantile[:, 0]
     need = least_power(sweep.spec, settings.range_10_m)
@@ -74,16 +74,16 @@ def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -
     return _with_false(sweep, row[wins], Echo(place[wins], power[wins]), added)
 
 
-def _beams(sweep: Sweep) -> tuple[int, int]:
-    """Return the number of beams and of columns of a sweep; points are beams of their own where it knows no columns."""
+def _beams(sweep: Sweep) -> tuple[int, int | None]:
+    """Return the number of beams and of columns; None where points are beams of their own, for want of columns."""
     spec = sweep.spec
     if spec is None or not (sweep.column.any() or len(sweep) <= 2 * spec.rings):
-        return len(sweep), 1
+        return len(sweep), None
     known = len(sweep) == 0 or (
         0 <= sweep.column.min() <= sweep.column.max() < spec.columns
         and 0 <= sweep.ring.min() <= sweep.ring.max() < spec.rings
     )
-    return (spec.rings * spec.columns, spec.columns) if known else (len(sweep), 1)
+    return (spec.rings * spec.columns, spec.columns) if known else (len(sweep), None)
 
 
 def _pulses(beams: int, share: float, rng: np.random.Generator) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
@@ -93,9 +93,9 @@ def _pulses(beams: int, share: float, rng: np.random.Generator) -> tuple[NDArray
     return beam, drawn[first, 1:]
 
 
-def _last_row(sweep: Sweep, beam: NDArray[np.intp], columns: int) -> NDArray[np.intp]:
+def _last_row(sweep: Sweep, beam: NDArray[np.intp], columns: int | None) -> NDArray[np.intp]:
     """Return (N,) the row of each beam's last return, -1 where it has none."""
-    if columns == 1:
+    if columns is None:
         return beam
     key = sweep.ring.astype(np.int32) * np.int32(columns) + sweep.column
     order = None if (key[1:] >= key[:-1]).all() else np.argsort(key, kind="stable")
