@@ -99,17 +99,20 @@ def corrupt(sweep: Sweep, severity: int | Fog, rng: np.random.Generator) -> Swee
 
 
 def _answer(fog: Fog, sight: Sight, through: NDArray[np.float64], rng: np.random.Generator) -> Echo:
-    """Draw the fog's echo on each line of sight, its place only where it is reported."""
+    """Draw the fog's echo on each line of sight where it could be louder than what else there is."""
     echo = fog_echo(fog.extinction, _pulse(sight.sweep, fog), fog.patchiness)
     strength, quantile = sight.draw(rng.standard_exponential), sight.draw(rng.random)
-    unseen = echo.cells(sight.near)
-    between = np.maximum(echo.cells(sight.reach) - unseen, 0.0)
-    power = echo.strongest(between, strength) * (fog.backscatter / TARGET_BACKSCATTER)
-    heard = np.flatnonzero(power > sight.floor(through))
-    range_m = np.zeros(len(sight))
-    place = echo.place(unseen[heard] + quantile[heard] * between[heard])
-    range_m[heard] = np.clip(place, sight.near[heard], sight.reach[heard])
-    return Echo(range_m, power)
+    scale = fog.backscatter / TARGET_BACKSCATTER
+    floor = sight.floor(through)
+    # As strong as all the fog that there is, then as the fog before the target, where that could be enough.
+    line = np.flatnonzero(scale * echo.strongest(echo.cumulated[-1], strength) > floor)
+    unseen = echo.cells(sight.near[line])
+    between = np.maximum(echo.cells(sight.reach[line]) - unseen, 0.0)
+    answer = Echo(np.zeros(len(sight)), np.zeros(len(sight)))
+    answer.power[line] = scale * echo.strongest(between, strength[line])
+    place = echo.place(unseen + quantile[line] * between)
+    answer.range_m[line] = np.clip(place, sight.near[line], sight.reach[line])
+    return answer
 
 
 def _pulse(sweep: Sweep, fog: Fog) -> float:

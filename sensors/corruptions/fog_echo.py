@@ -61,11 +61,11 @@ class FogEcho:
         """Return (P,) S of the cells up to ranges as reported, m."""
         return np.interp(far, self.range_m, self.cumulated)
 
-    def strongest(self, cells: NDArray[np.float64], strength: NDArray[np.float64]) -> NDArray[np.float64]:
+    def strongest(self, cells: NDArray[np.float64] | float, strength: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (P,) the strongest echo of some cells, s/m^2.
 
         Args:
-            cells: (P,) their S, at least 0.
+            cells: (P,) or one for all: their S, at least 0.
             strength: (P,) unit exponential draws.
         """
         patch = (cells / strength) ** self.patchiness

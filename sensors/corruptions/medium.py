@@ -31,7 +31,6 @@ from sensors.sweep import (
     ADDED,
     ATTENUATED,
     KEPT,
-    POINT_FIELDS,
     SCATTERED,
     UNKNOWN_MATERIAL,
     Sweep,
@@ -119,10 +118,10 @@ def look(sweep: Sweep, range_10_m: float | None, rng: np.random.Generator) -> Si
     reach = np.sqrt(np.einsum("pi,pi->p", rows, rows))
     need = least_power(sweep.spec, range_10_m)
     beam, beams, ring, column = _beams_known(sweep, rng)
-    faint = rng.random(beams)[beam]
+    faint = rng.random(beams)
     power = target_power(sweep, reach)
-    weak = power < need
-    power[weak] = need / (1.0 - faint[weak])
+    weak = np.flatnonzero(power < need)
+    power[weak] = need / (1.0 - faint[beam[weak]])
     near, far = np.full(len(sweep), BLIND_M), np.zeros(0)
     if sweep.spec is not None:
         limits = sweep.spec.beam_range
@@ -173,7 +172,7 @@ def _seen(
     """Return the P points dimmed and shifted, those of some rows replaced by the medium's echo."""
     sweep = sight.sweep
     reach = np.maximum(sight.reach[: len(sweep)], 1e-6)
-    columns = {name: getattr(sweep, name).copy() for name in POINT_FIELDS}
+    columns = {name: getattr(sweep, name).copy() for name in ("points", *OF_NOTHING)}
     if shift_m is not None:
         columns["points"] = (sweep.points * (1.0 + shift_m / reach)[:, None]).astype(np.float32)
     columns["intensity"] = (sweep.intensity * through).astype(np.float32)
