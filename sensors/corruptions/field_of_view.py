@@ -19,6 +19,8 @@ from sensors.sweep import Sweep
 
 HALF_WIDTH_DEG = (105.0, 90.0, 75.0, 60.0, 45.0)
 
+_ROUNDING_RAD = 1e-6
+
 
 class FieldOfView(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of `corrupt`.
@@ -50,4 +52,4 @@ def corrupt(sweep: Sweep, severity: int | FieldOfView, rng: np.random.Generator)
     x, y = sweep.points[:, 0], sweep.points[:, 1]
     ahead = x * np.float32(math.cos(middle)) + y * np.float32(math.sin(middle))
     aside = y * np.float32(math.cos(middle)) - x * np.float32(math.sin(middle))
-    return sweep[np.abs(np.arctan2(aside, ahead)) <= np.float32(math.radians(settings.half_width_deg))]
+    return sweep[np.abs(np.arctan2(aside, ahead)) <= np.float32(math.radians(settings.half_width_deg) + _ROUNDING_RAD)]

@@ -32,6 +32,7 @@ SHARE = (0.25, 0.50, 0.75, 0.85, 0.95)
 
 _SPECKLE_CELLS = 4.0
 _LEAST_BRIGHTNESS = 1e-3
+_MARGIN_M = 0.1
 _OF_PEOPLE = tuple(material_index(name) for name in ("skin", "hair", "cloth_light", "cloth_dark"))
 
 
@@ -82,12 +83,16 @@ def corrupt(
 def in_frame(frame: Frame, row: int, severity: int | IncompleteEcho, rng: np.random.Generator) -> Sweep:
     """Return the sweep of the agent in a row of `frame.agents`, whose vehicles the frame knows."""
     sweep = frame.agents[row].sweep
-    vehicles = frame.truth[frame.truth.label != CLASSES.index("pedestrian")]
+    ours = frame.truth.label != CLASSES.index("pedestrian")
+    vehicles = frame.truth[ours]
     if (sweep.object_id >= 0).any():
         return corrupt(sweep, severity, rng, np.isin(sweep.object_id, vehicles.object_id))
-    inside = np.zeros(len(sweep), bool)
-    for inside_one in vehicles.contains(sweep.world_points):
-        inside |= inside_one
+    points, inside = sweep.world_points, np.zeros(len(sweep), bool)
+    for index, velocity in enumerate(frame.velocity[ours]):
+        # Where the point would lie had the beam fired at the time of the boxes.
+        way = velocity * (sweep.time_s + sweep.time_offset - frame.time_s)[:, None]
+        then = points - np.column_stack([way, np.zeros(len(sweep))])
+        inside |= vehicles[index : index + 1].contains(then, _MARGIN_M)[0]
     return corrupt(sweep, severity, rng, inside)
 
 

@@ -1,0 +1,89 @@
+"""Incomplete echo: dark and glancing panels of vehicles are lost first, and nothing else."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sensors.corruptions.incomplete_echo import SHARE, IncompleteEcho, corrupt, in_frame
+from sensors.sweep import STATIC, UNKNOWN_MATERIAL, Sweep
+from sim.errors import SettingsError
+from tests.sensors.corruptions.drives import MATERIAL, street_drive
+from tests.sensors.corruptions.street import same, spinning, street
+
+
+def rng(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def cars(sweep: Sweep | None = None) -> Sweep:
+    """A street with a white car, a black car and a person instead of some rings."""
+    sweep = street() if sweep is None else sweep
+    object_id = np.select([sweep.ring == 30, sweep.ring == 40, sweep.ring == 50], [1000, 1001, 1002], STATIC)
+    paint = [MATERIAL["paint_white"], MATERIAL["paint_black"], MATERIAL["skin"]]
+    material = np.select([sweep.ring == 30, sweep.ring == 40, sweep.ring == 50], paint, UNKNOWN_MATERIAL)
+    intensity = np.select([sweep.ring == 30, sweep.ring == 40, sweep.ring == 50], [0.7, 0.05, 0.5], sweep.intensity)
+    return replace(
+        sweep,
+        object_id=object_id.astype(np.int32),
+        material=material.astype(np.uint8),
+        intensity=intensity.astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("severity", range(1, 6))
+def test_vehicles_lose_their_share_and_nothing_else_does(severity: int) -> None:
+    sweep = cars()
+    out = corrupt(sweep, severity, rng())
+    on, left = (np.isin(s.object_id, [1000, 1001]) for s in (sweep, out))
+    assert left.sum() == on.sum() - int(SHARE[severity - 1] * on.sum())
+    assert same(out[~left], sweep[~on])
+    assert {tuple(p) for p in out.points} <= {tuple(p) for p in sweep.points}
+
+
+def test_dark_paint_goes_first() -> None:
+    out = corrupt(cars(), IncompleteEcho(share=0.4), rng())
+    assert (out.object_id == 1000).sum() > 0.98 * (cars().object_id == 1000).sum()
+    assert (out.object_id == 1001).sum() < 0.25 * (cars().object_id == 1001).sum()
+
+
+def test_glancing_panels_go_first_where_intensity_says_nothing() -> None:
+    sweep = cars(street(spinning(64, columns=900, intensity_law="distance")))
+    cosine = np.where(sweep.column % 2 == 0, 0.9, 0.05).astype(np.float32)
+    out = corrupt(replace(sweep, cosine=cosine), IncompleteEcho(share=0.25), rng())
+    black = out[out.object_id == 1001]
+    assert (black.cosine > 0.5).mean() > 0.6
+
+
+def test_what_is_lost_stays_lost() -> None:
+    left = [{tuple(p) for p in corrupt(cars(), severity, rng()).points} for severity in range(1, 6)]
+    assert all(a > b for a, b in itertools.pairwise(left))
+
+
+def test_points_of_unknown_brightness_are_lost_at_random() -> None:
+    sweep = replace(cars(), intensity=np.zeros(len(cars()), np.float32))
+    out = corrupt(sweep, IncompleteEcho(share=0.5), rng())
+    for car in (1000, 1001):
+        assert (out.object_id == car).sum() == pytest.approx(0.5 * (sweep.object_id == car).sum(), rel=0.2)
+
+
+def test_a_frame_knows_its_vehicles_also_by_their_boxes() -> None:
+    clean = street_drive()[1]
+    told = in_frame(clean, 0, 3, rng())
+    sweep = clean.agents[0].sweep
+    blind = replace(sweep, object_id=np.full(len(sweep), STATIC, np.int32))
+    found = in_frame(clean.with_sweeps([blind, *(agent.sweep for agent in clean.agents[1:])]), 0, 3, rng())
+    on = np.isin(sweep.object_id, clean.truth.object_id).sum()
+    assert len(sweep) - len(told) == int(0.75 * on) > 0
+    assert abs(len(found) - len(told)) <= 0.05 * on
+
+
+def test_no_vehicles_no_loss_and_nobody() -> None:
+    sweep = street()
+    assert same(corrupt(sweep, 5, rng()), sweep)
+    assert same(corrupt(cars(), IncompleteEcho(share=0.0), rng()), cars())
+    assert len(corrupt(sweep[:0], 5, rng())) == 0
+    assert len(corrupt(cars()[cars().ring == 30][:1], 5, rng())) == 1
+    with pytest.raises(SettingsError, match="share: expected 0 to 1"):
+        IncompleteEcho(share=2.0)
