@@ -81,6 +81,7 @@ def test_denser_fog_echoes_less_for_each_unit_of_backscatter() -> None:
     assert (np.diff(echoes, axis=0) < 0.0).all()
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(0.01, 0.45), st.floats(0.0, 20.0), st.floats(0.0, 300.0))
 def test_echoes_come_from_between_the_nearest_range_and_the_target(
     extinction: float, patchiness: float, near_m: float, far_m: float
