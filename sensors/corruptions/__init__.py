@@ -47,6 +47,8 @@ from sensors.corruptions.paper import beams as paper_beams
 from sensors.corruptions.paper import fog as paper_fog
 from sensors.corruptions.paper import incomplete_echo as paper_incomplete_echo
 from sensors.corruptions.paper import points as paper_points
+from sensors.corruptions.paper import rain as paper_rain
+from sensors.corruptions.paper import snow as paper_snow
 from sensors.corruptions.paper import wet_ground as paper_wet_ground
 from sensors.corruptions.weather import strength, weather_rng
 from sensors.frame import AgentFrame, Frame
@@ -158,7 +160,9 @@ CORRUPTIONS: dict[str, Corruption] = {
         paper_apply=paper_points.motion_blur,
     ),
     "fog": Corruption(fog.Fog, fog.corrupt, paper_settings=paper_fog.Fog, paper_apply=paper_fog.corrupt, weather=True),
-    "snow": Corruption(snow.Snow, snow.corrupt, weather=True),
+    "snow": Corruption(
+        snow.Snow, snow.corrupt, paper_settings=paper_snow.Snow, paper_apply=paper_snow.corrupt, weather=True
+    ),
     "crosstalk": Corruption(
         crosstalk.Crosstalk,
         crosstalk.corrupt,
@@ -185,7 +189,9 @@ CORRUPTIONS: dict[str, Corruption] = {
         paper_settings=paper_incomplete_echo.IncompleteEcho,
         paper_apply=paper_incomplete_echo.corrupt,
     ),
-    "rain": Corruption(rain.Rain, rain.corrupt, weather=True),
+    "rain": Corruption(
+        rain.Rain, rain.corrupt, paper_settings=paper_rain.Rain, paper_apply=paper_rain.corrupt, weather=True
+    ),
     "spray": Corruption(spray.Spray, in_frame=spray.corrupt, weather=True),
     "pose_error": Corruption(pose_error.PoseError, in_frame=pose_error.in_frame, steady=True, spares_ego=True),
     "clock_offset": Corruption(clock_offset.ClockOffset, in_frame=clock_offset.in_frame, steady=True, spares_ego=True),

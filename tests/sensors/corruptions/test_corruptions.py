@@ -114,14 +114,19 @@ def test_fates_tell_the_truth(kind: str, family: Family, world: World, severity:
         return
     was = sweep[origin(left, sweep)]
     kept = left.fate == KEPT
-    assert same(left[kept], was[kept])
+    if family == "physical":
+        assert same(left[kept], was[kept])
+    # Published snow works on intensities of 8 bits, those of kept points included.
+    assert (np.abs(left.intensity[kept] - was.intensity[kept]) <= 1.0 / 255.0).all()
+    assert (left.points[kept] == was.points[kept]).all()
     still = kept | (left.fate == ATTENUATED)
     moved = np.linalg.norm(left.points - was.points, axis=1)
     # Rain makes ranges noisier by millimetres, which is no displacement.
     assert (moved[still] <= (0.5 if kind == "rain" else 1e-5)).all()
     assert (left.object_id == was.object_id).all() and (left.material == was.material).all()
-    dimmed = left.fate == ATTENUATED
-    assert (left.intensity[dimmed] <= was.intensity[dimmed] + 1e-6).all()
+    if (kind, family) != ("snow", "paper"):  # where flakes can make their target brighter
+        dimmed = left.fate == ATTENUATED
+        assert (left.intensity[dimmed] <= was.intensity[dimmed] + 1e-6).all()
 
 
 @each_model
