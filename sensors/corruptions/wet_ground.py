@@ -40,7 +40,7 @@ from sim.world.materials import MATERIALS
 
 WATER_MM = (0.1, 0.3, 0.6, 1.2, 2.5)
 
-WATER_INDEX = 1.33
+WATER_INDEX = 1.33 / 1.0003
 """Refractive index of water against air."""
 
 _ABSORPTION_PER_MM = 0.0068
