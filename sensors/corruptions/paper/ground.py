@@ -69,7 +69,7 @@ def fit_plane(points: Cloud, rng: Draws) -> Plane:
         rng: draws three different points per trial, one after the other, and again where one repeats. A legacy
             generator gives the published plane if 300 points or more are eligible.
     """
-    x, y, z = np.asarray(points, np.float64)[:, :3].T
+    x, y, z = np.array(points[:, :3].T, np.float64)
     eligible = (x > 10.0) & (x < 70.0) & (np.abs(y) < 3.0) & (z < -1.55) & (z > -1.86 - 0.01 * x)
     if eligible.sum() < _LEAST_FIT:
         return FALLBACK
@@ -81,10 +81,10 @@ def fit_plane(points: Cloud, rng: Draws) -> Plane:
 
 def ground_of(points: Cloud, plane: Plane) -> Ground:
     """Return the points within half a metre of a plane."""
-    p = np.asarray(points, np.float64)[:, :3]
-    height = p @ plane.normal
+    x, y, z = np.array(points[:, :3].T, np.float64)
+    height = plane.normal[0] * x + plane.normal[1] * y + plane.normal[2] * z
     rows = np.abs(height + plane.offset) < _HALF_M
-    range_m = np.linalg.norm(p[rows], axis=1)
+    range_m = np.sqrt(x[rows] ** 2 + y[rows] ** 2 + z[rows] ** 2)
     slant = np.divide(np.abs(height[rows]), range_m, out=np.ones(len(range_m)), where=range_m > 0)
     return Ground(rows, range_m, np.clip(slant / np.linalg.norm(plane.normal), 0.0, 1.0))
 
@@ -122,7 +122,8 @@ def noise_line(ground: Ground, intensity: Array) -> Array | None:
     if len(level) == 0 or level.max() <= _LOWEST:
         return None
     limits = ((_NEAR_M, _FAR_M), (_LOWEST, float(level.max())))
-    count, near, low = np.histogram2d(ground.range_m, level, (_RANGE_BINS, _LEVEL_BINS), limits)
+    binned = (ground.range_m >= _NEAR_M) & (ground.range_m <= _FAR_M) & (level >= _LOWEST)
+    count, near, low = np.histogram2d(ground.range_m[binned], level[binned], (_RANGE_BINS, _LEVEL_BINS), limits)
     count[count == 0] = len(level)
     darkest = low[count.argmin(axis=1)]
     filled = darkest > _LOWEST

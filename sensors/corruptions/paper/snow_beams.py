@@ -46,7 +46,7 @@ def shares_of(azimuth: Array, target_m: Array, discs: Array, divergence: float, 
         divergence: full width of a beam, rad.
         whole_seam: beams across azimuth 0 are treated as all others.
     """
-    beam, range_m, low, high = _meetings(azimuth, target_m, discs, divergence)
+    beam, range_m, low, high = _meetings(azimuth, target_m, np.asarray(discs, np.float64), divergence)
     axis = np.mod(azimuth + np.pi, _TURN) - np.pi
     astray = np.zeros(len(beam), bool)
     if not whole_seam:
