@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
@@ -79,14 +79,24 @@ def colorbar(
     bar.ax.tick_params(labelsize=7.5, length=2)
 
 
-def save(figure: Figure, path: Path, colors: int | None = None) -> Path:
-    """Write a PNG; one of 256 colours takes a third of the room of one with all of them."""
+def save(figure: Figure, path: Path, colors: int | None = None, keep: Sequence[str] = ()) -> Path:
+    """Write a PNG; one of 256 colours takes a third of the room of one with all of them.
+
+    Args:
+        figure: to draw.
+        path: of the PNG.
+        colors: how many; all when left out.
+        keep: colours that stay exactly what they are, such as those of a legend.
+    """
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     pixels: NDArray[np.uint8] = np.asarray(canvas.buffer_rgba())[..., :3]
     image = Image.fromarray(np.ascontiguousarray(pixels))
     if colors is not None:
-        palette = image.quantize(colors, Image.Quantize.MEDIANCUT, kmeans=2)
+        palette = image.quantize(colors - len(keep), Image.Quantize.MEDIANCUT, kmeans=2)
+        found = palette.getpalette() or []
+        exact = [round(255 * part) for color in keep for part in to_rgb(color)]
+        palette.putpalette([*exact, *found[: 3 * (colors - len(keep))]])
         image = image.quantize(palette=palette, dither=Image.Dither.NONE)
     path.parent.mkdir(parents=True, exist_ok=True)
     image.save(path, optimize=True)

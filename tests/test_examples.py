@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != "look.py")
 SMALL = {
+    "corruptions.py": ("--only", "fog", "pose_error", "--scenario", "four_way"),
     "lidar_presets.py": ("--only", "debug-16", "--scenario", "four_way"),
     "lidar_effects.py": (),
     "lidar_realism.py": ("--scenarios", "four_way", "--sensors", "debug-16", "--frames", "1"),
@@ -59,3 +61,12 @@ def test_every_preset_is_pictured(name: str) -> None:
         f"python examples/lidar_presets.py --out docs/pictures/lidar --only {name}"
     )
     assert f"]({picture})" in (ROOT / "docs" / "lidar.md").read_text()
+
+
+@pytest.mark.parametrize("kind", [*CORRUPTIONS, "all"])
+def test_every_corruption_is_pictured(kind: str) -> None:
+    picture = f"pictures/corruptions/{kind}.png"
+    assert (ROOT / "docs" / picture).is_file(), (
+        f"python examples/corruptions.py --out docs/pictures/corruptions --only {kind}"
+    )
+    assert f"]({picture})" in (ROOT / "docs" / "corruptions.md").read_text()
