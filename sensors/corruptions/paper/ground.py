@@ -176,7 +176,7 @@ def _needed(share: float) -> float:
 
 
 def _three(number: int, rng: Draws) -> NDArray[np.int64]:
-    draw = rng.randint if isinstance(rng, np.random.RandomState) else rng.integers
+    draw = rng.integers if isinstance(rng, np.random.Generator) else rng.randint
     rows: list[int] = []
     while len(rows) < _SAMPLE:
         row = int(draw(number))
