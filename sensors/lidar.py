@@ -24,6 +24,7 @@ from sensors.raycast import Returns, Shot
 from sensors.scene import RayScene
 from sensors.spec import LidarSpec
 from sensors.sweep import KEPT, Sweep
+from sim.errors import DataError, SettingsError, complaint
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +59,21 @@ def scan_all(
 
     Returns:
         One sweep per sensor, in the sensor frame at its `time_s`, ring by ring from the top, columns ascending.
+
+    Raises:
+        SettingsError: a wetness that is none, or a sweep outside the time of the scene's bodies.
+        DataError: a path that is not finite.
     """
+    if not 0.0 <= wetness <= 1.0:
+        raise SettingsError(complaint("scan", "wetness", "0 to 1", wetness))
     shots = [_shot(sensor, wetness) for sensor in sensors]
-    made = scene.sweep(shots, threads or len(os.sched_getaffinity(0)))
+    made = scene.sweep(shots, threads or _cores())
     return [_sweep(sensor, shot, returns) for sensor, shot, returns in zip(sensors, shots, made, strict=True)]
+
+
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def scan(
@@ -102,6 +114,8 @@ def _shot(sensor: Sensor, wetness: float) -> Shot:
     spec = sensor.spec
     beams = beams_of(spec, sensor.time_s)
     knots, pose = _poses(spec, beams, sensor.path, sensor.time_s)
+    if not np.isfinite(knots).all():
+        raise DataError(complaint(f"sensor '{spec.name}'", "path", "finite poses", "NaN or infinity"))
     return Shot(
         spec=spec,
         beams=beams,

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from sensors.motion import Path, actor_paths
 from sensors.raycast import Bodies, Hits, Returns, Shot, Solid, open_engine
 from sensors.tiles import StaticWorld, together
-from sim.errors import DataError, complaint
+from sim.errors import DataError, SettingsError, complaint
 from sim.traffic.base import Actors
+from sim.world.materials import MATERIALS
 
 BodyMesh = Callable[[str, tuple[float, float, float]], trimesh.Trimesh]
 """(model, (l, w, h)) -> mesh in the body frame."""
@@ -64,8 +65,16 @@ class RayScene:
             now: the actors at the reference time of the sweeps.
             before: the actors at least half a sweep earlier; without it they move straight.
             after: the actors at least half a sweep later; likewise.
-            reach_s: half the longest sweep, s.
+            reach_s: half the longest sweep, s; sweeps beyond it are refused.
+
+        Raises:
+            DataError: actors whose ids are not in ascending order.
+            SettingsError: a time that is not positive.
         """
+        if reach_s <= 0.0:
+            raise SettingsError(complaint("bodies", "reach_s", "a positive time", reach_s))
+        if (np.diff(now.boxes.object_id) <= 0).any():
+            raise DataError(complaint("bodies", "object_id", "ids in ascending order", now.boxes.object_id.tolist()))
         scene = object.__new__(RayScene)
         scene.__dict__.update(self.__dict__)
         scene.bodies = Bodies(
@@ -78,7 +87,13 @@ class RayScene:
         return scene
 
     def sweep(self, shots: Sequence[Shot], threads: int = 1) -> list[Returns]:
-        """Make sweeps of one instant, in order; see `sensors.raycast.Engine`."""
+        """Make sweeps of one instant, in order; see `sensors.raycast.Engine`.
+
+        Raises:
+            SettingsError: a sweep lasts longer than the bodies' motion is known, see `with_bodies`.
+        """
+        for shot in shots:
+            self._check_time(shot)
         made: dict[int, Returns] = {}
         for rows in together(np.array([shot.pose[:2, 3] for shot in shots]).reshape(-1, 2)):
             some = [shots[row] for row in rows]
@@ -111,6 +126,14 @@ class RayScene:
         low = np.column_stack([xy, np.full(len(xy), bottom - 1.0)])
         hits = self.cast(low, np.tile([0.0, 0.0, 1.0], (len(xy), 1)), top - bottom + 2.0)
         return np.where(hits.face >= 0, hits.distance + bottom - 1.0, 0.0)
+
+    def _check_time(self, shot: Shot) -> None:
+        half = 0.5 * shot.spec.period_s if shot.spec.rolling_shutter else 0.0
+        start, end = self.bodies.span_s
+        if len(self.bodies) and (shot.time_s - half < start - 1e-6 or shot.time_s + half > end + 1e-6):
+            expected = f"within the {start:g} to {end:g} s over which bodies move (with_bodies, reach_s)"
+            found = f"{shot.time_s - half:g} to {shot.time_s + half:g} s"
+            raise SettingsError(complaint(f"sweep of '{shot.spec.name}'", "time", expected, found))
 
     def _solids_of(self, actors: Actors) -> tuple[Solid, ...]:
         """Return the solid of each actor; those of the last instant serve as long as the same actors are there."""
@@ -155,7 +178,11 @@ def mesh_arrays(mesh: trimesh.Trimesh, name: str) -> tuple[NDArray[np.float64], 
         found = f"{faces.min()} to {faces.max()}"
         raise DataError(complaint(name, "faces", f"rows of the {len(vertices)} vertices", found))
     material = mesh.face_attributes.get("material")
-    material = np.zeros(len(faces), np.uint8) if material is None else np.asarray(material, np.uint8)
+    material = np.zeros(len(faces), np.uint8) if material is None else np.asarray(material)
     if material.shape != (len(faces),):
         raise DataError(complaint(name, "material", f"one for each of the {len(faces)} faces", material.shape))
-    return vertices, faces.astype(np.int32), material
+    unknown = np.flatnonzero(~((material >= 0) & (material < len(MATERIALS))))
+    if len(unknown):
+        found = f"{material[unknown[0]]} of face {unknown[0]}"
+        raise DataError(complaint(name, "material", f"an index below {len(MATERIALS)}", found))
+    return vertices, faces.astype(np.int32), material.astype(np.uint8)

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,7 @@ class FusedEngine:
         self._library = library()
         # One instance scene serves all callers of the process.
         self._lock = threading.Lock()
+        _engines.add(self)
         self._robust = robust
         self._hierarchies: WeakKeyDictionary[Solid, Hierarchy] = WeakKeyDictionary()
         self._moving = InstanceScene(robust)
@@ -269,9 +270,18 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="lidar")
 
 
-# A forked child has none of its parent's threads.
+_engines: "WeakSet[FusedEngine]" = WeakSet()
+
+
+def _after_fork() -> None:
+    """Give a forked child what it lacks: its parent's threads are not there, nor who held a lock."""
+    _pool.cache_clear()
+    for engine in _engines:
+        engine._lock = threading.Lock()
+
+
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def _tables(shot: Shot, origin: NDArray[np.float64], span_s: tuple[float, float], hidden: tuple[int, ...]) -> Tables:

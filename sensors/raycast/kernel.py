@@ -34,7 +34,7 @@ _NORMAL, _PRIMITIVE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
 
 _MOST_SUBRAYS = 8
 _LAST, _DUAL = 1, 2
-_LERP_ERROR_M = 1e-4
+_LERP_ERROR_M = 2e-5
 _NO_AXIS = (np.float32(0.0), np.float32(0.0), np.float32(0.0))
 
 # Where the rows of 16 words of `Scratch.room` start, after the packets.

@@ -292,3 +292,40 @@ def test_tables_of_power_hold_every_material():
     table = optics_of(ideal()).power
     assert table.shape == (len(MATERIALS), COSINE_BINS + 1)
     assert (np.diff(table, axis=1) >= -1e-6).all()
+
+
+@pytest.mark.parametrize("bad", [len(MATERIALS), 255])
+def test_a_material_that_does_not_exist_is_refused(bad):
+    mesh = ground()
+    mesh.face_attributes["material"][1] = bad
+    with pytest.raises(DataError, match=f"material: expected an index below {len(MATERIALS)}, found {bad} of face 1"):
+        RayScene(mesh)
+
+
+def test_a_sweep_longer_than_its_bodies_motion_is_refused():
+    scene = scene_of("public", ground(), cars([[9.0, 0.0, 0.0]]))
+    with pytest.raises(SettingsError, match=r"time: expected within the -0\.05 to 0\.05 s"):
+        still(scene, ideal(rate_hz=5.0))
+
+
+@pytest.mark.parametrize("wetness", [-0.1, 1.5, np.nan])
+def test_a_wetness_that_is_none_is_refused(wetness):
+    with pytest.raises(SettingsError, match="wetness: expected 0 to 1"):
+        still(scene_of("public", ground()), ideal(), wetness=wetness)
+
+
+def test_engines_agree_on_cars_that_turn():
+    rows = [[9.0, 4.0, 0.3], [-8.0, 7.0, 2.0], [4.0, -11.0, -1.0], [22.0, -3.0, 1.2]]
+    moved = [[9.4, 4.3, 0.35], [-8.6, 7.5, 2.1], [4.5, -11.4, -1.15], [22.9, -2.2, 1.4]]
+    back = [[8.6, 3.7, 0.25], [-7.4, 6.5, 1.9], [3.5, -10.6, -0.85], [21.1, -3.8, 1.0]]
+    before, now, after = (replace(cars(table), time_s=t) for table, t in ((back, -0.1), (rows, 0.0), (moved, 0.1)))
+    made = []
+    for engine in ENGINES:
+        scene = scene_of(engine, ground(), now, before=before, after=after)
+        made.append(still(scene, ideal("opv2v-64", columns=2048)))
+    keys = [sweep.ring.astype(int) * 4096 + sweep.column for sweep in made]
+    both, a, b = np.intersect1d(*keys, return_indices=True)
+    apart = np.linalg.norm(made[0].points[a].astype(float) - made[1].points[b], axis=1) > 5e-4
+    apart |= made[0].object_id[a] != made[1].object_id[b]
+    assert apart.sum() + len(keys[0]) + len(keys[1]) - 2 * len(both) <= 5
+    assert (made[0].object_id >= 1000).sum() > 1000
