@@ -27,7 +27,7 @@ from sensors.corruptions.cross_sensor import UNKNOWN_RANGE_MAX_M
 from sensors.corruptions.levels import at_level, check_range
 from sensors.corruptions.medium import OF_NOTHING, Echo, open_echoes
 from sensors.corruptions.receiver import BLIND_M, least_power, reported_intensity, target_power
-from sensors.sweep import POINT_FIELDS, Sweep
+from sensors.sweep import POINT_FIELDS, Sweep, make_sweep
 
 SHARE = (0.01, 0.02, 0.04, 0.08, 0.16)
 
@@ -59,9 +59,10 @@ def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -
     """Replace returns by foreign pulses, and add those that beams without a return hear."""
     settings = severity if isinstance(severity, Crosstalk) else Crosstalk.severity(severity)
     beams, columns = _beams(sweep)
-    beam, quantile = _pulses(beams, settings.share, rng)
-    if len(beam) == 0:
+    drawn = rng.random((round(settings.share * beams), 3))
+    if len(drawn) == 0:
         return sweep
+    beam, quantile = (drawn[:, 0] * beams).astype(np.intp), drawn[:, 1:]
     ring, column = np.divmod(beam, columns or 1)
     nearest, farthest = _window(sweep, ring)
     place = nearest + (farthest - nearest) * quantile[:, 0]
@@ -69,7 +70,9 @@ def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -
     power = need * (max(GLARE_POWER, need) / need) ** quantile[:, 1]
     row = _last_row(sweep, beam, columns)
     returned, silent = np.flatnonzero(row >= 0), np.flatnonzero(row < 0)
-    wins = returned[_wins(sweep[row[returned]], place[returned], power[returned], need)]
+    # Of two pulses in one beam the first is added, and the last one that wins replaces the return.
+    silent = silent[np.unique(beam[silent], return_index=True)[1]]
+    wins = returned[_wins(sweep, row[returned], place[returned], power[returned], need)]
     added = open_echoes(sweep, ring[silent], column[silent], Echo(place[silent], power[silent]))
     return _with_false(sweep, row[wins], Echo(place[wins], power[wins]), added)
 
@@ -84,13 +87,6 @@ def _beams(sweep: Sweep) -> tuple[int, int | None]:
         and 0 <= sweep.ring.min() <= sweep.ring.max() < spec.rings
     )
     return (spec.rings * spec.columns, spec.columns) if known else (len(sweep), None)
-
-
-def _pulses(beams: int, share: float, rng: np.random.Generator) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return (N,) different beams that hear a pulse and (N, 2) uniform numbers of each; of two pulses the first."""
-    drawn = rng.random((round(share * beams), 3))
-    beam, first = np.unique((drawn[:, 0] * beams).astype(np.intp), return_index=True)
-    return beam, drawn[first, 1:]
 
 
 def _last_row(sweep: Sweep, beam: NDArray[np.intp], columns: int | None) -> NDArray[np.intp]:
@@ -114,25 +110,30 @@ def _window(sweep: Sweep, ring: NDArray[np.intp]) -> tuple[NDArray[np.float64], 
     return np.minimum(np.maximum(nearest, BLIND_M), farthest), farthest
 
 
-def _wins(own: Sweep, place: NDArray[np.float64], power: NDArray[np.float64], need: float) -> NDArray[np.bool_]:
-    """Return (N,) whether pulses are reported instead of beams' own returns."""
-    reach = own.range.astype(np.float64)
-    if own.spec is not None and own.spec.returns == "last":
+def _wins(
+    sweep: Sweep, row: NDArray[np.intp], place: NDArray[np.float64], power: NDArray[np.float64], need: float
+) -> NDArray[np.bool_]:
+    """Return (N,) whether pulses are reported instead of the returns in some rows."""
+    points = sweep.points[row]
+    reach = np.sqrt(np.einsum("ni,ni->n", points, points)).astype(np.float64)
+    if sweep.spec is not None and sweep.spec.returns == "last":
         return place > reach
+    columns = {name: getattr(sweep, name)[row] for name in ("intensity", "material", "cosine")}
+    own = make_sweep(points, spec=sweep.spec, **columns)
     return power > np.maximum(target_power(own, reach), need)
 
 
 def _with_false(sweep: Sweep, row: NDArray[np.integer], echo: Echo, added: Sweep) -> Sweep:
     """Return the sweep with some points slid along their rays to where their echo seems to be, and others added."""
-    changed = {"points", "intensity", *OF_NOTHING}
+    stale = {name for name, value in OF_NOTHING.items() if (getattr(sweep, name)[row] != value).any()}
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(sweep, name), getattr(added, name)])
         for name in POINT_FIELDS
-        if len(added) or name in changed
+        if len(added) or name in stale or name in ("points", "intensity")
     }
     reach = np.maximum(np.linalg.norm(sweep.points[row], axis=1), 1e-6)
     columns["points"][row] *= (echo.range_m / reach)[:, None].astype(np.float32)
     columns["intensity"][row] = reported_intensity(sweep.spec, echo.power, echo.range_m)
-    for name, value in OF_NOTHING.items():
-        columns[name][row] = value
+    for name in stale:
+        columns[name][row] = OF_NOTHING[name]
     return replace(sweep, **columns)
