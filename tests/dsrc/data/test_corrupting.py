@@ -55,7 +55,7 @@ def test_every_frame_is_that_of_corrupt_frame_with_the_seed_of_its_drive(data: P
 
 def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path) -> None:
     for workers in (1, 2, 3):
-        corrupt_dataset(data, tmp_path / str(workers), "beam_missing", workers=workers)
+        corrupt_dataset(data, tmp_path / str(workers), "fog", workers=workers)
     assert tree(tmp_path / "1") == tree(tmp_path / "2") == tree(tmp_path / "3")
 
 
