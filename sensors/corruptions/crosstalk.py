@@ -68,7 +68,7 @@ def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -
     place = nearest + (farthest - nearest) * quantile[:, 0]
     need = least_power(sweep.spec, settings.range_10_m)
     power = need * (max(GLARE_POWER, need) / need) ** quantile[:, 1]
-    row = _last_row(sweep, beam, columns)
+    row = _last_row(sweep, beam, beams, columns)
     returned, silent = np.flatnonzero(row >= 0), np.flatnonzero(row < 0)
     # Of two pulses in one beam the first is added, and the last one that wins replaces the return.
     silent = silent[np.unique(beam[silent], return_index=True)[1]]
@@ -89,17 +89,13 @@ def _beams(sweep: Sweep) -> tuple[int, int | None]:
     return (spec.rings * spec.columns, spec.columns) if known else (len(sweep), None)
 
 
-def _last_row(sweep: Sweep, beam: NDArray[np.intp], columns: int | None) -> NDArray[np.intp]:
+def _last_row(sweep: Sweep, beam: NDArray[np.intp], beams: int, columns: int | None) -> NDArray[np.intp]:
     """Return (N,) the row of each beam's last return, -1 where it has none."""
     if columns is None:
         return beam
-    key = sweep.ring.astype(np.int32) * np.int32(columns) + sweep.column
-    order = None if (key[1:] >= key[:-1]).all() else np.argsort(key, kind="stable")
-    at = np.searchsorted(key, beam.astype(np.int32), side="right", sorter=order) - 1
-    row = at if order is None else order[at]
-    found = at >= 0
-    found[found] = key[row[found]] == beam[found]
-    return np.where(found, row, -1)
+    row = np.full(beams, -1, np.int32)
+    row[sweep.ring.astype(np.int32) * np.int32(columns) + sweep.column] = np.arange(len(sweep), dtype=np.int32)
+    return row[beam].astype(np.intp)
 
 
 def _window(sweep: Sweep, ring: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

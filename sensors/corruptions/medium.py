@@ -36,7 +36,11 @@ from sensors.sweep import (
     Sweep,
     concatenate,
     make_sweep,
+    moved,
+    path_at,
+    path_of,
 )
+from sim.geometry import invert
 
 _MOST_RETURNS = 2
 """Points that one beam may have: more mean that a file did not tell their columns."""
@@ -202,23 +206,24 @@ def open_echoes(sweep: Sweep, ring: NDArray[np.intp], column: NDArray[np.intp], 
         echo: of each of them.
     """
     spec = sweep.spec
-    bare = sweep[:0]
     known = sweep.path is not None and sweep.motion != "raw"
-    fired = deskew(bare, "raw") if known else bare
-    axis = _axis(fired, ring, column)
+    fired = _firing(spec, ring, column) + (_middle_s(sweep) - sweep.time_s)
+    points = _axis(sweep, ring, column) * echo.range_m[:, None]
+    if known:
+        now, *_ = path_at(path_of(sweep), np.array([sweep.time_s]))
+        points = moved(invert(now) @ path_at(path_of(sweep), sweep.time_s + fired), points)
     made = make_sweep(
-        axis * echo.range_m[:, None],
-        fired.world_from_lidar,
-        fired.time_s,
+        points,
+        sweep.world_from_lidar,
+        sweep.time_s,
         spec,
         intensity=reported_intensity(spec, echo.power, echo.range_m),
         ring=ring,
         column=column,
-        time_offset=_firing(spec, ring, column),
+        time_offset=fired,
         **{name: np.full(len(ring), value) for name, value in OF_NOTHING.items()},
     )
-    made = replace(made, path=sweep.path, motion=fired.motion)
-    return deskew(made, sweep.motion) if known else made
+    return replace(made, path=sweep.path, motion=sweep.motion)
 
 
 def _firing(spec: LidarSpec | None, ring: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -236,7 +241,14 @@ def open_axis(sight: Sight) -> NDArray[np.float64]:
 def _axis(sweep: Sweep, ring: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.float64]:
     if sweep.spec is None:
         return np.zeros((0, 3))
-    return beams_of(sweep.spec, sweep.time_s).axis[:, ring, column].T.astype(np.float64)
+    return beams_of(sweep.spec, _middle_s(sweep)).axis[:, ring, column].T.astype(np.float64)
+
+
+def _middle_s(sweep: Sweep) -> float:
+    """Return the instant that firing times and rosettes count from; points may be of the sweep's start or end."""
+    if sweep.motion in ("middle", "raw") or sweep.path is None:
+        return sweep.time_s
+    return deskew(sweep[:0], "middle").time_s
 
 
 def _beams_known(
