@@ -136,20 +136,17 @@ def estimate_rings(points: NDArray[np.floating], rings: int | None = None) -> Ri
 
     Args:
         points: (P, 3) in the sensor's upright frame, m; those at its origin are given the ring nearest to 0 elevation.
-        rings: how many the sensor has, None when not known; some of them may have no points.
+        rings: how many the sensor has, None when not known; no more are found, but fewer where some have no points.
 
     Raises:
         DataError: the elevations form no credible comb: too few points, several sensors merged, a tilted frame, a
-            scanner without rings, or more rings found than there are.
+            scanner without rings, or more rings than there are.
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     seen = np.hypot(points[:, 0], points[:, 1]) > 1e-3
     if not seen.any():
         return RingEstimate(np.zeros(len(points), np.int16), np.zeros(min(1, len(points))), 1.0)
-    comb = _comb(points[seen])
-    found = len(comb.elevation)
-    if rings is not None and found > rings:
-        raise DataError(complaint("points", "rings", f"at most {rings} elevations", f"{found}"))
+    comb = _comb(points[seen], _MOST_RINGS if rings is None else rings)
     if comb.quality < CREDIBLE:
         found_text = f"points of quality {comb.quality:.2f} at best, {int(seen.sum())} of them"
         raise DataError(complaint("points", "rings", f"elevations of quality {CREDIBLE} or more", found_text))
@@ -158,20 +155,20 @@ def estimate_rings(points: NDArray[np.floating], rings: int | None = None) -> Ri
     return RingEstimate(ring, comb.elevation, comb.quality)
 
 
-def _comb(points: NDArray[np.float64]) -> RingEstimate:
-    """Return the best comb of (P, 3) points, none of them above or below the sensor."""
-    best = _best_comb(_elevation(points))
+def _comb(points: NDArray[np.float64], most: int) -> RingEstimate:
+    """Return the best comb of at most so many teeth of (P, 3) points, none of them above or below the sensor."""
+    best = _best_comb(_elevation(points), most)
     if best.quality >= _PLAIN:
         return best
     way = _sharpest(_WAYS_M, lambda way: _halted(points, way))
     points = _halted(points, way)
     start = _sharpest(_STARTS_M, lambda start: points - [0.0, 0.0, start])
-    best = max(best, _best_comb(_elevation(points - [0.0, 0.0, start])), key=lambda comb: comb.quality)
+    best = max(best, _best_comb(_elevation(points - [0.0, 0.0, start]), most), key=lambda comb: comb.quality)
     near = 1.0 / np.hypot(points[:, 0], points[:, 1])
     for _ in range(_REFINEMENTS):
         # Neighbouring beams share a lens, so a few bad rings do not count.
         slope = _slopes(points[:, 2] * near, near, best)
-        again = _best_comb(np.arctan((points[:, 2] - slope[best.ring]) * near))
+        again = _best_comb(np.arctan((points[:, 2] - slope[best.ring]) * near), most)
         if again.quality <= best.quality + 1e-4:
             break
         best = again
@@ -220,8 +217,8 @@ def _slopes(tangent: NDArray[np.float64], near: NDArray[np.float64], comb: RingE
     return median_filter(np.clip(slope, -_FARTHEST_START_M, _FARTHEST_START_M), size=min(9, rings), mode="nearest")
 
 
-def _best_comb(elevation: NDArray[np.float64]) -> RingEstimate:
-    """Return the comb of (P,) elevations whose teeth stand apart best, the coarsest of those that are as good."""
+def _best_comb(elevation: NDArray[np.float64], most: int) -> RingEstimate:
+    """Return the comb of at most so many teeth that stand apart best in (P,) elevations, the coarsest of the good."""
     if np.ptp(elevation) <= _ONE_RING_RAD:
         return RingEstimate(np.zeros(len(elevation), np.int16), np.array([np.median(elevation)]), 1.0)
     lowest = elevation.min()
@@ -233,7 +230,8 @@ def _best_comb(elevation: NDArray[np.float64]) -> RingEstimate:
         borders = _valleys(np.add.reduceat(count, np.arange(0, len(count), step)))
         if borders is not None and len(elevation) >= _LEAST_PER_RING * (len(borders) + 1):
             teeth = _teeth(middle, count, lowest + borders * (step * _FINEST_RAD))
-            combs.append((_quality(middle, count, teeth), teeth))
+            if len(teeth) <= most:
+                combs.append((_quality(middle, count, teeth), teeth))
     top = max((quality for quality, _ in combs), default=0.0)
     if top <= 0.0:
         return RingEstimate(np.zeros(len(elevation), np.int16), np.array([np.median(elevation)]), 0.0)
