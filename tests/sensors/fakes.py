@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from sensors.scene import RayScene
 from sensors.presets import get_lidar
+from sensors.scene import RayScene
 from sensors.spec import LidarSpec
 from sim.boxes import Boxes
 from sim.scenario import AgentRule, DemandSpec, NetworkSpec, Scenario

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from sensors.agents import choose_agents
+from sensors.presets import get_lidar
 from sensors.record import TRUTH_RANGE_M, record, simulate
 from sensors.rig import mount, place_roadside
-from sensors.presets import get_lidar
 from sensors.sweep import POINT_FIELDS
 from sim.errors import ScenarioError, SettingsError
 from sim.scenario import NetworkSpec, RoadsideUnit
