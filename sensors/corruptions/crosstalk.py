@@ -1,19 +1,20 @@
 """Crosstalk: pulses of other LiDARs are taken for own returns.
 
-| severity                              | 1 | 2 | 3 | 4 | 5  |
-|---------------------------------------|---|---|---|---|----|
-| beams that a foreign pulse reaches, % | 1 | 2 | 4 | 8 | 16 |
+| severity                              | 1   | 2 | 3 | 4 | 5 |
+|---------------------------------------|-----|---|---|---|---|
+| beams that a foreign pulse reaches, % | 0.5 | 1 | 2 | 4 | 8 |
 
 A receiver that hears a foreign pulse is wrong about the time of flight and never about the direction. Sensors do not
 fire in step, so the pulse comes at any time while the beam listens: the false range is uniform between the nearest and
-the farthest that the beam reports. Its power lies anywhere between the faintest that is detected and that of a white
-target at 10 m, uniform in its logarithm (assumed: the other sensor's light comes off all kinds of surfaces).
+the farthest that the beam reports. Its power lies anywhere between that of a white target at 100 m (or the faintest
+that is detected, if that is more) and that of one at 10 m, uniform in its logarithm (assumed: the other sensor's light
+comes off all kinds of surfaces).
 
 A beam without a return reports the pulse; one with a return reports the stronger of the two, or the farther when the
-sensor reports last returns (of two returns the second competes). Dark and far targets are replaced more often, one of
-four over a street, so that at level 3 one return in a hundred is false, the share in the DSRC paper. False points are
-on no object; those of beams without a return come after all others. The rest stays bit-identical, and the pulses of a
-severity are among those of the next. Shares are chosen.
+sensor reports last returns (of two returns the second competes). Dark and far targets are replaced more often, about
+every second one of a street, so that at level 3 one return in a hundred is false, the share in the DSRC paper. False
+points are on no object; those of beams without a return come after all others. The rest stays bit-identical, and the
+pulses of a severity are among those of the next. Shares are chosen.
 """
 
 from dataclasses import replace
@@ -29,10 +30,10 @@ from sensors.corruptions.medium import OF_NOTHING, Echo, open_echoes
 from sensors.corruptions.receiver import BLIND_M, least_power, reported_intensity, target_power
 from sensors.sweep import POINT_FIELDS, Sweep, make_sweep
 
-SHARE = (0.01, 0.02, 0.04, 0.08, 0.16)
+SHARE = (0.005, 0.01, 0.02, 0.04, 0.08)
 
-GLARE_POWER = 0.01
-"""Power of the strongest foreign pulse, see `receiver`: that of a white target at 10 m."""
+POWER = (1e-4, 1e-2)
+"""Of the faintest and of the strongest foreign pulse, see `receiver`: white targets at 100 and at 10 m."""
 
 
 class Crosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -43,7 +44,7 @@ class Crosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         range_10_m: see `LidarSpec`; None for the sensor's own.
     """
 
-    share: float = 0.04
+    share: float = 0.02
     range_10_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -67,7 +68,8 @@ def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -
     nearest, farthest = _window(sweep, ring)
     place = nearest + (farthest - nearest) * quantile[:, 0]
     need = least_power(sweep.spec, settings.range_10_m)
-    power = need * (max(GLARE_POWER, need) / need) ** quantile[:, 1]
+    faintest = max(POWER[0], need)
+    power = faintest * (max(POWER[1], need) / faintest) ** quantile[:, 1]
     row = _last_row(sweep, beam, beams, columns)
     returned, silent = np.flatnonzero(row >= 0), np.flatnonzero(row < 0)
     # Of two pulses in one beam the first is added, and the last one that wins replaces the return.

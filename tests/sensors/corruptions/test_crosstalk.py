@@ -61,7 +61,7 @@ def test_every_beam_is_reached_as_often() -> None:
     out = corrupt(sweep, 3, rng())
     silent = beams - len(sweep)
     assert silent > 3000
-    assert len(out) - len(sweep) == pytest.approx(0.04 * silent, rel=0.2)
+    assert len(out) - len(sweep) == pytest.approx(0.02 * silent, rel=0.25)
 
 
 def test_at_level_3_one_return_of_a_street_in_a_hundred_is_false() -> None:
@@ -103,7 +103,7 @@ def test_intensity_says_the_power_that_the_pulse_had() -> None:
     false = out[out.fate == SCATTERED]
     power = false.intensity / false.range.astype(np.float64) ** 2
     seen = false.intensity < 1.0
-    assert power[seen].min() >= least_power(out.spec) * (1 - 1e-4) and power[seen].max() <= 0.01
+    assert power[seen].min() >= least_power(out.spec) * (1 - 1e-4) and power[seen].max() <= 0.01 * (1 + 1e-4)
 
 
 def test_beams_of_a_moving_sensor_answer_from_where_they_fired() -> None:
@@ -125,7 +125,7 @@ def test_files_without_a_sensor_columns_or_points() -> None:
     blind = make_sweep(street().points, spec=spinning(), ring=street().ring)
     assert len(corrupt(blind, 3, rng())) == len(blind)
     silent = corrupt(street()[:0], 5, rng())
-    assert 0 < len(silent) < 0.16 * 64 * 360
+    assert 0 < len(silent) < 0.08 * 64 * 360
 
 
 def test_nothing_is_false_without_pulses() -> None:
