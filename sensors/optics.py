@@ -7,7 +7,8 @@ surface that fills the beam, relative to a white surface hit squarely at the sam
                                             Lambert's exponent 1 (Oren and Nayar 1994)
     beads    rho * cos(theta)^0.25          lane paint: half-sunk glass beads send part of the light back
     retro    8 * rho * cos(theta)^0.1       plates, signs and rear reflectors
-    glass    rho * cos(theta)^0.5 + exp(-(theta / 2.5 deg)^2)    dust, and the mirror when hit squarely
+    glass    max(0, 1 - 256 (1 - cos(theta)))   a mirror: 1 - (theta / 5.1 deg)^2, and nothing beyond, as the light
+                                            leaves for elsewhere; dust and what lies behind a pane return nothing
 
 A film of water darkens what takes it up, because light is reflected back into the film on its way out (Lekner and
 Dorf 1988): rho_wet = (1 - 0.02) * rho * (1 - p) / (1 - p * rho) with p = 0.47; wet beads reflect like the paint below.
@@ -34,7 +35,8 @@ RANGE_BINS = 4096
 LIGHT_SPEED = 299_792_458.0
 
 _RETRO_GAIN = 8.0
-_GLASS_LOBE_RAD = np.radians(2.5)
+_MIRROR = COSINE_BINS / 4.0
+"""The mirror of a pane ends where a bin does, so that reading the table widens it by nothing."""
 _FILM_REFLECTED, _FILM_KEPT = 0.02, 0.47
 _POWER_LAW_M = 10.0
 _LEAST_NEED = 1e-12
@@ -111,5 +113,6 @@ def _power(finish: str, reflectivity: float, cosine: NDArray[np.float64]) -> NDA
         return _RETRO_GAIN * reflectivity * cosine**0.1
     if finish == "beads":
         return reflectivity * cosine**0.25
-    diffuse = reflectivity * cosine**0.5
-    return diffuse + np.exp(-((np.arccos(cosine) / _GLASS_LOBE_RAD) ** 2)) if finish == "glass" else diffuse
+    if finish == "glass":
+        return np.maximum(0.0, 1.0 - _MIRROR * (1.0 - cosine))
+    return reflectivity * cosine**0.5

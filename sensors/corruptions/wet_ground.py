@@ -154,5 +154,6 @@ def _darkening() -> NDArray[np.float64]:
     """Return (256, _BINS) what each material returns under a film of water, relative to dry; 1 where unknown."""
     table = np.ones((UNKNOWN_MATERIAL + 1, _BINS))
     for index, material in enumerate(MATERIALS):
-        table[index] = returned_power(material, _cosines(), 1.0) / returned_power(material, _cosines())
+        if material.wets:
+            table[index] = returned_power(material, _cosines(), 1.0) / returned_power(material, _cosines())
     return table

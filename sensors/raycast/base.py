@@ -121,7 +121,7 @@ class Engine(Protocol):
        when it fires, within the beam's farthest range (`beams.reach[r, 1]`); both sides of a triangle are solid.
        With `spec.angle_noise_deg` all sub-rays of a beam are tilted by the same two random angles.
     2. A sub-ray that hit has power `optics.power[material, cosine]` and margin power / `optics.need[distance]`, each
-       divided by S, the number of sub-rays.
+       divided by S, the number of sub-rays. Without power, as from a pane that mirrors it away, it is no hit.
     3. Hits of one beam, ordered by distance, belong to one echo while the next is at most `optics.gate_m` farther. An
        echo's power and margin are the sums of its rays'; its distance is their mean, weighted by the margins; object,
        material and cosine are those of the ray with the largest margin, the first of equal ones.

@@ -502,7 +502,7 @@ def _merge(tables: Any, scratch: Any, subrays: int, order: Any, margins: Any, fo
         hits = 0
         for subray in range(subrays):
             reached = room[_at(_DISTANCE, subray, lane)]
-            if reached == np.float32(np.inf):
+            if reached == np.float32(np.inf) or room[_at(_POWER, subray, lane)] == np.float32(0.0):
                 continue
             margins[subray] = part * room[_at(_POWER, subray, lane)] / _look_up(tables.need, reached * tables.law[0])
             place = hits

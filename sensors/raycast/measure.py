@@ -147,9 +147,9 @@ def _single(met: Met, optics: Optics) -> _Echoes:
 def _merged(met: Met, optics: Optics, returns: str) -> _Echoes:
     """Return the reported echoes of beams of several rays."""
     subrays, n = met.hit.shape
-    # What missed comes last and so late that it is an echo of its own, without power.
-    distance = np.where(met.hit, met.distance, np.float32(4.0 * optics.reach_m + 4.0 * optics.gate_m))
     power = met.hit * np.float32(1.0 / subrays) * _power(met, optics)
+    # What missed comes last and so late that it is an echo of its own, without power.
+    distance = np.where(power > 0.0, met.distance, np.float32(4.0 * optics.reach_m + 4.0 * optics.gate_m))
     margin = power / _Place.on(optics.need, met.distance, optics.reach_m).read(optics.need)
     order = np.argsort(distance, axis=0, kind="stable")
     distance, power, margin = (np.take_along_axis(v, order, axis=0) for v in (distance, power, margin))

@@ -5,7 +5,7 @@ from typing import Literal
 
 Finish = Literal["diffuse", "beads", "retro", "glass"]
 """How light comes back: from a rough surface, from paint with glass beads in it, from a retro-reflector (to where it
-came from, whatever the angle), or hardly at all unless the surface is hit squarely."""
+came from, whatever the angle), or only from a mirror that is hit squarely."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ MATERIALS: tuple[Material, ...] = (
     Material("plaster", 0.55, "diffuse", True, (214, 204, 184)),
     Material("concrete", 0.40, "diffuse", True, (170, 168, 162)),
     Material("roof", 0.25, "diffuse", True, (140, 84, 66)),
-    Material("glass", 0.01, "glass", False, (110, 150, 172)),
+    Material("glass", 0.0, "glass", False, (110, 150, 172)),
     Material("metal", 0.45, "diffuse", False, (150, 154, 158)),
     Material("dark_metal", 0.20, "diffuse", False, (66, 68, 72)),
     Material("signal_lamp", 0.30, "diffuse", False, (30, 32, 34)),

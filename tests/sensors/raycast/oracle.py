@@ -106,7 +106,8 @@ def _beam(shot: Shot, ring: int, column: int, pose, rays):
     for distance, cosine, material, object_id in sorted((r for r in rays if np.isfinite(r[0])), key=lambda r: r[0]):
         power = share * _table(optics.power[material], cosine)
         margin = power / _table(optics.need, distance / optics.reach_m)
-        hits.append((distance, power, margin, cosine, material, object_id))
+        if power > 0.0:
+            hits.append((distance, power, margin, cosine, material, object_id))
     groups: list[list] = []
     for hit in hits:
         if groups and hit[0] - groups[-1][-1][0] <= optics.gate_m:
