@@ -4,7 +4,7 @@ Everything follows from a seed and nothing from a network or a mesh file but SUM
 days are about the same triangles.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 
@@ -274,7 +274,7 @@ class Fleet:
         rows[:, 6] += turned
         boxes = Boxes.from_array(rows, start.boxes.label, start.boxes.object_id)
         velocity = _turn(start.velocity, turned)
-        return Actors(time_s, boxes, start.pitch, velocity, start.model, start.name, start.signals)
+        return replace(start, time_s=time_s, boxes=boxes, velocity=velocity)
 
     def body_mesh(self, model: str, size: tuple[float, float, float]) -> trimesh.Trimesh:
         """Return the mesh of a vehicle: that of the simulator with finer triangles."""
@@ -344,9 +344,11 @@ def fleet(vehicles: int = 60, seed: int = 1, agents: int = 5) -> Fleet:
         boxes=Boxes.from_array(rows, [CLASSES.index(kind) for kind in kinds], 1000 + np.arange(vehicles)),
         pitch=np.zeros(vehicles),
         velocity=heading * rng.uniform(3.0, 14.0, (vehicles, 1)),
+        acceleration=np.zeros((vehicles, 2)),
         model=tuple(models),
         name=tuple(f"vehicle_{row}" for row in range(vehicles)),
         signals=np.zeros(vehicles, np.int32),
+        lane=("",) * vehicles,
     )
     carriers = _spaced(rows[:, :2], np.flatnonzero(kinds == "car"), agents)
     return Fleet(start, rng.normal(0.0, 0.05, vehicles), carriers, heavy_detail)

@@ -90,7 +90,17 @@ def _cars() -> Actors:
     velocity = SPEED * np.stack([np.cos(CARS[:, 2]), np.sin(CARS[:, 2])], axis=1)
     boxes = Boxes.from_array(table, object_id=1000 + np.arange(n))
     model = (models_for("car")[0],) * n
-    return Actors(0.0, boxes, np.zeros(n), velocity, model, ("car",) * n, np.zeros(n, np.int32))
+    return Actors(
+        time_s=0.0,
+        boxes=boxes,
+        pitch=np.zeros(n),
+        velocity=velocity,
+        acceleration=np.zeros((n, 2)),
+        model=model,
+        name=("car",) * n,
+        signals=np.zeros(n, np.int32),
+        lane=("",) * n,
+    )
 
 
 def _cars_from_above(axes: Axes, actors: Actors, cars: Sweep) -> None:

@@ -193,7 +193,17 @@ def twin(car: tuple[float, ...]) -> Twin:
     still = np.zeros(1)
     simulated = {}
     for model in models_for("car"):
-        actors = Actors(0.0, boxes, still, np.zeros((1, 2)), (model,), ("car",), np.zeros(1, np.int32))
+        actors = Actors(
+            time_s=0.0,
+            boxes=boxes,
+            pitch=still,
+            velocity=np.zeros((1, 2)),
+            acceleration=np.zeros((1, 2)),
+            model=(model,),
+            name=("car",),
+            signals=np.zeros(1, np.int32),
+            lane=("",),
+        )
         sweep = scan(scene.with_bodies(actors), get_lidar(HDL), pose, pose, 0.0, np.random.default_rng(0))
         simulated[model.partition(":")[2]] = int((sweep.object_id == 1000).sum())
     return Twin(float(np.hypot(x, y)), int(points), simulated)

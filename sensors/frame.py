@@ -1,7 +1,7 @@
 """AgentFrame and Frame: one synchronised instant of all agents with its ground truth."""
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,9 @@ from sensors.sweep import Sweep
 from sim.boxes import Boxes
 
 AgentKind = Literal["vehicle", "roadside"]
+
+BY_EGO, BY_HELPER, BY_NOBODY = range(3)
+"""Values of `Frame.seen_by`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +45,15 @@ class Frame:
         truth: N ground-truth boxes in the world frame, agents' own bodies included, rows sorted by object id.
         velocity: (N, 2) float64 ground-truth velocity in the world, m/s.
         points_on: (A, N) int32 LiDAR points that each agent has on each object.
+        acceleration: (N, 2) float64 in the world, m/s2; NaN where nobody knows.
+        signals: (N,) int32 lights, bits of `sim.traffic.base.SIGNALS`; 0 where nobody knows.
+        lane: (N,) names of lanes in the road network; "" off the road, for people who walk on none, and where nobody
+            knows.
+        visible_fraction: (A, N) float32 share of an agent's rays on an object that nothing else stops, see
+            `sensors.visibility`; NaN where it was not measured, for an agent's own body, and where not even the object
+            alone would be hit.
+
+    The last four may be left out: then nobody knows.
     """
 
     index: int
@@ -50,13 +62,34 @@ class Frame:
     truth: Boxes
     velocity: NDArray[np.float64]
     points_on: NDArray[np.int32]
+    acceleration: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    signals: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    lane: tuple[str, ...] = ()
+    visible_fraction: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
     def __post_init__(self) -> None:
-        n = len(self.truth)
-        if self.velocity.shape != (n, 2):
-            raise ValueError(f"Frame.velocity must have shape ({n}, 2), got {self.velocity.shape}")
-        if self.points_on.shape != (len(self.agents), n):
-            raise ValueError(f"Frame.points_on must have shape ({len(self.agents)}, {n}), got {self.points_on.shape}")
+        agents, n = len(self.agents), len(self.truth)
+        unknown: dict[str, Any] = {
+            "acceleration": np.full((n, 2), np.nan),
+            "signals": np.zeros(n, np.int32),
+            "lane": ("",) * n,
+            "visible_fraction": np.full((agents, n), np.nan, np.float32),
+        }
+        for name, value in unknown.items():
+            if np.size(getattr(self, name)) == 0:
+                object.__setattr__(self, name, value)
+        shapes = {
+            "velocity": (n, 2),
+            "points_on": (agents, n),
+            "acceleration": (n, 2),
+            "signals": (n,),
+            "lane": (n,),
+            "visible_fraction": (agents, n),
+        }
+        for name, shape in shapes.items():
+            found = np.shape(getattr(self, name))
+            if found != shape:
+                raise ValueError(f"Frame.{name} must have shape {shape}, got {found}")
 
     def agent(self, agent_id: int) -> AgentFrame:
         """Return the agent of this id; KeyError when there is none."""
@@ -64,6 +97,21 @@ class Frame:
             if agent.agent_id == agent_id:
                 return agent
         raise KeyError(agent_id)
+
+    def seen_by(self, ego_id: int, points: int = 1) -> NDArray[np.uint8]:
+        """Return (N,) who sees each object: `BY_EGO`, `BY_HELPER` (another agent, but not the ego) or `BY_NOBODY`.
+
+        Args:
+            ego_id: one of the agents; KeyError when it is none.
+            points: who has at least so many on an object sees it. Counts are those of the sweeps as they were
+                recorded: corruptions hide nothing here.
+        """
+        enough = self.points_on >= points
+        row = self.agents.index(self.agent(ego_id))
+        seen = np.full(len(self.truth), BY_NOBODY, np.uint8)
+        seen[enough.any(axis=0)] = BY_HELPER
+        seen[enough[row]] = BY_EGO
+        return seen
 
     def with_sweeps(self, sweeps: list[Sweep]) -> "Frame":
         """Return the frame with the agents' sweeps replaced, in order; ground truth and counts stay."""

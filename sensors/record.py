@@ -193,6 +193,9 @@ def make_frame(
         truth=truth,
         velocity=now.velocity[near],
         points_on=np.stack(counts) if counts else np.zeros((0, len(truth)), np.int32),
+        acceleration=now.acceleration[near],
+        signals=now.signals[near],
+        lane=tuple(now.lane[row] for row in np.flatnonzero(near)),
     )
 
 

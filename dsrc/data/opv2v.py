@@ -190,6 +190,10 @@ class DriveReader:
             truth=first.truth(),
             velocity=np.array(first.velocity, np.float64).reshape(-1, 2),
             points_on=np.array([r.points_on for r in records], np.int32).reshape(len(records), -1),
+            acceleration=np.array([row or (np.nan, np.nan) for row in first.acceleration], np.float64).reshape(-1, 2),
+            signals=np.array(first.signals, np.int32),
+            lane=tuple(first.lane),
+            visible_fraction=_fractions(records),
         )
 
     def _foreign_frame(self, stem: str, notes: list[Annotation]) -> Frame:
@@ -219,6 +223,14 @@ class DriveReader:
         world = self.protocol.get("world", {})
         tick = world.get("fixed_delta_seconds", _TICK_S) if isinstance(world, dict) else _TICK_S
         return float(tick) if isinstance(tick, int | float) and 0 < tick < math.inf else _TICK_S
+
+
+def _fractions(records: list[Record]) -> NDArray[np.float32]:
+    """Return (A, N) visible fractions; empty where an agent's file has none, as those that were written before."""
+    if any(len(r.visible_fraction) < len(r.object_id) for r in records):
+        return np.zeros((0, 0), np.float32)
+    rows = [[np.nan if share is None else share for share in r.visible_fraction] for r in records]
+    return np.array(rows, np.float32).reshape(len(records), -1)
 
 
 def _union(notes: list[Annotation]) -> tuple[Boxes, NDArray[np.float64]]:

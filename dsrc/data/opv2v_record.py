@@ -36,14 +36,15 @@ _Id = Annotated[int, msgspec.Meta(gt=-_ID_LIMIT, lt=_ID_LIMIT)]
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The JSON under `testbed`: N objects, in the order of `Frame.truth`.
 
-    Trees written before `motion`, `path` and `lost` were kept lack them; their points are those of the middle of the
-    sweep.
+    Trees written before the last fields were kept lack them: their points are those of the middle of the sweep, and of
+    accelerations, signals, lanes and visible fractions nobody knows.
 
     Attributes:
         motion: how the points beside this record are compensated, see `sensors.sweep.Motion`.
         path: true way of the LiDAR in our world through the sweep: time, s, x, y, z, m, yaw, pitch, roll, rad, without
             jumps of a full turn; empty when nobody knows.
         lost: see `Sweep.lost`.
+        acceleration, signals, lane, visible_fraction: as in `Frame`, the agent's own row of the last; null for NaN.
     """
 
     version: int
@@ -65,6 +66,10 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     motion: Motion = "middle"
     path: list[tuple[float, float, float, float, float, float, float]] = []
     lost: Annotated[int, msgspec.Meta(ge=0)] = 0
+    acceleration: list[tuple[float, float] | None] = []
+    signals: list[Annotated[int, msgspec.Meta(ge=0, lt=2**31)]] = []
+    lane: list[str] = []
+    visible_fraction: list[Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None] = []
 
     def lidar_path(self) -> LidarPath | None:
         """Return the way of the LiDAR exactly as it was written."""
@@ -112,7 +117,8 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
     """
     agent = frame.agents[row]
     numbers = (frame.truth.array, frame.velocity, agent.world_from_body, agent.sweep.world_from_lidar)
-    if not all(np.isfinite(n).all() for n in (*numbers, _knots(agent.sweep.path))):
+    finite = all(np.isfinite(n).all() for n in (*numbers, _knots(agent.sweep.path)))
+    if not finite or np.isinf(frame.acceleration).any():
         raise ValueError(f"frame {frame.index}: a box, velocity or pose is not finite")
     body = carla_from_matrix(agent.world_from_body).tolist()
     plan = np.zeros((0, 3)) if plan is None else plan
@@ -153,6 +159,11 @@ def _record(frame: Frame, row: int, check: int) -> Record:
         motion=agent.sweep.motion,
         path=_knots(agent.sweep.path).tolist(),
         lost=int(agent.sweep.lost),
+        acceleration=[None if np.isnan(row).any() else tuple(row.tolist()) for row in frame.acceleration],
+        signals=frame.signals.tolist(),
+        lane=list(frame.lane),
+        # The shortest decimals that read back as the same float32.
+        visible_fraction=[None if np.isnan(share) else float(str(share)) for share in frame.visible_fraction[row]],
     )
 
 
@@ -224,6 +235,9 @@ def _checked(path: Path, record: Record) -> Record:
     for name in ("label", "box", "velocity", "points_on"):
         if len(getattr(record, name)) != n:
             raise DataError(complaint(path, f"testbed.{name}", f"{n} rows", len(getattr(record, name))))
+    for name in ("acceleration", "signals", "lane", "visible_fraction"):
+        if len(getattr(record, name)) not in (0, n):
+            raise DataError(complaint(path, f"testbed.{name}", f"{n} rows or none", len(getattr(record, name))))
     for name in ("world_from_body", "world_from_lidar"):
         if [len(r) for r in getattr(record, name)] != [4, 4, 4, 4]:
             raise DataError(complaint(path, f"testbed.{name}", "4 rows of 4 numbers", getattr(record, name)))

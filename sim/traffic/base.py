@@ -9,6 +9,14 @@ from numpy.typing import NDArray
 from sim.boxes import Boxes
 from sim.geometry import pose_matrix
 
+SIGNALS = {"right indicator": 1, "left indicator": 2, "hazard lights": 4, "brake light": 8}
+"""Bits of `Actors.signals` by what is lit; SUMO sets others that nobody here reads."""
+
+
+def lit(signals: int) -> tuple[str, ...]:
+    """Return the names of what is lit, in the order of `SIGNALS`."""
+    return tuple(name for name, bit in SIGNALS.items() if signals & bit)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actors:
@@ -19,18 +27,23 @@ class Actors:
         boxes: N boxes (geometric centre); label, object id (>= 1000) and size included.
         pitch: (N,) float64 rad, positive lowers the front; boxes ignore it, bodies and sensors do not.
         velocity: (N, 2) float64 m/s in the world, from the motion of the box centre.
+        acceleration: (N, 2) float64 m/s2 in the world, the change of `velocity` since the step before; zero for who has
+            just appeared.
         model: (N,) names of body meshes, see `sim.world.bodies`.
         name: (N,) names in the traffic simulation.
-        signals: (N,) int32 SUMO signal bits (8 = brake light).
+        signals: (N,) int32 bits of `SIGNALS`, as SUMO has them.
+        lane: (N,) names of the lanes in the road network, "" off the road and for people who walk on none.
     """
 
     time_s: float
     boxes: Boxes
     pitch: NDArray[np.float64]
     velocity: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
     model: tuple[str, ...]
     name: tuple[str, ...]
     signals: NDArray[np.int32]
+    lane: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.boxes)

@@ -13,12 +13,25 @@ from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
 from sim.traffic.base import Actors, Traffic
 
-VERSION = 1
+VERSION = 2
 
-# Columns of the file: per step, per object (in order of id), per actor and step (steps after one another).
+# Columns of the file: per step, per object (in order of id), per actor and step (steps after one another), per lane (in
+# order of name). Files of version 1 knew neither lanes nor accelerations: such a drive is generated anew.
 _STEPS = {"time_s": "f8", "count": "i8"}
 _OBJECTS = {"id": "i8", "label": "i8", "size": "f8", "name": "U", "model": "U"}
-_ROWS = {"object": "i8", "center": "f8", "yaw": "f8", "pitch": "f8", "velocity": "f8", "signals": "i4"}
+_ROWS = {
+    "object": "i8",
+    "center": "f8",
+    "yaw": "f8",
+    "pitch": "f8",
+    "velocity": "f8",
+    "acceleration": "f8",
+    "signals": "i4",
+    "lane": "i8",
+}
+_LANES = {"name": "U"}
+_KEYS = {"step": "time_s", "object": "id", "lane": "name"}
+_WIDTHS = {"size": (3,), "center": (3,), "velocity": (2,), "acceleration": (2,)}
 
 
 class TrafficLog:
@@ -76,6 +89,8 @@ class TrafficLog:
         looks = [self._objects[i] for i in ids.tolist()]
         entries = self._entries
         object_id = _stack([a.boxes.object_id for a in entries], (), np.int64)
+        lanes = sorted({lane for a in entries for lane in a.lane})
+        row_of_lane = {lane: row for row, lane in enumerate(lanes)}
         return {
             "version": np.array(VERSION),
             "step_s": np.array(self.step_s),
@@ -91,7 +106,10 @@ class TrafficLog:
             "row/yaw": _stack([a.boxes.yaw for a in entries], (), np.float64),
             "row/pitch": _stack([a.pitch for a in entries], (), np.float64),
             "row/velocity": _stack([a.velocity for a in entries], (2,), np.float64),
+            "row/acceleration": _stack([a.acceleration for a in entries], (2,), np.float64),
             "row/signals": _stack([a.signals for a in entries], (), np.int32),
+            "row/lane": np.array([row_of_lane[lane] for a in entries for lane in a.lane], np.int64),
+            "lane/name": np.array(lanes, dtype=np.str_),
         }
 
 
@@ -156,23 +174,24 @@ def _read_columns(path: Path) -> dict[str, NDArray]:
         raise DataError(f"{path}: not a readable traffic log: {' '.join(str(error).split())}") from None
     if int(columns.get("version", np.array(-1))) != VERSION:
         found = columns.get("version", "none")
-        raise DataError(complaint(path, "version", f"a traffic log of version {VERSION}", str(found)))
+        hint = "; generate the drive again"
+        raise DataError(complaint(path, "version", f"a traffic log of version {VERSION}", str(found), hint))
     _check(path, columns)
     return columns
 
 
 def _check(path: Path, columns: dict[str, NDArray]) -> None:
     """Refuse a file whose columns do not fit together."""
-    tables = {"step": _STEPS, "object": _OBJECTS, "row": _ROWS}
+    tables = {"step": _STEPS, "object": _OBJECTS, "row": _ROWS, "lane": _LANES}
     expected = {f"{table}/{name}": kind for table, names in tables.items() for name, kind in names.items()}
     for name, kind in {"step_s": "f8", **expected}.items():
         if name not in columns or not columns[name].dtype.str[1:].startswith(kind):
             found = columns[name].dtype if name in columns else "nothing"
             raise DataError(complaint(path, name, f"an array of {kind}", str(found)))
-    count = {"step": len(columns["step/time_s"]), "object": len(columns["object/id"])}
+    count = {table: len(columns[f"{table}/{key}"]) for table, key in _KEYS.items()}
     count["row"] = int(columns["step/count"].sum())
     for name in expected:
-        rows, width = count[name.split("/")[0]], {"size": (3,), "center": (3,), "velocity": (2,)}
+        rows, width = count[name.split("/")[0]], _WIDTHS
         shape = (rows, *width.get(name.split("/")[1], ()))
         if columns[name].shape != shape:
             raise DataError(complaint(path, name, f"shape {shape}", str(columns[name].shape)))
@@ -183,8 +202,10 @@ def _check(path: Path, columns: dict[str, NDArray]) -> None:
         raise DataError(complaint(path, "step/count", "at least 0", int(columns["step/count"].min())))
     if (np.diff(columns["object/id"]) <= 0).any():
         raise DataError(complaint(path, "object/id", "ascending ids", "others"))
-    if count["row"] and not 0 <= columns["row/object"].min() <= columns["row/object"].max() < count["object"]:
-        raise DataError(complaint(path, "row/object", f"rows of {count['object']} objects", "others"))
+    for table in ("object", "lane"):
+        rows = columns[f"row/{table}"]
+        if count["row"] and not 0 <= rows.min() <= rows.max() < count[table]:
+            raise DataError(complaint(path, f"row/{table}", f"rows of {count[table]} {table}s", "others"))
     if count["object"] and not 0 <= columns["object/label"].min() <= columns["object/label"].max() < len(CLASSES):
         raise DataError(complaint(path, "object/label", f"indices of {len(CLASSES)} classes", "others"))
 
@@ -202,7 +223,9 @@ def _actors(columns: dict[str, NDArray], time_s: float, rows: slice) -> Actors:
         ),
         pitch=columns["row/pitch"][rows],
         velocity=columns["row/velocity"][rows],
+        acceleration=columns["row/acceleration"][rows],
         model=tuple(columns["object/model"][which].tolist()),
         name=tuple(columns["object/name"][which].tolist()),
         signals=columns["row/signals"][rows],
+        lane=tuple(columns["lane/name"][columns["row/lane"][rows]].tolist()),
     )

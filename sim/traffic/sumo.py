@@ -43,6 +43,7 @@ class _RoadUser:
     model: str
     is_person: bool
     last_xy: NDArray[np.float64] | None = None
+    last_velocity: NDArray[np.float64] | None = None
 
 
 class SumoTraffic:
@@ -181,8 +182,8 @@ class SumoTraffic:
 
     def _warm_up(self, steps: int) -> None:
         for remaining in reversed(range(steps)):
-            if remaining == 0:
-                self._read()  # so that the first velocities are differences of positions too
+            if remaining < 2:
+                self._read()  # so that the first velocities and accelerations are differences of positions too
             self._advance()
         self._actors = self._read()
 
@@ -213,18 +214,20 @@ class SumoTraffic:
         vehicle, person = self._sumo.vehicle, self._sumo.person
         users = [self._users[name] for name in (*vehicle.getIDList(), *person.getIDList())]
         users.sort(key=lambda user: user.object_id)
-        rows = []
+        rows, lanes = [], []
         for user in users:
             domain = person if user.is_person else vehicle
             x, y, z = domain.getPosition3D(user.name)
             signals = 0 if user.is_person else vehicle.getSignals(user.name)
             rows.append((x, y, z, domain.getAngle(user.name), domain.getSlope(user.name), signals))
+            lanes.append(domain.getLaneID(user.name))
         table = np.array(rows, dtype=np.float64).reshape(-1, 6)
         size = np.array([user.kind.size for user in users], dtype=np.float64).reshape(-1, 3)
         # SUMO's reference is the front bumper of a vehicle but the middle of a person.
         reference = np.array([0.0 if user.is_person else user.kind.size[0] for user in users], dtype=np.float64)
         base, yaw, pitch = center_from_sumo(table[:, :3], table[:, 3], table[:, 4], reference)
         velocity = self._velocities(users, base, yaw)
+        acceleration = self._accelerations(users, velocity)
         center = base + np.array([0.0, 0.0, 0.5]) * size
         return Actors(
             time_s=round(self._sumo.simulation.getTime(), 6),
@@ -237,9 +240,11 @@ class SumoTraffic:
             ),
             pitch=pitch,
             velocity=velocity,
+            acceleration=acceleration,
             model=tuple(user.model for user in users),
             name=tuple(user.name for user in users),
             signals=table[:, 5].astype(np.int32),
+            lane=tuple(lanes),
         )
 
     def _velocities(
@@ -255,3 +260,12 @@ class SumoTraffic:
                 velocity[row] = domain.getSpeed(user.name) * np.array([np.cos(yaw[row]), np.sin(yaw[row])])
             user.last_xy = base[row, :2].copy()
         return velocity
+
+    def _accelerations(self, users: list[_RoadUser], velocity: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (N, 2) m/s2 from the last step's velocities; zero for newcomers."""
+        acceleration = np.zeros_like(velocity)
+        for row, user in enumerate(users):
+            if user.last_velocity is not None:
+                acceleration[row] = (velocity[row] - user.last_velocity) / self.step_s
+            user.last_velocity = velocity[row].copy()
+        return acceleration

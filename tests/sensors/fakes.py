@@ -53,7 +53,17 @@ def cars(rows, *, time_s=0.0, speed=0.0, first_id=1000, size=CAR) -> Actors:
     speed = np.broadcast_to(np.asarray(speed, float), n)
     velocity = np.stack([np.cos(rows[:, 2]), np.sin(rows[:, 2])], axis=1) * speed[:, None]
     boxes = Boxes.from_array(table, object_id=first_id + np.arange(n))
-    return Actors(time_s, boxes, np.zeros(n), velocity, ("box",) * n, ("toy",) * n, np.zeros(n, np.int32))
+    return Actors(
+        time_s=time_s,
+        boxes=boxes,
+        pitch=np.zeros(n),
+        velocity=velocity,
+        acceleration=np.zeros((n, 2)),
+        model=("box",) * n,
+        name=("toy",) * n,
+        signals=np.zeros(n, np.int32),
+        lane=("",) * n,
+    )
 
 
 def scene_of(static=None, actors: Actors | None = None) -> RayScene:
@@ -107,9 +117,11 @@ def rows_of(actors: Actors, rows: list[int]) -> Actors:
         boxes=actors.boxes[index],
         pitch=actors.pitch[index],
         velocity=actors.velocity[index],
+        acceleration=actors.acceleration[index],
         model=tuple(actors.model[r] for r in rows),
         name=tuple(actors.name[r] for r in rows),
         signals=actors.signals[index],
+        lane=tuple(actors.lane[r] for r in rows),
     )
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sensors.frame import AgentFrame, Frame, agent_order, count_points
+from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY, AgentFrame, Frame, agent_order, count_points
 from sensors.sweep import make_sweep
 from sim.boxes import Boxes
 
@@ -36,3 +36,15 @@ def test_sweeps_are_replaced_in_order():
     assert len(frame.agent(1000).sweep) == 2
     with pytest.raises(KeyError):
         frame.agent(7)
+
+
+def test_an_object_is_seen_by_the_ego_by_a_helper_only_or_by_nobody():
+    agents = tuple(AgentFrame(i, "vehicle", np.eye(4), 0.0, make_sweep(np.zeros((0, 3)))) for i in (1000, 1001, 1002))
+    boxes = Boxes.from_array(np.ones((4, 7)), object_id=np.arange(4))
+    points = np.array([[9, 0, 0, 4], [0, 7, 0, 9], [0, 0, 0, 9]], np.int32)
+    frame = Frame(0, 0.0, agents, boxes, np.zeros((4, 2)), points)
+    assert frame.seen_by(1000).tolist() == [BY_EGO, BY_HELPER, BY_NOBODY, BY_EGO]
+    assert frame.seen_by(1000, points=5).tolist() == [BY_EGO, BY_HELPER, BY_NOBODY, BY_HELPER]
+    assert frame.seen_by(1002).tolist() == [BY_HELPER, BY_HELPER, BY_NOBODY, BY_EGO]
+    with pytest.raises(KeyError):
+        frame.seen_by(7)

@@ -50,7 +50,21 @@ def toy_frame(index: int, seed: int = 0, points: int = 400) -> Frame:
             lidar = body @ pose_matrix([0, 0, 1.9])
         agents.append(_agent(agent_id, truth, body, lidar, rng, points, 0.1 * index))
     counts = np.stack([count_points(a.sweep, truth.object_id) for a in agents])
-    return Frame(index, 0.1 * index, tuple(agents), truth, velocity_at(index), counts)
+    rng = np.random.default_rng([seed, index, 9])
+    fraction = rng.random(counts.shape, dtype=np.float32)
+    fraction[counts == 0] = np.nan
+    return Frame(
+        index=index,
+        time_s=0.1 * index,
+        agents=tuple(agents),
+        truth=truth,
+        velocity=velocity_at(index),
+        points_on=counts,
+        acceleration=np.where(IDS[:, None] == 1003, np.nan, rng.normal(size=(len(IDS), 2))),
+        signals=rng.integers(0, 16, len(IDS)).astype(np.int32),
+        lane=("main_0", "main_1", ":j'0_1_0", "", "main_0", ""),
+        visible_fraction=fraction,
+    )
 
 
 def _agent(agent_id, truth, body, lidar, rng, points, time_s):
@@ -92,10 +106,11 @@ def path_at(lidar: np.ndarray, time_s: float, agent_id: int) -> SensorPath:
 
 
 def same_frames(a: Frame, b: Frame) -> bool:
-    if (a.index, a.time_s, len(a.agents)) != (b.index, b.time_s, len(b.agents)):
+    if (a.index, a.time_s, len(a.agents), a.lane) != (b.index, b.time_s, len(b.agents), b.lane):
         return False
     arrays = [(a.truth.array, b.truth.array), (a.truth.label, b.truth.label), (a.velocity, b.velocity)]
-    arrays += [(a.truth.object_id, b.truth.object_id), (a.points_on, b.points_on)]
+    arrays += [(a.truth.object_id, b.truth.object_id), (a.points_on, b.points_on), (a.signals, b.signals)]
+    arrays += [(a.acceleration, b.acceleration), (a.visible_fraction, b.visible_fraction)]
     for one, two in zip(a.agents, b.agents, strict=True):
         if (one.agent_id, one.kind, one.speed) != (two.agent_id, two.kind, two.speed):
             return False
@@ -108,7 +123,7 @@ def same_frames(a: Frame, b: Frame) -> bool:
         if one.sweep.path is not None:
             arrays += [(getattr(one.sweep.path, n), getattr(two.sweep.path, n)) for n in ("time_s", "xyz", "angles")]
         arrays += [(getattr(one.sweep, name), getattr(two.sweep, name)) for name in POINT_FIELDS]
-    return all(x.dtype == y.dtype and np.array_equal(x, y) for x, y in arrays)
+    return all(x.dtype == y.dtype and np.array_equal(x, y, equal_nan=x.dtype.kind == "f") for x, y in arrays)
 
 
 class ToySource:

@@ -25,9 +25,11 @@ def actors(time_s: float, ids: list[int], rng: np.random.Generator) -> Actors:
         boxes=Boxes.from_array(rows, label=[i % 7 for i in ids], object_id=ids),
         pitch=rng.normal(size=n),
         velocity=rng.normal(size=(n, 2)),
+        acceleration=rng.normal(size=(n, 2)),
         model=tuple(f"model:{i}" for i in ids),
         name=tuple(f"v{i}" for i in ids),
         signals=rng.integers(0, 9, n).astype(np.int32),
+        lane=tuple("" if i % 2 else f"lane_{i % 3}" for i in ids),
     )
 
 
@@ -41,7 +43,7 @@ def example() -> TrafficLog:
 
 def assert_equal(left: Actors, right: Actors) -> None:
     assert left.time_s == right.time_s
-    assert (left.model, left.name) == (right.model, right.name)
+    assert (left.model, left.name, left.lane) == (right.model, right.name, right.lane)
     for owner in ((left, right), (left.boxes, right.boxes)):
         for field in fields(owner[0]):
             values = [getattr(side, field.name) for side in owner]
@@ -113,6 +115,8 @@ def test_damaged_logs_are_told_in_one_line(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", points=np.zeros(3))
     np.savez(tmp_path / "short.npz", **{**columns, "row/yaw": columns["row/yaw"][:-1]})
     np.savez(tmp_path / "ids.npz", **{**columns, "row/object": columns["row/object"] + 50})
+    np.savez(tmp_path / "lane.npz", **{**columns, "row/lane": columns["row/lane"] + 50})
+    np.savez(tmp_path / "old.npz", **{**columns, "version": np.array(1)})
     np.savez(tmp_path / "label.npz", **{**columns, "object/label": columns["object/label"] + 50})
     np.savez(tmp_path / "nan.npz", **{**columns, "row/center": columns["row/center"] * np.nan})
     np.savez(tmp_path / "step.npz", **{**columns, "step_s": np.array(0.0)})
@@ -120,7 +124,21 @@ def test_damaged_logs_are_told_in_one_line(tmp_path: Path) -> None:
     np.savez(tmp_path / "twice.npz", **{**columns, "object/id": np.array([1000, 1000, 1003, 1004])})
     np.savez(tmp_path / "kind.npz", **{**columns, "row/yaw": columns["row/yaw"].astype(np.float32)})
     np.savez(tmp_path / "object.npz", **{**columns, "object/name": np.array([{}] * 4, dtype=object)})
-    made = ("other", "short", "ids", "label", "nan", "step", "count", "twice", "kind", "object", "missing")
+    made = (
+        "other",
+        "short",
+        "ids",
+        "lane",
+        "old",
+        "label",
+        "nan",
+        "step",
+        "count",
+        "twice",
+        "kind",
+        "object",
+        "missing",
+    )
     for name in (*cases, *(f"{stem}.npz" for stem in made)):
         with pytest.raises(DataError) as caught:
             ReplayTraffic(tmp_path / name)

@@ -9,13 +9,15 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+import shapely
 
 from sim.boxes import CLASSES
 from sim.collisions import overlapping_pairs
 from sim.errors import ScenarioError, TrafficError
 from sim.geometry import wrap_angle
+from sim.networks import read_network, resolve_network
 from sim.scenario import Scenario, SignalProgram, load_scenario
-from sim.traffic.base import Actors
+from sim.traffic.base import Actors, lit
 from sim.traffic.replay import ReplayTraffic
 from sim.traffic.sumo import SumoTraffic
 
@@ -109,6 +111,44 @@ def test_velocity_is_the_motion_of_the_centre(run: list[Actors]) -> None:
         moved = (after.boxes.center[j, :2] - before.boxes.center[i, :2]) / 0.1
         assert np.allclose(after.velocity[j], moved, atol=1e-9)
         assert np.hypot(*after.velocity.T).max() < 25.0
+
+
+def test_acceleration_is_the_change_of_the_velocity(run: list[Actors]) -> None:
+    compared = 0
+    for before, after in pairwise(run):
+        for row, object_id in enumerate(after.boxes.object_id.tolist()):
+            if object_id in before.boxes.object_id:
+                change = after.velocity[row] - before.velocity[before.row(object_id)]
+                assert after.acceleration[row] == pytest.approx(change / 0.1, abs=1e-9)
+                compared += bool(np.abs(change).max() > 0.05)
+            else:
+                assert not after.acceleration[row].any()
+    assert compared > 1000
+
+
+def test_who_brakes_hard_shows_the_brake_light(run: list[Actors]) -> None:
+    hard, lit_rows = 0, 0
+    for actors in run[1:]:
+        forward = np.stack([np.cos(actors.boxes.yaw), np.sin(actors.boxes.yaw)], axis=1)
+        braking = actors.boxes.is_vehicle & ((actors.acceleration * forward).sum(axis=1) < -2.0)
+        hard += int(braking.sum())
+        lit_rows += sum("brake light" in lit(int(signals)) for signals in actors.signals[braking])
+    # SUMO takes the light's decision within its step, so at the edges of a braking it is a step early or late.
+    assert hard > 50 and lit_rows > 0.95 * hard
+
+
+def test_lanes_are_lanes_of_the_network_and_the_vehicle_is_on_its_lane(run: list[Actors]) -> None:
+    net = read_network(resolve_network(quick("four_way", 25.0), 5))
+    for actors in run[::25]:
+        for row, lane in enumerate(actors.lane):
+            if lane:
+                shape = shapely.LineString(net.getLane(lane).getShape())
+                front = actors.boxes.center[row, :2] + 0.5 * actors.boxes.size[row, 0] * np.array(
+                    [np.cos(actors.boxes.yaw[row]), np.sin(actors.boxes.yaw[row])]
+                )
+                where = front if actors.boxes.is_vehicle[row] else actors.boxes.center[row, :2]
+                assert shape.distance(shapely.Point(where)) < 2.5, (actors.name[row], lane)
+        assert all(lane for row, lane in enumerate(actors.lane) if actors.boxes.is_vehicle[row])
 
 
 def test_boxes_of_vehicles_hardly_ever_overlap(run: list[Actors]) -> None:
