@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim.errors import DataError, complaint
 from sim.geometry import pose_angles, pose_matrix, wrap_angle
 from sim.traffic.base import Actors
 
@@ -20,11 +21,20 @@ class Path:
         time_s: (K,) float64 ascending, K >= 2, s.
         xyz: (..., K, 3) float64 positions in the world, m.
         angles: (..., K, 3) float64 yaw, pitch, roll, rad, without jumps of a full turn.
+
+    Raises:
+        DataError: fewer than two times, or times that do not ascend.
     """
 
     time_s: NDArray[np.float64]
     xyz: NDArray[np.float64]
     angles: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        times = self.time_s
+        if len(times) < 2 or not (times[1:] > times[:-1]).all():
+            found = f"{len(times)}: {times.tolist()}"
+            raise DataError(complaint("path", "time_s", "at least two ascending times", found))
 
     @classmethod
     def through(cls, time_s: ArrayLike, world_from_body: ArrayLike) -> Self:

@@ -1,8 +1,10 @@
 """LidarSpec: what a LiDAR is. The named sensors are in `sensors.presets`."""
 
 import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -15,6 +17,8 @@ IntensityLaw = Literal["reflectivity", "distance", "power"]
 
 MOST_RAYS = 20_000_000
 """Most rays of one sweep, sub-rays included: a table of directions for more would not fit into memory."""
+MOST_BEAMS = np.iinfo(np.int16).max
+"""Most beams: a point's ring is an int16."""
 
 
 class Prism(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -25,6 +29,9 @@ class Prism(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         wedge_deg: angle between its faces.
         refraction: refractive index.
         slanted_exit: the beam leaves by the slanted face; else it enters by it. The other face is square to the axis.
+
+    Raises:
+        SettingsError: a value of another type.
     """
 
     rate_hz: float
@@ -32,11 +39,15 @@ class Prism(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     refraction: float
     slanted_exit: bool = False
 
+    def __post_init__(self) -> None:
+        _check_types(self, "Prism")
+
 
 class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A LiDAR whose beams fire together, or one shortly after another, in each of `columns` firings per sweep.
 
-    Tables of beams have one value per beam, or none where all beams are alike.
+    Tables of beams have one value per beam, or none where all beams are alike. They may be given as lists or arrays and
+    are kept as tuples, so that sensors compare and hash by value.
 
     Attributes:
         name: preset name.
@@ -73,6 +84,10 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         mount_xyz_m: sensor above the footprint's centre at road level for vehicles, in the body frame.
         source: the document that the numbers come from.
         assumed: fields whose values no document gave.
+
+    Raises:
+        SettingsError: a value of another type or that no sensor has, NaN included; it names the field, what was
+            expected and what was found.
     """
 
     name: str
@@ -108,10 +123,10 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        _check_types(self, f"LidarSpec '{self.name}'")
         for field, expected, holds in self._facts():
             if not holds:
-                found = getattr(self, field)
-                raise SettingsError(complaint(f"LidarSpec '{self.name}'", field, expected, found))
+                raise SettingsError(complaint(f"LidarSpec '{self.name}'", field, expected, getattr(self, field)))
 
     def _facts(self) -> list[tuple[str, str, bool]]:
         """Return (field, what is expected of it, whether it holds); comparisons with NaN do not hold."""
@@ -122,6 +137,7 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         vertical = self.divergence_rad if self.divergence_vertical_rad is None else self.divergence_vertical_rad
         return [
             ("elevation_deg", "at least one beam", beams > 0),
+            ("elevation_deg", f"at most {MOST_BEAMS} beams", beams <= MOST_BEAMS),
             ("elevation_deg", "angles within +-90", all(-90.0 <= angle <= 90.0 for angle in table)),
             ("elevation_deg", "the highest beam first", all(a >= b for a, b in pairwise(table))),
             ("columns", "at least 1", self.columns >= 1),
@@ -220,3 +236,72 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """(R, C) firing times minus the sweep's reference time, s: centred, within half a period."""
         column = np.arange(self.columns) - 0.5 * self.columns
         return (column + self.firing_share[:, None]) * self.column_s
+
+
+def _check_types(spec: Prism | LidarSpec, name: str) -> None:
+    """Turn the fields of a spec into the types that it declares; SettingsError where they are something else."""
+    for field, (expected, read) in _readers(type(spec)).items():
+        found = getattr(spec, field)
+        try:
+            value = read(found)
+        except (TypeError, ValueError, OverflowError):
+            raise SettingsError(complaint(name, field, expected, repr(found).replace("\n", ""))) from None
+        msgspec.structs.force_setattr(spec, field, value)
+
+
+@lru_cache(maxsize=2)
+def _readers(kind: type[Prism | LidarSpec]) -> dict[str, tuple[str, Callable[[Any], Any]]]:
+    """Return for each field what is expected of it, and what reads it or raises."""
+    return {field.name: _OF_TYPE[field.type] for field in msgspec.structs.fields(kind)}
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise TypeError
+    return float(value)
+
+
+def _whole(value: Any) -> int:
+    if not _number(value).is_integer():
+        raise ValueError
+    return int(value)
+
+
+def _exactly(kind: type) -> Callable[[Any], Any]:
+    def read(value: Any) -> Any:
+        if isinstance(value, np.bool_):
+            value = bool(value)
+        if not isinstance(value, kind):
+            raise TypeError
+        return value
+
+    return read
+
+
+def _each(read: Callable[[Any], Any], length: int | None = None) -> Callable[[Any], tuple[Any, ...]]:
+    """Return what reads a table of values, of some length or of any."""
+
+    def read_all(value: Any) -> tuple[Any, ...]:
+        rows = value.tolist() if isinstance(value, np.ndarray) else value
+        if not isinstance(rows, Sequence) or isinstance(rows, str) or length not in (None, len(rows)):
+            raise TypeError
+        return tuple(read(row) for row in rows)
+
+    return read_all
+
+
+_OF_TYPE: dict[Any, tuple[str, Callable[[Any], Any]]] = {
+    float: ("a number", _number),
+    float | None: ("a number or None", lambda value: None if value is None else _number(value)),
+    int: ("a whole number", _whole),
+    bool: ("True or False", _exactly(bool)),
+    str: ("text", _exactly(str)),
+    Returns: (f"one of {get_args(Returns)}", _exactly(str)),
+    IntensityLaw: (f"one of {get_args(IntensityLaw)}", _exactly(str)),
+    tuple[float, ...]: ("a table of numbers", _each(_number)),
+    tuple[float, float, float]: ("three numbers", _each(_number, 3)),
+    tuple[tuple[float, float], ...]: ("a table of pairs of numbers", _each(_each(_number, 2))),
+    tuple[str, ...]: ("a table of texts", _each(_exactly(str))),
+    tuple[Prism, ...]: ("a table of Prism", _each(_exactly(Prism))),
+}
+"""What is expected of a field of each type, and what turns a value into it or raises."""

@@ -1,6 +1,8 @@
 import numpy as np
+import pytest
 
 from sensors.motion import Path, actor_paths
+from sim.errors import DataError
 from sim.geometry import pose_angles, pose_matrix
 from tests.sensors.fakes import cars, rows_of
 
@@ -40,3 +42,9 @@ def test_at_the_reference_time_a_path_is_the_pose_of_the_actor():
 
 def test_no_actors_make_no_paths():
     assert len(actor_paths(rows_of(cars([[0, 0, 0]]), []))) == 0
+
+
+@pytest.mark.parametrize("times", [[], [1.0], [1.0, 1.0], [1.0, 0.9], [0.0, np.nan]])
+def test_a_path_of_less_than_two_ascending_times_is_refused(times):
+    with pytest.raises(DataError, match=f"path: time_s: expected at least two ascending times, found {len(times)}: "):
+        Path.through(times, np.tile(np.eye(4), (len(times), 1, 1)))

@@ -15,6 +15,7 @@ WEDGE = Prism(rate_hz=10.0, wedge_deg=20.0, refraction=1.5)
 REFUSED = [
     # field, what is wrong, what the error must say was expected
     ("elevation_deg", {"elevation_deg": ()}, "at least one beam"),
+    ("elevation_deg", {"elevation_deg": (0.0,) * 32768, "columns": 1}, "at most 32767 beams"),
     ("elevation_deg", {"elevation_deg": (NAN,)}, "angles within"),
     ("elevation_deg", {"elevation_deg": (91.0, 0.0)}, "angles within"),
     ("elevation_deg", {"elevation_deg": (-1.0, 1.0)}, "the highest beam first"),
@@ -109,6 +110,67 @@ def test_a_sensor_at_the_limits_is_fine():
         dropoff_rate=1.0,
         divergence_rad=0.0,
     )
+
+
+MISTAKEN = [
+    # field, a value of another type, what the error must say was expected
+    ("name", 5, "text"),
+    ("columns", 100.5, "a whole number"),
+    ("columns", "100", "a whole number"),
+    ("columns", True, "a whole number"),
+    ("columns", NAN, "a whole number"),
+    ("columns", 10**400, "a whole number"),
+    ("subrays", None, "a whole number"),
+    ("range_max_m", "120", "a number"),
+    ("range_max_m", np.array([1.0, 2.0]), "a number"),
+    ("rate_hz", None, "a number"),
+    ("divergence_vertical_rad", "0.003", "a number or None"),
+    ("own_body", "no", "True or False"),
+    ("rolling_shutter", 0, "True or False"),
+    ("elevation_deg", 3.0, "a table of numbers"),
+    ("elevation_deg", None, "a table of numbers"),
+    ("elevation_deg", "12", "a table of numbers"),
+    ("elevation_deg", (2.0, "a"), "a table of numbers"),
+    ("elevation_deg", np.zeros((2, 2)), "a table of numbers"),
+    ("azimuth_offset_deg", {0.0}, "a table of numbers"),
+    ("beam_range_m", [1.0, 2.0], "a table of pairs of numbers"),
+    ("beam_range_m", [(1.0, 2.0, 3.0)] * 16, "a table of pairs of numbers"),
+    ("mount_xyz_m", (0.0, 1.9), "three numbers"),
+    ("prisms", [{"rate_hz": 1.0}], "a table of Prism"),
+    ("returns", ["last"], "one of ('strongest', 'last', 'dual')"),
+    ("intensity_law", np.array(["power", "distance"]), "one of ('reflectivity', 'distance', 'power')"),
+    ("assumed", ("columns", 3), "a table of texts"),
+    ("source", None, "text"),
+]
+
+
+@pytest.mark.parametrize(("field", "found", "expected"), MISTAKEN)
+def test_a_value_of_another_type_is_refused_like_an_impossible_one(field, found, expected):
+    with pytest.raises(SettingsError, match=re.escape(f"{field}: expected {expected}, found ")) as error:
+        msgspec.structs.replace(get_lidar("debug-16"), **{field: found})
+    assert repr(found).replace("\n", "")[:60] in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("field", "found"), [("rate_hz", "10"), ("wedge_deg", None), ("slanted_exit", "no")])
+def test_a_prism_of_other_types_is_refused(field, found):
+    with pytest.raises(SettingsError, match=f"Prism: {field}: expected .*, found {found!r}"):
+        msgspec.structs.replace(WEDGE, **{field: found})
+
+
+@pytest.mark.parametrize("kind", [list, np.array, lambda table: np.array(table, np.float32)])
+def test_tables_may_be_lists_and_arrays(kind):
+    tables = {
+        "elevation_deg": (2.0, 0.5, -1.0),
+        "azimuth_offset_deg": (0.25, 0.0, -0.25),
+        "beam_range_m": ((1.0, 50.0),) * 3,
+        "mount_xyz_m": (0.0, 0.5, 2.0),
+    }
+    plain = LidarSpec(name="x", columns=36, **tables)
+    given = LidarSpec(name="x", columns=np.int32(36), **{field: kind(table) for field, table in tables.items()})
+    assert given == plain
+    assert hash(given) == hash(plain)
+    assert msgspec.to_builtins(given) == msgspec.to_builtins(plain)
 
 
 def test_a_misspelt_field_is_refused():
