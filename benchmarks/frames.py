@@ -132,7 +132,7 @@ def fused_parts(scene: RayScene, street: Street) -> dict[str, Callable[[], objec
     scan_all(canned, street.sensors, threads=1)  # type: ignore[arg-type]
     deaf = msgspec.structs.replace(BENCHMARK_LIDAR, dropoff_rate=1.0)
     scan_all(lost, street.vehicles.sensors(0.0, np.random.default_rng(1), deaf), threads=1)  # type: ignore[arg-type]
-    void = RayScene(trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), process=False), engine="fused")
+    void = RayScene(None, engine="fused")
     reach = np.full(len(street.rays[0].origins), BENCHMARK_LIDAR.range_max_m, np.float32)
     everything = _solid(*baked(street.static, street.vehicles, 0.0))
     streets = _solid(street.static.vertices, street.static.faces)

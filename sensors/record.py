@@ -97,7 +97,7 @@ class Recording:
 
 def simulate(
     traffic: Traffic,
-    world: trimesh.Trimesh,
+    world: trimesh.Trimesh | None,
     scenario: Scenario,
     seed: int,
     frames: int,
@@ -112,7 +112,7 @@ def simulate(
 
 def record(
     traffic: Traffic,
-    world: trimesh.Trimesh,
+    world: trimesh.Trimesh | None,
     scenario: Scenario,
     seed: int,
     frames: int,
@@ -124,7 +124,7 @@ def record(
 
     Args:
         traffic: at the time of the first frame; it is stepped half a sweep beyond the last.
-        world: static world in the world frame.
+        world: static world in the world frame, None for one without any.
         scenario: gives agents, area and roadside units.
         seed: of the choice of agents and of the sensors' noise.
         frames: number of frames.

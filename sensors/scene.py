@@ -21,6 +21,7 @@ BodyMesh = Callable[[str, tuple[float, float, float]], trimesh.Trimesh]
 
 _BODIES_KEPT = 1024
 
+_NO_MESH = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, np.uint8)
 _NO_BODIES = Bodies(
     np.zeros(0, np.int64), np.zeros((0, 3)), (), Path(np.arange(2.0), *np.zeros((2, 0, 2, 3))), (0.0, 1.0)
 )
@@ -31,7 +32,7 @@ class RayScene:
 
     def __init__(
         self,
-        static: trimesh.Trimesh,
+        static: trimesh.Trimesh | None,
         *,
         body_mesh: BodyMesh | None = None,
         engine: str | None = None,
@@ -40,18 +41,19 @@ class RayScene:
         """Prepare the static world.
 
         Args:
-            static: triangles in the world frame with `face_attributes["material"]`.
+            static: triangles in the world frame with `face_attributes["material"]`, asphalt where it has none; None
+                for a world of bodies alone.
             body_mesh: meshes of actors; `sim.world.bodies.body_mesh` when left out.
             engine: see `sensors.raycast.open_engine`.
             robust: watertight at shared edges, for an eighth of the speed.
 
         Raises:
-            DataError: a mesh that holds NaN or faces of vertices that it does not have.
+            DataError: a mesh that is none, has no faces, or holds NaN or faces of unknown vertices or materials.
             SettingsError: an engine that does not exist or cannot run.
         """
         self.engine = open_engine(engine, robust=robust)
         self.bodies: Bodies = _NO_BODIES
-        self._world = StaticWorld(*mesh_arrays(static, "static world"))
+        self._world = StaticWorld(*(_NO_MESH if static is None else mesh_arrays(static, "static world")))
         self._body_mesh = body_mesh
         self._solids: dict[tuple[str, tuple[float, ...]], Solid] = {}
         self._fleet: tuple[tuple[str, ...], NDArray[np.float64], tuple[Solid, ...]] = ((), np.zeros((0, 3)), ())
@@ -103,6 +105,10 @@ class RayScene:
             made |= dict(zip(rows.tolist(), returns, strict=True))
         return [made[row] for row in range(len(shots))]
 
+    def around(self, shot: Shot) -> Solid:
+        """Return the static world that the rays of one sweep can reach, in a frame at its `origin`."""
+        return self._world.around(shot.knots[:, :2, 3], float(shot.beams.reach[:, 1].max()))
+
     def cast(self, origins: NDArray[np.float64], directions: NDArray[np.float64], reach_m: float) -> Hits:
         """Cast single rays of (N, 3) origins and unit directions in the world frame against the static world.
 
@@ -153,11 +159,8 @@ class RayScene:
                 self._body_mesh = body_mesh
             if len(self._solids) >= _BODIES_KEPT:
                 self._solids.pop(next(iter(self._solids)))
-            vertices, faces, material = mesh_arrays(
-                self._body_mesh(model, (size[0], size[1], size[2])), f"body '{model}'"
-            )
-            if len(faces) == 0:
-                raise DataError(complaint(f"body '{model}'", "faces", "at least one triangle", 0))
+            mesh = self._body_mesh(model, (size[0], size[1], size[2]))
+            vertices, faces, material = mesh_arrays(mesh, f"body '{model}'")
             self._solids[key] = Solid(vertices.astype(np.float32), faces, material)
         return self._solids[key]
 
@@ -166,15 +169,20 @@ def mesh_arrays(mesh: trimesh.Trimesh, name: str) -> tuple[NDArray[np.float64], 
     """Return (V, 3) vertices, (F, 3) faces and (F,) materials of a mesh, asphalt where it does not say.
 
     Raises:
-        DataError: coordinates that are not finite, or faces of vertices that the mesh does not have.
+        DataError: no mesh, such as the scene that trimesh makes of a GLB file; no faces; coordinates that are not
+            finite; faces of unknown vertices or materials.
     """
+    if not isinstance(mesh, trimesh.Trimesh):
+        raise DataError(complaint(name, "mesh", "a trimesh.Trimesh", type(mesh).__name__))
     vertices = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
     faces = np.asarray(mesh.faces).reshape(-1, 3)
+    if len(faces) == 0:
+        raise DataError(complaint(name, "faces", "at least one triangle", 0))
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
         found = f"{vertices[bad[0]].tolist()} in row {bad[0]}"
         raise DataError(complaint(name, "vertices", "finite coordinates", found))
-    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+    if faces.min() < 0 or faces.max() >= len(vertices):
         found = f"{faces.min()} to {faces.max()}"
         raise DataError(complaint(name, "faces", f"rows of the {len(vertices)} vertices", found))
     material = mesh.face_attributes.get("material")

@@ -28,10 +28,6 @@ def box(extents, center=(0.0, 0.0, 0.0), material: int = BRIGHT) -> trimesh.Trim
     return painted(mesh, material)
 
 
-def nothing() -> trimesh.Trimesh:
-    return painted(trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), process=False))
-
-
 def ground(size: float = 400.0, center=(0.0, 0.0)) -> trimesh.Trimesh:
     half = size / 2
     corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]], float)
@@ -67,7 +63,7 @@ def cars(rows, *, time_s=0.0, speed=0.0, first_id=1000, size=CAR) -> Actors:
 
 
 def scene_of(static=None, actors: Actors | None = None) -> RayScene:
-    scene = RayScene(nothing() if static is None else static, body_mesh=box_body)
+    scene = RayScene(static, body_mesh=box_body)
     return scene if actors is None else scene.with_bodies(actors)
 
 

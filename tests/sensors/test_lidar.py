@@ -8,7 +8,7 @@ from sensors.presets import get_lidar
 from sensors.sweep import POINT_FIELDS, STATIC
 from sim.geometry import pose_matrix
 from sim.world.materials import MATERIALS, material_index
-from tests.sensors.fakes import BRIGHT, box, cars, ground, ideal, nothing, scene_of
+from tests.sensors.fakes import BRIGHT, box, cars, ground, ideal, scene_of
 
 SENSOR = pose_matrix([0.0, 0.0, 1.9])
 
@@ -72,7 +72,7 @@ def test_one_seed_gives_the_same_bytes_and_another_does_not():
 
 
 def test_an_empty_scene_gives_an_empty_sweep():
-    sweep = sweep_of(scene_of(nothing()), get_lidar("debug-16"))
+    sweep = sweep_of(scene_of(), get_lidar("debug-16"))
     assert len(sweep) == 0
     assert sweep.points.shape == (0, 3)
 
@@ -93,7 +93,7 @@ def test_a_moving_car_is_smeared_by_its_motion_around_its_box():
     """A car at 20 m/s is 0.5 m farther when a column fires a quarter of a rotation later."""
     speed, spec = 20.0, ideal("opv2v-64")
     ahead = cars([[0.0, 20.0, np.pi / 2]], speed=speed)
-    sweep = sweep_of(scene_of(nothing(), ahead), spec)
+    sweep = sweep_of(scene_of(None, ahead), spec)
     rear = sweep.points[:, 1] < 18.6
     # The rear plate is at y = 17.75 at time 0; straight left is fired a quarter of a rotation after straight ahead.
     expected = 17.75 + speed * sweep.time_offset[rear]
@@ -103,7 +103,7 @@ def test_a_moving_car_is_smeared_by_its_motion_around_its_box():
 
 def test_without_rolling_shutter_a_moving_car_is_not_smeared():
     spec = ideal("opv2v-64", rolling_shutter=False)
-    sweep = sweep_of(scene_of(nothing(), cars([[0.0, 20.0, np.pi / 2]], speed=20.0)), spec)
+    sweep = sweep_of(scene_of(None, cars([[0.0, 20.0, np.pi / 2]], speed=20.0)), spec)
     assert len(sweep) > 50
     assert (sweep.time_offset == 0.0).all()
     assert sweep.points[:, 1].min() == pytest.approx(17.75, abs=1e-3)

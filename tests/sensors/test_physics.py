@@ -16,7 +16,7 @@ from sensors.sweep import POINT_FIELDS, STATIC
 from sim.errors import DataError, SettingsError
 from sim.geometry import pose_matrix
 from sim.world.materials import MATERIALS, material_index
-from tests.sensors.fakes import BRIGHT, CAR, box, box_body, cars, ground, ideal, nothing, painted
+from tests.sensors.fakes import BRIGHT, CAR, box, box_body, cars, ground, ideal, painted
 
 SENSOR = pose_matrix([0.0, 0.0, 1.9])
 ENGINES = ("public", "fused")
@@ -69,7 +69,7 @@ def test_points_on_a_car_fall_with_the_square_of_its_distance(engine):
     spec = ideal("opv2v-64", columns=4096, elevation_deg=tuple(np.linspace(6.5, -6.5, 512).tolist()))
     counts = []
     for distance in (10.0, 20.0, 40.0, 80.0):
-        scene = scene_of(engine, nothing(), cars([[distance + 0.5 * CAR[0], 0.0, 0.0]]))
+        scene = scene_of(engine, None, cars([[distance + 0.5 * CAR[0], 0.0, 0.0]]))
         sweep = still(scene, spec, pose_matrix([0.0, 0.0, 0.75]))
         solid_angle = 4.0 * np.arctan(CAR[1] * CAR[2] / (4.0 * distance * np.hypot(distance, 0.5 * np.hypot(*CAR[1:]))))
         per_ray = 2.0 * np.pi / spec.columns * np.radians(13.0 / 511.0)
@@ -277,7 +277,7 @@ def test_a_car_that_brakes_and_turns_is_met_where_it_is(engine):
     times = np.array([-0.1, 0.0, 0.1])
     rows = [[12.0 - 8.0 * t - 3.0 * t**2, 3.0 + 2.0 * t, 0.4 + 0.9 * t] for t in times]
     before, now, after = (replace(cars([row]), time_s=t) for row, t in zip(rows, times, strict=True))
-    scene = scene_of(engine, nothing(), now, before=before, after=after)
+    scene = scene_of(engine, None, now, before=before, after=after)
     sweep = still(scene, ideal("opv2v-64"))
     assert len(sweep) > 300
     path = scene.bodies.path[0]

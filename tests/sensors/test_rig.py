@@ -7,7 +7,7 @@ from sim.networks import read_network
 from sim.scenario import RoadsideUnit
 from sim.world.build import build_world
 from sim.world.roads import GROUND_BELOW_M
-from tests.sensors.fakes import box, ground, nothing, scene_of
+from tests.sensors.fakes import box, ground, scene_of
 from tests.sim.world.hills import hilly_scenario, lane_points
 
 
@@ -26,8 +26,8 @@ def test_units_stand_above_the_ground_that_is_there():
 
 
 def test_units_of_a_world_without_ground_stand_at_zero():
-    assert place_roadside(scene_of(nothing()), (unit(3.0, 4.0),))[0].world_from_lidar[2, 3] == 5.0
-    assert place_roadside(scene_of(nothing()), ()) == ()
+    assert place_roadside(scene_of(), (unit(3.0, 4.0),))[0].world_from_lidar[2, 3] == 5.0
+    assert place_roadside(scene_of(), ()) == ()
 
 
 def test_units_far_apart_stand_on_their_own_ground():

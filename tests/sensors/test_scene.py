@@ -6,7 +6,7 @@ from sensors.lidar import scan
 from sensors.scene import RayScene, mesh_arrays
 from sim.errors import SettingsError
 from sim.geometry import pose_matrix
-from tests.sensors.fakes import box, box_body, cars, ground, ideal, nothing, scene_of
+from tests.sensors.fakes import box, box_body, cars, ground, ideal, scene_of
 
 
 def test_a_far_world_origin_costs_no_precision():
@@ -30,7 +30,7 @@ def test_one_body_is_built_once():
         calls.append(model)
         return box_body(model, size)
 
-    scene = RayScene(nothing(), body_mesh=body)
+    scene = RayScene(None, body_mesh=body)
     for _ in range(3):
         scene = scene.with_bodies(cars([[5, 0, 0], [9, 0, 0]]))
     assert len(calls) == 1
@@ -59,4 +59,4 @@ def test_a_mesh_without_materials_is_asphalt():
 
 def test_an_engine_that_does_not_exist_is_refused():
     with pytest.raises(SettingsError, match="publik"):
-        RayScene(nothing(), engine="publik")
+        RayScene(None, engine="publik")

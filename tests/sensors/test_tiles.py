@@ -15,7 +15,7 @@ from sensors.scene import RayScene, mesh_arrays
 from sensors.tiles import TILE_M, StaticWorld, together
 from sim.errors import DataError
 from sim.geometry import pose_matrix
-from tests.sensors.fakes import box, box_body, cars, ground, ideal, nothing, painted, scene_of
+from tests.sensors.fakes import box, box_body, cars, ground, ideal, painted, scene_of
 
 REACH_M = 100.0
 
@@ -224,11 +224,11 @@ def test_places_are_grouped_with_their_neighbours():
 
 
 def test_an_empty_world_is_seen_by_no_ray_but_its_bodies_are_exactly():
-    assert len(sweep_at(scene_of(nothing()), 0.0, 0.0).points) == 0
+    assert len(sweep_at(scene_of(), 0.0, 0.0).points) == 0
     offset = np.array([481_234.5, 5_703_210.75, 0.0])
     there = cars([[9.0, 4.0, 0.4]])
     there.boxes.center[:] += offset
-    near, far = scene_of(nothing(), cars([[9.0, 4.0, 0.4]])), scene_of(nothing(), there)
+    near, far = scene_of(None, cars([[9.0, 4.0, 0.4]])), scene_of(None, there)
     sweep = sweep_at(near, 0.0, 0.0)
     assert len(sweep.points) > 50
     assert_same(sweep_at(far, 0.0, 0.0, offset=offset), sweep)
@@ -250,14 +250,22 @@ def test_a_broken_mesh_is_refused():
         RayScene(odd)
 
 
-@pytest.mark.parametrize("body", ["without faces", "with NaN"])
-def test_a_broken_body_is_refused(body):
-    def shape(model, size):
-        mesh = nothing() if body == "without faces" else box(size)
-        if len(mesh.faces):
-            mesh.vertices[0, 0] = np.nan
-        return mesh
+BROKEN = {
+    "without anything": (trimesh.Trimesh(), "faces: expected at least one triangle, found 0"),
+    "of points alone": (trimesh.Trimesh(np.eye(3), process=False), "faces: expected at least one triangle, found 0"),
+    "with NaN": (box((np.nan, 1.0, 1.0)), "vertices: expected finite coordinates, found .*nan"),
+    "with a missing vertex": (
+        trimesh.Trimesh(np.eye(3), [[0, 1, 3]], process=False, validate=False),
+        "faces: expected rows of the 3 vertices, found 0 to 3",
+    ),
+    "of a file": (trimesh.Scene([trimesh.creation.box()]), "mesh: expected a trimesh.Trimesh, found Scene"),
+}
 
-    found = r"faces: expected at least one triangle, found 0" if body == "without faces" else "finite coordinates"
-    with pytest.raises(DataError, match=rf"body 'box': .*{found}"):
-        RayScene(ground(), body_mesh=shape).with_bodies(cars([[9.0, 0.0, 0.0]]))
+
+@pytest.mark.parametrize(("mesh", "found"), BROKEN.values(), ids=BROKEN)
+def test_a_broken_mesh_is_refused_as_world_and_as_body(mesh, found):
+    with pytest.raises(DataError, match=f"static world: {found}"):
+        RayScene(mesh)
+    scene = RayScene(None, body_mesh=lambda model, size: mesh)
+    with pytest.raises(DataError, match=f"body 'box': {found}"):
+        scene.with_bodies(cars([[9.0, 0.0, 0.0]]))

@@ -246,8 +246,8 @@ def test_a_solid_is_known_by_identity(engine):
 
 
 def test_a_world_without_triangles_holds_its_bodies(engine):
-    nothing = trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), process=False)
-    scene = scene_in(engine, nothing)
-    sweep = scan_all(scene, [replace(sensor_of(EIGHT), rides_on=None)])[0]
+    scene = RayScene(None, body_mesh=box_body)
+    scene.engine = engine
+    sweep = scan_all(scene.with_bodies(*traffic()), [replace(sensor_of(EIGHT), rides_on=None)])[0]
     assert len(sweep) > 20
     assert STATIC not in sweep.object_id
