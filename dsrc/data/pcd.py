@@ -1,8 +1,8 @@
-"""PCD v0.7 point files: a small reader of ASCII and binary files and a writer of binary ones.
+"""PCD v0.7 point files: a small reader of ASCII, binary and compressed files and a writer of binary ones.
 
 The OPV2V tools keep the intensity in the red channel of `rgb`, 8 bits; we write that too and keep every column of a
-sweep beside it as a field of its own, which those tools ignore. On disk the points are in CARLA's left-handed sensor
-frame (y to the right); in memory in ours (y to the left).
+sweep beside it as a field of its own, which those tools ignore. In OPV2V's trees the points are in CARLA's left-handed
+sensor frame (y to the right); in memory, and in the files of real sensors, in ours (y to the left).
 
 Source: https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 """
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.lzf import decompress
 from sensors.spec import LidarSpec
 from sensors.sweep import Sweep, make_sweep
 from sim.errors import DataError, complaint
@@ -51,6 +52,10 @@ _COLUMNS = {
 """Field of the file -> column of `Sweep`; `material` counts in the order of `sim.world.materials.MATERIALS`."""
 
 
+SENSOR_FULL_SCALE = 256.0
+"""Intensity in DAIR-V2X's files that is 1 of ours; a power of two, so that nothing is rounded."""
+
+
 def encode_table(table: NDArray[np.void]) -> bytes:
     """Return a binary PCD file of a one-dimensional structured array of scalars."""
     names = table.dtype.names or ()
@@ -73,13 +78,13 @@ def encode_table(table: NDArray[np.void]) -> bytes:
 
 
 def read_table(path: Path) -> NDArray[np.void]:
-    """Read all fields of an ASCII or binary PCD file.
+    """Read all fields of a PCD file: `ascii`, `binary` or `binary_compressed`.
 
     Returns:
         (P,) structured array, one field per FIELDS entry (of COUNT 1; wider ones are sub-arrays).
 
     Raises:
-        DataError: the file is missing, truncated, compressed or its header contradicts itself.
+        DataError: the file is missing, truncated or damaged, or its header contradicts itself.
     """
     try:
         content = path.read_bytes()
@@ -97,18 +102,33 @@ def read_table(path: Path) -> NDArray[np.void]:
         return np.frombuffer(body, dtype)
     if form == "ascii":
         return _ascii_table(path, body, dtype, points)
-    raise DataError(complaint(path, "DATA", "ascii or binary", form, "; convert it with pcl_convert_pcd_ascii_binary"))
+    if form == "binary_compressed":
+        return _compressed_table(path, body, dtype, points)
+    raise DataError(complaint(path, "DATA", "ascii, binary or binary_compressed", form))
 
 
 def encode_pcd(sweep: Sweep) -> bytes:
-    """Return the PCD file of a sweep: mirrored points, red intensity and all columns exactly."""
-    table = np.zeros(len(sweep), _RECORD)
-    table["x"], table["y"], table["z"] = sweep.points[:, 0], -sweep.points[:, 1], sweep.points[:, 2]
+    """Return OPV2V's PCD file of a sweep: mirrored points, red intensity and all columns exactly."""
+    table = _table(sweep, _RECORD)
+    table["y"] = -sweep.points[:, 1]
     red = np.round(np.clip(sweep.intensity, 0.0, 1.0) * 255.0).astype(np.uint32)
     table["rgb"] = red << 16
+    return encode_table(table)
+
+
+def encode_sensor_pcd(sweep: Sweep) -> bytes:
+    """Return the PCD file of a sweep as those of real sensors are, with all columns: not mirrored, intensity to 256."""
+    table = _table(sweep, np.dtype([(name, _RECORD[name]) for name in _RECORD.names or () if name != "rgb"]))
+    table["intensity"] *= np.float32(SENSOR_FULL_SCALE)
+    return encode_table(table)
+
+
+def _table(sweep: Sweep, dtype: np.dtype) -> NDArray[np.void]:
+    table = np.zeros(len(sweep), dtype)
+    table["x"], table["y"], table["z"] = sweep.points.T
     for field, column in _COLUMNS.items():
         table[field] = getattr(sweep, column)
-    return encode_table(table)
+    return table
 
 
 def write_pcd(path: Path, sweep: Sweep) -> None:
@@ -123,6 +143,9 @@ def read_pcd(
     world_from_lidar: NDArray[np.float64] | None = None,
     time_s: float = 0.0,
     spec: LidarSpec | None = None,
+    *,
+    mirrored: bool = True,
+    full_scale: float | None = None,
 ) -> Sweep:
     """Read a sweep from our files or those of OPV2V; columns that the file lacks are those of `make_sweep`.
 
@@ -131,6 +154,9 @@ def read_pcd(
         world_from_lidar: (4, 4) pose of the sensor, not in the file.
         time_s: reference time of the sweep, not in the file.
         spec: the sensor, not in the file.
+        mirrored: the file is one of OPV2V's, y to the right and every point a return. Else it is a real sensor's: y to
+            the left, and a beam without return may be there as nan, which is left out.
+        full_scale: the file's `intensity` that is 1; None guesses 255 where it exceeds 1 and there is no colour.
 
     Raises:
         DataError: the file cannot be read, lacks a coordinate or intensity, or holds a coordinate that is no number.
@@ -143,26 +169,31 @@ def read_pcd(
     for field in ("x", "y", "z", "rgb", *_COLUMNS):
         if field in names and table.dtype[field].shape:
             raise DataError(complaint(path, f"COUNT of {field}", "1", table.dtype[field].shape[0]))
+    if not mirrored:
+        table = table[np.isfinite(table["x"]) & np.isfinite(table["y"]) & np.isfinite(table["z"])]
     with np.errstate(over="ignore"):
         coordinates = {field: table[field].astype(np.float32) for field in ("x", "y", "z")}
     for field, values in coordinates.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             raise DataError(complaint(path, f"{field} of point {bad[0]}", "a finite number", str(table[field][bad[0]])))
-    points = np.stack([coordinates["x"], -coordinates["y"], coordinates["z"]], axis=1)
+    y = -coordinates["y"] if mirrored else coordinates["y"]
+    points = np.stack([coordinates["x"], y, coordinates["z"]], axis=1)
     columns = {column: table[field] for field, column in _COLUMNS.items() if field in names}
-    columns["intensity"] = _intensity(path, table)
+    columns["intensity"] = _intensity(path, table, full_scale)
     return make_sweep(points, world_from_lidar, time_s, spec, **columns)
 
 
-def _intensity(path: Path, table: NDArray[np.void]) -> NDArray[np.float32]:
-    """Return (P,) intensity in [0, 1]: our own field, else red of `rgb`, else a field of 0 to 255."""
+def _intensity(path: Path, table: NDArray[np.void], full_scale: float | None) -> NDArray[np.float32]:
+    """Return (P,) intensity in [0, 1]: our own field, else red of `rgb`, else a field of 0 to 255 or `full_scale`."""
     names = table.dtype.names or ()
     if "intensity" in names:
         intensity = table["intensity"].astype(np.float32)
         bad = np.flatnonzero(~np.isfinite(intensity))
         if len(bad):
             raise DataError(complaint(path, f"intensity of point {bad[0]}", "a finite number", str(intensity[bad[0]])))
+        if full_scale is not None:
+            return intensity / np.float32(full_scale)
         eight_bit = "rgb" not in names and len(intensity) > 0 and float(intensity.max()) > 1.0
         return intensity / np.float32(255.0) if eight_bit else intensity
     if "rgb" in names:
@@ -234,6 +265,30 @@ def _point_count(path: Path, header: dict[str, list[str]]) -> int:
         area = f"{numbers['WIDTH']} x {numbers.get('HEIGHT', 1)}"
         raise DataError(complaint(path, "POINTS", f"WIDTH x HEIGHT = {area}", numbers["POINTS"]))
     return numbers["POINTS"]
+
+
+def _compressed_table(path: Path, body: bytes, dtype: np.dtype, points: int) -> NDArray[np.void]:
+    """Decode LZF: two sizes of 4 bytes, then the fields one after another, each of all points."""
+    if len(body) < 8:
+        raise DataError(complaint(path, "DATA", "two sizes of 4 bytes", f"{len(body)} bytes"))
+    packed, size = (int(n) for n in np.frombuffer(body[:8], "<u4"))
+    expected = points * dtype.itemsize
+    if size != expected:
+        raise DataError(complaint(path, "DATA", f"{expected} bytes for {points} points", f"{size} bytes"))
+    if len(body) < 8 + packed:
+        raise DataError(complaint(path, "DATA", f"{packed} compressed bytes", f"{len(body) - 8} bytes"))
+    try:
+        columns = decompress(body[8 : 8 + packed], size)
+    except ValueError as error:
+        raise DataError(f"{path}: DATA: expected {error}") from None
+    table = np.zeros(points, dtype)
+    start = 0
+    for name in dtype.names or ():
+        field = dtype[name]
+        block = np.frombuffer(columns, field.base, points * int(np.prod(field.shape, dtype=int)), start)
+        table[name] = block.reshape(points, *field.shape)
+        start += points * field.itemsize
+    return table
 
 
 def _ascii_table(path: Path, body: bytes, dtype: np.dtype, points: int) -> NDArray[np.void]:

@@ -4,7 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.data.pcd import encode_table, read_pcd, read_table, write_pcd
+from dsrc.data.lzf import decompress
+from dsrc.data.pcd import encode_sensor_pcd, encode_table, read_pcd, read_table, write_pcd
 from sensors.sweep import POINT_FIELDS, UNKNOWN_MATERIAL, make_sweep
 from sim.errors import DataError
 from tests.dsrc.data.toy import toy_frame
@@ -94,7 +95,7 @@ def test_a_truncated_file_is_named(written: Path, cut: int):
             "x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 2 1",
             "COUNT of y",
         ),
-        ("DATA ascii", "DATA binary_compressed", "DATA: expected ascii or binary, found binary_compressed"),
+        ("DATA ascii", "DATA binary_packed", "DATA: expected ascii, binary or binary_compressed, found binary_packed"),
         ("-0.25", "nan", "x of point 1: expected a finite number, found nan"),
         ("-0.25", "many", "DATA: expected numbers"),
         ("-0.25 ", "", "DATA: expected 8 numbers for 2 points, found 7 numbers"),
@@ -132,3 +133,78 @@ def test_infinite_intensity_and_a_missing_file_are_refused(written: Path):
         read_pcd(written)
     with pytest.raises(DataError, match="file not found"):
         read_pcd(written.with_name("nothing.pcd"))
+
+
+def literals(data: bytes) -> bytes:
+    """The plainest LZF: runs of up to 32 bytes as they are."""
+    return b"".join(bytes([len(data[i : i + 32]) - 1]) + data[i : i + 32] for i in range(0, len(data), 32))
+
+
+def compressed(table: np.ndarray, packed: bytes | None = None, size: int | None = None) -> bytes:
+    """A PCD file as PCL compresses it: the fields one after another, each of all points."""
+    columns = b"".join(table[name].tobytes() for name in table.dtype.names)
+    packed = literals(columns) if packed is None else packed
+    head = encode_table(table[:0]).replace(b"WIDTH 0", b"WIDTH %d" % len(table))
+    head = head.replace(b"POINTS 0", b"POINTS %d" % len(table)).replace(b"DATA binary", b"DATA binary_compressed")
+    return head + np.array([len(packed), len(columns) if size is None else size], "<u4").tobytes() + packed
+
+
+def test_a_compressed_file_reads_as_the_plain_one(tmp_path: Path):
+    rng = np.random.default_rng(0)
+    table = np.zeros(300, [("x", "<f4"), ("y", "<f8"), ("z", "<f4"), ("intensity", "u1"), ("ring", "<u2")])
+    for name in ("x", "y", "z"):
+        table[name] = rng.normal(size=300)
+    table["intensity"], table["ring"] = rng.integers(0, 256, 300), rng.integers(0, 64, 300)
+    (tmp_path / "plain.pcd").write_bytes(encode_table(table))
+    (tmp_path / "packed.pcd").write_bytes(compressed(table))
+    assert np.array_equal(read_table(tmp_path / "packed.pcd"), read_table(tmp_path / "plain.pcd"))
+    assert np.array_equal(read_pcd(tmp_path / "packed.pcd").points, read_pcd(tmp_path / "plain.pcd").points)
+
+
+def test_lzf_repeats_what_was_there_before_even_what_it_is_writing():
+    # "ab", then 5 bytes from 2 back (overlapping), then 7 + 2 + 3 = 12 bytes from 7 back, then a literal.
+    packed = bytes([1]) + b"ab" + bytes([(5 - 2) << 5, 1]) + bytes([7 << 5, 3, 6]) + bytes([0]) + b"!"
+    text = b"ab" + b"ababa"
+    assert decompress(packed, 20) == text + (text * 2)[:12] + b"!"
+    far = literals(bytes(range(256)) * 2) + bytes([(3 - 2) << 5 | 511 >> 8, 511 & 255])
+    assert decompress(far, 515)[-3:] == bytes([0, 1, 2])
+
+
+@pytest.mark.parametrize(
+    ("packed", "size", "message"),
+    [
+        (b"\x1fshort", None, "DATA: expected 16 bytes after decompression, found damaged data"),
+        (b"\x20\x05", None, "found damaged data"),
+        (literals(bytes(8)), None, "DATA: expected 16 bytes after decompression, found 8"),
+        (literals(bytes(40)), None, "found damaged data"),
+        (None, 17, "DATA: expected 16 bytes for 1 points, found 17 bytes"),
+    ],
+)
+def test_a_damaged_compressed_file_gets_one_line(tmp_path: Path, packed: bytes | None, size: int | None, message: str):
+    table = np.zeros(1, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+    (tmp_path / "a.pcd").write_bytes(compressed(table, packed, size))
+    with pytest.raises(DataError) as caught:
+        read_pcd(tmp_path / "a.pcd")
+    assert message in str(caught.value) and "a.pcd" in str(caught.value) and "\n" not in str(caught.value)
+    (tmp_path / "a.pcd").write_bytes(compressed(table)[:-3])
+    with pytest.raises(DataError, match="DATA: expected 17 compressed bytes, found 14 bytes"):
+        read_pcd(tmp_path / "a.pcd")
+
+
+def test_a_real_sensors_file_is_not_mirrored_and_marks_lost_beams_by_nan(tmp_path: Path):
+    table = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+    table["y"], table["intensity"] = [4.0, np.nan, -2.0], [255.0, 7.0, 64.0]
+    (tmp_path / "a.pcd").write_bytes(encode_table(table))
+    sweep = read_pcd(tmp_path / "a.pcd", mirrored=False, full_scale=256.0)
+    assert sweep.points[:, 1].tolist() == [4.0, -2.0]
+    assert sweep.intensity.tolist() == [255 / 256, 0.25]
+
+
+def test_a_sweep_survives_the_form_of_real_sensors_bit_for_bit(tmp_path: Path):
+    sweep = toy_frame(0).agents[0].sweep
+    (tmp_path / "a.pcd").write_bytes(encode_sensor_pcd(sweep))
+    back = read_pcd(tmp_path / "a.pcd", mirrored=False, full_scale=256.0)
+    for name in POINT_FIELDS:
+        assert np.array_equal(getattr(back, name), getattr(sweep, name)), name
+    table = read_table(tmp_path / "a.pcd")
+    assert table.dtype.names[:4] == ("x", "y", "z", "intensity") and table["intensity"].max() > 200.0

@@ -1,0 +1,75 @@
+"""LZF, the compression of PCD files of the kind `binary_compressed`: a decoder.
+
+A control byte below 32 announces that many literals and one more; any other holds the length (3 bits; 7 means that
+one more byte adds to it) and the upper 5 bits of the distance of an earlier run, the next byte the lower 8.
+
+Source: the format as liblzf describes it (lzf_d.c is not used), http://oldhome.schmorp.de/marc/liblzf.html
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+try:
+    from numba import njit
+except ImportError:  # a hundred times slower, but it works
+
+    def njit(**_: Any) -> Callable[[Callable], Callable]:  # type: ignore[no-redef]
+        """Leave a function as it is."""
+        return lambda function: function
+
+
+_LITERALS = 32
+_LONG = 7
+_LONGEST_RUN = 264
+
+
+def decompress(data: bytes, size: int) -> bytes:
+    """Return the `size` bytes that `data` holds.
+
+    Raises:
+        ValueError: the data ends early, points before its beginning or holds another number of bytes.
+    """
+    if size > _LONGEST_RUN * len(data):  # before memory is taken for what a damaged header promises
+        raise ValueError(f"{size} bytes after decompression, found {len(data)} before it")
+    out = np.zeros(size, np.uint8)
+    written = _decompress(np.frombuffer(data, np.uint8), out)
+    if written != size:
+        raise ValueError(f"{size} bytes after decompression, found {'damaged data' if written < 0 else written}")
+    return out.tobytes()
+
+
+@njit(cache=True)
+def _decompress(data: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
+    """Fill `out`; returns the number of bytes, -1 where the data is damaged."""
+    i, o, end, room = 0, 0, len(data), len(out)
+    while i < end:
+        control = int(data[i])
+        i += 1
+        if control < _LITERALS:
+            length = control + 1
+            if i + length > end or o + length > room:
+                return -1
+            for _ in range(length):
+                out[o] = data[i]
+                i += 1
+                o += 1
+            continue
+        length = (control >> 5) + 2
+        if length == _LONG + 2:
+            if i >= end:
+                return -1
+            length += int(data[i])
+            i += 1
+        if i >= end:
+            return -1
+        start = o - ((control & 31) << 8) - int(data[i]) - 1
+        i += 1
+        if start < 0 or o + length > room:
+            return -1
+        for k in range(length):  # byte by byte: a run may overlap itself
+            out[o] = out[start + k]
+            o += 1
+    return o
