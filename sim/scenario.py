@@ -4,7 +4,7 @@ import math
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Meta
@@ -103,23 +103,45 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         vehicles: how many vehicles are connected.
         lidar: sensor preset of the vehicles.
         within_m: those are chosen that spend the most of the drive within this distance of the ego, m.
+        named: names of the connected vehicles in the traffic, ego first; left out: `vehicles` of them are drawn.
         roadside: roadside units.
     """
 
     vehicles: Annotated[int, Meta(ge=0)] = 3
     lidar: str = "opv2v-64"
     within_m: Positive = 60.0
+    named: tuple[str, ...] = ()
     roadside: tuple[RoadsideUnit, ...] = ()
 
 
+class ConflictSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A scripted encounter in which the ego cannot see in time what it would collide with; see `sim.conflicts`.
+
+    Attributes:
+        kind: which encounter, one of `sim.conflicts.KINDS`.
+        parameters: name -> a value, or [low, high] of what is drawn; the others are drawn from ranges of their own.
+        control: what is changed to see what it was good for: nothing, or the occluder is away (`no_occluder`), the
+            conflict actor is away (`no_conflict`), or it is away and a helper claims it all the same (`ghost`).
+        draw: number of the draw of the parameters; the proof by rays advances it, see `sensors.proof`.
+        draws: most draws that are tried.
+    """
+
+    kind: str
+    parameters: dict[str, float | tuple[float, float]] = {}
+    control: Literal["", "no_occluder", "no_conflict", "ghost"] = ""
+    draw: Annotated[int, Meta(ge=0)] = 0
+    draws: Annotated[int, Meta(ge=1)] = 40
+
+
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One scenario file; times in s."""
+    """One scenario file; times in s. A conflict brings its own roads and actors, others have a network and a demand."""
 
     name: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")]
     description: str
-    network: NetworkSpec
-    demand: DemandSpec
+    network: NetworkSpec = msgspec.field(default_factory=NetworkSpec)
+    demand: DemandSpec = msgspec.field(default_factory=DemandSpec)
     agents: AgentRule
+    conflict: ConflictSpec | None = None
     warmup_s: NonNegative = 60.0
     duration_s: Positive = 60.0
     step_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
@@ -220,7 +242,7 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
         if not math.isfinite(value):
             yield field, "a finite number", value, ""
     given = [name for name in ("shipped", "generate", "file") if getattr(network, name)]
-    if len(given) != 1:
+    if len(given) != 1 and not (scenario.conflict and not given):
         yield "network", "exactly one of shipped, generate, file", ", ".join(given) or "none of them", ""
     if network.area_m and not (network.area_m[0] < network.area_m[2] and network.area_m[1] < network.area_m[3]):
         yield "network.area_m", "x_min < x_max and y_min < y_max", list(network.area_m), ""

@@ -77,9 +77,9 @@ def open_live(scenario: Scenario, seed: int, frames: int, interval_s: float, log
 
 
 def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: float, path: Path) -> None:
-    from sim.traffic.sumo import SumoTraffic
+    from sim.traffic.choose import open_traffic
 
-    with SumoTraffic(scenario, seed) as traffic:
+    with open_traffic(scenario, seed) as traffic:
         log = TrafficLog(traffic.step_s)
         log.append(traffic.actors)
         steps = (frames - 1) * round(interval_s / traffic.step_s) + math.ceil(PLAN_S / traffic.step_s)

@@ -86,12 +86,12 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         Raises:
             TrafficError: when another simulation runs in this process or no vehicle can be the ego.
         """
-        from sim.traffic.sumo import SumoTraffic
+        from sim.traffic.choose import open_traffic
 
         super().reset(seed=seed)
         self.close()
         episode_seed = int(self.np_random.integers(2**31)) if seed is None else seed
-        self._traffic = SumoTraffic(self.scenario, episode_seed)
+        self._traffic = open_traffic(self.scenario, episode_seed)
         self._ego_id = choose_ego(self._traffic, self.scenario)
         self._before = self._traffic.actors
         self._tracker = Tracker()

@@ -1,0 +1,20 @@
+"""Which backend moves the traffic of a scenario."""
+
+from sim.scenario import Scenario
+from sim.traffic.base import Traffic
+
+
+def open_traffic(scenario: Scenario, seed: int) -> Traffic:
+    """Start the traffic of a scenario: its script when it is a conflict, else SUMO.
+
+    Args:
+        scenario: what to simulate.
+        seed: of everything random; equal seeds give equal actors in every process.
+
+    Raises:
+        ScenarioError: network, demand or conflict cannot be made.
+        TrafficError: the backend cannot run.
+    """
+    from sim.traffic.sumo import SumoTraffic
+
+    return SumoTraffic(scenario, seed)
