@@ -52,8 +52,9 @@ class Frame:
         visible_fraction: (A, N) float32 share of an agent's rays on an object that nothing else stops, see
             `sensors.visibility`; NaN where it was not measured, for an agent's own body, and where not even the object
             alone would be hit.
+        sight: (A, A) int8 `sim.v2x.Sight`, what stands between the agents' antennas; -1 where nobody knows.
 
-    The last four may be left out: then nobody knows.
+    The last five may be left out: then nobody knows.
     """
 
     index: int
@@ -66,6 +67,7 @@ class Frame:
     signals: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
     lane: tuple[str, ...] = ()
     visible_fraction: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    sight: NDArray[np.int8] = field(default_factory=lambda: np.zeros((0, 0), np.int8))
 
     def __post_init__(self) -> None:
         agents, n = len(self.agents), len(self.truth)
@@ -74,6 +76,7 @@ class Frame:
             "signals": np.zeros(n, np.int32),
             "lane": ("",) * n,
             "visible_fraction": np.full((agents, n), np.nan, np.float32),
+            "sight": np.full((agents, agents), -1, np.int8),
         }
         for name, value in unknown.items():
             if np.size(getattr(self, name)) == 0:
@@ -85,6 +88,7 @@ class Frame:
             "signals": (n,),
             "lane": (n,),
             "visible_fraction": (agents, n),
+            "sight": (agents, agents),
         }
         for name, shape in shapes.items():
             found = np.shape(getattr(self, name))

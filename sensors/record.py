@@ -14,7 +14,7 @@ Streams of randomness, all children of the drive's seed by spawn key:
 import logging
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -27,8 +27,10 @@ from sensors.motion import Path
 from sensors.presets import scenario_lidars
 from sensors.rig import Roadside, mount, place_roadside
 from sensors.scene import BodyMesh, RayScene
+from sensors.sight import lines_of_sight
 from sensors.spec import LidarSpec
 from sensors.sweep import Sweep
+from sensors.visibility import visible_fraction
 from sim.errors import SettingsError
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, Traffic
@@ -54,6 +56,7 @@ class Recording:
         roadside: roadside units.
         vehicle_spec: sensor of the vehicles.
         seed: of noise and drop-off.
+        visibility: whether frames tell visible fractions.
     """
 
     scene: RayScene
@@ -64,6 +67,7 @@ class Recording:
     roadside: tuple[Roadside, ...]
     vehicle_spec: LidarSpec
     seed: int
+    visibility: bool = True
 
     def __len__(self) -> int:
         return len(self.frame_steps)
@@ -92,6 +96,7 @@ class Recording:
             roadside=self.roadside,
             seed=self.seed,
             index=index,
+            visibility=self.visibility,
         )
 
 
@@ -119,6 +124,7 @@ def record(
     interval_s: float = 0.1,
     *,
     body_mesh: BodyMesh | None = None,
+    visibility: bool = True,
 ) -> Recording:
     """Run the traffic of a whole drive and choose its agents; sweeps are cast when frames are asked for.
 
@@ -130,6 +136,7 @@ def record(
         frames: number of frames.
         interval_s: time between frames, a multiple of the traffic's step.
         body_mesh: meshes of actors; those of `sim.world.bodies` when left out.
+        visibility: measure visible fractions.
 
     Raises:
         SettingsError: a number of frames or an interval that cannot be.
@@ -155,6 +162,7 @@ def record(
         roadside=place_roadside(scene, scenario.agents.roadside),
         vehicle_spec=vehicle_spec,
         seed=seed,
+        visibility=visibility,
     )
 
 
@@ -169,8 +177,12 @@ def make_frame(
     roadside: Sequence[Roadside] = (),
     seed: int,
     index: int,
+    visibility: bool = True,
 ) -> Frame:
-    """Scan one instant by all agents; a live simulation, which has no `after` yet, may leave it out."""
+    """Scan one instant by all agents; a live simulation, which has no `after` yet, may leave it out.
+
+    With `visibility` the frame tells visible fractions too, see `sensors.visibility`.
+    """
     specs = [vehicle_spec, *(unit.spec for unit in roadside)]
     scene = scene.with_bodies(now, before, after, reach_s=0.5 * max(spec.period_s for spec in specs))
     sensors = {agent_id: _on_vehicle(scene, now, agent_id, vehicle_spec, seed, index) for agent_id in vehicles}
@@ -186,7 +198,9 @@ def make_frame(
     near = _near_agents(now, ordered)
     truth = now.boxes[near]
     counts = [count_points(agent.sweep, truth.object_id) for agent in ordered]
-    return Frame(
+    ordered_sensors = [sensors[agent.agent_id] for agent in ordered]
+    unmeasured = np.zeros((0, 0), np.float32)
+    frame = Frame(
         index=index,
         time_s=now.time_s,
         agents=ordered,
@@ -196,7 +210,9 @@ def make_frame(
         acceleration=now.acceleration[near],
         signals=now.signals[near],
         lane=tuple(now.lane[row] for row in np.flatnonzero(near)),
+        visible_fraction=visible_fraction(scene, ordered_sensors, truth.object_id) if visibility else unmeasured,
     )
+    return replace(frame, sight=lines_of_sight(scene, frame))
 
 
 def _on_vehicle(scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, seed: int, index: int) -> Sensor:

@@ -194,6 +194,7 @@ class DriveReader:
             signals=np.array(first.signals, np.int32),
             lane=tuple(first.lane),
             visible_fraction=_fractions(records),
+            sight=_sight(records),
         )
 
     def _foreign_frame(self, stem: str, notes: list[Annotation]) -> Frame:
@@ -231,6 +232,14 @@ def _fractions(records: list[Record]) -> NDArray[np.float32]:
         return np.zeros((0, 0), np.float32)
     rows = [[np.nan if share is None else share for share in r.visible_fraction] for r in records]
     return np.array(rows, np.float32).reshape(len(records), -1)
+
+
+def _sight(records: list[Record]) -> NDArray[np.int8]:
+    """Return (A, A) what stands between the agents; empty where an agent's file does not say."""
+    if any(not r.sight for r in records):
+        return np.zeros((0, 0), np.int8)
+    # Agents are in one order in the frame and in every record.
+    return np.array([r.sight for r in records], np.int8)
 
 
 def _union(notes: list[Annotation]) -> tuple[Boxes, NDArray[np.float64]]:

@@ -45,6 +45,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             jumps of a full turn; empty when nobody knows.
         lost: see `Sweep.lost`.
         acceleration, signals, lane, visible_fraction: as in `Frame`, the agent's own row of the last; null for NaN.
+        sight: what stands between the agent and each of `agents`, see `Frame.sight`; empty when nobody knows.
     """
 
     version: int
@@ -70,6 +71,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     signals: list[Annotated[int, msgspec.Meta(ge=0, lt=2**31)]] = []
     lane: list[str] = []
     visible_fraction: list[Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None] = []
+    sight: list[Annotated[int, msgspec.Meta(ge=-1, le=2)]] = []
 
     def lidar_path(self) -> LidarPath | None:
         """Return the way of the LiDAR exactly as it was written."""
@@ -164,6 +166,7 @@ def _record(frame: Frame, row: int, check: int) -> Record:
         lane=list(frame.lane),
         # The shortest decimals that read back as the same float32.
         visible_fraction=[None if np.isnan(share) else float(str(share)) for share in frame.visible_fraction[row]],
+        sight=frame.sight[row].tolist(),
     )
 
 
@@ -238,6 +241,8 @@ def _checked(path: Path, record: Record) -> Record:
     for name in ("acceleration", "signals", "lane", "visible_fraction"):
         if len(getattr(record, name)) not in (0, n):
             raise DataError(complaint(path, f"testbed.{name}", f"{n} rows or none", len(getattr(record, name))))
+    if len(record.sight) not in (0, len(record.agents)):
+        raise DataError(complaint(path, "testbed.sight", f"{len(record.agents)} agents or none", len(record.sight)))
     for name in ("world_from_body", "world_from_lidar"):
         if [len(r) for r in getattr(record, name)] != [4, 4, 4, 4]:
             raise DataError(complaint(path, f"testbed.{name}", "4 rows of 4 numbers", getattr(record, name)))

@@ -211,7 +211,7 @@ def test_unknown_channels_are_named(tmp_path):
         get_channel("its-g5")
     with pytest.raises(SettingsError, match="trace:FILE"):
         get_channel("trace")
-    with pytest.raises(DataError, match="nothing.csv"):
+    with pytest.raises(DataError, match=r"nothing\.csv"):
         get_channel(f"trace:{tmp_path / 'nothing.csv'}")
     with pytest.raises(SettingsError, match="interval_s"):
         Channel(SLOW, 0, 0.0)

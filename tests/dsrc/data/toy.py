@@ -64,6 +64,7 @@ def toy_frame(index: int, seed: int = 0, points: int = 400) -> Frame:
         signals=rng.integers(0, 16, len(IDS)).astype(np.int32),
         lane=("main_0", "main_1", ":j'0_1_0", "", "main_0", ""),
         visible_fraction=fraction,
+        sight=np.array([[0, 1, 2], [1, 0, 0], [2, 0, 0]], np.int8),
     )
 
 
@@ -111,6 +112,7 @@ def same_frames(a: Frame, b: Frame) -> bool:
     arrays = [(a.truth.array, b.truth.array), (a.truth.label, b.truth.label), (a.velocity, b.velocity)]
     arrays += [(a.truth.object_id, b.truth.object_id), (a.points_on, b.points_on), (a.signals, b.signals)]
     arrays += [(a.acceleration, b.acceleration), (a.visible_fraction, b.visible_fraction)]
+    arrays += [(a.sight, b.sight)]
     for one, two in zip(a.agents, b.agents, strict=True):
         if (one.agent_id, one.kind, one.speed) != (two.agent_id, two.kind, two.speed):
             return False
