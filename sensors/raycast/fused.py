@@ -8,7 +8,7 @@ number of threads changes no byte.
 import os
 import threading
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -81,6 +81,7 @@ class FusedEngine:
         self._hierarchies: WeakKeyDictionary[Solid, Hierarchy] = WeakKeyDictionary()
         self._moving = InstanceScene(robust)
         self._placed: _Placed | None = None
+        self._single = _scratch(self._library.width)
         address = self._library.address
         self._calls = Calls(
             set_steps=address("rtcSetGeometryTimeStepCount"),
@@ -103,7 +104,7 @@ class FusedEngine:
         rays = (np.ascontiguousarray(rows, np.float32).reshape(-1, 3) for rows in (origins, directions))
         with self._lock:
             world = self._world(self._hierarchy(solid), None)
-            cast_rays(world, _scratch(self._library.width), *rays, distance, hits.face, hits.cosine)
+            cast_rays(world, self._single, *rays, distance, hits.face, hits.cosine)
         return hits
 
     def place(self, bodies: Bodies, origin: NDArray[np.float64], hidden: tuple[int, ...] = ()) -> None:
@@ -250,6 +251,7 @@ def _run(jobs: Sequence[_Job], world: World, width: int, threads: int) -> None:
         return
     waiting = iter(tasks)
     turn = threading.Lock()
+    futures: list[Future[None]] = []
 
     def work() -> None:
         scratch = _scratch(width)
@@ -261,8 +263,25 @@ def _run(jobs: Sequence[_Job], world: World, width: int, threads: int) -> None:
             job, first, last = task
             job.make(world, scratch, first, last)
 
-    for future in [_pool(threads).submit(work) for _ in range(threads)]:
-        future.result()
+    try:
+        for _ in range(threads):
+            futures.append(_pool(threads).submit(work))
+        for future in futures:
+            future.result()
+    finally:
+        # Whatever ends the sweeps early, an impatient user too: the caller's lock guards what the workers still read.
+        waiting = iter(())
+        _join(futures)
+
+
+def _join(futures: Sequence[Future[None]]) -> None:
+    """Wait until all are done, however often the user interrupts that: the first time is raised already."""
+    while True:
+        try:
+            wait(futures)
+        except KeyboardInterrupt:
+            continue
+        return
 
 
 @lru_cache(maxsize=4)

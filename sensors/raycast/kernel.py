@@ -6,6 +6,7 @@ through the moving bodies and, with what is left of its reach, through the stati
 Shapes: R rings, B blocks of 16 columns, S sub-rays, N bodies, T instants of their motion, M materials.
 """
 
+import logging
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,8 +22,21 @@ from sensors.optics import COSINE_BINS, RANGE_BINS
 from sensors.raycast.embree import ANY_RAY, FORMAT_FLOAT3X4_ROW_MAJOR, INVALID, RAY_ROWS
 from sensors.sweep import STATIC
 
+log = logging.getLogger(__name__)
+
+
+def _is_cached() -> bool:
+    """Return whether numba has a folder to keep what it compiles: beside this file, or one of the user's own."""
+    try:
+        njit(cache=True)(_is_cached)
+    except RuntimeError:
+        log.warning("no folder to keep the compiled LiDAR in: each process compiles it anew; NUMBA_CACHE_DIR names one")
+        return False
+    return True
+
+
 _FAST = {"contract", "nsz", "reassoc", "arcp"}
-_OPTIONS: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": _FAST}
+_OPTIONS: dict[str, Any] = {"nogil": True, "cache": _is_cached(), "error_model": "numpy", "fastmath": _FAST}
 _PART: dict[str, Any] = {**_OPTIONS, "forceinline": True}
 """Of the parts of a loop: passing dozens of arrays by value would cost more than what they do."""
 _WORD: dict[str, Any] = {**_OPTIONS, "inline": "always"}

@@ -1,0 +1,207 @@
+"""Which engine serves, and what happens when the fused one cannot."""
+
+import logging
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from sensors import motion
+from sensors.beams import beams_of
+from sensors.lidar import Sensor, scan, scan_all
+from sensors.optics import optics_of
+from sensors.presets import get_lidar
+from sensors.raycast import choice, embree, fused, open_engine, selftest
+from sensors.scene import RayScene
+from sim.errors import SettingsError
+from sim.geometry import pose_matrix
+from tests.sensors.fakes import box, box_body, cars, ground
+
+ROOT = Path(__file__).parents[3]
+SENSOR = pose_matrix([0.0, 0.0, 1.9])
+
+
+def sweep_by(engine):
+    scene = RayScene(ground() + box((8, 20, 9), (25.0, 0.0, 4.5)), body_mesh=box_body, engine=engine)
+    scene = scene.with_bodies(cars([[9.0, 4.0, 0.4]], speed=7.0))
+    return scene.engine.name, scan(scene, get_lidar("debug-16"), SENSOR, SENSOR, 0.0, np.random.default_rng(0))
+
+
+@pytest.fixture
+def untried(monkeypatch):
+    """No engine has been opened yet, and the user asks for none; `library` is loaded anew."""
+    monkeypatch.delenv(choice.VARIABLE, raising=False)
+    monkeypatch.setattr(choice, "_fused", lru_cache(maxsize=2)(choice._fused.__wrapped__))
+    monkeypatch.setattr(fused, "library", embree.library.__wrapped__)
+
+
+def missing(monkeypatch):
+    monkeypatch.setattr(embree, "_NAMES", ("libembree5.so",))
+
+
+def of_another_version(monkeypatch):
+    # Where the library is asked for its version it says how many packets of 16 rays it traces natively: 0 or 1.
+    monkeypatch.setattr(embree, "_VERSION", embree._NATIVE_WIDTHS[16])
+
+
+def not_loadable(monkeypatch):
+    monkeypatch.setitem(embree._SIGNATURES, "rtcNewTelescope", (None, ()))
+
+
+def with_other_points(monkeypatch):
+    right = fused.FusedEngine.sweep
+
+    def wrong(*args):
+        return [replace(returns, points=returns.points + np.float32(0.01)) for returns in right(*args)]
+
+    monkeypatch.setattr(fused.FusedEngine, "sweep", wrong)
+
+
+FAULTS = {
+    missing: "embreex's wheel carries no Embree library",
+    of_another_version: "is Embree [01], not 4.x",
+    not_loadable: "cannot be loaded: .*rtcNewTelescope",
+    with_other_points: "its self-test failed: [0-9]+ of 3200 returns differ",
+}
+
+
+@pytest.mark.parametrize(("fault", "says"), FAULTS.items(), ids=lambda value: getattr(value, "__name__", ""))
+def test_where_the_fused_engine_cannot_run_the_public_one_makes_the_same_points(
+    untried, monkeypatch, caplog, fault, says
+):
+    expected_name, expected = sweep_by("fused")
+    assert expected_name == "fused"
+    choice._fused.cache_clear()
+    fault(monkeypatch)
+    with caplog.at_level(logging.WARNING):
+        name, made = sweep_by(None)
+        assert sweep_by("auto")[0] == name == "public"
+    (warning,) = caplog.messages
+    assert warning.startswith("LiDAR sweeps are made by the slower public engine: EngineUnavailable: ")
+    caplog.clear()
+    with pytest.raises(SettingsError, match=f"LiDAR: the fused engine cannot run here: EngineUnavailable: .*{says}"):
+        open_engine("fused")
+    assert len(made) == len(expected) > 1000
+    np.testing.assert_allclose(made.points, expected.points, atol=5e-4)
+    np.testing.assert_allclose(made.intensity, expected.intensity, atol=4e-3)
+    for field in ("ring", "column", "object_id", "material"):
+        np.testing.assert_array_equal(getattr(made, field), getattr(expected, field))
+
+
+def test_engines_that_work_pass_the_self_test(untried, caplog):
+    assert open_engine().name == "fused"
+    assert not caplog.messages
+
+
+class Faulty:
+    """The public engine, but for a fault in what it is asked or in what it answers."""
+
+    def __init__(self, spec=None, answer=None):
+        self._spec = spec or {}
+        self._answer = answer or (lambda returns: returns)
+
+    def sweep(self, static, bodies, shots, threads):
+        made = open_engine("public").sweep(static, bodies, [self._changed(shot) for shot in shots], threads)
+        return [self._answer(returns) for returns in made]
+
+    def _changed(self, shot):
+        spec = msgspec.structs.replace(shot.spec, **self._spec)
+        return replace(shot, spec=spec, beams=beams_of(spec, 0.0), optics=optics_of(spec))
+
+
+def scaled(field, by):
+    return lambda returns: replace(
+        returns, **{field: (getattr(returns, field) * by).astype(getattr(returns, field).dtype)}
+    )
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        Faulty({"subrays": 1}),
+        Faulty({"returns": "strongest"}),
+        Faulty({"angle_noise_deg": 0.0}),
+        Faulty({"range_noise_m": 0.0}),
+        Faulty({"prisms": ()}),
+        Faulty({"dropoff_rate": 0.0}),
+        Faulty({"dropoff_zero_intensity": 0.0}),
+        Faulty({"range_10_m": 100.0}),
+        Faulty({"pulse_s": 1e-8}),
+        Faulty({"firing_s": ()}),
+        Faulty({"intensity_law": "reflectivity"}),
+        Faulty(answer=scaled("intensity", 0.97)),
+        Faulty(answer=scaled("cosine", 0.97)),
+        Faulty(answer=scaled("time_offset", 0.99)),
+        Faulty(answer=scaled("material", 0)),
+        Faulty(answer=scaled("object_id", 2)),
+        Faulty(answer=lambda returns: replace(returns, points=returns.points[:, [1, 0, 2]])),
+    ],
+)
+def test_an_engine_that_gets_one_thing_wrong_fails_the_self_test(fault):
+    with pytest.raises(choice.EngineUnavailable, match="self-test failed"):
+        selftest.self_test(fault, open_engine("public"))
+
+
+@pytest.mark.parametrize("home", ["none", "writable"])
+def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp_path, home):
+    """A regular file in place of each folder keeps even the superuser from writing there."""
+    package = shutil.copytree(ROOT / "sensors", tmp_path / "sensors", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "sim", tmp_path / "sim", ignore=shutil.ignore_patterns("__pycache__"))
+    (package / "raycast" / "__pycache__").write_text("")
+    folder = tmp_path / "home"
+    folder.write_text("") if home == "none" else folder.mkdir()
+    kept = {key: value for key, value in os.environ.items() if key not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
+    code = "from sensors.raycast import kernel; print(kernel.__file__, kernel._OPTIONS['cache'])"
+    result = subprocess.run(
+        [sys.executable, "-B", "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=kept | {"HOME": str(folder), "LOCALAPPDATA": str(folder), "PYTHONPATH": str(tmp_path)},
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.split() == [str(package / "raycast" / "kernel.py"), str(home == "writable")]
+    assert ("each process compiles it anew" in result.stderr) == (home == "none")
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals cannot be sent to a thread here")
+def test_an_interrupted_sweep_lets_nobody_in_before_its_workers_have_stopped(monkeypatch):
+    scene = RayScene(ground(), body_mesh=box_body, engine="fused")
+    path = motion.Path.through([-0.05, 0.05], [SENSOR, SENSOR])
+    sensor = Sensor(get_lidar("debug-16"), path, 0.0, np.random.default_rng(0))
+    make = fused._Job.make
+    begun, ended = [], []
+
+    def slowly(*args):
+        begun.append(threading.get_ident())
+        time.sleep(0.3)
+        ended.append(threading.get_ident())
+        return make(*args)
+
+    def impatient():
+        for _ in range(2):
+            time.sleep(0.1)
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    monkeypatch.setattr(fused._Job, "make", slowly)
+    user = threading.Thread(target=impatient)
+    user.start()
+    with pytest.raises(KeyboardInterrupt):
+        scan_all(scene, [sensor], threads=2)
+    still_at_work, locked = len(begun) - len(ended), scene.engine._lock.locked()
+    user.join()
+    assert begun and still_at_work == 0 and not locked
+    # What nobody waits for any more is not begun.
+    assert len(begun) <= 2
+    monkeypatch.undo()
+    assert len(scan_all(scene, [sensor], threads=2)[0]) > 1000
