@@ -66,7 +66,7 @@ def scan_all(
     """
     if not 0.0 <= wetness <= 1.0:
         raise SettingsError(complaint("scan", "wetness", "0 to 1", wetness))
-    shots = [_shot(sensor, wetness) for sensor in sensors]
+    shots = [shot_of(sensor, wetness) for sensor in sensors]
     made = scene.sweep(shots, threads or _cores())
     return [_sweep(sensor, shot, returns) for sensor, shot, returns in zip(sensors, shots, made, strict=True)]
 
@@ -110,7 +110,12 @@ def scan(
     return scan_all(scene, [Sensor(spec, path, time_s, rng, exclude_id)], wetness=wetness)[0]
 
 
-def _shot(sensor: Sensor, wetness: float) -> Shot:
+def shot_of(sensor: Sensor, wetness: float = 0.0) -> Shot:
+    """Return what a ray-casting engine is asked for one sweep; it draws the noise from the sensor's generator.
+
+    Raises:
+        DataError: a path that is not finite.
+    """
     spec = sensor.spec
     beams = beams_of(spec, sensor.time_s)
     knots, pose = _poses(spec, beams, sensor.path, sensor.time_s)

@@ -120,6 +120,7 @@ class DetectorPerception:
             roadside=self._roadside,
             seed=self._seed,
             index=self._index,
+            visibility=False,  # nobody asks for it while the clock runs
         )
         self._index += 1
         return corrupt_frame(frame, self.corruption, self.severity, self._seed, self.family, ego_id=self._ego_id)
