@@ -203,8 +203,8 @@ def _check(path: Path, columns: dict[str, NDArray]) -> None:
     if (np.diff(columns["object/id"]) <= 0).any():
         raise DataError(complaint(path, "object/id", "ascending ids", "others"))
     for table in ("object", "lane"):
-        rows = columns[f"row/{table}"]
-        if count["row"] and not 0 <= rows.min() <= rows.max() < count[table]:
+        which = columns[f"row/{table}"]
+        if count["row"] and not 0 <= which.min() <= which.max() < count[table]:
             raise DataError(complaint(path, f"row/{table}", f"rows of {count[table]} {table}s", "others"))
     if count["object"] and not 0 <= columns["object/label"].min() <= columns["object/label"].max() < len(CLASSES):
         raise DataError(complaint(path, "object/label", f"indices of {len(CLASSES)} classes", "others"))
