@@ -106,6 +106,8 @@ def generate(
     seed: int | None = None,
     interval: float = 0.1,
     motion: Literal["middle", "start", "end", "raw"] = "middle",
+    connected_vehicles: bool = True,
+    visibility: bool = True,
 ) -> None:
     """Simulate one drive, scan it with every agent's LiDAR and write it as an OPV2V tree.
 
@@ -118,6 +120,8 @@ def generate(
         seed: of everything random in the drive; default: the scenario's own.
         interval: seconds between written frames, a multiple of the LiDAR's 0.1 s.
         motion: the sensors' own motion is compensated to the middle, start or end of their sweeps, or not (raw).
+        connected_vehicles: list the other agents' bodies among an agent's vehicles; OPV2V leaves them out.
+        visibility: measure which share of every object each agent's rays reach, for a sixth of the time.
     """
     from dsrc.data.generate import generate as make_drive
     from sim.scenario import load_scenario
@@ -133,6 +137,8 @@ def generate(
             seed=seed,
             interval_s=interval,
             motion=motion,
+            connected_vehicles=connected_vehicles,
+            visibility=visibility,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     _say(str(drive))

@@ -25,7 +25,7 @@ from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario, load_scenario
 from sim.world.materials import MATERIALS
 
-FORMAT = 2
+FORMAT = 3
 TRAFFIC_LOG = "traffic.npz"
 _log = logging.getLogger(__name__)
 
@@ -58,6 +58,7 @@ def generate(
     progress: Progress | None = None,
     connected_vehicles: bool = True,
     motion: Motion = "middle",
+    visibility: bool = True,
 ) -> Path:
     """Simulate, scan and write one drive; start it again to go on after a stop.
 
@@ -70,6 +71,7 @@ def generate(
         progress: called after every frame.
         connected_vehicles: list other agents' bodies among an agent's `vehicles`.
         motion: how the sensors' motion is compensated in the files; a reader can ask for another.
+        visibility: measure which share of every object each agent's rays reach.
 
     Returns:
         The folder of the drive.
@@ -103,13 +105,14 @@ def generate(
         "interval_s": float(interval_s),
         "connected_vehicles": bool(connected_vehicles),
         "motion": motion,
+        "visibility": bool(visibility),
         "materials": [material.name for material in MATERIALS],
         "axes": "CARLA: y mirrored, angles in degrees, half extents",
     }
     from dsrc.data.live import open_live
 
     drive = Path(out) / f"{scenario.name}_{seed}"
-    write_drive(drive, settings, lambda log: open_live(scenario, seed, frames, interval_s, log), progress)
+    write_drive(drive, settings, lambda log: open_live(scenario, seed, frames, interval_s, log, visibility), progress)
     return drive
 
 

@@ -57,7 +57,9 @@ class Live:
 
 
 @contextmanager
-def open_live(scenario: Scenario, seed: int, frames: int, interval_s: float, log: Path) -> Iterator[Live]:
+def open_live(
+    scenario: Scenario, seed: int, frames: int, interval_s: float, log: Path, visibility: bool = True
+) -> Iterator[Live]:
     """Open the frames of a drive; its traffic is simulated only when there is no log yet.
 
     Args:
@@ -66,13 +68,15 @@ def open_live(scenario: Scenario, seed: int, frames: int, interval_s: float, log
         frames: number of frames.
         interval_s: time between frames, s.
         log: path of the traffic log.
+        visibility: measure visible fractions.
     """
     from sim.world.build import build_world
 
     if not log.exists():
         _simulate_traffic(scenario, seed, frames, interval_s, log)
     with ReplayTraffic(log) as traffic:
-        recording = record(traffic, build_world(scenario, seed), scenario, seed, frames, interval_s)
+        world = build_world(scenario, seed)
+        recording = record(traffic, world, scenario, seed, frames, interval_s, visibility=visibility)
     yield Live(recording, TrafficLog.load(log), interval_s)
 
 

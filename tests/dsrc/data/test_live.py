@@ -13,6 +13,7 @@ import pytest
 from dsrc.data.generate import generate
 from dsrc.data.opv2v import DriveReader
 from dsrc.data.sample import GridSpec, make_sample
+from dsrc.data.yamlio import read_yaml
 from sim.errors import DataError, SettingsError
 from sim.scenario import Scenario, load_scenario
 
@@ -52,6 +53,30 @@ def test_a_drive_is_named_by_scenario_and_seed_and_complete(drive: Path):
 def test_a_generated_frame_makes_a_sample(drive: Path):
     sample = make_sample(DriveReader(drive).read(0), None, GridSpec(), comm_range_m=200.0)
     assert len(sample.clouds) == 3 and all(len(c) for c in sample.clouds)
+
+
+def test_the_truth_explains_who_sees_what(drive: Path):
+    """Lanes, lights, accelerations and visible fractions come back from the files of a drive."""
+    frames = [DriveReader(drive).read(i) for i in range(FRAMES)]
+    for frame in frames:
+        vehicles = frame.truth.is_vehicle
+        assert all(lane for lane, is_vehicle in zip(frame.lane, vehicles, strict=True) if is_vehicle)
+        assert np.isfinite(frame.acceleration).all()
+        share, points = frame.visible_fraction, frame.points_on
+        assert np.nanmin(share) >= 0.0 and np.nanmax(share) <= 1.0
+        assert (share[points >= 10] > 0.0).all()
+        assert (points[share == 0.0] < 3).all()  # points of a ray's jitter
+    assert max(np.abs(frame.acceleration).max() for frame in frames) > 0.5
+
+
+def test_a_drive_says_whether_it_lists_connected_vehicles_and_measures_visibility(tmp_path: Path):
+    drive = generate(quick(), tmp_path, 1, seed=5, connected_vehicles=False, visibility=False)
+    reader = DriveReader(drive)
+    assert reader.protocol["testbed"]["connected_vehicles"] is False
+    assert reader.protocol["testbed"]["visibility"] is False
+    assert np.isnan(reader.read(0).visible_fraction).all()
+    listed = [set(read_yaml(path)["vehicles"] or {}) for path in drive.glob("*/000000.yaml")]
+    assert len(listed) == 3 and not set().union(*listed) & set(reader.agents)
 
 
 def test_points_on_actors_lie_in_their_boxes(drive: Path):
