@@ -13,9 +13,9 @@ PANDAR_40P = LidarSpec(
     range_10_m=200.0,
     range_noise_m=0.02,
     source="Hesai Pandar40P user manual 402-en-211010: design angles, 0.2 deg at 10 Hz, 0.72 M points/s, 0.3 to 200 m"
-    " at reflectivity 0.1, 2 cm; ranges per channel of the Pandar40 and Pandar20A manuals; firetime correction file of"
-    " HesaiLidar_SDK_2.0",
-    assumed=("beam_range_m", "divergence_rad", "pulse_s", "mount_xyz_m"),
+    " at reflectivity 0.1, 2 cm, taken as 1 sigma; ranges per channel of the Pandar40 and Pandar20A manuals; firetime"
+    " correction file of HesaiLidar_SDK_2.0",
+    assumed=("beam_range_m", "range_noise_m", "divergence_rad", "pulse_s", "mount_xyz_m"),
 )
 
 PANDAR_64 = LidarSpec(
@@ -27,9 +27,9 @@ PANDAR_64 = LidarSpec(
     range_max_m=230.0,
     range_10_m=200.0,
     range_noise_m=0.02,
-    source="Hesai Pandar64 user manual: 0.2 deg at 10 Hz, 1.15 M points/s, 0.3 to 200 m at reflectivity 0.1, 2 cm;"
-    " one unit's calibration, 64.csv of tier4/nebula; firetime correction file of HesaiLidar_SDK_2.0",
-    assumed=("range_max_m", "divergence_rad", "pulse_s", "mount_xyz_m"),
+    source="Hesai Pandar64 user manual: 0.2 deg at 10 Hz, 1.15 M points/s, 0.3 to 200 m at reflectivity 0.1, 2 cm,"
+    " taken as 1 sigma; one unit's calibration, 64.csv of tier4/nebula; firetime correction file of HesaiLidar_SDK_2.0",
+    assumed=("range_max_m", "range_noise_m", "divergence_rad", "pulse_s", "mount_xyz_m"),
 )
 
 PANDAR_128 = LidarSpec(
@@ -42,9 +42,9 @@ PANDAR_128 = LidarSpec(
     range_10_m=200.0,
     range_noise_m=0.02,
     source="Hesai Pandar128 (E3X) user manual: firing times and 0.2 deg at 10 Hz of the standard mode, 2.3 M points/s"
-    " (3.46 M in high resolution), 0.3 to 200 m at reflectivity 0.1, 2 cm; angle correction file of Pandar128E3X;"
-    " 230 m as in tier4/nebula",
-    assumed=("divergence_rad", "pulse_s", "mount_xyz_m"),
+    " (3.46 M in high resolution), 0.3 to 200 m at reflectivity 0.1, 2 cm, taken as 1 sigma; angle correction file of"
+    " Pandar128E3X; 230 m as in tier4/nebula",
+    assumed=("range_noise_m", "divergence_rad", "pulse_s", "mount_xyz_m"),
 )
 
 AT_128 = LidarSpec(

@@ -22,9 +22,9 @@ AVIA = LidarSpec(
     divergence_rad=full_divergence(0.03),
     divergence_vertical_rad=full_divergence(0.28),
     source="livoxtech.com/avia/specs: 70.4 x 77.2 deg, 0.24 M points/s, 190 m at reflectivity 0.1, 320 m at 0.8, 2 cm"
-    " and 0.05 deg (1 sigma), 0.28 x 0.03 deg, blind below 1 m; lines and wedges as fitted to a unit by HELIOS++"
-    " (scanners_livox_avia.xml)",
-    assumed=("pulse_s", "mount_xyz_m"),
+    " and 0.05 deg (1 sigma), 0.28 x 0.03 deg, taken as full width at half maximum, blind below 1 m; lines and wedges"
+    " as fitted to a unit by HELIOS++ (scanners_livox_avia.xml)",
+    assumed=("divergence_rad", "divergence_vertical_rad", "pulse_s", "mount_xyz_m"),
 )
 
 MID_70 = LidarSpec(
@@ -45,9 +45,11 @@ MID_70 = LidarSpec(
     divergence_rad=full_divergence(0.03),
     divergence_vertical_rad=full_divergence(0.28),
     source="Livox Mid-70 user manual and datasheet: 70.4 deg round, 0.1 M points/s, 90 m at reflectivity 0.1, 2 cm,"
-    " from 5 cm on; wedges and divergence of HELIOS++ (scanners_tls.xml), the wedges' slanted faces inside, which gives"
-    " the field of view of the datasheet",
-    assumed=("range_max_m", "angle_noise_deg", "pulse_s", "mount_xyz_m"),
+    " from 5 cm on; wedges and divergence of HELIOS++ (scanners_tls.xml), taken as full width at half maximum, the"
+    " wedges' slanted faces inside, which gives the field of view of the datasheet",
+    assumed=(
+        *("range_max_m", "angle_noise_deg", "divergence_rad", "divergence_vertical_rad", "pulse_s", "mount_xyz_m"),
+    ),
 )
 
 SPECS = (AVIA, MID_70)

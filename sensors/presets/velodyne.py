@@ -63,8 +63,8 @@ VLP_16 = LidarSpec(
     divergence_rad=0.003,
     divergence_vertical_rad=0.0015,
     source="Velodyne VLP-16 user manual 63-9243: 2.304 us per laser, 55.296 us per sequence, 0.3 M points/s, 100 m,"
-    " 3 cm; divergence as RGL (AWSIM) takes it from the manual",
-    assumed=("range_min_m", "range_10_m", "pulse_s", "mount_xyz_m"),
+    " 3 cm, taken as 1 sigma; divergence as RGL (AWSIM) takes it from the manual",
+    assumed=("range_min_m", "range_10_m", "range_noise_m", "pulse_s", "mount_xyz_m"),
 )
 
 VLP_32C = LidarSpec(
@@ -78,8 +78,9 @@ VLP_32C = LidarSpec(
     divergence_rad=0.003,
     divergence_vertical_rad=0.0015,
     source="Velodyne VLP-32C user manual 63-9325: pairs of lasers every 2.304 us, 55.296 us per sequence, 0.6 M"
-    " points/s, 200 m, 3 cm; angles of velodyne_decoder 3.1.0; divergence as RGL (AWSIM) takes it from the manual",
-    assumed=("range_min_m", "range_10_m", "pulse_s", "mount_xyz_m"),
+    " points/s, 200 m, 3 cm, taken as 1 sigma; angles of velodyne_decoder 3.1.0; divergence as RGL (AWSIM) takes it"
+    " from the manual",
+    assumed=("range_min_m", "range_10_m", "range_noise_m", "pulse_s", "mount_xyz_m"),
 )
 
 VLS_128 = LidarSpec(
@@ -93,8 +94,8 @@ VLS_128 = LidarSpec(
     divergence_rad=0.003,
     divergence_vertical_rad=0.0015,
     source="Velodyne VLS-128 user manual 63-9483: groups of eight lasers every 2.665 us, 53.3 us per sequence, 2.4 M"
-    " points/s, divergence in table F-1; Alpha Prime datasheet 63-9679: 300 m, 3 cm",
-    assumed=("range_min_m", "range_10_m", "pulse_s", "mount_xyz_m"),
+    " points/s, divergence in table F-1; Alpha Prime datasheet 63-9679: 300 m, 3 cm, taken as 1 sigma",
+    assumed=("range_min_m", "range_10_m", "range_noise_m", "pulse_s", "mount_xyz_m"),
 )
 
 SPECS = (HDL_64E_S2, HDL_64E_S3, HDL_32E, VLP_16, VLP_32C, VLS_128)

@@ -206,3 +206,15 @@ def test_a_typo_in_a_preset_name_gets_the_nearest_name():
 def test_the_table_in_the_documentation_is_of_today():
     path = Path(__file__).parents[2] / "docs" / "lidar_presets.md"
     assert path.read_text() == document(), "python -m sensors.presets > docs/lidar_presets.md"
+
+
+@pytest.mark.parametrize("name", sorted(LIDARS))
+def test_what_a_document_leaves_open_is_named_as_assumed(name):
+    """An accuracy without its confidence is taken as one standard deviation, a divergence without its level as FWHM."""
+    spec = get_lidar(name)
+    if "taken as 1 sigma" in spec.source:
+        assert "range_noise_m" in spec.assumed
+    if "taken as full width" in spec.source:
+        assert {"divergence_rad", "divergence_vertical_rad"} <= set(spec.assumed)
+    assert ("taken as 1 sigma" in spec.source) == name.startswith(("vlp", "vls", "pandar"))
+    assert ("taken as full width" in spec.source) == name.startswith("livox")
