@@ -51,6 +51,7 @@ class Batch:
     Attributes:
         keys: (B,) keys of the samples.
         agents: (B,) number of agents of each sample; their clouds are consecutive, ego first.
+        lost: (N, h, w) bool tiles of the agents' feature maps that did not arrive; None when all did.
         boxes: (B,) ground truth.
         student: pillars of what the sensors saw; None for a teacher's batch.
         targets: None outside training, like all that follows.
@@ -63,6 +64,7 @@ class Batch:
     agents: tuple[int, ...]
     boxes: tuple[Boxes, ...]
     student: Pillars | None
+    lost: Tensor | None = None
     targets: Targets | None = None
     teacher: Pillars | None = None
     foreground: Tensor | None = None
@@ -74,7 +76,7 @@ class Batch:
             return self
         moved: dict[str, Any] = {
             name: part.to(device)
-            for name in ("student", "teacher", "foreground", "targets", "scene")
+            for name in ("student", "lost", "teacher", "foreground", "targets", "scene")
             if (part := getattr(self, name)) is not None
         }
         return replace(self, **moved)
@@ -98,6 +100,7 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
         agents=tuple(len(sample.clouds) for sample in samples),
         boxes=tuple(sample.boxes for sample in samples),
         student=None if for_teacher else pillars_of(clouds, settings),
+        lost=_lost(samples),
     )
     if for_teacher or (training and settings.distils):
         views = [
@@ -143,7 +146,18 @@ def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:
         ego_from_agent=sample.ego_from_agent[rows],
         boxes=boxes,
         agent_boxes=sample.agent_boxes[rows],
+        lost=sample.lost[rows],
     )
+
+
+def _lost(samples: Sequence[Sample]) -> Tensor | None:
+    """Return (N, h, w) the lost tiles of all samples' agents."""
+    shape = next((part.shape for sample in samples for part in sample.lost if part.size), None)
+    if shape is None:
+        return None
+    none = np.zeros(shape, bool)
+    parts = [part if part.size else none for s in samples for part in s.lost or (none,) * len(s.clouds)]
+    return torch.from_numpy(np.stack(parts))
 
 
 def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Pillars:

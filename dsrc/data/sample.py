@@ -51,6 +51,8 @@ class Sample:
         boxes: ground truth: vehicles that at least one agent in communication range has a point on, all corners
             in range, the ego's own body left out.
         agent_boxes: per agent the vehicles that it has annotated itself (a subset of the same rule).
+        lost: per agent (h, w) bool the tiles of its feature map that did not arrive, (0, 0) when all did; empty when
+            all of everybody did.
     """
 
     key: str
@@ -59,6 +61,7 @@ class Sample:
     ego_from_agent: NDArray[np.float64]
     boxes: Boxes
     agent_boxes: tuple[Boxes, ...]
+    lost: tuple[NDArray[np.bool_], ...] = ()
 
 
 # The released code drops an agent's returns on itself in this box of the LiDAR's frame, m; it fits OPV2V's Lincoln.
@@ -110,7 +113,7 @@ def make_sample(
     return Sample(
         key=key or f"{ego.agent_id}/{frame.index:06d}",
         agent_ids=tuple(frame.agents[row].agent_id for row in active),
-        clouds=tuple(_cloud(frame, row, pose, grid) for row, pose in zip(active, poses, strict=True)),
+        clouds=tuple(cloud_of(frame, row, pose, grid) for row, pose in zip(active, poses, strict=True)),
         ego_from_agent=poses,
         boxes=truth[annotated.any(axis=0)],
         agent_boxes=tuple(truth[annotated[i]] for i in range(len(active))),
@@ -142,7 +145,7 @@ def inside_range(boxes: Boxes, grid: GridSpec) -> NDArray[np.bool_]:
     return np.all((corners >= low) & (corners <= high), axis=(1, 2))
 
 
-def _cloud(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
+def cloud_of(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
     """Return (P, 4) x, y, z, intensity in the ego's frame: without the agent's own body, strictly in range."""
     sweep = frame.agents[row].sweep
     kept = ~_own_body(frame, row)

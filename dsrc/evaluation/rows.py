@@ -24,6 +24,9 @@ class Row:
         detections: detected boxes.
         metrics: average precisions by name, see `metric_name`; in an `mce` row the mean corruption errors of them.
         seconds_per_frame: mean time of one detection; never in a result file, since it differs from run to run.
+        bytes_per_frame: that the collaborators sent, mean over the frames; None without a channel.
+        message_age_s: of what the ego used of them, mean over the messages; None without a channel or a message.
+        heard: share of the collaborators of whom it had any; likewise.
         result: the curves behind the metrics; None in a summary and in a row read from a file.
     """
 
@@ -35,6 +38,9 @@ class Row:
     detections: int
     metrics: dict[str, float]
     seconds_per_frame: float | None = field(default=None, compare=False)
+    bytes_per_frame: float | None = None
+    message_age_s: float | None = None
+    heard: float | None = None
     result: EvalResult | None = field(default=None, compare=False, repr=False)
 
 
