@@ -3,26 +3,28 @@
 import hashlib
 import json
 import os
-import subprocess
-import sys
 import tempfile
+from collections.abc import Callable
 from functools import lru_cache
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from sim.errors import ScenarioError, complaint
+from sim.places.rounding import rounded_network
+from sim.places.tools import Option, drop_header, run_tool, sumo_home
 from sim.scenario import Scenario
 
+__all__ = ["cache_folder", "read_network", "resolve_network", "sumo_home", "sumo_tools"]
 
-@lru_cache(maxsize=1)
-def sumo_home() -> Path:
-    """Return the folder of the installed eclipse-sumo package."""
-    spec = find_spec("sumo")
-    if spec is None or not spec.submodule_search_locations:
-        raise ScenarioError("the package eclipse-sumo is not installed; run: pip install eclipse-sumo")
-    return Path(next(iter(spec.submodule_search_locations)))
+ROUND: dict[str, Option] = {
+    "junctions.internal-link-detail": 20,
+    "junctions.limit-turn-speed": 3.5,
+    "junctions.limit-turn-speed.min-angle": 5,
+    "offset.disable-normalization": True,
+    "no-warnings": True,
+}
+"""How netconvert builds the junctions of a network anew: smooth lanes, on which nobody feels more than 3.5 m/s2."""
 
 
 def sumo_tools() -> Path:
@@ -39,23 +41,35 @@ def cache_folder() -> Path:
 
 
 def resolve_network(scenario: Scenario, seed: int) -> Path:
-    """Return the .net.xml(.gz) file of a scenario, generating it into the cache when it is not there yet.
+    """Return the .net.xml(.gz) file of a scenario, making it in the cache when it is not there yet.
 
     Args:
         scenario: names the network.
         seed: for the random options of netgenerate; real networks do not depend on it.
 
     Raises:
-        ScenarioError: the file is missing or netgenerate refuses its options.
+        ScenarioError: the file is missing, or netgenerate or netconvert refuses it.
     """
     network = scenario.network
+    if scenario.conflict is not None and not (network.shipped or network.generate or network.file):
+        return _of_conflict(scenario, seed)
     if network.generate:
         return _generate(scenario.name, network.generate, seed)
     path = sumo_tools() / network.shipped if network.shipped else Path(network.file)
     if not path.is_file():
         field = "network.shipped" if network.shipped else "network.file"
         raise ScenarioError(complaint(scenario.name, field, "an existing network file", str(path)))
-    return path
+    return _round(path) if network.round else path
+
+
+def _of_conflict(scenario: Scenario, seed: int) -> Path:
+    from sim.conflicts import instance_of  # its modules read networks themselves
+    from sim.conflicts.roads import write_roads
+
+    roads = instance_of(scenario, seed).layout.roads
+    if roads is None:
+        raise ScenarioError(complaint(scenario.name, "network", "one of shipped, generate, file", "none of them"))
+    return write_roads(scenario.name, roads)
 
 
 def read_network(path: Path | str) -> Any:
@@ -83,32 +97,46 @@ def _read(path: str, _changed_ns: int) -> Any:
     return net
 
 
-def _generate(name: str, options: dict[str, str | int | float | bool], seed: int) -> Path:
-    """Run netgenerate once per set of options and seed; other processes may do the same at the same time."""
-    arguments = []
-    for option, value in sorted(options.items()):
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        arguments += [f"--{option}={text}"]
-    arguments += [f"--seed={seed % 2**31}", "--no-warnings=true"]  # an int of netgenerate
-    binary = sumo_home() / "bin" / ("netgenerate.exe" if sys.platform == "win32" else "netgenerate")
-    key = hashlib.sha256(json.dumps([arguments, version("eclipse-sumo")]).encode()).hexdigest()[:16]
-    folder = cache_folder() / "networks"
-    target = folder / f"{name}-{key}.net.xml"
+def _generate(name: str, options: dict[str, Option], seed: int) -> Path:
+    options = {**dict(sorted(options.items())), "seed": seed % 2**31, "no-warnings": True}  # an int of netgenerate
+
+    def make(made: Path) -> None:
+        run_tool("netgenerate", options | {"output-file": str(made)}, made, f"{name}: network.generate")
+        drop_header(made)
+
+    return cached("networks", name, ".net.xml", [list(options.items())], make)
+
+
+def _round(path: Path) -> Path:
+    """Build the junctions of a network anew and round the bends of its streets."""
+
+    def make(made: Path) -> None:
+        run_tool("netconvert", {"sumo-net-file": str(path), "output-file": str(made)} | ROUND, made, str(path))
+        drop_header(made)
+        made.write_text(rounded_network(made.read_text(encoding="utf-8")), encoding="utf-8")
+
+    content = hashlib.sha256(path.read_bytes()).hexdigest()
+    return cached("networks", path.name.split(".")[0], ".net.xml", [content, list(ROUND.items())], make)
+
+
+def cached(kind: str, name: str, ending: str, key: object, make: Callable[[Path], None]) -> Path:
+    """Return a file of the cache, made once per key; other processes may make it at the same time.
+
+    Args:
+        kind: folder of the cache.
+        name: begins the name of the file.
+        ending: of its name.
+        key: everything that its content depends on, but for the version of eclipse-sumo, which is added.
+        make: writes the file at the path that it is given.
+    """
+    digest = hashlib.sha256(json.dumps([key, version("eclipse-sumo")]).encode()).hexdigest()[:16]
+    folder = cache_folder() / kind
+    target = folder / f"{name}-{digest}{ending}"
     if target.is_file():
         return target
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as work:
-        made = Path(work) / "made.net.xml"
-        done = subprocess.run(
-            [str(binary), *arguments, "--output-file", str(made)], capture_output=True, text=True, check=False
-        )
-        if done.returncode != 0 or not made.is_file():
-            _, error, reason = done.stderr.partition("Error: ")
-            reason = " ".join(reason.removesuffix("Quitting (on error).\n").split()) if error else "no network came out"
-            raise ScenarioError(f"{name}: network.generate: netgenerate refuses the options: {reason}")
-        text = made.read_text(encoding="utf-8")
-        # The header comment holds the date and paths of this run: without it the bytes depend on the options only.
-        start, end = text.find("<!--"), text.find("-->")
-        made.write_text(text[:start] + text[end + 3 :].lstrip() if 0 <= start < end else text, encoding="utf-8")
+        made = Path(work) / f"made{ending}"
+        make(made)
         os.replace(made, target)
     return target

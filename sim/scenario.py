@@ -52,6 +52,8 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             file or below `tools/`, or "". Without a city mesh and polygons, houses are made up.
         area_m: (x_min, y_min, x_max, y_max) part of the network that is meshed and may carry agents; left out: all.
         signals: programs that replace those of the network.
+        round: build the junctions of a shipped network or a file anew and round the bends of its streets, so that
+            nobody turns at once or races through a junction; false takes the network as it is.
     """
 
     shipped: str = ""
@@ -61,6 +63,7 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     polygons: str = ""
     area_m: Area | None = None
     signals: tuple[SignalProgram, ...] = ()
+    round: bool = True
 
 
 class DemandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -30,6 +30,10 @@ FIRST_ID = 1000
 _OWN_SPEED_MODE = 2 | 4 | 32
 _SUMO_SPEED_MODE = 31
 
+# A body turns as if its hind wheels, so far behind its front bumper, followed it without slipping: SUMO itself turns it
+# with the corners of its lane. The middle of the box would turn fastest, the rear axle would let the front swing out.
+_TRAIL, _LEAST_TRAIL_M = 0.65, 1.8
+
 _running = threading.Lock()
 
 
@@ -42,6 +46,7 @@ class _RoadUser:
     kind: VehicleType
     model: str
     is_person: bool
+    trail: NDArray[np.float64] | None = None
     last_xy: NDArray[np.float64] | None = None
     last_velocity: NDArray[np.float64] | None = None
 
@@ -219,7 +224,8 @@ class SumoTraffic:
             domain = person if user.is_person else vehicle
             x, y, z = domain.getPosition3D(user.name)
             signals = 0 if user.is_person else vehicle.getSignals(user.name)
-            rows.append((x, y, z, domain.getAngle(user.name), domain.getSlope(user.name), signals))
+            angle = _follow(user, np.array([x, y]), domain.getAngle(user.name))
+            rows.append((x, y, z, angle, domain.getSlope(user.name), signals))
             lanes.append(domain.getLaneID(user.name))
         table = np.array(rows, dtype=np.float64).reshape(-1, 6)
         size = np.array([user.kind.size for user in users], dtype=np.float64).reshape(-1, 3)
@@ -269,3 +275,23 @@ class SumoTraffic:
                 acceleration[row] = (velocity[row] - user.last_velocity) / self.step_s
             user.last_velocity = velocity[row].copy()
         return acceleration
+
+
+def _follow(user: _RoadUser, front: NDArray[np.float64], angle_deg: float) -> float:
+    """Draw the hind wheels of a vehicle after its front and return its heading, both angles as SUMO has them.
+
+    Args:
+        user: whose `trail` moves along.
+        front: (2,) front bumper, m.
+        angle_deg: SUMO's heading, which a newcomer has.
+    """
+    if user.is_person:
+        return angle_deg
+    reach = max(_TRAIL * user.kind.size[0], _LEAST_TRAIL_M)
+    if user.trail is None:
+        yaw = np.radians(90.0 - angle_deg)
+        along = np.array([np.cos(yaw), np.sin(yaw)])
+    else:
+        along = (front - user.trail) / np.linalg.norm(front - user.trail)
+    user.trail = front - reach * along
+    return float(90.0 - np.degrees(np.arctan2(along[1], along[0])))

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import shapely
 
-from sim.networks import read_network
+from sim.networks import read_network, resolve_network
 from sim.world.build import MARGIN_M, build_world
 from sim.world.materials import material_index
 from sim.world.roads import GROUND_BELOW_M, pavement
@@ -18,7 +18,7 @@ WINDOW = (0.0, 0.0, 200.0, 100.0)
 @pytest.fixture(scope="module")
 def hills(tmp_path_factory):
     scenario = hilly_scenario(tmp_path_factory.mktemp("hills"))
-    net = read_network(scenario.network.file)
+    net = read_network(resolve_network(scenario, 1))
     return net, read_streets(net, None, MARGIN_M), build_world(scenario, 1)
 
 

@@ -1,0 +1,61 @@
+"""The programs of eclipse-sumo that make networks and polygons."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+
+from sim.errors import ScenarioError
+
+Option = str | int | float | bool
+
+
+@lru_cache(maxsize=1)
+def sumo_home() -> Path:
+    """Return the folder of the installed eclipse-sumo package.
+
+    Raises:
+        ScenarioError: it is not installed.
+    """
+    spec = find_spec("sumo")
+    if spec is None or not spec.submodule_search_locations:
+        raise ScenarioError("the package eclipse-sumo is not installed; run: pip install eclipse-sumo")
+    return Path(next(iter(spec.submodule_search_locations)))
+
+
+def run_tool(name: str, options: Mapping[str, Option], made: Path, what: str) -> None:
+    """Run netconvert, netgenerate or polyconvert.
+
+    Args:
+        name: of the program.
+        options: long option -> value.
+        made: the file that must be there afterwards.
+        what: begins the message when it is not, such as the file that was to be converted.
+
+    Raises:
+        ScenarioError: the program refuses its input; the message holds what it said.
+    """
+    binary = sumo_home() / "bin" / (f"{name}.exe" if sys.platform == "win32" else name)
+    arguments = [
+        f"--{key}={str(value).lower() if isinstance(value, bool) else value}" for key, value in options.items()
+    ]
+    # Without it the programs look for their projections elsewhere and complain.
+    places = {"PROJ_DATA": str(sumo_home() / "data" / "proj")}
+    done = subprocess.run(
+        [str(binary), *arguments], capture_output=True, text=True, check=False, env=os.environ | places
+    )
+    if done.returncode != 0 or not made.is_file():
+        _, error, reason = done.stderr.partition("Error: ")
+        reason = reason.replace("Quitting (on error).", "") if error else "nothing came out"
+        raise ScenarioError(f"{what}: {name} refuses it: {' '.join(reason.split())}")
+
+
+def drop_header(path: Path) -> None:
+    """Take the comment out of a made file that holds the date and the paths of the run: bytes depend on options only."""
+    text = path.read_text(encoding="utf-8")
+    start, end = text.find("<!--"), text.find("-->")
+    if 0 <= start < end:
+        path.write_text(text[:start] + text[end + 3 :].lstrip(), encoding="utf-8")
