@@ -54,7 +54,7 @@ class ReviewApp:
         self._wanted = 1
         self._drawn = 0
         self._closed = False
-        self._writer = SceneWriter(server)
+        self._writer = SceneWriter(server, on_object=lambda object_id: self.update(object_id=object_id))
         self._panels = Panels(self)
         self._threads = [
             threading.Thread(target=self._work, name="review-worker", daemon=True),
@@ -68,7 +68,7 @@ class ReviewApp:
         with self._changed:
             state = replace(self.state, **changes)
             if state.drive != self.state.drive:
-                state = replace(state, frame=0, ego_id=None, hidden=frozenset())
+                state = replace(state, frame=0, ego_id=None, hidden=frozenset(), object_id=None)
             if state == self.state:
                 return
             if state.corruption != CLEAN:

@@ -13,10 +13,21 @@ from dsrc.data.opv2v import DriveReader, find_drives
 from dsrc.data.sample import Sample, make_sample
 from dsrc.detections import Detections
 from dsrc.review.agents import agent_view, links
+from dsrc.review.facts import facts_of
 from dsrc.review.matching import Counts, Matches, match
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
-from dsrc.review.view import FOUND, LAYERS, MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES, AgentView, FrameView
+from dsrc.review.view import (
+    CHOSEN,
+    FOUND,
+    LAYERS,
+    MISSED_BOXES,
+    OTHER_BOXES,
+    RIGHT_BOXES,
+    WRONG_BOXES,
+    AgentView,
+    FrameView,
+)
 from sensors.corruptions import CLEAN, CORRUPTIONS, corrupt_frame, drive_seed
 from sensors.frame import Frame
 from sim.boxes import Boxes
@@ -156,15 +167,16 @@ class ReviewModel:
             agents=agents,
             truth=truth,
             agent_of=agent_of,
-            layers={},
+            layers={**_no_boxes(), CHOSEN: truth[truth.object_id == state.object_id]},
             linked=links(agents) if state.cooperative else np.zeros((0, 2, 3)),
             layers_off=state.layers_off,
             color_by=state.color_by,
             point_size_m=state.point_size_m,
+            facts=facts_of(frame, state.object_id, ego_id, [agent.title for agent in agents]),
         )
         if self.detector is None:
             evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)
-            return replace(view, layers={**_no_boxes(), FOUND: truth[evaluated], OTHER_BOXES: truth[~evaluated]})
+            return replace(view, layers={**view.layers, FOUND: truth[evaluated], OTHER_BOXES: truth[~evaluated]})
         return self._judged_view(view, state, review_from_world @ frame.agent(ego_id).sweep.world_from_lidar)
 
     def _agent_views(
@@ -191,6 +203,7 @@ class ReviewModel:
         judged = np.isin(view.truth.object_id, found.truth.object_id)
         hit = np.isin(view.truth.object_id, found_ids)
         layers = {
+            **view.layers,
             OTHER_BOXES: view.truth[~judged],
             FOUND: view.truth[judged & hit],
             MISSED_BOXES: view.truth[judged & ~hit],

@@ -22,6 +22,7 @@ AGENT_COLORS: tuple[Rgb, ...] = (
 
 TRUTH: Rgb = (226, 232, 240)
 OTHER: Rgb = (112, 122, 140)
+CHOSEN: Rgb = (255, 255, 255)
 RIGHT: Rgb = (70, 208, 60)
 WRONG: Rgb = (250, 58, 64)
 MISSED: Rgb = (242, 166, 34)

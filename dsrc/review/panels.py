@@ -5,15 +5,18 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from dsrc.review.commands import commands
-from dsrc.review.report import keys_table, legend, report
+from dsrc.review.report import keys_table, legend, object_report, report
 from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS, Camera, ReviewState
 from dsrc.review.view import FrameView
 from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
+from sim.boxes import CLASSES
 
 if TYPE_CHECKING:
     from dsrc.review.app import ReviewApp
 
 SPEEDS = {"0.25×": 0.25, "0.5×": 0.5, "1×": 1.0, "2×": 2.0, "4×": 4.0}
+
+_NOBODY = "none"
 
 CAMERAS: dict[str, Camera] = {"Chase": "chase", "BEV": "bev", "Free": "free"}
 
@@ -30,12 +33,14 @@ class Panels:
         self._agents: tuple[int, ...] = ()
         self.agent_boxes: dict[int, Any] = {}
         self._titles: dict[str, int] = {}
+        self._objects: dict[str, int] = {}
         self.gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(56, 150, 255), control_width="medium"
         )
         self.notice = self.gui.add_markdown("", visible=False)
         self._timeline()
         self.report = self.gui.add_markdown("")
+        self._object()
         self._conditions()
         self._agent_folder = self.gui.add_folder("Agents and colours")
         with self._agent_folder:
@@ -61,6 +66,8 @@ class Panels:
             self._write(handle, value)
         self.severity.disabled = self.family.disabled = state.corruption == CLEAN
         self.report.content = report(view)
+        self._list_objects(view, state.object_id)
+        self.object_report.content = object_report(view.facts)
         self.legend.content = legend(view)
         self._list_agents(view)
         self._write(self.ego, view.ego.title)
@@ -138,6 +145,28 @@ class Panels:
             self._on_change(self.ego, self._choose_ego)
             self.cooperative = self.gui.add_checkbox("Hear collaborators", state.cooperative)
             self._on_change(self.cooperative, lambda on: app.update(cooperative=on))
+
+    def _object(self) -> None:
+        with self.gui.add_folder("Object", expand_by_default=False):
+            self.object = self.gui.add_dropdown("Object", (_NOBODY,))
+            self._on_change(self.object, lambda title: self.app.update(object_id=self._objects.get(title)))
+            self.object_report = self.gui.add_markdown("")
+
+    def _list_objects(self, view: FrameView, chosen: int | None) -> None:
+        """Offer the objects of the frame, and the chosen one also while it is away."""
+        truth = view.truth
+        names = [CLASSES[label] for label in truth.label.tolist()]
+        objects = {f"{name} {number}": number for name, number in zip(names, truth.object_id.tolist(), strict=True)}
+        if chosen is not None and chosen not in objects.values():
+            objects[f"object {chosen}"] = chosen
+        title = next((title for title, number in objects.items() if number == chosen), _NOBODY)
+        if objects != self._objects:
+            self._objects = objects
+            if self.object.value not in objects:
+                # New options set the value, which is not the user's doing.
+                self._written[id(self.object)] = _NOBODY
+            self.object.options = (_NOBODY, *objects)
+        self._write(self.object, title)
 
     def _look(self) -> None:
         app, state = self.app, self.app.state

@@ -1,11 +1,15 @@
 """The texts of the live page: counts, legend and keys."""
 
+import math
 from collections.abc import Iterable
 from html import escape
 
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
-from dsrc.review.view import OTHER_BOXES, AgentView, FrameView
+from dsrc.review.view import OTHER_BOXES, AgentView, FrameView, ObjectFacts
+from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
+
+_SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by a helper only", BY_NOBODY: "seen by nobody"}
 
 
 def report(view: FrameView) -> str:
@@ -25,6 +29,23 @@ def report(view: FrameView) -> str:
 
 def _share(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
+
+
+def object_report(facts: ObjectFacts | None) -> str:
+    """Return the markdown of what is known of the chosen object."""
+    if facts is None:
+        return "Click a body or choose one."
+    # In a code span a lane's underscores stay what they are.
+    lane = f" · lane `{facts.lane}`" if facts.lane else ""
+    lights = f" · {', '.join(facts.lights)}" if facts.lights else ""
+    change = "" if math.isnan(facts.acceleration) else f", {facts.acceleration:+.1f} m/s²"
+    head = f"**{facts.class_name} {facts.object_id}**, {_SEEN_BY[facts.seen_by]}"
+    rows = "\n".join(
+        f"| {s.agent} | {s.points} | {'–' if math.isnan(s.fraction) else f'{100 * s.fraction:.0f} %'} |"
+        for s in facts.sightings
+    )
+    table = f"| | points | visible |\n|:--|--:|--:|\n{rows}"
+    return f"{head}\n\n{facts.speed:.1f} m/s{change}{lights}{lane}\n\n{table}"
 
 
 def legend(view: FrameView) -> str:

@@ -1,5 +1,6 @@
 """SceneWriter: draws FrameViews into a viser scene, one named node per thing, updated in place."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from dsrc.review.palette import Rgb
 from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
 from dsrc.review.static import StaticPart, body_shape
 from dsrc.review.view import (
+    CHOSEN,
     FOUND,
     LAYERS,
     MISSED_BOXES,
@@ -42,6 +44,7 @@ STYLES = {
     MISSED_BOXES: Style(palette.MISSED, 3.0, "dashed", 0.22),
     RIGHT_BOXES: Style(palette.RIGHT, 2.5, "solid", 0.16),
     WRONG_BOXES: Style(palette.WRONG, 3.0, "crossed", 0.22),
+    CHOSEN: Style(palette.CHOSEN, 4.0),
 }
 _FORMS = {"solid": edges, "dashed": dashed, "crossed": crossed}
 _NO_TURN = np.array([[1.0, 0.0, 0.0, 0.0]], np.float32)
@@ -50,13 +53,20 @@ _NO_TURN = np.array([[1.0, 0.0, 0.0, 0.0]], np.float32)
 class SceneWriter:
     """Owns the nodes below `root`. Not thread-safe: one worker writes."""
 
-    def __init__(self, server: viser.ViserServer, root: str = "", point_step_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        root: str = "",
+        point_step_m: float = 0.0,
+        on_object: Callable[[int], None] | None = None,
+    ) -> None:
         """Prepare the light; nothing of a drive is drawn yet.
 
         Args:
             server: of the page.
             root: name that everything hangs below, "" for the top.
             point_step_m: round points to a grid of this step, which packs better; 0 keeps them.
+            on_object: called with the id of a body that is clicked.
         """
         self.server = server
         self.scene = server.scene
@@ -65,6 +75,8 @@ class SceneWriter:
         self._nodes: dict[str, Any] = {}
         # The view that each cloud shows: what did not change is not sent again.
         self._drawn: dict[str, AgentView] = {}
+        self._on_object = on_object
+        self._body_ids: dict[str, NDArray[np.int64]] = {}
         self._background()
 
     def _background(self) -> None:
@@ -176,6 +188,21 @@ class SceneWriter:
                 colors[rows],
                 opacity=None,
             )
+            self._make_clickable(f"bodies/{class_name}", view.truth.object_id[rows])
+
+    def _make_clickable(self, name: str, object_id: NDArray[np.int64]) -> None:
+        if self._on_object is None or name not in self._nodes:
+            return
+        known = name in self._body_ids
+        self._body_ids[name] = object_id
+        if known:
+            return
+
+        @self._nodes[name].on_click
+        def _(event: Any) -> None:
+            ids = self._body_ids.get(name, np.zeros(0, np.int64))
+            if self._on_object is not None and event.instance_index is not None and event.instance_index < len(ids):
+                self._on_object(int(ids[event.instance_index]))
 
     def _write_boxes(self, name: str, boxes: Boxes, style: Style, shown: bool) -> None:
         self._frame(name.split("/")[0])
@@ -252,6 +279,7 @@ class SceneWriter:
         # Children first: viser warns about a handle whose parent took it away.
         for key in sorted(below, key=len, reverse=True):
             self._drawn.pop(key, None)
+            self._body_ids.pop(key, None)
             self._nodes.pop(key).remove()
 
 

@@ -32,6 +32,7 @@ class ReviewState:
         color_by: what the colour of a point means.
         hidden: agents whose points are not drawn.
         layers_off: layers that are not drawn, of `SHOWN_LAYERS`.
+        object_id: the object that the page tells about, None for none.
         max_points: at most this many points per agent are drawn.
         point_size_m: side of a drawn point, m.
     """
@@ -48,5 +49,6 @@ class ReviewState:
     color_by: ColorBy = "agent"
     hidden: frozenset[int] = field(default_factory=frozenset)
     layers_off: frozenset[str] = field(default_factory=frozenset)
+    object_id: int | None = None
     max_points: int = 60_000
     point_size_m: float = 0.11

@@ -13,8 +13,10 @@ from sim.boxes import Boxes
 
 FOUND, MISSED_BOXES, OTHER_BOXES = "truth/found", "truth/missed", "truth/other"
 RIGHT_BOXES, WRONG_BOXES = "detections/right", "detections/wrong"
-LAYERS = (OTHER_BOXES, FOUND, MISSED_BOXES, RIGHT_BOXES, WRONG_BOXES)
-"""Names of the box layers: other truth (not judged), truth found, truth missed (FN), right (TP) and wrong (FP)."""
+CHOSEN = "chosen/object"
+LAYERS = (OTHER_BOXES, FOUND, MISSED_BOXES, RIGHT_BOXES, WRONG_BOXES, CHOSEN)
+"""Names of the box layers: other truth (not judged), truth found, truth missed (FN), right (TP) and wrong (FP), and the
+object that the page tells about."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +55,46 @@ class AgentView:
         return f"{'roadside unit' if self.kind == 'roadside' else 'vehicle'} {abs(self.agent_id)}"
 
 
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """What one agent has on an object.
+
+    Attributes:
+        agent: its name for people.
+        points: its LiDAR points on the object, before any corruption.
+        fraction: visible fraction, NaN where there is none, see `sensors.visibility`.
+    """
+
+    agent: str
+    points: int
+    fraction: float
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectFacts:
+    """What the ground truth says of one object.
+
+    Attributes:
+        object_id: the object.
+        class_name: of `sim.boxes.CLASSES`.
+        speed: m/s.
+        acceleration: along its heading, m/s2; NaN where nobody knows.
+        lights: names of what is lit, see `sim.traffic.base.SIGNALS`.
+        lane: name of its lane, "" for none.
+        seen_by: `BY_EGO`, `BY_HELPER` or `BY_NOBODY`, see `Frame.seen_by`.
+        sightings: of the agents in the order of the frame.
+    """
+
+    object_id: int
+    class_name: str
+    speed: float
+    acceleration: float
+    lights: tuple[str, ...]
+    lane: str
+    seen_by: int
+    sightings: tuple[Sighting, ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameView:
     """One frame as it is drawn, in the review frame: the world, moved to where the drive's first ego started.
@@ -73,6 +115,7 @@ class FrameView:
         seen: the same, summed over all frames of the drive that were looked at in this setting.
         seen_frames: how many those are.
         note: a sentence on the state, "" for none.
+        facts: of the object that the page tells about, None when there is none in this frame.
     """
 
     drive: str
@@ -90,6 +133,7 @@ class FrameView:
     seen: Counts = field(default_factory=Counts)
     seen_frames: int = 0
     note: str = ""
+    facts: ObjectFacts | None = None
 
     @property
     def ego(self) -> AgentView:

@@ -78,7 +78,19 @@ def street_frame(index: int) -> Frame:
     points_on = np.array(
         [[np.count_nonzero(a.sweep.object_id == i) for i in truth.object_id] for a in agents], np.int32
     )
-    return Frame(index, 0.1 * index, tuple(agents), truth, np.zeros((6, 2)), points_on)
+    known = truth.object_id == 1003
+    return Frame(
+        index=index,
+        time_s=0.1 * index,
+        agents=tuple(agents),
+        truth=truth,
+        velocity=known[:, None] * [3.0, 0.0],
+        points_on=points_on,
+        acceleration=np.where(known[:, None], [-2.5, 9.0], np.nan),
+        signals=np.where(known, 8, 0).astype(np.int32),
+        lane=tuple(np.where(known, "main_0", "").tolist()),
+        visible_fraction=np.where(known, [[0.25], [1.0], [0.5]], np.nan).astype(np.float32),
+    )
 
 
 @dataclass

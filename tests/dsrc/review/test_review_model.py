@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from dsrc.review.model import ReviewModel, open_model
-from dsrc.review.report import legend
+from dsrc.review.report import legend, object_report
 from dsrc.review.state import ReviewState
-from dsrc.review.view import FOUND, LAYERS, MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES
+from dsrc.review.view import CHOSEN, FOUND, LAYERS, MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES
+from sensors.frame import BY_EGO, BY_HELPER
 from sim.errors import DataError
 from sim.geometry import transform_points
 
@@ -133,3 +134,27 @@ def test_wrong_input_is_one_line(tmp_path, drive):
     drive.frames = ()
     with pytest.raises(DataError, match="at least one frame"):
         ReviewModel([drive])
+
+
+def test_the_facts_of_an_object_say_who_sees_it_and_what_it_does(truth_model):
+    view = truth_model.view(ReviewState(object_id=1003))
+    facts = view.facts
+    assert (facts.object_id, facts.class_name, facts.lane, facts.lights) == (1003, "car", "main_0", ("brake light",))
+    assert facts.speed == pytest.approx(3.0) and facts.acceleration == pytest.approx(-2.5)
+    assert [s.points for s in facts.sightings] == [40, 40, 40]
+    assert [s.fraction for s in facts.sightings] == [0.25, 1.0, 0.5]
+    assert facts.seen_by == BY_EGO
+    assert view.layers[CHOSEN].object_id.tolist() == [1003]
+    assert truth_model.view(ReviewState(object_id=1000)).facts.seen_by == BY_HELPER  # the ego's own body
+    gone = truth_model.view(ReviewState(object_id=77))
+    assert gone.facts is None and len(gone.layers[CHOSEN]) == 0
+    assert truth_model.view(ReviewState()).facts is None
+
+
+def test_the_facts_are_told_in_words(truth_model):
+    text = object_report(truth_model.view(ReviewState(object_id=1003)).facts)
+    assert "**car 1003**, seen by the ego" in text
+    assert "3.0 m/s, -2.5 m/s² · brake light · lane `main_0`" in text
+    assert "| vehicle 1000 | 40 | 25 % |" in text
+    unknown = object_report(truth_model.view(ReviewState(object_id=1005)).facts)
+    assert "seen by the ego\n\n0.0 m/s\n\n" in unknown and "| roadside unit 1 | 40 | – |" in unknown

@@ -274,3 +274,17 @@ def test_a_busy_port_is_one_line(tmp_path):
         serve(tmp_path, port=70_000, block=False)
     with pytest.raises(SettingsError, match="host"):
         start_server("256.1.1.1")
+
+
+def test_an_object_is_chosen_in_the_list_or_by_a_click(app):
+    app._panels.object.value = "car 1003"
+    view = app.wait_drawn()
+    assert app.state.object_id == 1003 and view.facts.object_id == 1003
+    assert "**car 1003**" in app._panels.object_report.content
+    app._writer._on_object(1004)
+    assert app.wait_drawn().facts.object_id == 1004
+    assert app._panels.object.value == "car 1004"
+    app.step(1)
+    assert app.wait_drawn().facts.object_id == 1004
+    app._panels.object.value = "none"
+    assert app.wait_drawn().facts is None
