@@ -19,8 +19,8 @@ def facts_of(frame: Frame, object_id: int | None, ego_id: int, titles: Sequence[
         ego_id: the agent that detects.
         titles: names of the agents, in the order of the frame.
     """
-    found = np.flatnonzero(frame.truth.object_id == object_id) if object_id is not None else []
-    if len(found) == 0:
+    found = np.flatnonzero(frame.truth.object_id == object_id)
+    if object_id is None or len(found) == 0:
         return None
     row = int(found[0])
     yaw = frame.truth.yaw[row]
