@@ -123,6 +123,26 @@ def test_an_engine_measures_what_the_definition_says(engine, name):
     np.testing.assert_allclose(made.time_offset[here], expected.time_offset[there], atol=1e-6)
 
 
+@pytest.mark.parametrize("wide", [{"angle_noise_deg": 3.0}, {"subrays": 8, "divergence_rad": 0.1, "returns": "dual"}])
+def test_steep_beams_that_are_tilted_or_divided_meet_every_body(engine, wide):
+    """Aside by 3 degrees is 17 degrees of azimuth for a beam that points 80 degrees down."""
+    steep = {"elevation_deg": (-50.0, -60.0, -66.0, -70.0, -74.0, -77.0, -80.0, -82.0), "columns": 400}
+    spec = msgspec.structs.replace(EIGHT, range_noise_m=0.0, range_10_m=100.0, pulse_s=1e-9, **steep, **wide)
+    actors = cars([[3.0, 0.3, 0.1], [0.4, 3.2, 1.5], [-5.0, -2.0, 2.8], [1.5, -3.1, -0.2]], size=(2.4, 1.2, 1.5))
+    pose = pose_matrix([0.0, 0.0, 12.0])
+    seen = []
+    for each in (engine, Oracle()):
+        scene = RayScene(ground(90.0), body_mesh=box_body)
+        scene.engine = each
+        sensor = Sensor(spec, Path.through([-1.0, 1.0], [pose, pose]), 0.0, np.random.default_rng(0))
+        sweep = scan_all(scene.with_bodies(actors), [sensor])[0]
+        grid = np.zeros((spec.rings, spec.columns, 2), np.int64)
+        grid[sweep.ring, sweep.column, sweep.return_number - 1] = sweep.object_id
+        seen.append(grid)
+    assert all((seen[1] == object_id).sum() > 30 for object_id in actors.boxes.object_id)
+    assert (seen[0] != seen[1]).sum() <= 3
+
+
 def test_the_number_of_threads_and_of_sensors_changes_no_byte(engine):
     spec = msgspec.structs.replace(EIGHT, columns=3000, subrays=4, divergence_rad=0.02, returns="dual")
     plain = msgspec.structs.replace(EIGHT, columns=9000)
