@@ -48,6 +48,19 @@ def test_points_lie_on_a_sphere_around_the_sensor(engine):
     assert np.abs(np.linalg.norm(sweep.world_points, axis=1) - 20.0).max() < 4e-3
 
 
+def test_points_in_a_box_room_are_analytic(engine):
+    half = np.array([12.0, 9.0, 6.0])
+    spec = ideal("opv2v-64")
+    sweep = still(scene_of(engine, box(2 * half)), spec, pose_matrix([0.0, 0.0, 0.0]))
+    assert len(sweep) == spec.rings * spec.columns
+    elevation, azimuth = spec.elevation[sweep.ring], spec.azimuth[sweep.column]
+    level = np.cos(elevation)
+    direction = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+    with np.errstate(divide="ignore"):
+        expected = direction * (half / np.abs(direction)).min(axis=1, keepdims=True)
+    np.testing.assert_allclose(sweep.points, expected, rtol=0.0, atol=1e-4)
+
+
 def test_points_lie_on_a_tilted_plane(engine):
     plane = ground(200.0)
     tilt = pose_matrix([0.0, 0.0, 0.0], 0.3, 0.06, -0.04)
@@ -95,12 +108,13 @@ def test_a_sensor_above_a_vertex_of_the_mesh_loses_no_ground(engine):
     assert len(sweep) == spec.rings * spec.columns
 
 
-@pytest.mark.parametrize("name", [material.name for material in MATERIALS if material.finish in ("diffuse", "retro")])
-def test_intensity_follows_the_law_of_its_material(name):
+@pytest.mark.parametrize("name", [material.name for material in MATERIALS if material.finish != "glass"])
+def test_intensity_follows_the_law_of_its_material(engine, name):
     index = material_index(name)
     road = ground()
     road.face_attributes["material"][:] = index
-    sweep = still(scene_of("fused", road), ideal("opv2v-64"))
+    sweep = still(scene_of(engine, road), ideal("opv2v-64"))
+    assert len(sweep) > 10_000
     law = returned_power(MATERIALS[index], sweep.cosine.astype(float)) * np.exp(-2.0 * 2e-4 * sweep.range.astype(float))
     np.testing.assert_allclose(sweep.intensity, np.minimum(law, 1.0), atol=2e-3, rtol=5e-3)
     assert (sweep.material == index).all()
@@ -139,16 +153,16 @@ def test_a_pane_that_mirrors_a_beam_away_joins_no_echoes(engine):
         assert ((ahead.points[:, 0] < 14.01) | (ahead.points[:, 0] > 15.98)).all()
 
 
-def test_wet_ground_is_darker_and_wet_plates_are_not():
+def test_wet_ground_is_darker_and_wet_plates_are_not(engine):
     road, plate = ground(), ground()
     road.face_attributes["material"][:] = material_index("asphalt")
     plate.face_attributes["material"][:] = material_index("plate")
     spec = ideal("opv2v-64")
-    dry, wet = (still(scene_of("fused", road), spec, wetness=w) for w in (0.0, 1.0))
+    dry, wet = (still(scene_of(engine, road), spec, wetness=w) for w in (0.0, 1.0))
     ratio = wet_reflectivity(0.15) / 0.15
     np.testing.assert_allclose(wet.intensity / dry.intensity, ratio, rtol=1e-3)
     assert 0.5 < ratio < 0.6
-    shiny = [still(scene_of("fused", plate), spec, wetness=w).intensity for w in (0.0, 1.0)]
+    shiny = [still(scene_of(engine, plate), spec, wetness=w).intensity for w in (0.0, 1.0)]
     np.testing.assert_array_equal(*shiny)
 
 
