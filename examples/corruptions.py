@@ -162,7 +162,7 @@ def shown(frame: Frame, kind: str) -> Frame:
     vehicles = [row for row, agent in enumerate(frame.agents) if agent.kind == "vehicle"]
     kept = vehicles[:1] if CORRUPTIONS[kind].spares_ego and len(vehicles) > 1 else []
     rows = [*kept, max(vehicles[len(kept) :], key=lambda row: frame.agents[row].speed)]
-    return replace(frame, agents=tuple(frame.agents[row] for row in rows), points_on=frame.points_on[rows])
+    return frame.of_agents(rows)
 
 
 def note(clean: Frame) -> str:

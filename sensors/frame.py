@@ -117,6 +117,16 @@ class Frame:
         seen[enough[row]] = BY_EGO
         return seen
 
+    def of_agents(self, rows: list[int]) -> "Frame":
+        """Return the frame of some of its agents, by their rows; all ground truth stays."""
+        return replace(
+            self,
+            agents=tuple(self.agents[row] for row in rows),
+            points_on=self.points_on[rows],
+            visible_fraction=self.visible_fraction[rows],
+            sight=self.sight[rows][:, rows],
+        )
+
     def with_sweeps(self, sweeps: list[Sweep]) -> "Frame":
         """Return the frame with the agents' sweeps replaced, in order; ground truth and counts stay."""
         agents = tuple(replace(a, sweep=s) for a, s in zip(self.agents, sweeps, strict=True))

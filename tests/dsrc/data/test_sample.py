@@ -39,7 +39,7 @@ def test_the_own_body_rule_of_foreign_data_matches_the_reference():
     sweep = replace(
         frame.agents[0].sweep[np.zeros(len(points), np.int64)], points=points, spec=None, world_from_lidar=np.eye(4)
     )
-    frame = replace(frame, agents=(replace(frame.agents[0], sweep=sweep),), points_on=frame.points_on[:1])
+    frame = frame.of_agents([0]).with_sweeps([sweep])
     sample = make_sample(frame, 1000, GridSpec((-10.0, -6.0, -2.0, 10.0, 6.0, 0.5)))
     kept = points[golden["in_range"] & ~golden["in_ego_body"]]
     assert np.array_equal(sample.clouds[0][:, :3], kept)
@@ -109,7 +109,7 @@ def test_our_own_sweeps_lose_points_on_the_true_body_only():
 def test_a_frame_without_agents_is_refused_and_one_without_points_is_not():
     frame = toy_frame(0)
     with pytest.raises(DataError, match="at least one agent"):
-        make_sample(replace(frame, agents=(), points_on=frame.points_on[:0]), None, GRID)
+        make_sample(frame.of_agents([]), None, GRID)
     silent = frame.with_sweeps([a.sweep[:0] for a in frame.agents])
     assert [c.shape for c in make_sample(silent, None, GRID).clouds] == [(0, 4)] * 3
 
