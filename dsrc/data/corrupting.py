@@ -20,9 +20,9 @@ from pathlib import Path
 import msgspec
 
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
+from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.generate import Progress
-from dsrc.data.opv2v import DriveReader, data_hash, find_drives, write_frame
-from dsrc.data.opv2v_record import read_plan
+from dsrc.data.opv2v import write_frame
 from sensors.corruptions import CLEAN, CORRUPTIONS, PAPER, Family, check_corruption, corrupt_frame, drive_seed
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint
@@ -97,8 +97,8 @@ def corrupt_dataset(
     data, out = Path(data).resolve(), Path(out).resolve()
     if out.is_relative_to(data) or data.is_relative_to(out):
         raise SettingsError(complaint("corrupt", "out", f"a folder apart from {data}", str(out)))
-    jobs = [Job(drive, out / drive.relative_to(data), kind, severity, family, seed) for drive in find_drives(data)]
-    readers = [DriveReader(job.source) for job in jobs]
+    jobs = [Job(drive, out / drive.relative_to(data), kind, severity, family, seed) for drive in list_drives(data)]
+    readers = [open_drive(job.source) for job in jobs]
     total, done = sum(len(reader) for reader in readers), 0
     report = progress or (lambda done, total: None)
     with _workers(workers) as pool:
@@ -109,7 +109,7 @@ def corrupt_dataset(
     return [job.out for job in jobs]
 
 
-def _corrupt_drive(job: Job, reader: DriveReader, pool: ProcessPoolExecutor | None) -> Iterator[int]:
+def _corrupt_drive(job: Job, reader: Drive, pool: ProcessPoolExecutor | None) -> Iterator[int]:
     """Write the frames of a drive that are not there yet; yields how many more are done."""
     protocol = _protocol(job, reader)
     with locked(job.out):
@@ -134,7 +134,7 @@ def _corrupt_drive(job: Job, reader: DriveReader, pool: ProcessPoolExecutor | No
         remove_leftovers(job.out)
 
 
-def corrupted(job: Job, reader: DriveReader, i: int) -> Frame:
+def corrupted(job: Job, reader: Drive, i: int) -> Frame:
     """Return the i-th frame of a drive under its corruption."""
     # The number in the file's name is what streams of randomness and the new name go by.
     frame = replace(reader.read(i), index=reader.frames[i])
@@ -144,15 +144,13 @@ def corrupted(job: Job, reader: DriveReader, i: int) -> Frame:
         raise DataError(f"{job.source}: {error}") from None
 
 
-def _write(job: Job, reader: DriveReader, frame: Frame) -> None:
+def _write(job: Job, reader: Drive, frame: Frame) -> None:
     own = reader.protocol.get("testbed", {})
     listed = own.get("connected_vehicles", True) if isinstance(own, dict) else True
-    stem = reader.stem(frame.index)
-    plans = {agent: read_plan(job.source / str(agent) / f"{stem}.yaml") for agent in reader.agents}
-    write_frame(job.out, frame, bool(listed), plans)
+    write_frame(job.out, frame, bool(listed), reader.plans(reader.frames.index(frame.index)))
 
 
-def _protocol(job: Job, reader: DriveReader) -> dict:
+def _protocol(job: Job, reader: Drive) -> dict:
     """Return the protocol of the corrupted drive: its source's, and what is done to it."""
     entry = {
         "kind": job.kind,
@@ -161,7 +159,7 @@ def _protocol(job: Job, reader: DriveReader) -> dict:
         "seed": job.seed,
         "drive_seed": job.drive_seed,
         "settings": msgspec.to_builtins(CORRUPTIONS[job.kind].settings_of(job.family).severity(job.severity)),
-        "source": {"drive": job.source.name, "sha256": data_hash([job.source])},
+        "source": {"drive": job.source.name, "sha256": reader.digest()},
     }
     own = reader.protocol.get("testbed")
     if not isinstance(own, dict):
@@ -179,7 +177,7 @@ def _agents(frame: Frame) -> dict:
     }
 
 
-def _each(job: Job, reader: DriveReader, rows: list[int], pool: ProcessPoolExecutor | None) -> Iterator[None]:
+def _each(job: Job, reader: Drive, rows: list[int], pool: ProcessPoolExecutor | None) -> Iterator[None]:
     """Make and write these frames, here or in the pool."""
     if pool is None:
         for i in rows:
@@ -201,8 +199,8 @@ def _task(job: Job, i: int) -> None:
 
 
 @lru_cache(maxsize=1)
-def _reader(drive: Path) -> DriveReader:
-    return DriveReader(drive)
+def _reader(drive: Path) -> Drive:
+    return open_drive(drive)
 
 
 @contextmanager

@@ -19,8 +19,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.opv2v_record import Annotation, Record, encode_agent, read_agent
+from dsrc.data.annotation import Annotation
+from dsrc.data.opv2v_record import Record, encode_agent, read_agent, read_plan
 from dsrc.data.pcd import encode_pcd, read_pcd
+from dsrc.data.tracks import Instant, tracked_velocity
 from dsrc.data.yamlio import read_yaml
 from sensors.deskew import check_motion, deskew, deskew_frame
 from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
@@ -83,7 +85,7 @@ def read_frame(drive: Path, index: int, motion: Motion | None = None) -> Frame:
 
 
 class DriveReader:
-    """Random access to the frames of a drive.
+    """Random access to the frames of a drive; see `dsrc.data.drives` for drives of any format.
 
     Attributes:
         drive: its folder.
@@ -91,6 +93,8 @@ class DriveReader:
         agents: ids of the agents, in the order of their folders, roadside units last.
         frames: numbers of the frames, ascending.
     """
+
+    format = "OPV2V"
 
     def __init__(self, drive: Path, motion: Motion | None = None) -> None:
         """Look at the folder; no frame is read yet.
@@ -129,9 +133,13 @@ class DriveReader:
             raise DataError(complaint(path, "testbed", "a record as in the other agents' files", "none"))
         return self._own_frame(stem, records)
 
-    def stem(self, index: int) -> str:
-        """Return the name that the files of the frame of this number have."""
-        return self._stems[self.frames.index(index)]
+    def plans(self, i: int) -> dict[int, NDArray[np.float64]]:
+        """Return per agent (K, 3) x, y, m, and speed, m/s, of its way after the i-th frame."""
+        return {agent: read_plan(self.drive / str(agent) / f"{self._stems[i]}.yaml") for agent in self.agents}
+
+    def digest(self) -> str:
+        """Return `data_hash` of the drive alone."""
+        return data_hash([self.drive])
 
     def _agents(self) -> list[int]:
         if not self.drive.is_dir():
@@ -188,7 +196,7 @@ class DriveReader:
             time_s=first.time_s,
             agents=tuple(agents),
             truth=first.truth(),
-            velocity=np.array(first.velocity, np.float64).reshape(-1, 2),
+            velocity=np.array([row or (np.nan, np.nan) for row in first.velocity], np.float64).reshape(-1, 2),
             points_on=np.array([r.points_on for r in records], np.int32).reshape(len(records), -1),
             acceleration=np.array([row or (np.nan, np.nan) for row in first.acceleration], np.float64).reshape(-1, 2),
             signals=np.array(first.signals, np.int32),
@@ -198,19 +206,36 @@ class DriveReader:
         )
 
     def _foreign_frame(self, stem: str, notes: list[Annotation]) -> Frame:
-        truth, velocity = _union(notes)
-        time_s = int(stem) * self._tick_s()
+        now = self._instant(stem, notes)
+        truth, velocity = now.boxes, _union(notes)[1]
+        if np.isnan(velocity).any():
+            velocity = np.where(np.isnan(velocity), tracked_velocity(now, *self._neighbours(stem)), velocity)
         agents, points_on = [], np.zeros((len(notes), len(truth)), np.int32)
         for row, (agent_id, note) in enumerate(zip(self.agents, notes, strict=True)):
             path = self.drive / str(agent_id) / f"{stem}.pcd"
-            sweep = self._compensated(path, read_pcd(path, note.world_from_lidar, time_s))
+            sweep = read_pcd(path, note.world_from_lidar, now.time_s, mirrored=note.mirrored)
+            sweep = self._compensated(path, sweep)
             kind: AgentKind = "roadside" if agent_id < 0 else "vehicle"
             agents.append(AgentFrame(agent_id, kind, note.world_from_body, note.speed, sweep))
             listed = np.isin(truth.object_id, note.boxes.object_id)
             counts = truth[listed].contains(sweep.world_points).sum(axis=1)
             # An annotation means that a ray has hit the object, even if no point of the file lies in its box.
             points_on[row, listed] = np.maximum(counts, 1)
-        return Frame(int(stem), time_s, tuple(agents), truth, velocity, points_on)
+        return Frame(int(stem), now.time_s, tuple(agents), truth, velocity, points_on)
+
+    def _instant(self, stem: str, notes: list[Annotation]) -> Instant:
+        interval_s = self._tick_s() if notes[0].interval_s is None else notes[0].interval_s
+        return Instant(int(stem) * interval_s, _union(notes)[0])
+
+    def _neighbours(self, stem: str) -> list[Instant | None]:
+        """Return the objects a frame earlier and later."""
+        i = self._stems.index(stem)
+        return [self._objects(self._stems[j]) if 0 <= j < len(self._stems) else None for j in (i - 1, i + 1)]
+
+    def _objects(self, stem: str) -> Instant | None:
+        notes = [read_agent(self.drive / str(agent) / f"{stem}.yaml") for agent in self.agents]
+        foreign = [note for note in notes if isinstance(note, Annotation)]
+        return self._instant(stem, foreign) if foreign else None
 
     def _compensated(self, path: Path, sweep: Sweep) -> Sweep:
         if self.motion is None:
@@ -259,10 +284,15 @@ def find_drives(root: Path) -> list[Path]:
     root = Path(root)
     if not root.is_dir():
         raise DataError(f"{root}: no such folder")
-    drives = [folder for folder in [root, *root.glob("*/"), *root.glob("*/*/")] if _is_drive(folder)]
+    drives = drives_below(root)
     if not drives:
         raise DataError(complaint(root, "folder", "an OPV2V tree (drive/agent/000000.yaml)", "none"))
-    return sorted(drives)
+    return drives
+
+
+def drives_below(root: Path) -> list[Path]:
+    """Return the drives at or below a folder, none where there is none; see `find_drives`."""
+    return sorted(folder for folder in [root, *root.glob("*/"), *root.glob("*/*/")] if _is_drive(folder))
 
 
 def _is_drive(folder: Path) -> bool:

@@ -9,7 +9,6 @@ Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.
 
 import math
 import zlib
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +17,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data import v2v4real
+from dsrc.data.annotation import Annotation, annotation
 from dsrc.data.yamlio import emit, parse_yaml, read_text
 from sensors.frame import AgentKind, Frame
 from sensors.motion import Path as LidarPath
@@ -25,7 +26,7 @@ from sensors.spec import LidarSpec
 from sensors.sweep import Motion
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, SettingsError, complaint
-from sim.geometry import carla_from_matrix, matrix_from_carla, wrap_angle
+from sim.geometry import carla_from_matrix
 
 VERSION = 1
 _PREFIX = "testbed: '"
@@ -44,7 +45,8 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         path: true way of the LiDAR in our world through the sweep: time, s, x, y, z, m, yaw, pitch, roll, rad, without
             jumps of a full turn; empty when nobody knows.
         lost: see `Sweep.lost`.
-        acceleration, signals, lane, visible_fraction: as in `Frame`, the agent's own row of the last; null for NaN.
+        acceleration, signals, lane, visible_fraction: as in `Frame`, the agent's own row of the last; null for NaN,
+            in `velocity` too.
         sight: what stands between the agent and each of `agents`, see `Frame.sight`; empty when nobody knows.
     """
 
@@ -62,7 +64,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     object_id: list[_Id]
     label: list[str]
     box: list[tuple[float, float, float, float, float, float, float]]
-    velocity: list[tuple[float, float]]
+    velocity: list[tuple[float, float] | None]
     points_on: list[Annotated[int, msgspec.Meta(ge=0, lt=2**31)]]
     motion: Motion = "middle"
     path: list[tuple[float, float, float, float, float, float, float]] = []
@@ -89,25 +91,6 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Annotation:
-    """What a yaml without a `testbed` record says.
-
-    Attributes:
-        world_from_lidar: (4, 4) in our right-handed world.
-        world_from_body: (4, 4), that of the LiDAR when the file does not say.
-        speed: m/s.
-        boxes: the vehicles that the agent has annotated, world frame.
-        velocity: (N, 2) m/s, along the headings.
-    """
-
-    world_from_lidar: NDArray[np.float64]
-    world_from_body: NDArray[np.float64]
-    speed: float
-    boxes: Boxes
-    velocity: NDArray[np.float64]
-
-
 def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray[np.float64] | None = None) -> str:
     """Return the yaml text of one agent of a frame.
 
@@ -118,9 +101,9 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
         plan: (K, 3) x, y in the world, m, and speed, m/s, of the agent's coming way.
     """
     agent = frame.agents[row]
-    numbers = (frame.truth.array, frame.velocity, agent.world_from_body, agent.sweep.world_from_lidar)
-    finite = all(np.isfinite(n).all() for n in (*numbers, _knots(agent.sweep.path)))
-    if not finite or np.isinf(frame.acceleration).any():
+    numbers = (frame.truth.array, agent.world_from_body, agent.sweep.world_from_lidar, _knots(agent.sweep.path))
+    finite = all(np.isfinite(n).all() for n in numbers)
+    if not finite or np.isinf(frame.velocity).any() or np.isinf(frame.acceleration).any():
         raise ValueError(f"frame {frame.index}: a box, velocity or pose is not finite")
     body = carla_from_matrix(agent.world_from_body).tolist()
     plan = np.zeros((0, 3)) if plan is None else plan
@@ -156,18 +139,23 @@ def _record(frame: Frame, row: int, check: int) -> Record:
         object_id=truth.object_id.tolist(),
         label=[CLASSES[i] for i in truth.label],
         box=truth.array.tolist(),
-        velocity=frame.velocity.tolist(),
+        velocity=_known(frame.velocity),
         points_on=frame.points_on[row].tolist(),
         motion=agent.sweep.motion,
         path=_knots(agent.sweep.path).tolist(),
         lost=int(agent.sweep.lost),
-        acceleration=[None if np.isnan(row).any() else tuple(row.tolist()) for row in frame.acceleration],
+        acceleration=_known(frame.acceleration),
         signals=frame.signals.tolist(),
         lane=list(frame.lane),
         # The shortest decimals that read back as the same float32.
         visible_fraction=[None if np.isnan(share) else float(str(share)) for share in frame.visible_fraction[row]],
         sight=frame.sight[row].tolist(),
     )
+
+
+def _known(vectors: NDArray[np.float64]) -> list[tuple[float, float] | None]:
+    """Return rows of (N, 2), None for those that nobody knows."""
+    return [None if np.isnan(row).any() else (float(row[0]), float(row[1])) for row in vectors]
 
 
 def _knots(path: LidarPath | None) -> NDArray[np.float64]:
@@ -183,7 +171,7 @@ def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> dict[int, dic
     listed = truth.is_vehicle & (frame.points_on[row] >= 1) & (truth.object_id != frame.agents[row].agent_id)
     if not connected_vehicles:
         listed &= ~np.isin(truth.object_id, [a.agent_id for a in frame.agents])
-    vehicles = {}
+    vehicles: dict[int, dict[str, Any]] = {}
     for i in np.flatnonzero(listed):
         x, y, z, length, width, height, yaw = truth.array[i].tolist()
         vehicles[int(truth.object_id[i])] = {
@@ -191,8 +179,9 @@ def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> dict[int, dic
             "center": [0.0, 0.0, 0.5 * height],
             "extent": [0.5 * length, 0.5 * width, 0.5 * height],
             "location": [x, -y, z - 0.5 * height],
-            "speed": float(np.hypot(*frame.velocity[i])) * 3.6,
         }
+        if not np.isnan(frame.velocity[i]).any():
+            vehicles[int(truth.object_id[i])]["speed"] = float(np.hypot(*frame.velocity[i])) * 3.6
     return vehicles
 
 
@@ -259,86 +248,5 @@ def _checked(path: Path, record: Record) -> Record:
 
 
 def _annotation(path: Path, content: dict) -> Annotation:
-    lidar = _numbers(path, content, "lidar_pose", 6)
-    body = _numbers(path, content, "true_ego_pos", 6) if "true_ego_pos" in content else lidar
-    speed = _number(path, "ego_speed", content.get("ego_speed", 0.0)) / 3.6
-    vehicles = content.get("vehicles")
-    if vehicles is None and "vehicles" not in content:
-        raise DataError(complaint(path, "vehicles", "a mapping of object id to box", "nothing"))
-    vehicles = vehicles or {}
-    if not isinstance(vehicles, dict):
-        raise DataError(complaint(path, "vehicles", "a mapping of object id to box", type(vehicles).__name__))
-    rows = [_vehicle(path, key, entry) for key, entry in vehicles.items()]
-    ids = np.array([row[0] for row in rows], np.int64)
-    boxes = upright_boxes(
-        np.array([row[1] for row in rows]).reshape(-1, 3),
-        np.array([row[2] for row in rows]).reshape(-1, 3),
-        np.array([row[3] for row in rows]).reshape(-1, 3),
-        object_id=ids,
-    )
-    speeds = np.array([row[4] for row in rows], np.float64)
-    velocity = speeds[:, None] * np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
-    order = np.argsort(ids, kind="stable")
-    return Annotation(matrix_from_carla(lidar), matrix_from_carla(body), speed, boxes[order], velocity[order])
-
-
-def _vehicle(path: Path, key: object, entry: object) -> tuple[int, list[float], list[float], list[float], float]:
-    """Return (id, centre in CARLA's world, angle in deg, half extent, m/s) of one entry of `vehicles`."""
-    if not isinstance(key, int) or isinstance(key, bool) or abs(key) >= _ID_LIMIT:
-        raise DataError(complaint(path, "vehicles", "whole numbers as ids", key))
-    if not isinstance(entry, dict):
-        raise DataError(complaint(path, f"vehicles.{key}", "a mapping", type(entry).__name__))
-    where = f"vehicles.{key}."
-    location, center = _numbers(path, entry, "location", 3, where), _numbers(path, entry, "center", 3, where)
-    angle, extent = _numbers(path, entry, "angle", 3, where), _numbers(path, entry, "extent", 3, where)
-    if min(extent) <= 0.0:
-        raise DataError(complaint(path, f"{where}extent", "positive half sizes", extent))
-    middle = [a + b for a, b in zip(location, center, strict=True)]
-    return key, middle, angle, extent, _number(path, f"{where}speed", entry.get("speed", 0.0)) / 3.6
-
-
-def upright_boxes(
-    center: NDArray[np.float64],
-    angle_deg: NDArray[np.float64],
-    extent: NDArray[np.float64],
-    lidar_pose: NDArray[np.float64] | None = None,
-    object_id: NDArray[np.int64] | None = None,
-) -> Boxes:
-    """Turn CARLA boxes into upright boxes of our world or of a LiDAR's frame.
-
-    A tilted box becomes the upright one with the mean sides of its eight corners seen from above, as in OpenCOOD.
-
-    Args:
-        center: (N, 3) CARLA world, m.
-        angle_deg: (N, 3) roll, yaw, pitch.
-        extent: (N, 3) half length, width and height, m.
-        lidar_pose: CARLA pose of the LiDAR in whose frame the boxes are wanted; None for the world.
-        object_id: (N,) ids.
-    """
-    world_from_box = matrix_from_carla(np.concatenate([center, angle_deg], axis=1))
-    frame = np.eye(4) if lidar_pose is None else np.linalg.inv(matrix_from_carla(lidar_pose))
-    axes = frame @ world_from_box
-    along, across = (2.0 * extent[:, i, None] * axes[:, :2, i] for i in (0, 1))
-    # Opposite edges of a box are equal, so its mean edges seen from above are its projected axes.
-    size = np.stack([np.hypot(*along.T), np.hypot(*across.T), 2.0 * extent[:, 2] * np.abs(axes[:, 2, 2])], axis=1)
-    yaw = np.arctan2(along[:, 1], along[:, 0])
-    label = np.zeros(len(center), np.int64)
-    ids = np.full(len(center), -1, np.int64) if object_id is None else object_id
-    return Boxes(axes[:, :3, 3].copy(), size, wrap_angle(yaw), label, ids)
-
-
-def _numbers(path: Path, content: dict, key: str, count: int, where: str = "") -> list[float]:
-    value = content.get(key)
-    if not isinstance(value, list) or len(value) != count:
-        raise DataError(complaint(path, where + key, f"{count} numbers", value if value is not None else "nothing"))
-    return [_number(path, where + key, item) for item in value]
-
-
-def _number(path: Path, field: str, value: object) -> float:
-    try:
-        number = float(value) if not isinstance(value, bool) else math.nan  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise DataError(complaint(path, field, "a finite number", value))
-    return number
+    """Return what a file of other tools says."""
+    return v2v4real.annotation(path, content) if v2v4real.speaks(content) else annotation(path, content)

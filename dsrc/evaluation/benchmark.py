@@ -3,12 +3,14 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from dsrc.data.opv2v import DriveReader
+from dsrc.channel import Receiver
+from dsrc.data.drives import Drive, open_drive
 from dsrc.data.sample import GridSpec, Sample, inside_range, make_sample
 from dsrc.detections import Detections
 from dsrc.evaluation.ap import FrameResult, evaluate
@@ -17,6 +19,7 @@ from sensors import corruptions as registry
 from sensors.corruptions import Family, drive_seed
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.v2x import ChannelSpec, Link
 
 Progress = Callable[[int, int], None]
 
@@ -41,11 +44,15 @@ class SampleDetector(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A detector, its name in tables, and whether it gets the collaborators' clouds."""
+    """A detector, its name in tables, whether it gets the collaborators' clouds, and through which channel.
+
+    Without a channel everything arrives at once and nothing is counted.
+    """
 
     name: str
     detector: SampleDetector
     cooperative: bool = True
+    channel: ChannelSpec | None = None
 
 
 def run_benchmark(
@@ -83,19 +90,26 @@ def run_benchmark(
     """
     conditions = [CLEAN, *corruption_kinds(corruptions, family)]
     _check(methods, severity, seed, limit)
-    places = _places([DriveReader(drive) for drive in drives], limit)
+    places = _places([open_drive(drive) for drive in drives], limit)
     if not places:
         raise DataError(complaint("evaluate", "drives", "at least one frame", "none"))
     results: dict[tuple[str, str], list[FrameResult]] = {(c, m.name): [] for c in conditions for m in methods}
+    links: dict[tuple[str, str], list[Link]] = {key: [] for key in results}
     seconds = dict.fromkeys(results, 0.0)
     done, total = 0, len(places) * len(conditions)
     for reader, i in places:
-        frame = reader.read(i)
         for condition in conditions:
-            seen = corrupted(frame, condition, severity, drive_seed(seed, reader.drive.name), family)
+            own_seed = drive_seed(seed, reader.drive.name)
+            past = _Past(
+                reader, i, partial(corrupted, condition=condition, severity=severity, seed=own_seed, family=family)
+            )
             samples: dict[tuple[GridSpec, int, bool], Sample] = {}
             for method in methods:
-                sample = _sample(seen, method, samples, reader.drive.name)
+                sample = _sample(past[0], method, samples, reader.drive.name)
+                if method.channel is not None and method.cooperative:
+                    receiver = Receiver(method.channel, own_seed, interval_of(past), method.detector.settings)
+                    sample, heard = receiver.receive(past, i, sample, method.detector.settings.grid)
+                    links[condition, method.name].extend(heard)
                 start = time.perf_counter()
                 found = method.detector.detect(sample)
                 seconds[condition, method.name] += time.perf_counter() - start
@@ -104,8 +118,16 @@ def run_benchmark(
             done += 1
             if progress is not None:
                 progress(done, total)
+    through = {method.name: method.channel is not None and method.cooperative for method in methods}
     rows = [
-        make_row(name, condition, 0 if condition == CLEAN else severity, evaluate(frames), seconds[condition, name])
+        make_row(
+            name,
+            condition,
+            0 if condition == CLEAN else severity,
+            evaluate(frames),
+            seconds[condition, name],
+            links[condition, name] if through[name] else None,
+        )
         for (condition, name), frames in results.items()
     ]
     return [*rows, *summary_rows(rows)]
@@ -137,6 +159,32 @@ def corrupted(frame: Frame, condition: str, severity: int, seed: int, family: Fa
     return frame if condition == CLEAN else registry.corrupt_frame(frame, condition, severity, seed, family)
 
 
+class _Past(Sequence[Frame]):
+    """The frames of a drive from one back to the first, read and corrupted when they are looked at."""
+
+    def __init__(self, reader: DriveReader, position: int, seen: Callable[[Frame], Frame]) -> None:
+        self._reader, self._position, self._seen = reader, position, seen
+        self._frames: dict[int, Frame] = {}
+
+    def __len__(self) -> int:
+        return self._position + 1
+
+    def __getitem__(self, which: Any) -> Any:
+        if isinstance(which, slice):
+            return [self[k] for k in range(*which.indices(len(self)))]
+        if not 0 <= which < len(self):
+            raise IndexError(which)
+        if which not in self._frames:
+            self._frames[which] = self._seen(self._reader.read(self._position - which))
+        return self._frames[which]
+
+
+def interval_of(past: Sequence[Frame]) -> float:
+    """Return the time between the frames of a drive, s; 0.1 s for its first frame."""
+    step = past[0].time_s - past[1].time_s if len(past) > 1 else 0.0
+    return step if step > 0.0 else 0.1
+
+
 def _check(methods: Sequence[Method], severity: int, seed: int, limit: int | None) -> None:
     names = [method.name for method in methods]
     repeated = sorted({name for name in names if names.count(name) > 1})
@@ -150,7 +198,7 @@ def _check(methods: Sequence[Method], severity: int, seed: int, limit: int | Non
         raise SettingsError(complaint("evaluate", "limit", "at least 1 frame", limit))
 
 
-def _places(readers: Sequence[DriveReader], limit: int | None) -> list[tuple[DriveReader, int]]:
+def _places(readers: Sequence[Drive], limit: int | None) -> list[tuple[Drive, int]]:
     """Return the frames to evaluate, all or `limit` of them evenly spread, as (drive, position)."""
     places = [(reader, i) for reader in readers for i in range(len(reader.frames))]
     if limit is None or limit >= len(places):

@@ -45,11 +45,11 @@ def provenance(settings: Mapping[str, Any], seed: int, data: Sequence[Path] = ()
 
 def hashes(drives: Sequence[Path]) -> dict[str, str]:
     """Return the hash of each drive by its name, or by its folder's too where drives share a name."""
-    from dsrc.data.opv2v import data_hash
+    from dsrc.data.drives import open_drive
 
     names = [drive.name for drive in drives]
     return {
-        drive.name if names.count(drive.name) == 1 else f"{drive.parent.name}/{drive.name}": data_hash([drive])
+        drive.name if names.count(drive.name) == 1 else f"{drive.parent.name}/{drive.name}": open_drive(drive).digest()
         for drive in drives
     }
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import msgspec
 from rich.table import Table
 
 from dsrc.evaluation.benchmark import PAPER_TABLE, Method, Progress, corruption_kinds, run_benchmark
@@ -12,6 +13,7 @@ from dsrc.evaluation.rows import Row
 from dsrc.evaluation.tables import result_table, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
 from sensors.corruptions import Family
 from sim.errors import CheckpointError, SettingsError, complaint
+from sim.v2x import get_channel
 
 EGO_ALONE = "ego alone"
 
@@ -28,6 +30,7 @@ def evaluate_checkpoints(
     ego_alone: bool = True,
     progress: Progress | None = None,
     family: Family = "physical",
+    channels: Sequence[str] = (),
 ) -> Table:
     """Evaluate detectors and write `results.csv`, `results.json`, `timings.csv` and the plots.
 
@@ -42,6 +45,8 @@ def evaluate_checkpoints(
         ego_alone: also evaluate the first detector without collaborators.
         progress: called with frames done and frames in all.
         family: of the corruptions' settings.
+        channels: presets of the radio channel; every cooperative detector is evaluated through each of them. Without
+            any, everything arrives at once and nothing is counted.
 
     Returns:
         The table for the terminal.
@@ -49,17 +54,22 @@ def evaluate_checkpoints(
     Raises:
         UserError: a file, a corruption or a setting is wrong.
     """
-    from dsrc.data.opv2v import find_drives
+    from dsrc.data.drives import list_drives
     from dsrc.models.checkpoint import load_student
 
     kinds = corruption_kinds(corruptions, family)
     named = dict(checkpoints) if isinstance(checkpoints, Mapping) else name_checkpoints(checkpoints)
-    methods = [Method(name, load_student(path)) for name, path in named.items()]
+    specs = {name: get_channel(name) for name in channels}
+    detectors = {name: load_student(path) for name, path in named.items()}
+    methods = [Method(name, detector) for name, detector in detectors.items() if not specs]
+    for channel, spec in specs.items():
+        methods += [Method(f"{name}, {channel}", detector, channel=spec) for name, detector in detectors.items()]
     if not methods:
         raise SettingsError(complaint("evaluate", "checkpoints", "at least one detector", "none"))
     if ego_alone:
-        methods.append(Method(f"{methods[0].name}, {EGO_ALONE}", methods[0].detector, cooperative=False))
-    drives = find_drives(data)
+        first = next(iter(detectors))
+        methods.append(Method(f"{first}, {EGO_ALONE}", detectors[first], cooperative=False))
+    drives = list_drives(data)
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be is told before the work, not after
     rows = run_benchmark(methods, drives, kinds or ("clean",), severity, seed, limit, progress, family)
     settings = {
@@ -70,6 +80,8 @@ def evaluate_checkpoints(
         "limit": limit,
         "ego_alone": ego_alone,
     }
+    if specs:
+        settings["channels"] = {name: msgspec.to_builtins(spec) for name, spec in specs.items()}
     write_results(out, rows, provenance(settings, seed, drives))
     return result_table(rows)
 

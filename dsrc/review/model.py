@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.opv2v import DriveReader, find_drives
+from dsrc.data.drives import open_drives
 from dsrc.data.sample import Sample, make_sample
 from dsrc.detections import Detections
 from dsrc.review.agents import agent_view, links
@@ -44,7 +44,7 @@ _DETECTIONS_KEPT = 4096
 
 
 class Drive(Protocol):
-    """What the model needs of a drive: `dsrc.data.opv2v.DriveReader` has it."""
+    """What the model needs of a drive: `dsrc.data.drives.open_drives` gives some."""
 
     drive: Path
     frames: tuple[int, ...]
@@ -290,7 +290,7 @@ def open_model(root: Path, checkpoint: Path | None = None) -> ReviewModel:
         DataError: the folder is missing, or holds no drive.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    drives: list[Drive] = [DriveReader(path) for path in find_drives(Path(root))]
+    drives: list[Drive] = [*open_drives(Path(root))]
     if checkpoint is None:
         return ReviewModel(drives)
     # Torch takes seconds to import and is not needed to look at the truth.

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dsrc.data.opv2v import DriveReader
+from dsrc.data.drives import open_drive
 from dsrc.data.sample import GridSpec, Sample, make_sample
 from sim.errors import DataError, complaint
 
@@ -41,7 +41,7 @@ class SampleStore:
         Raises:
             DataError: there is not a single frame.
         """
-        self.drives = [DriveReader(drive) for drive in drives]
+        self.drives = [open_drive(drive) for drive in drives]
         self.grid, self.comm_range_m, self.max_agents = grid, comm_range_m, max_agents
         self.frames = [FrameRef(d, i) for d, reader in enumerate(self.drives) for i in range(len(reader))]
         if not self.frames:

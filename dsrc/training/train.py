@@ -16,7 +16,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
 from lightning.pytorch.loggers import TensorBoardLogger
 from msgspec.structs import replace
 
-from dsrc.data.opv2v import find_drives
+from dsrc.data.drives import list_drives
 from dsrc.evaluation.provenance import hash_file, hashes, provenance
 from dsrc.models.checkpoint import load_detector, save_detector
 from dsrc.models.detector import Detector
@@ -126,8 +126,8 @@ def train(
     """
     settings = recipe.settings(stage)
     taught_by = _teacher(teacher, settings) if stage == "student" and settings.distils else None
-    drives = find_drives(data)
-    validation = None if validate is None else find_drives(validate)
+    drives = list_drives(data)
+    validation = None if validate is None else list_drives(validate)
     out.mkdir(parents=True, exist_ok=True)
     loaders = DetectionData(recipe, settings, drives, validation, seed)
     with torch.random.fork_rng():

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
+from dsrc.data.annotation import upright_boxes
 from dsrc.data.drive_folder import write_protocol
 from dsrc.data.opv2v import DriveReader, data_hash, find_drives, read_frame, write_frame
-from dsrc.data.opv2v_record import upright_boxes
 from dsrc.data.pcd import read_pcd
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame

@@ -1,0 +1,158 @@
+"""What the yaml of another tool's OPV2V tree says of one agent at one instant.
+
+OPV2V's world is CARLA's: left-handed, y to the right, degrees, half extents, km/h. Of the keys `lidar_pose`,
+`true_ego_pos`, `ego_speed` and `vehicles` are read; `predicted_ego_pos`, `plan_trajectory`, the cameras and whatever
+else there is are not. V2XSet's files are the same.
+
+Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.md).
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.boxes import Boxes
+from sim.errors import DataError, complaint
+from sim.geometry import matrix_from_carla, wrap_angle
+
+ID_LIMIT = 2**31
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Annotation:
+    """What a file of another tool says.
+
+    Attributes:
+        world_from_lidar: (4, 4) in our right-handed world.
+        world_from_body: (4, 4), that of the LiDAR when the file does not say.
+        speed: m/s.
+        boxes: the vehicles that the agent has annotated, world frame.
+        velocity: (N, 2) m/s, along the headings; NaN where the file does not say.
+        mirrored: the points beside it are in CARLA's left-handed frame.
+        interval_s: time between frames, None for the tick of a simulation.
+    """
+
+    world_from_lidar: NDArray[np.float64]
+    world_from_body: NDArray[np.float64]
+    speed: float
+    boxes: Boxes
+    velocity: NDArray[np.float64]
+    mirrored: bool = True
+    interval_s: float | None = None
+
+
+def annotation(path: Path, content: dict) -> Annotation:
+    """Return what a file of OPV2V's says.
+
+    Raises:
+        DataError: a value is missing or wrong.
+    """
+    lidar = numbers(path, content, "lidar_pose", 6)
+    body = numbers(path, content, "true_ego_pos", 6) if "true_ego_pos" in content else lidar
+    speed = number(path, "ego_speed", content.get("ego_speed", 0.0)) / 3.6
+    rows = [_vehicle(path, key, entry) for key, entry in vehicles_of(path, content).items()]
+    ids = np.array([row[0] for row in rows], np.int64)
+    boxes = upright_boxes(
+        np.array([row[1] for row in rows]).reshape(-1, 3),
+        np.array([row[2] for row in rows]).reshape(-1, 3),
+        np.array([row[3] for row in rows]).reshape(-1, 3),
+        object_id=ids,
+    )
+    speeds = np.array([row[4] for row in rows], np.float64)
+    velocity = speeds[:, None] * np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
+    order = np.argsort(ids, kind="stable")
+    return Annotation(matrix_from_carla(lidar), matrix_from_carla(body), speed, boxes[order], velocity[order])
+
+
+def vehicles_of(path: Path, content: dict) -> dict[int, dict]:
+    """Return the table `vehicles`; DataError where there is none or its keys are no ids."""
+    vehicles = content.get("vehicles")
+    if vehicles is None and "vehicles" not in content:
+        raise DataError(complaint(path, "vehicles", "a mapping of object id to box", "nothing"))
+    vehicles = vehicles or {}
+    if not isinstance(vehicles, dict):
+        raise DataError(complaint(path, "vehicles", "a mapping of object id to box", type(vehicles).__name__))
+    found = {}
+    for key, entry in vehicles.items():
+        # Tools that go by way of JSON leave the ids as text.
+        number = int(key) if isinstance(key, str) and key.lstrip("-").isdecimal() else key
+        if not isinstance(number, int) or isinstance(number, bool) or abs(number) >= ID_LIMIT:
+            raise DataError(complaint(path, "vehicles", "whole numbers as ids", key))
+        if not isinstance(entry, dict):
+            raise DataError(complaint(path, f"vehicles.{key}", "a mapping", type(entry).__name__))
+        found[number] = entry
+    return found
+
+
+def _vehicle(path: Path, key: int, entry: dict) -> tuple[int, list[float], list[float], list[float], float]:
+    """Return (id, centre in CARLA's world, angle in deg, half extent, m/s or nan) of one entry of `vehicles`."""
+    where = f"vehicles.{key}."
+    location, center = numbers(path, entry, "location", 3, where), numbers(path, entry, "center", 3, where)
+    angle, extent = numbers(path, entry, "angle", 3, where), numbers(path, entry, "extent", 3, where)
+    if min(extent) <= 0.0:
+        raise DataError(complaint(path, f"{where}extent", "positive half sizes", extent))
+    middle = [a + b for a, b in zip(location, center, strict=True)]
+    speed = number(path, f"{where}speed", entry["speed"]) / 3.6 if "speed" in entry else math.nan
+    return key, middle, angle, extent, speed
+
+
+def upright_boxes(
+    center: NDArray[np.float64],
+    angle_deg: NDArray[np.float64],
+    extent: NDArray[np.float64],
+    lidar_pose: NDArray[np.float64] | None = None,
+    object_id: NDArray[np.int64] | None = None,
+) -> Boxes:
+    """Turn CARLA boxes into upright boxes of our world or of a LiDAR's frame.
+
+    A tilted box becomes the upright one with the mean sides of its eight corners seen from above, as in OpenCOOD.
+
+    Args:
+        center: (N, 3) CARLA world, m.
+        angle_deg: (N, 3) roll, yaw, pitch.
+        extent: (N, 3) half length, width and height, m.
+        lidar_pose: CARLA pose of the LiDAR in whose frame the boxes are wanted; None for the world.
+        object_id: (N,) ids.
+    """
+    world_from_box = matrix_from_carla(np.concatenate([center, angle_deg], axis=1))
+    frame = np.eye(4) if lidar_pose is None else np.linalg.inv(matrix_from_carla(lidar_pose))
+    return flattened(frame @ world_from_box, extent, object_id)
+
+
+def flattened(axes: NDArray[np.float64], extent: NDArray[np.float64], object_id: NDArray[np.int64] | None) -> Boxes:
+    """Return upright boxes of tilted ones, cars; see `upright_boxes`.
+
+    Args:
+        axes: (N, 4, 4) poses of the boxes.
+        extent: (N, 3) half length, width and height, m.
+        object_id: (N,) ids.
+    """
+    along, across = (2.0 * extent[:, i, None] * axes[:, :2, i] for i in (0, 1))
+    # Opposite edges of a box are equal, so its mean edges seen from above are its projected axes.
+    size = np.stack([np.hypot(*along.T), np.hypot(*across.T), 2.0 * extent[:, 2] * np.abs(axes[:, 2, 2])], axis=1)
+    yaw = np.arctan2(along[:, 1], along[:, 0])
+    label = np.zeros(len(axes), np.int64)
+    ids = np.full(len(axes), -1, np.int64) if object_id is None else object_id
+    return Boxes(axes[:, :3, 3].copy(), size, wrap_angle(yaw), label, ids)
+
+
+def numbers(path: Path, content: dict, key: str, count: int, where: str = "") -> list[float]:
+    """Return `count` finite numbers under a key; DataError names the file and the field."""
+    value = content.get(key)
+    if not isinstance(value, list) or len(value) != count:
+        raise DataError(complaint(path, where + key, f"{count} numbers", value if value is not None else "nothing"))
+    return [number(path, where + key, item) for item in value]
+
+
+def number(path: Path, field: str, value: object) -> float:
+    """Return a finite number, also one that YAML takes for text (`1e-3`); DataError names the file and the field."""
+    try:
+        number = float(value) if not isinstance(value, bool) else math.nan  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise DataError(complaint(path, field, "a finite number", value))
+    return number

@@ -1,0 +1,95 @@
+"""Drives of any format that is read: found below a folder, opened by path, all giving the same `Frame`.
+
+| format      | a drive is                                              | its path                        |
+|-------------|---------------------------------------------------------|---------------------------------|
+| OPV2V       | a scenario folder; ours, OpenCDA's, V2XSet's            | the folder                      |
+| V2V4Real    | a scenario folder whose `lidar_pose` are matrices       | the folder                      |
+| DAIR-V2X-C  | a batch of pairs of a vehicle's and a roadside's frames | TREE/BATCH, see `dairv2x`       |
+"""
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data import dairv2x, opv2v
+from sensors.frame import Frame
+from sensors.sweep import Motion
+from sim.errors import DataError, complaint
+
+
+class Drive(Protocol):
+    """Random access to the frames of a drive, whatever its format.
+
+    Attributes:
+        drive: its path; the last part is its name.
+        format: name of the format, for people.
+        agents: ids of the agents, in the order of `Frame.agents`.
+        frames: numbers of the frames, ascending.
+        protocol: what a `data_protocol.yaml` says, empty without one.
+    """
+
+    format: str
+    drive: Path
+    agents: tuple[int, ...]
+    frames: tuple[int, ...]
+    protocol: dict
+
+    def __len__(self) -> int: ...
+
+    def read(self, i: int) -> Frame:
+        """Read the i-th frame (a position in `frames`)."""
+        ...
+
+    def plans(self, i: int) -> dict[int, NDArray[np.float64]]:
+        """Return per agent (K, 3) x, y, m, and speed, m/s, of its way after the i-th frame, if known."""
+        ...
+
+    def digest(self) -> str:
+        """Return a SHA-256 of annotations and of all clouds' names and sizes; quick, for provenance."""
+        ...
+
+
+def list_drives(root: Path) -> list[Path]:
+    """Return the paths of the drives at or below a folder (itself, its children, theirs), sorted.
+
+    A path in a DAIR-V2X-C tree need not exist: `TREE/val` gives the drives of that split.
+
+    Raises:
+        DataError: the folder is missing or holds no drive.
+    """
+    root = Path(root)
+    address = dairv2x.locate(root)
+    if address is not None:
+        return dairv2x.list_batches(address)
+    if not root.is_dir():
+        raise DataError(f"{root}: no such folder")
+    below = [folder for pattern in ("*/", "*/*/") for folder in sorted(root.glob(pattern)) if dairv2x.is_tree(folder)]
+    found = [drive for tree in below for drive in list_drives(tree)]
+    found += opv2v.drives_below(root)
+    if not found:
+        expected = "an OPV2V tree (drive/agent/000000.yaml) or a DAIR-V2X-C one (cooperative/data_info.json)"
+        raise DataError(complaint(root, "folder", expected, "none"))
+    return found
+
+
+def open_drive(path: Path, motion: Motion | None = None) -> Drive:
+    """Open a drive by a path that `list_drives` gives.
+
+    Args:
+        path: of the drive.
+        motion: how the sensors' motion is compensated in the frames; None as in the files.
+
+    Raises:
+        DataError: there is no drive, or it is damaged.
+        SettingsError: there is no such motion.
+    """
+    if dairv2x.locate(Path(path)) is not None:
+        return dairv2x.DairReader(path, motion)
+    return opv2v.DriveReader(path, motion)
+
+
+def open_drives(root: Path, motion: Motion | None = None) -> list[Drive]:
+    """Open all drives at or below a folder; see `list_drives` and `open_drive`."""
+    return [open_drive(path, motion) for path in list_drives(root)]

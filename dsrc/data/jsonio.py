@@ -1,0 +1,77 @@
+"""JSON of known structure: read into typed structs, written atomically; a wrong value is named by file and field."""
+
+import re
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from sim.errors import DataError, complaint
+
+LARGEST_BYTES = 512 * 1024 * 1024
+"""The largest index that is known has 15 MB; more than this is no index."""
+
+_PLACE = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<field>.*)`)?$", re.DOTALL)
+_WRONG = re.compile(r"Expected `(?P<expected>.*)`, got `(?P<found>.*)`")
+_ABSENT = re.compile(r"Object missing required field `(?P<name>.*)`")
+
+T = TypeVar("T")
+
+
+def read_json(path: Path, kind: type[T]) -> T:
+    """Read a JSON file; numbers may be written as text, as DAIR-V2X has some.
+
+    Raises:
+        DataError: the file is missing, is not JSON, or a value is missing or of another type.
+    """
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_BYTES:
+            raise DataError(complaint(path, "file", f"at most {LARGEST_BYTES} bytes", f"{size} bytes"))
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise DataError(f"{path}: file not found") from None
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from None
+    try:
+        return msgspec.json.decode(content, type=kind, strict=False)
+    except msgspec.ValidationError as error:
+        raise DataError(_explained(path, str(error))) from None
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
+        raise DataError(f"{path}: not JSON: {' '.join(str(error).split())}") from None
+
+
+def _explained(path: Path, message: str) -> str:
+    """Return the complaint of a validation error: file, field, expected, found."""
+    place = _PLACE.match(message)
+    what, field = (place["what"], (place["field"] or "").lstrip(".")) if place else (message, "")
+    absent, wrong = _ABSENT.match(what), _WRONG.match(what)
+    if absent:
+        return complaint(path, f"{field}.{absent['name']}".lstrip("."), "a value", "nothing")
+    if wrong:
+        return complaint(path, field or "content", wrong["expected"], wrong["found"])
+    return f"{path}: {field or 'content'}: {what}"
+
+
+def encode_json(value: object) -> bytes:
+    """Return compact JSON with a line end; ValueError for a number that is not finite."""
+    text = msgspec.json.encode(value)
+    if b"null" in text and _has_nan(msgspec.to_builtins(value)):
+        raise ValueError("cannot write a number that is not finite as JSON")
+    return text + b"\n"
+
+
+def _has_nan(value: object) -> bool:
+    if isinstance(value, dict):
+        return any(_has_nan(item) for item in value.values())
+    if isinstance(value, list | tuple):
+        return any(_has_nan(item) for item in value)
+    return isinstance(value, float) and value - value != 0.0
+
+
+def write_atomic(path: Path, content: bytes) -> None:
+    """Write a file that is there completely or not at all; its folder is made if it is missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_bytes(content)
+    temporary.replace(path)
