@@ -1,0 +1,45 @@
+"""The Python of the README runs, and what its comments say is true."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from dsrc.data.generate import generate
+from sensors.deskew import deskew
+from sim.boxes import Boxes
+
+ROOT = Path(__file__).parents[1]
+SIMULATED, SCANNED = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+
+
+def test_the_example_of_a_drive_detects_in_fog(tmp_path, monkeypatch):
+    (tmp_path / "dsrc").symlink_to(ROOT / "dsrc")
+    generate("four_way", tmp_path / "demo" / "test", frames=1, seed=900, visibility=False)
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(SIMULATED, names)
+    assert len({agent.sweep.time_s for agent in names["frame"].agents}) == 1
+    assert len(names["frame"].truth) > 0
+    assert isinstance(names["detections"].boxes, Boxes)
+    raw, middle = names["raw"].agents[0].sweep, names["frame"].agents[0].sweep
+    assert (raw.motion, middle.motion) == ("raw", "middle")
+    np.testing.assert_allclose(deskew(raw, "middle").points, middle.points, atol=1e-3)
+
+
+def test_the_example_of_a_lidar_of_one_s_own_measures_the_hall():
+    names: dict = {}
+    exec(SCANNED, names)
+    sweep, lidar = names["sweep"], names["lidar"]
+    assert lidar.rings == 32
+    assert len(np.unique(sweep.ring.astype(int) * lidar.columns + sweep.column)) == lidar.rings * lidar.columns
+    half = 0.5 * np.ptp(names["hall"].vertices, axis=0)
+    # The nearest wall is as far from every point as the sensor's noise lets it be, though the sensor drove on.
+    off = np.abs(half - np.abs(sweep.world_points)).min(axis=1)
+    assert np.median(off) < lidar.range_noise_m
+    assert off.max() < 6.0 * lidar.range_noise_m
+    bent = names["raw"]
+    assert bent.motion == "raw"
+    # 1 m in a sweep of 0.1 s.
+    expected = np.column_stack([10.0 * sweep.time_offset, np.zeros((len(sweep), 2))])
+    np.testing.assert_allclose(sweep.points - bent.points, expected, atol=1e-4)
