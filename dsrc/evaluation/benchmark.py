@@ -98,11 +98,11 @@ def run_benchmark(
     seconds = dict.fromkeys(results, 0.0)
     done, total = 0, len(places) * len(conditions)
     for reader, i in places:
+        own_seed = drive_seed(seed, reader.drive.name)
+        recorded = _Past(reader.read, i)
         for condition in conditions:
-            own_seed = drive_seed(seed, reader.drive.name)
-            past = _Past(
-                reader, i, partial(corrupted, condition=condition, severity=severity, seed=own_seed, family=family)
-            )
+            seen = partial(corrupted, condition=condition, severity=severity, seed=own_seed, family=family)
+            past = _Past(recorded.at, i, seen)
             samples: dict[tuple[GridSpec, int, bool], Sample] = {}
             for method in methods:
                 sample = _sample(past[0], method, samples, reader.drive.name)
@@ -160,10 +160,18 @@ def corrupted(frame: Frame, condition: str, severity: int, seed: int, family: Fa
 
 
 class _Past(Sequence[Frame]):
-    """The frames of a drive from one back to the first, read and corrupted when they are looked at."""
+    """The frames of a drive from one back to the first, made when they are looked at, once.
 
-    def __init__(self, reader: DriveReader, position: int, seen: Callable[[Frame], Frame]) -> None:
-        self._reader, self._position, self._seen = reader, position, seen
+    Args:
+        read: gives the frame at a position in the drive.
+        position: of the first.
+        seen: what becomes of a frame.
+    """
+
+    def __init__(
+        self, read: Callable[[int], Frame], position: int, seen: Callable[[Frame], Frame] | None = None
+    ) -> None:
+        self._read, self._position, self._seen = read, position, seen
         self._frames: dict[int, Frame] = {}
 
     def __len__(self) -> int:
@@ -175,8 +183,13 @@ class _Past(Sequence[Frame]):
         if not 0 <= which < len(self):
             raise IndexError(which)
         if which not in self._frames:
-            self._frames[which] = self._seen(self._reader.read(self._position - which))
+            frame = self._read(self._position - which)
+            self._frames[which] = frame if self._seen is None else self._seen(frame)
         return self._frames[which]
+
+    def at(self, position: int) -> Frame:
+        """Return the frame at a position in the drive."""
+        return self[self._position - position]
 
 
 def interval_of(past: Sequence[Frame]) -> float:

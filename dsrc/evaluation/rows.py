@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from dsrc.evaluation.ap import EvalResult
 from dsrc.evaluation.robustness import mce, mean_ap
+from sim.v2x import Link
 
 CLEAN = "clean"
 MEAN_AP = "mean_ap"
@@ -44,8 +45,25 @@ class Row:
     result: EvalResult | None = field(default=None, compare=False, repr=False)
 
 
-def make_row(method: str, condition: str, severity: int, result: EvalResult, seconds: float | None = None) -> Row:
-    """Return the row of a result; `seconds` is the time that all its detections took together."""
+def make_row(
+    method: str,
+    condition: str,
+    severity: int,
+    result: EvalResult,
+    seconds: float | None = None,
+    links: Sequence[Link] | None = None,
+) -> Row:
+    """Return the row of a result.
+
+    Args:
+        method: name.
+        condition: `clean` or a corruption.
+        severity: 0 for clean.
+        result: of all its frames.
+        seconds: that all its detections took together.
+        links: of all its frames, None without a channel.
+    """
+    used = [link for link in links or () if link.heard]
     return Row(
         method=method,
         condition=condition,
@@ -55,6 +73,9 @@ def make_row(method: str, condition: str, severity: int, result: EvalResult, sec
         detections=result.detections,
         metrics=result.metrics(),
         seconds_per_frame=None if seconds is None or not result.frames else seconds / result.frames,
+        bytes_per_frame=None if links is None or not result.frames else sum(k.bytes for k in links) / result.frames,
+        message_age_s=sum(link.age_s for link in used) / len(used) if used else None,
+        heard=len(used) / len(links) if links else None,
         result=result,
     )
 

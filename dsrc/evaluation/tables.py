@@ -24,6 +24,7 @@ _COLUMNS = (
     ("\n0.7", metric_name("bev", 0.7, opencood=True)),
 )
 _FIELDS = ("method", "condition", "severity", "frames", "truth", "detections")
+_CHANNEL_FIELDS = ("bytes_per_frame", "message_age_s", "heard")
 
 
 def result_table(rows: Sequence[Row], title: str = "Average precision, %") -> Table:
@@ -36,6 +37,10 @@ def result_table(rows: Sequence[Row], title: str = "Average precision, %") -> Ta
     for header, _ in _COLUMNS:
         table.add_column(header, justify="right", no_wrap=True)
     table.add_column("ms", justify="right", no_wrap=True)
+    through_channel = any(row.bytes_per_frame is not None for row in rows)
+    if through_channel:
+        for header in ("sent\nkB", "age\nms", "heard\n%"):
+            table.add_column(header, justify="right", no_wrap=True)
     methods = methods_of(rows)
     for condition in [*conditions_of(rows), MEAN_AP, MCE]:
         group = [row for method in methods if (row := find_row(rows, method, condition))]
@@ -43,10 +48,18 @@ def result_table(rows: Sequence[Row], title: str = "Average precision, %") -> Ta
             time_ms = "" if row.seconds_per_frame is None else f"{1000 * row.seconds_per_frame:.0f}"
             cells = [_percent(row, group, name) for _, name in _COLUMNS]
             first = condition_title(condition) if i == 0 else ""
-            table.add_row(first, row.method, *cells, time_ms, end_section=i == len(group) - 1)
+            cells += [time_ms, *(_channel_cells(row) if through_channel else ())]
+            table.add_row(first, row.method, *cells, end_section=i == len(group) - 1)
     table.caption = "*BEV: sorted per frame, as OpenCOOD does. mCE: share of the clean AP lost, less is better."
     table.caption_justify = "left"
     return table
+
+
+def _channel_cells(row: Row) -> tuple[str, str, str]:
+    """Return what was sent, in kB per frame, the mean age of it, in ms, and the share of senders heard, in percent."""
+    scaled = zip((row.bytes_per_frame, row.message_age_s, row.heard), (1e-3, 1e3, 1e2), strict=True)
+    sent, age, heard = ("" if value is None else f"{scale * value:.1f}" for value, scale in scaled)
+    return sent, age.partition(".")[0], heard.partition(".")[0]
 
 
 def _percent(row: Row, group: Sequence[Row], name: str) -> str:
@@ -60,17 +73,23 @@ def _percent(row: Row, group: Sequence[Row], name: str) -> str:
     return f"[bold]{text}[/bold]" if len(others) > 1 and value == best else text
 
 
+def _fields(rows: Sequence[Row]) -> tuple[str, ...]:
+    """Return the columns of a result; those of the channel where there was one."""
+    return _FIELDS + (_CHANNEL_FIELDS if any(row.bytes_per_frame is not None for row in rows) else ())
+
+
 def rows_to_csv(rows: Sequence[Row], made_by: Mapping[str, Any]) -> str:
     """Return CSV with one line per row; its first line is a comment (#) that holds the provenance as JSON."""
     names = list(dict.fromkeys(name for row in rows for name in row.metrics))
     text = io.StringIO()
     text.write(f"# {json.dumps(made_by, sort_keys=True, allow_nan=False)}\n")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*_FIELDS, *names])
+    fields = _fields(rows)
+    writer.writerow([*fields, *names])
     for row in rows:
         values = [row.metrics.get(name, math.nan) for name in names]
         writer.writerow(
-            [*(getattr(row, f) for f in _FIELDS), *("" if math.isnan(v) else repr(float(v)) for v in values)]
+            [*(getattr(row, f) for f in fields), *("" if math.isnan(v) else repr(float(v)) for v in values)]
         )
     return text.getvalue()
 
@@ -78,7 +97,7 @@ def rows_to_csv(rows: Sequence[Row], made_by: Mapping[str, Any]) -> str:
 def rows_to_json(rows: Sequence[Row], made_by: Mapping[str, Any]) -> str:
     """Return JSON `{"provenance": ..., "rows": [...]}`; numbers that are undefined are null."""
     listed = [
-        {f: getattr(row, f) for f in _FIELDS}
+        {f: getattr(row, f) for f in _fields(rows)}
         | {"metrics": {name: None if math.isnan(v) else float(v) for name, v in row.metrics.items()}}
         for row in rows
     ]
