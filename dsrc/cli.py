@@ -242,6 +242,7 @@ def evaluate(
     seed: int = 0,
     limit: int | None = None,
     ego_alone: bool = True,
+    channels: tuple[str, ...] = (),
 ) -> None:
     """Evaluate detectors on drives, clean and corrupted: table, CSV, JSON and plots.
 
@@ -255,6 +256,8 @@ def evaluate(
         seed: of the corruptions.
         limit: evaluate at most this many frames, evenly spread.
         ego_alone: also evaluate the first detector without collaborators.
+        channels: radio channels: ideal, paper, its-g5-6, its-g5-27, c-v2x or trace:FILE; default: nothing is lost
+            or late, and nothing counted.
     """
     from dsrc.evaluation.run import evaluate_checkpoints
 
@@ -270,6 +273,7 @@ def evaluate(
             limit=limit,
             ego_alone=ego_alone,
             family=family,
+            channels=channels,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     _console().print(table)
@@ -340,6 +344,7 @@ def drive(
     family: Literal["physical", "paper"] = "physical",
     seeds: tuple[int, ...] = (0,),
     duration: float = 20.0,
+    channel: str = "ideal",
     out: Path | None = None,
 ) -> None:
     """Drive closed-loop episodes: the ego brakes for what its perception shows it, nothing else.
@@ -353,6 +358,7 @@ def drive(
         family: physical models, or those of the published papers.
         seeds: one episode each.
         duration: of an episode, s.
+        channel: radio channel: ideal, paper, its-g5-6, its-g5-27, c-v2x or trace:FILE.
         out: write the rows to this CSV file.
     """
     from dsrc.drive.episodes import drive_episodes
@@ -368,6 +374,7 @@ def drive(
             family=family,
             seeds=seeds,
             duration_s=duration,
+            channel=channel,
             out=out,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )

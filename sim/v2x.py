@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 
+IDEAL = "ideal"
 FREQUENCY_GHZ = 5.9
 HEARING_M = 500.0
 """Agents this far away still count for the load of the channel, m."""
@@ -130,7 +131,7 @@ brings the features of the paper's grid to OpenCOOD's size are assumed."""
 PRESETS: dict[str, ChannelSpec] = {
     spec.name: spec
     for spec in (
-        ChannelSpec(name="ideal", medium="perfect"),
+        ChannelSpec(name=IDEAL, medium="perfect"),
         # OpenCOOD's numbers: 70 m, 100 ms, 27 Mb/s, 1.06 Mb of features, white noise of 0.2 m and 0.2 degrees.
         ChannelSpec(
             name="paper",

@@ -18,6 +18,7 @@ from dsrc.drive.idm import IdmSettings, idm_acceleration
 from dsrc.drive.perception import DetectorPerception, Perception, TruthPerception
 from sensors.corruptions import CLEAN, PAPER, Family, check_corruption
 from sim.errors import SettingsError
+from sim.v2x import IDEAL, get_channel
 
 PerceptionKind = Literal["truth", "ego", "dsrc"]
 
@@ -41,6 +42,7 @@ class Episode:
     min_ttc_s: float
     hardest_brake_mps2: float
     family: str
+    channel: str
 
 
 def idm_policy(observation: Observation, settings: IdmSettings | None = None) -> NDArray[np.float32]:
@@ -86,6 +88,7 @@ def drive_episodes(
     family: Family = "physical",
     seeds: Sequence[int] = (0,),
     duration_s: float = 20.0,
+    channel: str = IDEAL,
     out: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Table:
@@ -100,6 +103,7 @@ def drive_episodes(
         family: of the corruption's settings.
         seeds: one episode each.
         duration_s: longest episode, s.
+        channel: preset of the radio channel.
         out: CSV file, replaced as a whole.
         progress: called with (steps done, steps in all).
 
@@ -113,7 +117,7 @@ def drive_episodes(
     if out is not None:
         # A place that cannot be written to must not cost an episode.
         out.parent.mkdir(parents=True, exist_ok=True)
-    eyes = make_perception(perception, checkpoint, corruption, severity, family)
+    eyes = make_perception(perception, checkpoint, corruption, severity, family, channel)
     env = CoopDrivingEnv(scenario, eyes, duration_s)
     total = len(seeds) * round(duration_s / env.scenario.step_s)
     rows = []
@@ -139,6 +143,7 @@ def drive_episodes(
                 min_ttc_s=round(info["min_ttc_s"], 2),
                 hardest_brake_mps2=round(hardest, 2),
                 family="" if corruption == CLEAN else family,
+                channel=channel,
             )
         )
         if out is not None:
@@ -154,14 +159,21 @@ def make_perception(
     corruption: str = CLEAN,
     severity: int = PAPER,
     family: Family = "physical",
+    channel: str = IDEAL,
 ) -> Perception:
     """Return the perception of that kind.
 
     Raises:
-        SettingsError: a corruption or a detector of the truth, or an unknown corruption.
+        SettingsError: a corruption, a detector or a channel of who does not use it, or an unknown one of them.
+        DataError: the trace of a channel cannot be read.
         CheckpointError: the checkpoint is missing or wrong.
     """
     check_corruption(corruption, severity, family)
+    spec = get_channel(channel)
+    if kind != "dsrc" and channel != IDEAL:
+        raise SettingsError(
+            f"drive: channel: expected '{IDEAL}' with perception '{kind}' (no messages), found '{channel}'"
+        )
     if kind == "truth":
         if corruption != CLEAN:
             raise SettingsError(
@@ -175,7 +187,7 @@ def make_perception(
     from dsrc.models.checkpoint import load_student
 
     detector = load_student(checkpoint or SHIPPED_DETECTOR)
-    return DetectorPerception(detector, kind == "dsrc", corruption, severity, family)
+    return DetectorPerception(detector, kind == "dsrc", corruption, severity, family, spec)
 
 
 def _write_csv(path: Path, rows: list[Episode]) -> None:

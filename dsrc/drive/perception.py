@@ -1,9 +1,11 @@
 """What the ego perceives: the truth, or what a detector makes of the agents' sweeps."""
 
+from collections import deque
 from typing import Any, Protocol
 
 import numpy as np
 
+from dsrc.channel import Receiver
 from dsrc.data.sample import Sample, make_sample
 from dsrc.detections import Detections
 from sensors.corruptions import CLEAN, PAPER, Family, corrupt_frame
@@ -14,6 +16,7 @@ from sensors.scene import RayScene
 from sim.boxes import Boxes
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
+from sim.v2x import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
 
 
 class Perception(Protocol):
@@ -79,6 +82,7 @@ class DetectorPerception:
         corruption: kind or `clean`.
         severity: 1 to 5.
         family: of the corruption's settings.
+        channel: through which the collaborators are heard.
     """
 
     def __init__(
@@ -88,12 +92,15 @@ class DetectorPerception:
         corruption: str = CLEAN,
         severity: int = PAPER,
         family: Family = "physical",
+        channel: ChannelSpec = PRESETS[IDEAL],
     ) -> None:
         self.detector = detector
         self.cooperative = cooperative
         self.corruption = corruption
         self.severity = severity
         self.family = family
+        self.channel = channel
+        self.links: tuple[Link, ...] = ()
         self._scene: RayScene | None = None
         self._built: tuple[Scenario, int] | None = None
 
@@ -106,6 +113,8 @@ class DetectorPerception:
         self._scenario, self._ego_id, self._seed = scenario, ego_id, seed
         self._roadside = place_roadside(self._scene, scenario.agents.roadside) if self.cooperative else ()
         self._index = 0
+        self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
+        self._receiver = Receiver(self.channel, seed, scenario.step_s, self.detector.settings)
 
     def sense(self, before: Actors, now: Actors) -> Frame:
         """Scan the instant by the ego and its collaborators and corrupt the sweeps."""
@@ -131,6 +140,8 @@ class DetectorPerception:
         settings = self.detector.settings
         agents = getattr(settings, "max_agents", 5)
         sample = make_sample(frame, self._ego_id, settings.grid, max_agents=agents, cooperative=self.cooperative)
+        self._past.appendleft(frame)
+        sample, self.links = self._receiver.receive(self._past, self._index - 1, sample, settings.grid)
         world_from_lidar = frame.agent(self._ego_id).sweep.world_from_lidar
         return self.detector.detect(sample).boxes.transform(world_from_lidar)
 

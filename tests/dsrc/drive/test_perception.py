@@ -1,15 +1,21 @@
 """A detector at the wheel: what it finds in the sweeps is put where it is in the world."""
 
+from dataclasses import replace as changed
+
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from dsrc.data.sample import Sample
 from dsrc.drive.env import choose_ego
+from dsrc.drive.episodes import make_perception
 from dsrc.drive.perception import DetectorPerception
 from sim.boxes import Boxes
+from sim.errors import SettingsError
 from sim.scenario import load_scenario
 from sim.traffic.base import Actors
 from sim.traffic.sumo import SumoTraffic
+from sim.v2x import PRESETS
 from tests.dsrc.evaluation.fakes import PointCounter
 
 SCENARIO, SEED = load_scenario("four_way"), 3
@@ -55,3 +61,27 @@ def test_a_corruption_changes_the_sweeps_the_same_way_each_time(world: tuple[int
     clean, fog, again = (look(world, True, kind)[1].clouds[0] for kind in ("clean", "fog", "fog"))
     np.testing.assert_array_equal(fog, again)
     assert not np.array_equal(clean, fog)
+
+
+def test_a_late_channel_shows_the_collaborators_as_they_were(world: tuple[int, Actors, Actors]) -> None:
+    ego, before, now = world
+    clouds: dict[str, list[tuple[np.ndarray, ...]]] = {}
+    for name in ("ideal", "paper"):
+        detector = PointCounter(need=5)
+        spec = replace(PRESETS[name], position_error_m=0.0, heading_error_deg=0.0)
+        eyes = DetectorPerception(detector, channel=spec)
+        eyes.reset(SCENARIO, ego, SEED)
+        eyes.perceive(changed(before, time_s=before.time_s - 0.1), before)
+        eyes.perceive(before, now)
+        clouds[name] = [sample.clouds for sample in detector.seen]
+        assert all(link.heard for link in eyes.links)
+    first, second = clouds["paper"]
+    assert len(first) == 1 < len(second)  # nothing had arrived when the drive began
+    assert len(clouds["ideal"][1]) == len(second)
+    np.testing.assert_array_equal(clouds["ideal"][1][0], second[0])
+    assert not all(map(np.array_equal, clouds["ideal"][1][1:], second[1:]))
+
+
+def test_a_channel_needs_messages() -> None:
+    with pytest.raises(SettingsError, match="channel: expected 'ideal' with perception 'ego'"):
+        make_perception("ego", None, channel="paper")

@@ -9,6 +9,7 @@ from dsrc.evaluation.rows import find_row
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
+from sim.v2x import PRESETS
 from tests.dsrc.evaluation.fakes import PointCounter, halve, write_drives
 
 KINDS = {"fog": None, "snow": None}
@@ -138,3 +139,20 @@ def test_wrong_settings_are_told(drives):
         run_benchmark(methods * 2, drives)
     with pytest.raises(DataError, match="at least one frame"):
         run_benchmark(methods, [])
+
+
+def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives):
+    detector = PointCounter()
+    methods = [Method("direct", detector)] + [Method(n, detector, channel=PRESETS[n]) for n in ("ideal", "paper")]
+    rows = {row.method: row for row in run_benchmark(methods, drives, ("clean",))}
+    assert rows["ideal"].metrics == rows["direct"].metrics
+    assert (rows["ideal"].message_age_s, rows["ideal"].heard) == (0.0, 1.0)
+    assert rows["direct"].bytes_per_frame is None
+    # The first of three frames has nothing to hear yet.
+    assert rows["paper"].heard == pytest.approx(2 / 3) and rows["paper"].message_age_s == pytest.approx(0.1)
+    assert rows["paper"].bytes_per_frame == 2 * 132_500
+
+
+def test_frames_before_the_first_of_a_limit_are_heard_too(drives):
+    row = run_benchmark([Method("paper", PointCounter(), channel=PRESETS["paper"])], drives[:1], ("clean",), limit=2)[0]
+    assert row.heard == 0.5  # the first frame of the drive and the last
