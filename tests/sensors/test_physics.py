@@ -10,7 +10,7 @@ import trimesh
 from sensors.lidar import Sensor, scan, scan_all
 from sensors.motion import Path
 from sensors.optics import COSINE_BINS, optics_of, returned_power, wet_reflectivity
-from sensors.presets import get_lidar
+from sensors.presets import LIDARS, get_lidar
 from sensors.scene import RayScene
 from sensors.sweep import POINT_FIELDS, STATIC
 from sim.errors import DataError, SettingsError
@@ -134,6 +134,15 @@ def test_window_panes_are_seen_only_when_hit_squarely(engine, range_10_m, distan
     assert on_it[angle < 3.5].all()
     assert not on_it[angle > 5.3].any()
     assert (angle < 3.5).sum() > 60
+
+
+@pytest.mark.parametrize("name", sorted(LIDARS))
+def test_every_preset_sees_panes_squarely_at_any_range_and_aslant_at_none(name):
+    optics = optics_of(get_lidar(name))
+    pane = optics.power[material_index("glass")]
+    angle = np.degrees(np.arccos(np.linspace(0.0, 1.0, COSINE_BINS + 1)))
+    assert pane[-1] > optics.need.max()
+    assert not pane[angle > 5.1].any()
 
 
 def test_a_pane_that_mirrors_a_beam_away_joins_no_echoes(engine):
