@@ -53,7 +53,7 @@ from sensors.corruptions.paper import wet_ground as paper_wet_ground
 from sensors.corruptions.weather import strength, weather_rng
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import ADDED, Sweep
-from sim.errors import DataError, SettingsError, did_you_mean
+from sim.errors import DataError, SettingsError, complaint, did_you_mean
 
 __all__ = [
     "CLEAN",
@@ -233,11 +233,12 @@ def corrupt(sweep: Sweep, kind: str, severity: int, rng: np.random.Generator, fa
 
     Raises:
         SettingsError: an unknown kind, severity or family, or a kind that acts on frames: see `corrupt_frame`.
-        DataError: the sweep does not say what the corruption needs, such as its rings.
+        DataError: the sweep does not say what the corruption needs, such as its rings, or its points are no points.
     """
     check_corruption(kind, severity, family)
     if kind == CLEAN:
         return sweep
+    _check_points(sweep)
     corruption = CORRUPTIONS[kind]
     apply = corruption.apply if family == "physical" else corruption.paper_apply
     if apply is None:
@@ -267,7 +268,8 @@ def corrupt_frame(
 
     Raises:
         SettingsError: an unknown kind, severity or family.
-        DataError: a sweep does not say what the corruption needs; the message names the agent.
+        DataError: a sweep does not say what the corruption needs, or its points are no points; the message names the
+            agent.
     """
     check_corruption(kind, severity, family)
     if kind == CLEAN:
@@ -286,6 +288,7 @@ def corrupt_frame(
         own = corruption_rng(seed, kind, frame.index, agent.agent_id, family)
         rng = weather_rng(seed, kind) if shared else own
         try:
+            _check_points(agent.sweep)
             sweeps.append(_counted(agent.sweep, _applied(corruption, family, frame, row, settings, rng)))
         except DataError as error:
             raise DataError(f"frame {frame.index}: agent {agent.agent_id}: {error}") from None
@@ -321,6 +324,19 @@ def check_family(family: str) -> None:
     """Raise SettingsError unless this is one of `FAMILIES`."""
     if family not in FAMILIES:
         raise SettingsError(f"unknown family of corruptions '{family}'{did_you_mean(family, FAMILIES)}")
+
+
+def _check_points(sweep: Sweep) -> None:
+    """Raise DataError unless coordinates are finite and intensities in [0, 1]: from 8 bits every target is blinding."""
+    if len(sweep) == 0:
+        return
+    if not np.isfinite(sweep.points).all():
+        bad = int(np.count_nonzero(~np.isfinite(sweep.points).all(axis=1)))
+        raise DataError(complaint("sweep", "points", "finite coordinates", f"nan or inf in {bad} of {len(sweep)}"))
+    low, high = float(sweep.intensity.min()), float(sweep.intensity.max())
+    if not (low >= 0.0 and high <= 1.0):
+        expected = "0 to 1 (divide those of 8 bits by 255)"
+        raise DataError(complaint("sweep", "intensity", expected, f"{low:g} to {high:g}"))
 
 
 def _applied(

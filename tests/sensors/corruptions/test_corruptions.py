@@ -285,6 +285,35 @@ def test_a_sweep_that_cannot_be_corrupted_is_named_by_its_agent() -> None:
         corrupt_frame(frame(4, sweep=blind), "beam_missing", 3, 0)
 
 
+@each_model
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (
+            {"intensity": [4.0, 255.0, 9.0]},
+            "intensity: expected 0 to 1 (divide those of 8 bits by 255), found 4 to 255",
+        ),
+        ({"intensity": [-0.1, 0.5, 0.5]}, "found -0.1 to 0.5"),
+        ({"intensity": [0.1, np.nan, 0.5]}, "found nan to nan"),
+        (
+            {"points": [[1, 2, 3], [np.nan, 2, 3], [1, np.inf, 3]]},
+            "points: expected finite coordinates, found nan or inf",
+        ),
+    ],
+)
+def test_points_that_are_none_and_intensities_of_another_scale_are_refused(
+    kind: str, family: Family, wrong: dict, message: str
+) -> None:
+    points = np.array(wrong.get("points", np.eye(3) * 9.0))
+    sweep = make_sweep(points, ring=np.array([0, 1, 2]), intensity=np.array(wrong.get("intensity", [0.1, 0.2, 0.3])))
+    with pytest.raises(DataError) as caught:
+        corrupt_frame(frame(4, sweep=sweep), kind, 3, 0, family)
+    assert message in str(caught.value) and str(caught.value).startswith("frame 4: agent ")
+    if CORRUPTIONS[kind].level == "sweep":
+        with pytest.raises(DataError, match="sweep: "):
+            corrupt(sweep, kind, 3, rng(), family)
+
+
 # One weather per scene, faults of each agent ------------------------------------------------------------------------
 
 
