@@ -95,8 +95,17 @@ def _last_row(sweep: Sweep, beam: NDArray[np.intp], beams: int, columns: int | N
     """Return (N,) the row of each beam's last return, -1 where it has none."""
     if columns is None:
         return beam
+    key = sweep.ring.astype(np.int32) * np.int32(columns) + sweep.column
+    if len(key) and (key[1:] >= key[:-1]).all():
+        # Few beams are asked for: in points that are in order they are found faster than a table of all is made.
+        order = np.argsort(beam)
+        asked = beam[order].astype(np.int32)
+        last = np.searchsorted(key, asked, "right") - 1
+        found = np.zeros(len(beam), np.intp)
+        found[order] = np.where(key[last] == asked, last, -1)
+        return found
     row = np.full(beams, -1, np.int32)
-    row[sweep.ring.astype(np.int32) * np.int32(columns) + sweep.column] = np.arange(len(sweep), dtype=np.int32)
+    row[key] = np.arange(len(sweep), dtype=np.int32)
     return row[beam].astype(np.intp)
 
 

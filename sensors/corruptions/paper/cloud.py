@@ -5,6 +5,7 @@ order where that costs nothing, so `numpy.random.RandomState(1205)` gives what t
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,3 +45,25 @@ def with_cloud(sweep: Sweep, cloud: Cloud, fate: NDArray[np.integer]) -> Sweep:
         cosine=np.where(added, 0.0, sweep.cosine).astype(np.float32),
         fate=np.where((fate == KEPT) | (sweep.fate == SCATTERED), sweep.fate, fate).astype(np.uint8),
     )
+
+
+def with_rows(sweep: Sweep, rows: NDArray[np.integer], cloud: Cloud) -> Sweep:
+    """Return the sweep with some of its points replaced by what is no surface's, intensities clipped to [0, 1].
+
+    Args:
+        sweep: of P points; the others keep all they had.
+        rows: (K,) which points, each at most once.
+        cloud: (K, 4) what is there instead.
+    """
+    new = {
+        "points": cloud[:, :3],
+        "intensity": np.clip(cloud[:, 3], 0.0, 1.0),
+        "object_id": ADDED,
+        "material": UNKNOWN_MATERIAL,
+        "cosine": 0.0,
+        "fate": SCATTERED,
+    }
+    columns: dict[str, Any] = {name: getattr(sweep, name).copy() for name in new}
+    for name, values in new.items():
+        columns[name][rows] = values
+    return replace(sweep, **columns)

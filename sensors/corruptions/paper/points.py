@@ -38,8 +38,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.levels import at_level, check_range
-from sensors.corruptions.paper.cloud import Cloud, Draws, cloud_of, with_cloud
-from sensors.sweep import KEPT, MOVED, SCATTERED, Sweep
+from sensors.corruptions.paper.cloud import Cloud, Draws, cloud_of, with_cloud, with_rows
+from sensors.sweep import KEPT, MOVED, Sweep
 
 Columns = Literal["coordinates", "all"]
 
@@ -218,10 +218,8 @@ def motion_blur(sweep: Sweep, severity: int | MotionBlur, rng: Draws) -> Sweep:
 def crosstalk(sweep: Sweep, severity: int | Crosstalk, rng: Draws) -> Sweep:
     """Replace a share of the points by noise around them, which is of no object."""
     settings = severity if isinstance(severity, Crosstalk) else Crosstalk.severity(severity)
-    cloud, touched = mistaken(cloud_of(sweep), settings, rng)
-    fate = np.full(len(sweep), KEPT)
-    fate[touched] = SCATTERED
-    return with_cloud(sweep, cloud, fate)
+    touched, shake = _mistakes((len(sweep), 4), settings, rng)
+    return with_rows(sweep, touched, cloud_of(sweep[touched]) + shake)
 
 
 def sunlight(sweep: Sweep, severity: int | Sunlight, rng: Draws) -> Sweep:
@@ -244,7 +242,9 @@ def noise(sweep: Sweep, severity: int | Noise, rng: Draws) -> Sweep:
 def point_dropping(sweep: Sweep, severity: int | PointDropping, rng: Draws) -> Sweep:
     """Delete points."""
     settings = severity if isinstance(severity, PointDropping) else PointDropping.severity(severity)
-    return sweep[remaining(cloud_of(sweep), settings, rng)]
+    # Density counts points, only cutout looks where they are.
+    cloud = cloud_of(sweep) if settings.law == "cutout" else sweep.points
+    return sweep[remaining(cloud, settings, rng)]
 
 
 def field_of_view(sweep: Sweep, severity: int | FieldOfView, rng: Draws) -> Sweep:
@@ -265,13 +265,20 @@ def blurred(cloud: Cloud, settings: MotionBlur, rng: Draws) -> NDArray[np.float6
 
 def mistaken(cloud: Cloud, settings: Crosstalk, rng: Draws) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the cloud with the touched points displaced, and (K,) their rows in the order of drawing."""
-    touched = rng.permutation(len(cloud))[: int(settings.share * len(cloud))]
-    # Coordinates get what they would get if all columns were shaken.
-    shake = rng.normal(size=(len(touched), cloud.shape[1])) * settings.deviation_m
-    width = _width(cloud, settings.columns)
+    touched, shake = _mistakes(cloud.shape, settings, rng)
     out = cloud.astype(np.float64)
-    out[touched, :width] += shake[:, :width]
+    out[touched] += shake
     return out, touched
+
+
+def _mistakes(shape: tuple[int, ...], settings: Crosstalk, rng: Draws) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return (K,) which rows of a cloud of some shape are touched, and (K, columns) by what."""
+    touched = rng.permutation(shape[0])[: int(settings.share * shape[0])]
+    # Coordinates get what they would get if all columns were shaken.
+    shake = rng.normal(size=(len(touched), shape[1])) * settings.deviation_m
+    if settings.columns == "coordinates":
+        shake[:, 3:] = 0.0
+    return touched, shake
 
 
 def shaken(cloud: Cloud, settings: Noise, rng: Draws) -> tuple[NDArray[np.float64], NDArray[np.int64] | slice]:

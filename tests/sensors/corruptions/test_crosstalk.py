@@ -54,6 +54,14 @@ def test_whatever_is_not_false_stays_bit_identical(world: World, seed: int) -> N
     assert not answered & set(zip(out.ring[len(sweep) :], out.column[len(sweep) :], strict=True))
 
 
+def test_the_order_of_the_points_does_not_matter() -> None:
+    sweep = street(spinning(32, columns=360, range_max_m=40.0))
+    shuffled = sweep[rng(5).permutation(len(sweep))]
+    one, other = (corrupt(s, 5, rng()) for s in (sweep, shuffled))
+    assert 0 < (one.fate == SCATTERED).sum() < len(one) and len(one) > len(sweep)
+    assert same(*(out[np.lexsort((out.column, out.ring))] for out in (one, other)))
+
+
 def test_every_beam_is_reached_as_often() -> None:
     sweep = street(spinning(32, columns=360, range_max_m=40.0))
     beams = 32 * 360
