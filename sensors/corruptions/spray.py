@@ -56,7 +56,10 @@ FULL_GAIN_M = 10.0
 
 _STEP_M = 0.8
 _LEAST_WAY_M = 0.05
+_MARGIN_M = 0.1
 _LEAST_DEPTH = 1e-3
+_LEAST_HEARD = 0.99 * HAZE_REFLECTIVITY * LIDAR_RATIO_SR / np.pi
+"""Optical depth of a way so thin that no echo from it would be reported, were all of it within one pulse."""
 _LEAST_EXTINCTION = 1e-3
 _PROBES = 1 << 16
 
@@ -95,6 +98,8 @@ class _Lines:
         near, reach: (L,) float32 where they begin to be heard and where they end, m.
         lag_s: (L,) float32 when they are fired, after the frame's time.
         pulse_m: length of the pulse in range.
+        by_azimuth: (L,) the lines by their azimuth in the world.
+        azimuth: (L,) float32 the azimuths, ascending, rad.
     """
 
     origin: NDArray[np.float64]
@@ -103,6 +108,8 @@ class _Lines:
     reach: NDArray[np.float32]
     lag_s: NDArray[np.float32]
     pulse_m: float
+    by_azimuth: NDArray[np.intp]
+    azimuth: NDArray[np.float32]
 
 
 def corrupt(frame: Frame, row: int, severity: int | Spray, rng: np.random.Generator) -> Sweep:
@@ -140,6 +147,8 @@ def _lines(frame: Frame, sight: Sight) -> _Lines:
     direction = np.stack([row[0] * toward[0] + row[1] * toward[1] + row[2] * toward[2] for row in turn])
     direction[:, :count] /= np.maximum(sight.reach[:count], 1e-6).astype(np.float32)
     lag_s = (sweep.time_s - frame.time_s) + sweep.time_offset.astype(np.float64)
+    azimuth = np.arctan2(direction[1], direction[0])
+    by_azimuth = np.argsort(azimuth)
     later = np.zeros(0) if spec is None else spec.time_offset[sight.open_ring, sight.open_column]
     return _Lines(
         origin=sweep.world_from_lidar[:3, 3],
@@ -148,6 +157,8 @@ def _lines(frame: Frame, sight: Sight) -> _Lines:
         reach=sight.reach.astype(np.float32),
         lag_s=np.concatenate([lag_s, later]).astype(np.float32),
         pulse_m=0.5 * LIGHT_SPEED * (UNKNOWN_PULSE_S if spec is None else spec.pulse_s),
+        by_azimuth=by_azimuth,
+        azimuth=azimuth[by_azimuth],
     )
 
 
@@ -181,14 +192,29 @@ def _add(
             row = ray.line
             passed, along = _probe(plume, patches, lines, ray, jitter[row].astype(np.float32), steps)
             met = passed.sum(axis=1)
-            answer = _echo(passed, depth[row].astype(np.float32), lines.pulse_m * steps / ray.way)
-            power = answer / np.maximum(along, np.float32(FULL_GAIN_M)) ** 2
-            best = power.argmax(axis=1)
-            each = np.arange(len(row))
-            louder = power[each, best] > loudest[row]
-            loudest[row[louder]] = power[each, best][louder]
-            place[row[louder]] = along[each, best][louder]
+            heard = np.flatnonzero(met >= _LEAST_HEARD)
+            _hear(ray[heard], passed[heard], along[heard], lines.pulse_m, depth, loudest, place)
             depth[row] += np.where(met >= _LEAST_DEPTH, met, 0.0)
+
+
+def _hear(
+    ray: "_Rays",
+    passed: NDArray[np.float32],
+    along: NDArray[np.float32],
+    pulse_m: float,
+    depth: NDArray[np.float64],
+    loudest: NDArray[np.float64],
+    place: NDArray[np.float64],
+) -> None:
+    """Raise `loudest` and `place` (L,) to the strongest echoes of N rays, (N, K) of whose steps are given."""
+    row, steps = ray.line, passed.shape[1]
+    answer = _echo(passed, depth[row].astype(np.float32), pulse_m * steps / ray.way)
+    power = answer / np.maximum(along, np.float32(FULL_GAIN_M)) ** 2
+    best = power.argmax(axis=1)
+    each = np.arange(len(row))
+    louder = power[each, best] > loudest[row]
+    loudest[row[louder]] = power[each, best][louder]
+    place[row[louder]] = along[each, best][louder]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,8 +242,8 @@ def _through(plume: Plume, lines: _Lines) -> _Rays:
     plume_from_world = invert(plume.world_from_plume)
     start = (plume_from_world[:3, :3] @ lines.origin + plume_from_world[:3, 3]).astype(np.float32)
     turn, bounds = plume_from_world[:3, :3].astype(np.float32), plume.bounds.astype(np.float32)
-    line = np.arange(len(lines.reach))
-    first, last = lines.near, lines.reach
+    line = _toward(plume, start[:2], lines)
+    first, last = lines.near[line], lines.reach[line]
     # Across the plume first: that leaves the fewest.
     found = {}
     for axis in (1, 0, 2):
@@ -243,6 +269,33 @@ def _through(plume: Plume, lines: _Lines) -> _Rays:
         first=first,
         way=last - first,
     )
+
+
+def _toward(plume: Plume, start: NDArray[np.float32], lines: _Lines) -> NDArray[np.intp]:
+    """Return the lines, in their order, whose azimuth leads to a plume: few of them, so no other is looked at.
+
+    Args:
+        plume: the plume.
+        start: (2,) where all lines start, in its frame, m.
+        lines: of sight.
+    """
+    everything = np.arange(len(lines.reach))
+    if len(everything) == 0:
+        return everything
+    run = plume.speed * np.array([lines.lag_s.max(), lines.lag_s.min()])
+    bounds = plume.bounds[:, :2] - np.stack([run, [0.0, 0.0]], axis=1) + [[-_MARGIN_M], [_MARGIN_M]]
+    if ((bounds[0] <= start) & (start <= bounds[1])).all():
+        return everything
+    corners = np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(4, 2) - start
+    corners = corners @ plume.world_from_plume[:2, :2].T
+    middle = np.arctan2(*corners.mean(axis=0)[::-1])
+    aside = np.mod(np.arctan2(corners[:, 1], corners[:, 0]) - middle + np.pi, 2.0 * np.pi) - np.pi
+    found = []
+    for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
+        limits = middle + turn + np.array([aside.min(), aside.max()])
+        begin, end = np.searchsorted(lines.azimuth, limits.astype(np.float32))
+        found.append(lines.by_azimuth[begin:end])
+    return np.sort(np.concatenate(found))
 
 
 def _probe(

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sensors.corruptions import corrupt_frame
+from sensors.corruptions import corrupt_frame, spray
 from sensors.corruptions.plume import plumes_of
 from sensors.corruptions.spray import LIDAR_RATIO_SR, Spray, corrupt
 from sensors.frame import Frame
@@ -168,3 +168,15 @@ def test_sweeps_without_points_a_sensor_or_a_neighbour() -> None:
     with pytest.raises(SettingsError, match="water_mm: expected 0 to 100"):
         Spray(water_mm=-0.1)
     assert Spray(water_mm=1.0).scaled(0.9).water_mm == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5, 0.9, 1.0, 1.1, 1.5])
+def test_beams_that_are_not_looked_at_lead_to_no_plume(turn: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [[0.0, 0.0, turn * np.pi], [16.0, 1.0, 0.3], [-25.0, 4.0, np.pi], [-9.0, -6.0, -2.0]]
+    actors = cars(rows, speed=[22.0, 15.0, 25.0, 30.0])
+    spec = ideal("debug-16", columns=720, range_10_m=150.0, range_min_m=0.5)
+    frame = make_frame(scene_of(ground(300.0)), actors, vehicles=[EGO], vehicle_spec=spec, seed=3, index=0)
+    few = sprayed(frame)
+    monkeypatch.setattr(spray, "_toward", lambda plume, start, lines: np.arange(len(lines.reach)))
+    monkeypatch.setattr(spray, "_LEAST_HEARD", 0.0)
+    assert (few.fate == SCATTERED).sum() > 100 and same(few, sprayed(frame))
