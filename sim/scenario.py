@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from sim.boxes import CLASSES
 from sim.errors import ScenarioError, complaint, did_you_mean
+from sim.places.wheels import wheel_folders
 
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -41,29 +42,34 @@ class SignalProgram(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A road network: exactly one of `shipped`, `generate` or `file`.
+    """A road network: exactly one of `shipped`, `generate`, `file` or `wheel`.
 
     Attributes:
         shipped: path of a .net.xml(.gz) below `tools/` of the eclipse-sumo package.
         generate: netgenerate arguments as a table of option -> value.
         file: path of a .net.xml; relative ones are looked up beside the scenario file.
+        wheel: path of a .net.xml, or of a map with what stands beside its roads, inside one of
+            `sim.places.wheels.WHEELS`.
         city_mesh: path of a 3DS city mesh below `tools/` with its placement, or "".
         polygons: path of a .poly.xml with outlines of buildings, as SUMO's polyconvert writes it, beside the scenario
-            file or below `tools/`, or "". Without a city mesh and polygons, houses are made up.
+            file or below `tools/`, or "". Without a city mesh, polygons and a map, houses are made up.
         area_m: (x_min, y_min, x_max, y_max) part of the network that is meshed and may carry agents; left out: all.
         signals: programs that replace those of the network.
         round: build the junctions of a shipped network or a file anew and round the bends of its streets, so that
             nobody turns at once or races through a junction; false takes the network as it is.
+        front_gardens: share of the street fronts of a town where a hedge or a fence is made up, 0 to 1.
     """
 
     shipped: str = ""
     generate: dict[str, str | int | float | bool] = {}
     file: str = ""
+    wheel: str = ""
     city_mesh: str = ""
     polygons: str = ""
     area_m: Area | None = None
     signals: tuple[SignalProgram, ...] = ()
     round: bool = True
+    front_gardens: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
 
 
 class DemandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -77,6 +83,10 @@ class DemandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         focus_m: trips prefer to pass near this point, m; left out: the centre of the area.
         max_vehicles: no insertion while this many vehicles are on the road.
         type_mix: class name -> weight.
+        trips: path of a .rou.xml(.gz) with recorded vehicles or trips, beside the scenario file, below `tools/` of
+            eclipse-sumo or inside a wheel: they drive instead of `vehicles_per_hour`, in bodies of `type_mix`.
+        trips_s: from when to when the trips are, s; each seed begins at another time of it.
+        parked_per_km: cars and vans that stand parked, per km of kerb where there is room for them.
     """
 
     vehicles_per_hour: NonNegative = 1200.0
@@ -88,6 +98,9 @@ class DemandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     type_mix: dict[str, NonNegative] = msgspec.field(
         default_factory=lambda: {"car": 0.72, "van": 0.12, "truck": 0.08, "bus": 0.03, "motorcycle": 0.05}
     )
+    trips: str = ""
+    trips_s: tuple[NonNegative, NonNegative] = (0.0, 0.0)
+    parked_per_km: NonNegative = 0.0
 
 
 class RoadsideUnit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -137,7 +150,10 @@ class ConflictSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One scenario file; times in s. A conflict brings its own roads and actors, others have a network and a demand."""
+    """One scenario file; times in s. A conflict brings its own roads and actors, others have a network and a demand.
+
+    `attribution` says whose data the place is made of, where their terms ask for it.
+    """
 
     name: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")]
     description: str
@@ -149,6 +165,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     duration_s: Positive = 60.0
     step_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
     seed: Annotated[int, Meta(ge=0, lt=2**31)] = 0
+    attribution: str = ""
 
 
 def list_scenarios() -> list[str]:
@@ -177,14 +194,15 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         raise ScenarioError(_explain(path, raw, str(error))) from None
     for field, expected, found, hint in _wrong_values(scenario, path):
         raise ScenarioError(complaint(path, field, expected, found, hint))
-    return msgspec.structs.replace(scenario, network=_beside(scenario.network, path.parent))
+    network = _beside(scenario.network, ("file", "polygons"), path.parent)
+    return msgspec.structs.replace(scenario, network=network, demand=_beside(scenario.demand, ("trips",), path.parent))
 
 
-def _beside(network: NetworkSpec, folder: Path) -> NetworkSpec:
+def _beside(table: Any, names: tuple[str, ...], folder: Path) -> Any:
     """Replace the names of files that lie beside the scenario file by their full paths."""
-    named = {name: getattr(network, name) for name in ("file", "polygons")}
+    named = {name: getattr(table, name) for name in names}
     found = {name: str((folder / value).resolve()) for name, value in named.items() if (folder / value).is_file()}
-    return msgspec.structs.replace(network, **found)
+    return msgspec.structs.replace(table, **found)
 
 
 def _locate(name_or_path: str | Path) -> Path:
@@ -244,9 +262,10 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
     for field, value in _floats(msgspec.to_builtins(scenario), ()):
         if not math.isfinite(value):
             yield field, "a finite number", value, ""
-    given = [name for name in ("shipped", "generate", "file") if getattr(network, name)]
+    sources = ("shipped", "generate", "file", "wheel")
+    given = [name for name in sources if getattr(network, name)]
     if len(given) != 1 and not (scenario.conflict and not given):
-        yield "network", "exactly one of shipped, generate, file", ", ".join(given) or "none of them", ""
+        yield "network", f"exactly one of {', '.join(sources)}", ", ".join(given) or "none of them", ""
     if network.area_m and not (network.area_m[0] < network.area_m[2] and network.area_m[1] < network.area_m[3]):
         yield "network.area_m", "x_min < x_max and y_min < y_max", list(network.area_m), ""
     if network.file and not (path.parent / network.file).is_file():
@@ -257,6 +276,12 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
         yield from _wrong_tools_path("network.polygons", network.polygons, "beside the scenario or ")
     if network.city_mesh and network.polygons:
         yield "network", "at most one of city_mesh, polygons", "both", ""
+    yield from _wrong_member("network.wheel", network.wheel)
+    if demand.trips and not (path.parent / demand.trips).is_file() and not demand.trips.startswith(wheel_folders()):
+        yield from _wrong_tools_path("demand.trips", demand.trips, "beside the scenario, inside a wheel or ")
+    if demand.trips and demand.trips_s[1] - demand.trips_s[0] < scenario.warmup_s + scenario.duration_s:
+        expected = f"at least warmup_s + duration_s = {scenario.warmup_s + scenario.duration_s:g} s from begin to end"
+        yield "demand.trips_s", expected, list(demand.trips_s), ""
     for index, program in enumerate(network.signals):
         if len({len(state) for _, state in program.phases}) != 1:
             yield f"network.signals[{index}].phases", "states of one length", "different lengths or none", ""
@@ -286,6 +311,12 @@ def _wrong_tools_path(field: str, relative: str, elsewhere: str = "") -> Iterato
     siblings = [str(Path(relative).parent / p.name) for p in target.parent.glob("*.*")] if inside else []
     expected = f"a file {elsewhere}below tools/ of eclipse-sumo"
     yield field, expected, relative, did_you_mean(relative, siblings) if siblings else ""
+
+
+def _wrong_member(field: str, member: str) -> Iterator[tuple[str, str, object, str]]:
+    if member and not member.startswith(wheel_folders()):
+        hint = did_you_mean(member.split("/")[0], [folder.split("/")[0] for folder in wheel_folders()])
+        yield field, f"a path that begins with {' or '.join(wheel_folders())}", member, hint
 
 
 def _floats(value: object, where: tuple[str | int, ...]) -> Iterator[tuple[str, float]]:

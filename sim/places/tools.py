@@ -54,7 +54,7 @@ def run_tool(name: str, options: Mapping[str, Option], made: Path, what: str) ->
 
 
 def drop_header(path: Path) -> None:
-    """Take the comment out of a made file that holds the date and the paths of the run: bytes depend on options only."""
+    """Take the comment with the date and the paths of the run out of a made file: its bytes depend on options only."""
     text = path.read_text(encoding="utf-8")
     start, end = text.find("<!--"), text.find("-->")
     if 0 <= start < end:
