@@ -188,6 +188,41 @@ def corrupt(
     _say(str(out))
 
 
+@app.command(name="convert")
+def convert(
+    data: Positional[Path],
+    /,
+    to: Literal["opv2v", "dair", "kitti", "mcap"],
+    out: Path,
+    agent: str | None = None,
+    view: Literal["camera", "around"] = "camera",
+) -> None:
+    """Write drives in another format; reads OPV2V, V2XSet, V2V4Real and DAIR-V2X-C trees as they come.
+
+    Killed and started again, it goes on where it stopped; a folder that holds something else is refused.
+
+    Args:
+        data: folder of drives, or one drive; a split of a DAIR-V2X-C tree is TREE/val.
+        to: the new format; mcap is for Foxglove and needs the package mcap.
+        out: folder of the new tree.
+        agent: whose eyes: ego, all (KITTI) or an agent's id; default: the ego. OPV2V and MCAP hold all agents.
+        view: of KITTI's labels: those in a nominal camera's picture, or all around.
+    """
+    from dsrc.data.convert import convert as convert_drives
+
+    with _progress() as progress:
+        task = progress.add_task(f"convert to {to}", total=None)
+        convert_drives(
+            data,
+            out,
+            to,
+            agent=agent,
+            view=view,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    _say(str(out))
+
+
 @app.command(name="train")
 def train(
     recipe: Positional[str],

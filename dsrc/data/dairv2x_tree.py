@@ -134,7 +134,6 @@ class Sidecar(msgspec.Struct, frozen=True):
     """`testbed.json`: what DAIR-V2X has no place for."""
 
     version: int
-    source: dict[str, str] = {}
     batches: dict[str, BatchRecord] = {}
 
 
