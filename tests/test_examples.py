@@ -14,6 +14,7 @@ from sensors.presets import LIDARS
 ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != "look.py")
 SMALL = {
+    "channel.py": (),
     "corruptions.py": ("--only", "fog", "pose_error", "--scenario", "four_way"),
     "lidar_presets.py": ("--only", "debug-16", "--scenario", "four_way"),
     "lidar_effects.py": (),
