@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.boxes import CLASSES
-from sim.errors import ScenarioError
+from sim.errors import ScenarioError, complaint, did_you_mean
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 
@@ -31,9 +31,11 @@ def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Ge
         rng: the draw.
 
     Raises:
-        ScenarioError: fewer vehicles than the rule asks for stay.
+        ScenarioError: fewer vehicles than the rule asks for stay, or one of those that it names does not.
     """
     rule = scenario.agents
+    if rule.named:
+        return _named(drive, scenario)
     if rule.vehicles == 0:
         return []
     ids = _staying(drive, scenario)
@@ -46,6 +48,22 @@ def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Ge
     weight = 1.0 + travelled
     ego = int(good[rng.choice(len(good), p=weight / weight.sum())])
     return [int(ids[row]) for row in (ego, *partners[ego])]
+
+
+def _named(drive: Sequence[Actors], scenario: Scenario) -> list[int]:
+    """Return the vehicles that the rule names, in its order."""
+    chosen = []
+    for name in scenario.agents.named:
+        if name not in drive[0].name:
+            hint = did_you_mean(name, drive[0].name)
+            raise ScenarioError(complaint(scenario.name, "agents.named", "names of road users", f"'{name}'", hint))
+        chosen.append(int(drive[0].boxes.object_id[drive[0].name.index(name)]))
+        left = [frame for frame, actors in enumerate(drive) if chosen[-1] not in actors.boxes.object_id]
+        if left:
+            expected = f"vehicles that stay for all {len(drive)} frames"
+            found = f"'{name}', which leaves before frame {left[0]}"
+            raise ScenarioError(complaint(scenario.name, "agents.named", expected, found))
+    return chosen
 
 
 def _staying(drive: Sequence[Actors], scenario: Scenario) -> NDArray[np.int64]:

@@ -15,6 +15,10 @@ def open_traffic(scenario: Scenario, seed: int) -> Traffic:
         ScenarioError: network, demand or conflict cannot be made.
         TrafficError: the backend cannot run.
     """
+    if scenario.conflict is not None:
+        from sim.traffic.script import ScriptedTraffic
+
+        return ScriptedTraffic(scenario, seed)
     from sim.traffic.sumo import SumoTraffic
 
     return SumoTraffic(scenario, seed)

@@ -1,6 +1,7 @@
 """The static world of a scenario as one mesh."""
 
 import numpy as np
+import shapely
 import trimesh
 from numpy.typing import NDArray
 
@@ -11,6 +12,7 @@ from sim.world.furniture import furniture
 from sim.world.markings import markings
 from sim.world.outlines import outlined
 from sim.world.roads import surfaces
+from sim.world.site import conflict_site
 from sim.world.solids import join, to_mesh
 from sim.world.streets import Streets, read_streets
 
@@ -36,12 +38,17 @@ def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
     net = read_network(resolve_network(scenario, seed))
     streets = read_streets(net, scenario.network.area_m, MARGIN_M)
     units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
-    town = _town(scenario, streets, units, seed)
-    things = furniture(streets, town.footprint, units, np.random.default_rng([seed, _FURNITURE]))
-    return to_mesh(join([*surfaces(streets), *markings(streets), *town.pieces, guard_rails(streets), *things]))
+    site = conflict_site(scenario, seed, streets)
+    town = _town(scenario, streets, units, seed, site.footprint | site.clear)
+    rng = np.random.default_rng([seed, _FURNITURE])
+    things = furniture(streets, town.footprint | site.footprint, units, rng, clear=site.clear)
+    solid = [*town.pieces, *site.pieces, guard_rails(streets)]
+    return to_mesh(join([*surfaces(streets), *markings(streets), *solid, *things]))
 
 
-def _town(scenario: Scenario, streets: Streets, units: NDArray[np.float64], seed: int) -> Town:
+def _town(
+    scenario: Scenario, streets: Streets, units: NDArray[np.float64], seed: int, clear: shapely.Geometry
+) -> Town:
     """Return the buildings: the scenario's city mesh or polygons, or seeded blocks when it has neither."""
     if scenario.network.city_mesh:
         return city_mesh(sumo_tools() / scenario.network.city_mesh, streets)
@@ -49,4 +56,4 @@ def _town(scenario: Scenario, streets: Streets, units: NDArray[np.float64], seed
         # A path beside the scenario file is absolute by now and stays what it is.
         path = sumo_tools() / scenario.network.polygons
         return outlined(path, streets, np.random.default_rng([seed, _OUTLINES]))
-    return blocks(streets, units, np.random.default_rng([seed, _BLOCKS]))
+    return blocks(streets, units, np.random.default_rng([seed, _BLOCKS]), clear)

@@ -123,18 +123,20 @@ def _footprints(triangles: Array) -> NDArray[np.object_]:
     return shapely.buffer(hull, 0.02, quad_segs=1)
 
 
-def blocks(streets: Streets, units: Array, rng: np.random.Generator) -> Town:
+def blocks(streets: Streets, units: Array, rng: np.random.Generator, clear: shapely.Geometry | None = None) -> Town:
     """Return seeded houses along the streets of a town, none of them on a lane, a footway or a junction.
 
     Args:
         streets: lanes and polygons.
         units: (U, 3) roadside sensors, around which the view stays free.
         rng: chooses places, sizes and walls.
+        clear: no house stands here.
     """
     fast = [shapely.LineString(lane.line) for lane in streets.lanes if lane.speed > TOWN_SPEED_MPS]
     near_fast = shapely.unary_union(fast).buffer(_NO_HOUSE_M)
     blocked = (streets.road | streets.walk | streets.rail).buffer(2.0) | near_fast
     blocked |= shapely.unary_union(shapely.points(units[:, :2]).reshape(-1)).buffer(_UNIT_CLEAR_M)
+    blocked = blocked if clear is None else blocked | clear
     shapely.prepare(blocked)
     taken: list[shapely.Polygon] = []
     pieces: list[Piece] = []

@@ -42,7 +42,13 @@ class _Places:
         return True
 
 
-def furniture(streets: Streets, footprint: shapely.Geometry, units: Array, rng: np.random.Generator) -> list[Piece]:
+def furniture(
+    streets: Streets,
+    footprint: shapely.Geometry,
+    units: Array,
+    rng: np.random.Generator,
+    clear: shapely.Geometry | None = None,
+) -> list[Piece]:
     """Return everything that stands beside the road; nothing stands on a lane or hangs over one.
 
     Args:
@@ -50,10 +56,14 @@ def furniture(streets: Streets, footprint: shapely.Geometry, units: Array, rng: 
         footprint: of the buildings.
         units: (U, 3) roadside sensors, which get a mast and a free view.
         rng: chooses and shapes trees.
+        clear: no lamp and no tree stands here.
     """
     places = _Places(streets, footprint, units)
-    masts = [_mast(unit, streets) for unit in units]
-    return [*masts, *_signals(streets, places), *_lamps(streets, places), *_trees(streets, places, rng)]
+    things = [*(_mast(unit, streets) for unit in units), *_signals(streets, places)]
+    if clear is not None:
+        places.footprint |= clear
+        shapely.prepare(places.footprint)
+    return [*things, *_lamps(streets, places), *_trees(streets, places, rng)]
 
 
 def _base(streets: Streets, xy: Array) -> Array:

@@ -1,0 +1,255 @@
+"""The proof by rays: an encounter is what it promises, or another one is drawn.
+
+What is proven of an instance, with the LiDARs that its drive will have and before anything of it is written:
+
+* without reaction ego and conflict actor collide, and nobody collides before them;
+* the ego has fewer than `UNSEEN_POINTS` points on the conflict actor until the time to collision is below the critical
+  one: a latency of `LATENCY_S` and full braking at `BRAKING_MPS2`, `LATENCY_S + v / (2 * BRAKING_MPS2)` at speed v;
+* a helper has at least `SEEN_POINTS` points on it a second or more before that.
+
+The time to collision is that of the rollout, from an instant to the first contact of the two bodies.
+"""
+
+import functools
+import logging
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sensors.frame import count_points
+from sensors.lidar import Sensor, scan_all
+from sensors.motion import Path
+from sensors.presets import scenario_lidars
+from sensors.rig import Roadside, mount, place_roadside
+from sensors.scene import RayScene
+from sensors.spec import LidarSpec
+from sim.conflicts import instance_of, laid_out
+from sim.errors import ScenarioError, complaint
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
+from sim.traffic.script import FIRST_ID, ScriptedTraffic
+
+UNSEEN_POINTS = 5
+SEEN_POINTS = 20
+LATENCY_S = 0.3
+BRAKING_MPS2 = 7.0
+AHEAD_S = 1.0
+"""How much earlier than the critical time a helper must see the conflict actor, s."""
+
+EGO_ID, CONFLICT_ID = FIRST_ID, FIRST_ID + 1
+
+_MOST_S = 12.0
+_LOOK_EVERY = 2
+
+log = logging.getLogger(__name__)
+
+
+class Proof(msgspec.Struct, frozen=True, kw_only=True):
+    """What the rays say about one instance; times in s, None for what never happens.
+
+    Attributes:
+        holds: it is what it promises.
+        reason: why not: `no collision`, `other collision`, `seen early`, `not seen by a helper` or "".
+        hit_s: time of the collision without reaction.
+        hit: name of the first that the ego collides with.
+        critical_ttc_s: time to collision from which on the ego cannot stop any more, at its speed then.
+        ego_ttc_s: time to collision when the ego first has `UNSEEN_POINTS` points on the conflict actor.
+        helper_ttc_s: time to collision when a helper first has `SEEN_POINTS` points on it.
+        helper: name of that helper, `roadside` and its number for a unit.
+        ego_points: most points that the ego has before the critical time.
+    """
+
+    holds: bool
+    reason: str
+    hit_s: float | None = None
+    hit: str = ""
+    critical_ttc_s: float | None = None
+    ego_ttc_s: float | None = None
+    helper_ttc_s: float | None = None
+    helper: str = ""
+    ego_points: int = 0
+
+
+class Settled(msgspec.Struct, frozen=True, kw_only=True):
+    """An encounter that a drive can be made of.
+
+    Attributes:
+        scenario: with the number of the draw, the agents and the area.
+        proof: of the instance without a control.
+        control: what the rays say about the control; None without one.
+        rejected: how many draws failed before, by reason.
+        parameters: the drawn values.
+    """
+
+    scenario: Scenario
+    proof: Proof
+    control: Proof | None
+    rejected: dict[str, int]
+    parameters: dict[str, float]
+
+
+def settle(scenario: Scenario, seed: int) -> Settled:
+    """Find the first draw of a seed whose proof holds; a control is that of the same draw.
+
+    Args:
+        scenario: has a conflict.
+        seed: of the draws.
+
+    Raises:
+        ScenarioError: none of `conflict.draws` draws keeps the promise, or a value is out of its range.
+    """
+    return _settled(msgspec.json.encode(scenario), seed)
+
+
+@functools.lru_cache(maxsize=64)
+def _settled(scenario_json: bytes, seed: int) -> Settled:
+    scenario = msgspec.json.decode(scenario_json, type=Scenario)
+    spec = scenario.conflict
+    if spec is None:
+        raise ScenarioError(complaint(scenario.name, "conflict", "one of an encounter", "none"))
+    rejected: Counter[str] = Counter()
+    for draw in range(spec.draw, spec.draw + spec.draws):
+        plain = _with(scenario, control="", draw=draw)
+        proof = prove(plain, seed)
+        if proof.holds:
+            break
+        log.info("%s seed %d: draw %d is not used: %s", scenario.name, seed, draw, proof.reason)
+        rejected[proof.reason] += 1
+    else:
+        found = ", ".join(f"{count} x {reason}" for reason, count in rejected.most_common())
+        expected = f"values of which one of {spec.draws} draws of seed {seed} proves to hide the conflict in time"
+        raise ScenarioError(complaint(scenario.name, "conflict.parameters", expected, found))
+    chosen = _with(scenario, draw=draw)
+    return Settled(
+        scenario=laid_out(chosen, seed),
+        proof=proof,
+        control=prove(chosen, seed) if spec.control else None,
+        rejected=dict(rejected),
+        parameters=instance_of(chosen, seed).parameters,
+    )
+
+
+def prove(scenario: Scenario, seed: int) -> Proof:
+    """Roll an encounter out without any reaction and cast the rays that decide about it.
+
+    Args:
+        scenario: has a conflict; its control and its draw are taken as they are.
+        seed: of the drive.
+    """
+    from sim.world.build import build_world
+
+    scenario = laid_out(scenario, seed)
+    drive = _roll_out(scenario, seed)
+    if drive.hit != "conflict":
+        reason = "other collision" if drive.hit else "no collision"
+        return Proof(holds=False, reason=reason, hit=drive.hit, hit_s=drive.hit_s)
+    assert drive.hit_s is not None
+    scene = RayScene(build_world(scenario, seed))
+    look = _Lookout(scene, scenario, seed, drive.steps)
+    last = round(drive.hit_s / scenario.step_s)
+    row = drive.steps[0].row(EGO_ID)
+    speed = np.array([float(np.hypot(*step.velocity[row])) for step in drive.steps[: last + 1]])
+    ttc = drive.hit_s - scenario.step_s * np.arange(last + 1)
+    critical = LATENCY_S + speed / (2.0 * BRAKING_MPS2)
+    in_time = np.flatnonzero(ttc >= critical)
+    limit = int(in_time[-1]) if len(in_time) else 0
+    said: dict[str, Any] = {"hit_s": drive.hit_s, "hit": drive.hit, "critical_ttc_s": round(float(critical[limit]), 3)}
+    # Every step of the last second, in which sight opens, and every other step before, for what is glimpsed in passing.
+    before = [*range(max(limit - 10, 1), limit + 1), *range(max(limit - 10, 1), 0, -_LOOK_EVERY)]
+    points = {step: look.points("ego", step) for step in before}
+    said["ego_points"] = max(points.values())
+    seen = [step for step, count in sorted(points.items()) if count >= UNSEEN_POINTS]
+    after = next((s for s in range(limit + 1, last + 1) if look.points("ego", s) >= UNSEEN_POINTS), None)
+    first = seen[0] if seen else after
+    said["ego_ttc_s"] = None if first is None else round(float(ttc[first]), 3)
+    said |= _first_helper(look, ttc)
+    helper_ttc = said["helper_ttc_s"]
+    if seen:
+        return Proof(holds=False, reason="seen early", **said)
+    if helper_ttc is None or helper_ttc < said["critical_ttc_s"] + AHEAD_S:
+        return Proof(holds=False, reason="not seen by a helper", **said)
+    return Proof(holds=True, reason="", **said)
+
+
+def _first_helper(look: "_Lookout", ttc: np.ndarray) -> dict[str, Any]:
+    """Return when which helper first has enough points, looking forwards."""
+    for step in range(1, len(ttc), _LOOK_EVERY):
+        for name in look.helpers:
+            if look.points(name, step) >= SEEN_POINTS:
+                return {"helper_ttc_s": round(float(ttc[step]), 3), "helper": name}
+    return {"helper_ttc_s": None, "helper": ""}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Drive:
+    """A rollout: the actors of every step, one more than up to the crash, and the crash of the ego."""
+
+    steps: tuple[Actors, ...]
+    hit_s: float | None
+    hit: str
+
+
+def _roll_out(scenario: Scenario, seed: int) -> _Drive:
+    with ScriptedTraffic(scenario, seed) as traffic:
+        steps = [traffic.actors]
+        while traffic.time_s < _MOST_S and not traffic.crashes:
+            steps.append(traffic.step())
+        steps.append(traffic.step())
+        if not traffic.crashes:
+            return _Drive(tuple(steps), None, "")
+        time_s, *names = traffic.crashes[0]
+        others = [name for name in names if name != "ego"]
+        return _Drive(tuple(steps), time_s, others[0] if len(others) == 1 else "+".join(names))
+
+
+class _Lookout:
+    """Counts the points that agents have on the conflict actor."""
+
+    def __init__(self, scene: RayScene, scenario: Scenario, seed: int, steps: Sequence[Actors]) -> None:
+        self._scene, self._steps, self._seed = scene, steps, seed
+        self._spec, _ = scenario_lidars(scenario)
+        self._units = {f"roadside {-u.agent_id}": u for u in place_roadside(scene, scenario.agents.roadside)}
+        self.helpers = (*scenario.agents.named[1:], *self._units)
+        self._known: dict[tuple[str, int], int] = {}
+
+    def points(self, name: str, step: int) -> int:
+        """Return how many points an agent has on the conflict actor at a step."""
+        if (name, step) not in self._known:
+            self._known[name, step] = self._count(name, step)
+        return self._known[name, step]
+
+    def _count(self, name: str, step: int) -> int:
+        now = self._steps[step]
+        if CONFLICT_ID not in now.boxes.object_id:
+            return 0
+        unit = self._units.get(name)
+        if unit is None and name not in now.name:
+            return 0
+        spec = self._spec if unit is None else unit.spec
+        margin = 1
+        before, after = self._steps[max(step - margin, 0)], self._steps[min(step + margin, len(self._steps) - 1)]
+        scene = self._scene.with_bodies(now, before, after, reach_s=0.5 * spec.period_s)
+        sensor = self._sensor(scene, now, name, unit, spec, step)
+        sweep = scan_all(scene, [sensor])[0]
+        return int(count_points(sweep, np.array([CONFLICT_ID]))[0])
+
+    def _sensor(
+        self, scene: RayScene, now: Actors, name: str, unit: Roadside | None, spec: LidarSpec, step: int
+    ) -> Sensor:
+        if unit is not None:
+            path = Path.through(now.time_s + np.array([-1.0, 1.0]), np.stack([unit.world_from_lidar] * 2))
+            return Sensor(spec, path, now.time_s, np.random.default_rng([self._seed, step]))
+        row = now.name.index(name)
+        body = scene.bodies.path[row]
+        path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2]))
+        rng = np.random.default_rng([self._seed, step])
+        return Sensor(spec, path, now.time_s, rng, rides_on=int(now.boxes.object_id[row]))
+
+
+def _with(scenario: Scenario, **changes: Any) -> Scenario:
+    assert scenario.conflict is not None
+    return msgspec.structs.replace(scenario, conflict=msgspec.structs.replace(scenario.conflict, **changes))
