@@ -146,8 +146,9 @@ def record(
     vehicle_spec, roadside_specs = scenario_lidars(scenario)
     longest_s = max(spec.period_s for spec in (vehicle_spec, *roadside_specs))
     margin = max(1, math.ceil(0.5 * longest_s / traffic.step_s - 1e-9))
-    steps = [traffic.actors]
-    steps.extend(traffic.step() for _ in range((frames - 1) * stride + margin))
+    # Rounded as a log of the traffic has them: a replay gives the same frames.
+    steps = [traffic.actors.rounded()]
+    steps.extend(traffic.step().rounded() for _ in range((frames - 1) * stride + margin))
     frame_steps = tuple(range(0, frames * stride, stride))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_AGENT_STREAM,)))
     vehicles = choose_agents([steps[row] for row in frame_steps], scenario, rng)

@@ -1,6 +1,6 @@
 """The Traffic protocol and the table of actors that every backend yields."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
 import numpy as np
@@ -11,6 +11,9 @@ from sim.geometry import pose_matrix
 
 SIGNALS = {"right indicator": 1, "left indicator": 2, "hazard lights": 4, "brake light": 8}
 """Bits of `Actors.signals` by what is lit; SUMO sets others that nobody here reads."""
+
+POSITION_M, ANGLE_RAD, VELOCITY_MPS, ACCELERATION_MPS2, TIME_S = 1e-3, 1e-5, 1e-3, 1e-2, 1e-6
+"""Steps to which traffic is rounded when it is recorded, so that a log of whole numbers replays it bit for bit."""
 
 
 def lit(signals: int) -> tuple[str, ...]:
@@ -60,6 +63,44 @@ class Actors:
         if row == len(self) or self.boxes.object_id[row] != object_id:
             raise KeyError(object_id)
         return row
+
+    def rounded(self) -> Self:
+        """Return the actors in whole steps of `POSITION_M` and the like; rounding again changes no bit.
+
+        Raises:
+            ValueError: a value is not finite.
+        """
+        boxes = replace(
+            self.boxes,
+            center=snapped(self.boxes.center, POSITION_M),
+            size=snapped(self.boxes.size, POSITION_M),
+            yaw=snapped(self.boxes.yaw, ANGLE_RAD),
+        )
+        return replace(
+            self,
+            time_s=float(snapped(np.float64(self.time_s), TIME_S)),
+            boxes=boxes,
+            pitch=snapped(self.pitch, ANGLE_RAD),
+            velocity=snapped(self.velocity, VELOCITY_MPS),
+            acceleration=snapped(self.acceleration, ACCELERATION_MPS2),
+        )
+
+
+def snapped(values: NDArray[np.float64] | np.float64, step: float) -> NDArray[np.float64]:
+    """Round to whole steps; ValueError for values that are not finite."""
+    return from_steps(in_steps(values, step), step)
+
+
+def in_steps(values: NDArray[np.float64] | np.float64, step: float) -> NDArray[np.int64]:
+    """Return how many whole steps values are, rounded; ValueError for values that are not finite."""
+    if not np.isfinite(values).all():
+        raise ValueError("a position, angle, speed or acceleration in the traffic is not finite")
+    return np.rint(np.asarray(values, np.float64) * round(1.0 / step)).astype(np.int64)
+
+
+def from_steps(count: NDArray[np.int64], step: float) -> NDArray[np.float64]:
+    """Return the values of whole steps: the float next to the decimal number."""
+    return count / np.float64(round(1.0 / step))
 
 
 class Traffic(Protocol):

@@ -1,48 +1,56 @@
-"""The traffic log: all actors of a run in one file, from which the same run can be played back without SUMO."""
+"""The traffic log: all actors of a run in one file, from which the same run can be played back without SUMO.
+
+The file holds whole numbers (`Actors.rounded`), object after object in order of time, each as the difference from what
+the numbers before it let expect: a position that its speed stays, a velocity what the positions give, an acceleration
+what the velocities give. What is left is small, and compresses to a few bytes per actor and step.
+"""
 
 import os
-import zipfile
-import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
-from sim.traffic.base import Actors, Traffic
+from sim.packed import packed, read_arrays, unpacked, write_arrays
+from sim.scenario import Area
+from sim.traffic.base import (
+    ACCELERATION_MPS2,
+    ANGLE_RAD,
+    POSITION_M,
+    TIME_S,
+    VELOCITY_MPS,
+    Actors,
+    Traffic,
+    from_steps,
+    in_steps,
+)
 
-VERSION = 2
+VERSION = 3
 
-# Columns of the file: per step, per object (in order of id), per actor and step (steps after one another), per lane (in
-# order of name). Files of version 1 knew neither lanes nor accelerations: such a drive is generated anew.
-_STEPS = {"time_s": "f8", "count": "i8"}
-_OBJECTS = {"id": "i8", "label": "i8", "size": "f8", "name": "U", "model": "U"}
-_ROWS = {
-    "object": "i8",
-    "center": "f8",
-    "yaw": "f8",
-    "pitch": "f8",
-    "velocity": "f8",
-    "acceleration": "f8",
-    "signals": "i4",
-    "lane": "i8",
-}
-_LANES = {"name": "U"}
-_KEYS = {"step": "time_s", "object": "id", "lane": "name"}
-_WIDTHS = {"size": (3,), "center": (3,), "velocity": (2,), "acceleration": (2,)}
+# Columns of the file: per object (in order of id), per lane (in order of name), per run of consecutive steps of one
+# object (in order of object, then step), and per actor and step (run after run), packed. Files of version 2 held
+# floating-point numbers step by step: such a drive is generated anew.
+_OBJECTS = {"id": "i8", "label": "i8", "size": "i8", "name": "U", "model": "U"}
+_RUNS = {"object": "i8", "start": "i8", "length": "i8"}
+_ROWS = ("x", "y", "z", "yaw", "pitch", "vx", "vy", "ax", "ay", "signals", "lane")
 
 
 class TrafficLog:
-    """The actors of consecutive steps, to append to and to write, or read from a file.
+    """The actors of consecutive steps, rounded, to append to and to write, or read from a file.
 
     Args:
         step_s: time between two entries, s.
+        about: plain values that say what was simulated, kept in the file.
     """
 
-    def __init__(self, step_s: float) -> None:
+    def __init__(self, step_s: float, about: dict | None = None) -> None:
         self.step_s = float(step_s)
+        self.about = {} if about is None else about
         self._entries: list[Actors] = []
         self._objects: dict[int, tuple] = {}
 
@@ -54,6 +62,7 @@ class TrafficLog:
 
     def append(self, actors: Actors) -> None:
         """Add the actors of the next step; what an object is must not change."""
+        actors = actors.rounded()
         boxes = actors.boxes
         for row, object_id in enumerate(boxes.object_id.tolist()):
             looks = (int(boxes.label[row]), tuple(boxes.size[row].tolist()), actors.name[row], actors.model[row])
@@ -61,12 +70,24 @@ class TrafficLog:
                 raise ValueError(f"object {object_id} changed from {self._objects[object_id]} to {looks}")
         self._entries.append(actors)
 
+    def within(self, area: Area) -> Self:
+        """Return the log of those objects that are at least once inside (x_min, y_min, x_max, y_max), m."""
+        low, high = np.array(area[:2]), np.array(area[2:])
+        inside = [
+            a.boxes.object_id[((a.boxes.center[:, :2] >= low) & (a.boxes.center[:, :2] <= high)).all(axis=1)]
+            for a in self._entries
+        ]
+        kept = np.unique(np.concatenate([np.zeros(0, np.int64), *inside]))
+        log = type(self)(self.step_s, self.about)
+        for actors in self._entries:
+            log.append(_rows_of(actors, np.flatnonzero(np.isin(actors.boxes.object_id, kept))))
+        return log
+
     def save(self, path: Path | str) -> Path:
         """Write the log as a .npz in one piece; equal logs give equal bytes."""
         path = Path(path)
         partial = path.with_name(path.name + ".part")
-        with partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **self._columns())
+        write_arrays(partial, self._columns())
         os.replace(partial, path)
         return path
 
@@ -77,39 +98,57 @@ class TrafficLog:
         Raises:
             DataError: the file is missing, damaged or no traffic log.
         """
-        columns = _read_columns(Path(path))
-        log = cls(float(columns["step_s"]))
-        ends = np.cumsum(columns["step/count"])
-        for step, (start, end) in enumerate(zip(ends - columns["step/count"], ends, strict=True)):
-            log.append(_actors(columns, float(columns["step/time_s"][step]), slice(int(start), int(end))))
+        columns = read_log_columns(Path(path))
+        log = cls(float(columns["step_s"]), msgspec.json.decode(str(columns["about"])))
+        rows = _unfolded(columns)
+        order = np.argsort(rows["step"], kind="stable")
+        counts = np.bincount(rows["step"], minlength=len(columns["step/time"]))
+        ends = np.cumsum(counts)
+        times = from_steps(columns["step/time"], TIME_S).tolist()
+        names = {key: columns[key].tolist() for key in ("object/name", "object/model", "lane/name")}
+        for time_s, start, end in zip(times, (ends - counts).tolist(), ends.tolist(), strict=True):
+            log.append(_actors(columns, names, {key: v[order[start:end]] for key, v in rows.items()}, time_s))
         return log
 
     def _columns(self) -> dict[str, NDArray]:
         ids = np.array(sorted(self._objects), dtype=np.int64)
         looks = [self._objects[i] for i in ids.tolist()]
         entries = self._entries
-        object_id = _stack([a.boxes.object_id for a in entries], (), np.int64)
         lanes = sorted({lane for a in entries for lane in a.lane})
         row_of_lane = {lane: row for row, lane in enumerate(lanes)}
+        which = np.searchsorted(ids, _stack([a.boxes.object_id for a in entries], ()))
+        step = np.repeat(np.arange(len(entries)), [len(a) for a in entries])
+        order = np.lexsort((step, which))
+        starts = np.flatnonzero((np.diff(which[order], prepend=-1) != 0) | (np.diff(step[order], prepend=-2) != 1))
+        length = np.diff(starts, append=len(order))
+        center = in_steps(_stack([a.boxes.center for a in entries], (3,))[order], POSITION_M)
+        velocity = in_steps(_stack([a.velocity for a in entries], (2,))[order], VELOCITY_MPS)
+        acceleration = in_steps(_stack([a.acceleration for a in entries], (2,))[order], ACCELERATION_MPS2)
+        rows = {
+            **dict(zip(("x", "y", "z"), center.T, strict=True)),
+            "yaw": in_steps(_stack([a.boxes.yaw for a in entries], ())[order], ANGLE_RAD),
+            "pitch": in_steps(_stack([a.pitch for a in entries], ())[order], ANGLE_RAD),
+            **dict(zip(("vx", "vy"), velocity.T, strict=True)),
+            **dict(zip(("ax", "ay"), acceleration.T, strict=True)),
+            "signals": _stack([a.signals for a in entries], ())[order].astype(np.int64),
+            "lane": np.array([row_of_lane[lane] for a in entries for lane in a.lane], np.int64)[order],
+        }
+        size = np.array([look[1] for look in looks], np.float64).reshape(-1, 3)
         return {
             "version": np.array(VERSION),
             "step_s": np.array(self.step_s),
-            "step/time_s": np.array([a.time_s for a in entries], np.float64),
-            "step/count": np.array([len(a) for a in entries], np.int64),
+            "about": np.array(msgspec.json.encode(self.about, order="sorted").decode()),
+            "step/time": in_steps(np.array([a.time_s for a in entries], np.float64), TIME_S),
             "object/id": ids,
             "object/label": np.array([look[0] for look in looks], np.int64),
-            "object/size": np.array([look[1] for look in looks], np.float64).reshape(-1, 3),
+            "object/size": in_steps(size, POSITION_M),
             "object/name": np.array([look[2] for look in looks], dtype=np.str_),
             "object/model": np.array([look[3] for look in looks], dtype=np.str_),
-            "row/object": np.searchsorted(ids, object_id).astype(np.int64),
-            "row/center": _stack([a.boxes.center for a in entries], (3,), np.float64),
-            "row/yaw": _stack([a.boxes.yaw for a in entries], (), np.float64),
-            "row/pitch": _stack([a.pitch for a in entries], (), np.float64),
-            "row/velocity": _stack([a.velocity for a in entries], (2,), np.float64),
-            "row/acceleration": _stack([a.acceleration for a in entries], (2,), np.float64),
-            "row/signals": _stack([a.signals for a in entries], (), np.int32),
-            "row/lane": np.array([row_of_lane[lane] for a in entries for lane in a.lane], np.int64),
             "lane/name": np.array(lanes, dtype=np.str_),
+            "run/object": which[order][starts].astype(np.int64),
+            "run/start": step[order][starts].astype(np.int64),
+            "run/length": length.astype(np.int64),
+            **_folded(rows, length, self.step_s),
         }
 
 
@@ -135,14 +174,13 @@ class RecordingTraffic:
 
     @property
     def actors(self) -> Actors:
-        """The actors at the current time."""
-        return self.inner.actors
+        """The actors at the current time, as the log has them."""
+        return self.log[len(self.log) - 1]
 
     def step(self) -> Actors:
         """Advance the inner traffic and record its actors."""
-        actors = self.inner.step()
-        self.log.append(actors)
-        return actors
+        self.log.append(self.inner.step())
+        return self.actors
 
     def close(self) -> None:
         """Close the inner traffic and write the log."""
@@ -159,19 +197,89 @@ class RecordingTraffic:
         self.close()
 
 
-def _stack(parts: list[NDArray], shape: tuple[int, ...], dtype: type) -> NDArray:
-    return np.concatenate([np.zeros((0, *shape), dtype), *parts]).astype(dtype)
+def _stack(parts: list[NDArray], shape: tuple[int, ...]) -> NDArray:
+    return np.concatenate([np.zeros((0, *shape), parts[0].dtype if parts else np.int64), *parts])
 
 
-def _read_columns(path: Path) -> dict[str, NDArray]:
-    if not path.is_file():
-        raise DataError(complaint(path, "traffic log", "an existing file", "no such file"))
-    try:
-        # Opened here, because numpy leaves a damaged archive open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            columns = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
-        raise DataError(f"{path}: not a readable traffic log: {' '.join(str(error).split())}") from None
+def _rows_of(actors: Actors, rows: NDArray[np.int64]) -> Actors:
+    return replace(
+        actors,
+        boxes=actors.boxes[rows],
+        pitch=actors.pitch[rows],
+        velocity=actors.velocity[rows],
+        acceleration=actors.acceleration[rows],
+        model=tuple(actors.model[row] for row in rows),
+        name=tuple(actors.name[row] for row in rows),
+        signals=actors.signals[rows],
+        lane=tuple(actors.lane[row] for row in rows),
+    )
+
+
+def _folded(rows: dict[str, NDArray[np.int64]], length: NDArray[np.int64], step_s: float) -> dict[str, NDArray]:
+    """Return the packed columns: what is left of the rows when what can be expected is taken away."""
+    moved = {axis: _changes(rows[axis], length) for axis in "xy"}
+    turned = {axis: _changes(rows[f"v{axis}"], length) for axis in "xy"}
+    left = {
+        **{name: _changes(_changes(rows[name], length, keep=True), length, keep=True) for name in ("x", "y", "yaw")},
+        **{name: _changes(rows[name], length, keep=True) for name in ("z", "pitch", "signals", "lane")},
+        **{f"v{axis}": rows[f"v{axis}"] - _speed(moved[axis], step_s) for axis in "xy"},
+        **{f"a{axis}": rows[f"a{axis}"] - _gain(turned[axis], step_s) for axis in "xy"},
+    }
+    return {f"row/{name}": packed(left[name]) for name in _ROWS}
+
+
+def _unfolded(columns: dict[str, NDArray]) -> dict[str, NDArray[np.int64]]:
+    """Return the rows again, and the object and step of each."""
+    length, step_s = columns["run/length"], float(columns["step_s"])
+    rows = {name: unpacked(columns[f"row/{name}"]) for name in _ROWS}
+    for name in ("x", "y", "yaw"):
+        rows[name] = _sums(_sums(rows[name], length), length)
+    for name in ("z", "pitch", "signals", "lane"):
+        rows[name] = _sums(rows[name], length)
+    for axis in "xy":
+        rows[f"v{axis}"] = rows[f"v{axis}"] + _speed(_changes(rows[axis], length), step_s)
+    for axis in "xy":
+        rows[f"a{axis}"] = rows[f"a{axis}"] + _gain(_changes(rows[f"v{axis}"], length), step_s)
+    first = _first(length)
+    within = np.arange(int(length.sum())) - np.repeat(first, length)
+    rows["object"] = np.repeat(columns["run/object"], length)
+    rows["step"] = np.repeat(columns["run/start"], length) + within
+    return rows
+
+
+def _first(length: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where each run begins."""
+    return np.cumsum(length) - length
+
+
+def _changes(values: NDArray[np.int64], length: NDArray[np.int64], keep: bool = False) -> NDArray[np.int64]:
+    """Return differences within each run; at its beginning 0, or the value itself to `keep` it."""
+    change = np.diff(values, prepend=0)
+    first = _first(length)
+    change[first] = values[first] if keep else 0
+    return change
+
+
+def _sums(changes: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the values of which `_changes` with `keep` took the differences."""
+    total = np.cumsum(changes)
+    first = _first(length)
+    return total - np.repeat(total[first] - changes[first], length)
+
+
+def _speed(moved: NDArray[np.int64], step_s: float) -> NDArray[np.int64]:
+    """Return velocities, in their steps, of changes of position in theirs."""
+    return np.rint(moved * (POSITION_M / VELOCITY_MPS / step_s)).astype(np.int64)
+
+
+def _gain(turned: NDArray[np.int64], step_s: float) -> NDArray[np.int64]:
+    """Return accelerations, in their steps, of changes of velocity in theirs."""
+    return np.rint(turned * (VELOCITY_MPS / ACCELERATION_MPS2 / step_s)).astype(np.int64)
+
+
+def read_log_columns(path: Path) -> dict[str, NDArray]:
+    """Read the arrays of a log and refuse those that do not fit together; see `TrafficLog.load`."""
+    columns = read_arrays(path, "traffic log")
     if int(columns.get("version", np.array(-1))) != VERSION:
         found = columns.get("version", "none")
         hint = "; generate the drive again"
@@ -181,51 +289,69 @@ def _read_columns(path: Path) -> dict[str, NDArray]:
 
 
 def _check(path: Path, columns: dict[str, NDArray]) -> None:
-    """Refuse a file whose columns do not fit together."""
-    tables = {"step": _STEPS, "object": _OBJECTS, "row": _ROWS, "lane": _LANES}
+    tables = {"object": _OBJECTS, "run": _RUNS, "lane": {"name": "U"}, "step": {"time": "i8"}}
     expected = {f"{table}/{name}": kind for table, names in tables.items() for name, kind in names.items()}
-    for name, kind in {"step_s": "f8", **expected}.items():
+    for name, kind in {"step_s": "f8", "about": "U", **expected, **{f"row/{n}": "u1" for n in _ROWS}}.items():
         if name not in columns or not columns[name].dtype.str[1:].startswith(kind):
             found = columns[name].dtype if name in columns else "nothing"
             raise DataError(complaint(path, name, f"an array of {kind}", str(found)))
-    count = {table: len(columns[f"{table}/{key}"]) for table, key in _KEYS.items()}
-    count["row"] = int(columns["step/count"].sum())
-    for name in expected:
-        rows, width = count[name.split("/")[0]], _WIDTHS
-        shape = (rows, *width.get(name.split("/")[1], ()))
+    keys = {"object": "object/id", "run": "run/object", "lane": "lane/name", "step": "step/time"}
+    shapes = {
+        name: (*columns[keys[name.split("/")[0]]].shape[:1], *((3,) if name == "object/size" else ()))
+        for name in expected
+    }
+    count = int(columns["run/length"].sum())
+    shapes |= {f"row/{name}": (len(columns[f"row/{name}"]), count) for name in _ROWS}
+    for name, shape in shapes.items():
         if columns[name].shape != shape:
             raise DataError(complaint(path, name, f"shape {shape}", str(columns[name].shape)))
-    numbers = [columns[name] for name, kind in expected.items() if kind == "f8"]
-    if not all(np.isfinite(values).all() for values in numbers) or not 0.0 < float(columns["step_s"]) < np.inf:
-        raise DataError(complaint(path, "traffic log", "finite numbers and a positive step_s", "others"))
-    if count["step"] and columns["step/count"].min() < 0:
-        raise DataError(complaint(path, "step/count", "at least 0", int(columns["step/count"].min())))
+    if columns["step_s"].shape != () or not 0.0 < float(columns["step_s"]) < np.inf:
+        raise DataError(complaint(path, "step_s", "a positive number", str(columns["step_s"])))
+    try:
+        about = msgspec.json.decode(str(columns["about"]))
+    except msgspec.DecodeError:
+        about = None
+    if not isinstance(about, dict):
+        raise DataError(complaint(path, "about", "a JSON object", str(columns["about"])))
+    objects, lanes, steps = (len(columns[keys[table]]) for table in ("object", "lane", "step"))
     if (np.diff(columns["object/id"]) <= 0).any():
         raise DataError(complaint(path, "object/id", "ascending ids", "others"))
-    for table in ("object", "lane"):
-        which = columns[f"row/{table}"]
-        if count["row"] and not 0 <= which.min() <= which.max() < count[table]:
-            raise DataError(complaint(path, f"row/{table}", f"rows of {count[table]} {table}s", "others"))
-    if count["object"] and not 0 <= columns["object/label"].min() <= columns["object/label"].max() < len(CLASSES):
+    start, end = columns["run/start"], columns["run/start"] + columns["run/length"]
+    if len(start) and (start.min() < 0 or end.max() > steps or columns["run/length"].min() < 1):
+        raise DataError(complaint(path, "run/start", f"runs within {steps} steps", "others"))
+    if _outside(columns["run/object"], objects):
+        raise DataError(complaint(path, "run/object", f"rows of {objects} objects", "others"))
+    same = np.diff(columns["run/object"]) == 0
+    if (np.diff(columns["run/object"]) < 0).any() or (start[1:] <= end[:-1])[same].any():
+        raise DataError(complaint(path, "run/object", "runs in order of object and step", "others"))
+    if _outside(columns["object/label"], len(CLASSES)):
         raise DataError(complaint(path, "object/label", f"indices of {len(CLASSES)} classes", "others"))
+    if len(start) and _outside(_sums(unpacked(columns["row/lane"]), columns["run/length"]), lanes):
+        raise DataError(complaint(path, "row/lane", f"rows of {lanes} lanes", "others"))
 
 
-def _actors(columns: dict[str, NDArray], time_s: float, rows: slice) -> Actors:
-    which = columns["row/object"][rows]
+def _outside(rows: NDArray[np.int64], count: int) -> bool:
+    return len(rows) > 0 and not 0 <= rows.min() <= rows.max() < count
+
+
+def _actors(
+    columns: dict[str, NDArray], names: dict[str, list[str]], rows: dict[str, NDArray[np.int64]], time_s: float
+) -> Actors:
+    which = rows["object"]
     return Actors(
         time_s=time_s,
         boxes=Boxes(
-            center=columns["row/center"][rows],
-            size=columns["object/size"][which],
-            yaw=columns["row/yaw"][rows],
+            center=from_steps(np.stack([rows["x"], rows["y"], rows["z"]], axis=1), POSITION_M),
+            size=from_steps(columns["object/size"][which], POSITION_M),
+            yaw=from_steps(rows["yaw"], ANGLE_RAD),
             label=columns["object/label"][which],
             object_id=columns["object/id"][which],
         ),
-        pitch=columns["row/pitch"][rows],
-        velocity=columns["row/velocity"][rows],
-        acceleration=columns["row/acceleration"][rows],
-        model=tuple(columns["object/model"][which].tolist()),
-        name=tuple(columns["object/name"][which].tolist()),
-        signals=columns["row/signals"][rows],
-        lane=tuple(columns["lane/name"][columns["row/lane"][rows]].tolist()),
+        pitch=from_steps(rows["pitch"], ANGLE_RAD),
+        velocity=from_steps(np.stack([rows["vx"], rows["vy"]], axis=1), VELOCITY_MPS),
+        acceleration=from_steps(np.stack([rows["ax"], rows["ay"]], axis=1), ACCELERATION_MPS2),
+        model=tuple(names["object/model"][row] for row in which),
+        name=tuple(names["object/name"][row] for row in which),
+        signals=rows["signals"].astype(np.int32),
+        lane=tuple(names["lane/name"][row] for row in rows["lane"]),
     )

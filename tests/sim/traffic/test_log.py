@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 
 from sim.boxes import Boxes
 from sim.errors import DataError, TrafficError
+from sim.geometry import wrap_angle
 from sim.traffic.base import Actors
 from sim.traffic.log import RecordingTraffic, TrafficLog
 from sim.traffic.replay import ReplayTraffic
@@ -30,7 +31,7 @@ def actors(time_s: float, ids: list[int], rng: np.random.Generator) -> Actors:
         name=tuple(f"v{i}" for i in ids),
         signals=rng.integers(0, 9, n).astype(np.int32),
         lane=tuple("" if i % 2 else f"lane_{i % 3}" for i in ids),
-    )
+    ).rounded()
 
 
 def example() -> TrafficLog:
@@ -113,36 +114,76 @@ def test_damaged_logs_are_told_in_one_line(tmp_path: Path) -> None:
     for name, content in cases.items():
         (tmp_path / name).write_bytes(content)
     np.savez(tmp_path / "other.npz", points=np.zeros(3))
-    np.savez(tmp_path / "short.npz", **{**columns, "row/yaw": columns["row/yaw"][:-1]})
-    np.savez(tmp_path / "ids.npz", **{**columns, "row/object": columns["row/object"] + 50})
-    np.savez(tmp_path / "lane.npz", **{**columns, "row/lane": columns["row/lane"] + 50})
-    np.savez(tmp_path / "old.npz", **{**columns, "version": np.array(1)})
-    np.savez(tmp_path / "label.npz", **{**columns, "object/label": columns["object/label"] + 50})
-    np.savez(tmp_path / "nan.npz", **{**columns, "row/center": columns["row/center"] * np.nan})
-    np.savez(tmp_path / "step.npz", **{**columns, "step_s": np.array(0.0)})
-    np.savez(tmp_path / "count.npz", **{**columns, "step/count": np.array([3, -1, 3, 1])})
-    np.savez(tmp_path / "twice.npz", **{**columns, "object/id": np.array([1000, 1000, 1003, 1004])})
-    np.savez(tmp_path / "kind.npz", **{**columns, "row/yaw": columns["row/yaw"].astype(np.float32)})
-    np.savez(tmp_path / "object.npz", **{**columns, "object/name": np.array([{}] * 4, dtype=object)})
-    made = (
-        "other",
-        "short",
-        "ids",
-        "lane",
-        "old",
-        "label",
-        "nan",
-        "step",
-        "count",
-        "twice",
-        "kind",
-        "object",
-        "missing",
-    )
-    for name in (*cases, *(f"{stem}.npz" for stem in made)):
+    wrong = {
+        "short": {"row/yaw": columns["row/yaw"][:, :-1]},
+        "object": {"run/object": columns["run/object"] + 50},
+        "order": {"run/object": columns["run/object"][::-1]},
+        "lane": {"lane/name": columns["lane/name"][:1]},
+        "old": {"version": np.array(2)},
+        "label": {"object/label": columns["object/label"] + 50},
+        "step": {"step_s": np.array(0.0)},
+        "nan": {"step_s": np.array(np.nan)},
+        "count": {"run/length": columns["run/length"] * 0},
+        "late": {"run/start": columns["run/start"] + 9},
+        "twice": {"object/id": np.array([1000, 1000, 1003, 1004])},
+        "kind": {"row/yaw": columns["row/yaw"].astype(np.float32)},
+        "flat": {"row/yaw": columns["row/yaw"].ravel()},
+        "name": {"object/name": np.array([{}] * 4, dtype=object)},
+        "about": {"about": np.array("[1]")},
+    }
+    for name, change in wrong.items():
+        np.savez(tmp_path / f"{name}.npz", **{**columns, **change})
+    for name in (*cases, *(f"{stem}.npz" for stem in ("other", "missing", *wrong))):
         with pytest.raises(DataError) as caught:
             ReplayTraffic(tmp_path / name)
         assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_rounding_moves_nothing_by_more_than_half_a_step_and_again_by_nothing() -> None:
+    rng = np.random.default_rng(0)
+    exact = actors(1.0 / 3.0, [1000, 1001, 1002], rng)
+    moved = replace(exact, boxes=replace(exact.boxes, center=exact.boxes.center + rng.normal(size=(3, 3))))
+    rounded = moved.rounded()
+    assert np.abs(rounded.boxes.center - moved.boxes.center).max() <= 0.5e-3 + 1e-12
+    assert_equal(rounded.rounded(), rounded)
+    with pytest.raises(ValueError, match="not finite"):
+        replace(moved, pitch=np.full(3, np.nan)).rounded()
+
+
+def test_a_log_says_what_it_is_of_and_is_a_few_bytes_per_actor_and_step(tmp_path: Path) -> None:
+    """Forty cars in curves, their speeds and accelerations the differences of their places, for 20 s."""
+    time, cars = 0.1 * np.arange(-2, 200), np.arange(40)
+    heading = 0.1 * np.sin(time[:, None] * 0.3 + cars) + cars
+    speed = 10.0 + 3.0 * np.sin(time[:, None] * 0.2 + cars)
+    velocity = speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    place = 0.1 * np.cumsum(velocity, axis=0) + 1000.0
+    log = TrafficLog(0.1, {"scenario": "curves"})
+    base = actors(0.0, (1000 + cars).tolist(), np.random.default_rng(0))
+    for step in range(2, 202):
+        center = np.concatenate([place[step], np.full((40, 1), 0.75)], axis=1)
+        boxes = replace(base.boxes, center=center, yaw=wrap_angle(heading[step]))
+        now = (place[step] - place[step - 1]) / 0.1
+        before = (place[step - 1] - place[step - 2]) / 0.1
+        rows = {"velocity": now, "acceleration": (now - before) / 0.1, "pitch": np.zeros(40)}
+        log.append(replace(base, time_s=float(time[step]), boxes=boxes, **rows))
+    path = log.save(tmp_path / "curves.npz")
+    again = TrafficLog.load(path)
+    assert again.about == {"scenario": "curves"}
+    for step in range(200):
+        assert_equal(again[step], log[step])
+    assert path.stat().st_size < 6 * 40 * 200
+
+
+def test_a_log_within_an_area_keeps_the_whole_way_of_who_is_ever_there() -> None:
+    log = TrafficLog(1.0)
+    rng = np.random.default_rng(1)
+    for step in range(4):
+        now = actors(float(step), [1000, 1001, 1002], rng)
+        center = np.array([[-100.0 + 50.0 * step, 0.0, 0.0], [0.0, 500.0, 0.0], [60.0, 5.0, 0.0]])
+        log.append(replace(now, boxes=replace(now.boxes, center=center)))
+    kept = log.within((40.0, -10.0, 80.0, 10.0))
+    assert [kept[step].boxes.object_id.tolist() for step in range(4)] == [[1000, 1002]] * 4
+    assert kept[2].lane == (log[2].lane[0], log[2].lane[2])
 
 
 def test_a_log_without_steps_cannot_be_replayed(tmp_path: Path) -> None:
