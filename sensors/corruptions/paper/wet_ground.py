@@ -16,11 +16,13 @@ with refractive indices 1.0003 and 1.33, and T_wa = T_aw, R_wa = R_aw as at an i
 | noise factor  | 0.7 | 0.7 | 0.7                         | 0.7              | 1.0 |
 
 1.2 mm fill the pavement, and more water changes nothing here. Robo3D has 0.2, 1.0 and 1.2 mm with noise factors of 0.2
-(KITTI), 0.3, 0.3, 0.7 (SemanticKITTI) and 0.2, 0.3, 0.7 (nuScenes), takes the ground from labels for the latter two
-(`labelled_ground`), and for the first two intensities of 0 to 1 (`scale`), of which hardly any reach the noise line's
-bins, so that its level is far above all the rest: most ground is lost.
+(KITTI), 0.3, 0.3, 0.7 (SemanticKITTI) and 0.2, 0.3, 0.7 (nuScenes), and takes the ground from labels for the latter two
+(`labelled`; here from the points' materials, or the plane below the sensor where they have none). Both KITTIs have
+intensities of 0 to 1 (`scale`), of which hardly any reach the noise line's bins, so that its level is far above all the
+rest: most ground is lost.
 
-Quirks: t is divided by the angle in radians, not its cosine; thickness and absorption of the film do not matter; with
+Quirks: the plane is sought in a strip 6 m wide straight ahead (`ground`), so behind a lorry there is none, and nothing
+gets wet; t is divided by the angle in radians, not its cosine; thickness and absorption of the film do not matter; with
 fewer than 1000 ground points nothing happens. The release puts the ground behind all other points, which is not kept.
 """
 
@@ -30,9 +32,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.corruptions.ground import find_ground
 from sensors.corruptions.levels import at_level, check_range
 from sensors.corruptions.paper.cloud import Cloud, Draws, cloud_of, with_cloud
-from sensors.corruptions.paper.ground import Ground, fit_plane, ground_of, intensity_line, noise_line
+from sensors.corruptions.paper.ground import Ground, fit_plane, ground_of, intensity_line, labelled_ground, noise_line
 from sensors.sweep import ATTENUATED, KEPT, Sweep
 
 WATER_MM = (0.2, 0.5, 1.0, 1.2, 1.2)
@@ -56,11 +59,13 @@ class WetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         water_mm: height of the water.
         noise_factor: of the noise line.
         scale: of the intensity that the model sees, for one of 1 in a sweep.
+        labelled: what is ground is known, and taken for level (Robo3D), instead of a plane that is fitted.
     """
 
     water_mm: float = 1.0
     noise_factor: float = 0.7
     scale: float = 255.0
+    labelled: bool = False
 
     def __post_init__(self) -> None:
         check_range("WetGround", "water_mm", self.water_mm, 0.0, 100.0)
@@ -78,12 +83,12 @@ PUBLISHED: dict[str, WetGround] = {
     "robo3d_kitti_light": WetGround(water_mm=0.2, noise_factor=0.2, scale=1.0),
     "robo3d_kitti_moderate": WetGround(water_mm=1.0, noise_factor=0.2, scale=1.0),
     "robo3d_kitti_heavy": WetGround(water_mm=1.2, noise_factor=0.2, scale=1.0),
-    "robo3d_semantickitti_light": WetGround(water_mm=0.2, noise_factor=0.3, scale=1.0),
-    "robo3d_semantickitti_moderate": WetGround(water_mm=1.0, noise_factor=0.3, scale=1.0),
-    "robo3d_semantickitti_heavy": WetGround(water_mm=1.2, noise_factor=0.7, scale=1.0),
-    "robo3d_nuscenes_light": WetGround(water_mm=0.2, noise_factor=0.2),
-    "robo3d_nuscenes_moderate": WetGround(water_mm=1.0, noise_factor=0.3),
-    "robo3d_nuscenes_heavy": WetGround(water_mm=1.2, noise_factor=0.7),
+    "robo3d_semantickitti_light": WetGround(water_mm=0.2, noise_factor=0.3, scale=1.0, labelled=True),
+    "robo3d_semantickitti_moderate": WetGround(water_mm=1.0, noise_factor=0.3, scale=1.0, labelled=True),
+    "robo3d_semantickitti_heavy": WetGround(water_mm=1.2, noise_factor=0.7, scale=1.0, labelled=True),
+    "robo3d_nuscenes_light": WetGround(water_mm=0.2, noise_factor=0.2, labelled=True),
+    "robo3d_nuscenes_moderate": WetGround(water_mm=1.0, noise_factor=0.3, labelled=True),
+    "robo3d_nuscenes_heavy": WetGround(water_mm=1.2, noise_factor=0.7, labelled=True),
 }
 
 
@@ -124,9 +129,17 @@ def corrupt(sweep: Sweep, severity: int | WetGround, rng: Draws) -> Sweep:
         return sweep
     cloud = cloud_of(sweep)
     cloud[:, 3] *= settings.scale
-    wet = wetted(cloud, settings, ground_of(cloud, fit_plane(cloud, rng)))
+    wet = wetted(cloud, settings, _ground(sweep, cloud, settings, rng))
     cloud[:, 3] = wet.intensity / settings.scale
     return with_cloud(sweep, cloud, np.where(wet.ground, ATTENUATED, KEPT))[wet.kept]
+
+
+def _ground(sweep: Sweep, cloud: Cloud, settings: WetGround, rng: Draws) -> Ground:
+    if not settings.labelled:
+        return ground_of(cloud, fit_plane(cloud, rng))
+    rows = np.zeros(len(sweep), bool)
+    rows[find_ground(sweep).rows] = True
+    return labelled_ground(cloud, rows)
 
 
 def wetted(

@@ -140,6 +140,19 @@ def test_only_ground_is_touched_and_never_brightened() -> None:
     assert np.abs(out.points[touched, 2] + 1.9).max() < 0.6
 
 
+def test_behind_a_lorry_only_known_ground_gets_wet() -> None:
+    sweep = street(spinning(columns=720))
+    ahead = (sweep.points[:, 0] > 8.0) & (np.abs(sweep.points[:, 1]) < 3.5)
+    sweep = sweep[~ahead]
+    assert same(corrupt(sweep, WetGround(), rng()), sweep)
+    out = corrupt(sweep, WetGround(labelled=True), rng())
+    touched = out.fate == ATTENUATED
+    assert touched.sum() > 1000 and np.abs(out.points[touched, 2] + 1.9).max() < 0.6
+    assert {name for name, settings in PUBLISHED.items() if settings.labelled} == {
+        f"robo3d_{data}_{level}" for data in ("semantickitti", "nuscenes") for level in ("light", "moderate", "heavy")
+    }
+
+
 def test_more_water_takes_more() -> None:
     sweep = street(spinning(columns=720))
     left = [corrupt(sweep, severity, rng()) for severity in SEVERITIES]
