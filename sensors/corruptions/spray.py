@@ -286,8 +286,7 @@ def _toward(plume: Plume, start: NDArray[np.float32], lines: _Lines) -> NDArray[
     bounds = plume.bounds[:, :2] - np.stack([run, [0.0, 0.0]], axis=1) + [[-_MARGIN_M], [_MARGIN_M]]
     if ((bounds[0] <= start) & (start <= bounds[1])).all():
         return everything
-    corners = np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(4, 2) - start
-    corners = corners @ plume.world_from_plume[:2, :2].T
+    corners = (np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(4, 2) - start) @ plume.world_from_plume[:2, :2].T
     middle = np.arctan2(*corners.mean(axis=0)[::-1])
     aside = np.mod(np.arctan2(corners[:, 1], corners[:, 0]) - middle + np.pi, 2.0 * np.pi) - np.pi
     found = []
