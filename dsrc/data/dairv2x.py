@@ -20,13 +20,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.dairv2x_tree import (
     LABEL_FOLDERS,
-    SPLIT,
     TREE,
     BatchRecord,
     Labels,
@@ -40,7 +38,6 @@ from dsrc.data.dairv2x_tree import (
     read_labels,
     read_transform,
 )
-from dsrc.data.jsonio import read_json
 from dsrc.data.pcd import SENSOR_FULL_SCALE, read_pcd
 from dsrc.data.tracks import LONGEST_GAP_S, Instant, tracked_velocity
 from sensors.deskew import check_motion, deskew
@@ -97,7 +94,7 @@ def locate(path: Path) -> Address | None:
 def _address(tree: Path, words: list[str]) -> Address:
     labels: Labels = "complemented"
     batch = split = None
-    batches, splits = open_tree(tree).batches, _splits(tree)
+    batches, splits = open_tree(tree).batches, open_tree(tree).splits
     for word in words:
         if word == "original":
             if not (tree / "cooperative" / LABEL_FOLDERS["original"]).is_dir():
@@ -116,30 +113,12 @@ def _address(tree: Path, words: list[str]) -> Address:
 def list_batches(address: Address) -> list[Path]:
     """Return the paths of the drives of an address, in the order of their numbers."""
     tree = open_tree(address.tree)
-    kept = None if address.split is None else _split(address.tree, address.split)
+    kept = None if address.split is None else tree.splits[address.split]
     names = [address.batch] if address.batch is not None else list(tree.batches)
     found = [name for name in names if kept is None or any(pair.stems[0] in kept for pair in tree.batches[name])]
     if not found:
         raise DataError(complaint(address.folder, "drives", "a batch with frames of this split", "none"))
     return [address.folder / name for name in found]
-
-
-def _splits(tree: Path) -> tuple[str, ...]:
-    own = [name for name in ("train", "val", "test") if (tree / f"{name}.json").exists()]
-    shared = read_json(tree / SPLIT, _SplitFile).cooperative_split if (tree / SPLIT).exists() else {}
-    return tuple(dict.fromkeys([*own, *shared]))
-
-
-class _SplitFile(msgspec.Struct, frozen=True):
-    cooperative_split: dict[str, list[str]]
-
-
-@lru_cache(maxsize=8)
-def _split(tree: Path, name: str) -> frozenset[str]:
-    own = tree / f"{name}.json"
-    if own.exists():
-        return frozenset(read_json(own, list[str]))
-    return frozenset(read_json(tree / SPLIT, _SplitFile).cooperative_split[name])
 
 
 class DairReader:
@@ -171,7 +150,7 @@ class DairReader:
         self.protocol: dict = {}
         self._address = address
         self._tree: Tree = open_tree(address.tree)
-        kept = None if address.split is None else _split(address.tree, address.split)
+        kept = None if address.split is None else self._tree.splits[address.split]
         pairs = self._tree.batches[address.batch]
         self._pairs = tuple(pair for pair in pairs if kept is None or pair.stems[0] in kept)
         if not self._pairs:

@@ -36,6 +36,8 @@ TREE = "cooperative-vehicle-infrastructure"
 PAIRS = "cooperative/data_info.json"
 SIDECAR = "testbed.json"
 SPLIT = "cooperative-split-data.json"
+SIDES = ("vehicle-side", "infrastructure-side")
+_SPLITS = ("train", "val", "test")
 
 Labels = Literal["complemented", "original"]
 LABEL_FOLDERS: dict[Labels, str] = {"complemented": "label_world", "original": "label_world_backup"}
@@ -146,6 +148,7 @@ class Tree:
         batches: pairs by batch, in the order of the vehicle's frames.
         vehicle: index of the vehicle's side by frame id.
         infrastructure: index of the other side.
+        splits: ids of the vehicle's frames by the name of their split.
         sidecar: our own record, None in other trees.
     """
 
@@ -153,6 +156,7 @@ class Tree:
     batches: dict[str, tuple[Pair, ...]]
     vehicle: dict[str, SideInfo]
     infrastructure: dict[str, SideInfo]
+    splits: dict[str, frozenset[str]]
     sidecar: Sidecar | None
 
     def start_us(self, batch: str) -> int:
@@ -171,18 +175,17 @@ def open_tree(root: Path) -> Tree:
     Raises:
         DataError: an index is missing or wrong, or there is no pair of which everything is there.
     """
-    stamps = tuple((root / name).stat().st_mtime_ns for name in (PAIRS, SIDECAR) if (root / name).exists())
+    names = (PAIRS, *(f"{side}/data_info.json" for side in SIDES), SIDECAR, SPLIT, *(f"{n}.json" for n in _SPLITS))
+    stamps = tuple((root / name).stat().st_mtime_ns if (root / name).exists() else 0 for name in names)
     return _open_tree(root, stamps)
 
 
 @lru_cache(maxsize=4)
 def _open_tree(root: Path, stamps: tuple[int, ...]) -> Tree:
     pairs = read_json(root / PAIRS, list[Pair])
-    vehicle, infrastructure = (
-        _side(root / side / "data_info.json") for side in ("vehicle-side", "infrastructure-side")
-    )
+    vehicle, infrastructure = (_side(root / side / "data_info.json") for side in SIDES)
     sidecar = read_json(root / SIDECAR, Sidecar) if (root / SIDECAR).exists() else None
-    clouds = {side: _clouds(root, side) for side in ("vehicle-side", "infrastructure-side")}
+    clouds = {side: _clouds(root, side) for side in SIDES}
     labels = {path.name for path in (root / "cooperative" / LABEL_FOLDERS["complemented"]).glob("*.json")}
     batches: dict[str, list[Pair]] = {}
     left_out = 0
@@ -206,7 +209,18 @@ def _open_tree(root: Path, stamps: tuple[int, ...]) -> Tree:
     if left_out:
         _log.warning("%s: %d of %d pairs are left out: a cloud or the label is missing", root, left_out, len(pairs))
     ordered = {name: tuple(sorted(found, key=lambda pair: pair.stems[0])) for name, found in batches.items()}
-    return Tree(root, dict(sorted(ordered.items(), key=_by_number)), vehicle, infrastructure, sidecar)
+    return Tree(root, dict(sorted(ordered.items(), key=_by_number)), vehicle, infrastructure, _splits(root), sidecar)
+
+
+class _SplitFile(msgspec.Struct, frozen=True):
+    cooperative_split: dict[str, list[str]]
+
+
+def _splits(root: Path) -> dict[str, frozenset[str]]:
+    """Return the frames of each split: of the files that are named after them, else of the dataset's own."""
+    shared = read_json(root / SPLIT, _SplitFile).cooperative_split if (root / SPLIT).exists() else {}
+    own = {name: read_json(root / f"{name}.json", list[str]) for name in _SPLITS if (root / f"{name}.json").exists()}
+    return {name: frozenset(frames) for name, frames in {**shared, **own}.items()}
 
 
 def _by_number(item: tuple[str, object]) -> tuple[int, str]:

@@ -92,7 +92,7 @@ class KittiWriter:
 def encode_labels(boxes: Boxes, view: View) -> str:
     """Return the text of a label file for boxes in the LiDAR's frame.
 
-    Objects out of the picture are left out, or, all around, have an empty 2D box, truncation 1 and occlusion 3: unknown.
+    Objects out of the picture are left out, or, all around, have no 2D box, truncation 1 and occlusion 3 (unknown).
     """
     lines = []
     bottom = boxes.center - [0.0, 0.0, 0.5] * boxes.size
