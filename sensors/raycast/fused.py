@@ -119,6 +119,8 @@ class FusedEngine:
         if placed is not None and placed.shows(bodies, origin, hidden):
             return
         fleet = self._fleet(bodies.solids)
+        # Interrupted half-way, the scene shows nobody's bodies.
+        self._placed = None
         self._moving.show(fleet.hierarchies)
         path, count = bodies.path, len(bodies)
         steps, pose = np.zeros(count, np.int64), np.zeros((count, _MOST_SEGMENTS + 1, 3, 4), np.float32)

@@ -174,6 +174,25 @@ def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp
     assert ("each process compiles it anew" in result.stderr) == (home == "none")
 
 
+def test_an_interrupted_move_of_the_bodies_is_done_anew(monkeypatch):
+    scene = RayScene(ground(), body_mesh=box_body, engine="fused")
+    here, there = (scene.with_bodies(cars([[x, 0.0, 0.0]])) for x in (8.0, 20.0))
+    expected = scan(here, get_lidar("debug-16"), SENSOR, SENSOR, 0.0, np.random.default_rng(0))
+    move = fused.place_bodies
+
+    def interrupted(*args):
+        move(*args)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fused, "place_bodies", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        scan(there, get_lidar("debug-16"), SENSOR, SENSOR, 0.0, np.random.default_rng(0))
+    monkeypatch.undo()
+    again = scan(here, get_lidar("debug-16"), SENSOR, SENSOR, 0.0, np.random.default_rng(0))
+    assert (expected.object_id == 1000).sum() > 20
+    np.testing.assert_array_equal(again.points, expected.points)
+
+
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals cannot be sent to a thread here")
 def test_an_interrupted_sweep_lets_nobody_in_before_its_workers_have_stopped(monkeypatch):
     scene = RayScene(ground(), body_mesh=box_body, engine="fused")
