@@ -2,6 +2,7 @@
 
 import bz2
 import gzip
+import hashlib
 import shutil
 import tempfile
 import zlib
@@ -10,8 +11,8 @@ from pathlib import Path
 from typing import Self
 
 from sim.errors import ScenarioError, complaint
+from sim.places import rounding
 from sim.places.pbf import pbf_to_xml
-from sim.places.rounding import rounded_network
 from sim.places.tools import Option, drop_header, run_tool, sumo_home
 
 KINDS = (".net.xml", ".net.xml.gz", ".osm", ".osm.xml", ".osm.gz", ".osm.bz2", ".osm.pbf", ".pbf", ".xodr")
@@ -43,7 +44,6 @@ _FROM_OSM: dict[str, Option] = ROUND | {
     "sidewalks.guess": True,
     "sidewalks.guess.min-speed": 8.5,
     "crossings.guess": True,
-    "osm.elevation": True,
     "output.street-names": True,
 }
 _FROM_OPENDRIVE: dict[str, Option] = ROUND | {"opendrive.import-all-lanes": True}
@@ -52,8 +52,8 @@ _TYPE_MAPS = ("osmNetconvert", "osmNetconvertUrbanDe", "osmNetconvertPedestrians
 _THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.street_lamp", "man_made.utility_pole")
 """What is taken from a map beside its roads, by key or by key and value of its tags."""
 
-CONVERSION = [list(options.items()) for options in (ROUND, _FROM_OSM, _FROM_OPENDRIVE)] + [list(_THINGS)]
-"""Everything that converted files depend on beside the map: files made otherwise are not taken from the cache."""
+CONVERSION = hashlib.sha256(Path(__file__).read_bytes() + Path(rounding.__file__).read_bytes()).hexdigest()
+"""Changes with the code that converts, so that files which it made otherwise are not taken from the cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,12 +115,12 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
         else:
             osm = _plain_osm(source, kind, Path(work))
             maps = ",".join(str(sumo_home() / "data" / "typemap" / f"{name}.typ.xml") for name in _TYPE_MAPS)
-            options = {"osm-files": str(osm), "type-files": maps} | _FROM_OSM
+            options = {"osm-files": str(osm), "type-files": maps, "osm.elevation": _has_heights(osm)} | _FROM_OSM
         run_tool("netconvert", options | {"output-file": str(net)}, net, str(source))
         if "osm-files" in options:
             _polygons(source, Path(str(options["osm-files"])), folder, Path(work))
     drop_header(net)
-    net.write_text(rounded_network(net.read_text(encoding="utf-8")), encoding="utf-8")
+    net.write_text(rounding.rounded_network(net.read_text(encoding="utf-8")), encoding="utf-8")
     return ConvertedMap.of(folder)
 
 
@@ -138,6 +138,12 @@ def _plain_osm(source: Path, kind: str, work: Path) -> Path:
     except (OSError, EOFError, zlib.error) as error:
         raise ScenarioError(f"{source}: not a readable {kind} file: {' '.join(str(error).split())}") from None
     return target
+
+
+def _has_heights(osm: Path) -> bool:
+    """Whether most nodes have a height: where few have one, roads would jump up to it and down again."""
+    text = osm.read_bytes()
+    return text.count(b'k="ele"') > 0.5 * text.count(b"<node ") > 0
 
 
 def _polygons(source: Path, osm: Path, folder: Path, work: Path) -> None:

@@ -1,34 +1,59 @@
-"""Round bends: SUMO turns a vehicle at once where the middle line of its lane has a corner."""
+"""Round bends and slow turns: SUMO turns a vehicle at once where the middle line of its lane has a corner."""
 
 import re
 
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+
 REACH_M = 5.0
 """A corner is rounded from so far before it to so far behind it, less where the next corner is nearer."""
 
+TURN_RADPS = 1.4
+"""Nobody turns faster than this: junctions whose lanes ask for more are driven through more slowly."""
+
+_BODY_M = 4.0
+"""A car turns about as much as its lane does over its own length."""
+
 _STEPS = 6
 _NEVER_HALF = 0.48
-_LANE = re.compile(r'(<lane id="[^":][^>]* shape=")([^"]*)(")')
+_SLOWEST_MPS = 3.0
+_SHORT_M = 150.0
+"""A street that is not longer gets the speed of its narrowest bend, a longer one keeps its own."""
+
+_LANE = re.compile(r'<lane id="([^"]+)"[^>]*? speed="([^"]+)" length="([^"]+)"[^>]*? shape="([^"]*)"')
+_LINK = re.compile(r'<connection from="([^"]+)" to="([^"]+)" fromLane="(\d+)" toLane="(\d+)"[^>]*? via="([^"]+)"')
 
 
 def rounded_network(text: str) -> str:
-    """Return the text of a .net.xml with the bends of its streets rounded; lanes within junctions stay as they are.
+    """Return the text of a .net.xml with round bends, and with speeds at which they can be driven.
 
-    The first and last corner of a lane stay where they are, so that it still meets its neighbours.
+    The first and last corner of a lane stay where they are, so that it still meets its neighbours; the lanes within
+    junctions, which netconvert has made round, keep their shapes.
     """
-    return _LANE.sub(lambda found: found[1] + _rounded_shape(found[2]) + found[3], text)
+    shape = {found[1]: found[4] for found in _LANE.finditer(text)}
+    line = {name: _line(corners) for name, corners in shape.items()}
+    line |= {name: rounded(line[name]) for name in line if not name.startswith(":") and len(line[name]) > 2}
+    limit = {name: _limit(corners) for name, corners in line.items() if _length(corners) < _SHORT_M}
+    for found in _LINK.finditer(text):
+        before, via, after = f"{found[1]}_{found[3]}", found[5], f"{found[2]}_{found[4]}"
+        if before in line and via in line and after in line:
+            way = np.concatenate([_tail(line[before]), line[via][:, :2], _tail(line[after][::-1])[::-1]])
+            limit[via] = min(limit.get(via, np.inf), _limit(way))
+
+    def rewrite(found: re.Match[str]) -> str:
+        name, speed = found[1], float(found[2])
+        whole = found[0].replace(f'shape="{found[4]}"', f'shape="{_text(line[name])}"')
+        # SUMO gives the lanes of a bend one length: on the outer one vehicles are faster than it thinks.
+        stretch = max(_length(line[name]) / max(float(found[3]), 0.1), 1.0)
+        slower = max(min(limit.get(name, np.inf), speed) / stretch, _SLOWEST_MPS)
+        return whole.replace(f'speed="{found[2]}"', f'speed="{slower:.2f}"', 1) if slower < speed else whole
+
+    return _LANE.sub(rewrite, text)
 
 
-def _rounded_shape(shape: str) -> str:
-    line = np.array([[float(value) for value in corner.split(",")] for corner in shape.split()])
-    if len(line) < 3:
-        return shape
-    return " ".join(",".join(f"{value:.3f}" for value in corner) for corner in rounded(line).tolist())
-
-
-def rounded(line: NDArray[np.float64]) -> NDArray[np.float64]:
+def rounded(line: Array) -> Array:
     """Replace the inner corners of a (K, 2) or (K, 3) line by parabolas that touch both of its legs."""
     length = np.hypot(*np.diff(line[:, :2], axis=0).T)
     share = np.linspace(0.0, 1.0, _STEPS + 1)[:, None]
@@ -42,3 +67,41 @@ def rounded(line: NDArray[np.float64]) -> NDArray[np.float64]:
         end = line[k] + (line[k + 1] - line[k]) * reach / length[k]
         parts.append((1 - share) ** 2 * start + 2 * share * (1 - share) * line[k] + share**2 * end)
     return np.concatenate([*parts, line[-1:]])
+
+
+def _line(shape: str) -> Array:
+    corners = [[float(value) for value in corner.split(",")] for corner in shape.split()]
+    # netconvert leaves out heights of 0, corner by corner.
+    size = max(map(len, corners))
+    return np.array([corner + [0.0] * (size - len(corner)) for corner in corners])
+
+
+def _text(line: Array) -> str:
+    return " ".join(",".join(f"{value:.3f}" for value in corner) for corner in line.tolist())
+
+
+def _length(line: Array) -> float:
+    return float(np.hypot(*np.diff(line[:, :2], axis=0).T).sum())
+
+
+def _tail(line: Array) -> Array:
+    """Return the last metres of a line, (K, 2), as far as a body reaches."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
+    at = np.unique(np.concatenate([[max(along[-1] - _BODY_M, 0.0)], along[along > along[-1] - _BODY_M]]))
+    return np.column_stack([np.interp(at, along, line[:, k]) for k in (0, 1)])
+
+
+def _limit(line: Array) -> float:
+    """Return the speed at which nobody on a line turns faster than `TURN_RADPS`, m/s."""
+    way = np.diff(line[:, :2], axis=0)
+    length = np.hypot(*way.T)
+    way, length = way[length > 1e-3], length[length > 1e-3]
+    if len(way) < 2:
+        return np.inf
+    turned = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    at = np.arange(0.0, along[-1], 0.25)
+    heading = turned[np.searchsorted(along[1:], at, side="right").clip(max=len(turned) - 1)]
+    reach = min(round(_BODY_M / 0.25), len(heading))
+    most = np.ptp(np.lib.stride_tricks.sliding_window_view(heading, reach), axis=1).max()
+    return float(TURN_RADPS * _BODY_M / most) if most > 1e-6 else np.inf

@@ -53,7 +53,7 @@ WHEELS = {
         "322d090e6a66d97cc9b265c0b6fa092687bc6b35965fe5f53f678878d1987660",
         "sumo_rl/nets/RESCO/",
         (),
-        "RESCO: networks and demand of J. Ault, G. Sharon (NeurIPS 2021) after TAPAS Cologne and InTAS, from sumo-rl (MIT)",
+        "RESCO: networks and demand by J. Ault and G. Sharon (NeurIPS 2021) after TAPAS Cologne and InTAS, MIT licence",
     ),
 }
 """Packages by the folder that they install."""
