@@ -296,7 +296,9 @@ def drives_below(root: Path) -> list[Path]:
 
 
 def _is_drive(folder: Path) -> bool:
-    return any(_AGENT.fullmatch(p.name) and p.is_dir() and any(p.glob("*.yaml")) for p in folder.iterdir())
+    agents = (p for p in folder.iterdir() if _AGENT.fullmatch(p.name) and p.is_dir())
+    # A drive may have a number for its name too; the yaml in it is no frame.
+    return any(_STEM.fullmatch(file.stem) for agent in agents for file in agent.glob("*.yaml"))
 
 
 def data_hash(drives: Sequence[Path]) -> str:
