@@ -228,9 +228,8 @@ class _Opv2v:
         if not (folder / PROTOCOL).exists():
             folder.mkdir(parents=True, exist_ok=True)
             write_protocol(folder, self._protocol(place, frame))
-            traffic = place.drive.drive / "traffic.npz"
-            if isinstance(own, dict) and traffic.exists():
-                shutil.copyfile(traffic, folder / traffic.name)
+            for path in _beside(place.drive.drive) if isinstance(own, dict) else ():
+                shutil.copyfile(path, folder / path.name)
         listed = own.get("connected_vehicles", True) if isinstance(own, dict) else True
         write_frame(folder, frame, bool(listed), place.drive.plans(place.i))
 
@@ -251,6 +250,12 @@ class _Opv2v:
         source = {"format": place.drive.format, "drive": place.name, "sha256": self.mark.drives[place.name]}
         own = {"frames": len(place.drive), "agents": agents, "converted": source}
         return {**place.drive.protocol, "testbed": own}
+
+
+def _beside(drive: Path) -> list[Path]:
+    """Return what a drive of ours has beside its frames and its protocol, such as the log of its traffic."""
+    files = (path for path in sorted(drive.iterdir()) if path.is_file() and not path.name.startswith("."))
+    return [path for path in files if path.name != PROTOCOL and path.suffix not in (".tmp", ".part")]
 
 
 class _Dair:
