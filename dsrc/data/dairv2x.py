@@ -178,7 +178,8 @@ class DairReader:
         """
         pair = self._pairs[i]
         time_s = self._time_s("vehicle-side", pair.stems[0])
-        truth = self._labels(i).boxes
+        now, tracked = self._labels(i)
+        truth = now.boxes
         vehicle = self._agent("vehicle-side", pair, self._record.vehicle, self._speed(i))
         infrastructure = self._agent("infrastructure-side", pair, self._record.infrastructure, 0.0)
         agents = (vehicle, infrastructure)
@@ -187,7 +188,7 @@ class DairReader:
             time_s=time_s,
             agents=agents,
             truth=truth,
-            velocity=tracked_velocity(self._labels(i), *(self._neighbour(i, step) for step in (-1, 1))),
+            velocity=tracked_velocity(now, *(self._neighbour(i + step) if tracked else None for step in (-1, 1))),
             points_on=self._points_on(agents, truth),
         )
 
@@ -248,28 +249,27 @@ class DairReader:
     def _label_file(self, pair: Pair) -> Path:
         return self._tree.root / "cooperative" / LABEL_FOLDERS[self._address.labels] / f"{pair.stems[0]}.json"
 
-    def _read_labels(self, i: int) -> Instant:
-        """Return time and boxes of a frame, rows sorted by id."""
+    def _read_labels(self, i: int) -> tuple[Instant, bool]:
+        """Return time and boxes of a frame, rows sorted by id, and whether ids are the same in other frames."""
         pair = self._pairs[i]
         boxes, names, tracks = read_labels(self._label_file(pair))
         ids = np.arange(1, len(boxes) + 1, dtype=np.int64)
-        if self._tracked(tracks):
+        tracked = all(track.isdigit() and int(track) < 2**31 - 1 for track in tracks) and len(set(tracks)) == len(
+            tracks
+        )
+        if tracked:
             # Numbers from 1 on leave 0 to the vehicle; our own are those of the simulation.
             ids = np.array([int(track) for track in tracks], np.int64) + (0 if self._own else 1)
         label = np.array([CLASSES.index(name) for name in names], np.int64)
         boxes = replace(boxes, label=label, object_id=ids)
-        return Instant(self._time_s("vehicle-side", pair.stems[0]), boxes[np.argsort(ids, kind="stable")])
+        instant = Instant(self._time_s("vehicle-side", pair.stems[0]), boxes[np.argsort(ids, kind="stable")])
+        return instant, tracked
 
-    @staticmethod
-    def _tracked(tracks: list[str]) -> bool:
-        return all(track.isdigit() and int(track) < 2**31 - 1 for track in tracks) and len(set(tracks)) == len(tracks)
-
-    def _neighbour(self, i: int, step: int) -> Instant | None:
-        if not 0 <= i + step < len(self._pairs):
+    def _neighbour(self, i: int) -> Instant | None:
+        if not 0 <= i < len(self._pairs):
             return None
-        _, _, tracks = read_labels(self._label_file(self._pairs[i]))
-        _, _, others = read_labels(self._label_file(self._pairs[i + step]))
-        return self._labels(i + step) if self._tracked(tracks) and self._tracked(others) else None
+        instant, tracked = self._labels(i)
+        return instant if tracked else None
 
     def _speed(self, i: int) -> float:
         """Return the vehicle's speed, m/s, by its places a frame earlier and later; 0 where there are none."""
