@@ -92,6 +92,17 @@ class Settled(msgspec.Struct, frozen=True, kw_only=True):
     parameters: dict[str, float]
 
 
+def settled(scenario: Scenario, seed: int) -> Scenario:
+    """Return a scenario as it is driven: one with a conflict with its proven draw, agents and area, others as they are.
+
+    Raises:
+        ScenarioError: see `settle`.
+    """
+    if scenario.conflict is None or scenario.agents.named:
+        return scenario
+    return settle(scenario, seed).scenario
+
+
 def settle(scenario: Scenario, seed: int) -> Settled:
     """Find the first draw of a seed whose proof holds; a control is that of the same draw.
 

@@ -118,6 +118,9 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Attributes:
         vehicles: how many vehicles are connected.
         lidar: sensor preset of the vehicles.
+        mount_xyz_m: where their sensors sit in the body frame, m, from the middle of the footprint on the road; left out:
+            the preset's place, lifted clear of tall roofs.
+        mount_pitch_deg: tilt of their sensors, positive looks down.
         within_m: those are chosen that spend the most of the drive within this distance of the ego, m.
         named: names of the connected vehicles in the traffic, ego first; left out: `vehicles` of them are drawn.
         roadside: roadside units.
@@ -125,6 +128,8 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     vehicles: Annotated[int, Meta(ge=0)] = 3
     lidar: str = "opv2v-64"
+    mount_xyz_m: tuple[float, float, float] | None = None
+    mount_pitch_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] = 0.0
     within_m: Positive = 60.0
     named: tuple[str, ...] = ()
     roadside: tuple[RoadsideUnit, ...] = ()
@@ -294,9 +299,32 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
             yield "demand.type_mix", "classes of motor vehicles", f"'{name}'", did_you_mean(name, MOTOR_CLASSES)
     if demand.vehicles_per_hour > 0 and sum(demand.type_mix.values()) <= 0:
         yield "demand.type_mix", "a positive weight", dict(demand.type_mix), ""
+    if scenario.conflict is not None:
+        yield from _wrong_conflict(scenario.conflict)
     for index, unit in enumerate(scenario.agents.roadside):
         if unit.xyz_m[2] <= 0:
             yield f"agents.roadside[{index}].xyz_m", "a height above the ground > 0", list(unit.xyz_m), ""
+
+
+def _wrong_conflict(conflict: ConflictSpec) -> Iterator[tuple[str, str, object, str]]:
+    from sim.conflicts import KINDS
+
+    if conflict.kind not in KINDS:
+        yield "conflict.kind", "a known encounter", conflict.kind, did_you_mean(conflict.kind, KINDS)
+        return
+    known = {parameter.name: parameter for parameter in KINDS[conflict.kind].parameters}
+    for name, value in conflict.parameters.items():
+        field = f"conflict.parameters.{name}"
+        if name not in known:
+            yield "conflict.parameters", f"parameters of {conflict.kind}", f"'{name}'", did_you_mean(name, known)
+            continue
+        low, high = value if isinstance(value, tuple) else (value, value)
+        parameter = known[name]
+        if not parameter.low <= low <= high <= parameter.high:
+            expected = f"{parameter.low:g} to {parameter.high:g}, or [low, high] of them"
+            yield field, expected, list(value) if isinstance(value, tuple) else value, ""
+        elif parameter.whole and not (low == round(low) and high == round(high)):
+            yield field, "whole numbers", list(value) if isinstance(value, tuple) else value, ""
 
 
 def _wrong_tools_path(field: str, relative: str, elsewhere: str = "") -> Iterator[tuple[str, str, object, str]]:

@@ -13,7 +13,8 @@ from dsrc.drive.idm import IdmSettings
 from dsrc.drive.metrics import time_to_collision
 from dsrc.drive.perception import Perception, TruthPerception
 from dsrc.drive.tracker import Tracker
-from sim.boxes import CLASSES, Boxes
+from sensors.proof import settled
+from sim.boxes import CLASSES, Boxes, concatenate
 from sim.collisions import collide
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
@@ -40,6 +41,9 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
     Action: (1,) in [-1, 1]: -1 brakes as hard as the car can, +1 accelerates as hard as is comfortable.
 
     Reward: progress of the step in metres, minus 100 at a collision.
+
+    A conflict is the seed's first draw that is proven to hide it, see `sensors.proof`; what a helper claims that is not
+    there is added to what a cooperative perception gives.
 
     An episode ends with a collision (oriented boxes of truth) or when the ego leaves the road network, and is cut
     after `duration_s`.
@@ -91,11 +95,12 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         self.close()
         episode_seed = int(self.np_random.integers(2**31)) if seed is None else seed
-        self._traffic = open_traffic(self.scenario, episode_seed)
-        self._ego_id = choose_ego(self._traffic, self.scenario)
+        scenario = settled(self.scenario, episode_seed)
+        self._traffic = open_traffic(scenario, episode_seed)
+        self._ego_id = choose_ego(self._traffic, scenario)
         self._before = self._traffic.actors
         self._tracker = Tracker()
-        self.perception.reset(self.scenario, self._ego_id, episode_seed)
+        self.perception.reset(scenario, self._ego_id, episode_seed)
         self._min_ttc, self._progress, self._last_speed = math.inf, 0.0, 0.0
         self._traffic.command_speed(self._ego_id, self._speed())
         actors = self._traffic.step()
@@ -156,12 +161,18 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _observe(self, actors: Actors) -> Observation:
         """Sense, detect, track and describe the corridor."""
-        perceived = self.perception.perceive(self._before, actors)
+        perceived = concatenate([self.perception.perceive(self._before, actors), self._claimed()])
         boxes, velocity = self._tracker.update(perceived, actors.time_s)
         ego = self._ego(actors)
         path = self._traffic.route(self._ego_id, LOOK_AHEAD)
         obstacle = nearest_obstacle(path, boxes, ego.size[0, 0], ego.size[0, 1])
         return self._observation(obstacle, boxes, velocity, ego)
+
+    def _claimed(self) -> Boxes:
+        """Return what helpers claim and is not there; an ego that listens to nobody is not deceived."""
+        if not getattr(self.perception, "cooperative", False) or not hasattr(self._traffic, "claims"):
+            return Boxes.zeros()
+        return concatenate([claimed.boxes for claimed in self._traffic.claims().values()])
 
     def _observation(
         self, obstacle: Obstacle, boxes: Boxes, velocity: NDArray[np.float64], ego: Boxes | None
@@ -195,12 +206,16 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
 
 
 def choose_ego(traffic: Any, scenario: Scenario) -> int:
-    """Return the car or van that has the longest way left inside the scenario's area; one that moves, if there is one.
+    """Return the first vehicle that the scenario names, else the car or van with the longest way left inside its area.
+
+    Of cars and vans one that moves is taken, if there is one.
 
     Raises:
         TrafficError: when there is none.
     """
     actors = traffic.actors
+    if scenario.agents.named:
+        return _named(actors, scenario)
     fit = np.isin(actors.boxes.label, [CLASSES.index("car"), CLASSES.index("van")])
     moving = np.linalg.norm(actors.velocity, axis=1) > 2.0
     way_left = {
@@ -210,6 +225,13 @@ def choose_ego(traffic: Any, scenario: Scenario) -> int:
     if not rows:
         raise TrafficError(f"{scenario.name}: expected a car or van inside the area after the warm-up, found none")
     return int(actors.boxes.object_id[max(rows, key=lambda row: (moving[row], way_left[row]))])
+
+
+def _named(actors: Actors, scenario: Scenario) -> int:
+    name = scenario.agents.named[0]
+    if name not in actors.name:
+        raise TrafficError(f"{scenario.name}: expected the ego '{name}' on the road at the start, found it nowhere")
+    return int(actors.boxes.object_id[actors.name.index(name)])
 
 
 def _way_left(path: NDArray[np.float64], scenario: Scenario) -> float:

@@ -73,7 +73,8 @@ class TruthPerception:
 class DetectorPerception:
     """Sweeps of the ego and its collaborators, corrupted if asked, through a detector.
 
-    Collaborators are, at every instant, the connected vehicles nearest to the ego and the scenario's roadside units.
+    Collaborators are the connected vehicles that the scenario names, or at every instant those nearest to the ego, and
+    its roadside units.
     The rays of one sweep fire in the half rotation before and after an instant; the future half is extrapolated.
 
     Args:
@@ -146,9 +147,12 @@ class DetectorPerception:
         return self.detector.detect(sample).boxes.transform(world_from_lidar)
 
     def _collaborators(self, now: Actors) -> list[int]:
-        """Return the connected vehicles nearest to the ego: as many as the scenario's rule gives it."""
+        """Return the connected vehicles that the scenario names, else the nearest, as many as its rule gives."""
         if not self.cooperative:
             return []
+        if self._scenario.agents.named:
+            ids = [int(now.boxes.object_id[now.name.index(n)]) for n in self._scenario.agents.named if n in now.name]
+            return [helper for helper in ids if helper != self._ego_id]
         ego = now.row(self._ego_id)
         distance = np.linalg.norm(now.boxes.center[:, :2] - now.boxes.center[ego, :2], axis=1)
         fit = now.boxes.is_vehicle & (distance <= self._scenario.agents.within_m)

@@ -146,10 +146,10 @@ KINDS = {
     "ima_queue": Kind(
         "A car or bicycle crosses through the gap before a standing queue in the next lane.",
         (
-            Parameter("ego_mps", 6.0, 17.0, (11.0, 17.0), "speed of the ego"),
-            Parameter("conflict_mps", 3.0, 14.0, (4.0, 12.0), "speed of the crossing road user, a bicycle below 6.5"),
+            Parameter("ego_mps", 6.0, 17.0, (12.0, 17.0), "speed of the ego"),
+            Parameter("conflict_mps", 3.0, 14.0, (3.5, 10.0), "speed of the crossing road user, a bicycle below 6.5"),
             Parameter("queue", 2.0, 6.0, (3.0, 6.0), "vehicles in the queue", True),
-            Parameter("gap_m", 2.0, 4.0, (2.0, 4.0), "between vehicles of the queue"),
+            Parameter("gap_m", 2.0, 4.0, (2.0, 2.6), "between vehicles of the queue"),
             JITTER,
         ),
         ima_queue,

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sim.conflicts.instance import HIT_S, Kind, Layout, Parameter, Structure, actor, standing
-from sim.conflicts.looks import AFTER_S, CARS, EAST, JITTER, TRUCKS, VANS, band, block, pick
+from sim.conflicts.instance import HIT_S, Actor, Kind, Layout, Parameter, Structure, actor, standing
+from sim.conflicts.looks import AFTER_S, CARS, EAST, JITTER, band, block, pick
 from sim.conflicts.roads import LANE_M, Edge, Lane, Node, Roads
 from sim.conflicts.ways import Array, Pace, Pen, Way
 from sim.scenario import RoadsideUnit
@@ -39,14 +39,32 @@ def dnpw_overtake(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     # As it pulls out the ego is `headway_m` behind the lorry.
     truck_at = out_at + 2.4 + p["headway_m"] + 0.5 * length
     actors = (
-        actor("ego", "ego", pick(CARS, rng), ego_way, ego_mps, at_m=ego_way.nearest(there), at_s=HIT_S, lights=((_LEFT, out_s - 1.0, out_s + 3.2),)),
-        actor("conflict", "conflict", pick(CARS, rng), oncoming, car_mps, at_m=oncoming.nearest(there), at_s=HIT_S + p["jitter_s"]),
+        actor(
+            "ego",
+            "ego",
+            pick(CARS, rng),
+            ego_way,
+            ego_mps,
+            at_m=ego_way.nearest(there),
+            at_s=HIT_S,
+            lights=((_LEFT, out_s - 1.0, out_s + 3.2),),
+        ),
+        actor(
+            "conflict",
+            "conflict",
+            pick(CARS, rng),
+            oncoming,
+            car_mps,
+            at_m=oncoming.nearest(there),
+            at_s=HIT_S + p["jitter_s"],
+        ),
         actor("truck", "occluder helper", kind, lane, truck_mps, at_m=truck_at, at_s=out_s),
+        actor("front_car", "helper", pick(CARS, rng), lane, truck_mps, at_m=truck_at + p["front_m"], at_s=out_s),
     )
     hedge = band(_cut(lane, meet_at - 70.0, meet_at + 190.0), -_HALF - 1.2, -_HALF - 2.8)
     clear = band(_cut(lane, 5.0, lane.length - 5.0), -_HALF - 0.2, -45.0)
     focus = tuple(lane.at(meet_at + 20.0)[0][:2].tolist())
-    return Layout(_two_way(centre, 27.0), actors, (Structure("hedge", hedge, 2.4),), (), focus, 120.0, clear)
+    return Layout(_two_way(centre, 27.0), actors, (Structure("hedge", hedge, 2.0),), (), focus, 120.0, clear)
 
 
 def eebl_chain(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
@@ -70,9 +88,19 @@ def eebl_chain(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     ahead = Pen(west, y + LANE_M, EAST).straight(east - west).way()
     actors = (
         actor("ego", "ego", pick(CARS, rng), lane, speed, at_m=ego_at - speed * HIT_S),
-        actor("conflict", "conflict", pick(CARS, rng), lane, Pace.change(speed, 0.0, brake_s, brakes), at_m=lead_at_start),
-        actor("van", "occluder helper", van, van_way, speed, at_m=van_at_start, lights=((_LEFT, swerve_s, swerve_s + 3.0),)),
-        actor("far_car", "helper", pick(CARS, rng), ahead, speed, at_m=lead_at_start + speed * 1.5),
+        actor(
+            "conflict", "conflict", pick(CARS, rng), lane, Pace.change(speed, 0.0, brake_s, brakes), at_m=lead_at_start
+        ),
+        actor(
+            "van",
+            "occluder helper",
+            van,
+            van_way,
+            speed,
+            at_m=van_at_start,
+            lights=((_LEFT, swerve_s, swerve_s + 3.0),),
+        ),
+        actor("far_car", "helper", pick(CARS, rng), ahead, speed, at_m=lead_at_start + speed * 0.7),
     )
     return Layout(_straight(west - 20.0, east + 40.0, speed), actors, reach_m=110.0)
 
@@ -103,14 +131,15 @@ def stalled_after_curve(p: Mapping[str, float], rng: np.random.Generator) -> Lay
     hit_at = stands_at - 4.5
     actors = [
         actor("ego", "ego", pick(CARS, rng), lane, ego_mps, at_m=hit_at, at_s=HIT_S),
-        standing("conflict", "conflict", kind, *spot.tolist(), float(heading), lights=4),
+        standing("conflict", "conflict", kind, float(spot[0]), float(spot[1]), float(heading), lights=4),
     ]
     at = stands_at
     for row in range(round(p["jam"])):
         at += 7.5
         where, turned, _ = lane.at(at)
         name, roles = ("jam_car", "helper") if row == 0 else (f"jam_{row}", "other")
-        actors.append(standing(name, roles, pick(CARS, rng), *where[:2].tolist(), float(turned)))
+        x, y = where[:2].tolist()
+        actors.append(standing(name, roles, pick(CARS, rng), x, y, float(turned)))
     oncoming = Way.through(centre.beside(0.5 * width)[::-1], 4.0)
     opposite = oncoming.nearest(place[:2])
     actors.append(
@@ -128,34 +157,63 @@ def stalled_after_curve(p: Mapping[str, float], rng: np.random.Generator) -> Lay
 
 
 def cut_in_merge(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
-    """A car comes off the ramp, crosses before a lorry in the right lane and on into the ego's."""
+    """A car comes off the ramp, crosses before a column of lorries in the right lane and on into the ego's."""
     car_mps, ego_mps = p["conflict_mps"], p["conflict_mps"] + p["faster_mps"]
-    truck_mps = p["truck_mps"]
-    ramp_y, slow_y, fast_y = -2.5 * LANE_M, -1.5 * LANE_M, -0.5 * LANE_M
+    slow_y, fast_y = -1.5 * LANE_M, -_HALF
     west, east = -ego_mps * HIT_S - 60.0, ego_mps * AFTER_S + 80.0
-    # The car crosses two lanes on end; where it meets the ego it is half in its lane.
+    # Where it meets the ego at x = 0 the car is past the middle of its way across two lanes.
     drift = p["crossing_s"] * car_mps
-    met = 0.62
+    gore = -0.62 * drift - 40.0
     lane = Pen(west, fast_y, EAST).straight(east - west).way()
-    start = -met * drift
-    car_way = Pen(west, ramp_y, EAST).straight(start - west).shift(2.0 * LANE_M, drift).straight(east).way(6.0)
+    ramp = _ramp(gore)
+    points = ramp - np.array([0.0, _HALF])
+    after = Pen(gore, points[-1, 1], EAST).straight(40.0).shift(2.0 * LANE_M, drift).straight(east).way(0.0)
+    car_way = Way.through(np.concatenate([points[:-1], after.points[:, :2]]), 16.0)
     # The ego's front reaches the car's rear: the cars are then one length apart.
+    met = float(np.interp(0.0, car_way.points[:, 0], car_way.along))
     actors = (
         actor("ego", "ego", pick(CARS, rng), lane, ego_mps, at_m=-west - 4.4, at_s=HIT_S),
-        actor("conflict", "conflict", pick(CARS, rng), car_way, car_mps, at_m=-west, at_s=HIT_S, lights=((_LEFT, 0.0, HIT_S + 2.0),)),
-        *_merge_lorry(p, west, east, slow_y, truck_mps, rng),
+        actor(
+            "conflict",
+            "conflict",
+            pick(CARS, rng),
+            car_way,
+            car_mps,
+            at_m=met,
+            at_s=HIT_S,
+            lights=((_LEFT, 0.0, HIT_S + 2.0),),
+        ),
+        *_column(p, west, slow_y, east - west, rng),
     )
-    unit = RoadsideUnit(xyz_m=(-35.0, ramp_y - 6.5, 6.0), yaw_deg=20.0, lidar="opv2v-64")
-    return Layout(_merge(west - 30.0, east + 60.0, start), actors, (), (unit,), (-30.0, slow_y), 120.0)
+    unit = RoadsideUnit(xyz_m=(gore + 15.0, -3.0 * LANE_M - 3.0, 6.0), yaw_deg=20.0, lidar="opv2v-64")
+    clear = block(west, -2.0 * LANE_M, east, -60.0)
+    return Layout(_merge(west - 30.0, east + 60.0, ramp), actors, (), (unit,), (-40.0, slow_y), 120.0, clear)
 
 
-def _merge_lorry(p: Mapping[str, float], west: float, east: float, y: float, speed: float, rng: np.random.Generator) -> tuple:
-    kind = pick(("truck_box", "truck_heavy"), rng)
-    length = max(TYPES[kind].size[0], p["truck_m"])
-    way = Pen(west, y + p["offset_m"], EAST).straight(east - west).way()
-    # Its front is `gap_m` behind the car's rear when that is before it.
-    at = -west - 2.4 - p["gap_m"] - 0.5 * length
-    return (actor("truck", "occluder helper", kind, way, speed, at_m=at, at_s=HIT_S, size=(length, 2.55, 3.8)),)
+def _column(p: Mapping[str, float], west: float, y: float, length_m: float, rng: np.random.Generator) -> list[Actor]:
+    """Return the lorries in the right lane, the first of them connected."""
+    way = Pen(west, y + p["offset_m"], EAST).straight(length_m).way()
+    # At the crash the first one's front is `gap_m` behind the rear of the car that has come before it.
+    front, column = -west - 2.4 - p["gap_m"], []
+    for row in range(round(p["lorries"])):
+        kind = pick(("truck_box", "truck_heavy"), rng)
+        length = max(TYPES[kind].size[0], p["truck_m"])
+        name, roles = ("truck", "occluder helper") if row == 0 else (f"truck_{row}", "occluder")
+        column.append(
+            actor(
+                name, roles, kind, way, p["truck_mps"], at_m=front - 0.5 * length, at_s=HIT_S, size=(length, 2.55, 3.8)
+            )
+        )
+        front -= length + p["following_m"]
+    return column
+
+
+def _ramp(gore: float) -> Array:
+    """Return the left edge of a ramp that comes up from the south and joins a motorway at x = `gore`."""
+    far = (
+        Pen(gore, -2.0 * LANE_M, np.pi).straight(25.0).turn(500.0, 0.14).straight(40.0).turn(300.0, 0.25).straight(90.0)
+    )
+    return far.way().points[::-4, :2]
 
 
 def _changing(lane: Way, start_m: float, length_m: float, left_m: float, back: int) -> Way:
@@ -177,7 +235,9 @@ def _two_way(centre: Way, speed: float, width: float = LANE_M) -> Roads:
     nodes = (Node("a", *line[0].tolist()), Node("b", *line[-1].tolist()))
     shape = tuple((float(x), float(y)) for x, y in line[1:-1])
     lanes = (Lane(width),)
-    return Roads(nodes, (Edge("there", "a", "b", lanes, speed, 1, shape), Edge("back", "b", "a", lanes, speed, 1, shape[::-1])))
+    return Roads(
+        nodes, (Edge("there", "a", "b", lanes, speed, 1, shape), Edge("back", "b", "a", lanes, speed, 1, shape[::-1]))
+    )
 
 
 def _straight(west: float, east: float, speed: float) -> Roads:
@@ -187,14 +247,21 @@ def _straight(west: float, east: float, speed: float) -> Roads:
     return Roads(nodes, (Edge("there", "a", "b", two, limit), Edge("back", "b", "a", two, limit)))
 
 
-def _merge(west: float, east: float, gore: float) -> Roads:
+def _merge(west: float, east: float, ramp: Array) -> Roads:
     """Return one side of a motorway of two lanes with a lane for merging, and the ramp that becomes it."""
     two, three = (Lane(), Lane()), (Lane(), Lane(), Lane())
-    begin, end = gore - 90.0, 130.0
-    nodes = (Node("a", west, 0.0), Node("g", begin, 0.0), Node("m", end, 0.0), Node("b", east, 0.0), Node("r", west, -40.0))
+    gore, end = float(ramp[-1, 0]), 160.0
+    nodes = (
+        Node("a", west, 0.0),
+        Node("g", gore, 0.0),
+        Node("m", end, 0.0),
+        Node("b", east, 0.0),
+        Node("r", *ramp[0].tolist()),
+    )
+    shape = tuple((float(x), float(y)) for x, y in ramp[1:])
     edges = (
         Edge("before", "a", "g", two, 33.0, 3),
-        Edge("ramp", "r", "g", (Lane(),), 25.0, 1, ((begin - 110.0, -2.0 * LANE_M - 4.0), (begin - 40.0, -2.0 * LANE_M))),
+        Edge("ramp", "r", "g", (Lane(),), 25.0, 1, shape),
         Edge("merge", "g", "m", three, 33.0, 3),
         Edge("after", "m", "b", two, 33.0, 3),
     )
@@ -206,11 +273,12 @@ KINDS = {
         "The ego overtakes a lorry in a right-hand bend while a car comes towards it.",
         (
             Parameter("truck_mps", 8.0, 14.0, (8.0, 14.0), "speed of the lorry"),
-            Parameter("faster_mps", 2.0, 8.0, (3.0, 6.0), "how much faster the ego is"),
-            Parameter("conflict_mps", 14.0, 25.0, (14.0, 25.0), "speed of the oncoming car"),
-            Parameter("gap_m", 80.0, 250.0, (80.0, 120.0), "to the oncoming car when the ego pulls out"),
-            Parameter("radius_m", 150.0, 800.0, (220.0, 450.0), "of the bend"),
-            Parameter("headway_m", 5.0, 25.0, (6.0, 10.0), "from the ego to the lorry when it pulls out"),
+            Parameter("faster_mps", 2.0, 8.0, (3.0, 5.5), "how much faster the ego is"),
+            Parameter("conflict_mps", 14.0, 25.0, (18.0, 25.0), "speed of the oncoming car"),
+            Parameter("gap_m", 80.0, 250.0, (80.0, 95.0), "to the oncoming car when the ego pulls out"),
+            Parameter("radius_m", 150.0, 800.0, (200.0, 350.0), "of the bend"),
+            Parameter("headway_m", 5.0, 25.0, (10.0, 15.0), "from the ego to the lorry when it pulls out"),
+            Parameter("front_m", 25.0, 80.0, (35.0, 55.0), "from the lorry to the connected car before it"),
             JITTER,
         ),
         dnpw_overtake,
@@ -218,12 +286,12 @@ KINDS = {
     "eebl_chain": Kind(
         "The car two ahead brakes hard and the van between swerves at the last moment.",
         (
-            Parameter("ego_mps", 14.0, 33.0, (14.0, 30.0), "speed of all"),
+            Parameter("ego_mps", 14.0, 33.0, (19.0, 33.0), "speed of all"),
             Parameter("brake_mps2", 5.0, 9.0, (6.0, 9.0), "braking of the car ahead"),
-            Parameter("headway_s", 0.8, 2.0, (0.8, 1.4), "from the ego to the van"),
-            Parameter("van_headway_s", 0.8, 2.0, (0.9, 1.6), "from the van to the car that brakes"),
-            Parameter("swerve_s", 0.2, 2.0, (0.4, 0.9), "how long after the braking the van swerves"),
-            Parameter("lane_change_s", 1.8, 4.0, (2.2, 2.8), "how long that takes"),
+            Parameter("headway_s", 0.8, 2.0, (0.8, 1.1), "from the ego to the van"),
+            Parameter("van_headway_s", 0.8, 2.0, (1.5, 2.0), "from the van to the car that brakes"),
+            Parameter("swerve_s", 0.2, 2.0, (1.4, 1.8), "how long after the braking the van swerves"),
+            Parameter("lane_change_s", 1.8, 4.0, (2.2, 2.4), "how long that takes"),
         ),
         eebl_chain,
     ),
@@ -245,6 +313,8 @@ KINDS = {
             Parameter("faster_mps", 3.0, 12.0, (5.0, 12.0), "how much faster the ego is"),
             Parameter("truck_mps", 18.0, 25.0, (20.0, 24.0), "speed of the lorry"),
             Parameter("truck_m", 8.6, 16.5, (10.0, 16.5), "length of the lorry"),
+            Parameter("lorries", 1.0, 4.0, (3.0, 4.0), "lorries in the column", True),
+            Parameter("following_m", 8.0, 40.0, (9.0, 14.0), "between them"),
             Parameter("gap_m", 3.0, 20.0, (4.0, 9.0), "from the lorry's front to the car's rear at the crash"),
             Parameter("offset_m", -0.4, 0.4, (0.0, 0.4), "how far the lorry keeps to its left"),
             Parameter("crossing_s", 3.0, 8.0, (4.0, 5.5), "how long the car takes across two lanes"),

@@ -18,8 +18,6 @@ Role = Literal["ego", "conflict", "occluder", "helper", "other"]
 HIT_S = 6.0
 """When ego and conflict actor reach the place where their ways cross, s after the start."""
 
-_VRU = ("pedestrian", "bicycle")
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actor:
@@ -231,8 +229,3 @@ def without(layout: Layout, role: Role) -> Layout:
         structures = tuple(structure for structure in structures if not structure.occluder)
     actors = tuple(someone for someone in layout.actors if role not in someone.roles)
     return replace(layout, actors=actors, structures=structures)
-
-
-def is_vulnerable(someone: Actor) -> bool:
-    """Tell whether an actor walks or rides a bicycle."""
-    return someone.kind.label in _VRU

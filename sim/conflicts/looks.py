@@ -39,7 +39,9 @@ def block(x: float, y: float, other_x: float, other_y: float) -> shapely.Polygon
     return shapely.box(min(x, other_x), min(y, other_y), max(x, other_x), max(y, other_y))
 
 
-def corner_house(x: float, y: float, along_x: float, along_y: float, height_m: float, occluder: bool = True) -> Structure:
+def corner_house(
+    x: float, y: float, along_x: float, along_y: float, height_m: float, occluder: bool = True
+) -> Structure:
     """Return a house of two wings, `along_x` and `along_y` from a corner, with signs; 12 m deep."""
     dx, dy = np.copysign(12.0, along_x), np.copysign(12.0, along_y)
     outline = block(x, y, x + along_x, y + dy) | block(x, y, x + dx, y + along_y)

@@ -159,7 +159,7 @@ def _edges_xml(roads: Roads) -> str:
             line = [ends[edge.start], *edge.shape, ends[edge.end]]
             shape = ' shape="' + " ".join(f"{x:.3f},{y:.3f}" for x, y in line) + '"'
         rows.append(
-            f'<edge id={quoteattr(edge.name)} from={quoteattr(edge.start)} to={quoteattr(edge.end)} '
+            f"<edge id={quoteattr(edge.name)} from={quoteattr(edge.start)} to={quoteattr(edge.end)} "
             f'numLanes="{len(edge.lanes)}" speed="{edge.speed_mps:.2f}" priority="{edge.priority}"{shape}>'
         )
         for index, lane in enumerate(edge.lanes):

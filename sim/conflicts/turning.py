@@ -7,7 +7,19 @@ import numpy as np
 import shapely
 
 from sim.conflicts.instance import HIT_S, Kind, Layout, Parameter, Structure, actor, standing
-from sim.conflicts.looks import AFTER_S, CARS, EAST, JITTER, NORTH, SOUTH, SPARE_M, WEST, block, pick, through
+from sim.conflicts.looks import (
+    AFTER_S,
+    CARS,
+    EAST,
+    JITTER,
+    NORTH,
+    SOUTH,
+    WEST,
+    block,
+    corner_house,
+    pick,
+    through,
+)
 from sim.conflicts.roads import LANE_M, Arm, Edge, Lane, Node, Roads, junction
 from sim.conflicts.ways import Pace, Pen, Way
 from sim.scenario import RoadsideUnit
@@ -41,7 +53,9 @@ def lta_truck(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     actors = (
         actor("ego", "ego", pick(CARS, rng), way, pace, at_m=meet_at, at_s=HIT_S, lights=((_LEFT, 0.0, HIT_S + 2.0),)),
         actor("conflict", "conflict", pick(CARS, rng), car_way, car_mps, at_m=car_at, at_s=HIT_S + p["jitter_s"]),
-        standing("truck", "occluder helper", truck[0], truck_x, inner + p["offset_m"], WEST, size=truck[1], lights=_LEFT),
+        standing(
+            "truck", "occluder helper", truck[0], truck_x, inner + p["offset_m"], WEST, size=truck[1], lights=_LEFT
+        ),
         standing("follower", "helper", pick(CARS, rng), truck_x + 0.5 * length + 4.5, inner, WEST, lights=_LEFT),
     )
     two = (Lane(), Lane())
@@ -81,15 +95,38 @@ def cyclist_right_hook(p: Mapping[str, float], rng: np.random.Generator) -> Layo
     size = (van_l, van_w, 2.6 if van == "van_box" else 2.9)
     van_y = -LANE_M - 0.15 - 0.5 * van_w
     actors = (
-        actor("ego", "ego", pick(CARS, rng), way, pace, at_m=meet_at - 1.6, at_s=HIT_S, lights=((_RIGHT, 1.0, HIT_S + 2.0),)),
-        actor("conflict", "conflict", pick(("bicycle_city", "bicycle_fast"), rng), rider_way, rider_mps, at_m=rider_at, at_s=HIT_S + p["jitter_s"]),
+        actor(
+            "ego",
+            "ego",
+            pick(CARS, rng),
+            way,
+            pace,
+            at_m=meet_at - 1.6,
+            at_s=HIT_S,
+            lights=((_RIGHT, 1.0, HIT_S + 2.0),),
+        ),
+        actor(
+            "conflict",
+            "conflict",
+            pick(("bicycle_city", "bicycle_fast"), rng),
+            rider_way,
+            rider_mps,
+            at_m=rider_at,
+            at_s=HIT_S + p["jitter_s"],
+        ),
         standing("van", "occluder helper", van, van_x - 0.5 * van_l, van_y, size=size, lights=4, parked=True),
     )
-    hedge = block(van_x - van_l - 0.6, -LANE_M - 0.5, -100.0, -LANE_M - strip + 0.3)
+    hedge = block(van_x - van_l - 0.15, -LANE_M - 0.5, -100.0, -LANE_M - strip + 0.3)
     lanes = (Lane(path_m, "bicycle"), Lane(strip, "delivery"), Lane())
     arms = {
         "w": Arm(WEST, 160.0, lanes, (Lane(),), priority=2),
-        "e": Arm(EAST, 120.0 + AFTER_S * 5.0, (Lane(),), (Lane(path_m, "bicycle"), Lane(strip, "delivery"), Lane()), priority=2),
+        "e": Arm(
+            EAST,
+            120.0 + AFTER_S * 5.0,
+            (Lane(),),
+            (Lane(path_m, "bicycle"), Lane(strip, "delivery"), Lane()),
+            priority=2,
+        ),
         "s": Arm(SOUTH, 140.0),
     }
     unit = RoadsideUnit(xyz_m=(8.0, bike_y - 4.5, 5.0), yaw_deg=170.0, lidar="opv2v-64")
@@ -99,7 +136,7 @@ def cyclist_right_hook(p: Mapping[str, float], rng: np.random.Generator) -> Layo
 
 
 def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
-    """The ego enters a roundabout; the planted island, and a lorry that leaves the ring here, hide a car in the ring."""
+    """The ego enters a roundabout; its planted island and a lorry that leaves it here hide a car in the ring."""
     ring_r = 0.5 * p["diameter_m"] - 0.5 * 5.0
     ego_mps, ring_mps = p["ego_mps"], p["conflict_mps"]
     # The ego comes from the south and joins the ring counter-clockwise, east of its own arm.
@@ -115,18 +152,33 @@ def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     pace = _slowing(min(ego_mps + 4.0, 13.0), ego_mps, 12.0, HIT_S)
     truck_way, leave_at = _leaving(ring_r)
     length = p["truck_m"]
-    gap = 0.5 * length + 2.2 + p["gap_m"]
-    # The car is `gap` behind the lorry where the lorry begins to leave the ring.
-    to_exit = (entry - _exit_angle(ring_r)) * ring_r
-    at_s = HIT_S + p["jitter_s"] - (to_exit + gap) / ring_mps
+    # It brakes for people at its exit; shortly before the crash the car's front has come past its tail.
+    matters_s = HIT_S - 0.9
+    front = ring_r * (entry - _exit_angle(ring_r)) - (0.9 + p["jitter_s"]) * ring_mps + 2.2
+    slows = Pace.change(ring_mps, min(p["exit_mps"], ring_mps), matters_s - p["brakes_s"], 2.5)
+    tail_at = leave_at + front - p["past_m"] + 0.5 * length
     actors = (
         actor("ego", "ego", pick(CARS, rng), ego_way, pace, at_m=meet_at, at_s=HIT_S),
         actor("conflict", "conflict", pick(CARS, rng), ring, ring_mps, at_m=car_at, at_s=HIT_S + p["jitter_s"]),
-        actor("truck", "occluder helper", "truck_box", truck_way, ring_mps, at_m=leave_at, at_s=at_s, size=(length, 2.45, 3.5)),
+        actor(
+            "truck",
+            "occluder helper",
+            "truck_box",
+            truck_way,
+            slows,
+            at_m=tail_at,
+            at_s=matters_s,
+            size=(length, 2.45, 3.5),
+        ),
     )
-    island = shapely.Point(0.0, 0.0).buffer(ring_r - 5.5, quad_segs=12)
-    structures = (Structure("hedge", island, 2.6),)
-    unit = RoadsideUnit(xyz_m=(-9.0, -ring_r - 13.0, 5.0), yaw_deg=60.0, lidar="opv2v-64")
+    island = shapely.Point(0.0, 0.0).buffer(ring_r - 3.4, quad_segs=16)
+    house = corner_house(-6.5, -ring_r - 9.0, -40.0, -90.0, 9.0)
+    # Bushes fill the corner between the arms, as far as the lorry and the ring let them.
+    corner = block(-ring_r - 12.0, -5.0, -3.9, -ring_r - 16.0) - shapely.Point(0.0, 0.0).buffer(ring_r + 2.9)
+    bushes = corner - shapely.LineString(truck_way.points[:, :2]).buffer(1.65) - house.outline.buffer(0.3)
+    bushes = max(shapely.get_parts(bushes), key=lambda part: part.area).simplify(0.05)
+    structures = (Structure("hedge", island, 2.6), house, Structure("hedge", bushes, 2.3))
+    unit = RoadsideUnit(xyz_m=(9.0, -ring_r - 9.0, 5.0), yaw_deg=135.0, lidar="opv2v-64")
     clear = shapely.Point(0.0, 0.0).buffer(ring_r + 30.0) | block(-30.0, 0.0, 20.0, -130.0)
     return Layout(_ring_roads(ring_r), actors, structures, (unit,), clear=clear)
 
@@ -185,8 +237,8 @@ def _ring_roads(ring_r: float) -> Roads:
     names = list(bearings)
     for k, name in enumerate(names):
         other = names[(k + 1) % 4]
-        angle = bearings[name] + np.linspace(0.0, 0.5 * math.pi, 14)[1:-1]
-        shape = tuple((inner * math.cos(a), inner * math.sin(a)) for a in angle)
+        turns = bearings[name] + np.linspace(0.0, 0.5 * math.pi, 14)[1:-1]
+        shape = tuple((inner * math.cos(a), inner * math.sin(a)) for a in turns)
         edges.append(Edge(f"ring_{name}", f"r{name}", f"r{other}", (Lane(5.0),), 11.0, 3, shape))
     return Roads(tuple(nodes), tuple(edges))
 
@@ -196,9 +248,9 @@ KINDS = {
         "The ego turns left behind the back of an oncoming left-turner that hides the car in the lane beside it.",
         (
             Parameter("ego_mps", 4.0, 9.0, (5.5, 8.0), "speed of the ego in its turn"),
-            Parameter("conflict_mps", 11.0, 18.0, (11.0, 18.0), "speed of the oncoming car"),
+            Parameter("conflict_mps", 11.0, 18.0, (13.0, 18.0), "speed of the oncoming car"),
             Parameter("truck_m", 7.0, 16.5, (8.0, 16.5), "length of the waiting lorry"),
-            Parameter("truck_ahead_m", 2.0, 12.0, (4.0, 8.0), "from the middle of the junction to the lorry's front"),
+            Parameter("truck_ahead_m", 2.0, 12.0, (4.0, 7.0), "from the middle of the junction to the lorry's front"),
             Parameter("offset_m", 0.0, 1.0, (0.0, 1.0), "how far the lorry stands to its right in its lane"),
             Parameter("bus", 0.0, 1.0, (0.0, 1.0), "the lorry is a bus", True),
             Parameter("signals", 0.0, 1.0, (0.0, 1.0), "with traffic lights that let both turn (permissive)", True),
@@ -209,10 +261,12 @@ KINDS = {
     "cyclist_right_hook": Kind(
         "The ego turns right across a cycle lane behind a hedge and a delivery van.",
         (
-            Parameter("ego_mps", 3.0, 8.0, (5.0, 6.5), "speed of the ego in its turn"),
-            Parameter("conflict_mps", 3.0, 9.0, (6.0, 9.0), "speed of the cyclist"),
-            Parameter("radius_m", 5.0, 12.0, (6.5, 8.5), "of the turn"),
-            Parameter("van_to_corner_m", 5.0, 30.0, (6.0, 9.0), "from the van's front to the middle of the side street"),
+            Parameter("ego_mps", 3.0, 8.0, (5.3, 6.5), "speed of the ego in its turn"),
+            Parameter("conflict_mps", 3.0, 9.0, (6.8, 9.0), "speed of the cyclist"),
+            Parameter("radius_m", 5.0, 12.0, (6.5, 7.4), "of the turn"),
+            Parameter(
+                "van_to_corner_m", 5.0, 30.0, (7.0, 8.3), "from the van's front to the middle of the side street"
+            ),
             JITTER,
         ),
         cyclist_right_hook,
@@ -220,11 +274,15 @@ KINDS = {
     "roundabout_entry": Kind(
         "The ego enters a roundabout behind a lorry that leaves it and hides the car behind.",
         (
-            Parameter("diameter_m", 24.0, 50.0, (28.0, 50.0), "outer diameter"),
-            Parameter("ego_mps", 4.0, 10.0, (6.5, 9.0), "speed of the ego at the entry"),
-            Parameter("conflict_mps", 6.0, 12.0, (6.0, 9.0), "speed in the ring"),
-            Parameter("gap_m", 2.0, 15.0, (3.0, 8.0), "between lorry and car in the ring"),
-            Parameter("truck_m", 6.0, 12.0, (7.0, 10.0), "length of the lorry"),
+            Parameter("diameter_m", 24.0, 50.0, (36.0, 50.0), "outer diameter"),
+            Parameter("ego_mps", 4.0, 10.0, (8.6, 10.0), "speed of the ego at the entry"),
+            Parameter("conflict_mps", 6.0, 12.0, (8.6, 9.8), "speed in the ring"),
+            Parameter(
+                "past_m", -4.0, 8.0, (1.0, 2.0), "from the lorry's tail to the car's front 0.9 s before the crash"
+            ),
+            Parameter("exit_mps", 2.0, 8.0, (3.0, 4.6), "speed of the lorry when it has left the ring"),
+            Parameter("brakes_s", 1.0, 5.0, (3.0, 3.6), "how long before that it brakes for people at its exit"),
+            Parameter("truck_m", 6.0, 12.0, (9.0, 11.0), "length of the lorry"),
             JITTER,
         ),
         roundabout_entry,

@@ -19,16 +19,13 @@ def ped_dartout(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     ego_mps, child_mps, gap = p["ego_mps"], p["conflict_mps"], p["parking_gap_m"]
     bay = 2.3
     van_y = -LANE_M - 0.1 - 1.0
-    child_h = p["height_m"]
     # The child leaves the shade of the vans `step_out_s` before the ego's front is where it crosses.
     shade = -LANE_M - 0.1
-    way = Pen(0.0, -7.6, NORTH).straight(40.0).way(0.0)
     hit_y = shade + child_mps * p["step_out_s"]
     ego_way, at = through(-2.2, -_HALF, EAST, ego_mps)
-    pace = _started(child_mps, p["step_out_s"] + (shade + 7.0) / child_mps)
     actors = [
         actor("ego", "ego", pick(CARS, rng), ego_way, ego_mps, at_m=at, at_s=HIT_S),
-        actor("conflict", "conflict", "person_child", way, pace, at_m=hit_y + 7.6, at_s=HIT_S + p["jitter_s"], size=(0.45, 0.45, child_h)),
+        _crossing("person_child", -7.6, hit_y, child_mps, HIT_S + p["jitter_s"], (0.45, 0.45, p["height_m"])),
         *_parked(gap, van_y, rng),
         _oncoming(rng),
     ]
@@ -43,15 +40,13 @@ def ped_bus_stop(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     ego_mps, walk_mps = p["ego_mps"], p["conflict_mps"]
     bay = 3.0
     bus_y = -LANE_M - 0.15 - 1.275
-    way = Pen(0.0, -9.0, NORTH).straight(40.0).way(0.0)
     shade = -LANE_M - 0.15
     hit_y = shade + walk_mps * p["step_out_s"]
     ego_way, at = through(-2.2, -_HALF, EAST, ego_mps)
-    pace = _started(walk_mps, p["step_out_s"] + (shade + 8.4) / walk_mps)
     length = TYPES["bus_city"].size[0]
     actors = (
         actor("ego", "ego", pick(CARS, rng), ego_way, ego_mps, at_m=at, at_s=HIT_S),
-        actor("conflict", "conflict", pick(("person_tall", "person_middle"), rng), way, pace, at_m=hit_y + 9.0, at_s=HIT_S + p["jitter_s"]),
+        _crossing(pick(("person_tall", "person_middle"), rng), -7.0, hit_y, walk_mps, HIT_S + p["jitter_s"]),
         standing("bus", "occluder helper", "bus_city", -p["before_bus_m"] - 0.5 * length, bus_y, lights=4),
         _oncoming(rng),
     )
@@ -61,10 +56,14 @@ def ped_bus_stop(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     return Layout(_street(ego_mps, lanes), actors, (), (unit,), clear=clear)
 
 
-def _started(speed: float, before_s: float) -> Pace:
-    """Return the pace of somebody who sets off before the crash and is at full speed half a second later."""
-    start = max(HIT_S - before_s - 0.5, 0.2)
-    return Pace.change(0.0, speed, start, speed / 0.5)
+def _crossing(
+    kind: str, start_y: float, hit_y: float, speed: float, at_s: float, size: tuple[float, float, float] | None = None
+) -> Actor:
+    """Return somebody who waits at (0, `start_y`), runs north and is at `hit_y` in time."""
+    start_s = at_s - (hit_y - start_y) / speed - 0.25
+    pace = Pace.change(0.0, speed, max(start_s, 0.1), speed / 0.5)
+    way = Pen(0.0, start_y - 0.5, NORTH).straight(45.0).way(0.0)
+    return actor("conflict", "conflict", kind, way, pace, at_m=0.5, size=size)
 
 
 def _oncoming(rng: np.random.Generator) -> Actor:
@@ -79,7 +78,11 @@ def _parked(gap: float, y: float, rng: np.random.Generator) -> list[Actor]:
     for side, count in ((-1.0, 7), (1.0, 3)):
         edge = side * 0.5 * gap
         for row in range(count):
-            kind = ("van_box" if side < 0 else "van_people") if row == 0 else pick(("van_people", "van_box", "van_small"), rng)
+            kind = (
+                ("van_box" if side < 0 else "van_people")
+                if row == 0
+                else pick(("van_people", "van_box", "van_small"), rng)
+            )
             length = TYPES[kind].size[0]
             name = f"parked_{'w' if side < 0 else 'e'}{row}"
             roles = "occluder helper" if row == 0 and side > 0 else "occluder"

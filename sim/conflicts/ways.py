@@ -142,7 +142,7 @@ class Pace:
 
     def at(self, time_s: ArrayLike) -> Array:
         """Return speeds, m/s."""
-        return np.interp(time_s, self.time_s, self.speed_mps)
+        return np.interp(np.asarray(time_s, np.float64), self.time_s, self.speed_mps)
 
     def distance(self, time_s: ArrayLike) -> Array:
         """Return how far one gets from time 0 on, m; negative before."""

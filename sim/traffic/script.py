@@ -219,7 +219,7 @@ class ScriptedTraffic:
 
     def _limit(self, mover: _Mover, before: Actors) -> float:
         """Return the speed at which an actor can still stop behind what is before it on its way, m/s."""
-        if mover.commanded is not None or "conflict" in mover.actor.roles and not self.crashes:
+        if mover.commanded is not None or ("conflict" in mover.actor.roles and not self.crashes):
             return math.inf
         if mover.object_id not in before.boxes.object_id:
             return math.inf
@@ -325,8 +325,10 @@ class _Lanes:
         self._tree = shapely.STRtree(self._lines)
 
     def along(self, actor: Actor) -> tuple[str, ...]:
-        """Return the lane at every `_LANE_EVERY_M` of an actor's way, "" where there is none; of several the nearest
-        that leads the same way."""
+        """Return the lane at every `_LANE_EVERY_M` of an actor's way, "" where there is none.
+
+        Of several it is the nearest that leads the same way.
+        """
         at = np.arange(0.0, actor.way.length + _LANE_EVERY_M, _LANE_EVERY_M)
         places, headings, _ = actor.way.at(at)
         points = shapely.points(places[:, :2])

@@ -53,4 +53,6 @@ def _solid(structure: Structure, streets: Streets, wall: str) -> list[Piece]:
     if structure.kind == "building":
         return walled(structure.outline, streets, structure.height_m, wall)
     material = {"hedge": "hedge", "wall": "brick"}[structure.kind]
-    return [slab(streets.terrain.follow(structure.outline), streets.height, structure.height_m, material, material, 0.3)]
+    return [
+        slab(streets.terrain.follow(structure.outline), streets.height, structure.height_m, material, material, 0.3)
+    ]
