@@ -90,6 +90,6 @@ def open_drive(path: Path, motion: Motion | None = None) -> Drive:
     return opv2v.DriveReader(path, motion)
 
 
-def open_drives(root: Path, motion: Motion | None = None) -> list[Drive]:
+def open_drives(root: Path | str, motion: Motion | None = None) -> list[Drive]:
     """Open all drives at or below a folder; see `list_drives` and `open_drive`."""
-    return [open_drive(path, motion) for path in list_drives(root)]
+    return [open_drive(path, motion) for path in list_drives(Path(root))]
