@@ -25,7 +25,7 @@ from sensors.frame import AgentFrame, Frame, agent_order, count_points
 from sensors.lidar import Sensor, scan_all
 from sensors.motion import Path
 from sensors.presets import scenario_lidars
-from sensors.rig import Roadside, mount, place_roadside
+from sensors.rig import ON_ROOF, Mount, Roadside, mount, place_roadside
 from sensors.scene import BodyMesh, RayScene
 from sensors.sight import lines_of_sight
 from sensors.spec import LidarSpec
@@ -57,6 +57,8 @@ class Recording:
         vehicle_spec: sensor of the vehicles.
         seed: of noise and drop-off.
         visibility: whether frames tell visible fractions.
+        vehicle_mount: where the vehicles' sensors sit.
+        threads: see `sensors.lidar.scan_all`.
     """
 
     scene: RayScene
@@ -68,6 +70,8 @@ class Recording:
     vehicle_spec: LidarSpec
     seed: int
     visibility: bool = True
+    vehicle_mount: Mount = ON_ROOF
+    threads: int | None = None
 
     def __len__(self) -> int:
         return len(self.frame_steps)
@@ -97,6 +101,8 @@ class Recording:
             seed=self.seed,
             index=index,
             visibility=self.visibility,
+            vehicle_mount=self.vehicle_mount,
+            threads=self.threads,
         )
 
 
@@ -125,6 +131,7 @@ def record(
     *,
     body_mesh: BodyMesh | None = None,
     visibility: bool = True,
+    threads: int | None = None,
 ) -> Recording:
     """Run the traffic of a whole drive and choose its agents; sweeps are cast when frames are asked for.
 
@@ -137,6 +144,7 @@ def record(
         interval_s: time between frames, a multiple of the traffic's step.
         body_mesh: meshes of actors; those of `sim.world.bodies` when left out.
         visibility: measure visible fractions.
+        threads: see `sensors.lidar.scan_all`.
 
     Raises:
         SettingsError: a number of frames or an interval that cannot be.
@@ -164,6 +172,8 @@ def record(
         vehicle_spec=vehicle_spec,
         seed=seed,
         visibility=visibility,
+        vehicle_mount=Mount(scenario.agents.mount_xyz_m, scenario.agents.mount_pitch_deg),
+        threads=threads,
     )
 
 
@@ -179,6 +189,8 @@ def make_frame(
     seed: int,
     index: int,
     visibility: bool = True,
+    vehicle_mount: Mount = ON_ROOF,
+    threads: int | None = None,
 ) -> Frame:
     """Scan one instant by all agents; a live simulation, which has no `after` yet, may leave it out.
 
@@ -186,9 +198,12 @@ def make_frame(
     """
     specs = [vehicle_spec, *(unit.spec for unit in roadside)]
     scene = scene.with_bodies(now, before, after, reach_s=0.5 * max(spec.period_s for spec in specs))
-    sensors = {agent_id: _on_vehicle(scene, now, agent_id, vehicle_spec, seed, index) for agent_id in vehicles}
+    sensors = {
+        agent_id: _on_vehicle(scene, now, agent_id, vehicle_spec, vehicle_mount, _sweep_rng(seed, index, agent_id))
+        for agent_id in vehicles
+    }
     sensors |= {unit.agent_id: _on_roadside(now, unit, seed, index) for unit in roadside}
-    sweeps = dict(zip(sensors, scan_all(scene, list(sensors.values())), strict=True))
+    sweeps = dict(zip(sensors, scan_all(scene, list(sensors.values()), threads=threads), strict=True))
     bodies = {unit.agent_id: unit.world_from_body for unit in roadside}
     ordered = tuple(
         _roadside_frame(agent_id, bodies[agent_id], sweeps[agent_id])
@@ -216,11 +231,13 @@ def make_frame(
     return replace(frame, sight=lines_of_sight(scene, frame))
 
 
-def _on_vehicle(scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, seed: int, index: int) -> Sensor:
+def _on_vehicle(
+    scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, place: Mount, rng: np.random.Generator
+) -> Sensor:
     row = now.row(agent_id)
     body = scene.bodies.path[row]
-    path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2]))
-    return Sensor(spec, path, now.time_s, _sweep_rng(seed, index, agent_id), rides_on=agent_id)
+    path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2], place))
+    return Sensor(spec, path, now.time_s, rng, rides_on=agent_id)
 
 
 def _on_roadside(now: Actors, unit: Roadside, seed: int, index: int) -> Sensor:

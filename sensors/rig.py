@@ -37,10 +37,27 @@ class Roadside:
     spec: LidarSpec
 
 
-def mount(spec: LidarSpec, height_m: float) -> NDArray[np.float64]:
-    """Return body_from_lidar (4, 4): at the preset's place, lifted clear of the roofs of tall vehicles."""
-    x, y, z = spec.mount_xyz_m
-    return pose_matrix(np.array([x, y, max(z, height_m + _ROOF_CLEARANCE_M)]))
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Where the vehicles' sensors sit.
+
+    Attributes:
+        xyz_m: in the body frame; None for the preset's place, lifted clear of the roofs of tall vehicles.
+        pitch_deg: positive looks down.
+    """
+
+    xyz_m: tuple[float, float, float] | None = None
+    pitch_deg: float = 0.0
+
+
+ON_ROOF = Mount()
+
+
+def mount(spec: LidarSpec, height_m: float, place: Mount = ON_ROOF) -> NDArray[np.float64]:
+    """Return body_from_lidar (4, 4) on a vehicle of this height."""
+    x, y, z = spec.mount_xyz_m if place.xyz_m is None else place.xyz_m
+    z = max(z, height_m + _ROOF_CLEARANCE_M) if place.xyz_m is None else z
+    return pose_matrix(np.array([x, y, z]), 0.0, np.radians(place.pitch_deg))
 
 
 def place_roadside(scene: RayScene, units: Sequence[RoadsideUnit]) -> tuple[Roadside, ...]:

@@ -20,6 +20,7 @@ from dsrc.data.jsonio import encode_json, read_json, write_atomic
 from dsrc.data.kitti import KittiWriter, View
 from dsrc.data.mcap import McapFile
 from dsrc.data.opv2v import PROTOCOL, write_frame
+from dsrc.data.sums import SUMS, write_sums
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
@@ -236,6 +237,8 @@ class _Opv2v:
     def finish(self, places: Sequence[Place]) -> None:
         for name in {place.name for place in places}:
             remove_leftovers(self.out / name)
+            if (self.out / name / SUMS).exists():  # those of the source
+                write_sums(self.out / name)
 
     def _protocol(self, place: Place, frame: Frame) -> dict:
         if isinstance(place.drive.protocol.get("testbed"), dict):

@@ -8,6 +8,7 @@ import logging
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -16,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
+from dsrc.data.live import TRAFFIC_LOG, WORLD, open_live
 from dsrc.data.opv2v import write_frame
+from dsrc.data.sums import SUMS, write_sums
 from sensors.deskew import check_motion
 from sensors.frame import Frame
 from sensors.presets import scenario_lidars
@@ -25,8 +28,7 @@ from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario, load_scenario
 from sim.world.materials import MATERIALS
 
-FORMAT = 3
-TRAFFIC_LOG = "traffic.npz"
+FORMAT = 4
 _log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
@@ -49,6 +51,71 @@ Opener = Callable[[Path], AbstractContextManager[FrameSource]]
 """Opens the source of a drive whose traffic log is, or is to be put, at a path."""
 
 
+@dataclass(frozen=True, slots=True)
+class DriveSpec:
+    """What one drive is.
+
+    Attributes:
+        scenario: what is simulated.
+        seed: of everything random.
+        frames: synchronised frames.
+        interval_s: time between frames, s.
+        connected_vehicles: list other agents' bodies among an agent's `vehicles`.
+        motion: how the sensors' motion is compensated in the files; a reader can ask for another.
+        visibility: measure which share of every object each agent's rays reach.
+    """
+
+    scenario: Scenario
+    seed: int
+    frames: int = 100
+    interval_s: float = 0.1
+    connected_vehicles: bool = True
+    motion: Motion = "middle"
+    visibility: bool = True
+
+    @property
+    def name(self) -> str:
+        """Name of the drive's folder."""
+        return f"{self.scenario.name}_{self.seed}"
+
+    def settings(self) -> dict:
+        """Return everything that decides the drive's bytes, in plain values."""
+        return {
+            "format": FORMAT,
+            "scenario": msgspec.to_builtins(self.scenario),
+            "seed": int(self.seed),
+            "frames": int(self.frames),
+            "interval_s": float(self.interval_s),
+            "connected_vehicles": bool(self.connected_vehicles),
+            "motion": self.motion,
+            "visibility": bool(self.visibility),
+            "materials": [material.name for material in MATERIALS],
+            "axes": "CARLA: y mirrored, angles in degrees, half extents",
+        }
+
+    def check(self, where: str = "generate") -> None:
+        """Refuse values out of their range, by name, before anything is made.
+
+        Raises:
+            SettingsError: a setting is out of its range.
+            ScenarioError: a LiDAR is not known.
+        """
+        if self.frames < 1:
+            raise SettingsError(complaint(where, "frames", "at least 1", self.frames))
+        if self.seed < 0:
+            raise SettingsError(complaint(where, "seed", "at least 0", self.seed))
+        check_motion(self.motion)
+        scenario_lidars(self.scenario)
+        steps = self.interval_s / self.scenario.step_s
+        if not (math.isfinite(steps) and self.interval_s > 0 and abs(steps - round(steps)) < 1e-6):
+            expected = f"a positive multiple of the scenario's step of {self.scenario.step_s} s"
+            raise SettingsError(complaint(where, "interval_s", expected, self.interval_s))
+        if (self.frames - 1) * self.interval_s > self.scenario.duration_s:
+            expected = f"a drive of at most {self.scenario.duration_s:g} s, the duration_s of {self.scenario.name}"
+            found = f"{self.frames} frames every {self.interval_s:g} s"
+            raise SettingsError(complaint(where, "frames", expected, found))
+
+
 def generate(
     scenario: Scenario | str | Path,
     out: Path,
@@ -65,13 +132,13 @@ def generate(
     Args:
         scenario: a scenario, the name of a shipped one or the path of a .toml.
         out: the split folder; the drive is `out/<scenario>_<seed>`.
-        frames: synchronised frames.
-        seed: of everything random; None takes the scenario's.
-        interval_s: time between frames, s.
+        frames: see `DriveSpec`, as all below.
+        seed: None takes the scenario's.
+        interval_s: s.
         progress: called after every frame.
-        connected_vehicles: list other agents' bodies among an agent's `vehicles`.
-        motion: how the sensors' motion is compensated in the files; a reader can ask for another.
-        visibility: measure which share of every object each agent's rays reach.
+        connected_vehicles: list other agents' bodies.
+        motion: compensation in the files.
+        visibility: measure visible fractions.
 
     Returns:
         The folder of the drive.
@@ -82,38 +149,39 @@ def generate(
     """
     scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     seed = scenario.seed if seed is None else seed
-    if frames < 1:
-        raise SettingsError(complaint("generate", "frames", "at least 1", frames))
-    if seed < 0:
-        raise SettingsError(complaint("generate", "seed", "at least 0", seed))
-    check_motion(motion)
-    scenario_lidars(scenario)  # a typo is told before the traffic runs
-    steps = interval_s / scenario.step_s
-    if not (math.isfinite(steps) and interval_s > 0 and abs(steps - round(steps)) < 1e-6):
-        expected = f"a positive multiple of the scenario's step of {scenario.step_s} s"
-        raise SettingsError(complaint("generate", "interval_s", expected, interval_s))
-    if (frames - 1) * interval_s > scenario.duration_s:
-        expected = f"a drive of at most {scenario.duration_s:g} s, the scenario's duration_s"
-        raise SettingsError(complaint("generate", "frames", expected, f"{frames} frames every {interval_s:g} s"))
-    if len(scenario.agents.roadside) > 1:
-        _log.warning("%s: OpenCOOD takes a roadside unit as ego when a drive has more than one", scenario.name)
-    settings = {
-        "format": FORMAT,
-        "scenario": msgspec.to_builtins(scenario),
-        "seed": int(seed),
-        "frames": int(frames),
-        "interval_s": float(interval_s),
-        "connected_vehicles": bool(connected_vehicles),
-        "motion": motion,
-        "visibility": bool(visibility),
-        "materials": [material.name for material in MATERIALS],
-        "axes": "CARLA: y mirrored, angles in degrees, half extents",
-    }
-    from dsrc.data.live import open_live
+    spec = DriveSpec(scenario, seed, frames, interval_s, connected_vehicles, motion, visibility)
+    spec.check()
+    make_drive(spec, Path(out) / spec.name, progress)
+    return Path(out) / spec.name
 
-    drive = Path(out) / f"{scenario.name}_{seed}"
-    write_drive(drive, settings, lambda log: open_live(scenario, seed, frames, interval_s, log, visibility), progress)
-    return drive
+
+def make_drive(
+    spec: DriveSpec,
+    drive: Path,
+    progress: Progress | None = None,
+    recorded: Path | None = None,
+    threads: int | None = None,
+    more: dict | None = None,
+) -> None:
+    """Write the frames of a drive that are not there yet.
+
+    Args:
+        spec: what it is.
+        drive: its folder.
+        progress: called after every frame.
+        recorded: a folder with the drive's traffic log and world, see `open_live`.
+        threads: see `sensors.lidar.scan_all`.
+        more: further entries of the protocol's settings.
+    """
+    if len(spec.scenario.agents.roadside) > 1:
+        _log.warning("%s: OpenCOOD takes a roadside unit as ego when a drive has more than one", spec.scenario.name)
+
+    def open_source(log: Path) -> AbstractContextManager[FrameSource]:
+        return open_live(
+            spec.scenario, spec.seed, spec.frames, spec.interval_s, log, spec.visibility, recorded, threads
+        )
+
+    write_drive(drive, {**spec.settings(), **(more or {})}, open_source, progress)
 
 
 def write_drive(drive: Path, settings: dict, open_source: Opener, progress: Progress | None = None) -> None:
@@ -135,8 +203,9 @@ def write_drive(drive: Path, settings: dict, open_source: Opener, progress: Prog
             agents = found.pop("agents", {})
             check_same(drive, found, settings)
         else:
-            # Without a protocol nobody knows what made a log that lies here.
-            (drive / TRAFFIC_LOG).unlink(missing_ok=True)
+            # Without a protocol nobody knows what made a log or a world that lies here.
+            for name in (TRAFFIC_LOG, WORLD):
+                (drive / name).unlink(missing_ok=True)
         missing = [i for i in range(frames) if not agents or not is_complete(drive, list(agents), i)]
         done = frames - len(missing)
         report(done, frames)
@@ -154,6 +223,8 @@ def write_drive(drive: Path, settings: dict, open_source: Opener, progress: Prog
                     done += 1
                     report(done, frames)
         remove_leftovers(drive)
+        if missing or not (drive / SUMS).exists():
+            write_sums(drive)
 
 
 def _protocol(settings: dict, frame: Frame) -> dict:

@@ -2,22 +2,31 @@
 
 import logging
 import math
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.frame import Frame
 from sensors.record import Recording, record
-from sim.scenario import Scenario
+from sim.errors import DataError, complaint
+from sim.scenario import Area, Scenario
 from sim.traffic.log import TrafficLog
 from sim.traffic.replay import ReplayTraffic
+from sim.world.compact import load_world, save_world, shapes_of
 
 PLAN_S = 3.0
 """How far ahead an agent's plan reaches."""
 PLAN_STEP_S = 0.5
+REACH_M = 350.0
+"""The log holds who comes within this distance of the area that may carry agents: farther than any sensor sees."""
+TRAFFIC_LOG = "traffic.npz"
+WORLD = "world.npz"
+"""The static world, beside the traffic log."""
 
 _log = logging.getLogger(__name__)
 
@@ -58,36 +67,110 @@ class Live:
 
 @contextmanager
 def open_live(
-    scenario: Scenario, seed: int, frames: int, interval_s: float, log: Path, visibility: bool = True
+    scenario: Scenario,
+    seed: int,
+    frames: int,
+    interval_s: float,
+    log: Path,
+    visibility: bool = True,
+    recorded: Path | None = None,
+    threads: int | None = None,
 ) -> Iterator[Live]:
-    """Open the frames of a drive; its traffic is simulated only when there is no log yet.
+    """Open the frames of a drive.
+
+    Its traffic is simulated and its static world is built only when their files are not there yet; frames are made of
+    the files alone, so that a resumed drive, a copied one and one of another sensor see the same.
 
     Args:
         scenario: the scenario.
         seed: of everything random.
         frames: number of frames.
         interval_s: time between frames, s.
-        log: path of the traffic log.
+        log: path of the traffic log; the world is beside it.
         visibility: measure visible fractions.
-    """
-    from sim.world.build import build_world
+        recorded: a folder whose traffic log, and world if there is one, are copied instead.
+        threads: see `sensors.lidar.scan_all`.
 
+    Raises:
+        DataError: a recorded file is damaged or of another drive.
+        ScenarioError: without a recorded world it must be built, and what it is built of is missing.
+    """
+    if recorded is not None:
+        _copy(recorded, log.parent, log.name)
     if not log.exists():
         _simulate_traffic(scenario, seed, frames, interval_s, log)
-    with ReplayTraffic(log) as traffic:
-        world = build_world(scenario, seed)
-        recording = record(traffic, world, scenario, seed, frames, interval_s, visibility=visibility)
-    yield Live(recording, TrafficLog.load(log), interval_s)
+    steps, world = TrafficLog.load(log), log.with_name(WORLD)
+    if not world.exists():
+        _build_world(scenario, seed, steps, world)
+    needed = (frames - 1) * round(interval_s / steps.step_s) + 1
+    if len(steps) < needed:
+        raise DataError(complaint(log, "traffic log", f"at least {needed} steps for {frames} frames", len(steps)))
+    kept = load_world(world)
+    with ReplayTraffic(log, steps) as traffic:
+        recording = record(
+            traffic,
+            kept.static,
+            scenario,
+            seed,
+            frames,
+            interval_s,
+            body_mesh=kept.body_mesh,
+            visibility=visibility,
+            threads=threads,
+        )
+    yield Live(recording, steps, interval_s)
+
+
+def record_drive(scenario: Scenario, seed: int, frames: int, interval_s: float, folder: Path) -> None:
+    """Write the traffic log and the static world of a drive and nothing else; files that are there stay."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / TRAFFIC_LOG).exists():
+        _simulate_traffic(scenario, seed, frames, interval_s, folder / TRAFFIC_LOG)
+    if not (folder / WORLD).exists():
+        _build_world(scenario, seed, TrafficLog.load(folder / TRAFFIC_LOG), folder / WORLD)
+
+
+def _copy(recorded: Path, folder: Path, log_name: str) -> None:
+    if not (recorded / TRAFFIC_LOG).is_file():
+        raise DataError(complaint(recorded, TRAFFIC_LOG, "an existing traffic log", "no such file"))
+    for source, name in ((recorded / TRAFFIC_LOG, log_name), (recorded / WORLD, WORLD)):
+        if source.is_file() and not (folder / name).exists():
+            shutil.copyfile(source, folder / f"{name}.part")
+            (folder / f"{name}.part").replace(folder / name)
+
+
+def _build_world(scenario: Scenario, seed: int, log: TrafficLog, path: Path) -> None:
+    from sim.world.build import build_world
+
+    models = {model for step in range(len(log)) for model in log[step].model}
+    save_world(build_world(scenario, seed), shapes_of(models), path)
 
 
 def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: float, path: Path) -> None:
     from sim.traffic.choose import open_traffic
 
+    about = {
+        "scenario": msgspec.to_builtins(scenario),
+        "seed": int(seed),
+        "frames": int(frames),
+        "interval_s": float(interval_s),
+    }
     with open_traffic(scenario, seed) as traffic:
-        log = TrafficLog(traffic.step_s)
+        log = TrafficLog(traffic.step_s, about)
         log.append(traffic.actors)
         steps = (frames - 1) * round(interval_s / traffic.step_s) + math.ceil(PLAN_S / traffic.step_s)
         _log.info("simulating %d steps of traffic", steps)
         for _ in range(steps):
             log.append(traffic.step())
-    log.save(path)
+    area = _reach(scenario)
+    (log if area is None else log.within(area)).save(path)
+
+
+def _reach(scenario: Scenario) -> Area | None:
+    """Return the area around everything that may carry a sensor; None for the whole world."""
+    area = scenario.network.area_m
+    if area is None:
+        return None
+    corners = [area[:2], area[2:], *(unit.xyz_m[:2] for unit in scenario.agents.roadside)]
+    low, high = np.min(corners, axis=0) - REACH_M, np.max(corners, axis=0) + REACH_M
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])

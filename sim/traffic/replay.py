@@ -13,13 +13,14 @@ class ReplayTraffic:
 
     Args:
         path: the .npz that `TrafficLog.save` wrote.
+        log: what is in it, when it has been read already.
 
     Raises:
         DataError: the file is missing, damaged, no traffic log or without a single step.
     """
 
-    def __init__(self, path: Path | str) -> None:
-        self._log = TrafficLog.load(path)
+    def __init__(self, path: Path | str, log: TrafficLog | None = None) -> None:
+        self._log = TrafficLog.load(path) if log is None else log
         if not len(self._log):
             raise DataError(complaint(path, "traffic log", "at least one step", "none"))
         self.path = Path(path)

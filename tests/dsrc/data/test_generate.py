@@ -34,7 +34,14 @@ def test_a_written_drive_reads_back_equal(drive: Path):
 
 
 def test_a_drive_holds_only_what_the_opv2v_tools_expect(drive: Path):
-    assert sorted(p.name for p in drive.iterdir()) == ["-1", "1000", "1002", "data_protocol.yaml", "traffic.npz"]
+    assert sorted(p.name for p in drive.iterdir()) == [
+        "-1",
+        "1000",
+        "1002",
+        "SHA256SUMS",
+        "data_protocol.yaml",
+        "traffic.npz",
+    ]
     names = sorted(p.name for p in (drive / "1000").iterdir())
     assert names == sorted(f"{i:06d}.{e}" for i in range(5) for e in ("pcd", "yaml"))
 

@@ -13,9 +13,14 @@ import pytest
 from dsrc.data.generate import generate
 from dsrc.data.opv2v import DriveReader
 from dsrc.data.sample import GridSpec, make_sample
+from dsrc.data.sums import wrong_files
 from dsrc.data.yamlio import read_yaml
+from sensors.record import record
 from sim.errors import DataError, SettingsError
 from sim.scenario import Scenario, load_scenario
+from sim.traffic.choose import open_traffic
+from sim.world.compact import load_world
+from tests.dsrc.data.toy import same_frames
 
 pytest.importorskip("sim.world.build")
 pytest.importorskip("sim.world.bodies")
@@ -117,6 +122,34 @@ def test_a_generated_drive_knows_the_way_of_its_sensors(drive: Path):
     moved = np.linalg.norm(bent.points - straight.points, axis=1).max()
     assert 0.4 * 0.1 * fast.speed < moved
     np.testing.assert_allclose(raw.agents[-1].sweep.points, middle.agents[-1].sweep.points, atol=1e-6)
+
+
+def test_the_files_of_a_drive_give_the_frames_of_the_simulation_itself(drive: Path):
+    """SUMO's own numbers, rounded as they are recorded, and the world of the file."""
+    scenario, world = quick(), load_world(drive / "world.npz")
+    with open_traffic(scenario, 5) as traffic:
+        recording = record(traffic, world.static, scenario, 5, FRAMES, 0.2, body_mesh=world.body_mesh)
+    assert same_frames(recording.frame(1), DriveReader(drive).read(1))
+
+
+def test_a_drive_is_made_again_from_its_log_and_its_world_alone(drive: Path, tmp_path: Path):
+    """In a process that can import neither SUMO nor its maps."""
+    code = (
+        "import sys; sys.modules.update(dict.fromkeys(('libsumo', 'sumo', 'sumolib', 'traci')))\n"
+        "import msgspec; from pathlib import Path; from dsrc.data.generate import DriveSpec, make_drive\n"
+        "from sim.scenario import Scenario\n"
+        "spec = DriveSpec(msgspec.json.decode(sys.argv[1], type=Scenario), 5, 3, 0.2)\n"
+        "make_drive(spec, Path(sys.argv[2]), recorded=Path(sys.argv[3]))"
+    )
+    scenario = msgspec.json.encode(quick()).decode()
+    subprocess.run([sys.executable, "-c", code, scenario, str(tmp_path / "again"), str(drive)], cwd=ROOT, check=True)
+    assert tree(tmp_path / "again") == tree(drive)
+
+
+def test_the_checksums_beside_a_drive_are_those_of_its_files(drive: Path):
+    done = subprocess.run(["sha256sum", "--check", "--strict", "SHA256SUMS"], cwd=drive, capture_output=True, text=True)
+    assert done.returncode == 0 and len(done.stdout.splitlines()) == 3 * 3 * 2 + 3
+    assert not list(wrong_files(drive))
 
 
 def test_another_seed_or_interval_never_mixes_into_a_drive(drive: Path):
