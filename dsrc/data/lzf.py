@@ -7,19 +7,10 @@ Source: the format as liblzf describes it (lzf_d.c is not used), http://oldhome.
 """
 
 from collections.abc import Callable
-from typing import Any
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-
-try:
-    from numba import njit
-except ImportError:  # a hundred times slower, but it works
-
-    def njit(**_: Any) -> Callable[[Callable], Callable]:  # type: ignore[no-redef]
-        """Leave a function as it is."""
-        return lambda function: function
-
 
 _LITERALS = 32
 _LONG = 7
@@ -35,13 +26,22 @@ def decompress(data: bytes, size: int) -> bytes:
     if size > _LONGEST_RUN * len(data):  # before memory is taken for what a damaged header promises
         raise ValueError(f"{size} bytes after decompression, found {len(data)} before it")
     out = np.zeros(size, np.uint8)
-    written = _decompress(np.frombuffer(data, np.uint8), out)
+    written = _compiled()(np.frombuffer(data, np.uint8), out)
     if written != size:
         raise ValueError(f"{size} bytes after decompression, found {'damaged data' if written < 0 else written}")
     return out.tobytes()
 
 
-@njit(cache=True)
+@lru_cache(maxsize=1)
+def _compiled() -> Callable[[NDArray[np.uint8], NDArray[np.uint8]], int]:
+    """Return the loop compiled, a hundred times as fast; as it is where there is no compiler."""
+    try:
+        from numba import njit  # takes half a second, and most files are not compressed
+    except ImportError:
+        return _decompress
+    return njit(cache=True)(_decompress)
+
+
 def _decompress(data: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
     """Fill `out`; returns the number of bytes, -1 where the data is damaged."""
     i, o, end, room = 0, 0, len(data), len(out)
