@@ -79,7 +79,7 @@ def make_frame() -> Frame:
     """Return a frame of one agent with a sweep of `POINTS` points, among the vehicles of the benchmark's street."""
     vehicles = fleet(60)
     now, before, after = (vehicles.actors(time_s) for time_s in (0.0, -FRAME_S, FRAME_S))
-    spec = msgspec.structs.replace(BENCHMARK_LIDAR, columns=2000, dropoff_rate=0.0, dropoff_zero_intensity=0.0)
+    spec = msgspec.structs.replace(BENCHMARK_LIDAR, columns=2048, dropoff_rate=0.0, dropoff_zero_intensity=0.0)
     sensor = vehicles.sensors(0.0, np.random.default_rng(_SEED), spec)[0]
     scene = RayScene(street_world(), body_mesh=vehicles.body_mesh).with_bodies(now, before, after)
     sweep = scan_all(scene, [sensor])[0][:POINTS]
