@@ -1,10 +1,9 @@
 """Scenario: what a drive is made of, as frozen validated values, and the loader of `scenario.toml` files."""
 
 import math
-import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -12,6 +11,7 @@ from msgspec import Meta
 from sim.boxes import CLASSES
 from sim.errors import ScenarioError, complaint, did_you_mean
 from sim.places.wheels import wheel_folders
+from sim.tomlfile import dotted, read_toml
 
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -185,18 +185,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         ScenarioError: the scenario is unknown, or its file is not valid; one line says what and where.
     """
     path = _locate(name_or_path)
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ScenarioError(f"{path}: not a readable TOML file: {' '.join(str(error).split())}") from None
-    for keys, struct in _unknown_keys(raw, Scenario, ()):
-        *where, key = keys
-        hint = did_you_mean(str(key), struct.__struct_fields__)
-        raise ScenarioError(complaint(path, _dotted(where) or "top level", "known keys only", f"key '{key}'", hint))
-    try:
-        scenario = msgspec.convert(raw, Scenario, strict=True)
-    except msgspec.ValidationError as error:
-        raise ScenarioError(_explain(path, raw, str(error))) from None
+    scenario = read_toml(path, Scenario, ScenarioError)
     for field, expected, found, hint in _wrong_values(scenario, path):
         raise ScenarioError(complaint(path, field, expected, found, hint))
     network = _beside(scenario.network, ("file", "polygons"), path.parent)
@@ -223,42 +212,6 @@ def _locate(name_or_path: str | Path) -> Path:
         hint = did_you_mean(str(name_or_path), list_scenarios())
         raise ScenarioError(f"unknown scenario '{name_or_path}'{hint}")
     return shipped
-
-
-def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Iterator[tuple[tuple, Any]]:
-    """Yield ((path of keys), struct) for every key of nested tables that the struct does not have."""
-    if isinstance(raw, list) and get_origin(kind) is tuple:
-        for index, item in enumerate(raw):
-            yield from _unknown_keys(item, get_args(kind)[0], (*where, index))
-    if not isinstance(raw, dict) or not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
-        return
-    hints = get_type_hints(kind)
-    for key, value in raw.items():
-        if key not in hints:
-            yield (*where, key), kind
-        else:
-            yield from _unknown_keys(value, hints[key], (*where, key))
-
-
-def _dotted(keys: Iterable[str | int]) -> str:
-    return "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).lstrip(".")
-
-
-def _explain(path: Path, raw: dict, message: str) -> str:
-    """Turn a message of msgspec into our line: it says `Expected X, got Y - at `$.a.b[0]``."""
-    text, _, pointer = message.partition(" - at ")
-    field = pointer.strip("`").removeprefix("$").lstrip(".").replace("[...]", "")
-    if "missing required field" in text:
-        missing = text.split("`")[1]
-        return complaint(path, f"{field}.{missing}".lstrip("."), "a value", "nothing")
-    found: object = raw
-    for key in field.replace("[", ".").replace("]", "").split("."):
-        if isinstance(found, list) and key.isdigit():
-            found = found[int(key)]
-        elif isinstance(found, dict):
-            found = found.get(key, found)
-    expected = text.removeprefix("Expected ").split(", got")[0].replace("`", "")
-    return complaint(path, field or "top level", expected, found)
 
 
 def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, object, str]]:
@@ -349,7 +302,7 @@ def _wrong_member(field: str, member: str) -> Iterator[tuple[str, str, object, s
 
 def _floats(value: object, where: tuple[str | int, ...]) -> Iterator[tuple[str, float]]:
     if isinstance(value, float):
-        yield _dotted(where), value
+        yield dotted(where), value
     elif isinstance(value, dict):
         for key, item in value.items():
             yield from _floats(item, (*where, key))

@@ -1,0 +1,77 @@
+"""TOML files of settings: read into validated structs, and every mistake told in one line."""
+
+import tomllib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from sim.errors import UserError, complaint, did_you_mean
+
+Settings = TypeVar("Settings", bound=msgspec.Struct)
+
+
+def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Settings:
+    """Read a file into a struct.
+
+    Args:
+        path: of the file.
+        kind: the struct; tables in it are structs, tuples or dicts of structs.
+        error: what to raise.
+
+    Raises:
+        UserError: of the class `error`: the file cannot be read, a key is unknown, a value is missing or wrong.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as wrong:
+        raise error(f"{path}: not a readable TOML file: {' '.join(str(wrong).split())}") from None
+    for keys, struct in _unknown_keys(raw, kind, ()):
+        *where, key = keys
+        hint = did_you_mean(str(key), struct.__struct_fields__)
+        raise error(complaint(path, dotted(where) or "top level", "known keys only", f"key '{key}'", hint))
+    try:
+        return msgspec.convert(raw, kind, strict=True)
+    except msgspec.ValidationError as wrong:
+        raise error(_explain(path, raw, str(wrong))) from None
+
+
+def dotted(keys: Iterable[str | int]) -> str:
+    """Return keys as people write them: `network.signals[0].phases`."""
+    return "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).lstrip(".")
+
+
+def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Iterator[tuple[tuple, Any]]:
+    """Yield ((path of keys), struct) for every key of nested tables that the struct does not have."""
+    if isinstance(raw, list) and get_origin(kind) is tuple:
+        for index, item in enumerate(raw):
+            yield from _unknown_keys(item, get_args(kind)[0], (*where, index))
+    if isinstance(raw, dict) and get_origin(kind) is dict:
+        for key, item in raw.items():
+            yield from _unknown_keys(item, get_args(kind)[1], (*where, key))
+    if not isinstance(raw, dict) or not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
+        return
+    hints = get_type_hints(kind)
+    for key, value in raw.items():
+        if key not in hints:
+            yield (*where, key), kind
+        else:
+            yield from _unknown_keys(value, hints[key], (*where, key))
+
+
+def _explain(path: Path, raw: dict, message: str) -> str:
+    """Turn a message of msgspec into our line: it says `Expected X, got Y - at `$.a.b[0]``."""
+    text, _, pointer = message.partition(" - at ")
+    field = pointer.strip("`").removeprefix("$").lstrip(".").replace("[...]", "")
+    if "missing required field" in text:
+        missing = text.split("`")[1]
+        return complaint(path, f"{field}.{missing}".lstrip("."), "a value", "nothing")
+    found: object = raw
+    for key in field.replace("[", ".").replace("]", "").split("."):
+        if isinstance(found, list) and key.isdigit():
+            found = found[int(key)]
+        elif isinstance(found, dict):
+            found = found.get(key, found)
+    expected = text.removeprefix("Expected ").split(", got")[0].replace("`", "")
+    return complaint(path, field or "top level", expected, found)
