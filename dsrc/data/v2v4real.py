@@ -5,9 +5,9 @@
 * `ass_id` is the object's number in both agents' files. Where it is -1 the agent alone has seen it and its key counts.
   Ids are moved away from those of the agents (0 and 1), and of each other.
 * `obj_type` names the class. There are no speeds: velocities are finite differences.
-* Frames are 0.1 s apart.
+* Frames are 0.1 s apart. The download's files hold numpy's arrays and numbers, see `yamlio`.
 
-Source: V2V4Real, CVPR 2023, and how its published loader takes the files.
+Source: V2V4Real, CVPR 2023, and how its published loader takes the files; issue 5 of its repository shows one.
 """
 
 from pathlib import Path

@@ -1,5 +1,8 @@
 """YAML of plain values: a small deterministic writer and a reader that never executes anything.
 
+Datasets have been dumped with numpy's numbers and arrays in them, as tags that would run functions of numpy on reading
+(V2V4Real is one). The reader knows those tags and reads what they hold as numbers and lists; it runs nothing.
+
 Floats are written with a dot, also in exponent form (`1.0e-05`), because YAML 1.1 reads `1e-05` as text.
 """
 
@@ -7,7 +10,9 @@ import json
 import math
 import re
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import yaml
 
 from sim.errors import DataError
@@ -86,9 +91,8 @@ def read_text(path: Path) -> str:
 
 def parse_yaml(path: Path, text: str) -> dict:
     """Parse the text of a file as `read_yaml` does."""
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        value = yaml.load(text, loader)  # noqa: S506 - a safe loader, in C where there is one
+        value = yaml.load(text, _Loader)  # noqa: S506 - a safe loader, in C where there is one
     except yaml.constructor.ConstructorError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
         raise DataError(f"{path}: line {line}: expected plain values, found a tag ({error.problem})") from None
@@ -103,3 +107,69 @@ def parse_yaml(path: Path, text: str) -> dict:
     if not isinstance(value, dict):
         raise DataError(f"{path}: expected a mapping, found {type(value).__name__}")
     return value
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """A safe loader that reads numpy's numbers and arrays as plain ones."""
+
+
+_NUMBER_TYPE = re.compile(r"[fiu][1248]|b1")
+_PYTHON = "tag:yaml.org,2002:python/"
+
+
+def _entries(loader: Any, node: Any, *names: str) -> list[Any]:
+    """Return what a tag applies a function to: a list, or the entries of these names of a mapping."""
+    if isinstance(node, yaml.MappingNode):
+        table = loader.construct_mapping(node, deep=True)
+        return [table.get(name) for name in names]
+    return [loader.construct_sequence(node, deep=True), None]
+
+
+def _number_type(loader: Any, node: Any) -> np.dtype:
+    """numpy.dtype(code, ...) with its byte order in the state."""
+    args, state = _entries(loader, node, "args", "state")
+    code = args[0] if isinstance(args, list) and args else None
+    order = state[1] if isinstance(state, list) and len(state) > 1 else "<"
+    if not isinstance(code, str) or not _NUMBER_TYPE.fullmatch(code) or order not in ("<", ">", "|", "="):
+        raise _refused(node, f"numbers of numpy, not of type {code!r}")
+    return np.dtype(code if order in ("|", "=") else order + code)
+
+
+def _scalar(loader: Any, node: Any) -> Plain:
+    """Numpy's scalar(dtype, bytes)."""
+    parts = loader.construct_sequence(node, deep=True)
+    if len(parts) != 2:
+        raise _refused(node, "a number of numpy")
+    return _unpacked(node, parts[0], parts[1], ())
+
+
+def _array(loader: Any, node: Any) -> Plain:
+    """Numpy's _reconstruct(...) with the state (version, shape, dtype, Fortran's order, bytes)."""
+    _, state = _entries(loader, node, "args", "state")
+    if not isinstance(state, list) or len(state) != 5:
+        raise _refused(node, "an array of numpy")
+    _, shape, dtype, fortran, data = state
+    if not isinstance(shape, list) or not all(type(n) is int and n >= 0 for n in shape) or len(shape) > 8:
+        raise _refused(node, "an array of numpy")
+    value = _unpacked(node, dtype, data, tuple(shape[::-1] if fortran else shape))
+    return np.array(value).T.tolist() if fortran else value
+
+
+def _unpacked(node: Any, dtype: object, data: object, shape: tuple[int, ...]) -> Plain:
+    if not isinstance(dtype, np.dtype) or not isinstance(data, bytes):
+        raise _refused(node, "numbers of numpy")
+    if len(data) != dtype.itemsize * math.prod(shape):
+        raise _refused(node, f"{math.prod(shape)} numbers of numpy in {len(data)} bytes")
+    return np.frombuffer(data, dtype).reshape(shape).tolist()
+
+
+def _refused(node: Any, wanted: str) -> yaml.constructor.ConstructorError:
+    return yaml.constructor.ConstructorError(None, None, f"expected {wanted}", node.start_mark)
+
+
+for _core in ("numpy.core.multiarray", "numpy._core.multiarray"):
+    _Loader.add_constructor(f"{_PYTHON}object/apply:{_core}.scalar", _scalar)
+    _Loader.add_constructor(f"{_PYTHON}object/apply:{_core}._reconstruct", _array)
+_Loader.add_constructor(f"{_PYTHON}object/apply:numpy.dtype", _number_type)
+_Loader.add_constructor(f"{_PYTHON}tuple", lambda loader, node: loader.construct_sequence(node, deep=True))
+_Loader.add_constructor(f"{_PYTHON}name:numpy.ndarray", lambda loader, node: None)

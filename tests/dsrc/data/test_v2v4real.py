@@ -9,6 +9,7 @@ import yaml
 from dsrc.data.drives import open_drives
 from dsrc.data.pcd import encode_table
 from dsrc.data.sample import GridSpec, make_sample
+from dsrc.data.yamlio import read_yaml
 from sim.boxes import CLASSES
 from sim.errors import DataError
 from tests.dsrc.data.dair_tree import pose, turn
@@ -44,9 +45,12 @@ def vehicle(frame: int, row: int, world_from_lidar: np.ndarray, ass_id: int) -> 
     }
 
 
-@pytest.fixture
-def drive(tmp_path: Path) -> Path:
-    """Both see the car (7), the first alone the truck, which has no association, the second alone the pedestrian."""
+@pytest.fixture(params=["plain", "numpy.core", "numpy._core"])
+def drive(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """Both see the car (7), the first alone the truck, which has no association, the second alone the pedestrian.
+
+    The download's files were dumped with numpy's arrays and numbers in them.
+    """
     rng = np.random.default_rng(0)
     folder = tmp_path / "train" / "testoutput_CAV_data_2022-03-15-09-54-40_0"
     for frame in range(3):
@@ -54,9 +58,9 @@ def drive(tmp_path: Path) -> Path:
             matrix = lidar(agent, frame)
             content = {
                 "ego_speed": 36.0,
-                "gps": [1e-3, 2.0],
-                "lidar_pose": matrix.tolist(),
-                "true_ego_pos": matrix.tolist(),
+                "gps": [np.float64(1e-3), np.float64(2.0)],
+                "lidar_pose": matrix,
+                "true_ego_pos": matrix,
                 "vehicles": {key: vehicle(frame, row, matrix, ass) for key, (row, ass) in rows.items()},
             }
             points = []
@@ -69,7 +73,10 @@ def drive(tmp_path: Path) -> Path:
                 table[name] = np.append(local[:, k], np.nan)
             table["intensity"] = np.arange(101) * 2.0
             (folder / str(agent)).mkdir(parents=True, exist_ok=True)
-            (folder / str(agent) / f"{frame:06d}.yaml").write_text(yaml.dump(content))
+            if request.param == "plain":
+                content |= {"gps": [1e-3, 2.0], "lidar_pose": matrix.tolist(), "true_ego_pos": matrix.tolist()}
+            text = yaml.dump(content).replace("numpy._core", request.param)
+            (folder / str(agent) / f"{frame:06d}.yaml").write_text(text)
             (folder / str(agent) / f"{frame:06d}.pcd").write_bytes(encode_table(table))
     return folder
 
@@ -119,7 +126,7 @@ def test_velocities_are_differences_of_places(drive: Path):
 )
 def test_a_broken_file_gets_one_line(drive: Path, change: dict, message: str):
     path = drive / "1" / "000001.yaml"
-    content = yaml.safe_load(path.read_text())
+    content = read_yaml(path)
     path.write_text(yaml.dump(content | change))
     with pytest.raises(DataError) as caught:
         open_drives(drive)[0].read(1)

@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -34,7 +35,15 @@ def test_only_plain_finite_values_are_written():
     ("text", "message"),
     [
         ("a: !!python/object/apply:os.system ['touch {marker}']", "line 1: expected plain values, found a tag"),
-        ("a: 1\nb: !!python/tuple [1]", "line 2: expected plain values, found a tag"),
+        ("a: 1\nb: !!python/name:os.system ''", "line 2: expected plain values, found a tag"),
+        ("a: !!python/object/apply:numpy.load ['{marker}']", "line 1: expected plain values, found a tag"),
+        ("a: !!python/object/apply:numpy.dtype [O8]", "expected numbers of numpy, not of type 'O8'"),
+        ("a: !!python/object/apply:numpy._core.multiarray.scalar [1, 2]", "expected numbers of numpy"),
+        (
+            "a: !!python/object/apply:numpy.core.multiarray.scalar\n"
+            "- !!python/object/apply:numpy.dtype [f8]\n- !!binary YQ==",
+            "expected 1 numbers of numpy in 1 bytes",
+        ),
         ("a: [1", "not YAML"),
         ("- 1", "expected a mapping, found list"),
         ("", "expected a mapping, found NoneType"),
@@ -54,3 +63,25 @@ def test_bytes_that_are_no_text_are_refused(tmp_path: Path):
     (tmp_path / "a.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DataError, match="UTF-8"):
         read_yaml(tmp_path / "a.yaml")
+
+
+def test_numpys_numbers_and_arrays_are_read_as_plain_ones(tmp_path: Path):
+    value = {
+        "matrix": np.arange(12.0).reshape(3, 4),
+        "columns": np.asfortranarray(np.arange(6).reshape(2, 3)),
+        "flags": np.array([True, False]),
+        "big": np.arange(3, dtype=">i2"),
+        "single": np.float32(2.5),
+        "empty": np.zeros((0, 4)),
+        "pair": (1, "two"),
+    }
+    (tmp_path / "a.yaml").write_text(yaml.dump(value))
+    assert read_yaml(tmp_path / "a.yaml") == {
+        "matrix": [[0.0, 1.0, 2.0, 3.0], [4.0, 5.0, 6.0, 7.0], [8.0, 9.0, 10.0, 11.0]],
+        "columns": [[0, 1, 2], [3, 4, 5]],
+        "flags": [True, False],
+        "big": [0, 1, 2],
+        "single": 2.5,
+        "empty": [],
+        "pair": [1, "two"],
+    }
