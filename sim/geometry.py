@@ -76,6 +76,20 @@ def invert(matrix: ArrayLike) -> Array:
     return out
 
 
+def nearest_rotation(matrix: ArrayLike) -> Array:
+    """Return the rotation (3, 3) next to a matrix that nearly is one; what is exact to 1e-12 stays bit for bit.
+
+    The orthogonal Procrustes problem: P. Schoenemann, Psychometrika 31 (1966).
+    """
+    m = np.asarray(matrix, dtype=np.float64)
+    if np.allclose(m @ m.T, np.eye(3), rtol=0.0, atol=1e-12) and np.linalg.det(m) > 0.0:
+        return m.copy()
+    u, _, v = np.linalg.svd(m)
+    # A mirror is turned into the rotation next to it.
+    u[:, -1] *= np.sign(np.linalg.det(u @ v))
+    return np.asarray(u @ v)
+
+
 def transform_points(destination_from_source: ArrayLike, points: ArrayLike) -> NDArray[np.floating]:
     """Map (..., N, 3) points by a (..., 4, 4) transform; computed in float64, returned in the points' dtype."""
     matrix = np.asarray(destination_from_source, dtype=np.float64)

@@ -6,7 +6,7 @@ What the frames say, and what they cannot:
   virtuallidar_to_world, moved by the pair's `system_error_offset`.
 * The infrastructure's sweep keeps its own time, up to 0.2 s from the vehicle's, whose time is the frame's.
 * Ground truth are the cooperative labels. They have no tracks in DAIR-V2X-C: ids then number the objects of each frame
-  and velocities are NaN. Where labels have a `track_id` (our trees, V2X-Seq) it is the id, and velocities are finite
+  and velocities are NaN. Where labels have a `track_id`, as ours have, it is the id, and velocities are finite
   differences.
 * Somebody saw what is labelled: an object without a point in its box counts as one point of the LiDAR nearest to it.
 

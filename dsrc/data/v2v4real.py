@@ -17,7 +17,7 @@ import numpy as np
 from dsrc.data.annotation import Annotation, flattened, number, numbers, vehicles_of
 from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
-from sim.geometry import carla_matrix
+from sim.geometry import carla_matrix, nearest_rotation
 
 INTERVAL_S = 0.1
 _SHARED, _ALONE, _PER_AGENT = 1_000, 1_000_000, 100_000
@@ -74,7 +74,8 @@ def _label(name: str) -> int:
 def _matrix(path: Path, field: str, rows: list) -> np.ndarray:
     values = [numbers(path, {field: row}, field, 4) for row in rows]
     matrix = np.array(values, np.float64)
-    rigid = np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-3)
-    if not rigid or np.linalg.det(matrix[:3, :3]) < 0.0:
+    exact = nearest_rotation(matrix[:3, :3])
+    if not np.allclose(matrix[:3, :3], exact, atol=0.01):
         raise DataError(complaint(path, field, "a rigid transform", np.round(matrix, 3).tolist()))
+    matrix[:3, :3] = exact
     return matrix

@@ -11,6 +11,7 @@ from sim.geometry import (
     center_from_sumo,
     invert,
     matrix_from_carla,
+    nearest_rotation,
     pose_angles,
     pose_matrix,
     sumo_from_center,
@@ -53,6 +54,20 @@ def test_a_pose_is_a_rotation_and_a_place(matrix):
 def test_angles_of_a_pose_make_the_pose(matrix):
     yaw, pitch, roll = pose_angles(matrix)
     np.testing.assert_allclose(pose_matrix(matrix[:3, 3], yaw, pitch, roll), matrix, atol=1e-9)
+
+
+@given(pose)
+def test_a_rounded_rotation_becomes_one_again(matrix):
+    rotation = matrix[:3, :3]
+    assert np.allclose(nearest_rotation(rotation), rotation, atol=1e-12)
+    back = nearest_rotation(np.round(rotation, 3))
+    assert np.allclose(back @ back.T, np.eye(3), atol=1e-12) and np.linalg.det(back) > 0.0
+    assert np.allclose(back, rotation, atol=2e-3)
+    assert np.array_equal(nearest_rotation(back), back)
+
+
+def test_a_mirror_has_a_rotation_next_to_it():
+    assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1.0)
 
 
 def test_yaw_is_counter_clockwise_and_pitch_lowers_the_front():

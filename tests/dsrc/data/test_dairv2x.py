@@ -171,7 +171,11 @@ PAIRS = "cooperative/data_info.json"
             PAIRS,
             "[0].vehicle_pointcloud_path: expected",
         ),
-        (edit(PAIRS, lambda v: v[0].update(vehicle_pointcloud_path="a/99.pcd")), PAIRS, "found 99"),
+        (
+            edit(PAIRS, lambda v: v[0].update(vehicle_pointcloud_path="a/b.pcd")),
+            PAIRS,
+            "expected a number as name, found b",
+        ),
         (edit(PAIRS, lambda v: v[0].update(system_error_offset=[1])), PAIRS, "[0].system_error_offset: expected"),
         (edit("vehicle-side/data_info.json", lambda v: {"a": 1}), "vehicle-side/data_info.json", "expected array"),
         (
@@ -199,10 +203,29 @@ def test_a_broken_tree_gets_one_line_that_names_file_and_field(root: Path, break
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("missing", ["label", "cloud", "vehicle", "infrastructure"])
+def test_a_pair_of_which_something_is_missing_is_left_out(root: Path, missing: str, caplog: pytest.LogCaptureFixture):
+    """The published list has pairs that were held back, some without any other trace."""
+    if missing == "label":
+        (root / LABEL).unlink()
+    elif missing == "cloud":
+        (root.parent / f"{root.name}-infrastructure-side-velodyne" / "000009.pcd").unlink()
+    else:
+        path = root / f"{missing}-side/data_info.json"
+        path.write_text(json.dumps(json.loads(path.read_text())[1:]))
+    assert open_drive(root / "12").frames == (15345,)
+    assert "2 of 4 pairs are left out" in caplog.text
+
+
+def test_a_tree_may_have_another_name(root: Path):
+    tree = root.rename(root.with_name("dair"))
+    assert list_drives(tree) == [tree / "3", tree / "12"] == list_drives(tree.parent)
+
+
 def test_a_tree_without_any_whole_pair_is_told(root: Path):
     for cloud in root.parent.glob("*-velodyne/*.pcd"):
         cloud.unlink()
-    with pytest.raises(DataError, match="pairs: expected at least one whose clouds and label are there"):
+    with pytest.raises(DataError, match="pairs: expected at least one whose clouds, label and entries are there"):
         list_drives(root)
 
 
