@@ -75,7 +75,7 @@ def _staying(drive: Sequence[Actors], scenario: Scenario) -> NDArray[np.int64]:
 
 
 def _candidates(actors: Actors, scenario: Scenario) -> NDArray[np.int64]:
-    chosen = np.isin(actors.boxes.label, [CLASSES.index(name) for name in CARRIERS])
+    chosen = np.isin(actors.boxes.label, [CLASSES.index(name) for name in CARRIERS]) & ~actors.parked()
     if scenario.network.area_m is not None:
         x_min, y_min, x_max, y_max = scenario.network.area_m
         x, y = actors.boxes.center[:, 0], actors.boxes.center[:, 1]

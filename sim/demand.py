@@ -1,6 +1,9 @@
 """Seeded trips: who drives, rides or walks from where to where, when, in a vehicle of which type."""
 
+import gzip
 import os
+import xml.etree.ElementTree as ET
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sim.errors import ScenarioError, complaint
+from sim.networks import resolve_trips
 from sim.routes import Routes, candidate_routes, walkable_edges
 from sim.scenario import Scenario
 from sim.vehicle_types import TYPES, VehicleType, types_of
@@ -32,8 +36,9 @@ def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
     """
     streams = np.random.default_rng([seed, 0xDE]).spawn(3)
     end_s = scenario.warmup_s + scenario.duration_s + AFTER_S
+    motor = _recorded if scenario.demand.trips else _vehicles
     trips = [
-        *_vehicles(scenario, net, streams[0], end_s),
+        *motor(scenario, net, streams[0], end_s),
         *_bicycles(scenario, net, streams[1], end_s),
         *_persons(scenario, net, streams[2], end_s),
     ]
@@ -54,6 +59,52 @@ def _vehicles(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: flo
         if kind.vclass not in routes:
             routes[kind.vclass] = _require(scenario, net, kind.vclass)
         yield _vehicle(f"v{index}", kind, routes[kind.vclass], depart_s, rng)
+
+
+def _recorded(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
+    """Yield the recorded trips from a time on that the seed draws, in bodies of our own types."""
+    demand = scenario.demand
+    labels = sorted(name for name, weight in demand.type_mix.items() if weight > 0)
+    weights = np.array([demand.type_mix[name] for name in labels])
+    first_s, last_s = demand.trips_s
+    begin_s = rng.uniform(first_s, max(first_s, last_s - scenario.warmup_s - scenario.duration_s))
+    known = {edge.getID() for edge in net.getEdges(withInternal=False)}
+    for index, (depart_s, edges, is_route) in enumerate(_read_trips(resolve_trips(scenario))):
+        kind = _choose_type(labels[int(rng.choice(len(labels), p=weights / weights.sum()))], rng)
+        if not 0.0 <= depart_s - begin_s < end_s or not known.issuperset(edges):
+            continue
+        start = (
+            f'id="v{index}" type="{kind.name}" depart="{depart_s - begin_s:.2f}" departLane="best" departSpeed="max"'
+        )
+        if is_route:
+            text = f'<vehicle {start}><route edges="{" ".join(edges)}"/></vehicle>'
+        else:
+            text = f'<trip {start} from="{edges[0]}" to="{edges[-1]}"/>'
+        yield round(after_s, 2), f"v{index}", text
+
+
+def _read_trips(path: Path) -> list[tuple[float, list[str], bool]]:
+    """Return (departure in s, edges, whether these are all edges of the way) of the trips of a .rou.xml(.gz) file.
+
+    Raises:
+        ScenarioError: the file is not of this kind, or holds no trips.
+    """
+    try:
+        raw = path.read_bytes()
+        root = ET.fromstring(gzip.decompress(raw) if path.suffix == ".gz" else raw)
+        found = []
+        for element in root:
+            depart = element.get("depart", "")
+            route = element.find("route") if element.tag == "vehicle" else None
+            if route is not None:
+                found.append((float(depart), route.get("edges", "").split(), True))
+            elif element.tag == "trip" and element.get("from") and element.get("to"):
+                found.append((float(depart), [element.get("from", ""), element.get("to", "")], False))
+    except (OSError, EOFError, ET.ParseError, ValueError, zlib.error) as error:
+        raise ScenarioError(f"{path}: not a readable .rou.xml file: {' '.join(str(error).split())}") from None
+    if not found:
+        raise ScenarioError(complaint(path, "demand.trips", "vehicles with routes, or trips with from and to", "none"))
+    return sorted(found)
 
 
 def _bicycles(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:

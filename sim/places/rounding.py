@@ -33,7 +33,7 @@ def rounded_network(text: str) -> str:
     junctions, which netconvert has made round, keep their shapes.
     """
     shape = {found[1]: found[4] for found in _LANE.finditer(text)}
-    line = {name: _line(corners) for name, corners in shape.items()}
+    line = {name: line_of(corners) for name, corners in shape.items()}
     line |= {name: rounded(line[name]) for name in line if not name.startswith(":") and len(line[name]) > 2}
     limit = {name: _limit(corners) for name, corners in line.items() if _length(corners) < _SHORT_M}
     for found in _LINK.finditer(text):
@@ -44,7 +44,7 @@ def rounded_network(text: str) -> str:
 
     def rewrite(found: re.Match[str]) -> str:
         name, speed = found[1], float(found[2])
-        whole = found[0].replace(f'shape="{found[4]}"', f'shape="{_text(line[name])}"')
+        whole = found[0].replace(f'shape="{found[4]}"', f'shape="{text_of(line[name])}"')
         # SUMO gives the lanes of a bend one length: on the outer one vehicles are faster than it thinks.
         stretch = max(_length(line[name]) / max(float(found[3]), 0.1), 1.0)
         slower = max(min(limit.get(name, np.inf), speed) / stretch, _SLOWEST_MPS)
@@ -69,14 +69,16 @@ def rounded(line: Array) -> Array:
     return np.concatenate([*parts, line[-1:]])
 
 
-def _line(shape: str) -> Array:
+def line_of(shape: str) -> Array:
+    """Return (K, 2) or (K, 3) corners of the shape of a lane, m."""
     corners = [[float(value) for value in corner.split(",")] for corner in shape.split()]
     # netconvert leaves out heights of 0, corner by corner.
     size = max(map(len, corners))
     return np.array([corner + [0.0] * (size - len(corner)) for corner in corners])
 
 
-def _text(line: Array) -> str:
+def text_of(line: Array) -> str:
+    """Return corners as the shape of a lane."""
     return " ".join(",".join(f"{value:.3f}" for value in corner) for corner in line.tolist())
 
 

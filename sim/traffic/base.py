@@ -12,6 +12,9 @@ from sim.geometry import pose_matrix
 SIGNALS = {"right indicator": 1, "left indicator": 2, "hazard lights": 4, "brake light": 8}
 """Bits of `Actors.signals` by what is lit; SUMO sets others that nobody here reads."""
 
+PARKED = "parked"
+"""Names of actors that stand for the whole drive and never move begin so."""
+
 POSITION_M, ANGLE_RAD, VELOCITY_MPS, ACCELERATION_MPS2, TIME_S = 1e-3, 1e-5, 1e-3, 1e-2, 1e-6
 """Steps to which traffic is rounded when it is recorded, so that a log of whole numbers replays it bit for bit."""
 
@@ -63,6 +66,31 @@ class Actors:
         if row == len(self) or self.boxes.object_id[row] != object_id:
             raise KeyError(object_id)
         return row
+
+    def parked(self) -> NDArray[np.bool_]:
+        """Return (N,) which actors stand parked for the whole drive."""
+        return np.array([name.startswith(PARKED) for name in self.name], bool)
+
+    def joined(self, later: "Actors") -> "Actors":
+        """Return these actors followed by others, whose ids are all higher, at the others' time."""
+        ours, theirs = self.boxes, later.boxes
+        return Actors(
+            time_s=later.time_s,
+            boxes=Boxes(
+                center=np.concatenate([ours.center, theirs.center]),
+                size=np.concatenate([ours.size, theirs.size]),
+                yaw=np.concatenate([ours.yaw, theirs.yaw]),
+                label=np.concatenate([ours.label, theirs.label]),
+                object_id=np.concatenate([ours.object_id, theirs.object_id]),
+            ),
+            pitch=np.concatenate([self.pitch, later.pitch]),
+            velocity=np.concatenate([self.velocity, later.velocity]),
+            acceleration=np.concatenate([self.acceleration, later.acceleration]),
+            model=self.model + later.model,
+            name=self.name + later.name,
+            signals=np.concatenate([self.signals, later.signals]),
+            lane=self.lane + later.lane,
+        )
 
     def rounded(self) -> Self:
         """Return the actors in whole steps of `POSITION_M` and the like; rounding again changes no bit.

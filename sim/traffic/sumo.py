@@ -14,8 +14,9 @@ from sim.demand import write_demand
 from sim.errors import TrafficError
 from sim.geometry import center_from_sumo
 from sim.networks import read_network, resolve_network
+from sim.parking import parked_cars
 from sim.scenario import Scenario
-from sim.traffic.base import Actors
+from sim.traffic.base import PARKED, Actors
 from sim.traffic.lane_path import lane_path
 from sim.traffic.red_light import red_light_speed
 from sim.traffic.sumo_input import check_signals, signals_xml, sumo_options
@@ -157,6 +158,8 @@ class SumoTraffic:
         name = self.actors.name[row]
         if self._users[name].is_person:
             raise TrafficError(f"object {object_id} is a pedestrian, which has no lane and takes no speed")
+        if name in self._parked.name:
+            raise TrafficError(f"object {object_id} is parked and takes no speed")
         return name
 
     def _start(self, scenario: Scenario, network: Path) -> None:
@@ -166,6 +169,7 @@ class SumoTraffic:
         with tempfile.TemporaryDirectory(prefix="dsrc-traffic-") as folder:
             net = read_network(network)
             check_signals(scenario, net)
+            self._park(scenario, net)
             routes = write_demand(scenario, net, self._seed, Path(folder) / "demand.rou.xml")
             command = [
                 "sumo",
@@ -184,6 +188,35 @@ class SumoTraffic:
             except Exception as error:  # libsumo's own classes differ between versions
                 text = " ".join(str(error).split())
                 raise TrafficError(f"{scenario.name}: SUMO does not start: {text}") from None
+
+    def _park(self, scenario: Scenario, net: Any) -> None:
+        """Give the parked cars the first ids; SUMO knows nothing of them."""
+        cars = parked_cars(scenario, net, self._seed)
+        users: list[_RoadUser] = []
+        for kind in cars.kind:
+            name = f"{PARKED}{len(users)}"
+            model = choose_model(kind.label, name, self._seed)
+            users.append(_RoadUser(FIRST_ID + len(users), name, kind, model, is_person=False))
+        self._users |= {user.name: user for user in users}
+        size = np.array([user.kind.size for user in users], dtype=np.float64).reshape(-1, 3)
+        none, zero = np.zeros(len(users)), np.zeros((len(users), 2))
+        self._parked = Actors(
+            time_s=0.0,
+            boxes=Boxes(
+                center=cars.base + np.array([0.0, 0.0, 0.5]) * size,
+                size=size,
+                yaw=cars.yaw,
+                label=np.array([user.kind.label_index for user in users], dtype=np.int64),
+                object_id=np.array([user.object_id for user in users], dtype=np.int64),
+            ),
+            pitch=none,
+            velocity=zero,
+            acceleration=zero,
+            model=tuple(user.model for user in users),
+            name=tuple(user.name for user in users),
+            signals=none.astype(np.int32),
+            lane=("",) * len(users),
+        )
 
     def _warm_up(self, steps: int) -> None:
         for remaining in reversed(range(steps)):
@@ -235,7 +268,7 @@ class SumoTraffic:
         velocity = self._velocities(users, base, yaw)
         acceleration = self._accelerations(users, velocity)
         center = base + np.array([0.0, 0.0, 0.5]) * size
-        return Actors(
+        moving = Actors(
             time_s=round(self._sumo.simulation.getTime(), 6),
             boxes=Boxes(
                 center=center,
@@ -252,6 +285,7 @@ class SumoTraffic:
             signals=table[:, 5].astype(np.int32),
             lane=tuple(lanes),
         )
+        return self._parked.joined(moving) if len(self._parked) else moving
 
     def _velocities(
         self, users: list[_RoadUser], base: NDArray[np.float64], yaw: NDArray[np.float64]

@@ -5,12 +5,14 @@ import shapely
 import trimesh
 from numpy.typing import NDArray
 
-from sim.networks import read_network, resolve_network, sumo_tools
+from sim.networks import read_network, resolve_network, resolve_polygons, sumo_tools
+from sim.parking import parked_cars
 from sim.scenario import Scenario
 from sim.world.buildings import Town, blocks, city_mesh, guard_rails
 from sim.world.furniture import furniture
+from sim.world.mapped import Mapped, read_mapped
 from sim.world.markings import markings
-from sim.world.outlines import outlined
+from sim.world.outlines import has_buildings, outlined
 from sim.world.roads import surfaces
 from sim.world.site import conflict_site
 from sim.world.solids import join, to_mesh
@@ -35,25 +37,37 @@ def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
     Raises:
         ScenarioError: the network, the city mesh or the polygons are missing or cannot be read.
     """
+    if scenario.network.highway_env:
+        from sim.world.highway import highway_world
+
+        return highway_world(scenario, seed)
     net = read_network(resolve_network(scenario, seed))
-    streets = read_streets(net, scenario.network.area_m, MARGIN_M)
+    bays = parked_cars(scenario, net, seed).bays
+    streets = read_streets(net, scenario.network.area_m, MARGIN_M, bays)
     units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
     site = conflict_site(scenario, seed, streets)
     town = _town(scenario, streets, units, seed, site.footprint | site.clear)
     rng = np.random.default_rng([seed, _FURNITURE])
-    things = furniture(streets, town.footprint | site.footprint, units, rng, clear=site.clear)
+    polygons = resolve_polygons(scenario)
+    mapped = Mapped() if polygons is None else read_mapped(polygons)
+    things = furniture(
+        streets,
+        town.footprint | site.footprint,
+        units,
+        rng,
+        clear=site.clear,
+        mapped=mapped,
+        front_gardens=scenario.network.front_gardens,
+    )
     solid = [*town.pieces, *site.pieces, guard_rails(streets)]
     return to_mesh(join([*surfaces(streets), *markings(streets), *solid, *things]))
 
 
-def _town(
-    scenario: Scenario, streets: Streets, units: NDArray[np.float64], seed: int, clear: shapely.Geometry
-) -> Town:
+def _town(scenario: Scenario, streets: Streets, units: NDArray[np.float64], seed: int, clear: shapely.Geometry) -> Town:
     """Return the buildings: the scenario's city mesh or polygons, or seeded blocks when it has neither."""
     if scenario.network.city_mesh:
         return city_mesh(sumo_tools() / scenario.network.city_mesh, streets)
-    if scenario.network.polygons:
-        # A path beside the scenario file is absolute by now and stays what it is.
-        path = sumo_tools() / scenario.network.polygons
+    path = resolve_polygons(scenario)
+    if path is not None and has_buildings(path):
         return outlined(path, streets, np.random.default_rng([seed, _OUTLINES]))
     return blocks(streets, units, np.random.default_rng([seed, _BLOCKS]), clear)

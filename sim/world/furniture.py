@@ -3,7 +3,10 @@
 import numpy as np
 import shapely
 
+from sim.world.barriers import barrier
+from sim.world.mapped import Mapped
 from sim.world.markings import cut_line, offset
+from sim.world.materials import material_index
 from sim.world.roads import TOWN_SPEED_MPS
 from sim.world.solids import Array, Piece, box, join, move, piece, tube
 from sim.world.streets import Lane, Streets
@@ -12,6 +15,10 @@ _LAMP_EVERY_M = 32.0
 _TREE_EVERY_M = 11.0
 _LEAVES_PER_TREE = 110
 _UNIT_CLEAR_M = 12.0
+_FROM_CORNER_M = 14.0
+_CROWN_OVER_ROAD_M = 4.8
+_POLES = {"pole": (8.0, 0.12), "bollard": (0.9, 0.08)}
+"""Height and radius of what is only a post, m."""
 
 
 class _Places:
@@ -27,10 +34,19 @@ class _Places:
         for shape in (self.road, self.walk, self.footprint):
             shapely.prepare(shape)
 
-    def free(self, xy: Array, from_road_m: float, from_house_m: float, apart_m: float, from_unit_m: float) -> bool:
+    def free(
+        self,
+        xy: Array,
+        from_road_m: float,
+        from_house_m: float,
+        apart_m: float,
+        from_unit_m: float,
+        *,
+        on_walk: bool = False,
+    ) -> bool:
         """Tell whether a thing fits at (2,) and, when it does, remember it."""
         point = shapely.Point(xy)
-        if not self.frame.contains(point) or shapely.dwithin(self.walk, point, 0.3):
+        if not self.frame.contains(point) or (not on_walk and shapely.dwithin(self.walk, point, 0.3)):
             return False
         if shapely.dwithin(self.road, point, from_road_m) or shapely.dwithin(self.footprint, point, from_house_m):
             return False
@@ -48,6 +64,8 @@ def furniture(
     units: Array,
     rng: np.random.Generator,
     clear: shapely.Geometry | None = None,
+    mapped: Mapped | None = None,
+    front_gardens: float = 0.0,
 ) -> list[Piece]:
     """Return everything that stands beside the road; nothing stands on a lane or hangs over one.
 
@@ -57,13 +75,70 @@ def furniture(
         units: (U, 3) roadside sensors, which get a mast and a free view.
         rng: chooses and shapes trees.
         clear: no lamp and no tree stands here.
+        mapped: what a map tells; lamps and trees are made up only where it tells of none.
+        front_gardens: share of the street fronts with a hedge or a fence.
     """
+    mapped = mapped or Mapped()
     places = _Places(streets, footprint, units)
     things = [*(_mast(unit, streets) for unit in units), *_signals(streets, places)]
     if clear is not None:
         places.footprint |= clear
         shapely.prepare(places.footprint)
-    return [*things, *_lamps(streets, places), *_trees(streets, places, rng)]
+    for kind, line, height_m in mapped.barriers:
+        things += barrier(kind, line, height_m, streets)
+    things += _of_points(streets, places, mapped.points, rng)
+    if "lamp" not in mapped.points:
+        things += _lamps(streets, places)
+    if front_gardens > 0:
+        things += _gardens(streets, places, front_gardens, rng)
+    return things if "tree" in mapped.points else [*things, *_trees(streets, places, rng)]
+
+
+def _of_points(streets: Streets, places: _Places, points: dict[str, Array], rng: np.random.Generator) -> list[Piece]:
+    """Return the lamps, poles, bollards and trees of a map that stand on no lane and in no house."""
+    pieces = []
+    for xy in points.get("lamp", np.zeros((0, 2))):
+        near = shapely.get_coordinates(shapely.shortest_line(shapely.Point(xy), places.road))
+        if len(near) and places.free(xy, 0.3, 0.2, 0.5, 2.0, on_walk=True):
+            yaw = float(np.arctan2(*(near[1] - near[0])[::-1]))
+            pieces.append(move(lamp_post(), _base(streets, xy), yaw))
+    for kind, (height_m, radius_m) in _POLES.items():
+        for xy in points.get(kind, np.zeros((0, 2))):
+            if places.free(xy, 0.3, 0.1, 0.3, 1.0, on_walk=True):
+                foot = _base(streets, xy)
+                top = [foot[0], foot[1], foot[2] + height_m]
+                pieces.append(tube(foot, top, (radius_m, radius_m), "metal", 8))
+    for xy in points.get("tree", np.zeros((0, 2))):
+        size = rng.uniform(0.8, 1.25)
+        shape = tree(rng, size)
+        if places.free(xy, 0.5, 0.5, 1.0, 3.0, on_walk=True):
+            # The crown of a tree at the kerb has been cut until lorries fit below it.
+            over = shapely.dwithin(places.road, shapely.Point(xy), 2.1 * size + 0.3)
+            leaves = shape.faces[shape.material == material_index("leaves")]
+            tall = _CROWN_OVER_ROAD_M / float(shape.vertices[leaves, 2].min()) if over else 1.0
+            pieces.append(move(shape, _base(streets, xy), scale=(1.0, 1.0, max(tall, 1.0))))
+    return pieces
+
+
+def _gardens(streets: Streets, places: _Places, share: float, rng: np.random.Generator) -> list[Piece]:
+    """Return seeded hedges, fences and walls in front of houses, none of them where drivers look into a junction."""
+    pieces = []
+    for lane, side in _edges(streets):
+        if lane.speed > TOWN_SPEED_MPS:
+            continue
+        behind = 0.6 if lane.verge > 0 and side < 0 else 3.0
+        line = offset(lane.line, side * (0.5 * lane.width + lane.verge + behind))
+        at = _FROM_CORNER_M
+        while at < _length(line) - _FROM_CORNER_M - 5.0:
+            length, gap, lot = rng.uniform(7.0, 18.0), rng.uniform(1.5, 5.0), rng.uniform()
+            kind = str(rng.choice(["hedge", "fence", "wall"], p=[0.55, 0.3, 0.15]))
+            height_m = float(rng.uniform(0.9, 1.9))
+            end = min(at + length, _length(line) - _FROM_CORNER_M)
+            if lot < share:
+                part = shapely.LineString(cut_line(line, at, end)) - places.footprint.buffer(0.6)
+                pieces += barrier(kind, part, height_m, streets)
+            at = end + gap
+    return pieces
 
 
 def _base(streets: Streets, xy: Array) -> Array:
@@ -84,9 +159,10 @@ def _signals(streets: Streets, places: _Places) -> list[Piece]:
             continue
         end, way = lane.line[-1], lane.line[-1] - lane.line[-2]
         way = way / max(float(np.hypot(*way)), 1e-9)
-        for aside in (0.9, 1.4, 2.0):
+        # Beyond the footway, else on its side towards the road.
+        for aside, on_walk in ((0.9, False), (1.4, False), (2.0, False), (0.4 - lane.verge, True), (1.0, True)):
             xy = end + (0.5 * lane.width + lane.verge + aside) * np.array([way[1], -way[0]])
-            if places.free(xy, 0.6, 0.5, 1.0, 1.0):
+            if places.free(xy, 0.3 if on_walk else 0.6, 0.3 if on_walk else 0.5, 1.0, 1.0, on_walk=on_walk):
                 pieces.append(move(traffic_light(), _base(streets, xy), float(np.arctan2(way[1], way[0]))))
                 break
     return pieces

@@ -73,6 +73,18 @@ def _without_slivers(shape: shapely.Geometry) -> shapely.Geometry:
     return (core.buffer(half, join_style="mitre") & shape).simplify(0.02).buffer(0)
 
 
+def has_buildings(path: Path) -> bool:
+    """Whether a .poly.xml file has any building; a map may have only trees.
+
+    Raises:
+        ScenarioError: the file is missing or not text.
+    """
+    try:
+        return ' type="building' in path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: not a readable .poly.xml file: {' '.join(str(error).split())}") from None
+
+
 def read_outlines(path: Path) -> list[Outline]:
     """Read the buildings of a .poly.xml file: polygons whose type begins with `building`.
 
@@ -89,7 +101,8 @@ def read_outlines(path: Path) -> list[Outline]:
     outlines = []
     for poly in root.iter("poly"):
         kind = poly.get("type", "")
-        if not kind.startswith("building") or kind == "building.roof":
+        # A part stands within the outline of its building.
+        if not kind.startswith("building") or kind == "building.roof" or kind.startswith("building:part"):
             continue
         if poly.get("geo", "false").lower() in ("1", "true", "yes"):
             expected = "coordinates of the network (polyconvert without --proj.plain-geo)"
@@ -127,7 +140,7 @@ def _height(poly: ET.Element) -> float | None:
     given = {param.get("key", ""): param.get("value", "") for param in poly.iter("param")}
     for key, unit_m in (("height", 1.0), ("building:levels", STOREY_M)):
         try:
-            height = unit_m * float(given[key].removesuffix("m"))
+            height = unit_m * float(given[key].removesuffix("m").replace(",", "."))
         except (KeyError, ValueError):
             continue
         if math.isfinite(height) and _BELIEVED_M[0] <= height <= _BELIEVED_M[1]:

@@ -38,6 +38,7 @@ def pavement(streets: Streets) -> shapely.Geometry:
         for lane in streets.lanes
         if lane.kind == "road" and not lane.internal and lane.index == 0 and _in_town(lane.speed)
     ]
+    strips.append(streets.bays.buffer(_PAVEMENT_WIDTH_M, join_style="mitre"))
     around = shapely.unary_union(strips).buffer(0.2).buffer(-0.2) & shapely.box(*streets.window)
     return ((around | streets.walk) - streets.road - streets.rail).simplify(0.05).buffer(0)
 

@@ -14,6 +14,9 @@ Area = tuple[float, float, float, float]
 _ROAD_CLASSES = ("passenger", "delivery", "bus", "truck", "motorcycle", "taxi", "coach", "trailer")
 _WALK_WIDTH_M = 2.6
 
+NOTHING = shapely.Polygon()
+"""A shape without an area."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lane:
@@ -60,6 +63,7 @@ class Streets:
         walk: polygon of footways and crossings, where they do not lie on the road.
         rail: polygon of tracks off the road.
         terrain: the land and the heights of all that stands on it.
+        bays: where cars may park beside the lanes, a part of the road.
     """
 
     area: Area
@@ -69,14 +73,22 @@ class Streets:
     walk: shapely.Geometry
     rail: shapely.Geometry
     terrain: Terrain
+    bays: shapely.Geometry = NOTHING
 
     def height(self, xy: Array) -> Array:
         """Return (N,) height of the road, or of the land between roads, at (N, 2) places."""
         return self.terrain.height(xy)
 
 
-def read_streets(net: Any, area: Area | None, margin_m: float) -> Streets:
-    """Collect what lies within `margin_m` of an area (of the whole network without one) from a sumolib network."""
+def read_streets(net: Any, area: Area | None, margin_m: float, bays: shapely.Geometry = NOTHING) -> Streets:
+    """Collect what lies within `margin_m` of an area (of the whole network without one) from a sumolib network.
+
+    Args:
+        net: `sumolib.net.Net`.
+        area: x_min, y_min, x_max, y_max, m.
+        margin_m: around it.
+        bays: where cars may park beside the lanes, which is part of the road.
+    """
     low_x, low_y, high_x, high_y = area or net.getBoundary()
     area = (float(low_x), float(low_y), float(high_x), float(high_y))
     window = (area[0] - margin_m, area[1] - margin_m, area[2] + margin_m, area[3] + margin_m)
@@ -93,13 +105,13 @@ def read_streets(net: Any, area: Area | None, margin_m: float) -> Streets:
                 continue
             lines.append(line)
             lanes.append(_lane(edge, lane, kinds, _without_repeats(line[:, :2]), opposite))
-    road = _close(_cover(lanes, ("road", "bicycle")) | _junctions(net, frame)) & frame
+    road = _close(_cover(lanes, ("road", "bicycle")) | _junctions(net, frame) | bays) & frame
     areas = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() == "walkingarea"]
     walk = _cover(lanes, ("walk",)) | _walking_areas(areas, frame)
     walk = _close(walk & frame) - road
     rail = (_cover(lanes, ("rail",)) & frame) - road - walk
     terrain = land(window, lines, shapely.union_all([road, walk, rail]))
-    return Streets(area, window, tuple(lanes), road, walk, rail, terrain)
+    return Streets(area, window, tuple(lanes), road, walk, rail, terrain, bays)
 
 
 def _kind(edge: Any, lane: Any) -> str:
