@@ -237,8 +237,7 @@ class _Opv2v:
     def finish(self, places: Sequence[Place]) -> None:
         for name in {place.name for place in places}:
             remove_leftovers(self.out / name)
-            if (self.out / name / SUMS).exists():  # those of the source
-                write_sums(self.out / name)
+            write_sums(self.out / name)
 
     def _protocol(self, place: Place, frame: Frame) -> dict:
         if isinstance(place.drive.protocol.get("testbed"), dict):
@@ -258,7 +257,7 @@ class _Opv2v:
 def _beside(drive: Path) -> list[Path]:
     """Return what a drive of ours has beside its frames and its protocol, such as the log of its traffic."""
     files = (path for path in sorted(drive.iterdir()) if path.is_file() and not path.name.startswith("."))
-    return [path for path in files if path.name != PROTOCOL and path.suffix not in (".tmp", ".part")]
+    return [path for path in files if path.name not in (PROTOCOL, SUMS) and path.suffix not in (".tmp", ".part")]
 
 
 class _Dair:
