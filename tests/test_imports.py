@@ -16,7 +16,7 @@ DOORS = {
     "libsumo": ("sim/traffic/sumo.py",),
     "embreex": ("sensors/raycast/",),
     "numba": ("sensors/raycast/", "dsrc/data/lzf.py"),
-    "highway_env": ("sim/traffic/highway.py", "dsrc/drive/"),
+    "highway_env": ("sim/traffic/highway",),
 }
 
 

@@ -5,7 +5,7 @@ from sim.traffic.base import Traffic
 
 
 def open_traffic(scenario: Scenario, seed: int) -> Traffic:
-    """Start the traffic of a scenario: its script when it is a conflict, else SUMO.
+    """Start the traffic of a scenario: its script when it is a conflict, highway-env on its roads, else SUMO.
 
     Args:
         scenario: what to simulate.
@@ -19,6 +19,10 @@ def open_traffic(scenario: Scenario, seed: int) -> Traffic:
         from sim.traffic.script import ScriptedTraffic
 
         return ScriptedTraffic(scenario, seed)
+    if scenario.network.highway_env:
+        from sim.traffic.highway import HighwayTraffic
+
+        return HighwayTraffic(scenario, seed)
     from sim.traffic.sumo import SumoTraffic
 
     return SumoTraffic(scenario, seed)

@@ -28,6 +28,11 @@ MODELS: dict[str, tuple[str, ...]] = {
 }
 """Names of the models by class: the shape and, after a colon, its paint or clothes."""
 
+_PLAIN: dict[str, tuple[str, ...]] = {
+    "car": tuple(f"{shape}:{paint}" for shape in ("saloon", "hatchback") for paint in _PAINTS),
+    "van": tuple(f"panel_van:{paint}" for paint in _PAINTS),
+}
+
 
 def models_for(class_name: str) -> tuple[str, ...]:
     """Return the models of a class.
@@ -40,12 +45,17 @@ def models_for(class_name: str) -> tuple[str, ...]:
     return MODELS[class_name]
 
 
+def plain_models_for(class_name: str) -> tuple[str, ...]:
+    """Return models of a class that need no file of SUMO's; raises as `models_for`."""
+    return _PLAIN.get(class_name) or models_for(class_name)
+
+
 @lru_cache(maxsize=1024)
 def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trimesh":
     """Return the mesh of a model scaled to a size; it is shared, so do not change it.
 
     Args:
-        model: a name of `MODELS`.
+        model: a name of `MODELS`, or a plain one.
         size_lwh: length along x, width and height, m.
 
     Returns:
@@ -54,7 +64,7 @@ def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trim
     Raises:
         SettingsError: the model is unknown or the size is not positive.
     """
-    known = [name for names in MODELS.values() for name in names]
+    known = [name for models in (MODELS, _PLAIN) for names in models.values() for name in names]
     if model not in known:
         raise SettingsError(f"unknown model '{model}'{did_you_mean(model, known)}")
     if len(size_lwh) != 3 or not all(0.0 < value < 100.0 for value in size_lwh):
@@ -67,11 +77,15 @@ def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trim
 @lru_cache(maxsize=64)
 def _shape(model: str) -> "Piece":
     """Return the piece of a model in its own proportions, in the body frame."""
-    from sim.world import cars, heavy, people
+    from sim.world import heavy, people, plain
 
     shape, _, variant = model.partition(":")
     if shape.startswith("car-"):
-        return cars.sumo_car(shape, f"paint_{variant}")
+        from sim.world.cars import sumo_car
+
+        return sumo_car(shape, f"paint_{variant}")
+    if shape in ("saloon", "hatchback", "panel_van"):
+        return getattr(plain, shape)(f"paint_{variant}")
     if shape.startswith("pedestrian-"):
         return people.pedestrian(f"cloth_{variant}", walking=shape.endswith("walking"))
     if shape == "bicycle":
