@@ -24,11 +24,13 @@ from sensors.frame import count_points
 from sensors.lidar import Sensor, scan_all
 from sensors.motion import Path
 from sensors.presets import scenario_lidars
-from sensors.rig import Roadside, mount, place_roadside
+from sensors.rig import Mount, Roadside, mount, place_roadside
 from sensors.scene import RayScene
 from sensors.spec import LidarSpec
 from sim.conflicts import instance_of, laid_out
+from sim.conflicts.instance import Ghost
 from sim.errors import ScenarioError, complaint
+from sim.geometry import wrap_angle
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.script import FIRST_ID, ScriptedTraffic
@@ -83,6 +85,7 @@ class Settled(msgspec.Struct, frozen=True, kw_only=True):
         control: what the rays say about the control; None without one.
         rejected: how many draws failed before, by reason.
         parameters: the drawn values.
+        ghosts: what is claimed and is not there: name, helper, class, size, m, and track: time, s, x, y, m, yaw, rad.
     """
 
     scenario: Scenario
@@ -90,6 +93,7 @@ class Settled(msgspec.Struct, frozen=True, kw_only=True):
     control: Proof | None
     rejected: dict[str, int]
     parameters: dict[str, float]
+    ghosts: tuple[dict[str, Any], ...] = ()
 
 
 def settled(scenario: Scenario, seed: int) -> Scenario:
@@ -141,7 +145,23 @@ def _settled(scenario_json: bytes, seed: int) -> Settled:
         control=prove(chosen, seed) if spec.control else None,
         rejected=dict(rejected),
         parameters=instance_of(chosen, seed).parameters,
+        ghosts=tuple(_ghost(ghost, scenario.step_s) for ghost in instance_of(chosen, seed).ghosts),
     )
+
+
+def _ghost(ghost: Ghost, step_s: float) -> dict:
+    claimed, times = ghost.actor, np.arange(0.0, _MOST_S + 0.5 * step_s, step_s)
+    along = claimed.place(times)
+    here = (along >= 0.0) & (along < claimed.way.length)
+    place, heading, _ = claimed.way.at(along[here])
+    track = np.column_stack([times[here], place[:, :2], wrap_angle(heading)]).round(3)
+    return {
+        "name": claimed.name,
+        "claimed_by": ghost.claimed_by,
+        "class": claimed.kind.label,
+        "size": list(claimed.kind.size),
+        "track": track.tolist(),
+    }
 
 
 def prove(scenario: Scenario, seed: int) -> Proof:
@@ -223,6 +243,7 @@ class _Lookout:
     def __init__(self, scene: RayScene, scenario: Scenario, seed: int, steps: Sequence[Actors]) -> None:
         self._scene, self._steps, self._seed = scene, steps, seed
         self._spec, _ = scenario_lidars(scenario)
+        self._mount = Mount(scenario.agents.mount_xyz_m, scenario.agents.mount_pitch_deg)
         self._units = {f"roadside {-u.agent_id}": u for u in place_roadside(scene, scenario.agents.roadside)}
         self.helpers = (*scenario.agents.named[1:], *self._units)
         self._known: dict[tuple[str, int], int] = {}
@@ -256,7 +277,7 @@ class _Lookout:
             return Sensor(spec, path, now.time_s, np.random.default_rng([self._seed, step]))
         row = now.name.index(name)
         body = scene.bodies.path[row]
-        path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2]))
+        path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2], self._mount))
         rng = np.random.default_rng([self._seed, step])
         return Sensor(spec, path, now.time_s, rng, rides_on=int(now.boxes.object_id[row]))
 

@@ -137,7 +137,7 @@ def stalled_after_curve(p: Mapping[str, float], rng: np.random.Generator) -> Lay
     for row in range(round(p["jam"])):
         at += 7.5
         where, turned, _ = lane.at(at)
-        name, roles = ("jam_car", "helper") if row == 0 else (f"jam_{row}", "other")
+        name, roles = ("jam_car", "jam helper") if row == 0 else (f"jam_{row}", "jam")
         x, y = where[:2].tolist()
         actors.append(standing(name, roles, pick(CARS, rng), x, y, float(turned)))
     oncoming = Way.through(centre.beside(0.5 * width)[::-1], 4.0)

@@ -13,7 +13,8 @@ from sim.conflicts.ways import Pace, Way
 from sim.scenario import Area, RoadsideUnit
 from sim.vehicle_types import TYPES, VehicleType
 
-Role = Literal["ego", "conflict", "occluder", "helper", "other"]
+Role = Literal["ego", "conflict", "occluder", "helper", "jam", "other"]
+"""What actors are there for; a `jam` stands because of the conflict actor, and goes when that goes."""
 
 HIT_S = 6.0
 """When ego and conflict actor reach the place where their ways cross, s after the start."""
@@ -227,5 +228,6 @@ def without(layout: Layout, role: Role) -> Layout:
     structures = layout.structures
     if role == "occluder":
         structures = tuple(structure for structure in structures if not structure.occluder)
-    actors = tuple(someone for someone in layout.actors if role not in someone.roles)
+    gone = {role, "jam"} if role == "conflict" else {role}
+    actors = tuple(someone for someone in layout.actors if not gone & someone.roles)
     return replace(layout, actors=actors, structures=structures)

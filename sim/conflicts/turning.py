@@ -26,6 +26,8 @@ from sim.scenario import RoadsideUnit
 
 _HALF = 0.5 * LANE_M
 _RIGHT, _LEFT = 1, 2
+_CORNER_M = 6.0
+"""Radius of the kerbs where arms meet the ring of a roundabout."""
 
 
 def _slowing(cruise_mps: float, turn_mps: float, from_turn_m: float, turn_s: float, rate_mps2: float = 2.0) -> Pace:
@@ -140,8 +142,8 @@ def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     ring_r = 0.5 * p["diameter_m"] - 0.5 * 5.0
     ego_mps, ring_mps = p["ego_mps"], p["conflict_mps"]
     # The ego comes from the south and joins the ring counter-clockwise, east of its own arm.
-    entry = np.deg2rad(-90.0 + np.degrees(6.0 / ring_r))
-    ego_way = _entering(ring_r, entry)
+    entry = np.deg2rad(-90.0 + np.degrees(p["meet_m"] / ring_r))
+    ego_way = _entering(ring_r)
     meet = ring_r * np.array([math.cos(entry), math.sin(entry)])
     meet_at = ego_way.nearest(meet) - 1.5
     ring = _circling(ring_r, np.deg2rad(60.0), np.deg2rad(60.0) + 3.5 * math.pi)
@@ -153,8 +155,8 @@ def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     truck_way, leave_at = _leaving(ring_r)
     length = p["truck_m"]
     # It brakes for people at its exit; shortly before the crash the car's front has come past its tail.
-    matters_s = HIT_S - 0.9
-    front = ring_r * (entry - _exit_angle(ring_r)) - (0.9 + p["jitter_s"]) * ring_mps + 2.2
+    matters_s = HIT_S - 1.1
+    front = ring_r * (entry - _exit_angle(ring_r)) - (1.1 + p["jitter_s"]) * ring_mps + 2.2
     slows = Pace.change(ring_mps, min(p["exit_mps"], ring_mps), matters_s - p["brakes_s"], 2.5)
     tail_at = leave_at + front - p["past_m"] + 0.5 * length
     actors = (
@@ -174,8 +176,11 @@ def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     island = shapely.Point(0.0, 0.0).buffer(ring_r - 3.4, quad_segs=16)
     house = corner_house(-6.5, -ring_r - 9.0, -40.0, -90.0, 9.0)
     # Bushes fill the corner between the arms, as far as the lorry and the ring let them.
-    corner = block(-ring_r - 12.0, -5.0, -3.9, -ring_r - 16.0) - shapely.Point(0.0, 0.0).buffer(ring_r + 2.9)
-    bushes = corner - shapely.LineString(truck_way.points[:, :2]).buffer(1.65) - house.outline.buffer(0.3)
+    paved = shapely.Point(0.0, 0.0).buffer(ring_r + 2.6) | block(-3.6, -170.0, 3.6, 0.0) | block(-170.0, -3.6, 0.0, 3.6)
+    paved = paved.buffer(_CORNER_M).buffer(-_CORNER_M + 0.3)
+    corner = block(-ring_r - 12.0, -4.0, -3.9, -ring_r - 16.0) - paved
+    lorry = shapely.LineString(truck_way.points[:, :2]).buffer(1.65)
+    bushes = corner - lorry - house.outline.buffer(0.3)
     bushes = max(shapely.get_parts(bushes), key=lambda part: part.area).simplify(0.05)
     structures = (Structure("hedge", island, 2.6), house, Structure("hedge", bushes, 2.3))
     unit = RoadsideUnit(xyz_m=(9.0, -ring_r - 9.0, 5.0), yaw_deg=135.0, lidar="opv2v-64")
@@ -184,7 +189,7 @@ def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout
 
 
 def _exit_angle(ring_r: float) -> float:
-    return float(np.deg2rad(-90.0 - np.degrees(9.0 / ring_r)))
+    return float(np.deg2rad(-90.0 - np.degrees(5.0 / ring_r)))
 
 
 def _circling(ring_r: float, start: float, end: float) -> Way:
@@ -192,13 +197,14 @@ def _circling(ring_r: float, start: float, end: float) -> Way:
     return Way.through(ring_r * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
-def _entering(ring_r: float, entry: float) -> Way:
+def _entering(ring_r: float) -> Way:
     """Return the way from the south into the ring, round it and out on the north."""
-    angle = np.linspace(entry, 0.42 * math.pi, max(8, round(ring_r * (0.42 * math.pi - entry) / 0.25)))
+    entry, leave = -0.5 * math.pi + 13.0 / ring_r, 0.34 * math.pi
+    angle = np.linspace(entry, leave, max(8, round(ring_r * (leave - entry) / 0.25)))
     ring = ring_r * np.column_stack([np.cos(angle), np.sin(angle)])
     ahead = np.array([-math.sin(entry), math.cos(entry)])
-    south = np.column_stack([np.full(60, _HALF + 0.4), np.linspace(-130.0, -ring_r - 11.0, 60)])
-    north = np.column_stack([np.full(40, _HALF + 0.4), np.linspace(ring_r + 12.0, 130.0, 40)])
+    south = np.column_stack([np.full(60, _HALF + 0.4), np.linspace(-130.0, -ring_r - 12.0, 60)])
+    north = np.column_stack([np.full(40, _HALF + 0.4), np.linspace(ring_r + 16.0, 150.0, 40)])
     joined = [*south, *_blend(south[-1], np.array([0.0, 1.0]), ring[0], ahead), *ring]
     out = np.array([-math.sin(angle[-1]), math.cos(angle[-1])])
     return Way.through(np.array([*joined, *_blend(ring[-1], out, north[0], np.array([0.0, 1.0])), *north]))
@@ -230,7 +236,7 @@ def _ring_roads(ring_r: float) -> Roads:
     nodes, edges = [], []
     bearings = {"e": 0.0, "n": 0.5 * math.pi, "w": math.pi, "s": 1.5 * math.pi}
     for name, angle in bearings.items():
-        nodes.append(Node(f"r{name}", inner * math.cos(angle), inner * math.sin(angle), "priority", 2.0))
+        nodes.append(Node(f"r{name}", inner * math.cos(angle), inner * math.sin(angle), "priority", _CORNER_M))
         nodes.append(Node(name, 170.0 * math.cos(angle), 170.0 * math.sin(angle)))
         edges.append(Edge(f"{name}_in", name, f"r{name}", speed_mps=11.0))
         edges.append(Edge(f"{name}_out", f"r{name}", name, speed_mps=11.0))
@@ -274,13 +280,18 @@ KINDS = {
     "roundabout_entry": Kind(
         "The ego enters a roundabout behind a lorry that leaves it and hides the car behind.",
         (
-            Parameter("diameter_m", 24.0, 50.0, (36.0, 50.0), "outer diameter"),
-            Parameter("ego_mps", 4.0, 10.0, (8.6, 10.0), "speed of the ego at the entry"),
-            Parameter("conflict_mps", 6.0, 12.0, (8.6, 9.8), "speed in the ring"),
+            Parameter("diameter_m", 24.0, 50.0, (40.0, 50.0), "outer diameter"),
+            Parameter("ego_mps", 4.0, 10.0, (9.0, 10.0), "speed of the ego at the entry"),
+            Parameter("conflict_mps", 6.0, 12.0, (9.0, 9.8), "speed in the ring"),
+            Parameter("meet_m", 1.0, 8.0, (2.6, 4.8), "from the axis of the ego's arm to where the ways cross"),
             Parameter(
-                "past_m", -4.0, 8.0, (1.0, 2.0), "from the lorry's tail to the car's front 0.9 s before the crash"
+                "past_m",
+                -6.0,
+                8.0,
+                (-3.0, -1.7),
+                "from the lorry's tail to the car's front 1.1 s before their ways cross",
             ),
-            Parameter("exit_mps", 2.0, 8.0, (3.0, 4.6), "speed of the lorry when it has left the ring"),
+            Parameter("exit_mps", 2.0, 8.0, (3.8, 4.6), "speed of the lorry when it has left the ring"),
             Parameter("brakes_s", 1.0, 5.0, (3.0, 3.6), "how long before that it brakes for people at its exit"),
             Parameter("truck_m", 6.0, 12.0, (9.0, 11.0), "length of the lorry"),
             JITTER,

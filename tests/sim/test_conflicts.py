@@ -1,0 +1,178 @@
+"""Encounters: every kind is laid out on its lanes, draws are reproducible, controls take away what they say."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+import shapely
+
+from sim.collisions import overlapping_pairs
+from sim.conflicts import KINDS, instance_of, laid_out
+from sim.conflicts.ways import Pace, Pen, Way
+from sim.errors import ScenarioError
+from sim.networks import read_network, resolve_network
+from sim.scenario import AgentRule, ConflictSpec, Scenario, list_scenarios, load_scenario
+from sim.world.streets import read_streets
+
+
+def encounter(kind: str, **conflict) -> Scenario:
+    spec = ConflictSpec(kind=kind, **conflict)
+    return Scenario(name=kind, description="", agents=AgentRule(), conflict=spec, warmup_s=0.0, duration_s=12.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_shipped_scenario_of_its_name_has_each_encounter(kind: str) -> None:
+    assert kind in list_scenarios()
+    scenario = load_scenario(kind)
+    assert scenario.conflict is not None and scenario.conflict.kind == kind
+    assert scenario.warmup_s == 0.0 and scenario.description
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_parameters_are_drawn_within_their_ranges_and_from_streams_of_their_own(kind: str) -> None:
+    drawn = instance_of(encounter(kind), 7).parameters
+    for parameter in KINDS[kind].parameters:
+        assert parameter.low <= parameter.draw[0] <= drawn[parameter.name] <= parameter.draw[1] <= parameter.high
+        if parameter.whole:
+            assert drawn[parameter.name] == round(drawn[parameter.name])
+    fixed = KINDS[kind].parameters[0]
+    value = fixed.low if not math.isclose(drawn[fixed.name], fixed.low) else fixed.high
+    others = instance_of(encounter(kind, parameters={fixed.name: value}), 7).parameters
+    assert others == drawn | {fixed.name: value}
+    assert instance_of(encounter(kind, draw=1), 7).parameters != drawn
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_equal_seeds_lay_out_the_same_and_bodies_do_not_overlap_at_the_start(kind: str) -> None:
+    from sim.traffic.script import ScriptedTraffic
+
+    first, second = (ScriptedTraffic(encounter(kind), 3).actors for _ in range(2))
+    assert first.name == second.name and first.model == second.model
+    assert first.boxes.array.tobytes() == second.boxes.array.tobytes()
+    assert first.name[:2] == ("ego", "conflict")
+    assert len(overlapping_pairs(first.boxes)) == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_motor_vehicles_stay_on_the_road_and_nothing_stands_in_their_way(kind: str) -> None:
+    scenario = laid_out(encounter(kind), 3)
+    layout = instance_of(scenario, 3).layout
+    streets = read_streets(read_network(resolve_network(scenario, 3)), scenario.network.area_m, 60.0)
+    window = shapely.box(*streets.window)
+    solid = shapely.union_all([structure.outline for structure in layout.structures])
+    for someone in layout.actors:
+        if someone.kind.label in ("pedestrian", "bicycle"):
+            continue
+        start = max(someone.start_m, 0.0)
+        end = min(float(someone.place(8.0)), someone.way.length)
+        at = np.arange(start, max(end, start + 0.5), 1.0)
+        places = shapely.points(someone.way.at(at)[0][:, :2])
+        inside = places[shapely.contains(window, places)]
+        assert shapely.dwithin(streets.road, inside, 0.3).all(), someone.name
+        assert not shapely.dwithin(solid, inside, 0.5 * someone.kind.size[1]).any(), someone.name
+
+
+def test_controls_take_away_what_they_say() -> None:
+    plain = instance_of(encounter("ped_bus_stop"), 1)
+    assert plain.names("conflict") == ("conflict",) and not plain.ghosts
+    free = instance_of(encounter("ped_bus_stop", control="no_occluder"), 1)
+    assert not free.names("occluder") and free.names("conflict")
+    alone = instance_of(encounter("ped_bus_stop", control="no_conflict"), 1)
+    assert not alone.names("conflict") and alone.names("occluder")
+    ghost = instance_of(encounter("ped_bus_stop", control="ghost"), 1)
+    assert not ghost.names("conflict")
+    assert [(one.actor.name, one.claimed_by) for one in ghost.ghosts] == [("ghost", "bus")]
+    assert ghost.parameters == plain.parameters == free.parameters == alone.parameters
+
+
+def test_the_agents_are_the_ego_and_its_helpers() -> None:
+    scenario = laid_out(encounter("lta_truck"), 1)
+    assert scenario.agents.named == ("ego", "truck", "follower")
+    assert len(scenario.agents.roadside) == 1
+    assert scenario.network.area_m is not None
+
+
+MISTAKES = {
+    "kind": ({"kind": "ima_bulding"}, ["conflict.kind", "found ima_bulding", "did you mean 'ima_building'?"]),
+    "parameter": (
+        {"kind": "ima_building", "parameters": {"ego_mp": 9.0}},
+        ["conflict.parameters", "parameters of ima_building", "'ego_mp'", "did you mean 'ego_mps'?"],
+    ),
+    "too fast": (
+        {"kind": "ima_building", "parameters": {"ego_mps": 40.0}},
+        ["conflict.parameters.ego_mps", "8 to 17", "found 40"],
+    ),
+    "upside down": (
+        {"kind": "ima_building", "parameters": {"ego_mps": [12.0, 9.0]}},
+        ["conflict.parameters.ego_mps", "[low, high]", "[12.0, 9.0]"],
+    ),
+    "half a car": (
+        {"kind": "ima_queue", "parameters": {"queue": 2.5}},
+        ["conflict.parameters.queue", "whole numbers", "2.5"],
+    ),
+    "control": ({"kind": "ima_building", "control": "no_oclcuder"}, ["conflict.control", "no_oclcuder"]),
+    "no kind": ({}, ["conflict.kind", "a value", "nothing"]),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_a_mistake_is_told_in_one_line_with_file_field_and_finding(case: str, tmp_path) -> None:
+    table, words = MISTAKES[case]
+    lines = ['name = "mine"', 'description = ""', "[agents]", "vehicles = 1", "[conflict]"]
+    lines += [f"{key} = {value!r}" for key, value in table.items() if key != "parameters"]
+    lines += ["[conflict.parameters]"] + [f"{key} = {value}" for key, value in table.get("parameters", {}).items()]
+    path = tmp_path / "scenario.toml"
+    path.write_text("\n".join(lines))
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(path)
+    message = str(caught.value)
+    assert "\n" not in message and message.startswith(str(path))
+    for word in words:
+        assert word in message
+
+
+def test_a_scenario_without_network_and_without_conflict_is_refused(tmp_path) -> None:
+    path = tmp_path / "scenario.toml"
+    path.write_text('name = "mine"\ndescription = ""\n[agents]\nvehicles = 1\n')
+    with pytest.raises(ScenarioError, match="network: expected exactly one of"):
+        load_scenario(path)
+
+
+def test_a_conflict_survives_its_way_through_a_file() -> None:
+    scenario = encounter("ima_queue", parameters={"ego_mps": (12.0, 13.0), "queue": 3.0}, control="ghost", draw=4)
+    assert msgspec.convert(msgspec.to_builtins(scenario), Scenario) == scenario
+    assert msgspec.json.decode(msgspec.json.encode(scenario), type=Scenario) == scenario
+
+
+def test_a_way_turns_smoothly_and_ends_where_it_was_drawn() -> None:
+    way = Pen(0.0, 0.0).straight(30.0).turn(8.0, 0.5 * math.pi).straight(20.0).way()
+    np.testing.assert_allclose(way.points[0, :2], [0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(way.points[-1, :2], [38.0, 28.0], atol=0.02)
+    assert way.length == pytest.approx(50.0 + 4.0 * math.pi, rel=5e-3)
+    curvature = np.gradient(way.heading, way.along)
+    assert curvature.max() < 1.1 / 8.0
+    assert np.abs(np.diff(curvature)).max() < 0.4 / 8.0
+    place, heading, _ = way.at(way.length)
+    assert heading == pytest.approx(0.5 * math.pi, abs=1e-3)
+    assert way.nearest(place[:2]) == pytest.approx(way.length)
+
+
+def test_a_lane_change_moves_aside_and_keeps_the_heading() -> None:
+    way = Pen(0.0, 0.0).straight(10.0).shift(-3.5, 40.0).straight(10.0).way()
+    np.testing.assert_allclose(way.points[-1, :2], [60.0, -3.5], atol=0.02)
+    assert way.heading[-1] == pytest.approx(0.0, abs=1e-3)
+    assert way.heading.min() == pytest.approx(math.atan2(-3.5 * 1.875, 40.0), abs=0.02)
+
+
+def test_a_way_through_slopes_pitches() -> None:
+    way = Way.through([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [100.0, 0.0, 5.0]])
+    assert way.at(20.0)[2] == pytest.approx(0.0, abs=1e-6)
+    assert way.at(90.0)[2] == pytest.approx(-math.atan(0.1), abs=1e-3)
+
+
+def test_the_distance_of_a_pace_is_the_integral_of_its_speed() -> None:
+    pace = Pace.change(10.0, 4.0, 2.0, 3.0)
+    np.testing.assert_allclose(pace.at([0.0, 2.0, 3.0, 4.0, 9.0]), [10.0, 10.0, 7.0, 4.0, 4.0])
+    np.testing.assert_allclose(pace.distance([-1.0, 0.0, 2.0, 4.0, 5.0]), [-10.0, 0.0, 20.0, 34.0, 38.0])
+    assert Pace.steady(3.0).distance(4.0) == pytest.approx(12.0)

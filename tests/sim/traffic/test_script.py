@@ -1,0 +1,152 @@
+"""Scripted traffic: bodies move as bodies can, and those that are driven or in the way react."""
+
+import numpy as np
+import pytest
+
+from sim.collisions import overlapping_pairs
+from sim.conflicts import KINDS, instance_of
+from sim.errors import TrafficError
+from sim.geometry import wrap_angle
+from sim.traffic.base import SIGNALS
+from sim.traffic.choose import open_traffic
+from sim.traffic.script import FIRST_ID, ScriptedTraffic
+from tests.sim.test_conflicts import encounter
+
+EGO, CONFLICT = FIRST_ID, FIRST_ID + 1
+SEED, STEP = 2, 0.1
+
+
+def rollout(kind: str, seconds: float = 11.0, **conflict):
+    with ScriptedTraffic(encounter(kind, **conflict), SEED) as traffic:
+        steps = [traffic.actors]
+        while traffic.time_s < seconds - 1e-6:
+            steps.append(traffic.step())
+        return steps, traffic.crashes
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bodies_move_as_bodies_can_until_somebody_crashes(kind: str) -> None:
+    steps, crashes = rollout(kind, control="no_conflict")
+    if crashes:
+        steps = steps[: round(crashes[0][0] / STEP)]
+    assert len(steps) > 40
+    for before, now in zip(steps[:-1], steps[1:], strict=True):
+        both = np.intersect1d(before.boxes.object_id, now.boxes.object_id)
+        was = np.array([before.row(i) for i in both])
+        row = np.array([now.row(i) for i in both])
+        moved = now.boxes.center[row, :2] - before.boxes.center[was, :2]
+        np.testing.assert_allclose(now.velocity[row], moved / STEP, atol=1e-9)
+        speed = np.linalg.norm(now.velocity[row], axis=1)
+        yaw = now.boxes.yaw[row]
+        turned = wrap_angle(yaw - before.boxes.yaw[was]) / STEP
+        assert np.abs(turned).max() < np.radians(75.0)
+        fast = speed > 0.5
+        slip = wrap_angle(np.arctan2(moved[:, 1], moved[:, 0]) - (yaw - 0.5 * turned * STEP))[fast]
+        assert np.abs(slip).max(initial=0.0) < np.radians(3.0)
+        assert np.linalg.norm(now.acceleration[row], axis=1).max() < 9.5
+        assert len(overlapping_pairs(now.boxes)) == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nobody_appears_within_sight(kind: str) -> None:
+    steps, _ = rollout(kind, 8.0)
+    assert set(np.concatenate([step.boxes.object_id for step in steps])) == set(steps[0].boxes.object_id)
+
+
+def test_who_crashes_stops_dead_and_stays() -> None:
+    steps, crashes = rollout("ima_building")
+    time_s, *names = crashes[0]
+    assert names == ["ego", "conflict"] and 5.0 < time_s < 6.5
+    hit = round(time_s / STEP)
+    assert len(overlapping_pairs(steps[hit - 1].boxes)) == 0
+    for who in (EGO, CONFLICT):
+        places = np.array([step.boxes.center[step.row(who), :2] for step in steps[hit:]])
+        assert (places == places[0]).all()
+        assert steps[-1].signals[steps[-1].row(who)] & SIGNALS["hazard lights"]
+
+
+def test_lanes_are_those_below_and_lights_tell_what_drivers_do() -> None:
+    steps, _ = rollout("cyclist_right_hook", 6.0)
+    start, ego = steps[0], steps[0].row(EGO)
+    assert start.lane[ego] == "w_in_2"
+    assert start.lane[start.row(CONFLICT)] == "w_in_0"
+    assert steps[40].signals[ego] & SIGNALS["right indicator"]
+    speed = np.array([np.linalg.norm(step.velocity[ego]) for step in steps])
+    braking = np.array([bool(step.signals[ego] & SIGNALS["brake light"]) for step in steps])
+    slowing = np.diff(speed, prepend=speed[0]) < -0.03
+    assert braking.any() and not braking.all()
+    assert (braking == slowing)[1:50].all()
+
+
+def test_a_driven_ego_keeps_its_way_and_brakes_as_hard_as_it_is_told() -> None:
+    with ScriptedTraffic(encounter("ima_building"), SEED) as traffic:
+        speed = traffic.speed(EGO)
+        route = traffic.route(EGO, 30.0)
+        np.testing.assert_allclose(route[0], traffic.actors.boxes.center[0, :2], atol=1e-9)
+        assert np.linalg.norm(np.diff(route, axis=0), axis=1).sum() == pytest.approx(30.0, abs=0.1)
+        while traffic.speed(EGO) > 0.0:
+            last = traffic.speed(EGO)
+            traffic.command_speed(EGO, max(0.0, last - 4.0 * STEP))
+            traffic.step()
+            assert last - traffic.speed(EGO) <= 4.0 * STEP + 1e-9
+        assert traffic.time_s == pytest.approx(speed / 4.0, abs=0.1)
+        stopped = traffic.actors.boxes.center[0].copy()
+        for _ in range(60):
+            traffic.step()
+        assert not traffic.crashes
+        np.testing.assert_array_equal(traffic.actors.boxes.center[0], stopped)
+        assert traffic.allowed_speed(EGO) == pytest.approx(speed)
+        traffic.command_speed(EGO, None)
+        for _ in range(60):
+            traffic.step()
+        assert traffic.speed(EGO) == pytest.approx(speed)
+
+
+def test_followers_stop_behind_an_ego_that_stops() -> None:
+    with ScriptedTraffic(encounter("cut_in_merge", control="no_conflict"), SEED) as traffic:
+        names = {name: FIRST_ID + k for k, name in enumerate(["ego", "", "truck"])}
+        while traffic.speed(names["truck"]) > 0.0 and traffic.time_s < 10.0:
+            traffic.command_speed(names["truck"], max(0.0, traffic.speed(names["truck"]) - 0.3))
+            traffic.step()
+        assert not traffic.crashes
+        assert traffic.speed(names["truck"] + 1) < 8.0
+
+
+def test_a_ghost_is_claimed_and_is_not_there() -> None:
+    real, _ = rollout("ped_bus_stop", 4.0)
+    with ScriptedTraffic(encounter("ped_bus_stop", control="ghost"), SEED) as traffic:
+        assert CONFLICT not in traffic.actors.boxes.object_id
+        for _ in range(40):
+            traffic.step()
+        claims = traffic.claims()
+        assert list(claims) == ["bus"] and claims["bus"].name == ("ghost",)
+        there = real[40].boxes[real[40].row(CONFLICT) : real[40].row(CONFLICT) + 1]
+        np.testing.assert_allclose(claims["bus"].boxes.array, there.array)
+        assert CONFLICT not in traffic.actors.boxes.object_id
+
+
+def test_a_closed_script_moves_no_more() -> None:
+    traffic = open_traffic(encounter("ima_building"), SEED)
+    assert isinstance(traffic, ScriptedTraffic)
+    traffic.close()
+    with pytest.raises(TrafficError, match="closed"):
+        traffic.step()
+
+
+def test_ids_are_the_same_in_all_controls() -> None:
+    controls = ("", "no_occluder", "no_conflict", "ghost")
+    ids = [
+        dict(
+            zip(
+                (a := ScriptedTraffic(encounter("ima_queue", control=c), SEED).actors).name,
+                a.boxes.object_id.tolist(),
+                strict=True,
+            )
+        )
+        for c in controls
+    ]
+    for other in ids:
+        assert other["ego"] == EGO
+        assert other.get("conflict", CONFLICT) == CONFLICT
+    assert ids[0] == {**ids[2], "conflict": CONFLICT}
+    assert instance_of(encounter("ima_queue"), SEED).names("ego") == ("ego",)
