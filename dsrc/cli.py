@@ -69,32 +69,53 @@ def _progress() -> "Iterator[Progress]":
 
 
 @app.command(name="scenarios")
-def scenarios(action: Positional[Literal["list", "show"]] = "list", name: Positional[str] = "") -> None:
-    """List the shipped scenarios, or show one.
+def scenarios(
+    action: Positional[Literal["list", "show", "import"]] = "list",
+    file: Positional[str] = "",
+    /,
+    name: str = "",
+    out: Path | None = None,
+) -> None:
+    """List the shipped scenarios, show one, or make one of a map of your own.
+
+    A map is a SUMO network (.net.xml, .net.xml.gz), an OpenStreetMap extract (.osm, .osm.gz, .osm.bz2, .osm.pbf) or an
+    OpenDRIVE file (.xodr). Its roads, and from OpenStreetMap its houses, trees, lamps, hedges, fences and walls, become
+    a folder that `dsrc generate` takes.
 
     Args:
         action: what to do.
-        name: a shipped scenario or the path of a scenario.toml, for `show`.
+        file: for `show` a shipped scenario or the path of a scenario.toml, for `import` the map.
+        name: of the scenario that is made, for `import`; default: from the file.
+        out: the folder that is made, for `import`; default: one of that name here.
     """
     from sim.scenario import list_scenarios, load_scenario
 
+    if action == "import":
+        from sim.errors import SettingsError
+        from sim.places.importing import import_map
+
+        if not file:
+            raise SettingsError("scenarios import: file: expected a map, found nothing")
+        folder = import_map(Path(file), name, out)
+        _say(f"{folder}\ndsrc generate {folder} --out data")
+        return
     if action == "show":
         import msgspec
 
         from sim.errors import SettingsError, did_you_mean
 
-        if not name:
+        if not file:
             raise SettingsError(
-                f"scenarios show: name: expected a scenario, found nothing{did_you_mean('', list_scenarios())}"
+                f"scenarios show: file: expected a scenario, found nothing{did_you_mean('', list_scenarios())}"
             )
         from sensors.presets import scenario_lidars
 
-        scenario = load_scenario(name)
+        scenario = load_scenario(file)
         scenario_lidars(scenario)  # what is shown can be generated
         _say(msgspec.json.format(msgspec.json.encode(scenario).decode(), indent=2))
         return
     for known in list_scenarios():
-        _say(f"{known:14s} {load_scenario(known).description}")
+        _say(f"{known:20s} {load_scenario(known).description}")
 
 
 @app.command(name="generate")

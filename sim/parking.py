@@ -21,10 +21,10 @@ NEAR_M = 120.0
 BAY_M = (6.2, 2.2)
 """Length and width of a bay."""
 
-_FROM_END_M = 12.0
+_FROM_END_M = 15.0
 """Nobody parks so close to a junction: who turns must see."""
 
-_FROM_LANE_M = 0.2
+_FROM_LANE_M = 0.35
 _SPEED_MPS = (5.0, 14.5)
 _BEND_RAD = 0.12
 _UNIT_CLEAR_M = 4.0
