@@ -123,30 +123,37 @@ def settle(scenario: Scenario, seed: int) -> Settled:
 @functools.lru_cache(maxsize=64)
 def _settled(scenario_json: bytes, seed: int) -> Settled:
     scenario = msgspec.json.decode(scenario_json, type=Scenario)
-    spec = scenario.conflict
-    if spec is None:
+    if scenario.conflict is None:
         raise ScenarioError(complaint(scenario.name, "conflict", "one of an encounter", "none"))
-    rejected: Counter[str] = Counter()
-    for draw in range(spec.draw, spec.draw + spec.draws):
-        plain = _with(scenario, control="", draw=draw)
-        proof = prove(plain, seed)
-        if proof.holds:
-            break
-        log.info("%s seed %d: draw %d is not used: %s", scenario.name, seed, draw, proof.reason)
-        rejected[proof.reason] += 1
-    else:
-        found = ", ".join(f"{count} x {reason}" for reason, count in rejected.most_common())
-        expected = f"values of which one of {spec.draws} draws of seed {seed} proves to hide the conflict in time"
-        raise ScenarioError(complaint(scenario.name, "conflict.parameters", expected, found))
+    draw, proof, rejected = _first_that_holds(msgspec.json.encode(_with(scenario, control="")), seed)
     chosen = _with(scenario, draw=draw)
+    instance = instance_of(chosen, seed)
     return Settled(
         scenario=laid_out(chosen, seed),
         proof=proof,
-        control=prove(chosen, seed) if spec.control else None,
-        rejected=dict(rejected),
-        parameters=instance_of(chosen, seed).parameters,
-        ghosts=tuple(_ghost(ghost, scenario.step_s) for ghost in instance_of(chosen, seed).ghosts),
+        control=prove(chosen, seed) if scenario.conflict.control else None,
+        rejected=rejected,
+        parameters=instance.parameters,
+        ghosts=tuple(_ghost(ghost, scenario.step_s) for ghost in instance.ghosts),
     )
+
+
+@functools.lru_cache(maxsize=64)
+def _first_that_holds(scenario_json: bytes, seed: int) -> tuple[int, Proof, dict[str, int]]:
+    """Return the first draw of a scenario without a control that holds, its proof and the reasons of those before."""
+    scenario = msgspec.json.decode(scenario_json, type=Scenario)
+    spec = scenario.conflict
+    assert spec is not None
+    rejected: Counter[str] = Counter()
+    for draw in range(spec.draw, spec.draw + spec.draws):
+        proof = prove(_with(scenario, draw=draw), seed, hurry=True)
+        if proof.holds:
+            return draw, proof, dict(rejected)
+        log.info("%s seed %d: draw %d is not used: %s", scenario.name, seed, draw, proof.reason)
+        rejected[proof.reason] += 1
+    found = ", ".join(f"{count} x {reason}" for reason, count in rejected.most_common())
+    expected = f"values of which one of {spec.draws} draws of seed {seed} proves to hide the conflict in time"
+    raise ScenarioError(complaint(scenario.name, "conflict.parameters", expected, found))
 
 
 def _ghost(ghost: Ghost, step_s: float) -> dict:
@@ -164,12 +171,13 @@ def _ghost(ghost: Ghost, step_s: float) -> dict:
     }
 
 
-def prove(scenario: Scenario, seed: int) -> Proof:
+def prove(scenario: Scenario, seed: int, *, hurry: bool = False) -> Proof:
     """Roll an encounter out without any reaction and cast the rays that decide about it.
 
     Args:
         scenario: has a conflict; its control and its draw are taken as they are.
         seed: of the drive.
+        hurry: stop at the first thing that fails; what would be found out after it stays None.
     """
     from sim.world.build import build_world
 
@@ -190,7 +198,9 @@ def prove(scenario: Scenario, seed: int) -> Proof:
     limit = int(in_time[-1]) if len(in_time) else 0
     said: dict[str, Any] = {"hit_s": drive.hit_s, "hit": drive.hit, "critical_ttc_s": round(float(critical[limit]), 3)}
     # Every step of the last second, in which sight opens, and every other step before, for what is glimpsed in passing.
-    before = [*range(max(limit - 10, 1), limit + 1), *range(max(limit - 10, 1), 0, -_LOOK_EVERY)]
+    before = [*range(limit, max(limit - 10, 1), -1), *range(max(limit - 10, 1), 0, -_LOOK_EVERY)]
+    if hurry and (early := next((n for step in before if (n := look.points("ego", step)) >= UNSEEN_POINTS), 0)):
+        return Proof(holds=False, reason="seen early", ego_points=early, **said)
     points = {step: look.points("ego", step) for step in before}
     said["ego_points"] = max(points.values())
     seen = [step for step, count in sorted(points.items()) if count >= UNSEEN_POINTS]

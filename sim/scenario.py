@@ -138,6 +138,10 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     roadside: tuple[RoadsideUnit, ...] = ()
 
 
+CONTROLS = ("no_occluder", "no_conflict", "ghost")
+"""Changes of a conflict that show what it was good for, see `ConflictSpec`."""
+
+
 class ConflictSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A scripted encounter in which the ego cannot see in time what it would collide with; see `sim.conflicts`.
 
@@ -184,15 +188,37 @@ def list_scenarios() -> list[str]:
 def load_scenario(name_or_path: str | Path) -> Scenario:
     """Load a shipped scenario by name, or any scenario by the path of its .toml (or of the folder that holds it).
 
+    A control of a conflict is asked for as `NAME:CONTROL`, such as `ima_building:no_occluder`.
+
     Raises:
         ScenarioError: the scenario is unknown, or its file is not valid; one line says what and where.
     """
+    if isinstance(name_or_path, str) and ":" in name_or_path and not Path(name_or_path).exists():
+        return _controlled(name_or_path)
     path = _locate(name_or_path)
     scenario = read_toml(path, Scenario, ScenarioError)
     for field, expected, found, hint in _wrong_values(scenario, path):
         raise ScenarioError(complaint(path, field, expected, found, hint))
     network = _beside(scenario.network, ("file", "polygons"), path.parent)
     return msgspec.structs.replace(scenario, network=network, demand=_beside(scenario.demand, ("trips",), path.parent))
+
+
+def _controlled(name: str) -> Scenario:
+    """Return the control NAME:CONTROL of a scenario with a conflict, under a name of its own.
+
+    Raises:
+        ScenarioError: there is no such scenario or control.
+    """
+    base, _, control = name.rpartition(":")
+    scenario = load_scenario(base)
+    if scenario.conflict is None:
+        raise ScenarioError(complaint(name, "scenario", "a control of a conflict", f"'{base}', which has none"))
+    if control not in CONTROLS:
+        raise ScenarioError(
+            complaint(name, "control", "a known control", f"'{control}'", did_you_mean(control, CONTROLS))
+        )
+    conflict = msgspec.structs.replace(scenario.conflict, control=control)
+    return msgspec.structs.replace(scenario, name=f"{scenario.name}-{control}", conflict=conflict)
 
 
 def _beside(table: Any, names: tuple[str, ...], folder: Path) -> Any:

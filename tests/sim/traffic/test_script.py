@@ -1,5 +1,7 @@
 """Scripted traffic: bodies move as bodies can, and those that are driven or in the way react."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -30,7 +32,7 @@ def test_bodies_move_as_bodies_can_until_somebody_crashes(kind: str) -> None:
     if crashes:
         steps = steps[: round(crashes[0][0] / STEP)]
     assert len(steps) > 40
-    for before, now in zip(steps[:-1], steps[1:], strict=True):
+    for before, now in pairwise(steps):
         both = np.intersect1d(before.boxes.object_id, now.boxes.object_id)
         was = np.array([before.row(i) for i in both])
         row = np.array([now.row(i) for i in both])
