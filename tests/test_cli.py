@@ -33,7 +33,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_every_verb_has_help() -> None:
-    for verb in ("scenarios", "generate", "corrupt", "train", "evaluate", "view", "drive", "demo"):
+    for verb in ("scenarios", "generate", "corrupt", "convert", "train", "evaluate", "view", "drive", "demo"):
         result = dsrc(verb, "--help")
         assert result.returncode == 0
         assert "usage: dsrc" in result.stdout

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dsrc.data.annotation import Annotation, flattened, number, numbers, vehicles_of
+from dsrc.data.annotation import ID_LIMIT, Annotation, flattened, number, numbers, vehicles_of
 from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
 from sim.geometry import carla_matrix, nearest_rotation
@@ -46,7 +46,10 @@ def annotation(path: Path, content: dict) -> Annotation:
         if min(extent) <= 0.0:
             raise DataError(complaint(path, f"{where}extent", "positive half sizes", extent))
         shared = int(number(path, f"{where}ass_id", entry.get("ass_id", key)))
-        ids.append(_SHARED + shared if shared >= 0 else _ALONE + _PER_AGENT * abs(agent) + key)
+        object_id = _SHARED + shared if shared >= 0 else _ALONE + _PER_AGENT * abs(agent) + key
+        if not 0 <= object_id < ID_LIMIT:
+            raise DataError(complaint(path, f"{where}ass_id", "a number of an object", shared))
+        ids.append(object_id)
         poses.append([*center, *numbers(path, entry, "angle", 3, where)])
         extents.append(extent)
         labels.append(_label(str(entry.get("obj_type", "Car"))))

@@ -122,6 +122,10 @@ def test_velocities_are_differences_of_places(drive: Path):
         ({"vehicles": {"a": {}}}, "vehicles: expected whole numbers as ids, found a"),
         ({"vehicles": {3: {"location": [0, 0]}}}, "vehicles.3.location: expected 3 numbers"),
         ({"vehicles": [1]}, "vehicles: expected a mapping"),
+        (
+            {"vehicles": {3: {"location": [0, 0, 0], "center": [0, 0, 0], "extent": [1, 1, 1], "ass_id": 10**30}}},
+            "vehicles.3.ass_id: expected a number of an object",
+        ),
     ],
 )
 def test_a_broken_file_gets_one_line(drive: Path, change: dict, message: str):
