@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 from tyro.extras import SubcommandApp
@@ -120,49 +120,174 @@ def scenarios(
 
 @app.command(name="generate")
 def generate(
-    scenario: Positional[str],
+    source: Positional[str],
     /,
-    out: Path,
-    frames: int = 100,
+    out: Path | None = None,
+    frames: int | None = None,
     seed: int | None = None,
-    interval: float = 0.1,
-    motion: Literal["middle", "start", "end", "raw"] = "middle",
-    connected_vehicles: bool = True,
-    visibility: bool = True,
+    interval: float | None = None,
+    motion: Literal["middle", "start", "end", "raw"] | None = None,
+    connected_vehicles: bool | None = None,
+    visibility: bool | None = None,
+    splits: tuple[str, ...] = (),
+    workers: int | None = None,
+    executor: str = "local",
+    address: str = "",
+    cards: bool = True,
+    record: bool = False,
 ) -> None:
-    """Simulate one drive, scan it with every agent's LiDAR and write it as an OPV2V tree.
+    """Simulate drives, scan them with every agent's LiDAR and write them as OPV2V trees.
 
-    Killed and started again, it goes on where it stopped and writes the same bytes.
+    A scenario gives one drive, a TOML of splits a whole dataset. Killed and started again, it goes on where it stopped;
+    the bytes are the same for any number of workers.
 
     Args:
-        scenario: a shipped scenario or the path of a scenario.toml.
-        out: the split folder; the drive becomes OUT/SCENARIO_SEED.
-        frames: synchronised frames to write.
-        seed: of everything random in the drive; default: the scenario's own.
-        interval: seconds between written frames, a multiple of the LiDAR's 0.1 s.
-        motion: the sensors' own motion is compensated to the middle, start or end of their sweeps, or not (raw).
-        connected_vehicles: list the other agents' bodies among an agent's vehicles; OPV2V leaves them out.
-        visibility: measure which share of every object each agent's rays reach, for a sixth of the time.
+        source: a shipped scenario, the path of a scenario.toml, a shipped dataset or a TOML of splits.
+        out: the split folder, and the drive becomes OUT/SCENARIO_SEED; or the dataset, with OUT/SPLIT/DRIVE.
+        frames: of one drive: synchronised frames to write; default: 100.
+        seed: of one drive: of everything random; default: the scenario's own.
+        interval: of one drive: seconds between written frames, a multiple of the LiDAR's 0.1 s, the default.
+        motion: of one drive: the sensors' own motion is compensated to the middle (default), start or end of their
+            sweeps, or not (raw).
+        connected_vehicles: of one drive: list the other agents' bodies among an agent's vehicles (default); OPV2V
+            leaves them out.
+        visibility: of one drive: measure which share of every object each agent's rays reach (default), for a sixth of
+            the time.
+        splits: of a dataset: only these.
+        workers: of a dataset: processes, or processors of Ray; default: one per core.
+        executor: of a dataset: local, or ray for a cluster whose machines share OUT.
+        address: of the Ray cluster; default: Ray on this machine.
+        cards: of a dataset: write a data card beside each split.
+        record: of a dataset: write only traffic logs and worlds, into the folder that its TOML calls `recorded`.
     """
+    from dsrc.data.splits import find_split_file
+    from sim.errors import SettingsError, complaint
+
+    options = {"frames": frames, "seed": seed, "interval_s": interval, "motion": motion}
+    options |= {"connected_vehicles": connected_vehicles, "visibility": visibility}
+    single: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
+    if out is None and not record:
+        raise SettingsError(complaint("generate", "out", "a folder", "nothing"))
+    dataset = find_split_file(source)
+    if dataset is not None:
+        if single:
+            hint = "; a dataset has it in its TOML"
+            raise SettingsError(complaint("generate", next(iter(single)), "nothing", next(iter(single.values())), hint))
+        _generate_dataset(dataset, out, splits, workers, executor, address, cards, record)
+        return
     from dsrc.data.generate import generate as make_drive
     from sim.scenario import load_scenario
 
-    spec = load_scenario(scenario)
-    seed = spec.seed if seed is None else seed
+    if out is None or splits or executor != "local" or address:
+        raise SettingsError(complaint("generate", "source", "a TOML of splits for these options", source))
+    spec = load_scenario(source)
+    single["seed"] = spec.seed if seed is None else seed
     with _progress() as progress:
-        task = progress.add_task(f"{spec.name} seed {seed}", total=frames)
+        task = progress.add_task(f"{spec.name} seed {single['seed']}", total=frames)
         drive = make_drive(
-            spec,
-            out,
-            frames=frames,
-            seed=seed,
-            interval_s=interval,
-            motion=motion,
-            connected_vehicles=connected_vehicles,
-            visibility=visibility,
-            progress=lambda done, total: progress.update(task, completed=done, total=total),
+            spec, out, progress=lambda done, total: progress.update(task, completed=done, total=total), **single
         )
     _say(str(drive))
+
+
+def _generate_dataset(
+    source: Path,
+    out: Path | None,
+    splits: tuple[str, ...],
+    workers: int | None,
+    executor: str,
+    address: str,
+    cards: bool,
+    record: bool,
+) -> None:
+    from dsrc.data.factory import generate_dataset, record_dataset
+
+    with _progress() as progress:
+        task = progress.add_task(f"record {source}" if record else str(source), total=None)
+
+        def tell(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        if record or out is None:
+            folder = record_dataset(source, workers, tell)
+        else:
+            folder = generate_dataset(source, out, splits, workers, executor, address, cards, progress=tell)
+    _say(str(folder))
+
+
+@app.command(name="render")
+def render(
+    source: Positional[Path],
+    /,
+    out: Path,
+    lidar: str | None = None,
+    roadside_lidar: str | None = None,
+    roadside: bool = True,
+    vehicles: int | None = None,
+    agents: tuple[int, ...] = (),
+    mount: tuple[float, float, float, float] | None = None,
+    frames: int | None = None,
+) -> None:
+    """Make drives anew from their traffic logs, for other sensors, agents or mountings, without SUMO.
+
+    Args:
+        source: a traffic log, a drive, or a folder of drives.
+        out: where the drives go, under their names.
+        lidar: preset of the vehicles' sensors.
+        roadside_lidar: preset of the roadside units' sensors.
+        roadside: whether the roadside units stand there.
+        vehicles: how many vehicles carry a LiDAR.
+        agents: ids of those that do, ego first.
+        mount: x y z, m, in the body frame, and pitch, deg, of the vehicles' sensors.
+        frames: the first so many.
+    """
+    from dsrc.data.render import Changes
+    from dsrc.data.render import render as render_drives
+
+    changes = Changes(lidar, roadside_lidar, roadside, vehicles, agents, mount, frames)
+    with _progress() as progress:
+        task = progress.add_task(str(source), total=None)
+        made = render_drives(
+            source, out, changes, progress=lambda done, total: progress.update(task, completed=done, total=total)
+        )
+    for drive in made:
+        _say(str(drive))
+
+
+@app.command(name="data")
+def data(
+    action: Positional[Literal["check", "card"]],
+    folder: Positional[Path],
+    /,
+    out: Path | None = None,
+    workers: int | None = None,
+) -> None:
+    """Check drives of any format that is read, or describe them.
+
+    Args:
+        action: check lists what is wrong, file by file; card writes counts, histograms and pictures.
+        folder: a drive, or a folder of drives or splits.
+        out: folder of the card; default: FOLDER.card.
+        workers: processes; default: one per core.
+    """
+    if action == "card":
+        from dsrc.data.card import write_card
+        from dsrc.data.executors import open_executor
+
+        with open_executor("local", workers) as pool:
+            _say(str(write_card(folder, out, pool)))
+        return
+    from dsrc.data.check import check_dataset
+    from sim.errors import DataError
+
+    with _progress() as progress:
+        task = progress.add_task(f"check {folder}", total=None)
+        faults = check_dataset(folder, workers, lambda done, total: progress.update(task, completed=done, total=total))
+    for fault in faults:
+        _say(str(fault))
+    if faults:
+        raise DataError(f"{folder}: {len(faults)} things are wrong")
+    _say(f"{folder}: nothing is wrong")
 
 
 @app.command(name="corrupt")

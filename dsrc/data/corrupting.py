@@ -5,14 +5,7 @@ their bytes do not depend on it; what is already there is not made again. The pr
 its source with one more entry in `testbed.corruptions`: a drive may be corrupted more than once.
 """
 
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +14,7 @@ import msgspec
 
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
 from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.executors import Executor, Report, open_executor
 from dsrc.data.generate import Progress
 from dsrc.data.opv2v import write_frame
 from sensors.corruptions import CLEAN, CORRUPTIONS, PAPER, Family, check_corruption, corrupt_frame, drive_seed
@@ -92,8 +86,6 @@ def corrupt_dataset(
         raise SettingsError(complaint("corrupt", "kind", f"one of {', '.join(CORRUPTIONS)}", kind))
     if seed < 0:
         raise SettingsError(complaint("corrupt", "seed", "at least 0", seed))
-    if workers < 1:
-        raise SettingsError(complaint("corrupt", "workers", "at least 1", workers))
     data, out = Path(data).resolve(), Path(out).resolve()
     if out.is_relative_to(data) or data.is_relative_to(out):
         raise SettingsError(complaint("corrupt", "out", f"a folder apart from {data}", str(out)))
@@ -101,7 +93,7 @@ def corrupt_dataset(
     readers = [open_drive(job.source) for job in jobs]
     total, done = sum(len(reader) for reader in readers), 0
     report = progress or (lambda done, total: None)
-    with _workers(workers) as pool:
+    with open_executor("local", workers) as pool:
         for job, reader in zip(jobs, readers, strict=True):
             for count in _corrupt_drive(job, reader, pool):
                 done += count
@@ -109,7 +101,7 @@ def corrupt_dataset(
     return [job.out for job in jobs]
 
 
-def _corrupt_drive(job: Job, reader: Drive, pool: ProcessPoolExecutor | None) -> Iterator[int]:
+def _corrupt_drive(job: Job, reader: Drive, pool: Executor) -> Iterator[int]:
     """Write the frames of a drive that are not there yet; yields how many more are done."""
     protocol = _protocol(job, reader)
     with locked(job.out):
@@ -129,7 +121,7 @@ def _corrupt_drive(job: Job, reader: Drive, pool: ProcessPoolExecutor | None) ->
             _write(job, reader, frame)
             yield 1
             missing = missing[1:]
-        for _ in _each(job, reader, missing, pool):
+        for _ in _each(job, missing, pool):
             yield 1
         remove_leftovers(job.out)
 
@@ -177,23 +169,16 @@ def _agents(frame: Frame) -> dict:
     }
 
 
-def _each(job: Job, reader: Drive, rows: list[int], pool: ProcessPoolExecutor | None) -> Iterator[None]:
-    """Make and write these frames, here or in the pool."""
-    if pool is None:
-        for i in rows:
-            _write(job, reader, corrupted(job, reader, i))
-            yield
-        return
-    tasks: list[Future[None]] = [pool.submit(_task, job, i) for i in rows]
-    try:
-        for task in as_completed(tasks):
-            task.result()
-            yield
-    except BrokenProcessPool:
-        raise DataError(f"{job.out}: a worker process has died, of memory perhaps; start again to go on") from None
+def _each(job: Job, rows: list[int], pool: Executor) -> Iterator[None]:
+    """Make and write these frames, here or in other processes."""
+    for outcome in pool.run(_task, [(job, i) for i in rows]):
+        if outcome.error is not None:
+            raise outcome.error
+        yield
 
 
-def _task(job: Job, i: int) -> None:
+def _task(item: tuple[Job, int], report: Report) -> None:
+    job, i = item
     reader = _reader(job.source)
     _write(job, reader, corrupted(job, reader, i))
 
@@ -201,29 +186,3 @@ def _task(job: Job, i: int) -> None:
 @lru_cache(maxsize=1)
 def _reader(drive: Path) -> Drive:
     return open_drive(drive)
-
-
-@contextmanager
-def _workers(count: int) -> Iterator[ProcessPoolExecutor | None]:
-    """Give a pool of fresh processes, None for one: that is this one."""
-    if count == 1:
-        yield None
-        return
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start_worker)
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _start_worker() -> None:
-    """Leave interrupts to the parent, and end with it however it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_follow_parent, daemon=True).start()
-
-
-def _follow_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

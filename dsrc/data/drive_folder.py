@@ -1,6 +1,7 @@
 """The folder of a drive while it is being made: its lock, its protocol, and which frames are there."""
 
 import os
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,21 +20,29 @@ LOCK = ".lock"
 
 
 @contextmanager
-def locked(drive: Path) -> Iterator[None]:
+def locked(drive: Path, patience_s: float = 0.0, what: str = "drive") -> Iterator[None]:
     """Hold the folder for this process; the system lets go of it when the process dies, however it dies.
+
+    Args:
+        drive: the folder.
+        patience_s: how long to wait for another process, s.
+        what: is written there, for the message.
 
     Raises:
         DataError: another process holds it, or there can be no such folder.
     """
-    path = drive / LOCK
+    path, deadline = drive / LOCK, time.monotonic() + patience_s
     while True:
         with _opened(path) as file:
             if fcntl is not None:
                 try:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except OSError:
+                    if time.monotonic() < deadline:
+                        time.sleep(0.05)
+                        continue
                     file.seek(0)
-                    raise DataError(f"{drive}: process {file.read().strip()} is writing this drive") from None
+                    raise DataError(f"{drive}: process {file.read().strip()} is writing this {what}") from None
             # A process that has just ended may have removed the file between our opening and locking it.
             if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 continue

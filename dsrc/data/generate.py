@@ -8,7 +8,7 @@ import logging
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -162,29 +162,63 @@ def make_drive(
     recorded: Path | None = None,
     threads: int | None = None,
     more: dict | None = None,
+    patience_s: float = 0.0,
 ) -> None:
     """Write the frames of a drive that are not there yet.
 
     Args:
-        spec: what it is.
+        spec: what it is; of an encounter the first instance whose proof by rays holds is made.
         drive: its folder.
         progress: called after every frame.
         recorded: a folder with the drive's traffic log and world, see `open_live`.
         threads: see `sensors.lidar.scan_all`.
-        more: further entries of the protocol's settings.
+        more: further entries of the protocol's settings; a `proof` among them is that of an encounter as it is.
+        patience_s: how long to wait for another process in the drive's folder, s.
     """
     if len(spec.scenario.agents.roadside) > 1:
         _log.warning("%s: OpenCOOD takes a roadside unit as ego when a drive has more than one", spec.scenario.name)
 
+    more = dict(more or {})
+    if spec.scenario.conflict is not None and "proof" not in more:
+        spec, more["proof"] = proven(spec)
+
     def open_source(log: Path) -> AbstractContextManager[FrameSource]:
         return open_live(
-            spec.scenario, spec.seed, spec.frames, spec.interval_s, log, spec.visibility, recorded, threads
+            spec.scenario,
+            spec.seed,
+            spec.frames,
+            spec.interval_s,
+            log,
+            spec.visibility,
+            recorded,
+            threads,
+            {name: more[name] for name in more if name == "proof"},
         )
 
-    write_drive(drive, {**spec.settings(), **(more or {})}, open_source, progress)
+    write_drive(drive, {**spec.settings(), **more}, open_source, progress, patience_s)
 
 
-def write_drive(drive: Path, settings: dict, open_source: Opener, progress: Progress | None = None) -> None:
+def proven(spec: DriveSpec) -> tuple[DriveSpec, dict]:
+    """Return an encounter with the first draw whose proof by rays holds, and what the rays said.
+
+    Raises:
+        ScenarioError: no draw holds.
+    """
+    from sensors.proof import settle
+
+    settled = settle(spec.scenario, spec.seed)
+    proof = msgspec.to_builtins(settled)
+    del proof["scenario"]
+    return replace(spec, scenario=settled.scenario), proof
+
+
+def write_drive(
+    drive: Path,
+    settings: dict,
+    open_source: Opener,
+    progress: Progress | None = None,
+    patience_s: float = 0.0,
+) -> None:
     """Write the frames of a drive that are not there yet.
 
     Args:
@@ -193,10 +227,11 @@ def write_drive(drive: Path, settings: dict, open_source: Opener, progress: Prog
             `motion`.
         open_source: opens the frames; not called when the drive is finished.
         progress: called once at the start and after every frame.
+        patience_s: how long to wait for another process in the folder, s.
     """
     report = progress or (lambda done, total: None)
     frames = settings["frames"]
-    with locked(drive):
+    with locked(drive, patience_s):
         found = read_settings(drive)
         agents: dict = {}
         if found is not None:

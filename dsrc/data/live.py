@@ -75,6 +75,7 @@ def open_live(
     visibility: bool = True,
     recorded: Path | None = None,
     threads: int | None = None,
+    more: dict | None = None,
 ) -> Iterator[Live]:
     """Open the frames of a drive.
 
@@ -90,6 +91,7 @@ def open_live(
         visibility: measure visible fractions.
         recorded: a folder whose traffic log, and world if there is one, are copied instead.
         threads: see `sensors.lidar.scan_all`.
+        more: what a new log is to say of itself beside these settings.
 
     Raises:
         DataError: a recorded file is damaged or of another drive.
@@ -98,7 +100,7 @@ def open_live(
     if recorded is not None:
         _copy(recorded, log.parent, log.name)
     if not log.exists():
-        _simulate_traffic(scenario, seed, frames, interval_s, log)
+        _simulate_traffic(scenario, seed, frames, interval_s, log, more or {})
     steps, world = TrafficLog.load(log), log.with_name(WORLD)
     if not world.exists():
         _build_world(scenario, seed, steps, world)
@@ -121,11 +123,13 @@ def open_live(
     yield Live(recording, steps, interval_s)
 
 
-def record_drive(scenario: Scenario, seed: int, frames: int, interval_s: float, folder: Path) -> None:
-    """Write the traffic log and the static world of a drive and nothing else; files that are there stay."""
+def record_drive(
+    scenario: Scenario, seed: int, frames: int, interval_s: float, folder: Path, more: dict | None = None
+) -> None:
+    """Write the traffic log and the world of a drive and nothing else; files that are there stay."""
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / TRAFFIC_LOG).exists():
-        _simulate_traffic(scenario, seed, frames, interval_s, folder / TRAFFIC_LOG)
+        _simulate_traffic(scenario, seed, frames, interval_s, folder / TRAFFIC_LOG, more or {})
     if not (folder / WORLD).exists():
         _build_world(scenario, seed, TrafficLog.load(folder / TRAFFIC_LOG), folder / WORLD)
 
@@ -146,7 +150,7 @@ def _build_world(scenario: Scenario, seed: int, log: TrafficLog, path: Path) -> 
     save_world(build_world(scenario, seed), shapes_of(models), path)
 
 
-def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: float, path: Path) -> None:
+def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: float, path: Path, more: dict) -> None:
     from sim.traffic.choose import open_traffic
 
     about = {
@@ -154,6 +158,7 @@ def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: fl
         "seed": int(seed),
         "frames": int(frames),
         "interval_s": float(interval_s),
+        **more,
     }
     with open_traffic(scenario, seed) as traffic:
         log = TrafficLog(traffic.step_s, about)

@@ -1,0 +1,390 @@
+"""The data card of a split: what is in it, in Markdown, JSON and pictures, beside it so that readers of drives miss it.
+
+Counts are of every drive; points, boxes and visible fractions of frames evenly spread over each drive, at most
+`SAMPLES` of it.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from contextlib import nullcontext
+from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.drives import list_drives, open_drive
+from dsrc.data.executors import Executor, Report, open_executor
+from dsrc.data.jsonio import encode_json, read_json, write_atomic
+from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY, Frame
+from sim.boxes import CLASSES
+from sim.errors import DataError
+
+VERSION = 1
+SAMPLES = 20
+"""Frames of a drive that are looked into."""
+
+RANGE_M = np.arange(0.0, 205.0, 5.0)
+DISTANCE_M = np.array([0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 150.0])
+SHARE = np.linspace(0.0, 1.0, 11)
+SIGHT = {"ego": BY_EGO, "helper only": BY_HELPER, "nobody": BY_NOBODY}
+
+_PICTURES = 4
+_VIEW_M = 100.0
+_PACKAGES = ("dsrc-testbed", "numpy", "embreex", "libsumo", "eclipse-sumo")
+
+Array = NDArray[Any]
+
+
+class DriveCard(msgspec.Struct, kw_only=True):
+    """One drive: see `card.json`; histograms count over the sampled frames.
+
+    Attributes:
+        drive: its path below the split.
+        sha256: digest of the drive, see `dsrc.data.drives.Drive.digest`.
+        format: of its files.
+        frames: how many.
+        sampled: numbers of the frames that were looked into.
+        seconds: from the first frame to the last.
+        agents: id -> kind and LiDAR.
+        settings: scenario, seed and the options of its making, as far as its protocol tells.
+        points: per sampled frame and agent.
+        range: points by distance from the sensor, bins of `RANGE_M`.
+        boxes: by class and distance to the ego, bins of `DISTANCE_M`, the last open.
+        visible: by visible fraction of the best agent, bins of `SHARE`.
+        seen: boxes within 100 m of the ego seen by it, by a helper only, by nobody.
+        labelled: share of the points that tell their object.
+    """
+
+    drive: str
+    sha256: str
+    format: str
+    frames: int
+    sampled: list[int]
+    seconds: float
+    agents: dict[str, dict[str, str]]
+    settings: dict[str, Any]
+    points: list[int]
+    range: list[int]
+    boxes: dict[str, list[int]]
+    visible: list[int]
+    seen: dict[str, int]
+    labelled: float
+
+
+class Card(msgspec.Struct, kw_only=True):
+    """The whole of `card.json`.
+
+    Attributes:
+        version: of this file.
+        name: of the split.
+        sha256: of the drives' digests: a card of other drives is made anew.
+        frames, agent_frames: counts.
+        agents: counts of agents per drive, from -> how many drives.
+        connected_vehicles: whether an agent's list of vehicles holds other agents: yes, no, mixed or unknown.
+        packages: what made the card.
+        range_m, distance_m, share: borders of the histograms' bins.
+        drives: one by one.
+    """
+
+    version: int
+    name: str
+    sha256: str
+    frames: int
+    agent_frames: int
+    agents: dict[str, int]
+    connected_vehicles: str
+    packages: dict[str, str]
+    range_m: list[float]
+    distance_m: list[float]
+    share: list[float]
+    drives: list[DriveCard]
+
+
+def write_card(split: Path, out: Path | None = None, pool: Executor | None = None) -> Path:
+    """Describe the drives at or below a folder; nothing is done when the card there is of the same drives.
+
+    Args:
+        split: the folder; of any format that is read.
+        out: folder of the card; default: `SPLIT.card` beside it.
+        pool: who reads the drives; None for this process.
+
+    Returns:
+        The Markdown file.
+
+    Raises:
+        DataError: there are no drives, or one cannot be read.
+    """
+    split = Path(split)
+    out = split.with_name(f"{split.resolve().name}.card") if out is None else Path(out)
+    drives = list_drives(split)
+    digest = hashlib.sha256("".join(open_drive(drive).digest() for drive in drives).encode()).hexdigest()
+    if _is_of(out, digest):
+        return out / "card.md"
+    cards: list[DriveCard | None] = [None] * len(drives)
+    with nullcontext(pool) if pool is not None else open_executor("local", 1) as readers:
+        for outcome in readers.run(_describe, [(split, drive) for drive in drives]):
+            if outcome.error is not None:
+                raise outcome.error
+            cards[outcome.row] = outcome.value
+    card = _whole(split.resolve().name, digest, [card for card in cards if card is not None])
+    out.mkdir(parents=True, exist_ok=True)
+    _draw(out, card)
+    rows = np.unique(np.linspace(0, len(drives) - 1, min(_PICTURES, len(drives))).round().astype(int))
+    pictures = []
+    for number, row in enumerate(rows.tolist()):
+        reader = open_drive(drives[row])
+        middle = len(reader) // 2
+        title = f"{card.drives[row].drive}, frame {reader.frames[middle]}"
+        _draw_frame(out / f"frame_{number}.png", reader.read(middle), title)
+        pictures.append((f"frame_{number}.png", title))
+    write_atomic(out / "card.md", _markdown(card, pictures).encode())
+    # Last, because it tells that the card is complete.
+    write_atomic(out / "card.json", msgspec.json.format(encode_json(card), indent=1))
+    return out / "card.md"
+
+
+def _is_of(out: Path, digest: str) -> bool:
+    try:
+        card = read_json(out / "card.json", Card)
+    except DataError:
+        return False
+    return (card.version, card.sha256) == (VERSION, digest)
+
+
+def _describe(place: tuple[Path, Path], report: Report) -> DriveCard:
+    """Look into one drive; runs in a worker."""
+    split, path = place
+    reader = open_drive(path)
+    rows = np.unique(np.linspace(0, len(reader) - 1, min(SAMPLES, len(reader))).round().astype(int)).tolist()
+    own = reader.protocol.get("testbed", {})
+    own = own if isinstance(own, dict) else {}
+    frames = [reader.read(row) for row in rows]
+    return DriveCard(
+        drive=path.relative_to(split).as_posix() if path != split else path.name,
+        sha256=reader.digest(),
+        format=reader.format,
+        frames=len(reader),
+        sampled=[reader.frames[row] for row in rows],
+        seconds=round(frames[-1].time_s - frames[0].time_s, 6) if frames else 0.0,
+        agents=_agents(frames[0]) if frames else {},
+        settings=_settings(own),
+        points=[len(agent.sweep) for frame in frames for agent in frame.agents],
+        range=_sum([_ranges(frame) for frame in frames], len(RANGE_M) - 1),
+        boxes={name: _sum([_boxes(frame, k) for frame in frames], len(DISTANCE_M)) for k, name in enumerate(CLASSES)},
+        visible=_sum([_visible(frame) for frame in frames], len(SHARE) - 1),
+        seen={name: sum(_seen(frame, value) for frame in frames) for name, value in SIGHT.items()},
+        labelled=_labelled(frames),
+    )
+
+
+def _settings(own: dict) -> dict[str, Any]:
+    scenario = own.get("scenario")
+    keys = ("seed", "interval_s", "motion", "connected_vehicles", "visibility", "corruptions", "rendered", "proof")
+    named = {"scenario": scenario["name"]} if isinstance(scenario, dict) and "name" in scenario else {}
+    return {**named, **{key: own[key] for key in keys if key in own}}
+
+
+def _agents(frame: Frame) -> dict[str, dict[str, str]]:
+    specs = {agent.agent_id: agent.sweep.spec for agent in frame.agents}
+    return {
+        str(agent.agent_id): {"kind": agent.kind, "lidar": spec.name if (spec := specs[agent.agent_id]) else "unknown"}
+        for agent in frame.agents
+    }
+
+
+def _sum(counts: Sequence[Array], bins: int) -> list[int]:
+    return [int(n) for n in np.sum(counts, axis=0)] if counts else [0] * bins
+
+
+def _ranges(frame: Frame) -> Array:
+    norms = [np.linalg.norm(agent.sweep.points, axis=1) for agent in frame.agents]
+    return np.histogram(np.concatenate([np.zeros(0), *norms]), RANGE_M)[0]
+
+
+def _from_ego(frame: Frame) -> Array:
+    """Return (N,) distances from the first agent; its own body is infinitely far."""
+    ego = frame.agents[0]
+    distance = np.linalg.norm(frame.truth.center[:, :2] - ego.world_from_body[:2, 3], axis=1)
+    return np.where(frame.truth.object_id == ego.agent_id, np.inf, distance)
+
+
+def _boxes(frame: Frame, label: int) -> Array:
+    distance = _from_ego(frame)
+    chosen = distance[(frame.truth.label == label) & np.isfinite(distance)]
+    return np.histogram(chosen, [*DISTANCE_M, np.inf])[0]
+
+
+def _visible(frame: Frame) -> Array:
+    best = np.fmax.reduce(frame.visible_fraction, axis=0) if len(frame.agents) else np.zeros(0)
+    return np.histogram(best[np.isfinite(best)], SHARE)[0]
+
+
+def _seen(frame: Frame, value: int) -> int:
+    near = _from_ego(frame) <= 100.0
+    return int((frame.seen_by(frame.agents[0].agent_id)[near] == value).sum())
+
+
+def _labelled(frames: Sequence[Frame]) -> float:
+    points = sum(len(agent.sweep) for frame in frames for agent in frame.agents)
+    on = sum(int((agent.sweep.object_id >= 0).sum()) for frame in frames for agent in frame.agents)
+    return round(on / points, 4) if points else 0.0
+
+
+def _whole(name: str, digest: str, drives: list[DriveCard]) -> Card:
+    agents: dict[str, int] = {}
+    for drive in drives:
+        agents[str(len(drive.agents))] = agents.get(str(len(drive.agents)), 0) + 1
+    listed = {drive.settings.get("connected_vehicles") for drive in drives}
+    words = {True: "yes", False: "no", None: "unknown"}
+    return Card(
+        version=VERSION,
+        name=name,
+        sha256=digest,
+        frames=sum(drive.frames for drive in drives),
+        agent_frames=sum(drive.frames * len(drive.agents) for drive in drives),
+        agents=dict(sorted(agents.items(), key=lambda item: int(item[0]))),
+        connected_vehicles=words[listed.pop()] if len(listed) == 1 else "mixed",
+        packages={package: _version(package) for package in _PACKAGES},
+        range_m=RANGE_M.tolist(),
+        distance_m=DISTANCE_M.tolist(),
+        share=SHARE.round(3).tolist(),
+        drives=drives,
+    )
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _markdown(card: Card, pictures: Sequence[tuple[str, str]]) -> str:
+    points = np.array([n for drive in card.drives for n in drive.points])
+    seen = {name: sum(drive.seen[name] for drive in card.drives) for name in SIGHT}
+    total = max(1, sum(seen.values()))
+    numbers = ", ".join(f"{count} with {number}" for number, count in card.agents.items())
+    listed = {
+        "yes": "An agent's list of vehicles holds the other agents' bodies too, which OPV2V leaves out.",
+        "no": "An agent's list of vehicles leaves the other agents' bodies out, as OPV2V does.",
+        "mixed": "Some drives list the other agents' bodies among an agent's vehicles, others do not.",
+        "unknown": "The drives do not say whether the other agents' bodies are among an agent's vehicles.",
+    }[card.connected_vehicles]
+    lines = [
+        f"# {card.name}",
+        "",
+        f"{len(card.drives)} drives, {card.frames} frames, {card.agent_frames} sweeps. Drives by agents: {numbers}.",
+        f"{listed}",
+        f"Points per sweep: {_spread(points)}.",
+        f"Of the boxes within 100 m of the ego {seen['ego'] / total:.0%} have points of the ego,"
+        f" {seen['helper only'] / total:.0%} of a helper only, {seen['nobody'] / total:.0%} of nobody.",
+        "",
+        "| drive | format | frames | seconds | agents | LiDARs | points per sweep | made by |",
+        "|---|---|---|---|---|---|---|---|",
+        *(_row(drive) for drive in card.drives),
+        "",
+        f"Boxes by class and distance to the ego, in {sum(len(drive.sampled) for drive in card.drives)} frames:",
+        "",
+        *_box_table(card),
+        "",
+        "![Points by distance, boxes by distance, visible fraction](histograms.png)",
+        "",
+        *(f"![{title}]({file})" for file, title in pictures),
+        "",
+        "Made with " + ", ".join(f"{name} {number}" for name, number in card.packages.items()) + ".",
+        f"SHA-256 of the drives: `{card.sha256}`.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _spread(points: Array) -> str:
+    if not len(points):
+        return "none"
+    low, middle, high = np.percentile(points, [5, 50, 95]).round().astype(int)
+    return f"{middle} ({low} to {high} in nine of ten)"
+
+
+def _row(drive: DriveCard) -> str:
+    lidars = ", ".join(sorted({agent["lidar"] for agent in drive.agents.values()}))
+    kinds = [agent["kind"] for agent in drive.agents.values()]
+    agents = f"{kinds.count('vehicle')} + {kinds.count('roadside')} roadside"
+    made = ", ".join(f"{key} {value}" for key, value in drive.settings.items() if isinstance(value, str | int | float))
+    cells = (
+        drive.drive,
+        drive.format,
+        drive.frames,
+        f"{drive.seconds:g}",
+        agents,
+        lidars,
+        _spread(np.array(drive.points)),
+    )
+    return "| " + " | ".join(map(str, (*cells, made or "unknown"))) + " |"
+
+
+def _box_table(card: Card) -> list[str]:
+    low = DISTANCE_M.astype(int).tolist()
+    heads = [f"{a} to {b} m" for a, b in pairwise(low)] + [f"over {low[-1]} m"]
+    lines = ["| class | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
+    for name in CLASSES:
+        counts = np.sum([drive.boxes[name] for drive in card.drives], axis=0)
+        lines.append(f"| {name} | " + " | ".join(map(str, counts.tolist())) + " |")
+    return lines
+
+
+def _draw(out: Path, card: Card) -> None:
+    figure, (points, boxes, shares) = _figure(13.0, 3.6, 3)
+    middle = 0.5 * (RANGE_M[1:] + RANGE_M[:-1])
+    points.bar(middle, np.sum([drive.range for drive in card.drives], axis=0), width=4.5, color="#3b6ea5")
+    points.set(xlabel="distance from the sensor, m", ylabel="points", yscale="symlog")
+    base = np.zeros(len(DISTANCE_M))
+    for name in CLASSES:
+        counts = np.sum([drive.boxes[name] for drive in card.drives], axis=0)
+        boxes.bar(np.arange(len(base)), counts, bottom=base, label=name)
+        base = base + counts
+    boxes.set_xticks(np.arange(len(base)), [*(f"{low:.0f}" for low in DISTANCE_M)])
+    boxes.set(xlabel="distance to the ego, m, from", ylabel="boxes")
+    boxes.legend(fontsize=7)
+    shares.bar(
+        0.5 * (SHARE[1:] + SHARE[:-1]), np.sum([d.visible for d in card.drives], axis=0), width=0.09, color="#3b6ea5"
+    )
+    shares.set(xlabel="visible fraction, best agent", ylabel="boxes")
+    _save(figure, out / "histograms.png")
+
+
+def _draw_frame(path: Path, frame: Frame, title: str) -> None:
+    """Draw a frame bird's eye: points in the colour of their agent, boxes that somebody sees and those nobody sees."""
+    figure, axes = _figure(7.0, 7.0, 1)
+    ego = frame.agents[0].world_from_body[:2, 3]
+    colours = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b")
+    for number, agent in enumerate(frame.agents):
+        xy = agent.sweep.world_points[:, :2] - ego
+        xy = xy[np.max(np.abs(xy), axis=1) < _VIEW_M][::3]
+        colour = colours[number % len(colours)]
+        axes.plot(*xy.T, ",", color=colour, alpha=0.5, rasterized=True)
+        place = agent.world_from_body[:2, 3] - ego
+        axes.plot(*place, "^" if agent.kind == "vehicle" else "s", color=colour, markeredgecolor="black", zorder=3)
+    seen = frame.points_on.sum(axis=0) > 0
+    for points, corners in zip(seen, frame.truth.corners()[:, :4, :2] - ego, strict=True):
+        if float(np.abs(corners).max()) < _VIEW_M:
+            axes.fill(*corners.T, fill=False, color="black" if points else "#c00000", linewidth=0.8)
+    axes.set(xlim=(-_VIEW_M, _VIEW_M), ylim=(-_VIEW_M, _VIEW_M), aspect="equal", title=title, xlabel="m", ylabel="m")
+    _save(figure, path)
+
+
+def _figure(width: float, height: float, columns: int) -> tuple[Any, Any]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(1, columns)
+
+
+def _save(figure: Any, path: Path) -> None:
+    temporary = path.with_name(path.name + ".tmp")
+    figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
+    temporary.replace(path)

@@ -1,0 +1,77 @@
+"""The manifest of a dataset: `manifest.json` with its drives, the hashes of their settings and their checksums."""
+
+from pathlib import Path
+
+import msgspec
+
+from dsrc.data.jsonio import encode_json, read_json, write_atomic
+from sim.errors import DataError, complaint
+
+MANIFEST = "manifest.json"
+VERSION = 1
+
+
+class Entry(msgspec.Struct, frozen=True, kw_only=True):
+    """One finished drive.
+
+    Attributes:
+        drive: SPLIT/DRIVE.
+        key: hash of its settings.
+        scenario: name.
+        seed: of everything random.
+        frames: how many.
+        agents: ids.
+        lidars: presets of the agents, in their order.
+        bytes: of all its files.
+        sha256: of its `SHA256SUMS`, thus of every file.
+    """
+
+    drive: str
+    key: str
+    scenario: str
+    seed: int
+    frames: int
+    agents: tuple[int, ...]
+    lidars: tuple[str, ...]
+    bytes: int
+    sha256: str
+
+
+class Manifest(msgspec.Struct, frozen=True, kw_only=True):
+    """A dataset.
+
+    Attributes:
+        version: of this file.
+        name: of the dataset.
+        description: one line.
+        drives: wanted in all.
+        items: the finished ones, in the order of the TOML.
+        failed: SPLIT/DRIVE -> why it could not be made.
+    """
+
+    version: int
+    name: str
+    description: str
+    drives: int
+    items: tuple[Entry, ...]
+    failed: dict[str, str] = {}
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write it atomically."""
+    write_atomic(folder / MANIFEST, msgspec.json.format(encode_json(manifest), indent=1))
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """Return the manifest of a dataset; None when there is none.
+
+    Raises:
+        DataError: it is damaged.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        return None
+    manifest = read_json(path, Manifest)
+    if manifest.version != VERSION:
+        raise DataError(complaint(path, "version", str(VERSION), manifest.version))
+    return manifest
