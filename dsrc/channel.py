@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.sample import GridSpec, Sample, cloud_of
+from dsrc.models.fusion import FUSIONS
 from sensors.corruptions.clock_offset import run_on, way
 from sensors.corruptions.pose_error import PoseError, errors
 from sensors.frame import AgentFrame, Frame
@@ -27,6 +28,9 @@ TILE_CELLS = 8
 
 Payload = Callable[[Frame, int], int]
 """(frame, row of an agent) -> bytes that it has to send."""
+
+_CLOUDS = ("", "early")
+"""What a detector without a name for it, and one of early fusion, get of the others: points."""
 
 _POSITION = 6  # stream of the senders' positioning, beside those of `sim.v2x`
 
@@ -72,7 +76,7 @@ class Receiver:
             if sent is not frames[0] or believed is not sender.sweep.world_from_lidar:
                 pose = ego_from_world @ believed
                 cloud = cloud_of(sent, sent.agents.index(sender), pose, grid)
-            if self._fusion == "":
+            if self._fusion in _CLOUDS:
                 cloud = cloud[_of_packets(len(cloud), link.arrived)]
             rows.append(row)
             poses.append(pose)
@@ -90,7 +94,7 @@ class Receiver:
 
     def _holes(self, link: Link, grid: GridSpec) -> NDArray[np.bool_]:
         """Return the tiles of the sender's features that are missing; a list of boxes or a cloud has no tiles."""
-        if self._fusion in ("", "late") or link.arrived.all():
+        if self._fusion in (*_CLOUDS, "late") or link.arrived.all():
             return _NOTHING
         return lost_tiles(link.arrived, grid.height // TILE_CELLS, grid.width // TILE_CELLS)
 
@@ -164,19 +168,18 @@ def instant_of(frame: Frame, index: int, payload: Payload) -> Instant:
 def payload_of(settings: Any, spec: ChannelSpec) -> Payload:
     """Return what agents send to a detector.
 
-    Features: the maps of all its stages as float32, `spec.compression` times smaller. Late fusion: a Collective
-    Perception Message with the objects that the agent has points on, in place of its detections.
+    Features: the maps that its method sends as float32, `spec.compression` times smaller; of Where2comm the whole first
+    scale, of which it sends a share that depends on what is seen. Late fusion: a Collective Perception Message with
+    the objects that the agent has points on, in place of its detections. Early fusion: clouds.
 
     Args:
-        settings: `ModelSettings` of the detector; anything without a `fusion` reads clouds of 16 bytes a point.
+        settings: `ModelSettings` of the detector; anything without a `fusion` reads clouds, of 16 bytes a point.
         spec: of the channel.
     """
     fusion = getattr(settings, "fusion", "")
     if fusion == "late":
         return lambda frame, row: cpm_bytes(int(((frame.points_on[row] >= 1) & frame.truth.is_vehicle).sum()))
-    if fusion == "":
+    if fusion in _CLOUDS:
         return lambda frame, row: 16 * len(frame.agents[row].sweep)
-    cells = settings.grid.width * settings.grid.height
-    values = sum(channels * cells // 4 ** (k + 1) for k, channels in enumerate(settings.stage_channels))
-    size = math.ceil(4 * values / spec.compression)
+    size = math.ceil(4 * FUSIONS[fusion].values_sent(settings) / settings.compress / spec.compression)
     return lambda frame, row: size

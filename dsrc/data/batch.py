@@ -13,6 +13,7 @@ from torch import Tensor
 from dsrc.data.sample import GridSpec, Sample
 from dsrc.data.teacher import TeacherClouds, teacher_clouds
 from dsrc.models.encoder import Pillars
+from dsrc.models.fusion.base import Company
 from dsrc.models.reconstruction import Scene
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import anchor_grid
@@ -52,6 +53,7 @@ class Batch:
         keys: (B,) keys of the samples.
         agents: (B,) number of agents of each sample; their clouds are consecutive, ego first.
         lost: (N, h, w) bool tiles of the agents' feature maps that did not arrive; None when all did.
+        roadside: (N,) bool whether an agent is a roadside unit, which has a negative id.
         boxes: (B,) ground truth.
         student: pillars of what the sensors saw; None for a teacher's batch.
         targets: None outside training, like all that follows.
@@ -65,10 +67,16 @@ class Batch:
     boxes: tuple[Boxes, ...]
     student: Pillars | None
     lost: Tensor | None = None
+    roadside: Tensor | None = None
     targets: Targets | None = None
     teacher: Pillars | None = None
     foreground: Tensor | None = None
     scene: Scene | None = None
+
+    @property
+    def company(self) -> Company:
+        """Whose clouds they are."""
+        return Company(self.agents, self.lost, self.roadside)
 
     def to(self, device: torch.device | str) -> "Batch":
         """Move the tensors to a device."""
@@ -76,7 +84,7 @@ class Batch:
             return self
         moved: dict[str, Any] = {
             name: part.to(device)
-            for name in ("student", "lost", "teacher", "foreground", "targets", "scene")
+            for name in ("student", "lost", "roadside", "teacher", "foreground", "targets", "scene")
             if (part := getattr(self, name)) is not None
         }
         return replace(self, **moved)
@@ -101,10 +109,14 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
         boxes=tuple(sample.boxes for sample in samples),
         student=None if for_teacher else pillars_of(clouds, settings),
         lost=_lost(samples),
+        roadside=torch.tensor([agent < 0 for sample in samples for agent in sample.agent_ids]),
     )
     if for_teacher or (training and settings.distils):
+        in_one = settings.fusion == "early"
         views = [
-            teacher_clouds(part, dense=settings.sdd, paint=settings.pcp, further=_unheard(part, sample))
+            teacher_clouds(
+                part, dense=settings.sdd, paint=settings.pcp, further=[] if in_one else _unheard(part, sample)
+            )
             for part, sample in whole
         ]
         batch = replace(batch, teacher=_teacher_pillars(views, settings))
@@ -121,9 +133,18 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
 def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
     """Return the samples that a network of this fusion makes of one sample.
 
-    `attention` and `max` take up to `max_agents` agents, `none` the ego alone, and `late` makes each agent's cloud a
-    sample of its own with the boxes that it annotated.
+    Most take up to `max_agents` agents, `none` the ego alone; `early` joins the agents' clouds into one, the ego's
+    first; and `late` makes each agent's cloud a sample of its own with the boxes that it annotated.
     """
+    if settings.fusion == "early":
+        clouds = sample.clouds[: settings.max_agents]
+        return [
+            replace(
+                _select(sample, slice(0, 1), sample.boxes),
+                clouds=(np.concatenate(clouds),),
+                agent_boxes=(sample.boxes,),
+            )
+        ]
     if settings.fusion == "late":
         return [
             _select(sample, slice(row, row + 1), sample.agent_boxes[row])

@@ -1,5 +1,6 @@
 """Detector: pillars of all agents to boxes in the ego LiDAR's frame. Student and teacher are the same class."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import log
@@ -12,10 +13,11 @@ from torch import Tensor, nn
 from dsrc.data.batch import collate
 from dsrc.data.sample import Sample
 from dsrc.detections import Detections
+from dsrc.models.backbones import BACKBONES
+from dsrc.models.blocks import Compressor, double_conv, upsample
 from dsrc.models.encoder import PillarEncoder, Pillars
-from dsrc.models.fusion import FUSIONS
+from dsrc.models.fusion import FUSIONS, Company
 from dsrc.models.fusion.late import join_detections
-from dsrc.models.res2net import Res2Net
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.postprocess import PostSettings, decode_detections
@@ -41,25 +43,30 @@ class Output:
 
 
 class Detector(nn.Module):
-    """Pillar encoder, Res2Net, fusion per scale, decoder and heads.
+    """Pillar encoder, backbone, fusion, decoder and heads: DSRC, its rivals, and whatever else fuses maps.
 
-    Source: DSRC, arXiv 2412.10739, Figure 2; the layers as in the released code.
+    Source: DSRC, arXiv 2412.10739, Figure 2; the layers as in the released code. A method that fuses a single map
+    (`Fusion.place`) has every agent decode and shrink its own, to a quarter of the grid's resolution, and what is
+    fused is brought back to half of it, so that anchors, losses and thresholds are the same for all methods. (OpenCOOD
+    leaves these methods at a quarter, with a quarter of the anchors.)
     """
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.settings = settings
-        channels, decoder, shrink = settings.stage_channels, settings.decoder_channels, settings.shrink_channels
+        decoder, shrink, momentum = settings.decoder_channels, settings.shrink_channels, settings.norm_momentum
         self.encoder = PillarEncoder(settings)
-        self.backbone = Res2Net(settings.pillar_channels, channels, settings.stage_blocks, settings.base_width)
-        self.fuse = FUSIONS[settings.fusion]
-        self.decoder = nn.ModuleList(_upsample(channels[k], decoder, 2**k, settings.norm_momentum) for k in range(3))
-        self.shrink = nn.Sequential(
-            nn.Conv2d(3 * decoder, shrink, 3, padding=1),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(shrink, shrink, 3, padding=1),
-            nn.ReLU(inplace=True),
-        )
+        self.backbone = BACKBONES[settings.backbone_name](settings)
+        self.fusion = FUSIONS[settings.fusion].of(settings)
+        self.by_stage = self.fusion.place == "stages"
+        widths = self.fusion.widths(settings)
+        self.decoder = nn.ModuleList(upsample(widths[k], decoder, 2**k, momentum) for k in range(3))
+        self.shrink = double_conv(3 * decoder, shrink, stride=1 if self.by_stage else 2)
+        if not self.by_stage:
+            self.widen = upsample(shrink, shrink, 2, momentum)
+        if settings.compress > 1:
+            sent = settings.stage_channels[: self.fusion.scales_sent] if self.by_stage else (shrink,)
+            self.compressors = nn.ModuleList(Compressor(width, settings.compress) for width in sent)
         self.cls_head = nn.Conv2d(shrink, 2, 1)
         self.reg_head = nn.Conv2d(shrink, 14, 1)
         if settings.score_prior is not None:
@@ -68,19 +75,32 @@ class Detector(nn.Module):
         # Measured on CPUs: channels last makes the backbone 30 % faster and the decoder 40 % slower.
         self.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def forward(self, pillars: Pillars, agents: tuple[int, ...], lost: Tensor | None = None) -> Output:
+    def forward(self, pillars: Pillars, company: Company) -> Output:
         """Detect in B samples.
 
         Args:
             pillars: clouds of all samples' agents, those of a sample consecutive and ego first.
-            agents: number of agents of each sample.
-            lost: (N, H / 8, W / 8) bool tiles of the agents' features that did not arrive: zeros take their place.
+            company: whose clouds they are; zeros take the place of what of their maps did not arrive.
         """
         stages = self.backbone(self.encoder(pillars))
-        sent = stages if lost is None else [stage.masked_fill(_as_large(lost, stage), 0.0) for stage in stages]
-        scales = [up(self.fuse(stage, agents).contiguous()) for up, stage in zip(self.decoder, sent, strict=True)]
-        fused = self.shrink(torch.cat(scales, dim=1))
+        maps = list(stages) if self.by_stage else [self.shrink(self._decoded(stages))]
+        if self.settings.compress > 1:
+            for scale, ends in enumerate(self.compressors):
+                maps[scale] = ends(maps[scale])
+        sent = self.fusion.send(maps, company, self)
+        if company.lost is not None:
+            sent = [part.masked_fill(_as_large(company.lost, part), 0.0) for part in sent]
+        joined = self.fusion(sent, company, self)
+        fused = self.shrink(self._decoded(joined)) if self.by_stage else self.widen(joined[0])
         return Output(stages, fused, self.cls_head(fused), self.reg_head(fused))
+
+    def logits(self, stages: Sequence[Tensor]) -> Tensor:
+        """Return (N, 2, h, w) what the agents' stages say before fusion, each agent's by themselves."""
+        return self.cls_head(self.shrink(self._decoded(stages)))
+
+    def _decoded(self, stages: Sequence[Tensor]) -> Tensor:
+        """Return (N, 3 D, h, w) the stages side by side at half the grid's resolution."""
+        return torch.cat([up(stage.contiguous()) for up, stage in zip(self.decoder, stages, strict=True)], dim=1)
 
     @cached_property
     def anchors(self) -> NDArray[np.float64]:
@@ -103,8 +123,7 @@ class Detector(nn.Module):
         if batch.student is None:
             raise ValueError("a teacher reads clouds that are made with ground truth: it cannot detect in a sample")
         device = self.cls_head.weight.device
-        lost = None if batch.lost is None else batch.lost.to(device)
-        parts = self.decode(self(batch.student.to(device), batch.agents, lost))
+        parts = self.decode(self(batch.student.to(device), batch.company.to(device)))
         self.train(was_training)
         return join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
 
@@ -113,12 +132,3 @@ def _as_large(lost: Tensor, stage: Tensor) -> Tensor:
     """Return the (N, h, w) tiles as an (N, 1, H, W) mask of a stage's cells."""
     factor = stage.shape[-1] // lost.shape[-1]
     return lost.repeat_interleave(factor, 1).repeat_interleave(factor, 2)[:, None]
-
-
-def _upsample(inputs: int, outputs: int, stride: int, momentum: float) -> nn.Sequential:
-    """Bring a scale back to half the grid's resolution."""
-    return nn.Sequential(
-        nn.ConvTranspose2d(inputs, outputs, stride, stride=stride, bias=False),
-        nn.BatchNorm2d(outputs, eps=1e-3, momentum=momentum),
-        nn.ReLU(inplace=True),
-    )

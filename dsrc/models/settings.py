@@ -7,7 +7,21 @@ from msgspec import Meta
 
 from dsrc.data.sample import GridSpec
 
-Fusion = Literal["attention", "max", "none", "late"]
+Fusion = Literal[
+    "attention",
+    "max",
+    "none",
+    "late",
+    "early",
+    "v2vnet",
+    "v2xvit",
+    "cobevt",
+    "where2comm",
+    "coalign",
+    "ermvp",
+    "mrcnet",
+]
+Backbone = Literal["res2net", "resnet", "plain"]
 Count = Annotated[int, Meta(ge=1)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 
@@ -21,6 +35,10 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         grid: bird's-eye grid in the ego LiDAR's frame.
         role: a teacher reads clouds that were built with ground truth, a student what the sensors saw.
         fusion: how the agents' features are joined, a key of `FUSIONS`.
+        backbone: a key of `BACKBONES`; None is the method's own: CoAlign's residual blocks, Res2Net for all others.
+        released: let the method do as its published code does where that is a mistake, as its class says.
+        align_poses: put the collaborators' poses right by a graph of agents and objects before anything is encoded.
+        compress: times fewer channels that are sent of each map.
         sdd: sparse-to-dense distillation: the teacher's objects hold the points of all agents.
         pcp: point cloud painting: the teacher's points carry a fifth channel, 1 inside a labelled box.
         rec: point cloud reconstruction supervises the fused feature (training only).
@@ -46,6 +64,10 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     grid: GridSpec = GridSpec()
     role: Literal["student", "teacher"] = "student"
     fusion: Fusion = "attention"
+    backbone: Backbone | None = None
+    released: bool = False
+    align_poses: bool = False
+    compress: Count = 1
     sdd: bool = True
     pcp: bool = True
     rec: bool = True
@@ -73,8 +95,17 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(
                 f"base_width: expected at least {64 / min(self.stage_channels):g}, found {self.base_width}"
             )
+        if self.compress > min(*self.stage_channels, self.shrink_channels):
+            raise ValueError(f"compress: expected no more than a map has channels, found {self.compress}")
+        if self.shrink_channels % 16 and self.fusion in ("v2xvit", "cobevt", "ermvp"):
+            raise ValueError(f"shrink_channels: expected a multiple of 16 heads, found {self.shrink_channels}")
         if self.rec and self.reconstruction_bins % 2:
             raise ValueError(f"grid: expected an even number of 0.4 m layers, found {self.reconstruction_bins}")
+
+    @property
+    def backbone_name(self) -> Backbone:
+        """Key of `BACKBONES`."""
+        return self.backbone or ("resnet" if self.fusion == "coalign" else "res2net")
 
     @property
     def point_features(self) -> int:

@@ -25,16 +25,17 @@ class TrainingAlarm(UserError):
 class DetectionModule(pl.LightningModule):
     """Trains a teacher, a plain student, or a student with distillation and reconstruction."""
 
-    def __init__(self, recipe: Recipe, detector: Detector, teacher: Detector | None = None) -> None:
+    def __init__(self, recipe: Recipe, detector: Detector, teacher: Detector | None = None, seed: int = 0) -> None:
         """Join the networks.
 
         Args:
             recipe: rates, weights and alarms.
             detector: the network to train; its settings say what it learns from.
             teacher: frozen; needed when the detector distils.
+            seed: of what the network itself draws while training: dropout, and which cells Where2comm sends.
         """
         super().__init__()
-        self.recipe, self.detector = recipe, detector
+        self.recipe, self.detector, self.seed = recipe, detector, seed
         settings = detector.settings
         self.reconstruction = Reconstruction(settings) if settings.rec and settings.role == "student" else None
         # In a tuple the teacher is no submodule: it is not saved with the student, trained, or set to training mode.
@@ -44,7 +45,7 @@ class DetectionModule(pl.LightningModule):
 
     def forward(self, batch: Batch) -> Output:
         """Detect, on the clouds that this network reads."""
-        return self.detector(self._pillars(batch), batch.agents)
+        return self.detector(self._pillars(batch), batch.company)
 
     def _pillars(self, batch: Batch) -> Pillars:
         pillars = batch.teacher if self.detector.settings.role == "teacher" else batch.student
@@ -61,7 +62,7 @@ class DetectionModule(pl.LightningModule):
         losses = {"cls": cls, "reg": reg}
         if self._teacher and batch.teacher is not None and batch.foreground is not None:
             with torch.no_grad():
-                taught = self._teacher[0](batch.teacher, batch.agents)
+                taught = self._teacher[0](batch.teacher, batch.company)
             losses |= distillation_losses(output, taught, batch.foreground, batch.agents, self.recipe.distill)
         if self.reconstruction is not None and batch.scene is not None:
             mask, offset = reconstruction_losses(self.reconstruction, output.fused, batch.scene)
@@ -75,7 +76,10 @@ class DetectionModule(pl.LightningModule):
         Raises:
             TrainingAlarm: the loss is not a finite number.
         """
-        losses = self.losses(batch)
+        with torch.random.fork_rng():
+            # By the step, not by what was drawn before: a resumed run draws the same.
+            torch.manual_seed((self.seed << 32) + self.global_step)
+            losses = self.losses(batch)
         total = torch.stack(list(losses.values())).sum()
         if not bool(torch.isfinite(total)):
             values = ", ".join(f"{name} {value.item():.3g}" for name, value in losses.items())

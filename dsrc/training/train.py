@@ -132,7 +132,7 @@ def train(
     loaders = DetectionData(recipe, settings, drives, validation, seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        module = DetectionModule(recipe, Detector(settings), taught_by)
+        module = DetectionModule(recipe, Detector(settings), taught_by, seed)
     record = _record(recipe, stage, seed, drives, validation, teacher if taught_by else None)
     last = out / "checkpoints" / "last.ckpt"
     resume = resume and last.exists()

@@ -110,7 +110,7 @@ def test_lost_packets_are_holes_in_the_features():
         from dsrc.data.batch import collate
 
         batch = collate([part], SMALL, training=False)
-        return detector(batch.student, batch.agents, batch.lost)
+        return detector(batch.student, batch.company)
 
     with torch.inference_mode():
         whole = stages(sample)

@@ -1,20 +1,32 @@
-"""How the agents' feature maps become one: one file per method, all `(features, agents) -> fused`."""
+"""How the agents' feature maps become one: one file per method, each a `Fusion`."""
 
-from collections.abc import Callable
+from dsrc.models.fusion.attention import AttentionFusion
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.coalign import CoAlign
+from dsrc.models.fusion.cobevt import CoBEVT
+from dsrc.models.fusion.early import EarlyFusion
+from dsrc.models.fusion.ermvp import ERMVP
+from dsrc.models.fusion.late import LateFusion
+from dsrc.models.fusion.max import MaxFusion
+from dsrc.models.fusion.mrcnet import MRCNetStyle
+from dsrc.models.fusion.none import NoFusion
+from dsrc.models.fusion.v2vnet import V2VNet
+from dsrc.models.fusion.v2xvit import V2XViT
+from dsrc.models.fusion.where2comm import Where2comm
 
-from torch import Tensor
+__all__ = ["FUSIONS", "Company", "Fusion"]
 
-from dsrc.models.fusion.attention import fuse_attention
-from dsrc.models.fusion.late import fuse_late
-from dsrc.models.fusion.max import fuse_max
-from dsrc.models.fusion.none import fuse_none
-
-FusionMethod = Callable[[Tensor, tuple[int, ...]], Tensor]
-"""Fuses (N, C, H, W) features of consecutive agents, ego first, into (B, C, H, W)."""
-
-FUSIONS: dict[str, FusionMethod] = {
-    "attention": fuse_attention,
-    "max": fuse_max,
-    "none": fuse_none,
-    "late": fuse_late,
+FUSIONS: dict[str, type[Fusion]] = {
+    "none": NoFusion,
+    "early": EarlyFusion,
+    "late": LateFusion,
+    "max": MaxFusion,
+    "attention": AttentionFusion,
+    "v2vnet": V2VNet,
+    "v2xvit": V2XViT,
+    "cobevt": CoBEVT,
+    "where2comm": Where2comm,
+    "coalign": CoAlign,
+    "ermvp": ERMVP,
+    "mrcnet": MRCNetStyle,
 }

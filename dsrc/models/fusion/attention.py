@@ -1,21 +1,27 @@
-"""Fusion by attention: each cell of the ego looks at the same cell of every agent.
-
-Source: AttFuse, OPV2V, arXiv 2109.07644: scaled dot-product attention without parameters, query = key = value.
-"""
+"""Fusion by attention: each cell of the ego looks at the same cell of every agent."""
 
 import torch
 from torch import Tensor
 
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.warp import into_ego
 
-def fuse_attention(features: Tensor, agents: tuple[int, ...]) -> Tensor:
-    """Fuse (N, C, H, W) features, rows of a sample consecutive and ego first, into (B, C, H, W).
 
-    Only the ego's row of the attention is computed: the others would be thrown away.
+class AttentionFusion(Fusion):
+    """Scaled dot-product attention per cell without parameters, (N, C, H, W) to (B, C, H, W).
+
+    Source: AttFuse, OPV2V, arXiv 2109.07644, Section IV: query, key and value are the features themselves, the scale is
+    the root of C. DSRC (arXiv 2412.10739, Figure 2) fuses its three scales so.
+
+    Released: the same for all agents' rows, of which only the ego's is kept; here only that one is computed.
     """
-    return torch.stack([_ego_row(group) for group in features.split(list(agents))])
+
+    def fuse(self, features: Tensor, company: Company) -> Tensor:
+        """Fuse one scale."""
+        return torch.stack([ego_row(into_ego(g, company, b)) for b, g in enumerate(company.split(features))])
 
 
-def _ego_row(group: Tensor) -> Tensor:
+def ego_row(group: Tensor) -> Tensor:
     """Attend from agent 0 of (A, C, H, W)."""
     if len(group) == 1:
         return group[0]

@@ -1,9 +1,22 @@
-"""Fusion by the maximum over the agents. Source: F-Cooper, arXiv 1909.06459."""
+"""Fusion by the maximum over the agents."""
 
 import torch
 from torch import Tensor
 
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.warp import into_ego
 
-def fuse_max(features: Tensor, agents: tuple[int, ...]) -> Tensor:
-    """Fuse (N, C, H, W) features, rows of a sample consecutive and ego first, into (B, C, H, W)."""
-    return torch.stack([group.amax(0) for group in features.split(list(agents))])
+
+class MaxFusion(Fusion):
+    """Per channel and cell the largest of all agents' values, (N, C, H, W) to (B, C, H, W).
+
+    Source: F-Cooper, arXiv 1909.06459, Section 3.3 (maxout of spatial features).
+
+    Released: OpenCOOD fuses once, the 256 channels after decoder and a shrink layer. Here the three scales are fused
+    each by itself, as in DSRC's own comparison (Table 3, Maximum) and CoAlign's `MaxFusion`.
+    """
+
+    def fuse(self, features: Tensor, company: Company) -> Tensor:
+        """Fuse one scale."""
+        groups = company.split(features)
+        return torch.stack([into_ego(group, company, b).amax(0) for b, group in enumerate(groups)])

@@ -3,7 +3,22 @@
 import torch
 from torch import Tensor
 
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.settings import ModelSettings
 
-def fuse_none(features: Tensor, agents: tuple[int, ...]) -> Tensor:
-    """Keep the ego's rows of (N, C, H, W) features, as (B, C, H, W)."""
-    return torch.stack([group[0] for group in features.split(list(agents))])
+
+class NoFusion(Fusion):
+    """No collaboration: the ego's maps as they are, (N, C, H, W) to (B, C, H, W).
+
+    Released: OpenCOOD has no such model; its users set the number of agents to one, and the ground truth of the test
+    stays what all agents see. Here too.
+    """
+
+    @classmethod
+    def values_sent(cls, settings: ModelSettings) -> int:
+        """Return 0."""
+        return 0
+
+    def fuse(self, features: Tensor, company: Company) -> Tensor:
+        """Keep the first row of each sample."""
+        return torch.stack([group[0] for group in company.split(features)])

@@ -1,6 +1,7 @@
 """Reads the golden files of the reference networks."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,16 @@ def pillars(features: NDArray, coords: NDArray, count: NDArray, clouds: int) -> 
 def state(arrays: dict[str, NDArray]) -> dict[str, torch.Tensor]:
     """Return the reference weights by the reference's names."""
     return {k.removeprefix("state/"): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("state/")}
+
+
+def matching(tensors: dict[str, torch.Tensor], rules: tuple) -> dict[str, torch.Tensor]:
+    """Return tensors by our names; those that no rule (pattern, replacement) matches are never used there."""
+    renamed = {}
+    for name, tensor in tensors.items():
+        for pattern, replacement in rules:
+            if match := re.fullmatch(pattern, name):
+                renamed[replacement(match) if callable(replacement) else match.expand(replacement)] = tensor
+    return renamed
 
 
 def close(found: torch.Tensor, expected: NDArray, tolerance: float = 3e-5) -> None:

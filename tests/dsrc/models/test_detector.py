@@ -1,14 +1,19 @@
 """What a detector says depends on the clouds alone, and lies in its range."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from msgspec.structs import replace as changed
 
-from dsrc.data.sample import Sample, inside_range, make_sample
+from dsrc.data.batch import collate
+from dsrc.data.sample import GridSpec, Sample, inside_range, make_sample
+from dsrc.models.checkpoint import load_detector, save_detector
 from dsrc.models.detector import Detector
+from dsrc.models.fusion import FUSIONS
+from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import debug
 from sim.boxes import Boxes
 from tests.dsrc.training.drive import frame
@@ -16,16 +21,47 @@ from tests.dsrc.training.drive import frame
 
 @pytest.fixture(scope="module")
 def sample() -> Sample:
-    return make_sample(frame(0), 1000, debug().model.grid)
+    return make_sample(frame(0), 1000, GRID)
+
+
+GRID = GridSpec(range_m=(-19.2, -9.6, -3.0, 19.2, 9.6, 1.0))
 
 
 def talkative(**changes: object) -> Detector:
     """A network of random weights that reports almost everything it thinks of."""
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        made = Detector(changed(debug().model, score_threshold=0.005, **changes))
+        model = changed(
+            debug().model, grid=GRID, stage_channels=(16, 16, 16), shrink_channels=16, decoder_channels=16, **changes
+        )
+        made = Detector(changed(model, score_threshold=0.005))
         torch.nn.init.normal_(made.reg_head.bias, std=0.5)
         return made.eval()
+
+
+def logits(detector: Detector, sample: Sample) -> torch.Tensor:
+    """What the detector thinks of each anchor."""
+    batch = collate([sample], detector.settings, training=False)
+    with torch.inference_mode():
+        return detector(batch.student, batch.company).cls
+
+
+@pytest.mark.parametrize("fusion", FUSIONS)
+def test_a_collaborator_changes_what_is_thought_unless_there_is_no_fusion(sample: Sample, fusion: str) -> None:
+    alone = replace(
+        sample,
+        agent_ids=sample.agent_ids[:1],
+        clouds=sample.clouds[:1],
+        ego_from_agent=sample.ego_from_agent[:1],
+        agent_boxes=sample.agent_boxes[:1],
+    )
+    detector = talkative(fusion=fusion)
+    one, all_of_them = logits(detector, alone), logits(detector, sample)
+    if fusion == "late":
+        assert len(all_of_them) == 3
+        assert not np.array_equal(detector.detect(alone).score, detector.detect(sample).score)
+    else:
+        assert torch.allclose(one, all_of_them, atol=1e-6) == (fusion == "none")
 
 
 @pytest.mark.parametrize("fusion", ["attention", "max", "none", "late"])
@@ -47,19 +83,42 @@ def test_detections_lie_wholly_in_the_range_and_come_best_first(sample: Sample, 
     assert (np.diff(found.score) <= 0).all()
 
 
-def test_a_collaborator_changes_what_is_detected_unless_there_is_no_fusion(sample: Sample) -> None:
-    alone = replace(
-        sample,
-        agent_ids=sample.agent_ids[:1],
-        clouds=sample.clouds[:1],
-        ego_from_agent=sample.ego_from_agent[:1],
-        agent_boxes=sample.agent_boxes[:1],
-    )
-    for fusion, same in (("none", True), ("attention", False), ("max", False), ("late", False)):
-        one, all_of_them = (talkative(fusion=fusion).detect(s).score for s in (alone, sample))
-        assert np.array_equal(one, all_of_them) == same, fusion
-
-
 def test_a_teacher_is_no_detector(sample: Sample) -> None:
     with pytest.raises(ValueError, match="ground truth"):
         talkative(role="teacher").detect(sample)
+
+
+@pytest.mark.parametrize("fusion", FUSIONS)
+def test_every_weight_of_every_method_learns_and_comes_back_from_its_file(
+    sample: Sample, tmp_path: Path, fusion: str
+) -> None:
+    detector = talkative(fusion=fusion, compress=2).train()
+    recipe = changed(debug(), model=changed(detector.settings, sdd=False, pcp=False, rec=False))
+    module = DetectionModule(recipe, detector)
+    seen_by_a_mast = make_sample(frame(0), -1, recipe.model.grid)
+    batch = collate([sample, seen_by_a_mast], recipe.model, training=True)
+    torch.manual_seed(1)
+    torch.stack(list(module.losses(batch).values())).sum().backward()
+    still = [name for name, weight in detector.named_parameters() if weight.grad is None]
+    assert still == []
+    save_detector(tmp_path / "detector.pt", detector, half=False)
+    loaded = load_detector(tmp_path / "detector.pt")
+    torch.testing.assert_close(logits(loaded, sample), logits(detector.eval(), sample), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("backbone", ["res2net", "resnet", "plain"])
+def test_any_method_stands_behind_any_backbone(sample: Sample, backbone: str) -> None:
+    assert len(talkative(fusion="max", backbone=backbone).detect(sample)) > 10
+
+
+@pytest.mark.parametrize("fusion", ["attention", "where2comm", "mrcnet", "cobevt", "ermvp"])
+def test_what_is_lost_on_the_way_is_not_fused(sample: Sample, fusion: str) -> None:
+    detector = talkative(fusion=fusion)
+    grid = detector.settings.grid
+    none, everything = (np.full((grid.height // 8, grid.width // 8), value) for value in (False, True))
+    everybody = logits(detector, replace(sample, lost=(none, none, none)))
+    torch.testing.assert_close(everybody, logits(detector, sample), rtol=1e-4, atol=1e-5)
+    nobody = logits(detector, replace(sample, lost=(none, everything, everything)))
+    assert not torch.allclose(everybody, nobody, atol=1e-4)
+    other = replace(sample, clouds=(sample.clouds[0],) * 3, lost=(none, everything, everything))
+    torch.testing.assert_close(nobody, logits(detector, other), rtol=1e-4, atol=1e-5)

@@ -1,33 +1,374 @@
-"""Fusion methods against the reference and against what they must not depend on."""
+"""Fusion methods against their references and against what they must not depend on."""
 
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
-from dsrc.models.fusion import FUSIONS
-from tests.dsrc.models.reference import golden
+from dsrc.models.backbones import plain
+from dsrc.models.blocks import upsample
+from dsrc.models.fusion import FUSIONS, Company
+from dsrc.models.fusion.attention import AttentionFusion
+from dsrc.models.fusion.cobevt import CoBEVT
+from dsrc.models.fusion.ermvp import ERMVP, density_clusters
+from dsrc.models.fusion.max import MaxFusion
+from dsrc.models.fusion.v2vnet import V2VNet
+from dsrc.models.fusion.v2xvit import V2XViT
+from dsrc.models.fusion.warp import about_centre, in_cells, into_ego, normalised, shifted
+from dsrc.models.fusion.where2comm import Where2comm, gaussian
+from dsrc.models.settings import ModelSettings
+from tests.dsrc.models.reference import golden, matching, state
+
+SIZES = ModelSettings(stage_channels=(16, 16, 16), shrink_channels=16, decoder_channels=16)
+
+
+def made(name: str) -> torch.nn.Module:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return FUSIONS[name].of(SIZES).eval()
+
+
+def near(found: torch.Tensor, expected: np.ndarray, tolerance: float) -> None:
+    np.testing.assert_allclose(found.detach().numpy(), expected, rtol=0, atol=tolerance)
 
 
 def test_attention_and_max_equal_the_reference() -> None:
     arrays, notes = golden("fuse_att_max")
-    agents, x = tuple(notes["record_len"]), torch.from_numpy(arrays["x"])
-    np.testing.assert_allclose(FUSIONS["attention"](x, agents).numpy(), arrays["att"], atol=1e-5)
-    np.testing.assert_allclose(FUSIONS["attention"](x * 3, agents).numpy(), arrays["att_x3"], atol=1e-5)
-    np.testing.assert_array_equal(FUSIONS["max"](x, agents).numpy(), arrays["max"])
+    company, x = Company(tuple(notes["record_len"])), torch.from_numpy(arrays["x"])
+    near(AttentionFusion().fuse(x, company), arrays["att"], 1e-5)
+    near(AttentionFusion().fuse(x * 3, company), arrays["att_x3"], 1e-5)
+    np.testing.assert_array_equal(MaxFusion().fuse(x, company).numpy(), arrays["max"])
 
 
-@pytest.mark.parametrize("name", ["attention", "max", "none"])
+def test_attention_and_maximum_of_warped_maps_equal_coaligns() -> None:
+    arrays, notes = golden("fuse_coalign")
+    pairwise = torch.from_numpy(arrays["pairwise"])
+    extent = (notes["voxel"] * notes["W0"], notes["voxel"] * notes["H0"])
+    there = [(b, j) for b, n in enumerate(notes["record_len"]) for j in range(n)]
+    for b, j in there:
+        near(normalised(pairwise[b, 0, j], extent), arrays["affine"][b, 0, j], 1e-6)
+    warped = Company(tuple(notes["record_len"]), pairwise=pairwise, extent_m=extent)
+    still = Company(warped.agents)
+    for k in (1, 2, 3):
+        x = torch.from_numpy(arrays[f"x{k}"])
+        near(AttentionFusion().fuse(x, warped), arrays[f"out_warp{k}"], 2e-5)
+        near(AttentionFusion().fuse(x, still), arrays[f"out_identity{k}"], 2e-5)
+        near(MaxFusion().fuse(x, warped), arrays[f"max_warp{k}"], 2e-5)
+
+
+V2VNET = (
+    (r"msg_cnn\.(.*)", r"message.\1"),
+    (r"mlp\.(.*)", r"out.\1"),
+    (r"conv_gru\.cell_list\.0\.conv_can\.(.*)", r"candidate.\1"),
+    (r"conv_gru\.cell_list\.0\.conv_gates\.(.*)", r"update.\1"),
+)
+
+
+@pytest.mark.parametrize(("agg", "gated", "name"), [("mean", True, "avg_gru"), ("max", False, "max_add")])
+def test_v2vnet_equals_the_reference(agg: str, gated: bool, name: str) -> None:
+    arrays, notes = golden("fuse_v2vnet")
+    config, x = notes["config"], torch.from_numpy(arrays["x"])
+    channels, (height, width) = config["C"], (config["H"], config["W"])
+    weights = matching(state(arrays), V2VNET)
+    # The reset gate comes first; it and the weights for the hidden state meet zeros only.
+    weights["update.weight"] = weights["update.weight"][channels:, : 2 * channels]
+    weights["update.bias"] = weights["update.bias"][channels:]
+    weights["candidate.weight"] = weights["candidate.weight"][:, : 2 * channels]
+    fusion = V2VNet(channels, config["num_iteration"], released=True, agg=agg, gated=gated).eval()
+    fusion.load_state_dict(weights)
+    agents, cell = tuple(notes["record_len"]), config["voxel"] * config["downsample_rate"]
+    pairwise = torch.from_numpy(arrays["pairwise"])
+    there = Company(agents, pairwise=pairwise, extent_m=(cell * width, cell * height))
+    motion = in_cells(pairwise, there, (height, width))
+    near(motion[0, :3, :3], arrays["discretised"][0, :3, :3], 1e-5)
+    seen = fusion.seen(motion[0, :3, :3], x[:3])
+    assert (seen.numpy() != arrays["roi_mask"][0, :3, :3]).mean() < 1e-2
+    near(shifted(x[:3], about_centre(motion[0, :3, 0], (height, width))), arrays["warp_feature"], 1e-4)
+    near(fusion.fuse(x, Company(agents)), arrays[f"out_identity_{name}"], 2e-5)
+    near(fusion.fuse(x, there), arrays[f"out_warp_{name}"], 1e-4)
+
+
+COBEVT = (
+    *(
+        (rf"layers\.(\d+)\.{theirs}\.fn\.{part}", rf"blocks.\1.{ours}.inner.{new}")
+        for theirs, ours in (("window_attention", "near"), ("grid_attention", "spread"))
+        for part, new in (
+            (r"to_qkv\.(.*)", r"qkv.\2"),
+            (r"to_out\.0\.(.*)", r"out.\2"),
+            (r"relative_position_bias_table\.weight", "bias"),
+        )
+    ),
+    (r"layers\.(\d+)\.window_ffd\.fn\.net\.(.*)", r"blocks.\1.near_forward.inner.\2"),
+    (r"layers\.(\d+)\.grid_ffd\.fn\.net\.(.*)", r"blocks.\1.spread_forward.inner.\2"),
+    (r"layers\.(\d+)\.window_attention\.norm\.(.*)", r"blocks.\1.near.norm.\2"),
+    (r"layers\.(\d+)\.grid_attention\.norm\.(.*)", r"blocks.\1.spread.norm.\2"),
+    (r"layers\.(\d+)\.window_ffd\.norm\.(.*)", r"blocks.\1.near_forward.norm.\2"),
+    (r"layers\.(\d+)\.grid_ffd\.norm\.(.*)", r"blocks.\1.spread_forward.norm.\2"),
+    (r"mlp_head\.2\.(.*)", r"norm.\1"),
+    (r"mlp_head\.3\.(.*)", r"out.\1"),
+)
+
+
+def test_cobevt_equals_the_reference() -> None:
+    arrays, notes = golden("fuse_cobevt")
+    config, x = notes["config"], torch.from_numpy(arrays["x"])
+    heads = config["input_dim"] // config["dim_head"]
+    sizes = {"depth": config["depth"], "heads": heads, "window": config["window_size"], "hidden": config["mlp_dim"]}
+    fusion = CoBEVT(config["input_dim"], config["agent_size"], **sizes, released=True).eval()
+    fusion.load_state_dict(matching(state(arrays), COBEVT))
+    place = arrays["state/layers.0.window_attention.fn.relative_position_index"]
+    np.testing.assert_array_equal(fusion.blocks[0]["near"].inner.place, place)
+    near(fusion.attend(x[:3])[:3].permute(0, 3, 1, 2), arrays["inter/after_block1_b0"], 5e-5)
+    near(fusion.fuse(x, Company(tuple(notes["record_len"]))), arrays["out_masked"], 5e-5)
+    full = torch.from_numpy(arrays["x_full"])[0]
+    near(fusion.fuse(full, Company((5,))), arrays["out_full"], 5e-5)
+    # With all agents there, nobody is filled up.
+    fusion.released = False
+    near(fusion.fuse(full, Company((5,))), arrays["out_full"], 5e-5)
+
+
+ERMVP_NAMES = (
+    (r"sampler/score_pred_net\.(.*)", r"sampler.score.\1"),
+    *((rf"fusion/{name}", new) for name, new in COBEVT if "grid" not in name),
+    (r"fusion/layers\.(\d+)\.WindowAttentionGlobal\.norm\.(.*)", r"blocks.\1.whole.norm.\2"),
+    (r"fusion/layers\.(\d+)\.windowGlobal_ffd\.norm\.(.*)", r"blocks.\1.whole_forward.norm.\2"),
+    (r"fusion/layers\.(\d+)\.windowGlobal_ffd\.fn\.net\.(.*)", r"blocks.\1.whole_forward.inner.\2"),
+    *(
+        (rf"fusion/layers\.(\d+)\.WindowAttentionGlobal\.fn\.{part}", rf"blocks.\1.whole.inner.{new}")
+        for part, new in (
+            (r"relative_position_bias_table\.weight", "bias"),
+            (r"qkv\.(.*)", r"key_value.\2"),
+            (r"to_out\.0\.(.*)", r"out.\2"),
+            (r"to_q_global\.(\d)\.conv\.0\.(.*)", r"shorten.\2.around.\3"),
+            (r"to_q_global\.(\d)\.conv\.2\.fc\.0\.(.*)", r"shorten.\2.squeeze.\3"),
+            (r"to_q_global\.(\d)\.conv\.2\.fc\.2\.(.*)", r"shorten.\2.excite.\3"),
+            (r"to_q_global\.(\d)\.conv\.3\.(.*)", r"shorten.\2.across.\3"),
+        )
+    ),
+)
+
+
+def test_ermvp_equals_the_reference() -> None:
+    arrays, notes = golden("fuse_ermvp")
+    config, x = notes["config"], torch.from_numpy(arrays["x"])
+    heads = config["input_dim"] // config["dim_head"]
+    sizes = {"depth": config["depth"], "heads": heads, "window": config["window_size"], "hidden": config["mlp_dim"]}
+    fusion = ERMVP(config["input_dim"], config["agent_size"], **sizes, released=True).eval()
+    fusion.load_state_dict(matching(state(arrays), ERMVP_NAMES))
+    company = Company(tuple(notes["record_len"]))
+    near(fusion.fuse(fusion.send([x], company)[0], company), arrays["out_fusion"], 1e-4)
+    sampler = fusion.sampler
+    tokens, cells, score = sampler.tokens(x)
+    np.testing.assert_array_equal(cells, arrays["sampler/topk_index"])
+    near(score, np.take_along_axis(arrays["sampler/score"], arrays["sampler/topk_index"].astype(int), 1), 1e-5)
+    near(tokens.transpose(0, 1), arrays["sampler/tokens"], 1e-5)
+    cluster = density_clusters(tokens, arrays["cluster/merged"].shape[1], config["k"])
+    np.testing.assert_array_equal(cluster, arrays["cluster/index"])
+    merged = sampler.means(tokens, cluster, cells.float())
+    near(merged, arrays["cluster/merged"], 1e-4)
+    sparse = sampler(x).flatten(2).gather(2, cells[:, None].expand(-1, x.shape[1], -1))
+    near(sparse.transpose(1, 2), arrays["cluster/restored"], 1e-4)
+
+
+def test_what_ermvp_samples_is_what_is_fused() -> None:
+    fusion = made("ermvp")
+    x = torch.randn(3, 16, 16, 16, generator=torch.Generator().manual_seed(5))
+    sent = fusion.send([x], Company((3,)))[0]
+    assert torch.equal(sent[0], x[0])
+    assert (sent[1:].abs().amax(1) > 0).flatten(1).sum(1).tolist() == [int(0.2 * 256)] * 2
+    fusion.released = True
+    assert torch.equal(fusion.send([x], Company((3,)))[0], x)
+
+
+V2XVIT = (
+    (r"encoder\.rte\.emb\.lin\.(.*)", r"delay.\1"),
+    *(
+        (rf"encoder\.layers\.(\d+)\.0\.layers\.0\.0\.{part}", rf"blocks.\1.agents.{new}")
+        for part, new in (
+            (r"norm\.(.*)", r"norm.\2"),
+            (r"fn\.relation_att", "relation_score"),
+            (r"fn\.relation_msg", "relation_message"),
+            (r"fn\.k_linears\.(.*)", r"key.\2"),
+            (r"fn\.q_linears\.(.*)", r"query.\2"),
+            (r"fn\.v_linears\.(.*)", r"value.\2"),
+            (r"fn\.a_linears\.(.*)", r"out.\2"),
+        )
+    ),
+    *(
+        (rf"encoder\.layers\.(\d+)\.0\.layers\.0\.1\.{part}", rf"blocks.\1.windows.{new}")
+        for part, new in (
+            (r"norm\.(.*)", r"norm.\2"),
+            (r"fn\.pwmsa\.(\d)\.pos_embedding", r"inner.branches.\2.bias"),
+            (r"fn\.pwmsa\.(\d)\.to_qkv\.(.*)", r"inner.branches.\2.qkv.\3"),
+            (r"fn\.pwmsa\.(\d)\.to_out\.0\.(.*)", r"inner.branches.\2.out.\3"),
+            (r"fn\.split_attn\.fc1\.(.*)", r"inner.squeeze.\2"),
+            (r"fn\.split_attn\.bn1\.(.*)", r"inner.norm.\2"),
+            (r"fn\.split_attn\.fc2\.(.*)", r"inner.split.\2"),
+        )
+    ),
+    (r"encoder\.layers\.(\d+)\.1\.norm\.(.*)", r"blocks.\1.feed.norm.\2"),
+    (r"encoder\.layers\.(\d+)\.1\.fn\.net\.(.*)", r"blocks.\1.feed.inner.\2"),
+)
+
+
+def test_v2xvit_equals_the_reference() -> None:
+    arrays, notes = golden("fuse_v2xvit")
+    config, x = notes["config"]["encoder"], torch.from_numpy(arrays["x"])
+    windows = config["pwindow_att_config"]
+    fusion = V2XViT(
+        x.shape[1],
+        depth=config["depth"],
+        heads=config["cav_att_config"]["heads"],
+        windows=tuple(zip(windows["window_size"], windows["heads"], strict=True)),
+        hidden=config["feed_forward"]["mlp_dim"],
+    ).eval()
+    fusion.load_state_dict(matching(state(arrays), V2XVIT))
+    agents = tuple(notes["record_len"])
+    prior = torch.cat([torch.from_numpy(row[:n]) for row, n in zip(arrays["prior"], agents, strict=True)])
+    roadside = prior[:, 2] > 0
+    near(fusion.fuse(x, Company(agents, roadside=roadside)), arrays["out_nodelay_identity"], 2e-4)
+    cell = config["sttf"]["voxel_size"][0] * config["sttf"]["downsample_rate"]
+    pairwise = torch.zeros(2, 5, 5, 4, 4)
+    pairwise[:, :, 0] = torch.from_numpy(arrays["spatial_correction"])
+    company = Company(
+        agents,
+        roadside=roadside,
+        delay=prior[:, 1].long(),
+        pairwise=pairwise,
+        extent_m=(cell * x.shape[3], cell * x.shape[2]),
+    )
+    _, seen = fusion.moved(x[:3], company, 0)
+    np.testing.assert_array_equal(seen.permute(1, 2, 0), arrays["inter/com_mask"][0, ..., :3])
+    near(fusion.fuse(x, company), arrays["out_delay_warp"], 2e-4)
+
+
+class Network(nn.Module):
+    """The part of a detector that Where2comm asks: a plain backbone, and given logits."""
+
+    def __init__(self, config: dict, weights: dict, logits: torch.Tensor) -> None:
+        super().__init__()
+        self.backbone = plain(16, tuple(config["num_filters"]), tuple(config["layer_nums"]), 0.01)
+        self.backbone.load_state_dict(matching(weights, (PLAIN,)))
+        self.deblocks = nn.ModuleList()
+        for k, (inputs, outputs) in enumerate(zip(config["num_filters"], (8, 12, 16), strict=True)):
+            self.deblocks.append(upsample(inputs, outputs, 2**k, 0.01))
+        self.deblocks.load_state_dict(matching(weights, ((r"backbone/deblocks\.(.*)", r"\1"),)))
+        self.given = logits
+        self.eval()
+
+    def logits(self, stages: list[torch.Tensor]) -> torch.Tensor:
+        return self.given
+
+    def run(self, fusion: Where2comm, x: torch.Tensor, company: Company) -> torch.Tensor:
+        scales = fusion(fusion.send(self.backbone(x), company, self), company, self)
+        return torch.cat([up(scale) for up, scale in zip(self.deblocks, scales, strict=True)], dim=1)
+
+
+PLAIN = (r"(?:backbone|base)/blocks\.(\d)\.(\d+)\.(.*)", lambda m: f"stages.{m[1]}.{int(m[2]) - 1}.{m[3]}")
+
+
+@pytest.mark.parametrize("stride", [2, 4])
+def test_where2comm_equals_the_port(stride: int) -> None:
+    arrays, notes = golden("fuse_where2comm_opencood")
+    x, company = torch.from_numpy(arrays["x"]), Company(tuple(notes["record_len"]))
+    logits = torch.from_numpy(arrays[f"psm_stride{stride}"])
+    fusion = Where2comm(notes["config"]["communication"]["threshold"]).eval()
+    near(gaussian(5, 1.0)[0, 0], arrays["gaussian_kernel"], 1e-6)
+    near(fusion.smoothed(logits), arrays[f"smoothed_stride{stride}"], 1e-6)
+    mask = fusion.mask(fusion.smoothed(logits), company)
+    np.testing.assert_array_equal(mask, arrays[f"mask_stride{stride}"])
+    network = Network(notes["config"], state(arrays), logits)
+    with torch.inference_mode():
+        near(network.run(fusion, x, company), arrays[f"out_multi_stride{stride}"], 3e-5)
+        fusion.threshold = -1.0
+        near(network.run(fusion, x, company), arrays["out_fully"], 3e-5)
+
+
+def test_where2comm_equals_the_authors_release() -> None:
+    arrays, notes = golden("fuse_where2comm_official")
+    x, logits = torch.from_numpy(arrays["x"]), torch.from_numpy(arrays["psm"])
+    pairwise, agents = torch.from_numpy(arrays["pairwise"]), tuple(notes["record_len"])
+    still = Company(agents)
+    warped = Company(agents, pairwise=pairwise, extent_m=(0.4 * x.shape[3], 0.4 * x.shape[2]))
+    network = Network(notes["config"], state(arrays), logits)
+    for agg, name in (("attention", "ATTEN"), ("max", "MAX")):
+        fusion = Where2comm(notes["config"]["communication"]["thre"], released=True, agg=agg).eval()
+        np.testing.assert_array_equal(fusion.mask(fusion.smoothed(logits), still), arrays["mask"])
+        with torch.inference_mode():
+            near(network.run(fusion, x, still), arrays[f"out_identity_{name}"], 3e-5)
+            near(network.run(fusion, x, warped), arrays[f"out_warp_{name}"], 3e-5)
+
+
+def test_the_ego_keeps_all_of_its_own_and_the_released_form_the_third_agents_too() -> None:
+    confidence = torch.zeros(3, 1, 4, 4)
+    for released, whole in ((False, [True, False, False]), (True, [True, False, True])):
+        mask = Where2comm(released=released).eval().mask(confidence, Company((3,)))
+        assert [bool(part.all()) for part in mask] == whole
+
+
+@pytest.mark.parametrize("name", ["attention", "max", "none", "coalign"])
 def test_an_ego_without_company_keeps_its_features(name: str) -> None:
     x = torch.randn(2, 4, 3, 3, generator=torch.Generator().manual_seed(1))
-    torch.testing.assert_close(FUSIONS[name](x, (1, 1)), x)
+    torch.testing.assert_close(made(name).fuse(x, Company((1, 1))), x)
 
 
-@pytest.mark.parametrize("name", ["attention", "max"])
+@pytest.mark.parametrize("name", ["attention", "max", "v2vnet", "v2xvit", "mrcnet"])
 def test_the_order_of_the_collaborators_does_not_matter(name: str) -> None:
-    x = torch.randn(4, 8, 3, 3, generator=torch.Generator().manual_seed(2))
-    torch.testing.assert_close(FUSIONS[name](x, (4,)), FUSIONS[name](x[[0, 3, 1, 2]], (4,)))
+    x = torch.randn(4, 16, 8, 8, generator=torch.Generator().manual_seed(2))
+    maps = [x, x[..., ::2, ::2], x[..., ::4, ::4]] if made(name).place == "stages" else [x]
+    turned = [part[[0, 3, 1, 2]] for part in maps]
+    with torch.inference_mode():
+        for one, other in zip(made(name)(maps, Company((4,))), made(name)(turned, Company((4,))), strict=True):
+            torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
 
 
-def test_late_fusion_leaves_every_cloud_alone() -> None:
+@pytest.mark.parametrize("name", ["v2vnet", "v2xvit", "cobevt", "ermvp"])
+def test_samples_of_a_batch_do_not_meet(name: str) -> None:
+    fusion, x = made(name), torch.randn(3, 16, 16, 16, generator=torch.Generator().manual_seed(3))
+    with torch.inference_mode():
+        both = fusion([x], Company((2, 1)))[0]
+        torch.testing.assert_close(both[:1], fusion([x[:2]], Company((2,)))[0], rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(both[1:], fusion([x[2:]], Company((1,)))[0], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["v2xvit", "cobevt", "ermvp"])
+@pytest.mark.parametrize("released", [False, True])
+def test_maps_that_windows_do_not_divide_are_fused_whole(name: str, released: bool) -> None:
+    fusion, x = made(name), torch.randn(2, 16, 10, 18, generator=torch.Generator().manual_seed(4))
+    fusion.released = released
+    with torch.inference_mode():
+        fused = fusion.fuse(x, Company((2,)))
+    assert fused.shape == (1, 16, 10, 18)
+    assert torch.isfinite(fused).all()
+
+
+def test_late_and_early_fusion_leave_every_map_alone() -> None:
     x = torch.randn(3, 4, 2, 2, generator=torch.Generator().manual_seed(3))
-    assert FUSIONS["late"](x, (1, 1, 1)) is x
+    for name in ("late", "early"):
+        assert made(name).fuse(x, Company((1, 1, 1))) is x
+
+
+def bump(x: float, y: float, size: int = 48, cell: float = 0.5) -> torch.Tensor:
+    """A map of one smooth hill at a place in metres from its centre."""
+    axis = (torch.arange(size) + 0.5 - size / 2) * cell
+    return torch.exp(-((axis[None] - x) ** 2 + (axis[:, None] - y) ** 2) / 2)[None]
+
+
+def test_what_an_agent_saw_is_put_where_it_is_for_the_ego() -> None:
+    # The collaborator stands 3 m ahead and 2 m left of the ego, turned left by 90 degrees.
+    ego_from_agent = torch.eye(4, dtype=torch.float64)
+    ego_from_agent[:2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
+    ego_from_agent[:2, 3] = torch.tensor([3.0, 2.0])
+    pairwise = torch.eye(4, dtype=torch.float64).expand(1, 2, 2, 4, 4).clone()
+    pairwise[0, 1, 0], pairwise[0, 0, 1] = ego_from_agent, torch.linalg.inv(ego_from_agent)
+    for centre in ((0.0, 0.0), (2.0, -1.0)):
+        company = Company((2,), pairwise=pairwise, extent_m=(24.0, 24.0), centre_m=centre)
+        own = torch.tensor([4.0, 1.0, 0.0, 1.0], dtype=torch.float64)
+        seen = ego_from_agent @ own
+        group = torch.stack([bump(0, 0), bump(float(own[0]) - centre[0], float(own[1]) - centre[1])])
+        expected = bump(float(seen[0]) - centre[0], float(seen[1]) - centre[1])
+        torch.testing.assert_close(into_ego(group, company, 0)[1], expected, rtol=0, atol=0.02)
+        motion = about_centre(in_cells(pairwise[0, :, 0], company, (48, 48)), (48, 48))
+        moved = shifted(group, motion)[1]
+        assert abs(int(moved.argmax()) // 48 - int(expected.argmax()) // 48) <= 1
+        assert abs(int(moved.argmax()) % 48 - int(expected.argmax()) % 48) <= 1

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from dsrc.data.batch import scene_of
 from dsrc.models.detector import Detector
 from dsrc.models.encoder import Pillars
+from dsrc.models.fusion import Company
 from dsrc.models.reconstruction import Reconstruction, Scene, reconstruction_losses
 from dsrc.models.reference_names import detector_state, reconstruction_state
 from dsrc.training.losses import detection_loss, distillation_losses, released
@@ -33,7 +34,7 @@ class Step:
     regression: Tensor
 
     def losses(self) -> dict[str, Tensor]:
-        student = self.nets["student"](self.own, AGENTS)
+        student = self.nets["student"](self.own, Company(AGENTS))
         with torch.no_grad():
             teacher = self._teacher_output()
         cls, reg = detection_loss(student.cls, student.reg, self.positive, self.regression)
@@ -48,7 +49,7 @@ class Step:
         own = torch.isin(self.objects_with_teacher.coords[:, 0], torch.tensor([0, 1, 4]))
         dense = net.encoder.scatter(features[own], self.teacher)
         net.encoder.forward = lambda _: dense
-        output = net(self.teacher, AGENTS)
+        output = net(self.teacher, Company(AGENTS))
         del net.encoder.forward
         return output
 
@@ -115,7 +116,7 @@ def test_losses_and_maps_equal_the_reference_in_eval_mode(step) -> None:
     world.nets.eval()
     _compare(world.losses(), notes["losses"]["eval"], 2e-5)
     with torch.inference_mode():
-        output = world.nets["student"](world.own, AGENTS)
+        output = world.nets["student"](world.own, Company(AGENTS))
         logits, volume = world.nets["pcr"](output.fused)
         offset = world.nets["pcr"].offset(volume)
     close(output.fused, arrays["eval/fused_feature"])

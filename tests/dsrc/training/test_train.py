@@ -43,11 +43,13 @@ class Power(pl.Callback):
             raise RuntimeError("power cut")
 
 
-def test_a_resumed_training_ends_with_the_same_weights(data: Path, tmp_path: Path) -> None:
-    whole = train(tiny(), data, tmp_path / "whole", "plain", seed=3)
+@pytest.mark.parametrize("fusion", ["attention", "cobevt"])  # the second draws while it trains
+def test_a_resumed_training_ends_with_the_same_weights(data: Path, tmp_path: Path, fusion: str) -> None:
+    recipe = replace(tiny(), model=replace(tiny().model, fusion=fusion))
+    whole = train(recipe, data, tmp_path / "whole", "plain", seed=3)
     with pytest.raises(RuntimeError, match="power cut"):
-        train(tiny(), data, tmp_path / "cut", "plain", seed=3, callbacks=[Power(2)])
-    resumed = train(tiny(), data, tmp_path / "cut", "plain", seed=3)
+        train(recipe, data, tmp_path / "cut", "plain", seed=3, callbacks=[Power(2)])
+    resumed = train(recipe, data, tmp_path / "cut", "plain", seed=3)
     expected = load_detector(whole).state_dict()
     for name, tensor in load_detector(resumed).state_dict().items():
         torch.testing.assert_close(tensor, expected[name], rtol=0, atol=0)
@@ -72,7 +74,7 @@ def test_teacher_then_student_with_all_designs(data: Path, tmp_path: Path, monke
     student.detect(sample)
 
 
-@pytest.mark.parametrize("fusion", ["max", "none", "late"])
+@pytest.mark.parametrize("fusion", ["max", "none", "late", "early", "v2xvit", "where2comm"])
 def test_other_fusions_train_and_detect(data: Path, tmp_path: Path, fusion: str) -> None:
     recipe = tiny()
     path = train(replace(recipe, epochs=1, model=replace(recipe.model, fusion=fusion)), data, tmp_path, "plain")

@@ -1,0 +1,52 @@
+"""Layers that several parts of a detector share."""
+
+from torch import Tensor, nn
+
+
+def double_conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
+    """Two convolutions without batch norm; the first has the kernel and the stride, the second is 3 x 3."""
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, kernel, stride=stride, padding=kernel // 2),
+        nn.ReLU(inplace=True),
+        nn.Conv2d(outputs, outputs, 3, padding=1),
+        nn.ReLU(inplace=True),
+    )
+
+
+def upsample(inputs: int, outputs: int, stride: int, momentum: float) -> nn.Sequential:
+    """Bring a map to `stride` times its resolution, each cell by itself."""
+    return nn.Sequential(
+        nn.ConvTranspose2d(inputs, outputs, stride, stride=stride, bias=False),
+        nn.BatchNorm2d(outputs, eps=1e-3, momentum=momentum),
+        nn.ReLU(inplace=True),
+    )
+
+
+class Compressor(nn.Module):
+    """Fewer channels for the way, and the old number after it: 3 x 3 convolutions with batch norm on either side.
+
+    Source: OPV2V, arXiv 2109.07644, Section IV (compression, sharing and decompression).
+    """
+
+    def __init__(self, channels: int, ratio: int) -> None:
+        """Make a compressor.
+
+        Args:
+            channels: of the map.
+            ratio: how many times fewer channels are sent.
+        """
+        super().__init__()
+        self.encode = nn.Sequential(*_conv_norm(channels, channels // ratio))
+        self.decode = nn.Sequential(*_conv_norm(channels // ratio, channels), *_conv_norm(channels, channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (N, C, H, W) as it comes out at the other end."""
+        return self.decode(self.encode(x))
+
+
+def _conv_norm(inputs: int, outputs: int) -> tuple[nn.Module, ...]:
+    return (
+        nn.Conv2d(inputs, outputs, 3, padding=1),
+        nn.BatchNorm2d(outputs, eps=1e-3, momentum=0.01),
+        nn.ReLU(inplace=True),
+    )

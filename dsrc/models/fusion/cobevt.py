@@ -1,0 +1,102 @@
+"""Fusion by axial attention over agents and space."""
+
+from typing import Self
+
+import torch
+from torch import Tensor, nn
+
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.windows import AgentWindows, FeedForward, Residual, padded
+from dsrc.models.settings import ModelSettings
+
+
+class CoBEVT(Fusion):
+    """Fused axial attention, (N, C, H, W) to (B, C, H, W).
+
+    Source: CoBEVT, arXiv 2207.02202, Section 3.2 and Figure 3. Three blocks of: attention among all agents' cells in
+    4 x 4 windows, feed-forward; attention in windows of 4 x 4 cells spread evenly over the map, feed-forward; each with
+    norm first and residual. Then the mean over the agents, a norm and a linear layer. A map that windows do not divide
+    is filled up with cells that nobody looks at, and cut again.
+
+    Released (OpenCOOD): the agents are filled up with zero maps to the most there can be, which nobody looks at, but
+    which look at others and count in the mean. `released` does so; else only real agents are there. OpenCOOD fails
+    on maps that windows do not divide.
+    """
+
+    place = "map"
+
+    def __init__(
+        self,
+        channels: int,
+        agents: int = 5,
+        depth: int = 3,
+        heads: int = 8,
+        window: int = 4,
+        hidden: int | None = None,
+        dropout: float = 0.1,
+        released: bool = False,
+    ) -> None:
+        """Make the blocks.
+
+        Args:
+            channels: of the maps.
+            agents: the most there can be.
+            depth: blocks.
+            heads: of each attention.
+            window: side of a window, cells.
+            hidden: width of the feed-forward layers; None is that of the maps.
+            dropout: while training.
+            released: fill up the agents as OpenCOOD does.
+        """
+        super().__init__()
+        self.agents, self.window, self.released = agents, window, released
+
+        def attention() -> Residual:
+            return Residual(channels, AgentWindows(channels, heads, agents, window, dropout))
+
+        def forward() -> Residual:
+            return Residual(channels, FeedForward(channels, hidden or channels, dropout))
+
+        self.blocks = nn.ModuleList(
+            nn.ModuleDict(
+                {"near": attention(), "near_forward": forward(), "spread": attention(), "spread_forward": forward()}
+            )
+            for _ in range(depth)
+        )
+        self.norm = nn.LayerNorm(channels)
+        self.out = nn.Linear(channels, channels)
+
+    @classmethod
+    def of(cls, settings: ModelSettings) -> Self:
+        """Return the fusion for a detector of these settings."""
+        return cls(settings.shrink_channels, settings.max_agents, released=settings.released)
+
+    def fuse(self, features: Tensor, company: Company) -> Tensor:
+        """Fuse the maps."""
+        return torch.stack([self.head(self.attend(group)) for group in company.split(features)])
+
+    def attend(self, group: Tensor) -> Tensor:
+        """Return (A, H, W, C) features of one sample's (A, C, H, W) after the blocks."""
+        height, width = group.shape[-2:]
+        x, there = padded(group.permute(0, 2, 3, 1), self.window)
+        if self.released:
+            x, there = filled_up(x, there, self.agents)
+        for block in self.blocks:
+            layers: nn.ModuleDict = block  # type: ignore[assignment]
+            x = layers["near_forward"](layers["near"](x, there, False))
+            x = layers["spread_forward"](layers["spread"](x, there, True))
+        return x[:, :height, :width]
+
+    def head(self, x: Tensor) -> Tensor:
+        """Return (C, H, W) of (A, H, W, C)."""
+        return self.out(self.norm(x.mean(0))).permute(2, 0, 1)
+
+
+def filled_up(x: Tensor, there: Tensor | None, agents: int) -> tuple[Tensor, Tensor]:
+    """Return (L, H, W, C) features with zeros for absent agents, and (L, H, W) what is real."""
+    if there is None:
+        there = torch.ones(x.shape[:3], dtype=torch.bool, device=x.device)
+    absent = agents - len(x)
+    return torch.cat([x, x.new_zeros((absent, *x.shape[1:]))]), torch.cat(
+        [there, there.new_zeros((absent, *there.shape[1:]))]
+    )

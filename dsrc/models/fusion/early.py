@@ -1,0 +1,26 @@
+"""Early fusion: the agents share their points."""
+
+from torch import Tensor
+
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.settings import ModelSettings
+
+
+class EarlyFusion(Fusion):
+    """Raw points of all agents in one cloud, on which a single-agent network detects.
+
+    Source: Cooper, arXiv 1905.05265, Section III. The clouds are joined in the ego LiDAR's frame before they become
+    pillars, so (1, C, H, W) maps per sample pass here untouched; the cap of points per pillar holds for all agents
+    together, the ego's come first.
+
+    Released: OpenCOOD shuffles the joined points before its voxeliser, so that none come first.
+    """
+
+    @classmethod
+    def values_sent(cls, settings: ModelSettings) -> int:
+        """Return 0: clouds are sent, not maps."""
+        return 0
+
+    def fuse(self, features: Tensor, company: Company) -> Tensor:
+        """Return the maps as they are."""
+        return features

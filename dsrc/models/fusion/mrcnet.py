@@ -1,0 +1,105 @@
+"""Fusion across scales, with what is alike in all agents and what is strongest in one."""
+
+from collections.abc import Sequence
+from typing import Any, Self
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.warp import into_ego
+from dsrc.models.settings import ModelSettings
+
+
+class MRCNetStyle(Fusion):
+    """After MRCNet, of which no model was published: (N, C_k, H_k, W_k) scales to (B, D, H_k, W_k).
+
+    Source: MRCNet, Hong et al., CVPR 2024, pages 15301 to 15310: multi-scale robust fusion. All scales are brought to D
+    channels by 1 x 1 convolutions. Ego and collaborator are joined by their maximum per scale; a pyramid brings each
+    scale's third of the channels to the others and back. Maximum and mean over the ego and what became of each
+    collaborator, as two channels of a 3 x 3 x 3 convolution over channels and cells, are added to the ego's map.
+
+    Not faithful, and cannot be: its motion enhancement needs earlier frames, which a `Sample` does not have, and is
+    left out; its multi-scale deformable attention is left out, too (in the one public copy of the model its result is
+    thrown away); there each place in the list of agents has weights of its own and absent ones are copies of the ego,
+    here all collaborators share weights and absent ones are absent.
+    """
+
+    def __init__(self, channels: tuple[int, ...], width: int) -> None:
+        """Make the layers.
+
+        Args:
+            channels: of the scales.
+            width: D, of all scales when fused.
+        """
+        super().__init__()
+        self.width = width
+        third = max(width // 3, 1)
+        self.project = nn.ModuleList(nn.Conv2d(c, width, 1) for c in channels)
+        self.thin = nn.Conv2d(width, third, 3, padding=1)
+        self.grow = nn.ModuleDict(
+            {
+                f"{a}_{b}": nn.ConvTranspose2d(third, third, 2 ** (a - b), 2 ** (a - b))
+                for a in range(3)
+                for b in range(a)
+            }
+        )
+        self.gather = nn.ModuleList(nn.Conv2d(3 * third, width, 3, padding=1) for _ in range(3))
+        self.join = nn.ModuleList(nn.Conv3d(2, 1, 3, padding=1) for _ in range(3))
+
+    @classmethod
+    def of(cls, settings: ModelSettings) -> Self:
+        """Return the fusion for a detector of these settings."""
+        return cls(settings.stage_channels, settings.decoder_channels)
+
+    @classmethod
+    def values_sent(cls, settings: ModelSettings) -> int:
+        """Return the numbers of three scales of D channels."""
+        cells = settings.grid.width * settings.grid.height
+        return sum(settings.decoder_channels * cells // 4**k for k in (1, 2, 3))
+
+    def widths(self, settings: ModelSettings) -> tuple[int, ...]:
+        """Return D for every scale."""
+        return (self.width,) * 3
+
+    def send(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+        """Return the scales with D channels."""
+        return [layer(scale) for layer, scale in zip(self.project, maps, strict=True)]
+
+    def forward(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+        """Fuse the scales."""
+        per_sample = [
+            self._ego([into_ego(group, company, b) for group in groups])
+            for b, groups in enumerate(zip(*(company.split(scale) for scale in maps), strict=True))
+        ]
+        return [torch.stack(scale) for scale in zip(*per_sample, strict=True)]
+
+    def _ego(self, scales: list[Tensor]) -> list[Tensor]:
+        """Return the ego's three (D, H_k, W_k) of (A, D, H_k, W_k)."""
+        company = [torch.cat([own[:1], part]) for own, part in zip(scales, self._enhanced(scales), strict=True)]
+        results = []
+        for join, part in zip(self.join, company, strict=True):
+            both = torch.stack([part.amax(0), part.mean(0)])[None]
+            results.append(part[0] + torch.relu(join(both))[0, 0])
+        return results
+
+    def _enhanced(self, scales: list[Tensor]) -> list[Tensor]:
+        """Return (A - 1, D, H_k, W_k) what each collaborator adds, joined with the ego and across scales."""
+        strongest = [torch.maximum(scale[:1], scale[1:]) for scale in scales]
+        if not len(strongest[0]):
+            return strongest
+        thin = [self.thin(scale) for scale in strongest]
+        results = []
+        for b, gather in enumerate(self.gather):
+            size = thin[b].shape[-2:]
+            parts = [
+                thin[a]
+                if a == b
+                else self.grow[f"{a}_{b}"](thin[a])
+                if a > b
+                else functional.max_pool2d(thin[a], 2 ** (b - a))
+                for a in range(3)
+            ]
+            results.append(strongest[b] + gather(torch.cat([part[..., : size[0], : size[1]] for part in parts], dim=1)))
+        return results

@@ -1,0 +1,103 @@
+"""Fusion by rounds of messages between all agents."""
+
+from typing import Self
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.warp import about_centre, in_cells, shifted
+from dsrc.models.settings import ModelSettings
+
+
+class V2VNet(Fusion):
+    """A graph network: two rounds in which every agent hears all others, (N, C, H, W) to (B, C, H, W).
+
+    Source: V2VNet, arXiv 2008.07519, Section 3.3 (cross-vehicle aggregation), Equations 1 to 3. Per round and agent i:
+    a 3 x 3 convolution of [what j sent, warped to i; what i has] is the message of j; where j's map ends it is zero;
+    the mean over all j, i itself included, enters a convolutional GRU with i's features. A linear layer per cell ends
+    it. The compensation of delay by a network of its own is left out, as in OpenCOOD.
+
+    Computed once, not per pair: the convolution is linear, so its two halves are taken of each j and of each i, and the
+    last round runs for the ego alone. Without warps a round costs 2 A convolutions of C channels where the released
+    code has A^2 of 2 C.
+
+    Released (OpenCOOD): the GRU starts every call with a hidden state of zeros, so that its reset gate and its weights
+    for that state never matter; here they do not exist. The mask of what j sees turns about the first cell, the
+    features about the map's middle; with rotation they disagree. `released` does so, else both turn about the middle.
+    """
+
+    place = "map"
+
+    def __init__(
+        self, channels: int, rounds: int = 2, released: bool = False, agg: str = "mean", gated: bool = True
+    ) -> None:
+        """Make a graph network.
+
+        Args:
+            channels: of the maps.
+            rounds: of messages.
+            released: masks as OpenCOOD's.
+            agg: how messages are joined, mean or max.
+            gated: whether they enter a GRU, else they are added.
+        """
+        super().__init__()
+        self.rounds, self.released, self.agg, self.gated = rounds, released, agg, gated
+        self.message = nn.Conv2d(2 * channels, channels, 3, padding=1)
+        self.update = nn.Conv2d(2 * channels, channels, 3, padding=1)
+        self.candidate = nn.Conv2d(2 * channels, channels, 3, padding=1)
+        self.out = nn.Linear(channels, channels)
+
+    @classmethod
+    def of(cls, settings: ModelSettings) -> Self:
+        """Return the fusion for a detector of these settings."""
+        return cls(settings.shrink_channels, released=settings.released)
+
+    def fuse(self, features: Tensor, company: Company) -> Tensor:
+        """Fuse the maps."""
+        rows = [self._talk(group, company, b) for b, group in enumerate(company.split(features))]
+        fused = torch.stack(rows)
+        return functional.conv2d(fused, self.out.weight[:, :, None, None], self.out.bias)
+
+    def _talk(self, group: Tensor, company: Company, sample: int) -> Tensor:
+        """Return the ego's (C, H, W) after all rounds of (A, C, H, W)."""
+        agents, size = len(group), group.shape[2:]
+        motion = mask = None
+        if company.pairwise is not None:
+            # [j, i]: from agent j to agent i.
+            cells = in_cells(company.pairwise[sample, :agents, :agents].double(), company, (size[0], size[1]))
+            motion = about_centre(cells, (size[0], size[1]))
+            mask = self.seen(cells if self.released else motion, group)
+        for turn in range(self.rounds):
+            listeners = 1 if turn == self.rounds - 1 else agents
+            heard = self._messages(group, motion, mask, listeners)
+            group = self._step(group[:listeners], heard)
+        return group[0]
+
+    def _messages(self, group: Tensor, motion: Tensor | None, mask: Tensor | None, listeners: int) -> Tensor:
+        """Return (listeners, C, H, W) what each agent hears in a round."""
+        from_sender, from_self = self.message.weight.chunk(2, dim=1)
+        own = functional.conv2d(group[:listeners], from_self, self.message.bias, padding=1)
+        if motion is None or mask is None:
+            return own + self._joined(functional.conv2d(group, from_sender, padding=1))
+        heard = []
+        for i in range(listeners):
+            sent = functional.conv2d(shifted(group, motion[:, i]), from_sender, padding=1)
+            heard.append(self._joined((sent + own[i]) * mask[:, i]))
+        return torch.stack(heard)
+
+    def _joined(self, messages: Tensor) -> Tensor:
+        return messages.mean(0) if self.agg == "mean" else messages.amax(0)
+
+    def _step(self, own: Tensor, heard: Tensor) -> Tensor:
+        """Return the agents' new features."""
+        if not self.gated:
+            return own + heard
+        both = torch.cat([own, heard], dim=1)
+        return torch.sigmoid(self.update(both)) * torch.tanh(self.candidate(both))
+
+    def seen(self, motion: Tensor, group: Tensor) -> Tensor:
+        """Return (A, A, 1, H, W) which cells of i, the second, lie on the map of j, the first."""
+        whole = torch.ones_like(group[:, :1])
+        return torch.stack([shifted(whole, row, "nearest") for row in motion.unbind(1)], dim=1)

@@ -1,0 +1,226 @@
+"""Fusion by a vision transformer that knows vehicles from roadside units."""
+
+import math
+from typing import Self
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.warp import about_centre, in_cells, shifted
+from dsrc.models.fusion.windows import FeedForward, Residual, cut, padded, paste
+from dsrc.models.settings import ModelSettings
+
+# Legend: A agents of a sample, H W map, C channels, M heads, P Q channels of a head, T kinds of agents.
+
+
+class V2XViT(Fusion):
+    """Heterogeneous attention over agents, then windows of three sizes, (N, C, H, W) to (B, C, H, W).
+
+    Source: V2X-ViT, arXiv 2203.10638, Section 3 and Figure 2: an embedding of each agent's delay (3.2), features moved
+    to where the ego now is (STCM), then three blocks of heterogeneous multi-agent attention (HMSA, Equations 2 to 6),
+    multi-scale windows of 4, 8 and 16 cells (MSwin) joined by split attention, and a feed-forward layer. Attention over
+    agents sees only cells on the other's map. A map that windows do not divide is filled up with cells that nobody
+    looks at, and cut again.
+
+    Released (OpenCOOD): three channels of prior knowledge (speed, delay, kind) ride on the features; the layer that
+    would read them is never called, so speed has no effect, and here only delay and kind exist. Absent agents are zeros
+    that are computed along; what they get reaches nobody, so here they are not there, and the last block runs for the
+    ego alone. Without delay nothing moves and all cells are seen.
+    """
+
+    place = "map"
+
+    def __init__(
+        self,
+        channels: int,
+        depth: int = 3,
+        heads: int = 8,
+        windows: tuple[tuple[int, int], ...] = ((4, 16), (8, 8), (16, 4)),
+        hidden: int | None = None,
+        dropout: float = 0.3,
+    ) -> None:
+        """Make the blocks.
+
+        Args:
+            channels: of the maps.
+            depth: blocks.
+            heads: of the attention over agents.
+            windows: side and heads of each size of windows.
+            hidden: width of the feed-forward layers; None is that of the maps.
+            dropout: while training.
+        """
+        super().__init__()
+        self.delay = nn.Linear(channels, channels)
+        self.blocks = nn.ModuleList(
+            nn.ModuleDict(
+                {
+                    "agents": AgentAttention(channels, heads, dropout),
+                    "windows": Residual(channels, Pyramid(channels, windows, dropout)),
+                    "feed": Residual(channels, FeedForward(channels, hidden or channels, dropout)),
+                }
+            )
+            for _ in range(depth)
+        )
+
+    @classmethod
+    def of(cls, settings: ModelSettings) -> Self:
+        """Return the fusion for a detector of these settings."""
+        return cls(settings.shrink_channels)
+
+    def fuse(self, features: Tensor, company: Company) -> Tensor:
+        """Fuse the maps."""
+        start, rows = 0, []
+        for sample, group in enumerate(company.split(features)):
+            rows.append(self._ego(group, company, sample, slice(start, start + len(group))))
+            start += len(group)
+        return torch.stack(rows)
+
+    def _ego(self, group: Tensor, company: Company, sample: int, rows: slice) -> Tensor:
+        """Return the ego's (C, H, W) of one sample's (A, C, H, W)."""
+        nobody = torch.zeros(len(group), dtype=torch.long, device=group.device)
+        delay = nobody if company.delay is None else company.delay[rows]
+        kind = nobody if company.roadside is None else company.roadside[rows].long()
+        x = group + self.delay(delay_code(delay, group.shape[1]).to(group.dtype))[:, :, None, None]
+        x, seen = self.moved(x, company, sample)
+        x = x.permute(0, 2, 3, 1)
+        for number, block in enumerate(self.blocks, start=1):
+            layers: nn.ModuleDict = block  # type: ignore[assignment]
+            wanted = 1 if number == len(self.blocks) else len(x)
+            x = layers["agents"](x, kind, seen, wanted)
+            x = layers["feed"](layers["windows"](x))
+        return x[0].permute(2, 0, 1)
+
+    def moved(self, x: Tensor, company: Company, sample: int) -> tuple[Tensor, Tensor | None]:
+        """Return (A, C, H, W) in the ego's frame and (A, H, W) bool which of its cells each agent's map covers."""
+        if company.pairwise is None:
+            return x, None
+        size = (x.shape[-2], x.shape[-1])
+        motion = about_centre(in_cells(company.pairwise[sample, : len(x), 0].double(), company, size), size)
+        seen = shifted(torch.ones_like(x[:, :1]), motion, "nearest")[:, 0] > 0
+        return torch.cat([x[:1], shifted(x[1:], motion[1:])]) if len(x) > 1 else x, seen
+
+
+def delay_code(delay: Tensor, channels: int) -> Tensor:
+    """Return (A, C) sinusoids of twice the (A,) delays in frames."""
+    wave = torch.exp(torch.arange(0, channels, 2, device=delay.device) * -(math.log(10000.0) / channels))
+    angle = 2.0 * delay[:, None] * wave
+    return torch.stack([angle.sin(), angle.cos()], dim=-1).flatten(1)[:, :channels] / math.sqrt(channels)
+
+
+class AgentAttention(nn.Module):
+    """Attention per cell over agents, whose layers depend on the kinds of both. Equations 2 to 6 of V2X-ViT.
+
+    With norm first and the input on top.
+    """
+
+    def __init__(self, channels: int, heads: int, dropout: float, kinds: int = 2) -> None:
+        super().__init__()
+        width = channels // heads
+        self.heads, self.kinds, self.scale = heads, kinds, width**-0.5
+        self.norm = nn.LayerNorm(channels)
+        self.query, self.key, self.value, self.out = (
+            nn.ModuleList(nn.Linear(channels, channels) for _ in range(kinds)) for _ in range(4)
+        )
+        self.relation_score = nn.Parameter(torch.zeros(kinds**2, heads, width, width))
+        self.relation_message = nn.Parameter(torch.zeros(kinds**2, heads, width, width))
+        nn.init.xavier_uniform_(self.relation_score)
+        nn.init.xavier_uniform_(self.relation_message)
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, x: Tensor, kind: Tensor, seen: Tensor | None, wanted: int) -> Tensor:
+        """Attend.
+
+        Args:
+            x: (A, H, W, C).
+            kind: (A,) int64, 0 for vehicles and 1 for roadside units.
+            seen: (A, H, W) bool cells of the ego that an agent's map covers; None for all.
+            wanted: only the first agents' results are computed.
+
+        Returns:
+            (wanted, H, W, C).
+        """
+        height, width = x.shape[1:3]
+        tokens = self.norm(x).flatten(1, 2)
+        query = self._per_kind(self.query, tokens[:wanted], kind)
+        key, value = (self._per_kind(layers, tokens, kind) for layers in (self.key, self.value))
+        hidden = None if seen is None else ~seen.flatten(1)[:, :, None]
+        results: list[Tensor] = []
+        looks: dict[int, tuple[Tensor, Tensor]] = {}
+        for i in range(wanted):
+            looker = int(kind[i])
+            if looker not in looks:
+                relation = looker * self.kinds + kind
+                looks[looker] = (
+                    torch.einsum("ampq,atmq->atmp", self.relation_score[relation], key),
+                    torch.einsum("ampc,atmp->atmc", self.relation_message[relation], value),
+                )
+            towards, message = looks[looker]
+            score = (query[i] * towards).sum(-1) * self.scale
+            if hidden is not None:
+                score = score.masked_fill(hidden, -torch.inf)
+            results.append((torch.softmax(score, dim=0)[..., None] * message).sum(0))
+        found = self._joined(self.out, torch.stack(results).flatten(2), kind)
+        return x[:wanted] + self.dropout(found).unflatten(1, (height, width))
+
+    def _per_kind(self, layers: nn.ModuleList, tokens: Tensor, kind: Tensor) -> Tensor:
+        """Return (A, H W, M, P)."""
+        return self._joined(layers, tokens, kind).unflatten(-1, (self.heads, -1))
+
+    def _joined(self, layers: nn.ModuleList, tokens: Tensor, kind: Tensor) -> Tensor:
+        """Apply to each agent's tokens the layer of its kind."""
+        return torch.stack([layers[int(k)](row) for row, k in zip(tokens, kind, strict=False)])
+
+
+class Pyramid(nn.Module):
+    """Attention of each agent's cells in windows of several sizes, joined by split attention. MSwin of V2X-ViT."""
+
+    def __init__(self, channels: int, windows: tuple[tuple[int, int], ...], dropout: float) -> None:
+        super().__init__()
+        self.branches = nn.ModuleList(Windows(channels, size, heads, dropout) for size, heads in windows)
+        self.squeeze = nn.Linear(channels, channels, bias=False)
+        self.norm = nn.LayerNorm(channels)
+        self.split = nn.Linear(channels, channels * len(windows), bias=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (A, H, W, C) to (A, H, W, C)."""
+        parts = [branch(x) for branch in self.branches]
+        whole = torch.stack(parts).sum(0).mean((1, 2))
+        weight = self.split(torch.relu(self.norm(self.squeeze(whole)))).unflatten(-1, (len(parts), -1)).softmax(1)
+        weighted = [part * weight[:, k, None, None] for k, part in enumerate(parts)]
+        return torch.stack(weighted).sum(0)
+
+
+class Windows(nn.Module):
+    """Multi-head attention among the cells of a window, each agent's by themselves; all heads share one bias table."""
+
+    def __init__(self, channels: int, window: int, heads: int, dropout: float) -> None:
+        super().__init__()
+        self.window, self.heads = window, heads
+        self.place: Tensor
+        self.qkv = nn.Linear(channels, 3 * channels, bias=False)
+        self.out = nn.Linear(channels, channels)
+        self.dropout = nn.Dropout(dropout)
+        self.bias = nn.Parameter(torch.randn(2 * window - 1, 2 * window - 1) * 0.02)
+        place = torch.stack(torch.meshgrid(torch.arange(window), torch.arange(window), indexing="ij")).flatten(1)
+        # How far the one that is looked at lies from the one that looks.
+        self.register_buffer("place", place[:, None] - place[:, :, None] + window - 1, persistent=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (A, H, W, C) to (A, H, W, C)."""
+        agents, height, width, _ = x.shape
+        filled, there = padded(x, self.window)
+        # Each agent's windows by themselves: (A G, w^2, C).
+        tokens = torch.cat([cut(row[None], self.window) for row in filled])
+        query, key, value = (
+            part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in self.qkv(tokens).chunk(3, dim=-1)
+        )
+        mask = self.bias[self.place[0], self.place[1]][None, None]
+        if there is not None:
+            seen = cut(there[:1, ..., None], self.window)[:, None, None, :, 0]
+            mask = mask.masked_fill(~seen, -torch.inf).repeat(agents, 1, 1, 1)
+        found = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
+        per_agent = found.transpose(1, 2).flatten(2).chunk(agents)
+        whole = torch.cat([paste(part, (1, *filled.shape[1:]), self.window) for part in per_agent])
+        return self.dropout(self.out(whole[:, :height, :width]))

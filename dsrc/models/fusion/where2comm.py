@@ -1,0 +1,103 @@
+"""Fusion of the cells that their sender is sure of."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Self
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from dsrc.models.fusion.attention import ego_row
+from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.warp import into_ego
+from dsrc.models.settings import ModelSettings
+
+
+class Where2comm(Fusion):
+    """Each agent sends the cells of its first scale where it may see something; attention per scale fuses them.
+
+    Source: Where2comm, arXiv 2209.12836, Section 4: the confidence of a cell is that of the agent's own detections
+    there (4.2), smoothed by a 5 x 5 Gaussian; above 0.01 it is sent (4.3); the receiver computes the further scales of
+    what it got and fuses each by attention per cell (4.4). One round. While training, a random number of the best cells
+    is sent. (N, C, H, W) scales to (B, C, H, W); the confidence takes a run of decoder and heads on every agent's maps.
+
+    Released: the authors' code also keeps whole what the third and the fifth agent have, not the ego's alone:
+    `released` does so. Its Gaussian has the amplitude 1 / (2 pi sigma), here too.
+    """
+
+    scales_sent = 1
+
+    def __init__(self, threshold: float = 0.01, released: bool = False, agg: str = "attention") -> None:
+        """Make the selection.
+
+        Args:
+            threshold: of the smoothed confidence, above which a cell is sent.
+            released: keep the maps of every other agent whole.
+            agg: how scales are fused, attention or max.
+        """
+        super().__init__()
+        self.threshold, self.released, self.agg = threshold, released, agg
+        self.kernel: Tensor
+        self.register_buffer("kernel", gaussian(5, 1.0), persistent=False)
+
+    @classmethod
+    def of(cls, settings: ModelSettings) -> Self:
+        """Return the fusion for a detector of these settings."""
+        return cls(released=settings.released)
+
+    def send(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+        """Return the first scale with zeros in the cells that are not sent."""
+        whole = self.chosen(network.logits(maps), company, tuple(maps[0].shape[-2:]))
+        return [maps[0] * whole]
+
+    def forward(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+        """Fuse the first scale and what the network's later stages make of it."""
+        scales = [maps[0]]
+        for stage in network.backbone.stages[1:]:
+            scales.append(stage(scales[-1]))
+        return [self.fuse(scale, company) for scale in scales]
+
+    def fuse(self, features: Tensor, company: Company) -> Tensor:
+        """Fuse one scale."""
+        groups = [into_ego(group, company, b) for b, group in enumerate(company.split(features))]
+        if self.agg == "max":
+            return torch.stack([group.amax(0) for group in groups])
+        return torch.stack([ego_row(group) for group in groups])
+
+    def smoothed(self, logits: Tensor) -> Tensor:
+        """Return (N, 1, h, w) confidences of (N, anchors, h, w) logits."""
+        best = torch.sigmoid(logits.detach()).amax(1, keepdim=True)
+        return functional.conv2d(best, self.kernel.to(best.dtype), padding=self.kernel.shape[-1] // 2)
+
+    def chosen(self, logits: Tensor, company: Company, size: tuple[int, ...]) -> Tensor:
+        """Return (N, 1, H, W) which cells are fused, with soft edges where the logits are coarser than the map."""
+        mask = self.mask(self.smoothed(logits), company)
+        if mask.shape[-2:] == size:
+            return mask
+        return functional.interpolate(mask, size, mode="bilinear", align_corners=False)
+
+    def mask(self, confidence: Tensor, company: Company) -> Tensor:
+        """Return (N, 1, h, w) 1 where a cell is sent or the ego's own."""
+        if self.training:
+            parts = [_best(group) for group in company.split(confidence)]
+        else:
+            parts = [(group > self.threshold).to(confidence.dtype) for group in company.split(confidence)]
+        for part in parts:
+            part[:: 2 if self.released else len(part)] = 1.0
+        return torch.cat(parts)
+
+
+def _best(group: Tensor) -> Tensor:
+    """Return a mask of the cells of (A, 1, h, w) with the highest confidence, a random number of them."""
+    flat = group.flatten(1)
+    count = int(flat.shape[1] * torch.rand(()).item())
+    mask = torch.zeros_like(flat).scatter(1, flat.topk(count, dim=1, sorted=False).indices, 1.0)
+    return mask.view_as(group)
+
+
+def gaussian(size: int, sigma: float) -> Tensor:
+    """Return a (1, 1, size, size) kernel."""
+    x = torch.arange(size) - size // 2
+    square = x[:, None] ** 2 + x[None] ** 2
+    return (torch.exp(-square / (2 * sigma**2)) / (2 * math.pi * sigma))[None, None]

@@ -1,0 +1,125 @@
+"""Attention within windows of a map, over all agents' cells in them: the part that CoBEVT and ERMVP share."""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+# Legend: A agents, H W map, w side of a window, G windows, C channels, L most agents.
+
+
+class FeedForward(nn.Sequential):
+    """Two linear layers with a GELU between them."""
+
+    def __init__(self, channels: int, hidden: int, dropout: float) -> None:
+        super().__init__(
+            nn.Linear(channels, hidden),
+            nn.GELU(),
+            nn.Dropout(dropout),
+            nn.Linear(hidden, channels),
+            nn.Dropout(dropout),
+        )
+
+
+class Residual(nn.Module):
+    """Norm first, then a layer, then its input on top."""
+
+    def __init__(self, channels: int, inner: nn.Module) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(channels)
+        self.inner = inner
+
+    def forward(self, x: Tensor, *args: Tensor | bool | None) -> Tensor:
+        """Map (..., C) to (..., C)."""
+        return x + self.inner(self.norm(x), *args)
+
+
+class AgentWindows(nn.Module):
+    """Multi-head attention among all agents' cells of a window, with a learned bias per relative place and agent.
+
+    Args:
+        channels: of the map.
+        heads: that they are split into.
+        agents: L, the most that a bias is learned for.
+        window: side of a window, cells.
+        dropout: of the result.
+    """
+
+    def __init__(self, channels: int, heads: int, agents: int, window: int, dropout: float) -> None:
+        super().__init__()
+        self.heads, self.window = heads, window
+        self.place: Tensor
+        self.qkv = nn.Linear(channels, 3 * channels, bias=False)
+        self.out = nn.Linear(channels, channels, bias=False)
+        self.dropout = nn.Dropout(dropout)
+        self.bias = nn.Parameter(torch.randn((2 * agents - 1) * (2 * window - 1) ** 2, heads) * 0.02)
+        self.register_buffer("place", relative_place(agents, window), persistent=False)
+
+    def forward(self, x: Tensor, there: Tensor | None, spread: bool) -> Tensor:
+        """Attend in (A, H, W, C).
+
+        Args:
+            x: normalised features.
+            there: (A, H, W) bool cells that may be looked at, None for all.
+            spread: windows of cells that lie evenly over the map, not next to each other.
+        """
+        tokens = cut(x, self.window, spread)
+        query, key, value = (_heads(part, self.heads) for part in self.qkv(tokens).chunk(3, dim=-1))
+        mask = window_mask(self.bias, self.place, len(x), self.window, there, spread)
+        found = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
+        joined = self.dropout(self.out(found.transpose(1, 2).flatten(2)))
+        return paste(joined, tuple(x.shape), self.window, spread)
+
+
+def relative_place(agents: int, window: int) -> Tensor:
+    """Return (L w^2, L w^2) the row of the bias table for each pair of cells: difference of agent, row and column."""
+    axes = [torch.arange(n) for n in (agents, window, window)]
+    place = torch.stack(torch.meshgrid(*axes, indexing="ij")).flatten(1)
+    agent, row, column = place[:, :, None] - place[:, None]
+    side = 2 * window - 1
+    return ((agent + agents - 1) * side + row + window - 1) * side + column + window - 1
+
+
+def window_mask(bias: Tensor, place: Tensor, agents: int, window: int, there: Tensor | None, spread: bool) -> Tensor:
+    """Return (1 or G, heads, A w^2, A w^2) what is added to the scores of A agents' cells."""
+    cells = agents * window**2
+    added = bias[place[:cells, :cells]].permute(2, 0, 1)[None]
+    if there is None:
+        return added
+    seen = cut(there[..., None], window, spread)[:, None, None, :, 0]
+    # A window in which nothing is to be seen keeps its scores: its cells are cut off later, and must not become NaN.
+    seen = seen | ~seen.any(-1, keepdim=True)
+    return added.masked_fill(~seen, -torch.inf)
+
+
+def _heads(x: Tensor, heads: int) -> Tensor:
+    """Return (G, heads, T, C / heads) of (G, T, C)."""
+    return x.unflatten(-1, (heads, -1)).transpose(1, 2)
+
+
+def cut(x: Tensor, window: int, spread: bool = False) -> Tensor:
+    """Return (G, A w^2, C) windows of (A, H, W, C)."""
+    agents, height, width, channels = x.shape
+    if spread:
+        parts = x.reshape(agents, window, height // window, window, width // window, channels).permute(2, 4, 0, 1, 3, 5)
+    else:
+        parts = x.reshape(agents, height // window, window, width // window, window, channels).permute(1, 3, 0, 2, 4, 5)
+    return parts.reshape(-1, agents * window**2, channels)
+
+
+def paste(parts: Tensor, shape: tuple[int, ...], window: int, spread: bool = False) -> Tensor:
+    """Return the (A, H, W, C) map of windows that `cut` made."""
+    agents, height, width, channels = shape
+    rows, columns = height // window, width // window
+    x = parts.reshape(rows, columns, agents, window, window, channels)
+    return x.permute((2, 3, 0, 4, 1, 5) if spread else (2, 0, 3, 1, 4, 5)).reshape(shape)
+
+
+def padded(x: Tensor, multiple: int) -> tuple[Tensor, Tensor | None]:
+    """Return (A, H, W, C) filled up with zeros below and right to multiples of cells, and (A, H', W') what is real."""
+    agents, height, width, _ = x.shape
+    below, right = -height % multiple, -width % multiple
+    if not below and not right:
+        return x, None
+    there = torch.zeros((agents, height + below, width + right), dtype=torch.bool, device=x.device)
+    there[:, :height, :width] = True
+    return functional.pad(x, (0, 0, 0, right, 0, below)), there
