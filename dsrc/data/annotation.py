@@ -8,12 +8,13 @@ Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, complaint
 from sim.geometry import matrix_from_carla, wrap_angle
@@ -137,6 +138,31 @@ def flattened(axes: NDArray[np.float64], extent: NDArray[np.float64], object_id:
     label = np.zeros(len(axes), np.int64)
     ids = np.full(len(axes), -1, np.int64) if object_id is None else object_id
     return Boxes(axes[:, :3, 3].copy(), size, wrap_angle(yaw), label, ids)
+
+
+def with_own_bodies(frame: Frame) -> Frame:
+    """Return the frame with the agents' ids on the boxes that their LiDARs stand in, seen from above.
+
+    Datasets of the real world number the agents apart from the objects, and an agent's car is an object to the others.
+    Agents whose id an object has already, and roadside units, keep what they have.
+    """
+    ids = frame.truth.object_id.copy()
+    for agent in frame.agents:
+        if agent.kind != "vehicle" or agent.agent_id in ids or len(ids) == 0:
+            continue
+        place = frame.truth.center.copy()
+        place[:, :2] = agent.sweep.world_from_lidar[:2, 3]
+        inside = frame.truth.contains(place)[np.arange(len(ids)), np.arange(len(ids))]
+        away = np.linalg.norm(frame.truth.center[:, :2] - place[:, :2], axis=1)
+        if inside.any():
+            ids[np.argmin(np.where(inside, away, np.inf))] = agent.agent_id
+    order = np.argsort(ids, kind="stable")
+    return replace(
+        frame,
+        truth=replace(frame.truth, object_id=ids)[order],
+        velocity=frame.velocity[order],
+        points_on=frame.points_on[:, order],
+    )
 
 
 def numbers(path: Path, content: dict, key: str, count: int, where: str = "") -> list[float]:

@@ -8,6 +8,7 @@ What the frames say, and what they cannot:
 * Ground truth are the cooperative labels. They have no tracks in DAIR-V2X-C: ids then number the objects of each frame
   and velocities are NaN. Where labels have a `track_id`, as ours have, it is the id, and velocities are finite
   differences.
+* The box in which the vehicle's LiDAR stands is the vehicle itself and has its id.
 * Somebody saw what is labelled: an object without a point in its box counts as one point of the LiDAR nearest to it.
 
 A drive goes by a path that need not exist: TREE/BATCH, TREE/SPLIT/BATCH or TREE/original/BATCH, where SPLIT is a list
@@ -23,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.annotation import with_own_bodies
 from dsrc.data.dairv2x_tree import (
     LABEL_FOLDERS,
     TREE,
@@ -183,7 +185,7 @@ class DairReader:
         vehicle = self._agent("vehicle-side", pair, self._record.vehicle, self._speed(i))
         infrastructure = self._agent("infrastructure-side", pair, self._record.infrastructure, 0.0)
         agents = (vehicle, infrastructure)
-        return Frame(
+        frame = Frame(
             index=self.frames[i],
             time_s=time_s,
             agents=agents,
@@ -191,6 +193,7 @@ class DairReader:
             velocity=tracked_velocity(now, *(self._neighbour(i + step) if tracked else None for step in (-1, 1))),
             points_on=self._points_on(agents, truth),
         )
+        return frame if self._own else with_own_bodies(frame)
 
     def plans(self, i: int) -> dict[int, NDArray[np.float64]]:
         """Return no plans: the dataset has none."""

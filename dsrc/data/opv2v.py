@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.annotation import Annotation
+from dsrc.data.annotation import Annotation, with_own_bodies
 from dsrc.data.opv2v_record import Record, encode_agent, read_agent, read_plan
 from dsrc.data.pcd import encode_pcd, read_pcd
 from dsrc.data.tracks import Instant, tracked_velocity
@@ -221,7 +221,8 @@ class DriveReader:
             counts = truth[listed].contains(sweep.world_points).sum(axis=1)
             # An annotation means that a ray has hit the object, even if no point of the file lies in its box.
             points_on[row, listed] = np.maximum(counts, 1)
-        return Frame(int(stem), now.time_s, tuple(agents), truth, velocity, points_on)
+        frame = Frame(int(stem), now.time_s, tuple(agents), truth, velocity, points_on)
+        return frame if all(note.mirrored for note in notes) else with_own_bodies(frame)
 
     def _instant(self, stem: str, notes: list[Annotation]) -> Instant:
         interval_s = self._tick_s() if notes[0].interval_s is None else notes[0].interval_s

@@ -3,7 +3,8 @@
 * `lidar_pose` is a 4 x 4 matrix, world_from_lidar; everything is right-handed, the points too, and y is to the left.
 * `vehicles.*.location` and `angle` are in the agent's own LiDAR frame, not in the world.
 * `ass_id` is the object's number in both agents' files. Where it is -1 the agent alone has seen it and its key counts.
-  Ids are moved away from those of the agents (0 and 1), and of each other.
+  Ids are moved away from those of the agents (0 and 1), and of each other; an agent's own car, which the other one has
+  labelled, has the agent's id.
 * `obj_type` names the class. There are no speeds: velocities are finite differences.
 * Frames are 0.1 s apart. The download's files hold numpy's arrays and numbers, see `yamlio`.
 

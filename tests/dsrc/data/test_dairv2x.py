@@ -92,6 +92,21 @@ def test_what_is_labelled_was_seen_by_somebody(root: Path):
     assert 4 in sample.boxes.object_id
 
 
+def test_the_vehicle_itself_is_known_by_where_its_lidar_stands(root: Path):
+    path = root / "cooperative/label_world/015344.json"
+    labels = json.loads(path.read_text())
+    lidar = open_drive(root / "12").read(0).agents[0].sweep.world_from_lidar[:3, 3]
+    # The infrastructure has seen it 0.1 s earlier, half a metre behind.
+    own = np.array([lidar[0] - 0.5, lidar[1], lidar[2] - 1.2, 4.8, 1.9, 1.6, 2.6])
+    path.write_text(json.dumps([*labels, {"type": "Car", "world_8_points": dair_tree.corners(own)}]))
+    frame = open_drive(root / "12").read(0)
+    assert frame.truth.object_id.tolist() == [0, 1, 2, 3]
+    assert np.allclose(frame.truth.array[0], own, atol=1e-6)
+    assert (frame.points_on[:, 1:] == 60).all()
+    sample = make_sample(frame, 0, GridSpec((-200, -200, -20, 200, 200, 20)), comm_range_m=200.0)
+    assert sample.boxes.object_id.tolist() == [1, 2, 3]
+
+
 def test_labels_whose_corners_go_round_the_other_way_are_the_same_boxes(root: Path):
     before = open_drive(root / "12").read(0).truth.array
     path = root / "cooperative/label_world/015344.json"

@@ -105,6 +105,23 @@ def test_ids_follow_an_object_and_are_nobodys_own(drive: Path):
     assert len(sample.boxes) == 2  # the car and the truck; people are no vehicles
 
 
+def test_an_agents_own_car_has_its_id(drive: Path):
+    path = drive / "0" / "000000.yaml"
+    content = read_yaml(path)
+    other = np.linalg.inv(lidar(0, 0)) @ lidar(1, 0)
+    yaw = float(np.degrees(np.arctan2(other[1, 0], other[0, 0])))
+    own = {"angle": [0, yaw, 0], "center": [0, 0, 0], "extent": [2.4, 1.0, 0.8], "location": other[:3, 3].tolist()}
+    content["vehicles"][9] = own | {"ass_id": 12, "obj_type": "Car"}
+    content["vehicles"][9]["location"][2] -= 1.2
+    path.write_text(yaml.dump(content))
+    frame = open_drives(drive)[0].read(0)
+    assert frame.truth.object_id[0] == 1 and len(frame.truth) == 4
+    assert np.allclose(frame.truth.center[0, :2], lidar(1, 0)[:2, 3])
+    grid = GridSpec((-100, -100, -10, 100, 100, 10))
+    assert len(make_sample(frame, 0, grid, comm_range_m=100.0).boxes) == 3  # the other car is one for the first
+    assert len(make_sample(frame, 1, grid, comm_range_m=100.0).boxes) == 2  # and none for itself
+
+
 def test_velocities_are_differences_of_places(drive: Path):
     (reader,) = open_drives(drive)
     for i in range(3):
