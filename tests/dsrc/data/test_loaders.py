@@ -11,6 +11,7 @@ from dsrc.data.convert import convert
 from dsrc.data.generate import generate
 from dsrc.data.opv2v import DriveReader
 from sim.boxes import CLASSES, VEHICLES
+from sim.geometry import pose_matrix
 from sim.scenario import load_scenario
 from tests.dsrc.data import loaders
 
@@ -69,6 +70,33 @@ def test_boxes_land_on_their_points_by_the_rules_of_dair(drive: Path, tmp_path: 
                 far, near = far + (away > NEAR_M).sum(), near + (away <= NEAR_M).sum()
     assert near > 300
     assert near / (near + far) >= 0.99
+
+
+def test_points_of_a_sensor_that_takes_its_time_miss_moving_boxes_as_much_as_before(tmp_path: Path):
+    """What a car that drives by moves in a turn of the sensor is in the frame, not made by its files."""
+    scenario = load_scenario("four_way")
+    agents = msgspec.structs.replace(scenario.agents, vehicles=2, lidar="debug-16", roadside=())
+    scenario = msgspec.structs.replace(scenario, agents=agents, warmup_s=40.0)
+    drive = generate(scenario, tmp_path / "train", 1, seed=5)
+    convert(drive.parent, tmp_path / "out", "dair")
+    (dair,) = loaders.dair(tmp_path / "out" / "cooperative-vehicle-infrastructure", ["000000"])
+    (opv2v,) = loaders.opv2v(drive.parent)
+    frame = DriveReader(drive).read(0)
+    missed = 0
+    for row, agent in enumerate(frame.agents):
+        for number in set(opv2v["agents"][agent.agent_id]["boxes"]) & set(dair["boxes"]):
+            box = frame.truth[frame.truth.object_id == number]
+            on = agent.sweep.object_id == number
+            pose = pose_matrix(box.center[0], box.yaw[0])
+            before = loaders.outside(agent.sweep.world_points[on], pose, box.size[0] / 2)
+            for seen, boxes in (
+                (opv2v["agents"][agent.agent_id], opv2v["agents"][agent.agent_id]["boxes"]),
+                (dair["agents"][row], dair["boxes"]),
+            ):
+                world = loaders.apply(seen["world_from_lidar"], seen["points"])[seen["object_id"] == number]
+                np.testing.assert_allclose(loaders.outside(world, *boxes[number][:2]), before, atol=1e-4)
+            missed += int((before > NEAR_M).sum())
+    assert missed > 0
 
 
 def test_the_same_points_lie_elsewhere_where_a_convention_is_forgotten(drive: Path):
