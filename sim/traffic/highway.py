@@ -172,8 +172,8 @@ class HighwayTraffic:
         lanes = self._roads.lanes
         length = sum(float(lane.along[-1]) for lane in lanes)
         for number, lane in enumerate(lanes):
-            if lane.through_junction:
-                continue
+            if lane.through_junction or (self._roads.exits and not self._goals(number)):
+                continue  # from the inner lane of a roundabout nobody gets out
             rate = self._demand.vehicles_per_hour / 3600.0 / max(len(self._roads.entries), 1)
             mean = lane.limit / max(rate, 1e-6) if self._roads.entries else length / self._demand.max_vehicles
             at = float(self._rng.uniform(2.0, max(mean, 12.0)))
@@ -213,17 +213,16 @@ class HighwayTraffic:
         models = plain_models_for(kind.label)
         self._models.append(models[int(self._rng.integers(len(models)))])
         self._made += 1
-        start = self._roads.lanes[number].line[0]
-        goals = [
-            goal
-            for goal in self._roads.exits
-            # Nobody comes to go back where he came from.
-            if np.hypot(*(self._roads.lanes[goal].line[-1] - start)) > 12.0
-            and self._roads.way(number, goal) is not None
-        ]
+        goals = self._goals(number)
         driver.send_to(goals[int(self._rng.integers(len(goals)))] if goals else None)
         driver.speed = free_speed(way_of(driver, driver.way(AHEAD_M), along))
         self._road.vehicles.append(driver)
+
+    def _goals(self, number: int) -> list[int]:
+        """Return the exits that can be reached from a lane, but not back where it begins."""
+        start = self._roads.lanes[number].line[0]
+        ends = [(goal, self._roads.lanes[goal].line[-1]) for goal in self._roads.exits]
+        return [g for g, end in ends if np.hypot(*(end - start)) > 12.0 and self._roads.way(number, g) is not None]
 
     def _read(self) -> Actors:
         drivers = sorted(self._road.vehicles, key=lambda driver: driver.number)
