@@ -411,6 +411,37 @@ def train(
     _say(str(detector))
 
 
+@app.command(name="import-checkpoint")
+def import_checkpoint(
+    file: Positional[Path],
+    /,
+    out: Path,
+    teacher: bool = False,
+    range_m: tuple[float, float, float, float, float, float] = (-140.8, -40.0, -3.0, 140.8, 40.0, 1.0),
+    cell: float = 0.4,
+) -> None:
+    """Make a detector of a state dict that DSRC's published code has written (net_epoch....pth).
+
+    Args:
+        file: of the base model, of a student or of a teacher; only tensors are read, no code is run.
+        out: the detector file, in full precision.
+        teacher: take the teacher's half of the file.
+        range_m: x, y, z of the low and of the high corner of the range that it was trained for, m.
+        cell: side of its pillars, m.
+    """
+    from dsrc.data.sample import GridSpec
+    from dsrc.models.checkpoint import save_detector
+    from dsrc.models.importing import import_detector
+    from sim.errors import SettingsError
+
+    try:
+        grid = GridSpec(range_m=range_m, cell_m=cell)
+    except ValueError as error:
+        raise SettingsError(f"import-checkpoint: {error}") from None
+    save_detector(out, import_detector(file, grid, teacher), {"imported from": file.name}, half=False)
+    _say(str(out))
+
+
 @app.command(name="evaluate")
 def evaluate(
     checkpoints: Positional[tuple[Path, ...]],

@@ -17,6 +17,7 @@ from dsrc.models.fusion.base import Company
 from dsrc.models.reconstruction import Scene
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import anchor_grid
+from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.pillars import voxelise
 from dsrc.ops.targets import assign_targets
 from sim.boxes import Boxes
@@ -127,7 +128,7 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
     scene = None
     if settings.rec and not for_teacher:
         scene = scene_of([np.concatenate(sample.clouds) for sample in samples], settings)
-    return replace(batch, targets=_targets(samples, settings.grid), scene=scene)
+    return replace(batch, targets=_targets(samples, settings), scene=scene)
 
 
 def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
@@ -263,10 +264,13 @@ def _anchors(grid: GridSpec) -> NDArray[np.float64]:
     return anchor_grid(grid)
 
 
-def _targets(samples: Sequence[Sample], grid: GridSpec) -> Targets:
+def _targets(samples: Sequence[Sample], settings: ModelSettings) -> Targets:
     """Assign every sample's boxes to anchors."""
+    grid = settings.grid
     found = [assign_targets(sample.boxes.array, _anchors(grid), _POSITIVE_IOU, legacy_iou=False) for sample in samples]
+    regression = np.stack([np.asarray(t.regression, np.float32) for t in found])
+    if settings.box_order == "hwl":
+        regression = regression.reshape(*regression.shape[:3], 2, 7)[..., REFERENCE_ORDER].reshape(regression.shape)
     return Targets(
-        torch.from_numpy(np.stack([np.asarray(t.positive, bool) for t in found])),
-        torch.from_numpy(np.stack([np.asarray(t.regression, np.float32) for t in found])),
+        torch.from_numpy(np.stack([np.asarray(t.positive, bool) for t in found])), torch.from_numpy(regression)
     )

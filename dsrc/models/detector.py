@@ -20,6 +20,7 @@ from dsrc.models.fusion import FUSIONS, Company
 from dsrc.models.fusion.late import join_detections
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import anchor_grid
+from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.postprocess import PostSettings, decode_detections
 
 # Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
@@ -33,7 +34,7 @@ class Output:
         stages: per scale (N, C, H / 2^k, W / 2^k) features of each agent before fusion.
         fused: (B, C, h, w) feature after fusion, decoder and shrink convolutions.
         cls: (B, 2, h, w) logits, one per anchor.
-        reg: (B, 14, h, w) box residuals, 7 per anchor.
+        reg: (B, 14, h, w) box residuals, 7 per anchor, their sizes in the order `box_order`.
     """
 
     stages: tuple[Tensor, Tensor, Tensor]
@@ -112,6 +113,8 @@ class Detector(nn.Module):
         settings = self.settings
         post = PostSettings(settings.score_threshold, settings.nms_iou, range_m=settings.grid.range_m)
         cls, reg = output.cls.detach().float().cpu().numpy(), output.reg.detach().float().cpu().numpy()
+        if settings.box_order == "hwl":
+            reg = reg.reshape(len(reg), 2, 7, *reg.shape[2:])[:, :, REFERENCE_ORDER].reshape(reg.shape)
         return [decode_detections(c, r, self.anchors, post) for c, r in zip(cls, reg, strict=True)]
 
     @torch.inference_mode()

@@ -42,6 +42,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         sdd: sparse-to-dense distillation: the teacher's objects hold the points of all agents.
         pcp: point cloud painting: the teacher's points carry a fifth channel, 1 inside a labelled box.
         rec: point cloud reconstruction supervises the fused feature (training only).
+        box_order: in which the regression maps have the sizes: `lwh`, or `hwl` as the released models have.
         max_points: points kept per pillar, first come.
         max_pillars: pillars kept per cloud, first come.
         padded_slots: whether the zero rows that pad a pillar to `max_points` take part in batch norm and in the
@@ -71,6 +72,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sdd: bool = True
     pcp: bool = True
     rec: bool = True
+    box_order: Literal["lwh", "hwl"] = "lwh"
     max_points: Count = 32
     max_pillars: Count = 70_000
     padded_slots: bool = False

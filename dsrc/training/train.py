@@ -30,6 +30,7 @@ from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 LOG = logging.getLogger(__name__)
 DETECTOR = "detector.pt"
 _PARTS = ("model", "distill", "augmentation")
+_OF_A_TEACHER = ("grid", "sdd", "pcp", "stage_channels", "shrink_channels", "box_order")
 _WITHOUT_EFFECT = ("name", "validate_every", "validation_frames", "alarm_after", "workers", "half")
 """Fields of a recipe that do not change the weights."""
 
@@ -187,7 +188,7 @@ def _teacher(path: Path | None, student: ModelSettings) -> Detector:
         raise CheckpointError("teacher: a student with sdd or pcp needs a teacher's detector.pt; train it first")
     teacher = load_detector(path)
     wanted = {"role": "teacher"}
-    wanted |= {name: getattr(student, name) for name in ("grid", "sdd", "pcp", "stage_channels", "shrink_channels")}
+    wanted |= {name: getattr(student, name) for name in _OF_A_TEACHER}
     for name, value in wanted.items():
         if getattr(teacher.settings, name) != value:
             raise CheckpointError(complaint(path, name, f"{value} as the student's", getattr(teacher.settings, name)))
