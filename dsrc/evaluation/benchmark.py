@@ -1,5 +1,6 @@
 """Benchmark runner: methods on drives, clean and under corruptions."""
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +23,9 @@ from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.v2x import ChannelSpec, Link
 
 Progress = Callable[[int, int], None]
+
+_SENSOR_S = 0.1
+_log = logging.getLogger(__name__)
 
 ALL = "all"
 """Every corruption of a family."""
@@ -93,6 +97,8 @@ def run_benchmark(
     places = _places([open_drive(drive) for drive in drives], limit)
     if not places:
         raise DataError(complaint("evaluate", "drives", "at least one frame", "none"))
+    if any(method.channel is not None for method in methods):
+        _warn_of_slow_drives([reader for reader, i in places if i == 1])
     results: dict[tuple[str, str], list[FrameResult]] = {(c, m.name): [] for c in conditions for m in methods}
     links: dict[tuple[str, str], list[Link]] = {key: [] for key in results}
     seconds = dict.fromkeys(results, 0.0)
@@ -190,6 +196,17 @@ class _Past(Sequence[Frame]):
     def at(self, position: int) -> Frame:
         """Return the frame at a position in the drive."""
         return self[self._position - position]
+
+
+def _warn_of_slow_drives(readers: Sequence[Drive]) -> None:
+    """Say which drives have no frames between that a channel could deliver."""
+    for reader in readers:
+        step_s = interval_of([reader.read(1), reader.read(0)])
+        if step_s > _SENSOR_S + 1e-6:
+            _log.warning(
+                "%s: its frames are %g s apart: a message that is late by less than that is as old as the frame before",
+                *(reader.drive, step_s),
+            )
 
 
 def interval_of(past: Sequence[Frame]) -> float:

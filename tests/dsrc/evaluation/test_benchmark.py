@@ -1,8 +1,10 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from dsrc.data.opv2v import write_frame
 from dsrc.detections import Detections
 from dsrc.evaluation.benchmark import Method, corruption_kinds, run_benchmark
 from dsrc.evaluation.rows import find_row
@@ -10,6 +12,7 @@ from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from sim.v2x import PRESETS
+from tests.dsrc.data.toy import toy_frame
 from tests.dsrc.evaluation.fakes import PointCounter, halve, write_drives
 
 KINDS = {"fog": None, "snow": None}
@@ -156,3 +159,12 @@ def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives):
 def test_frames_before_the_first_of_a_limit_are_heard_too(drives):
     row = run_benchmark([Method("paper", PointCounter(), channel=PRESETS["paper"])], drives[:1], ("clean",), limit=2)[0]
     assert row.heard == 0.5  # the first frame of the drive and the last
+
+
+def test_a_channel_over_frames_far_apart_is_warned_of(tmp_path, caplog):
+    for index in range(2):
+        frame = toy_frame(index)
+        write_frame(tmp_path / "slow", replace(frame, time_s=10.0 * index))
+    through = Method("paper", PointCounter(), channel=PRESETS["paper"])
+    run_benchmark([through], [tmp_path / "slow"], ("clean",))
+    assert "slow: its frames are 10 s apart" in caplog.text
