@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.review.palette import Rgb
-from sim.errors import UserError
+from sim.errors import ScenarioError, UserError
 
 log = logging.getLogger(__name__)
 
@@ -40,9 +40,13 @@ class StaticPart:
 @cache
 def body_shape(class_name: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Return the (V, 3) vertices and (F, 3) faces of a body of length, width and height 1, standing on z = 0."""
-    from sim.world.bodies import body_mesh, models_for
+    from sim.world.bodies import body_mesh, models_for, plain_models_for
 
-    mesh = body_mesh(models_for(class_name)[0], (1.0, 1.0, 1.0))
+    try:
+        mesh = body_mesh(models_for(class_name)[0], (1.0, 1.0, 1.0))
+    except ScenarioError:
+        # SUMO, whose cars these are, need not be installed to look at a drive.
+        mesh = body_mesh(plain_models_for(class_name)[0], (1.0, 1.0, 1.0))
     return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
 
 

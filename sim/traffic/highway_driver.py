@@ -13,7 +13,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from sim.traffic.highway_roads import RoadLane, Roads, to_world
+from sim.traffic.highway_roads import LaneIndex, RoadLane, Roads, to_world
 from sim.vehicle_types import VehicleType
 
 _SIDE_MPS2 = 4.0
@@ -43,6 +43,7 @@ class Driver(IDMVehicle):
     """
 
     # How near to others highway-env's drivers change lanes; its own values ask for gaps of 45 m in a town.
+    target_lane_index: LaneIndex
     DISTANCE_WANTED = 7.0
     TIME_WANTED = 1.0
     LANE_CHANGE_MAX_BRAKING_IMPOSED = 3.0

@@ -76,7 +76,7 @@ def test_paint_is_a_variant_of_one_shape():
 
 
 def test_plain_models_are_made_where_sumo_is_not_installed(monkeypatch):
-    monkeypatch.setattr("sim.networks.sumo_home", lambda: pytest.fail("a file of SUMO was looked for"))
+    monkeypatch.setattr("sim.world.cars.sumo_home", lambda: pytest.fail("a file of SUMO was looked for"))
     for name in CLASSES:
         for model in plain_models_for(name):
             assert len(body_mesh.__wrapped__(model, SIZE[name]).faces) > 50
