@@ -10,7 +10,6 @@ The infrastructure's points are in a level frame, as the dataset's virtual LiDAR
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +20,18 @@ from numpy.typing import NDArray
 from dsrc.data.dairv2x_tree import CLASS_NAMES, LABEL_FOLDERS, SIDECAR, SPLIT, TREE, BatchRecord, Sidecar, SideRecord
 from dsrc.data.jsonio import encode_json, read_json, write_atomic
 from dsrc.data.pcd import encode_sensor_pcd
+from dsrc.data.sensor_view import levelled, occlusion
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import Sweep
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
-from sim.geometry import invert, pose_angles, pose_matrix, transform_points
+from sim.geometry import invert, transform_points
 
 VERSION = 1
 SPLITS = ("train", "val", "test")
 _PARTS = ".parts"
 _HALF_VIEW = np.radians(50.0)
 """Half the angle before a sensor that counts as seen by a camera there."""
-_LEVEL = 1e-9
 # Around the bottom: front left, front right, rear right, rear left; then on top. Ours begin at the front right.
 _CORNERS = [1, 0, 3, 2, 5, 4, 7, 6]
 _VEHICLE, _INFRASTRUCTURE = "vehicle-side", "infrastructure-side"
@@ -71,6 +70,7 @@ class DairWriter:
             frame.truth.object_id != np.array([[a.agent_id] for a in (vehicle, infrastructure)])
         )
         front = np.stack([_before(frame.truth, sweep) for sweep in (vehicle.sweep, virtual)]) & seen
+        hidden = occlusion(frame.visible_fraction[rows])
         content: dict[str, bytes] = {
             f"{_VEHICLE}/velodyne/{stem}.pcd": encode_sensor_pcd(vehicle.sweep),
             f"{_INFRASTRUCTURE}/velodyne/{stem}.pcd": encode_sensor_pcd(virtual),
@@ -83,11 +83,11 @@ class DairWriter:
                 **_transform(virtual.world_from_lidar),
                 "relative_error": _offset(),
             },
-            f"{_VEHICLE}/label/lidar": _side_labels(frame, seen[0], vehicle.sweep),
-            f"{_VEHICLE}/label/lidar_backup": _side_labels(frame, front[0], vehicle.sweep),
-            f"{_INFRASTRUCTURE}/label/virtuallidar": _side_labels(frame, seen[1], virtual),
-            f"cooperative/{LABEL_FOLDERS['complemented']}": _world_labels(frame, seen.any(axis=0)),
-            f"cooperative/{LABEL_FOLDERS['original']}": _world_labels(frame, front.any(axis=0)),
+            f"{_VEHICLE}/label/lidar": _side_labels(frame, seen[0], vehicle.sweep, hidden[0]),
+            f"{_VEHICLE}/label/lidar_backup": _side_labels(frame, front[0], vehicle.sweep, hidden[0]),
+            f"{_INFRASTRUCTURE}/label/virtuallidar": _side_labels(frame, seen[1], virtual, hidden[1]),
+            f"cooperative/{LABEL_FOLDERS['complemented']}": _world_labels(frame, seen.any(axis=0), hidden.min(axis=0)),
+            f"cooperative/{LABEL_FOLDERS['original']}": _world_labels(frame, front.any(axis=0), hidden.min(axis=0)),
         }.items():
             content[f"{name}/{stem}.json"] = encode_json(table)
         for relative, data in content.items():
@@ -159,16 +159,6 @@ def sides_of(frame: Frame, ego_id: int | None) -> list[int]:
     return [vehicles[0], others[0]]
 
 
-def levelled(sweep: Sweep) -> Sweep:
-    """Return a sweep in the level frame at its sensor with the same heading; unchanged where it is level already."""
-    yaw, pitch, roll = pose_angles(sweep.world_from_lidar)
-    if max(abs(float(pitch)), abs(float(roll))) < _LEVEL:
-        return sweep
-    level = pose_matrix(sweep.world_from_lidar[:3, 3], yaw)
-    points = transform_points(invert(level) @ sweep.world_from_lidar, sweep.points)
-    return replace(sweep, points=points.astype(np.float32), world_from_lidar=level, path=None)
-
-
 def _before(truth: Boxes, sweep: Sweep) -> NDArray[np.bool_]:
     """Return (N,) whether objects stand before a sensor."""
     place = transform_points(invert(sweep.world_from_lidar), truth.center)
@@ -197,30 +187,33 @@ def _offset() -> dict[str, float]:
     return {"delta_x": 0.0, "delta_y": 0.0}
 
 
-def _world_labels(frame: Frame, kept: NDArray[np.bool_]) -> list[dict[str, Any]]:
+def _world_labels(frame: Frame, kept: NDArray[np.bool_], hidden: NDArray[np.int64]) -> list[dict[str, Any]]:
     boxes = frame.truth[kept]
     corners = boxes.corners()[:, _CORNERS]
     return [
         {**entry, "world_8_points": np.round(points, 6).tolist(), "system_error_offset": _offset()}
-        for entry, points in zip(_entries(boxes), corners, strict=True)
+        for entry, points in zip(_entries(boxes, hidden[kept]), corners, strict=True)
     ]
 
 
-def _side_labels(frame: Frame, kept: NDArray[np.bool_], sweep: Sweep) -> list[dict[str, Any]]:
-    return _entries(frame.truth[kept].transform(invert(sweep.world_from_lidar)))
+def _side_labels(
+    frame: Frame, kept: NDArray[np.bool_], sweep: Sweep, hidden: NDArray[np.int64]
+) -> list[dict[str, Any]]:
+    return _entries(frame.truth[kept].transform(invert(sweep.world_from_lidar)), hidden[kept])
 
 
-def _entries(boxes: Boxes) -> list[dict[str, Any]]:
-    """Return single labels of boxes in the frame that they are in."""
+def _entries(boxes: Boxes, hidden: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """Return single labels of boxes in the frame that they are in, and their occlusion."""
     entries = []
-    for row, object_id, label in zip(np.round(boxes.array, 6).tolist(), boxes.object_id, boxes.label, strict=True):
+    rows = np.round(boxes.array, 6).tolist()
+    for row, object_id, label, occluded in zip(rows, boxes.object_id, boxes.label, hidden.tolist(), strict=True):
         x, y, z, length, width, height, yaw = row
         entries.append(
             {
                 "type": CLASS_NAMES[CLASSES[label]],
                 "track_id": str(object_id),
                 "truncated_state": 0,
-                "occluded_state": 0,
+                "occluded_state": occluded,
                 "2d_box": {"xmin": 0.0, "ymin": 0.0, "xmax": 0.0, "ymax": 0.0},
                 "3d_dimensions": {"h": height, "w": width, "l": length},
                 "3d_location": {"x": x, "y": y, "z": z},

@@ -22,8 +22,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.dairv2x_write import levelled
 from dsrc.data.jsonio import write_atomic
+from dsrc.data.sensor_view import levelled, occlusion
 from sensors.frame import Frame
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import invert, transform_points, wrap_angle
@@ -75,7 +75,8 @@ class KittiWriter:
         write_atomic(self._file(split, "velodyne", number, "bin"), cloud.astype("<f4").tobytes())
         write_atomic(self._file(split, "calib", number, "txt"), _calibration().encode())
         write_atomic(self._file(split, "image_2", number, "png"), _black())
-        write_atomic(self._file(split, "label_2", number, "txt"), encode_labels(boxes, self.view).encode())
+        labels = encode_labels(boxes, self.view, occlusion(frame.visible_fraction[row, seen]))
+        write_atomic(self._file(split, "label_2", number, "txt"), labels.encode())
 
     def finish(self, places: Sequence[tuple[int, str, str, int, int]]) -> None:
         """Write the lists of frames; places are (number, split, drive, frame, agent)."""
@@ -89,8 +90,8 @@ class KittiWriter:
         return self.out / ("testing" if split == "test" else "training") / folder / f"{number:06d}.{ending}"
 
 
-def encode_labels(boxes: Boxes, view: View) -> str:
-    """Return the text of a label file for boxes in the LiDAR's frame.
+def encode_labels(boxes: Boxes, view: View, hidden: NDArray[np.int64]) -> str:
+    """Return the text of a label file for boxes in the LiDAR's frame; `hidden` (N,) are degrees of occlusion.
 
     Objects out of the picture are left out, or, all around, have no 2D box, truncation 1 and occlusion 3 (unknown).
     """
@@ -106,7 +107,7 @@ def encode_labels(boxes: Boxes, view: View) -> str:
         length, width, height = boxes.size[row]
         turn = float(turns[row])
         alpha = float(wrap_angle(turn - np.arctan2(x, z)))
-        occluded = 3 if picture is None else 0
+        occluded = 3 if picture is None else int(hidden[row])
         left, top, right, under = picture or (0.0, 0.0, 0.0, 0.0)
         lines.append(
             f"{CLASS_NAMES[CLASSES[boxes.label[row]]]} {truncated:.2f} {occluded} {alpha:.4f}"

@@ -21,6 +21,7 @@ from sensors.frame import AgentFrame, Frame
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
 from sim.geometry import invert, pose_matrix
+from sim.traffic.base import lit
 
 _POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("object_id", "<i4")]
@@ -229,7 +230,15 @@ def _entities(frame: Frame) -> list[dict[str, Any]]:
         points = {f"points_{agent}": int(frame.points_on[k, row]) for k, agent in enumerate(agents)}
         velocity = frame.velocity[row]
         speed = float(np.hypot(*velocity))
-        facts = {"class": name, "speed_mps": f"{speed:.2f}", "lane": frame.lane[row], **points}
+        facts = {
+            "class": name,
+            "speed_mps": f"{speed:.2f}",
+            "acceleration_mps2": " ".join(f"{value:.2f}" for value in frame.acceleration[row]),
+            "lane": frame.lane[row],
+            "signals": ", ".join(lit(int(frame.signals[row]))),
+            **points,
+            **{f"visible_{agent}": f"{frame.visible_fraction[k, row]:.2f}" for k, agent in enumerate(agents)},
+        }
         arrows = []
         if np.isfinite(speed) and speed > 0.1:
             heading = pose_matrix(boxes.center[row], np.arctan2(velocity[1], velocity[0]))

@@ -11,6 +11,7 @@ from dsrc.data.dairv2x import DairReader
 from dsrc.data.drives import list_drives, open_drive, open_drives
 from dsrc.data.opv2v import write_frame
 from dsrc.data.sample import GridSpec, make_sample
+from dsrc.data.sensor_view import occlusion
 from sensors.sweep import POINT_FIELDS
 from sim.boxes import CLASSES
 from sim.errors import DataError
@@ -306,6 +307,17 @@ def test_a_tree_has_the_folders_that_loaders_ask_for(ours: Path):
         np.hypot(20, 6), abs=0.05
     )
     assert truck["3d_dimensions"] == {"h": 3.0, "w": 2.5, "l": 9.0}
+
+
+def test_labels_say_how_much_the_better_placed_side_sees(ours: Path):
+    root = ours / "cooperative-vehicle-infrastructure"
+    frame = toy_frame(1)
+    around = {e["track_id"]: e for e in json.loads((root / "cooperative/label_world/000001.json").read_text())}
+    for row, number in enumerate(frame.truth.object_id.tolist()):
+        if str(number) in around:
+            best = occlusion(frame.visible_fraction[[0, 2], row]).min()
+            assert around[str(number)]["occluded_state"] == best
+    assert {entry["occluded_state"] for entry in around.values()} > {0}
 
 
 def test_a_frame_of_one_agent_has_no_two_sides(tmp_path: Path):

@@ -72,15 +72,16 @@ def test_the_picture_decides_what_is_labelled_and_its_box_holds_the_projected_co
         ],
         label=[CLASSES.index(name) for name in ("car", "van", "bicycle", "pedestrian")],
     )
-    shown = [line.split() for line in encode_labels(boxes, "camera").splitlines()]
+    shown = [line.split() for line in encode_labels(boxes, "camera", np.array([0, 0, 0, 2])).splitlines()]
     assert [line[0] for line in shown] == ["Car", "Pedestrian"]
+    assert [line[2] for line in shown] == ["0", "2"]
     ahead, cut = (np.array(line[1:], float) for line in shown)
     left, top, right, bottom = ahead[3:7]
     # 20 m ahead, 3 m to the left: left of the middle of the picture, below the horizon.
     assert 0 < left < right < WIDTH / 2 and 165 < top < 175 < bottom < HEIGHT
     assert ahead[0] == 0.0 and 0.0 < cut[0] < 1.0 and cut[5] == WIDTH - 1
     assert ahead[2] == pytest.approx(ahead[13] - np.arctan2(ahead[10], ahead[12]), abs=1e-3)
-    around = [line.split() for line in encode_labels(boxes, "around").splitlines()]
+    around = [line.split() for line in encode_labels(boxes, "around", np.zeros(4, int)).splitlines()]
     assert [line[0] for line in around] == ["Car", "Van", "Cyclist", "Pedestrian"]
     assert around[1][1:3] == ["1.00", "3"] and around[1][4:8] == ["0.00"] * 4
 

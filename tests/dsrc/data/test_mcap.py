@@ -92,6 +92,8 @@ def test_a_drive_is_one_file_that_the_mcap_reader_reads(tmp_path: Path):
     assert set(entities) == {str(i) for i in frame.truth.object_id}
     truck = entities["1001"]
     assert {"key": "class", "value": "truck"} in truck["metadata"] and truck["frame_id"] == "world"
+    assert {"key": "lane", "value": "main_1"} in truck["metadata"]
+    assert {"key": "visible_1000", "value": f"{frame.visible_fraction[0, 1]:.2f}"} in truck["metadata"]
     assert truck["cubes"][0]["size"] == {"x": 9.0, "y": 2.5, "z": 3.0}
     arrow = rotation(truck["arrows"][0]["pose"]["orientation"])[:, 0]
     assert np.allclose(arrow[:2] * np.hypot(*frame.velocity[1]), frame.velocity[1])
