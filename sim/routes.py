@@ -16,6 +16,9 @@ Area = tuple[float, float, float, float]
 MARGIN_M = 150.0
 """Trips through an area begin and end on edges that reach within this distance of it."""
 
+_ANYWHERE = 60
+"""About so many edges are the ends of trips where there are no gates."""
+
 FOCUS_M = 40.0
 """A trip that passes this far from the focus is chosen e times less often than one that meets it."""
 
@@ -33,7 +36,7 @@ def candidate_routes(net: Any, vclass: str, area: Area | None, focus: tuple[floa
     """Find the fastest routes between the gates of an area that touch it.
 
     A gate is where traffic enters or leaves: an edge that nothing within the zone (the area and a margin) precedes,
-    or follows. A route is the likelier the more lanes its gates have and the nearer it passes to the focus.
+    or follows. Where no way leads from gate to gate, as in a ring, traffic begins and ends anywhere. A route is the likelier the more lanes its gates have and the nearer it passes to the focus.
 
     Args:
         net: `sumolib.net.Net`.
@@ -51,10 +54,28 @@ def candidate_routes(net: Any, vclass: str, area: Area | None, focus: tuple[floa
     followed, preceded = {a for a, _ in links}, {b for _, b in links}
     origins = [row for row in range(len(edges)) if row not in preceded and row in followed]
     goals = [row for row in range(len(edges)) if row not in followed and row in preceded]
-    if not origins or not goals:
+    if not links:
         return Routes((), np.zeros(0))
     cost = [edges[b].getLength() / edges[b].getSpeed() + 0.1 for _, b in links]
     graph = csr_matrix((cost, tuple(np.array(links).T)), shape=(len(edges), len(edges)))
+    routes = _between(edges, graph, origins, goals, area, focus)
+    if routes.edges:
+        return routes
+    anywhere = list(range(0, len(edges), max(1, len(edges) // _ANYWHERE)))
+    return _between(edges, graph, anywhere, anywhere, area, focus)
+
+
+def _between(
+    edges: list[Any],
+    graph: csr_matrix,
+    origins: list[int],
+    goals: list[int],
+    area: Area | None,
+    focus: tuple[float, float] | None,
+) -> Routes:
+    """Return the routes from any of some edges to any of others, given by their rows."""
+    if not origins or not goals:
+        return Routes((), np.zeros(0))
     _, before = dijkstra(graph, indices=origins, return_predecessors=True)
     shapes = [LineString([p[:2] for p in e.getShape()]) for e in edges]
     found, weight = [], []

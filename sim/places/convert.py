@@ -47,7 +47,8 @@ _FROM_OSM: dict[str, Option] = ROUND | {
     "output.street-names": True,
 }
 _FROM_OPENDRIVE: dict[str, Option] = ROUND | {"opendrive.import-all-lanes": True}
-_TYPE_MAPS = ("osmNetconvert", "osmNetconvertUrbanDe", "osmNetconvertPedestrians", "osmNetconvertBicycle")
+_OSM_TYPES = ("osmNetconvert", "osmNetconvertUrbanDe", "osmNetconvertPedestrians", "osmNetconvertBicycle")
+_OPENDRIVE_TYPES = ("opendriveNetconvert", "opendriveNetconvertPedestrians", "opendriveNetconvertBicycle")
 
 _THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.street_lamp", "man_made.utility_pole")
 """What is taken from a map beside its roads, by key or by key and value of its tags."""
@@ -112,10 +113,10 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
         if is_network(source):
             options = ROUND | {"sumo-net-file": str(source)}
         elif kind == ".xodr":
-            options = _FROM_OPENDRIVE | {"opendrive-files": str(source)}
+            options = _FROM_OPENDRIVE | {"opendrive-files": str(source), "type-files": _type_maps(*_OPENDRIVE_TYPES)}
         else:
             osm = _plain_osm(source, kind, Path(work))
-            maps = ",".join(str(sumo_home() / "data" / "typemap" / f"{name}.typ.xml") for name in _TYPE_MAPS)
+            maps = _type_maps(*_OSM_TYPES)
             options = _FROM_OSM | {"osm-files": str(osm), "type-files": maps, "osm.elevation": _has_heights(osm)}
         run_tool("netconvert", options | {"output-file": str(net)}, net, str(source))
         if "osm-files" in options:
@@ -126,6 +127,11 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
     text = kerbside.with_room_to_park(text, kerbside.houses_of(made.polygons))
     net.write_text(text, encoding="utf-8")
     return made
+
+
+def _type_maps(*names: str) -> str:
+    """Return the files of SUMO that tell what a kind of road or lane is for."""
+    return ",".join(str(sumo_home() / "data" / "typemap" / f"{name}.typ.xml") for name in names)
 
 
 def _plain_osm(source: Path, kind: str, work: Path) -> Path:

@@ -24,7 +24,7 @@ _ATTRIBUTE = re.compile(r' (\w+)="([^"]*)"')
 def with_room_to_park(text: str, houses: list[shapely.Geometry]) -> str:
     """Return the text of a .net.xml whose footways make room for parked cars on streets of at most 50 km/h.
 
-    Ends of footways stay, so that crossings still meet them; nothing moves towards a house.
+    Ends of footways stay, so that crossings still meet them; nothing moves into a house or another street.
 
     Args:
         text: of the network.
@@ -33,13 +33,15 @@ def with_room_to_park(text: str, houses: list[shapely.Geometry]) -> str:
     streets: dict[str, list[dict[str, str]]] = {}
     for found in _LANE.finditer(text):
         streets.setdefault(found[1], []).append(dict(_ATTRIBUTE.findall(found[0])))
-    tree = shapely.STRtree(houses)
+    others = [_band(lane) for lanes in streets.values() for lane in lanes if lane.get("allow") != "pedestrian"]
+    tree = shapely.STRtree([*houses, *others])
     moved = {}
     for lanes in streets.values():
         line = _aside(lanes)
         if line is not None:
-            half = 0.5 * float(lanes[0].get("width", "2"))
-            if not len(tree.query(shapely.LineString(line).buffer(half), predicate="intersects")):
+            # Where it stays it touches the lane beside it.
+            free = _band(lanes[0] | {"shape": text_of(line)}).buffer(-0.2)
+            if not len(tree.query(free, predicate="intersects")):
                 moved[lanes[0]["id"]] = text_of(line)
 
     def rewrite(found: re.Match[str]) -> str:
@@ -47,6 +49,11 @@ def with_room_to_park(text: str, houses: list[shapely.Geometry]) -> str:
         return found[0] if shape is None else re.sub(r'shape="[^"]*"', f'shape="{shape}"', found[0])
 
     return _LANE.sub(rewrite, text)
+
+
+def _band(lane: dict[str, str]) -> shapely.Polygon:
+    half = 0.5 * float(lane.get("width", "3.2"))
+    return shapely.LineString(line_of(lane["shape"])[:, :2]).buffer(half, cap_style="flat")
 
 
 def _aside(lanes: list[dict[str, str]]) -> Array | None:

@@ -1,11 +1,11 @@
 """A small net in hilly country: slopes up to 14 %, with bends, a junction and footways."""
 
 import subprocess
-from itertools import pairwise
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import shapely
 
 from sim.networks import sumo_home
 from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit, Scenario, load_scenario
@@ -31,7 +31,7 @@ def hilly_scenario(folder: Path, units: tuple[RoadsideUnit, ...] = ()) -> Scenar
 
 
 def lane_points(net) -> np.ndarray:
-    """Return (N, 3) points along the middles of all lanes of edges."""
-    shapes = [np.array(lane.getShape3D()) for edge in net.getEdges(False) for lane in edge.getLanes()]
-    share = np.linspace(0.01, 0.99, 41)[:, None]
-    return np.concatenate([a + share * (b - a) for line in shapes for a, b in pairwise(line)])
+    """Return (N, 3) points along the middles of all lanes of edges but their last metres."""
+    lines = [shapely.LineString(lane.getShape3D()) for edge in net.getEdges(False) for lane in edge.getLanes()]
+    places = [shapely.line_interpolate_point(line, np.linspace(1.0, line.length - 1.0, 81)) for line in lines]
+    return shapely.get_coordinates(np.concatenate(places), include_z=True)

