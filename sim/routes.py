@@ -36,7 +36,8 @@ def candidate_routes(net: Any, vclass: str, area: Area | None, focus: tuple[floa
     """Find the fastest routes between the gates of an area that touch it.
 
     A gate is where traffic enters or leaves: an edge that nothing within the zone (the area and a margin) precedes,
-    or follows. Where no way leads from gate to gate, as in a ring, traffic begins and ends anywhere. A route is the likelier the more lanes its gates have and the nearer it passes to the focus.
+    or follows. Where no way leads from gate to gate, as in a ring, traffic begins and ends anywhere. A route is the
+    likelier the more lanes its gates have and the nearer it passes to the focus.
 
     Args:
         net: `sumolib.net.Net`.
