@@ -71,11 +71,10 @@ def _recorded(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: flo
     known = {edge.getID() for edge in net.getEdges(withInternal=False)}
     for index, (depart_s, edges, is_route) in enumerate(_read_trips(resolve_trips(scenario))):
         kind = _choose_type(labels[int(rng.choice(len(labels), p=weights / weights.sum()))], rng)
-        if not 0.0 <= depart_s - begin_s < end_s or not known.issuperset(edges):
+        after_s = depart_s - begin_s
+        if not 0.0 <= after_s < end_s or not known.issuperset(edges):
             continue
-        start = (
-            f'id="v{index}" type="{kind.name}" depart="{depart_s - begin_s:.2f}" departLane="best" departSpeed="max"'
-        )
+        start = f'id="v{index}" type="{kind.name}" depart="{after_s:.2f}" departLane="best" departSpeed="max"'
         if is_route:
             text = f'<vehicle {start}><route edges="{" ".join(edges)}"/></vehicle>'
         else:

@@ -1,6 +1,8 @@
 """In every place traffic stays physical, cars park off the lanes, and no lane leads through a house."""
 
+import re
 from itertools import pairwise
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -10,8 +12,9 @@ import shapely
 from dsrc.data.generate import generate
 from sim.boxes import CLASSES
 from sim.collisions import overlapping_pairs
+from sim.demand import write_demand
 from sim.geometry import wrap_angle
-from sim.networks import read_network, resolve_network, resolve_polygons
+from sim.networks import read_network, resolve_network, resolve_polygons, resolve_trips
 from sim.parking import parked_cars
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
@@ -63,8 +66,8 @@ def test_no_lane_centre_lies_inside_a_house(name: str) -> None:
     material = mesh.face_attributes["material"]
     house = np.isin(material, [material_index(kind) for kind in ("brick", "plaster", "concrete", "roof", "glass")])
     triangles = mesh.triangles[house]
-    low = triangles[:, :, 2].min(axis=1) < 4.4
-    hulls = shapely.convex_hull(shapely.multipoints([shapely.points(t) for t in triangles[low][:, :, :2]]))
+    low = triangles[triangles[:, :, 2].min(axis=1) < 4.4][:, :, :2]
+    hulls = [shapely.MultiPoint(corners).convex_hull for corners in low]
     streets = read_streets(net, scenario.network.area_m, MARGIN_M)
     frame = shapely.box(*streets.window)
     places = []
@@ -121,6 +124,17 @@ def test_parked_cars_stand_beside_the_lanes_and_are_the_same_again(name: str) ->
     assert (shapely.distance(footprints, lanes) < 0.6).all()
 
 
+def test_recorded_trips_drive_and_each_seed_takes_another_part_of_their_hour(tmp_path: Path) -> None:
+    scenario = at_hand("resco_cologne1")
+    net = read_network(resolve_network(scenario, 1))
+    written = [write_demand(scenario, net, seed, tmp_path / f"{seed}.rou.xml").read_text() for seed in (1, 1, 2)]
+    assert written[0] == written[1] != written[2]
+    recorded = resolve_trips(scenario).read_text()
+    ends = set(re.findall(r'<trip [^>]*from="([^"]+)" to="([^"]+)"', recorded))
+    ours = re.findall(r'<trip [^>]*from="([^"]+)" to="([^"]+)"', written[0])
+    assert len(ours) > 100 and set(ours) <= ends
+
+
 def test_without_a_rate_nobody_parks() -> None:
     scenario = at_hand("rilsa_1")
     empty = msgspec.structs.replace(scenario, demand=msgspec.structs.replace(scenario.demand, parked_per_km=0.0))
@@ -129,7 +143,7 @@ def test_without_a_rate_nobody_parks() -> None:
 
 
 @pytest.mark.parametrize("name", every())
-def test_a_drive_of_two_frames_can_be_made(name, tmp_path) -> None:
+def test_a_drive_of_two_frames_can_be_made(name: str, tmp_path: Path) -> None:
     scenario = at_hand(name)
     agents = msgspec.structs.replace(scenario.agents, lidar="debug-16")
     quick = msgspec.structs.replace(scenario, agents=agents)
