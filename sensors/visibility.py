@@ -7,11 +7,13 @@ world nor another body before. What the sensor then makes of an echo (drop-off, 
 changes nothing: a visible object may have no points, and a corruption hides nobody.
 
 Alone means per body, so each is cast at by itself, in its own frame and only by the rays of its angular window; rays
-that hit one are compared with the hits on the other bodies and cast once more at the static world.
+that hit one are compared with the hits on the other bodies and cast once more at the static world. Of a body that is so
+near that more than a thousand rays may meet it, every n-th ray of each ring is taken, others in each ring: the fraction
+is then that of a sample, true to one or two hundredths.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,9 @@ from sensors.scene import RayScene
 
 _TOUCH_M = 0.02
 """The static world hides what lies at least so far behind it: tyres touch the road."""
+
+_MOST_RAYS = 700
+_GOLDEN = 0.6180339887
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
@@ -59,44 +64,94 @@ def _shares(scene: RayScene, shot: Shot) -> Floats:
     beams, count = shot.beams, len(scene.bodies)
     shutter = Shutter(shot, scene.bodies.path.time_s)
     views, motion = views_of(shot, shutter, scene.bodies)
-    body, rays, distance = _alone(scene, shot, views, motion)
+    met = _alone(scene, shot, views, motion)
     nearest = np.full(beams.rings * beams.columns, np.inf, np.float32)
-    np.minimum.at(nearest, rays, distance)
+    np.minimum.at(nearest, met.ray, met.distance)
     nearest[_hidden(scene, shot, shutter, nearest)] = -np.inf
-    ring = rays // beams.columns
-    counts = distance >= beams.reach[ring, 0]
-    alone = np.bincount(body[counts], minlength=count)
-    reaching = np.bincount(body[counts & (distance <= nearest[rays])], minlength=count)
+    counts = met.own & (met.distance >= beams.reach[met.ray // beams.columns, 0])
+    alone = np.bincount(met.body[counts], minlength=count)
+    reaching = np.bincount(met.body[counts & (met.distance <= nearest[met.ray])], minlength=count)
     with np.errstate(invalid="ignore"):
         return (reaching / alone).astype(np.float32)
 
 
-def _alone(scene: RayScene, shot: Shot, views: Sequence[View], motion: Motion) -> tuple[Ints, Ints, Floats]:
-    """Return who is hit by which ray and where, m, when everybody stands alone: (K,) rows of bodies, rays, distances.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Met:
+    """Rays and the bodies that they would meet if each stood alone.
 
-    The rays of a sweep count ring by ring.
+    Attributes:
+        body: (K,) rows of the bodies.
+        ray: (K,) numbers of the rays, counted ring by ring.
+        distance: (K,) m.
+        own: (K,) whether the ray is of the body's own sample; others are there for what stands behind it.
     """
-    columns = shot.beams.columns
-    width = np.array([view.span.stop - view.span.start for view in views], np.int64)
-    rings = np.array([view.bottom - view.top for view in views], np.int64)
-    size = width * rings
-    after = np.cumsum(size)
-    # Each ray's place among those of its view, thus its ring, and its column's place in the motion of all views.
-    place = np.arange(size.sum()) - np.repeat(after - size, size)
-    down, along = np.divmod(place, np.repeat(width, size))
-    ring = down + np.repeat([view.top for view in views], size)
-    span = along + np.repeat([view.span.start for view in views], size)
-    every = np.arange(columns)
-    column = np.concatenate([np.zeros(0, np.int64), *(every[view.columns] for view in views)])[span]
+
+    body: Ints
+    ray: Ints
+    distance: Floats
+    own: NDArray[np.bool_]
+
+
+def _alone(scene: RayScene, shot: Shot, views: Sequence[View], motion: Motion) -> _Met:
+    """Cast the rays of a sweep at every body by itself."""
+    ray, span, own, count = _chosen(shot, views)
+    ring, column = np.divmod(ray, shot.beams.columns)
     origin, direction = _aim(shot, motion, span, ring, column)
     distance = shot.beams.reach[ring, 1]
     hit = np.zeros(len(ring), bool)
-    for view, end, length in zip(views, after.tolist(), size.tolist(), strict=True):
+    for view, end, length in zip(views, np.cumsum(count).tolist(), count.tolist(), strict=True):
         rows = slice(end - length, end)
         hits = scene.engine.cast(scene.bodies.solids[view.body], origin[rows], direction[rows], distance[rows])
         hit[rows], distance[rows] = hits.face >= 0, hits.distance
-    body = np.repeat(np.array([view.body for view in views], np.int64), size)
-    return body[hit], (ring * columns + column)[hit], distance[hit]
+    body = np.repeat(np.array([view.body for view in views], np.int64), count)
+    return _Met(body[hit], ray[hit], distance[hit], own[hit])
+
+
+def _chosen(shot: Shot, views: Sequence[View]) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
+    """Choose the rays that are cast at bodies.
+
+    Returns:
+        (K,) rays, one view after another; (K,) places of their columns in the motion of all views; (K,) whether they
+        are of their body's own sample; (V,) rays per view.
+    """
+    columns, rings = shot.beams.columns, shot.beams.rings
+    shift, spread = _lead(shot)
+    every = np.arange(columns)
+    wanted = np.zeros((rings, columns), bool)
+    samples = []
+    for view in views:
+        column = every[view.columns]
+        ring = np.arange(view.top, view.bottom)
+        stride = max(1, len(ring) * int(max(len(column) - 2.0 * spread, 1.0)) // _MOST_RAYS)
+        first = np.floor(stride * ((_GOLDEN * ring) % 1.0)).astype(np.int64)
+        seen = np.ones((len(ring), len(column)), bool)
+        if spread > 0.0:
+            # The view has room for the rings that look aside most; each ring needs its own part of it.
+            if column[0] > 0:
+                seen &= column >= (column[0] + spread + shift[ring] - 1.0)[:, None]
+            if column[-1] < columns - 1:
+                seen &= column <= (column[-1] - spread + shift[ring] + 1.0)[:, None]
+        own = seen if stride == 1 else seen & ((np.arange(len(column)) - first[:, None]) % stride == 0)
+        wanted[view.top : view.bottom, view.columns] |= own
+        samples.append((column, seen, own))
+    rays, spans, owned = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
+    for view, (column, seen, own) in zip(views, samples, strict=True):
+        # What one body is asked, those before it are asked too, or they could not hide it.
+        row, at = np.nonzero(seen & wanted[view.top : view.bottom, view.columns])
+        rays.append((view.top + row) * columns + column[at])
+        spans.append(view.span.start + at)
+        owned.append(own[row, at])
+    count = np.array([len(part) for part in rays[1:]], np.int64)
+    return np.concatenate(rays), np.concatenate(spans), np.concatenate(owned), count
+
+
+def _lead(shot: Shot) -> tuple[NDArray[np.float64], float]:
+    """Return (R,) by how many columns earlier each ring looks where the sensor does, and the most of them."""
+    fan, offset = shot.beams.fan, shot.spec.azimuth_offset
+    if fan is None or not np.any(offset):
+        return np.zeros(shot.beams.rings), 0.0
+    lead = -np.asarray(offset, np.float64) / float(fan.azimuth[1] - fan.azimuth[0])
+    return lead, float(np.abs(lead).max())
 
 
 def _hidden(scene: RayScene, shot: Shot, shutter: Shutter, nearest: Floats) -> Ints:
@@ -119,4 +174,4 @@ def _aim(shot: Shot, motion: Motion, place: Ints, ring: Ints, column: Ints) -> t
     if motion.step is not None:
         pose += shot.beams.firing_share[ring] * motion.step.take(place, axis=2)
     direction = pose[:, 0] * axis[0] + pose[:, 1] * axis[1] + pose[:, 2] * axis[2]
-    return pose[:, 3].T, direction.T
+    return np.ascontiguousarray(pose[:, 3].T), np.ascontiguousarray(direction.T)
