@@ -8,7 +8,6 @@ import shapely
 
 from sim.conflicts.instance import HIT_S, Kind, Layout, Parameter, Structure, actor, standing
 from sim.conflicts.looks import (
-    AFTER_S,
     CARS,
     EAST,
     JITTER,
@@ -81,8 +80,8 @@ def _crossing(way: Way, y: float) -> float:
 def cyclist_right_hook(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     """The ego turns right across a cycle lane; a hedge and a van at its end hide the cyclist who rides beside it."""
     turn_mps, rider_mps = p["ego_mps"], p["conflict_mps"]
-    strip, path_m = 2.4, 1.8
-    bike_y = -LANE_M - strip - 0.5 * path_m
+    bay, verge, path_m = 2.2, 0.6, 1.6
+    bike_y = -LANE_M - bay - verge - 0.5 * path_m
     radius = p["radius_m"]
     pen = Pen(-120.0, -_HALF, EAST).straight(120.0 - _HALF - radius)
     way = pen.turn(radius, -0.5 * math.pi).straight(110.0).way(2.0)
@@ -118,23 +117,20 @@ def cyclist_right_hook(p: Mapping[str, float], rng: np.random.Generator) -> Layo
         ),
         standing("van", "occluder helper", van, van_x - 0.5 * van_l, van_y, size=size, lights=4, parked=True),
     )
-    hedge = block(van_x - van_l - 0.15, -LANE_M - 0.5, -100.0, -LANE_M - strip + 0.3)
-    lanes = (Lane(path_m, "bicycle"), Lane(strip, "delivery"), Lane())
+    hedge = block(van_x - 1.0, -LANE_M - bay - 0.17, -100.0, -LANE_M - bay - verge + 0.05)
     arms = {
-        "w": Arm(WEST, 160.0, lanes, (Lane(),), priority=2),
-        "e": Arm(
-            EAST,
-            120.0 + AFTER_S * 5.0,
-            (Lane(),),
-            (Lane(path_m, "bicycle"), Lane(strip, "delivery"), Lane()),
-            priority=2,
-        ),
+        "w": Arm(WEST, 160.0, (Lane(bay, "delivery"), Lane()), priority=2),
+        "e": Arm(EAST, 170.0, priority=2),
         "s": Arm(SOUTH, 140.0),
     }
-    unit = RoadsideUnit(xyz_m=(8.0, bike_y - 4.5, 5.0), yaw_deg=170.0, lidar="opv2v-64")
+    path = junction(arms, radius_m=5.0)
+    left = bike_y + 0.5 * path_m
+    nodes = (*path.nodes, Node("from", -160.0, left), Node("to", 170.0, left))
+    roads = Roads(nodes, (*path.edges, Edge("cycle_path", "from", "to", (Lane(path_m, "bicycle"),), 8.0)))
+    unit = RoadsideUnit(xyz_m=(-9.0, bike_y - 3.0, 5.0), yaw_deg=170.0, lidar="opv2v-64")
     clear = block(-110.0, -LANE_M, 4.0, bike_y - 6.0)
-    structures = (Structure("hedge", hedge, 2.3),)
-    return Layout(junction(arms, radius_m=5.0), actors, structures, (unit,), clear=clear)
+    structures = (Structure("hedge", hedge, 1.95),)
+    return Layout(roads, actors, structures, (unit,), clear=clear)
 
 
 def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
@@ -177,8 +173,8 @@ def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     house = corner_house(-6.5, -ring_r - 9.0, -40.0, -90.0, 9.0)
     # Bushes fill the corner between the arms, as far as the lorry and the ring let them.
     paved = shapely.Point(0.0, 0.0).buffer(ring_r + 2.6) | block(-3.6, -170.0, 3.6, 0.0) | block(-170.0, -3.6, 0.0, 3.6)
-    paved = paved.buffer(_CORNER_M).buffer(-_CORNER_M + 0.3)
-    corner = block(-ring_r - 12.0, -4.0, -3.9, -ring_r - 16.0) - paved
+    paved = paved.buffer(_CORNER_M).buffer(-_CORNER_M + 0.5)
+    corner = block(-ring_r - 12.0, -9.0, -3.9, -ring_r - 16.0) - paved
     lorry = shapely.LineString(truck_way.points[:, :2]).buffer(1.65)
     bushes = corner - lorry - house.outline.buffer(0.3)
     bushes = max(shapely.get_parts(bushes), key=lambda part: part.area).simplify(0.05)

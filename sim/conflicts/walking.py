@@ -32,7 +32,7 @@ def ped_dartout(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     unit = RoadsideUnit(xyz_m=(0.6, LANE_M + 3.2, 5.0), yaw_deg=-90.0, lidar="opv2v-64")
     clear = block(-110.0, -LANE_M, 40.0, -14.0)
     lanes = (Lane(bay, "delivery"), Lane())
-    return Layout(_street(ego_mps, lanes), tuple(actors), (), (unit,), clear=clear)
+    return Layout(_street(ego_mps, lanes), tuple(actors), (), (unit,), reach_m=120.0, clear=clear)
 
 
 def ped_bus_stop(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
@@ -53,7 +53,7 @@ def ped_bus_stop(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     unit = RoadsideUnit(xyz_m=(2.5, LANE_M + 3.2, 5.0), yaw_deg=-100.0, lidar="opv2v-64")
     clear = block(-110.0, -LANE_M, 40.0, -14.0)
     lanes = (Lane(bay, "bus"), Lane())
-    return Layout(_street(ego_mps, lanes), actors, (), (unit,), clear=clear)
+    return Layout(_street(ego_mps, lanes), actors, (), (unit,), reach_m=120.0, clear=clear)
 
 
 def _crossing(

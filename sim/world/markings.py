@@ -40,7 +40,7 @@ def _lane_lines(lane: Lane) -> list[tuple[Array, float]]:
     left = offset(lane.line, 0.5 * lane.width)
     if lane.index + 1 < lane.count:
         found += [(cut, _LINE_M) for cut in dashes(left, dash, gap)]
-    elif lane.opposite and not large:
+    elif lane.opposite and lane.count == 1:
         # Both directions share this border: each paints every other dash.
         found += [(cut, _LINE_M) for cut in dashes(left, dash, 2.0 * gap + dash)]
     elif large:

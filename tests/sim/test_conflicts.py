@@ -61,6 +61,7 @@ def test_motor_vehicles_stay_on_the_road_and_nothing_stands_in_their_way(kind: s
     streets = read_streets(read_network(resolve_network(scenario, 3)), scenario.network.area_m, 60.0)
     window = shapely.box(*streets.window)
     solid = shapely.union_all([structure.outline for structure in layout.structures])
+    assert (solid & streets.road).area < 0.01
     for someone in layout.actors:
         if someone.kind.label in ("pedestrian", "bicycle"):
             continue

@@ -70,8 +70,8 @@ def test_who_crashes_stops_dead_and_stays() -> None:
 def test_lanes_are_those_below_and_lights_tell_what_drivers_do() -> None:
     steps, _ = rollout("cyclist_right_hook", 6.0)
     start, ego = steps[0], steps[0].row(EGO)
-    assert start.lane[ego] == "w_in_2"
-    assert start.lane[start.row(CONFLICT)] == "w_in_0"
+    assert start.lane[ego] == "w_in_1"
+    assert start.lane[start.row(CONFLICT)] == "cycle_path_0"
     assert steps[40].signals[ego] & SIGNALS["right indicator"]
     speed = np.array([np.linalg.norm(step.velocity[ego]) for step in steps])
     braking = np.array([bool(step.signals[ego] & SIGNALS["brake light"]) for step in steps])
