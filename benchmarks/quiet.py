@@ -76,14 +76,14 @@ def _warm_seconds(run: Callable[[], object]) -> float:
 
 def _sample(run: Callable[[], object], calls: int) -> tuple[float, float, float]:
     """Return how many cores others kept busy meanwhile, and seconds and CPU seconds per call."""
-    others, own, start = _others_s(), time.process_time(), time.perf_counter()
+    others, own, start = others_s(), time.process_time(), time.perf_counter()
     for _ in range(calls):
         run()
     wall = time.perf_counter() - start
-    return (_others_s() - others) / wall, wall / calls, (time.process_time() - own) / calls
+    return (others_s() - others) / wall, wall / calls, (time.process_time() - own) / calls
 
 
-def _others_s() -> float:
+def others_s() -> float:
     """Return the CPU time that all other processes have used since the start of the machine, s."""
     if not _STAT.exists():
         return float("nan")

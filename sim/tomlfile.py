@@ -34,7 +34,7 @@ def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Setti
     try:
         return msgspec.convert(raw, kind, strict=True)
     except msgspec.ValidationError as wrong:
-        raise error(_explain(path, raw, str(wrong))) from None
+        raise error(_explain(path, raw, _named(raw, kind) or str(wrong))) from None
 
 
 def dotted(keys: Iterable[str | int]) -> str:
@@ -58,6 +58,23 @@ def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Itera
             yield (*where, key), kind
         else:
             yield from _unknown_keys(value, hints[key], (*where, key))
+
+
+def _named(raw: dict, kind: type[msgspec.Struct]) -> str:
+    """Return msgspec's message of what is wrong below a table of tables, with the name of the one; "" for elsewhere.
+
+    msgspec itself writes `[...]` for it.
+    """
+    for name, hint in get_type_hints(kind).items():
+        below = raw.get(name)
+        if get_origin(hint) is dict and isinstance(below, dict):
+            for key, item in below.items():
+                try:
+                    msgspec.convert(item, get_args(hint)[1], strict=True)
+                except msgspec.ValidationError as wrong:
+                    text, _, pointer = str(wrong).partition(" - at ")
+                    return f"{text} - at `$.{name}.{key}{pointer.strip('`').removeprefix('$')}`"
+    return ""
 
 
 def _explain(path: Path, raw: dict, message: str) -> str:

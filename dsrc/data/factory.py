@@ -4,6 +4,7 @@ A drive is a work item. What is finished is left alone, what was cut goes on, an
 same for any number of workers, any executor and any number of interruptions.
 """
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from time import monotonic
 from dsrc.data.drive_folder import check_same, locked, read_settings
 from dsrc.data.executors import Executor, Report, open_executor
 from dsrc.data.generate import Progress, make_drive, proven
-from dsrc.data.live import TRAFFIC_LOG, WORLD, record_drive
+from dsrc.data.live import TRAFFIC_LOG, WORLD, open_live
 from dsrc.data.manifest import MANIFEST, VERSION, Entry, Manifest, read_manifest, write_manifest
 from dsrc.data.splits import Dataset, Item, expand, find_split_file, read_dataset
 from dsrc.data.sums import SUMS, sha256
@@ -21,6 +22,7 @@ from sim.errors import DataError, SettingsError, complaint, did_you_mean
 _PATIENCE_S = 10.0
 """Workers of a driver that was killed end a moment after it."""
 _SAVE_EVERY_S = 2.0
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,13 +210,17 @@ def _make(work: _Work, report: Report) -> Entry:
 
 
 def _record(work: _Work, report: Report) -> None:
-    """Record one drive; runs in a worker."""
+    """Record one drive, and see that its agents stay for all of it; runs in a worker."""
     spec, more = work.item.spec, {}
     if spec.scenario.conflict is not None:
         spec, more["proof"] = proven(spec)
     for name in (TRAFFIC_LOG, WORLD):
         (work.folder / name).unlink(missing_ok=True)
-    record_drive(spec.scenario, spec.seed, spec.frames, spec.interval_s, work.folder, more)
+    work.folder.mkdir(parents=True, exist_ok=True)
+    with open_live(
+        spec.scenario, spec.seed, spec.frames, spec.interval_s, work.folder / TRAFFIC_LOG, more=more
+    ) as live:
+        _log.info("%s: agents %s", work.item.path, live.recording.agent_ids)
 
 
 def _entry(item: Item, drive: Path) -> Entry:

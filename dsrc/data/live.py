@@ -123,17 +123,6 @@ def open_live(
     yield Live(recording, steps, interval_s)
 
 
-def record_drive(
-    scenario: Scenario, seed: int, frames: int, interval_s: float, folder: Path, more: dict | None = None
-) -> None:
-    """Write the traffic log and the world of a drive and nothing else; files that are there stay."""
-    folder.mkdir(parents=True, exist_ok=True)
-    if not (folder / TRAFFIC_LOG).exists():
-        _simulate_traffic(scenario, seed, frames, interval_s, folder / TRAFFIC_LOG, more or {})
-    if not (folder / WORLD).exists():
-        _build_world(scenario, seed, TrafficLog.load(folder / TRAFFIC_LOG), folder / WORLD)
-
-
 def _copy(recorded: Path, folder: Path, log_name: str) -> None:
     if not (recorded / TRAFFIC_LOG).is_file():
         raise DataError(complaint(recorded, TRAFFIC_LOG, "an existing traffic log", "no such file"))

@@ -1,0 +1,197 @@
+"""How fast drives are made: frames per second on one and on two workers, and which stage takes which share.
+
+python -m benchmarks.generate
+python -m benchmarks.generate --quick
+"""
+
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import msgspec
+import tyro
+
+from benchmarks.quiet import others_s
+from benchmarks.street import BENCHMARK_LIDAR
+from dsrc.data.executors import ProcessExecutor, Report
+from dsrc.data.generate import DriveSpec
+from dsrc.data.live import TRAFFIC_LOG, WORLD, Live, open_live
+from dsrc.data.opv2v import write_frame
+from dsrc.data.sums import write_sums
+from sensors.presets import LIDARS
+from sim.scenario import Scenario, load_scenario
+
+AGENTS, VEHICLES = 5, 60
+STAGES: dict[str, tuple[str, ...]] = {
+    "tracing": ("sensors.record.scan_all", "sensors.record.RayScene.with_bodies"),
+    "visibility": ("sensors.record.visible_fraction", "sensors.record.lines_of_sight"),
+    "encode": ("dsrc.data.opv2v.deskew_frame", "dsrc.data.opv2v.encode_pcd", "dsrc.data.opv2v.encode_agent"),
+}
+"""Functions whose time is a stage's; writing is the rest of `write_frame` and the checksums."""
+
+
+@dataclass(slots=True)
+class Clock:
+    """CPU seconds of this process by stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that does the same and adds its time to a stage."""
+
+        def run(*args: Any, **more: Any) -> Any:
+            start = time.process_time()
+            try:
+                return function(*args, **more)
+            finally:
+                self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - start
+
+        return run
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Time the functions of `STAGES` wherever they are called."""
+        with ExitStack() as stack:
+            for stage, names in STAGES.items():
+                for name in names:
+                    owner, _, attribute = name.rpartition(".")
+                    module, _, kind = owner.rpartition(".")
+                    place = getattr(import_module(module), kind) if kind[0].isupper() else import_module(owner)
+                    function = getattr(place, attribute)
+                    stack.enter_context(mock.patch.object(place, attribute, self.timed(stage, function)))
+            yield
+
+
+def busy_scenario() -> Scenario:
+    """Return the made junctions with 60 vehicles, five of which carry the benchmarks' sensor."""
+    scenario = load_scenario("four_way")
+    demand = msgspec.structs.replace(
+        scenario.demand,
+        vehicles_per_hour=6000.0,
+        bicycles_per_hour=0.0,
+        persons_per_hour=0.0,
+        max_vehicles=VEHICLES,
+    )
+    agents = msgspec.structs.replace(scenario.agents, vehicles=AGENTS, lidar=BENCHMARK_LIDAR.name, roadside=())
+    return msgspec.structs.replace(scenario, demand=demand, agents=agents, warmup_s=45.0)
+
+
+def make_frames(live: Live, drive: Path, first: int, last: int) -> None:
+    """Make and write some frames, as `dsrc generate` does."""
+    for index in range(first, last):
+        frame = live.frame(index)
+        write_frame(drive, frame, True, live.plans(index), motion="middle")
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """What one worker makes: a drive of its own out of the recording of the parent."""
+
+    recorded: Path
+    drive: Path
+    frames: int
+    workers: int
+
+
+def work(share: Share, report: Report) -> tuple[float, float]:
+    """Make a drive and return when its second frame was begun and its last one was done; runs in a worker."""
+    LIDARS.setdefault(BENCHMARK_LIDAR.name, BENCHMARK_LIDAR)
+    spec = DriveSpec(busy_scenario(), 1, share.frames)
+    share.drive.mkdir(parents=True)
+    with _opened(spec, share.drive, share.recorded) as live:
+        make_frames(live, share.drive, 0, 1)
+        (share.drive.parent / f"{share.drive.name}.ready").touch()
+        while len(list(share.drive.parent.glob("*.ready"))) < share.workers:
+            time.sleep(0.005)
+        start = time.monotonic()
+        make_frames(live, share.drive, 1, share.frames)
+        return start, time.monotonic()
+
+
+def _opened(spec: DriveSpec, drive: Path, recorded: Path | None) -> Any:
+    log = drive / TRAFFIC_LOG
+    return open_live(spec.scenario, spec.seed, spec.frames, spec.interval_s, log, True, recorded, threads=1)
+
+
+def stages(folder: Path, frames: int) -> tuple[dict[str, float], Path]:
+    """Return CPU milliseconds per frame by stage, and the folder of the recording; in this process, on one thread."""
+    LIDARS.setdefault(BENCHMARK_LIDAR.name, BENCHMARK_LIDAR)
+    from sim.traffic.choose import open_traffic
+
+    spec, drive, clock = DriveSpec(busy_scenario(), 1, frames), folder / "staged", Clock()
+    with open_traffic(spec.scenario, spec.seed) as traffic:
+        start = time.process_time()
+        for _ in range(50):
+            traffic.step()
+        step_ms = 1e3 * (time.process_time() - start) / 50
+    drive.mkdir()
+    with _opened(spec, drive, None) as live:
+        make_frames(live, drive, 0, 1)
+        with clock.watching():
+            start = time.process_time()
+            make_frames(live, drive, 1, frames)
+            whole_ms = 1e3 * (time.process_time() - start) / (frames - 1)
+    start = time.process_time()
+    write_sums(drive)
+    sums_ms = 1e3 * (time.process_time() - start) / frames
+    parts = {stage: 1e3 * clock.seconds[stage] / (frames - 1) for stage in STAGES}
+    rest = whole_ms - sum(parts.values())
+    return {"traffic": step_ms, **parts, "write": rest + sums_ms}, drive
+
+
+def frames_per_s(folder: Path, recorded: Path, workers: int, frames: int) -> float:
+    """Return frames per second of wall time that so many workers make together, each on one thread."""
+    place = folder / f"workers_{workers}"
+    shares = [Share(recorded, place / str(row), frames, workers) for row in range(workers)]
+    with ProcessExecutor(workers) as pool:
+        spans = [outcome.value for outcome in pool.run(work, shares)]
+    return workers * (frames - 1) / (max(end for _, end in spans) - min(start for start, _ in spans))
+
+
+def main(quick: bool = False) -> None:
+    """Measure how fast drives are made.
+
+    Args:
+        quick: fewer frames.
+    """
+    frames = 6 if quick else 41
+    with tempfile.TemporaryDirectory(prefix="dsrc-benchmark-") as name:
+        folder, others, start = Path(name), others_s(), time.monotonic()
+        parts, recorded = stages(folder, frames)
+        load = (others_s() - others) / (time.monotonic() - start)
+        size = sum(path.stat().st_size for path in recorded.glob("*/000001.*"))
+        log = (recorded / TRAFFIC_LOG).stat().st_size
+        world = (recorded / WORLD).stat().st_size
+        counts = [1, 2] if quick else [count for count in (1, 2, 4, 8) if count <= max(2, os.cpu_count() or 1)]
+        speed = {count: frames_per_s(folder, recorded, count, frames) for count in counts}
+    total = sum(parts.values())
+    for stage, spent in parts.items():
+        sys.stdout.write(f"{stage:12s} {spent:8.1f} ms of CPU per frame {spent / total:7.1%}\n")
+    for count, rate in speed.items():
+        sys.stdout.write(f"{count} workers    {rate:8.2f} frames/s\n")
+    figures = {
+        "agents": AGENTS,
+        "vehicles": VEHICLES,
+        "rays": 64 * 1800,
+        **{f"frames_per_s_{count}": round(rate, 3) for count, rate in speed.items()},
+        "cpu_ms_per_frame": round(total, 1),
+        **{f"share_{stage}": round(spent / total, 4) for stage, spent in parts.items()},
+        "frame_mb": round(size / 1e6, 2),
+        "log_bytes_per_frame": round(log / (frames + 30)),
+        "world_kb": round(world / 1e3),
+        "others_load_cores": round(load, 2),
+    }
+    sys.stdout.write(json.dumps(figures) + "\n")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,102 @@
+"""Executors: results of any number of workers are the same, and a worker that dies costs nobody its work."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from dsrc.data.executors import EXECUTORS, ProcessExecutor, Report, SerialExecutor, open_executor
+from sim.errors import DataError, SettingsError
+
+
+def square(item: int, report: Report) -> int:
+    report(1, 2)
+    report(2, 2)
+    return item * item
+
+
+def picky(item: int, report: Report) -> int:
+    if item == 1:
+        raise DataError("item 1: no such thing")
+    return item
+
+
+def buggy(item: int, report: Report) -> int:
+    return 1 // item
+
+
+def dies_once(item: tuple[Path, int], report: Report) -> int:
+    """Die without a word, the way a process does that the system kills, the first time that the item is made."""
+    mark = item[0] / str(item[1])
+    if item[1] % 2 == 0 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item[1]
+
+
+def dies(item: int, report: Report) -> int:
+    if item == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def process_id(item: int, report: Report) -> int:
+    time.sleep(0.3)
+    return os.getpid()
+
+
+@pytest.mark.parametrize("executor", [SerialExecutor(), ProcessExecutor(1), ProcessExecutor(3)])
+def test_all_items_are_made_whoever_makes_them(executor: SerialExecutor | ProcessExecutor) -> None:
+    told: list[tuple[int, int, int]] = []
+    with executor as pool:
+        made = {outcome.row: outcome.value for outcome in pool.run(square, range(5), lambda *p: told.append(p))}
+        assert made == {row: row * row for row in range(5)}
+        assert sorted(told) == [(row, done, 2) for row in range(5) for done in (1, 2)]
+        assert [outcome.value for outcome in pool.run(square, [7])] == [49]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_users_error_ends_its_item_and_no_other(workers: int) -> None:
+    with open_executor("local", workers) as pool:
+        outcomes = {outcome.row: outcome for outcome in pool.run(picky, range(4))}
+    assert [outcomes[row].value for row in (0, 2, 3)] == [0, 2, 3]
+    assert isinstance(outcomes[1].error, DataError) and str(outcomes[1].error) == "item 1: no such thing"
+
+
+def test_a_bug_keeps_its_stack_trace() -> None:
+    with ProcessExecutor(2) as pool, pytest.raises(RuntimeError, match=r"(?s)in buggy.*ZeroDivisionError"):
+        list(pool.run(buggy, [0]))
+
+
+def test_items_whose_workers_are_killed_are_made_again(tmp_path: Path) -> None:
+    with ProcessExecutor(2) as pool:
+        made = [outcome.value for outcome in pool.run(dies_once, [(tmp_path, row) for row in range(5)])]
+    assert sorted(made) == list(range(5)) and len(list(tmp_path.iterdir())) == 3
+
+
+def test_an_item_that_kills_every_worker_is_given_up_and_the_others_are_made() -> None:
+    with ProcessExecutor(2, retries=1) as pool:
+        outcomes = {outcome.row: outcome for outcome in pool.run(dies, range(4))}
+    assert [outcomes[row].value for row in (0, 2, 3)] == [0, 2, 3]
+    assert "its worker process has died 2 times" in str(outcomes[1].error)
+
+
+def test_workers_work_at_the_same_time_and_end_with_their_executor() -> None:
+    with ProcessExecutor(2) as pool:
+        workers = {outcome.value for outcome in pool.run(process_id, range(4))}
+        assert len(workers) == 2 and os.getpid() not in workers
+    for worker in workers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(worker, 0)
+
+
+def test_wrong_settings_are_told() -> None:
+    assert set(EXECUTORS) == {"local", "ray"}
+    with pytest.raises(SettingsError, match="expected an executor, found rai; did you mean 'ray'"):
+        open_executor("rai")
+    with pytest.raises(SettingsError, match="workers: expected at least 1, found 0"):
+        open_executor("local", 0)
+    with pytest.raises(SettingsError, match="address: expected none without --executor ray"):
+        open_executor("local", 1, "auto")
