@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dsrc.data.batch import collate
+from dsrc.data.batch import collate, pillars_of
 from dsrc.data.sample import Sample
 from dsrc.detections import Detections
 from dsrc.models.backbones import BACKBONES
@@ -18,6 +18,7 @@ from dsrc.models.blocks import Compressor, double_conv, upsample
 from dsrc.models.encoder import PillarEncoder, Pillars
 from dsrc.models.fusion import FUSIONS, Company
 from dsrc.models.fusion.late import join_detections
+from dsrc.models.pose_graph import aligned
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER
@@ -84,14 +85,25 @@ class Detector(nn.Module):
             company: whose clouds they are; zeros take the place of what of their maps did not arrive.
         """
         stages = self.backbone(self.encoder(pillars))
+        return self.read(stages, self.join(self.maps(stages), company))
+
+    def maps(self, stages: Sequence[Tensor]) -> list[Tensor]:
+        """Return what the agents make of their stages before they send: three scales or one map, N rows each."""
         maps = list(stages) if self.by_stage else [self.shrink(self._decoded(stages))]
         if self.settings.compress > 1:
             for scale, ends in enumerate(self.compressors):
                 maps[scale] = ends(maps[scale])
+        return maps
+
+    def join(self, maps: Sequence[Tensor], company: Company) -> list[Tensor]:
+        """Return what becomes of the agents' maps: three scales or one map, B rows each."""
         sent = self.fusion.send(maps, company, self)
         if company.lost is not None:
             sent = [part.masked_fill(_as_large(company.lost, part), 0.0) for part in sent]
-        joined = self.fusion(sent, company, self)
+        return self.fusion(sent, company, self)
+
+    def read(self, stages: tuple[Tensor, Tensor, Tensor], joined: Sequence[Tensor]) -> Output:
+        """Return the output of what was joined."""
         fused = self.shrink(self._decoded(joined)) if self.by_stage else self.widen(joined[0])
         return Output(stages, fused, self.cls_head(fused), self.reg_head(fused))
 
@@ -122,6 +134,8 @@ class Detector(nn.Module):
         """Detect vehicles in one sample, best first, in the ego LiDAR's frame; needs no labels and no teacher."""
         was_training = self.training
         self.eval()
+        if self.settings.align_poses:
+            sample = aligned(sample, self._each_alone(sample), self.settings.grid)
         batch = collate([sample], self.settings, training=False)
         if batch.student is None:
             raise ValueError("a teacher reads clouds that are made with ground truth: it cannot detect in a sample")
@@ -129,6 +143,12 @@ class Detector(nn.Module):
         parts = self.decode(self(batch.student.to(device), batch.company.to(device)))
         self.train(was_training)
         return join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
+
+    def _each_alone(self, sample: Sample) -> list[Detections]:
+        """Return what is detected in each agent's cloud by itself."""
+        clouds = sample.clouds[: 1 if self.settings.fusion == "none" else self.settings.max_agents]
+        pillars = pillars_of(clouds, self.settings).to(self.cls_head.weight.device)
+        return self.decode(self(pillars, Company((1,) * len(clouds))))
 
 
 def _as_large(lost: Tensor, stage: Tensor) -> Tensor:

@@ -37,7 +37,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         fusion: how the agents' features are joined, a key of `FUSIONS`.
         backbone: a key of `BACKBONES`; None is the method's own: CoAlign's residual blocks, Res2Net for all others.
         released: let the method do as its published code does where that is a mistake, as its class says.
-        align_poses: put the collaborators' poses right by a graph of agents and objects before anything is encoded.
+        align_poses: put the collaborators' poses right by a graph of agents and objects before a sample is
+            detected in; it takes another run of the network on each agent's cloud by itself.
         compress: times fewer channels that are sent of each map.
         sdd: sparse-to-dense distillation: the teacher's objects hold the points of all agents.
         pcp: point cloud painting: the teacher's points carry a fifth channel, 1 inside a labelled box.

@@ -8,7 +8,7 @@ class CoAlign(AttentionFusion):
 
     Source: CoAlign, arXiv 2211.07214, Section IV-B (multiscale fusion). What sets it apart under errors of position,
     the agent-object pose graph of Section IV-A, is `dsrc.models.pose_graph`, run before the clouds are encoded where
-    `align_poses` is set.
+    `align_poses` is set, for this or any other method.
 
     Released: the authors' network has a direction head and a positive class weight of 2, for any fusion; one common
     preset leaves both out here. DSRC without its distillation is this with another backbone.

@@ -48,13 +48,15 @@ class Where2comm(Fusion):
 
     def send(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
         """Return the first scale with zeros in the cells that are not sent."""
+        if not self.training and set(company.agents) == {1}:
+            return list(maps)  # nobody sends: no need to look, nor to compute the further scales again
         whole = self.chosen(network.logits(maps), company, tuple(maps[0].shape[-2:]))
         return [maps[0] * whole]
 
     def forward(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
         """Fuse the first scale and what the network's later stages make of it."""
-        scales = [maps[0]]
-        for stage in network.backbone.stages[1:]:
+        scales = list(maps)
+        for stage in network.backbone.stages[len(scales) :]:
             scales.append(stage(scales[-1]))
         return [self.fuse(scale, company) for scale in scales]
 

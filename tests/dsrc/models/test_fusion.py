@@ -12,6 +12,7 @@ from dsrc.models.fusion.attention import AttentionFusion
 from dsrc.models.fusion.cobevt import CoBEVT
 from dsrc.models.fusion.ermvp import ERMVP, density_clusters
 from dsrc.models.fusion.max import MaxFusion
+from dsrc.models.fusion.mrcnet import _over_channels
 from dsrc.models.fusion.v2vnet import V2VNet
 from dsrc.models.fusion.v2xvit import V2XViT
 from dsrc.models.fusion.warp import about_centre, in_cells, into_ego, normalised, shifted
@@ -340,6 +341,11 @@ def test_maps_that_windows_do_not_divide_are_fused_whole(name: str, released: bo
         fused = fusion.fuse(x, Company((2,)))
     assert fused.shape == (1, 16, 10, 18)
     assert torch.isfinite(fused).all()
+
+
+def test_the_flat_form_of_mrcnets_convolution_is_the_convolution() -> None:
+    layer, both = nn.Conv3d(2, 1, 3, padding=1), torch.randn(2, 6, 5, 7, generator=torch.Generator().manual_seed(6))
+    torch.testing.assert_close(_over_channels(layer, both), layer(both[None])[0, 0], rtol=1e-5, atol=1e-6)
 
 
 def test_late_and_early_fusion_leave_every_map_alone() -> None:
