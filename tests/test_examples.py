@@ -18,6 +18,7 @@ SMALL = {
     "corruptions.py": ("--only", "fog", "pose_error", "--scenario", "four_way"),
     "lidar_presets.py": ("--only", "debug-16", "--scenario", "four_way"),
     "lidar_effects.py": (),
+    "scenarios.py": ("--only", "ped_bus_stop"),
     "lidar_realism.py": ("--scenarios", "four_way", "--sensors", "debug-16", "--frames", "1"),
 }
 

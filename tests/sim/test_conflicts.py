@@ -1,6 +1,7 @@
 """Encounters: every kind is laid out on its lanes, draws are reproducible, controls take away what they say."""
 
 import math
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -72,6 +73,20 @@ def test_motor_vehicles_stay_on_the_road_and_nothing_stands_in_their_way(kind: s
         inside = places[shapely.contains(window, places)]
         assert shapely.dwithin(streets.road, inside, 0.3).all(), someone.name
         assert not shapely.dwithin(solid, inside, 0.5 * someone.kind.size[1]).any(), someone.name
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_documents_tell_its_parameters_and_show_it(kind: str) -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    text = (docs / "scenarios.md").read_text()
+    section = text.split(f"### `{kind}`")[1].split("### `")[0]
+    for parameter in KINDS[kind].parameters:
+        low, high = parameter.draw
+        assert f"| `{parameter.name}` | {low:g} to {high:g} | {parameter.low:g} to {parameter.high:g} |" in section
+    for view in ("above", "ego"):
+        picture = f"pictures/scenarios/{kind}_{view}.png"
+        assert f"]({picture})" in section
+        assert 0 < (docs / picture).stat().st_size <= 150_000
 
 
 def test_controls_take_away_what_they_say() -> None:
