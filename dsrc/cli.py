@@ -380,6 +380,7 @@ def train(
     validate: Path | None = None,
     seed: int = 0,
     epochs: int | None = None,
+    method: str | None = None,
     set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE")] = (),
 ) -> None:
     """Train a detector; started again in the same folder it resumes.
@@ -393,6 +394,7 @@ def train(
         validate: folder of drives for the validation AP; default: a part of DATA.
         seed: of weights, order and augmentation.
         epochs: instead of the recipe's.
+        method: dsrc, or a rival in the same preset, such as v2x-vit; a wrong one is answered with the right ones.
         set: change model settings, for ablations: `--set sdd=false fusion=max`.
     """
     from dsrc.training.train import train_stages
@@ -407,6 +409,7 @@ def train(
         seed=seed,
         epochs=epochs,
         overrides=set,
+        method=method,
     )
     _say(str(detector))
 

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from dsrc.data.sample import GridSpec
 from dsrc.models.settings import ModelSettings
 from dsrc.training.losses import DistillSettings
+from sim.errors import SettingsError, did_you_mean
 
 Stage = Literal["teacher", "student", "plain"]
 Count = Annotated[int, Meta(ge=1)]
@@ -135,6 +136,40 @@ def debug() -> Recipe:
         validation_share=0.0,
         workers=0,
     )
+
+
+_PLAIN: dict[str, object] = {"sdd": False, "pcp": False, "rec": False}
+
+METHODS: dict[str, dict[str, object]] = {
+    "no-collaboration": {"fusion": "none", **_PLAIN},
+    "early": {"fusion": "early", **_PLAIN},
+    "late": {"fusion": "late", **_PLAIN},
+    "f-cooper": {"fusion": "max", **_PLAIN},
+    "attfuse": {"fusion": "attention", **_PLAIN},
+    "v2vnet": {"fusion": "v2vnet", **_PLAIN},
+    "v2x-vit": {"fusion": "v2xvit", **_PLAIN},
+    "cobevt": {"fusion": "cobevt", **_PLAIN},
+    "where2comm": {"fusion": "where2comm", **_PLAIN},
+    "coalign": {"fusion": "coalign", **_PLAIN},
+    "ermvp": {"fusion": "ermvp", **_PLAIN},
+    "mrcnet-style": {"fusion": "mrcnet", **_PLAIN},
+    "dsrc": {"fusion": "attention"},
+    "dsrc-max": {"fusion": "max"},
+    "dsrc-alone": {"fusion": "none"},
+}
+"""What of a recipe's model each method of the comparison changes: range, anchors, widths, thresholds, detection loss and
+schedule are the recipe's for all of them."""
+
+
+def of_method(recipe: Recipe, method: str) -> Recipe:
+    """Return the recipe for one of `METHODS`.
+
+    Raises:
+        SettingsError: no such method.
+    """
+    if method not in METHODS:
+        raise SettingsError(f"method: unknown '{method}'{did_you_mean(method, METHODS)}")
+    return replace(recipe, model=replace(recipe.model, **METHODS[method]))
 
 
 RECIPES: dict[str, Callable[[], Recipe]] = {"debug": debug, "small": small, "opv2v": opv2v}

@@ -24,7 +24,7 @@ from dsrc.models.settings import ModelSettings
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.logs import MetricsFile, ValidateLast
 from dsrc.training.module import DetectionModule
-from dsrc.training.recipes import RECIPES, Recipe, Stage
+from dsrc.training.recipes import RECIPES, Recipe, Stage, of_method
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 
 LOG = logging.getLogger(__name__)
@@ -48,6 +48,7 @@ def train_stages(
     seed: int = 0,
     epochs: int | None = None,
     overrides: Sequence[str] = (),
+    method: str | None = None,
 ) -> Path:
     """Train one stage, or the teacher and then the student, each in its own subfolder of `out`.
 
@@ -61,6 +62,7 @@ def train_stages(
         seed: of weights, order and augmentation.
         epochs: instead of the recipe's.
         overrides: `field=value` of `ModelSettings`, or of the recipe when the model has no such field.
+        method: a key of `METHODS`; None is what the recipe and the overrides say.
 
     Returns:
         The detector file of the last stage.
@@ -69,7 +71,8 @@ def train_stages(
         raise SettingsError(complaint("train", "seed", "at least 0", seed))
     if recipe not in RECIPES:
         raise SettingsError(f"recipe: unknown '{recipe}'{did_you_mean(recipe, RECIPES)}")
-    chosen = override(RECIPES[recipe](), overrides)
+    chosen = RECIPES[recipe]() if method is None else of_method(RECIPES[recipe](), method)
+    chosen = override(chosen, overrides)
     if epochs is not None:
         chosen = replace(chosen, epochs=epochs)
     if chosen.epochs < 1:

@@ -122,3 +122,13 @@ def test_what_is_lost_on_the_way_is_not_fused(sample: Sample, fusion: str) -> No
     assert not torch.allclose(everybody, nobody, atol=1e-4)
     other = replace(sample, clouds=(sample.clouds[0],) * 3, lost=(none, everything, everything))
     torch.testing.assert_close(nobody, logits(detector, other), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("fusion", sorted(set(FUSIONS) - {"none", "early", "late", "ermvp"}))
+def test_as_many_numbers_are_sent_as_are_said_to_be(sample: Sample, fusion: str) -> None:
+    detector = talkative(fusion=fusion)
+    batch = collate([sample], detector.settings, training=False)
+    with torch.inference_mode():
+        maps = detector.maps(detector.backbone(detector.encoder(batch.student)))
+        sent = detector.fusion.send(maps, batch.company, detector)
+    assert sum(part[0].numel() for part in sent) == detector.fusion.values_sent(detector.settings)

@@ -13,7 +13,8 @@ from dsrc.data.opv2v import DriveReader
 from dsrc.data.sample import make_sample
 from dsrc.evaluation.ap import FrameResult, evaluate
 from dsrc.models.checkpoint import load_detector, read_meta
-from dsrc.training.recipes import Augmentation, Recipe, debug
+from dsrc.models.fusion import FUSIONS
+from dsrc.training.recipes import METHODS, Augmentation, Recipe, debug, of_method
 from dsrc.training.train import override, train, train_stages
 from sim.errors import CheckpointError, SettingsError
 from tests.dsrc.training.drive import write_drive
@@ -142,6 +143,23 @@ def test_a_student_without_its_teacher_is_told(data: Path, tmp_path: Path) -> No
         train_stages("debug", data=data, out=tmp_path, overrides=("fusoin=max",))
     with pytest.raises(SettingsError, match="did you mean 'debug'"):
         train_stages("debgu", data=data, out=tmp_path)
+    with pytest.raises(SettingsError, match="did you mean 'v2x-vit'"):
+        train_stages("debug", data=data, out=tmp_path, method="v2xvit")
+
+
+def test_methods_differ_in_their_fusion_and_designs_alone() -> None:
+    for name in METHODS:
+        changed = of_method(debug(), name)
+        settings = replace(changed.model, **{k: getattr(debug().model, k) for k in ("fusion", "sdd", "pcp", "rec")})
+        assert replace(changed, model=settings) == debug(), name
+    assert {METHODS[name]["fusion"] for name in METHODS} == set(FUSIONS)
+
+
+def test_a_rival_is_trained_without_a_teacher(data: Path, tmp_path: Path) -> None:
+    sizes = ("shrink_channels=16", "stage_channels=[8,8,8]", "alarm_after=9")
+    path = train_stages("debug", data=data, out=tmp_path, epochs=1, method="v2x-vit", overrides=sizes)
+    assert not (tmp_path / "teacher").exists()
+    assert load_detector(path).settings.fusion == "v2xvit"
 
 
 @pytest.mark.slow
