@@ -33,7 +33,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_every_verb_has_help() -> None:
-    for verb in ("scenarios", "generate", "corrupt", "convert", "train", "evaluate", "view", "drive", "demo"):
+    for verb in ("scenarios", "generate", "render", "data", "corrupt", "convert", "train", "evaluate", "view", "drive", "demo"):
         result = dsrc(verb, "--help")
         assert result.returncode == 0
         assert "usage: dsrc" in result.stdout
@@ -41,6 +41,24 @@ def test_every_verb_has_help() -> None:
 
 def test_an_unknown_scenario_names_the_nearest(tmp_path: Path) -> None:
     assert_one_line(dsrc("generate", "braunschwieg", "--out", str(tmp_path / "x")), "braunschwieg", "braunschweig")
+
+
+def test_what_is_wrong_with_a_data_set_is_listed_and_costs_exit_code_2(tmp_path: Path) -> None:
+    (tmp_path / "drive" / "1").mkdir(parents=True)
+    (tmp_path / "drive" / "1" / "000000.yaml").write_text("vehicles: [")
+    result = dsrc("data", "check", str(tmp_path))
+    assert_one_line(result, "things are wrong")
+    assert "000000.pcd: file is missing" in result.stdout and "000000.yaml" in result.stdout
+
+
+def test_a_data_set_takes_its_settings_from_its_toml(tmp_path: Path) -> None:
+    out = ("--out", str(tmp_path / "x"))
+    assert_one_line(dsrc("generate", "dsrc-sim", "--frames", "3", *out), "frames", "TOML")
+    assert_one_line(dsrc("generate", "dsrc-sim", "--splits", "tset", *out), "split", "'test'")
+    assert_one_line(dsrc("generate", "four_way", "--executor", "ray", *out), "source", "splits")
+    assert_one_line(dsrc("generate", "dsrc-sim"), "out")
+    assert_one_line(dsrc("render", str(tmp_path / "none"), *out), "traffic.npz", "no such folder")
+    assert not (tmp_path / "x").exists()
 
 
 def test_an_empty_folder_is_not_a_dataset(tmp_path: Path) -> None:
