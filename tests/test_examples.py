@@ -19,6 +19,7 @@ SMALL = {
     "lidar_presets.py": ("--only", "debug-16", "--scenario", "four_way"),
     "lidar_effects.py": (),
     "scenarios.py": ("--only", "ped_bus_stop"),
+    "places.py": ("--only", "four_way"),
     "lidar_realism.py": ("--scenarios", "four_way", "--sensors", "debug-16", "--frames", "1"),
 }
 
