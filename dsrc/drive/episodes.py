@@ -70,7 +70,8 @@ def drive_episode(
     while not done:
         before = float(observation["speed"][0])
         observation, _, terminated, truncated, info = env.step(idm_policy(observation, env.idm))
-        hardest = max(hardest, (before - float(observation["speed"][0])) / env.scenario.step_s)
+        if not info["collided_with"]:  # what a crash does to the speed is no braking
+            hardest = max(hardest, (before - float(observation["speed"][0])) / env.scenario.step_s)
         done = terminated or truncated
         count += 1
         if progress is not None:
