@@ -64,7 +64,7 @@ def generate_dataset(
             says which.
     """
     dataset, items = _plan(source, splits)
-    out = Path(out)
+    out = Path(out).resolve()  # workers may have another current folder
     with locked(out, what="dataset"):
         _check_out(out, dataset, items)
         with open_executor(executor, workers, address) as pool:
@@ -120,7 +120,7 @@ def _locate(source: Path | str) -> Path:
     path = find_split_file(source)
     if path is None:
         raise SettingsError(complaint(source, "dataset", "a .toml with [[split.NAME]] tables", "none"))
-    return path
+    return path.resolve()
 
 
 def _check_out(out: Path, dataset: Dataset, items: Sequence[Item]) -> None:

@@ -1,0 +1,107 @@
+"""dsrc-sim, the project's own benchmark: its recordings are those of today's scenarios, and its sets share nothing."""
+
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from dsrc.data.generate import DriveSpec, make_drive
+from dsrc.data.live import TRAFFIC_LOG, WORLD
+from dsrc.data.splits import Item, expand, find_split_file, read_dataset
+from sim.scenario import list_scenarios
+from sim.traffic.log import TrafficLog
+
+ROOT = Path(__file__).parents[3]
+SAME_SITE = {"research_junction": "braunschweig", "motorway_a10": "koenigs_wusterhausen"}
+"""Places that are parts of one town or one junction."""
+
+
+@cache
+def items() -> tuple[Item, ...]:
+    path = find_split_file("dsrc-sim")
+    assert path is not None
+    return tuple(expand(read_dataset(path), path))
+
+
+def of_split(split: str) -> list[Item]:
+    return [item for item in items() if item.split == split]
+
+
+def test_it_is_as_large_as_it_says_and_every_drive_is_recorded() -> None:
+    frames = Counter[str]()
+    for item in items():
+        frames[item.split] += item.spec.frames
+        assert item.recorded is not None and (item.recorded / WORLD).is_file()
+    assert frames["train"] >= 2000 and frames["validation"] >= 400 and frames["test"] >= 600
+    assert set(frames) == {"train", "validation", "test"}
+    folder = find_split_file("dsrc-sim").parent  # type: ignore[union-attr]
+    assert sum(path.stat().st_size for path in folder.rglob("*.npz")) < 8e6
+
+
+def test_its_sets_share_no_place_and_no_seed() -> None:
+    splits = ("train", "validation", "test")
+    places = [{SAME_SITE.get(i.spec.scenario.name, i.spec.scenario.name) for i in of_split(s)} for s in splits]
+    seeds = [{item.spec.seed for item in of_split(split)} for split in splits]
+    for sets in (places, seeds):
+        assert sum(len(one) for one in sets) == len(set().union(*sets))
+
+
+def test_it_has_two_to_five_agents_and_encounters_in_every_set() -> None:
+    for split in ("train", "validation", "test"):
+        rules = [item.spec.scenario.agents for item in of_split(split)]
+        counts = {max(rule.vehicles, len(rule.named)) + len(rule.roadside) for rule in rules}
+        assert min(counts) >= 2 and max(counts) <= 5
+        assert any(item.spec.scenario.conflict is not None for item in of_split(split))
+    everywhere = {len(i.spec.scenario.agents.roadside) + i.spec.scenario.agents.vehicles for i in items()}
+    assert everywhere == {2, 3, 4, 5}
+
+
+@pytest.mark.parametrize("item", items(), ids=lambda item: item.path)
+def test_a_log_is_as_long_as_its_drive_and_says_what_it_is_of(item: Item) -> None:
+    assert item.recorded is not None
+    log = TrafficLog.load(item.recorded / TRAFFIC_LOG)
+    assert len(log) >= item.spec.frames and log.about["seed"] == item.spec.seed
+    assert item.spec.scenario.name in list_scenarios()
+    if item.spec.scenario.conflict is not None:
+        assert item.proof is not None and item.proof["proof"]["holds"]
+
+
+def test_two_frames_of_its_log_are_those_of_a_simulation_of_today(tmp_path: Path) -> None:
+    """Where they differ, a scenario has changed: `dsrc generate dsrc-sim --record` records it anew."""
+    item = next(item for item in items() if item.name == "four_way_201")
+    spec = first_frames(item)
+    make_drive(spec, tmp_path / "live", threads=1)
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_SUMO, item.path, str(tmp_path / "recorded")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "live" / WORLD).read_bytes() == (tmp_path / "recorded" / WORLD).read_bytes()
+    frames = [frames_of(tmp_path / name) for name in ("live", "recorded")]
+    assert len(frames[0]) == 2 * 2 * 4 and frames[0] == frames[1]
+
+
+WITHOUT_SUMO = """
+import sys
+sys.modules.update(dict.fromkeys(("libsumo", "sumo", "sumolib", "traci", "highway_env")))
+from pathlib import Path
+from dsrc.data.generate import make_drive
+from tests.dsrc.data.test_dsrc_sim import first_frames, items
+item = next(item for item in items() if item.path == sys.argv[1])
+make_drive(first_frames(item), Path(sys.argv[2]), recorded=item.recorded, threads=1)
+"""
+
+
+def first_frames(item: Item) -> DriveSpec:
+    return replace(item.spec, frames=2)
+
+
+def frames_of(drive: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(drive)): path.read_bytes() for path in sorted(drive.glob("*/*"))}
