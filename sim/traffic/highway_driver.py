@@ -20,6 +20,7 @@ _SIDE_MPS2 = 4.0
 _TIGHTEST = 0.22
 """Sharpest bend that a vehicle can drive, 1/m."""
 _AHEAD_S = 0.7
+_BETWEEN_M, _CHANGE_M = 0.8, 16.0
 _PULL_OUT_M = 9.0
 
 
@@ -93,6 +94,12 @@ class Driver(IDMVehicle):
         return bool(lane.lane.forbidden) and lane.index[2] > 0
 
     @property
+    def aside(self) -> float:
+        """How far it is from the middle of the lane that it is heading for, m."""
+        lane = self.roads.lanes[self.lane_number]
+        return float(np.sqrt(((lane.line - to_world(self.position)) ** 2).sum(axis=1).min()))
+
+    @property
     def room(self) -> float:
         """How far its front bumper is from where it has to wait at the end of such a lane, m."""
         return float(self.roads.lanes[self.lane_number].along[-1]) - self.along - 0.5 * self.LENGTH - _PULL_OUT_M
@@ -137,6 +144,9 @@ class Driver(IDMVehicle):
             return 0.0
         points, along = self.sight
         ahead = np.clip(_AHEAD_S * self.speed, 4.0, 25.0)
+        if self.enable_lane_change and self.aside > _BETWEEN_M:
+            # From lane to lane it goes gently, or it would swing beyond the lane that it wants.
+            ahead = max(ahead, _CHANGE_M)
         away = np.array([np.interp(ahead, along, points[:, axis]) for axis in (0, 1)]) - to_world(self.position)
         # To the left of the heading in our world is to the right in highway-env's.
         aside = away @ [np.sin(self.heading), np.cos(self.heading)]

@@ -23,6 +23,7 @@ _COMMITTED_MPS2 = 5.0
 _POINT_M = 1.0
 _PASS_M = 3.9
 _YIELD_MPS2 = 1.5
+_PULLING_M = 0.9
 _STANDING_GAP_M, _HEADWAY_S = 2.0, 1.3
 _BESIDE_M = 0.5
 _LINE_M = 1.5
@@ -237,9 +238,10 @@ def _stops(drivers: Sequence[Driver], ways: Sequence[Way]) -> Array:
             who, stop_m = _gives_way(drivers[i], ways[i], drivers[j], ways[j])
             if who:
                 row = i if who < 0 else j
-                # Who has to leave a lane that ends needs room to pull out.
-                room = drivers[row].room if drivers[row].must_leave else np.inf
-                stops[row] = min(stops[row], stop_m, room if room > 0.0 else np.inf)
+                if drivers[row].must_leave:
+                    # It needs room to pull out, and once it does it does not stop between two lanes.
+                    stop_m = np.inf if drivers[row].aside > _PULLING_M else min(stop_m, max(drivers[row].room, 0.05))
+                stops[row] = min(stops[row], stop_m)
     return stops
 
 
