@@ -16,6 +16,9 @@ _TREE_EVERY_M = 11.0
 _LEAVES_PER_TREE = 110
 _UNIT_CLEAR_M = 12.0
 _FROM_CORNER_M = 14.0
+_BEYOND = ((0.9, False), (1.4, False), (2.0, False))
+_ON_PAVEMENT = ((1.0, True), (3.0, True), (4.5, True))
+"""Places of a traffic light, m from the edge of its approach, and whether on a footway too."""
 _CROWN_OVER_ROAD_M = 4.8
 _POLES = {"pole": (8.0, 0.12), "bollard": (0.9, 0.08)}
 """Height and radius of what is only a post, m."""
@@ -160,7 +163,7 @@ def _signals(streets: Streets, places: _Places) -> list[Piece]:
         end, way = lane.line[-1], lane.line[-1] - lane.line[-2]
         way = way / max(float(np.hypot(*way)), 1e-9)
         # Beyond the footway, else on its side towards the road.
-        for aside, on_walk in ((0.9, False), (1.4, False), (2.0, False), (0.4 - lane.verge, True), (1.0, True)):
+        for aside, on_walk in (*_BEYOND, (0.4 - lane.verge, True), *_ON_PAVEMENT):
             xy = end + (0.5 * lane.width + lane.verge + aside) * np.array([way[1], -way[0]])
             if places.free(xy, 0.3 if on_walk else 0.6, 0.3 if on_walk else 0.5, 1.0, 1.0, on_walk=on_walk):
                 pieces.append(move(traffic_light(), _base(streets, xy), float(np.arctan2(way[1], way[0]))))

@@ -96,6 +96,24 @@ def test_a_town_has_lights_kerbs_and_something_that_hides(name: str) -> None:
     assert len(mesh.faces) < 250_000
 
 
+@pytest.mark.parametrize("name", ["four_way", "helsinki", "rilsa_1"])
+def test_a_light_stands_at_every_stop_line_of_a_signalled_junction_and_none_on_the_road(name: str) -> None:
+    scenario = at_hand(name)
+    mesh = build_world(scenario, 1)
+    lamps = mesh.triangles[mesh.face_attributes["material"] == material_index("signal_lamp")].mean(axis=1)[:, :2]
+    streets = read_streets(read_network(resolve_network(scenario, 1)), scenario.network.area_m, MARGIN_M)
+    area = shapely.box(*streets.area)
+    ends = [
+        lane.line[-1]
+        for lane in streets.lanes
+        if lane.kind == "road" and lane.stop == "signal" and lane.index == 0 and lane.speed >= 8.0
+    ]
+    ends = [end for end in ends if area.contains(shapely.Point(end))]
+    assert len(ends) >= 4
+    assert all(np.hypot(*(lamps - end).T).min() < 9.0 for end in ends)
+    assert not shapely.contains_xy(streets.road, *lamps.T).any()
+
+
 @pytest.mark.parametrize("name", ["rilsa_1", "helsinki"])
 def test_parked_cars_stand_beside_the_lanes_and_are_the_same_again(name: str) -> None:
     scenario = at_hand(name)
