@@ -97,14 +97,11 @@ def _alone(scene: RayScene, shot: Shot, views: Sequence[View], motion: Motion) -
     ray, span, own, count = _chosen(shot, views)
     ring, column = np.divmod(ray, shot.beams.columns)
     origin, direction = _aim(shot, motion, span, ring, column)
-    distance = shot.beams.reach[ring, 1]
-    hit = np.zeros(len(ring), bool)
-    for view, end, length in zip(views, np.cumsum(count).tolist(), count.tolist(), strict=True):
-        rows = slice(end - length, end)
-        hits = scene.engine.cast(scene.bodies.solids[view.body], origin[rows], direction[rows], distance[rows])
-        hit[rows], distance[rows] = hits.face >= 0, hits.distance
+    solids = [scene.bodies.solids[view.body] for view in views]
+    hits = scene.engine.cast_each(solids, count.tolist(), origin, direction, shot.beams.reach[ring, 1])
+    hit = hits.face >= 0
     body = np.repeat(np.array([view.body for view in views], np.int64), count)
-    return _Met(body[hit], ray[hit], distance[hit], own[hit])
+    return _Met(body[hit], ray[hit], hits.distance[hit], own[hit])
 
 
 def _chosen(shot: Shot, views: Sequence[View]) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
@@ -118,11 +115,15 @@ def _chosen(shot: Shot, views: Sequence[View]) -> tuple[Ints, Ints, NDArray[np.b
     shift, spread = _lead(shot)
     every = np.arange(columns)
     wanted = np.zeros((rings, columns), bool)
-    samples = []
+    samples: list[tuple[Ints, NDArray[np.bool_] | None, NDArray[np.bool_] | None]] = []
     for view in views:
         column = every[view.columns]
         ring = np.arange(view.top, view.bottom)
         stride = max(1, len(ring) * int(max(len(column) - 2.0 * spread, 1.0)) // _MOST_RAYS)
+        if stride == 1 and spread == 0.0:
+            wanted[view.top : view.bottom, view.columns] = True
+            samples.append((column, None, None))
+            continue
         first = np.floor(stride * ((_GOLDEN * ring) % 1.0)).astype(np.int64)
         seen = np.ones((len(ring), len(column)), bool)
         if spread > 0.0:
@@ -136,6 +137,14 @@ def _chosen(shot: Shot, views: Sequence[View]) -> tuple[Ints, Ints, NDArray[np.b
         samples.append((column, seen, own))
     rays, spans, owned = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
     for view, (column, seen, own) in zip(views, samples, strict=True):
+        if seen is None or own is None:
+            rows = np.arange(view.top, view.bottom)[:, None] * columns
+            rays.append((rows + column).reshape(-1))
+            spans.append(
+                np.broadcast_to(np.arange(view.span.start, view.span.stop), (len(rows), len(column))).reshape(-1)
+            )
+            owned.append(np.ones(rays[-1].shape, bool))
+            continue
         # What one body is asked, those before it are asked too, or they could not hide it.
         row, at = np.nonzero(seen & wanted[view.top : view.bottom, view.columns])
         rays.append((view.top + row) * columns + column[at])

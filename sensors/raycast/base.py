@@ -156,6 +156,17 @@ class Engine(Protocol):
         """
         ...
 
+    def cast_each(
+        self,
+        solids: Sequence[Solid],
+        counts: Sequence[int],
+        origins: NDArray[np.float32],
+        directions: NDArray[np.float32],
+        reach: NDArray[np.float32],
+    ) -> Hits:
+        """Cast N single rays, the first `counts[0]` at the first solid alone and so on; as `cast` otherwise."""
+        ...
+
     def sweep(self, static: Solid, bodies: Bodies, shots: Sequence[Shot], threads: int) -> list[Returns]:
         """Make sweeps of one instant, in order, on up to `threads` threads; the number changes no byte."""
         ...

@@ -99,12 +99,28 @@ class FusedEngine:
         reach: NDArray[np.float32],
     ) -> Hits:
         """Cast single rays; see `sensors.raycast.Engine`."""
+        return self.cast_each([solid], [len(reach)], origins, directions, reach)
+
+    def cast_each(
+        self,
+        solids: Sequence[Solid],
+        counts: Sequence[int],
+        origins: NDArray[np.float32],
+        directions: NDArray[np.float32],
+        reach: NDArray[np.float32],
+    ) -> Hits:
+        """Cast single rays at several solids; see `sensors.raycast.Engine`."""
         distance = np.array(reach, np.float32)
         hits = Hits(distance, np.full(len(distance), -1, np.int32), np.zeros(len(distance), np.float32))
         rays = (np.ascontiguousarray(rows, np.float32).reshape(-1, 3) for rows in (origins, directions))
         with self._lock:
-            world = self._world(self._hierarchy(solid), None)
-            cast_rays(world, self._single, *rays, distance, hits.face, hits.cosine)
+            hierarchies = [self._hierarchy(solid) for solid in solids]
+            if not hierarchies:
+                return hits
+            scenes = np.array([hierarchy.handle for hierarchy in hierarchies], np.int64)
+            world = self._world(hierarchies[0], None)
+            parts = scenes, np.array(counts, np.int64)
+            cast_rays(world, self._single, *parts, *rays, distance, hits.face, hits.cosine)
         return hits
 
     def place(self, bodies: Bodies, origin: NDArray[np.float64], hidden: tuple[int, ...] = ()) -> None:

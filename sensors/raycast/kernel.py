@@ -978,40 +978,56 @@ def close_gap(columns: Any, row: int, start: int, end: int) -> None:
 
 
 @njit(**_OPTIONS)
-def cast_rays(world: Any, scratch: Any, origins: Any, directions: Any, distance: Any, face: Any, cosine: Any) -> None:
-    """Cast (N, 3) single rays against the static scene, each up to its `distance`, and write what they hit."""
+def cast_rays(
+    world: Any,
+    scratch: Any,
+    scenes: Any,
+    counts: Any,
+    origins: Any,
+    directions: Any,
+    distance: Any,
+    face: Any,
+    cosine: Any,
+) -> None:
+    """Cast (N, 3) single rays, the first `counts[0]` at `scenes[0]` and so on, and write what they hit.
+
+    A hit lies within the ray's `distance`, which it shortens.
+    """
     width = len(scratch.lanes)
     room, word = scratch.room, scratch.word
-    total = distance.shape[0]
-    for base in range(0, total, width):
-        for lane in range(width):
-            # The last packet is filled up with its last ray.
-            at = min(base + lane, total - 1)
-            for axis in range(3):
-                room[_in_packet(width, 0, axis, lane)] = origins[at, axis]
-                room[_in_packet(width, 0, 4 + axis, lane)] = directions[at, axis]
-            room[_in_packet(width, 0, 3, lane)] = np.float32(0.0)
-            room[_in_packet(width, 0, 7, lane)] = np.float32(0.0)
-            room[_in_packet(width, 0, 8, lane)] = distance[at]
-            word[_in_packet(width, 0, 9, lane)] = np.uint32(INVALID)
-            word[_in_packet(width, 0, 11, lane)] = 0
-            word[_in_packet(width, 0, 18, lane)] = np.uint32(INVALID)
-        call(world.intersect, (scratch.valid_address, world.static, scratch.address, world.arguments))
-        for lane in range(min(width, total - base)):
-            if word[_in_packet(width, 0, 18, lane)] == np.uint32(INVALID):
-                continue
-            at = base + lane
-            nx, ny, nz = (
-                room[_in_packet(width, 0, 12, lane)],
-                room[_in_packet(width, 0, 13, lane)],
-                room[_in_packet(width, 0, 14, lane)],
-            )
-            along = (
-                nx * room[_in_packet(width, 0, 4, lane)]
-                + ny * room[_in_packet(width, 0, 5, lane)]
-                + nz * room[_in_packet(width, 0, 6, lane)]
-            )
-            length = np.sqrt(max(nx * nx + ny * ny + nz * nz, np.float32(1e-30)))
-            distance[at] = room[_in_packet(width, 0, 8, lane)]
-            face[at] = word[_in_packet(width, 0, 17, lane)]
-            cosine[at] = min(np.abs(along) / length, np.float32(1.0))
+    stop = 0
+    for part in range(len(scenes)):
+        start = stop
+        stop = start + counts[part]
+        for base in range(start, stop, width):
+            for lane in range(width):
+                # The last packet is filled up with its last ray.
+                at = min(base + lane, stop - 1)
+                for axis in range(3):
+                    room[_in_packet(width, 0, axis, lane)] = origins[at, axis]
+                    room[_in_packet(width, 0, 4 + axis, lane)] = directions[at, axis]
+                room[_in_packet(width, 0, 3, lane)] = np.float32(0.0)
+                room[_in_packet(width, 0, 7, lane)] = np.float32(0.0)
+                room[_in_packet(width, 0, 8, lane)] = distance[at]
+                word[_in_packet(width, 0, 9, lane)] = np.uint32(INVALID)
+                word[_in_packet(width, 0, 11, lane)] = 0
+                word[_in_packet(width, 0, 18, lane)] = np.uint32(INVALID)
+            call(world.intersect, (scratch.valid_address, scenes[part], scratch.address, world.arguments))
+            for lane in range(min(width, stop - base)):
+                if word[_in_packet(width, 0, 18, lane)] == np.uint32(INVALID):
+                    continue
+                at = base + lane
+                nx, ny, nz = (
+                    room[_in_packet(width, 0, 12, lane)],
+                    room[_in_packet(width, 0, 13, lane)],
+                    room[_in_packet(width, 0, 14, lane)],
+                )
+                along = (
+                    nx * room[_in_packet(width, 0, 4, lane)]
+                    + ny * room[_in_packet(width, 0, 5, lane)]
+                    + nz * room[_in_packet(width, 0, 6, lane)]
+                )
+                length = np.sqrt(max(nx * nx + ny * ny + nz * nz, np.float32(1e-30)))
+                distance[at] = room[_in_packet(width, 0, 8, lane)]
+                face[at] = word[_in_packet(width, 0, 17, lane)]
+                cosine[at] = min(np.abs(along) / length, np.float32(1.0))

@@ -56,6 +56,20 @@ class PublicEngine:
         face, normal = self._hierarchy(solid).trace(origins.T, directions.T, distance)
         return Hits(distance=distance, face=face, cosine=_cosine(normal, directions.T) * (face >= 0))
 
+    def cast_each(
+        self, solids: Sequence[Solid], counts: Sequence[int], origins: Floats, directions: Floats, reach: Floats
+    ) -> Hits:
+        """Cast single rays at several solids; see `sensors.raycast.Engine`."""
+        ends = np.cumsum([0, *counts])
+        parts = [slice(start, end) for start, end in pairwise(ends.tolist())]
+        nothing = Hits(np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32))
+        made = [nothing]
+        for solid, rows in zip(solids, parts, strict=True):
+            made.append(self.cast(solid, origins[rows], directions[rows], reach[rows]))
+        return Hits(
+            *(np.concatenate([getattr(hits, name) for hits in made]) for name in ("distance", "face", "cosine"))
+        )
+
     def sweep(self, static: Solid, bodies: Bodies, shots: Sequence[Shot], threads: int) -> list[Returns]:
         """Make sweeps; see `sensors.raycast.Engine`."""
         world = _World(self._hierarchy(static), [self._hierarchy(solid) for solid in bodies.solids], bodies.object_id)
