@@ -1,7 +1,7 @@
 """Batch: samples turned into the tensors that a network and its losses read."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -21,6 +21,7 @@ from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.pillars import voxelise
 from dsrc.ops.targets import assign_targets
 from sim.boxes import Boxes
+from sim.geometry import invert, transform_points
 
 # Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
 
@@ -55,6 +56,9 @@ class Batch:
         agents: (B,) number of agents of each sample; their clouds are consecutive, ego first.
         lost: (N, h, w) bool tiles of the agents' feature maps that did not arrive; None when all did.
         roadside: (N,) bool whether an agent is a roadside unit, which has a negative id.
+        pairwise: (B, L, L, 4, 4) `[b, i, j]` maps points of agent i's frame to agent j's, m; None when all clouds are
+            in the ego's frame.
+        grid: of all clouds.
         boxes: (B,) ground truth.
         student: pillars of what the sensors saw; None for a teacher's batch.
         targets: None outside training, like all that follows.
@@ -69,6 +73,8 @@ class Batch:
     student: Pillars | None
     lost: Tensor | None = None
     roadside: Tensor | None = None
+    pairwise: Tensor | None = None
+    grid: GridSpec = field(default_factory=GridSpec)
     targets: Targets | None = None
     teacher: Pillars | None = None
     foreground: Tensor | None = None
@@ -77,7 +83,9 @@ class Batch:
     @property
     def company(self) -> Company:
         """Whose clouds they are."""
-        return Company(self.agents, self.lost, self.roadside)
+        low, high = np.array(self.grid.range_m[:2]), np.array(self.grid.range_m[3:5])
+        extent, centre = (high - low).tolist(), ((high + low) / 2).tolist()
+        return Company(self.agents, self.lost, self.roadside, None, self.pairwise, tuple(extent), tuple(centre))
 
     def to(self, device: torch.device | str) -> "Batch":
         """Move the tensors to a device."""
@@ -85,7 +93,7 @@ class Batch:
             return self
         moved: dict[str, Any] = {
             name: part.to(device)
-            for name in ("student", "lost", "roadside", "teacher", "foreground", "targets", "scene")
+            for name in ("student", "lost", "roadside", "pairwise", "teacher", "foreground", "targets", "scene")
             if (part := getattr(self, name)) is not None
         }
         return replace(self, **moved)
@@ -104,12 +112,17 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
     samples = [part for part, _ in whole]
     for_teacher = settings.role == "teacher"
     clouds = [cloud for sample in samples for cloud in sample.clouds]
+    if settings.own_frame:
+        poses = [pose for sample in samples for pose in sample.ego_from_agent]
+        clouds = [_moved(cloud, invert(pose), settings.grid) for cloud, pose in zip(clouds, poses, strict=True)]
     batch = Batch(
         keys=tuple(sample.key for sample in samples),
         agents=tuple(len(sample.clouds) for sample in samples),
         boxes=tuple(sample.boxes for sample in samples),
         student=None if for_teacher else pillars_of(clouds, settings),
         lost=_lost(samples),
+        pairwise=_pairwise(samples) if settings.own_frame else None,
+        grid=settings.grid,
         roadside=torch.tensor([agent < 0 for sample in samples for agent in sample.agent_ids]),
     )
     if for_teacher or (training and settings.distils):
@@ -170,6 +183,26 @@ def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:
         agent_boxes=sample.agent_boxes[rows],
         lost=sample.lost[rows],
     )
+
+
+def _moved(cloud: NDArray[np.float32], move: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
+    """Return the points of a cloud in another frame, those in range there."""
+    points = transform_points(move, cloud[:, :3])
+    low, high = np.array(grid.range_m[:3], np.float32), np.array(grid.range_m[3:], np.float32)
+    inside = ((points > low) & (points < high)).all(axis=1)
+    return np.concatenate([points, cloud[:, 3:]], axis=1)[inside].astype(np.float32)
+
+
+def _pairwise(samples: Sequence[Sample]) -> Tensor:
+    """Return (B, L, L, 4, 4) the transforms between agents' frames; the identity for absent ones."""
+    most = max(len(sample.clouds) for sample in samples)
+    between = np.tile(np.eye(4), (len(samples), most, most, 1, 1))
+    for row, sample in enumerate(samples):
+        poses = sample.ego_from_agent
+        for i, pose in enumerate(poses):
+            for j, other in enumerate(poses):
+                between[row, i, j] = invert(other) @ pose
+    return torch.from_numpy(between)
 
 
 def _lost(samples: Sequence[Sample]) -> Tensor | None:

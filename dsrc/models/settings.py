@@ -37,6 +37,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         fusion: how the agents' features are joined, a key of `FUSIONS`.
         backbone: a key of `BACKBONES`; None is the method's own: CoAlign's residual blocks, Res2Net for all others.
         released: let the method do as its published code does where that is a mistake, as its class says.
+        own_frame: encode each agent's cloud in its own frame, as one does that sends features without knowing who hears
+            them; the receiver warps the maps. Else clouds are brought to the ego's frame first.
         align_poses: put the collaborators' poses right by a graph of agents and objects before a sample is
             detected in; it takes another run of the network on each agent's cloud by itself.
         compress: times fewer channels that are sent of each map.
@@ -68,6 +70,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fusion: Fusion = "attention"
     backbone: Backbone | None = None
     released: bool = False
+    own_frame: bool = False
     align_poses: bool = False
     compress: Count = 1
     sdd: bool = True
@@ -98,6 +101,10 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(
                 f"base_width: expected at least {64 / min(self.stage_channels):g}, found {self.base_width}"
             )
+        if self.own_frame and (self.distils or self.rec or self.fusion in ("early", "late")):
+            # Their targets, clouds and boxes are all in the ego's frame.
+            found = f"fusion {self.fusion}, sdd {self.sdd}, pcp {self.pcp}, rec {self.rec}"
+            raise ValueError(f"own_frame: expected a fusion of maps without teacher and reconstruction, found {found}")
         if self.compress > min(*self.stage_channels, self.shrink_channels):
             raise ValueError(f"compress: expected no more than a map has channels, found {self.compress}")
         if self.shrink_channels % 16 and self.fusion in ("v2xvit", "cobevt", "ermvp"):

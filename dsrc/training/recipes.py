@@ -157,8 +157,8 @@ METHODS: dict[str, dict[str, object]] = {
     "dsrc-max": {"fusion": "max"},
     "dsrc-alone": {"fusion": "none"},
 }
-"""What of a recipe's model each method of the comparison changes: range, anchors, widths, thresholds, detection loss and
-schedule are the recipe's for all of them."""
+"""What of a recipe's model each method of the comparison changes: range, anchors, widths, thresholds, detection loss
+and schedule are the recipe's for all of them."""
 
 
 def of_method(recipe: Recipe, method: str) -> Recipe:

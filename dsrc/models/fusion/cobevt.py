@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import AgentWindows, FeedForward, Residual, padded
 from dsrc.models.settings import ModelSettings
 
@@ -73,7 +74,8 @@ class CoBEVT(Fusion):
 
     def fuse(self, features: Tensor, company: Company) -> Tensor:
         """Fuse the maps."""
-        return torch.stack([self.head(self.attend(group)) for group in company.split(features)])
+        groups = company.split(features)
+        return torch.stack([self.head(self.attend(into_ego(group, company, b))) for b, group in enumerate(groups)])
 
     def attend(self, group: Tensor) -> Tensor:
         """Return (A, H, W, C) features of one sample's (A, C, H, W) after the blocks."""

@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from dsrc.models.fusion.base import Company, Fusion
 from dsrc.models.fusion.cobevt import filled_up
+from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import (
     AgentWindows,
     FeedForward,
@@ -109,7 +110,8 @@ class ERMVP(Fusion):
 
     def fuse(self, features: Tensor, company: Company) -> Tensor:
         """Fuse the maps."""
-        return torch.stack([self.head(self.attend(group)) for group in company.split(features)])
+        groups = company.split(features)
+        return torch.stack([self.head(self.attend(into_ego(group, company, b))) for b, group in enumerate(groups)])
 
     def attend(self, group: Tensor) -> Tensor:
         """Return (A, H, W, C) features of one sample's (A, C, H, W) after the blocks."""

@@ -13,6 +13,7 @@ from dsrc.data.sample import GridSpec, Sample, inside_range, make_sample
 from dsrc.models.checkpoint import load_detector, save_detector
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
+from dsrc.models.fusion.max import MaxFusion
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import debug
 from sim.boxes import Boxes
@@ -132,3 +133,37 @@ def test_as_many_numbers_are_sent_as_are_said_to_be(sample: Sample, fusion: str)
         maps = detector.maps(detector.backbone(detector.encoder(batch.student)))
         sent = detector.fusion.send(maps, batch.company, detector)
     assert sum(part[0].numel() for part in sent) == detector.fusion.values_sent(detector.settings)
+
+
+@pytest.mark.parametrize("fusion", ["max", "v2vnet", "v2xvit", "cobevt", "where2comm", "ermvp", "mrcnet"])
+def test_maps_that_were_made_in_the_agents_own_frames_are_warped(sample: Sample, fusion: str) -> None:
+    plain = {"fusion": fusion, "sdd": False, "pcp": False, "rec": False}
+    before, after = talkative(**plain), talkative(own_frame=True, **plain)
+    # An agent that stands where the ego stands has the same frame: nothing needs warping.
+    here = replace(sample, ego_from_agent=np.tile(np.eye(4), (3, 1, 1)))
+    torch.testing.assert_close(logits(before, here), logits(after, here), rtol=1e-3, atol=1e-3)
+    # One that stands elsewhere is heard, and where it believes to be matters.
+    there = logits(after, sample)
+    poses = sample.ego_from_agent.copy()
+    poses[1:, 0, 3] += 3.0
+    assert not torch.allclose(there, logits(after, replace(sample, ego_from_agent=poses)), atol=1e-4)
+
+
+def test_a_map_that_is_warped_is_nearly_the_map_of_a_cloud_that_was_moved() -> None:
+    # Far enough from a cell's middle that only whole cells agree: the collaborator stands 8 whole cells ahead.
+    settings = changed(debug().model, grid=GRID, fusion="max", sdd=False, pcp=False, rec=False, stage_blocks=(1, 1, 1))
+    own = changed(settings, own_frame=True)
+    ahead = np.eye(4)
+    ahead[0, 3] = 8 * settings.grid.cell_m
+    cloud = make_sample(frame(0), 1000, GRID).clouds[0]
+    poses = np.stack([np.eye(4), ahead])
+    empty = Boxes.zeros()
+    sample = Sample("x", (1, 2), (cloud[:0], cloud), poses, empty, (empty, empty))
+    maps = []
+    for chosen in (settings, own):
+        batch = collate([sample], chosen, training=False)
+        dense = Detector(chosen).encoder.eval().scatter(batch.student.count[:, None].float(), batch.student)
+        maps.append(MaxFusion().fuse(dense, batch.company)[0, 0])
+    inner = maps[0][:, 8:-8] - maps[1][:, 8:-8]
+    assert (inner.abs() > 0.1).float().mean() < 0.02
+    assert maps[0][:, 8:-8].sum() > 500
