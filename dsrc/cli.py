@@ -151,7 +151,7 @@ def generate(
             sweeps, or not (raw).
         connected_vehicles: of one drive: list the other agents' bodies among an agent's vehicles (default); OPV2V
             leaves them out.
-        visibility: of one drive: measure which share of every object each agent's rays reach (default), for a sixth of
+        visibility: of one drive: measure which share of every object each agent's rays reach (default), for a fifth of
             the time.
         splits: of a dataset: only these.
         workers: of a dataset: processes, or processors of Ray; default: one per core.

@@ -136,20 +136,19 @@ def _chosen(shot: Shot, views: Sequence[View]) -> tuple[Ints, Ints, NDArray[np.b
         wanted[view.top : view.bottom, view.columns] |= own
         samples.append((column, seen, own))
     rays, spans, owned = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
-    for view, (column, seen, own) in zip(views, samples, strict=True):
-        if seen is None or own is None:
+    for view, (column, looked, mine) in zip(views, samples, strict=True):
+        if looked is None or mine is None:
             rows = np.arange(view.top, view.bottom)[:, None] * columns
+            places = np.arange(view.span.start, view.span.stop)
             rays.append((rows + column).reshape(-1))
-            spans.append(
-                np.broadcast_to(np.arange(view.span.start, view.span.stop), (len(rows), len(column))).reshape(-1)
-            )
+            spans.append(np.tile(places, len(rows)))
             owned.append(np.ones(rays[-1].shape, bool))
             continue
         # What one body is asked, those before it are asked too, or they could not hide it.
-        row, at = np.nonzero(seen & wanted[view.top : view.bottom, view.columns])
+        row, at = np.nonzero(looked & wanted[view.top : view.bottom, view.columns])
         rays.append((view.top + row) * columns + column[at])
         spans.append(view.span.start + at)
-        owned.append(own[row, at])
+        owned.append(mine[row, at])
     count = np.array([len(part) for part in rays[1:]], np.int64)
     return np.concatenate(rays), np.concatenate(spans), np.concatenate(owned), count
 
