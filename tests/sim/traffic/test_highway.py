@@ -140,6 +140,14 @@ def test_nobody_starts_or_drives_inside_another(run: tuple[str, list[Actors]]) -
     assert not any(len(overlapping_pairs(actors.boxes)) for actors in run[1])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("seed", range(4, 8))
+def test_nobody_drives_inside_another_for_20_s(name: str, seed: int) -> None:
+    with HighwayTraffic(scenario_of(name), seed) as traffic:
+        assert not any(len(overlapping_pairs(traffic.step().boxes)) for _ in range(200))
+
+
 def test_motion_is_physical(run: tuple[str, list[Actors]]) -> None:
     sideways, braking = [], []
     for before, after, old, new in tracks(run[1]):
