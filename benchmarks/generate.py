@@ -102,8 +102,8 @@ class Share:
     workers: int
 
 
-def work(share: Share, report: Report) -> tuple[float, float]:
-    """Make a drive and return when its second frame was begun and its last one was done; runs in a worker."""
+def work(share: Share, report: Report) -> tuple[float, float, float]:
+    """Make a drive in a worker; return when its second frame began, when its last was done, and CPU seconds between."""
     LIDARS.setdefault(BENCHMARK_LIDAR.name, BENCHMARK_LIDAR)
     spec = DriveSpec(busy_scenario(), 1, share.frames)
     share.drive.mkdir(parents=True)
@@ -112,9 +112,9 @@ def work(share: Share, report: Report) -> tuple[float, float]:
         (share.drive.parent / f"{share.drive.name}.ready").touch()
         while len(list(share.drive.parent.glob("*.ready"))) < share.workers:
             time.sleep(0.005)
-        start = time.monotonic()
+        start, cpu = time.monotonic(), time.process_time()
         make_frames(live, share.drive, 1, share.frames)
-        return start, time.monotonic()
+        return start, time.monotonic(), time.process_time() - cpu
 
 
 def _opened(spec: DriveSpec, drive: Path, recorded: Path | None) -> Any:
@@ -148,23 +148,28 @@ def stages(folder: Path, frames: int) -> tuple[dict[str, float], Path]:
     return {"traffic": step_ms, **parts, "write": rest + sums_ms}, drive
 
 
-def frames_per_s(folder: Path, recorded: Path, workers: int, frames: int) -> float:
-    """Return frames per second of wall time that so many workers make together, each on one thread."""
+def rate_of(folder: Path, recorded: Path, workers: int, frames: int) -> tuple[float, float]:
+    """Return frames per second that workers make together, each on one thread, and CPU milliseconds of a frame."""
     place = folder / f"workers_{workers}"
     shares = [Share(recorded, place / str(row), frames, workers) for row in range(workers)]
     with ProcessExecutor(workers) as pool:
         spans = [outcome.value for outcome in pool.run(work, shares)]
-    return workers * (frames - 1) / (max(end for _, end in spans) - min(start for start, _ in spans))
+    starts, ends, cpu = zip(*spans, strict=True)
+    made = workers * (frames - 1)
+    return made / (max(ends) - min(starts)), 1e3 * sum(cpu) / made
 
 
-def main(quick: bool = False) -> None:
+def main(quick: bool = False, out: Path | None = None) -> None:
     """Measure how fast drives are made.
 
     Args:
         quick: fewer frames.
+        out: folder on the disk to write to; in memory (/dev/shm) where there is such, so that no disk is measured.
     """
     frames = 6 if quick else 41
-    with tempfile.TemporaryDirectory(prefix="dsrc-benchmark-") as name:
+    memory = Path("/dev/shm")
+    place = out if out is not None else memory if memory.is_dir() else None
+    with tempfile.TemporaryDirectory(prefix="dsrc-benchmark-", dir=place) as name:
         folder, others, start = Path(name), others_s(), time.monotonic()
         parts, recorded = stages(folder, frames)
         load = (others_s() - others) / (time.monotonic() - start)
@@ -172,20 +177,22 @@ def main(quick: bool = False) -> None:
         log = (recorded / TRAFFIC_LOG).stat().st_size
         world = (recorded / WORLD).stat().st_size
         counts = [1, 2] if quick else [count for count in (1, 2, 4, 8) if count <= max(2, os.cpu_count() or 1)]
-        speed = {count: frames_per_s(folder, recorded, count, frames) for count in counts}
+        rates = {count: rate_of(folder, recorded, count, frames) for count in counts}
     total = sum(parts.values())
     for stage, spent in parts.items():
         sys.stdout.write(f"{stage:12s} {spent:8.1f} ms of CPU per frame {spent / total:7.1%}\n")
-    for count, rate in speed.items():
-        sys.stdout.write(f"{count} workers    {rate:8.2f} frames/s\n")
+    for count, (rate, cpu_ms) in rates.items():
+        sys.stdout.write(f"{count} workers    {rate:8.2f} frames/s {cpu_ms:8.1f} ms of CPU per frame\n")
     figures = {
         "agents": AGENTS,
         "vehicles": VEHICLES,
         "rays": 64 * 1800,
-        **{f"frames_per_s_{count}": round(rate, 3) for count, rate in speed.items()},
+        **{f"frames_per_s_{count}": round(rate, 3) for count, (rate, _) in rates.items()},
+        **{f"worker_cpu_ms_{count}": round(cpu_ms, 1) for count, (_, cpu_ms) in rates.items()},
         "cpu_ms_per_frame": round(total, 1),
         **{f"share_{stage}": round(spent / total, 4) for stage, spent in parts.items()},
         "frame_mb": round(size / 1e6, 2),
+        "written_to": str(place or tempfile.gettempdir()),
         "log_bytes_per_frame": round(log / (frames + 30)),
         "world_kb": round(world / 1e3),
         "others_load_cores": round(load, 2),

@@ -8,20 +8,33 @@ import tyro
 
 from benchmarks.corruptions import GOALS, POINTS, REFERENCES, goal_of, make_frame, peak_mb, variants_of
 from benchmarks.frames import rays_of
+from benchmarks.generate import STAGES, Clock, busy_scenario
 from benchmarks.lidar import figures_of, stage_ms
 from benchmarks.quiet import Timing, measure
 from benchmarks.street import BENCHMARK_LIDAR, FLEETS, baked, city, fleet, street_world
 from sensors.corruptions import CORRUPTIONS
 from sim.collisions import overlapping_pairs
 from sim.world.materials import MATERIALS
+from tests.dsrc.data.toy import toy_frame
 
 
-@pytest.mark.parametrize("name", ["lidar", "corruptions"])
+@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate"])
 def test_benchmark_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as stop:
         tyro.cli(import_module(f"benchmarks.{name}").main, args=["--help"])
     assert stop.value.code == 0
     assert "--quick" in capsys.readouterr().out
+
+
+def test_sixty_vehicles_of_which_five_scan_keep_the_makers_of_drives_busy():
+    scenario = busy_scenario()
+    assert (scenario.agents.vehicles, scenario.demand.max_vehicles) == (5, 60)
+    clock = Clock()
+    with clock.watching():
+        opv2v = import_module("dsrc.data.opv2v")
+        opv2v.encode_pcd(toy_frame(0).agents[0].sweep)
+    assert clock.seconds["encode"] > 0.0 and set(clock.seconds) == {"encode"}
+    assert set(STAGES) | {"traffic", "write"} == {"traffic", "tracing", "visibility", "encode", "write"}
 
 
 def test_streets_have_the_stated_triangles():
