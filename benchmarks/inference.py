@@ -5,7 +5,7 @@ Random weights, 704 x 200 cells, 1, 2 and 5 agents with 60,000 points each; the 
 the same precision, all cores.
 
     python -m benchmarks.inference            # every stage several times, the least disturbed samples count
-    python -m benchmarks.inference --quick    # every stage once; what does not fit into 38 s is left out
+    python -m benchmarks.inference --quick    # every stage once; what does not fit into 34 s is left out
 """
 
 import json
@@ -39,7 +39,7 @@ AGENTS = (1, 2, 5)
 POINTS = 60_000
 """Of a cloud."""
 STAGES = ("pillars", "encoder", "backbone", "maps", "join", "read", "boxes")
-QUICK_S = 38.0
+QUICK_S = 34.0
 Key = tuple[str, ...]
 
 
@@ -234,7 +234,7 @@ def main(quick: bool = False) -> None:
     """Time every method on the CPU, and on a GPU where there is one: tables for people, then one line of JSON.
 
     Args:
-        quick: every stage once; what does not fit into 38 s is left out (null), and stages that take clouds one by
+        quick: every stage once; what does not fit into 34 s is left out (null), and stages that take clouds one by
             one are run for two, and taken as 2.5 times as long for five.
     """
     started = time.perf_counter()

@@ -170,6 +170,8 @@ class AgentAttention(nn.Module):
 
     def _joined(self, layers: nn.ModuleList, tokens: Tensor, kind: Tensor) -> Tensor:
         """Apply to each agent's tokens the layer of its kind."""
+        if len(kinds := set(kind[: len(tokens)].tolist())) == 1:
+            return layers[kinds.pop()](tokens)
         return torch.stack([layers[int(k)](row) for row, k in zip(tokens, kind, strict=False)])
 
 
@@ -186,10 +188,12 @@ class Pyramid(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Map (A, H, W, C) to (A, H, W, C)."""
         parts = [branch(x) for branch in self.branches]
-        whole = torch.stack(parts).sum(0).mean((1, 2))
+        whole = torch.stack([part.mean((1, 2)) for part in parts]).sum(0)
         weight = self.split(torch.relu(self.norm(self.squeeze(whole)))).unflatten(-1, (len(parts), -1)).softmax(1)
-        weighted = [part * weight[:, k, None, None] for k, part in enumerate(parts)]
-        return torch.stack(weighted).sum(0)
+        joined = parts[0] * weight[:, 0, None, None]
+        for k, part in enumerate(parts[1:], start=1):
+            joined = torch.addcmul(joined, part, weight[:, k, None, None])
+        return joined
 
 
 class Windows(nn.Module):
@@ -211,8 +215,9 @@ class Windows(nn.Module):
         """Map (A, H, W, C) to (A, H, W, C)."""
         agents, height, width, _ = x.shape
         filled, there = padded(x, self.window)
-        # Each agent's windows by themselves: (A G, w^2, C).
-        tokens = torch.cat([cut(row[None], self.window) for row in filled])
+        # One agent's map below the other's: no window has cells of two.
+        below = (1, agents * filled.shape[1], *filled.shape[2:])
+        tokens = cut(filled.reshape(below), self.window)
         query, key, value = (
             part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in self.qkv(tokens).chunk(3, dim=-1)
         )
@@ -221,6 +226,5 @@ class Windows(nn.Module):
             seen = cut(there[:1, ..., None], self.window)[:, None, None, :, 0]
             mask = mask.masked_fill(~seen, -torch.inf).repeat(agents, 1, 1, 1)
         found = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
-        per_agent = found.transpose(1, 2).flatten(2).chunk(agents)
-        whole = torch.cat([paste(part, (1, *filled.shape[1:]), self.window) for part in per_agent])
+        whole = paste(found.transpose(1, 2).flatten(2), below, self.window).view(filled.shape)
         return self.dropout(self.out(whole[:, :height, :width]))
