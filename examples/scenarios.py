@@ -20,7 +20,7 @@ from sensors.proof import Proof, settle
 from sim.boxes import Boxes
 from sim.conflicts import KINDS, instance_of
 from sim.geometry import wrap_angle
-from sim.scenario import Scenario, load_scenario
+from sim.scenario import Scenario, list_scenarios, load_scenario
 from sim.traffic.base import Actors
 from sim.traffic.script import FIRST_ID, ScriptedTraffic
 from sim.world.build import build_world
@@ -36,7 +36,7 @@ def main() -> None:
         description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, help="folder of the pictures")
-    parser.add_argument("--only", nargs="+", metavar="NAME", default=list(KINDS), help="encounters; all when left out")
+    parser.add_argument("--only", nargs="+", metavar="NAME", default=encounters(), help="encounters; all when left out")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--measure", type=int, metavar="SEEDS", help="print what the proofs of so many seeds found")
     options = parser.parse_args()
@@ -47,6 +47,12 @@ def main() -> None:
         if options.out:
             for path in draw(scenario, options.seed, options.out):
                 print(f"{path}  {path.stat().st_size / 1024:.0f} kB")
+
+
+def encounters() -> list[str]:
+    """Return the shipped scenarios with an encounter: the twelve on roads of their own, then those on maps."""
+    mapped = [name for name in list_scenarios() if name not in KINDS and load_scenario(name).conflict is not None]
+    return [*KINDS, *mapped]
 
 
 def measured(scenario: Scenario, seeds: int) -> str:

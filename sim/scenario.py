@@ -148,6 +148,7 @@ class ConflictSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     Attributes:
         kind: which encounter, one of `sim.conflicts.KINDS`.
         parameters: name -> a value, or [low, high] of what is drawn; the others are drawn from ranges of their own.
+        streets: on a network that the scenario names: role -> the lanes of its way before and after the junction.
         control: what is changed to see what it was good for: nothing, or the occluder is away (`no_occluder`), the
             conflict actor is away (`no_conflict`), or it is away and a helper claims it all the same (`ghost`).
         draw: number of the draw of the parameters; the proof by rays advances it, see `sensors.proof`.
@@ -156,6 +157,7 @@ class ConflictSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     kind: str
     parameters: dict[str, float | tuple[float, float]] = {}
+    streets: dict[str, tuple[str, ...]] = {}
     control: Literal["", "no_occluder", "no_conflict", "ghost"] = ""
     draw: Annotated[int, Meta(ge=0)] = 0
     draws: Annotated[int, Meta(ge=1)] = 40
@@ -288,18 +290,25 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
     if demand.vehicles_per_hour > 0 and sum(demand.type_mix.values()) <= 0:
         yield "demand.type_mix", "a positive weight", dict(demand.type_mix), ""
     if scenario.conflict is not None:
-        yield from _wrong_conflict(scenario.conflict)
+        yield from _wrong_conflict(scenario.conflict, ", ".join(given))
     for index, unit in enumerate(scenario.agents.roadside):
         if unit.xyz_m[2] <= 0:
             yield f"agents.roadside[{index}].xyz_m", "a height above the ground > 0", list(unit.xyz_m), ""
 
 
-def _wrong_conflict(conflict: ConflictSpec) -> Iterator[tuple[str, str, object, str]]:
+def _wrong_conflict(conflict: ConflictSpec, given: str) -> Iterator[tuple[str, str, object, str]]:
     from sim.conflicts import KINDS
 
     if conflict.kind not in KINDS:
         yield "conflict.kind", "a known encounter", conflict.kind, did_you_mean(conflict.kind, KINDS)
         return
+    roles = KINDS[conflict.kind].roles
+    if given and not roles:
+        mapped = ", ".join(name for name, kind in KINDS.items() if kind.roles)
+        yield "network", f"none for {conflict.kind}; on a map there are {mapped}", given, ""
+    elif set(conflict.streets) != (set(roles) if given else set()):
+        expected = f"the lanes of {', '.join(roles)}" if given else "none without a network"
+        yield "conflict.streets", expected, ", ".join(conflict.streets) or "none", ""
     known = {parameter.name: parameter for parameter in KINDS[conflict.kind].parameters}
     for name, value in conflict.parameters.items():
         field = f"conflict.parameters.{name}"

@@ -13,12 +13,19 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
-from sim.conflicts import crossing, following, turning, walking
+from sim.conflicts import crossing, following, mapped, turning, walking
 from sim.conflicts.instance import Ghost, Instance, Kind, Parameter, without
+from sim.conflicts.streets import streets_of
 from sim.errors import ScenarioError, complaint
+from sim.networks import read_network, resolve_network
 from sim.scenario import AgentRule, Scenario
 
 KINDS: dict[str, Kind] = {**crossing.KINDS, **turning.KINDS, **following.KINDS, **walking.KINDS}
+for _name, _roles, _on_streets in (
+    ("lta_truck", mapped.LTA_ROLES, mapped.lta_truck),
+    ("red_light_runner", mapped.RUNNER_ROLES, mapped.red_light_runner),
+):
+    KINDS[_name] = replace(KINDS[_name], roles=_roles, on_streets=_on_streets)
 """All encounters by their ids."""
 
 
@@ -30,17 +37,22 @@ def instance_of(scenario: Scenario, seed: int) -> Instance:
     """
     if scenario.conflict is None:
         raise ScenarioError(complaint(scenario.name, "conflict", "one of an encounter", "none"))
-    return _made(scenario.name, msgspec.json.encode(scenario.conflict), seed)
+    return _made(msgspec.json.encode(scenario), seed)
 
 
 @lru_cache(maxsize=32)
-def _made(name: str, spec_json: bytes, seed: int) -> Instance:
-    from sim.scenario import ConflictSpec
-
-    spec = msgspec.json.decode(spec_json, type=ConflictSpec)
+def _made(scenario_json: bytes, seed: int) -> Instance:
+    scenario = msgspec.json.decode(scenario_json, type=Scenario)
+    spec = scenario.conflict
+    assert spec is not None
     kind = KINDS[spec.kind]
     values = {p.name: _draw(p, spec.parameters.get(p.name, p.draw), seed, spec.draw) for p in kind.parameters}
-    layout = kind.lay_out(values, np.random.default_rng([seed, spec.draw, zlib.crc32(b"looks")]))
+    looks = np.random.default_rng([seed, spec.draw, zlib.crc32(b"looks")])
+    if spec.streets and kind.on_streets is not None:
+        net = read_network(resolve_network(scenario, seed))
+        layout = kind.on_streets(values, looks, streets_of(scenario.name, net, spec.streets))
+    else:
+        layout = kind.lay_out(values, looks)
     if spec.control == "no_occluder":
         return Instance(spec.kind, values, without(layout, "occluder"))
     if spec.control == "no_conflict":
@@ -73,9 +85,12 @@ def laid_out(scenario: Scenario, seed: int) -> Scenario:
     instance = instance_of(scenario, seed)
     names = tuple(dict.fromkeys([*instance.names("ego"), *instance.names("helper")]))
     agents: AgentRule = msgspec.structs.replace(
-        scenario.agents, named=names, vehicles=len(names), roadside=instance.layout.units
+        scenario.agents,
+        named=names,
+        vehicles=len(names),
+        roadside=instance.layout.units or scenario.agents.roadside,
     )
-    network = msgspec.structs.replace(scenario.network, area_m=instance.area)
+    network = msgspec.structs.replace(scenario.network, area_m=scenario.network.area_m or instance.area)
     return msgspec.structs.replace(scenario, agents=agents, network=network)
 
 

@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from sim.conflicts.roads import Roads
+from sim.conflicts.streets import Street
 from sim.conflicts.ways import Pace, Way
 from sim.scenario import Area, RoadsideUnit
 from sim.vehicle_types import TYPES, VehicleType
@@ -166,11 +167,15 @@ class Kind:
         summary: what happens, in a line.
         parameters: what varies.
         lay_out: drawn values and random numbers for the looks -> the encounter.
+        roles: whose ways a scenario names when it is to happen on a map; none when it cannot.
+        on_streets: the same along those ways.
     """
 
     summary: str
     parameters: tuple[Parameter, ...]
     lay_out: Callable[[Mapping[str, float], np.random.Generator], Layout]
+    roles: tuple[str, ...] = ()
+    on_streets: Callable[[Mapping[str, float], np.random.Generator, Mapping[str, Street]], Layout] | None = None
 
 
 def actor(

@@ -1,22 +1,16 @@
 """Made road networks: nodes and edges written as SUMO's plain XML and joined by netconvert, once per content."""
 
-import hashlib
 import math
-import os
-import subprocess
-import sys
-import tempfile
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from sim.errors import ScenarioError
-from sim.networks import cache_folder, sumo_home
+from sim.places.cache import cached
+from sim.places.tools import Option, drop_header, run_tool
 
 LANE_M = 3.5
 
-_OPTIONS = ("--offset.disable-normalization=true", "--no-turnarounds=true", "--no-warnings=true")
+_OPTIONS: dict[str, Option] = {"offset.disable-normalization": True, "no-turnarounds": True, "no-warnings": True}
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,32 +107,19 @@ def write_roads(name: str, roads: Roads) -> Path:
     Raises:
         ScenarioError: netconvert refuses them.
     """
-    nodes, edges = _nodes_xml(roads), _edges_xml(roads)
-    key = hashlib.sha256("\n".join([nodes, edges, *_OPTIONS, version("eclipse-sumo")]).encode()).hexdigest()[:16]
-    folder = cache_folder() / "networks"
-    target = folder / f"{name}-{key}.net.xml"
-    if target.is_file():
-        return target
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder) as work:
-        plain = {"node": nodes, "edge": edges}
-        for kind, text in plain.items():
-            (Path(work) / f"{kind}s.xml").write_text(text, encoding="utf-8")
-        made = Path(work) / "made.net.xml"
-        binary = sumo_home() / "bin" / ("netconvert.exe" if sys.platform == "win32" else "netconvert")
-        files = [f"--{kind}-files={Path(work) / f'{kind}s.xml'}" for kind in plain]
-        done = subprocess.run(
-            [str(binary), *files, *_OPTIONS, f"--output-file={made}"], capture_output=True, text=True, check=False
+    plain = {"node": _nodes_xml(roads), "edge": _edges_xml(roads)}
+
+    def make(made: Path) -> None:
+        files = {f"{kind}-files": made.with_name(f"{kind}s.xml") for kind in plain}
+        for path, text in zip(files.values(), plain.values(), strict=True):
+            path.write_text(text, encoding="utf-8")
+        options = {option: str(path) for option, path in files.items()}
+        run_tool(
+            "netconvert", {**options, **_OPTIONS, "output-file": str(made)}, made, f"{name}: the roads of its conflict"
         )
-        if done.returncode != 0 or not made.is_file():
-            reason = " ".join(done.stderr.split()) or "no network came out"
-            raise ScenarioError(f"{name}: netconvert refuses the roads: {reason}")
-        text = made.read_text(encoding="utf-8")
-        # The header comment holds the date and paths of this run: without it the bytes depend on the roads only.
-        start, end = text.find("<!--"), text.find("-->")
-        made.write_text(text[:start] + text[end + 3 :].lstrip() if 0 <= start < end else text, encoding="utf-8")
-        os.replace(made, target)
-    return target
+        drop_header(made)
+
+    return cached("networks", name, ".net.xml", [plain, list(_OPTIONS.items())], make)
 
 
 def _nodes_xml(roads: Roads) -> str:

@@ -24,12 +24,12 @@ from sim.conflicts.ways import Pace, Pen, Way
 from sim.scenario import RoadsideUnit
 
 _HALF = 0.5 * LANE_M
-_RIGHT, _LEFT = 1, 2
+_RIGHT, LEFT = 1, 2
 _CORNER_M = 6.0
 """Radius of the kerbs where arms meet the ring of a roundabout."""
 
 
-def _slowing(cruise_mps: float, turn_mps: float, from_turn_m: float, turn_s: float, rate_mps2: float = 2.0) -> Pace:
+def slowing(cruise_mps: float, turn_mps: float, from_turn_m: float, turn_s: float, rate_mps2: float = 2.0) -> Pace:
     """Return a pace that slows from cruising to turning speed `from_turn_m` before the place it reaches at `turn_s`."""
     done_s = turn_s - from_turn_m / turn_mps
     lasts = max(cruise_mps - turn_mps, 0.0) / rate_mps2
@@ -45,19 +45,19 @@ def lta_truck(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     start = Pen(-140.0, -inner, EAST).straight(140.0 - radius + inner)
     way = start.turn(radius, 0.5 * math.pi).straight(120.0).way()
     meet_at = _crossing(way, outer)
-    pace = _slowing(min(13.0, turn_mps + 4.0), turn_mps, 14.0, HIT_S)
+    pace = slowing(min(13.0, turn_mps + 4.0), turn_mps, 14.0, HIT_S)
     x = float(way.at(meet_at)[0][0])
     car_way, car_at = through(x, outer, WEST, car_mps)
     length = p["truck_m"]
     truck_x = p["truck_ahead_m"] + 0.5 * length
     truck = ("truck_heavy", (length, 2.5, 3.6)) if not p["bus"] else ("bus_city", (min(length, 14.0), 2.55, 3.15))
     actors = (
-        actor("ego", "ego", pick(CARS, rng), way, pace, at_m=meet_at, at_s=HIT_S, lights=((_LEFT, 0.0, HIT_S + 2.0),)),
+        actor("ego", "ego", pick(CARS, rng), way, pace, at_m=meet_at, at_s=HIT_S, lights=((LEFT, 0.0, HIT_S + 2.0),)),
         actor("conflict", "conflict", pick(CARS, rng), car_way, car_mps, at_m=car_at, at_s=HIT_S + p["jitter_s"]),
         standing(
-            "truck", "occluder helper", truck[0], truck_x, inner + p["offset_m"], WEST, size=truck[1], lights=_LEFT
+            "truck", "occluder helper", truck[0], truck_x, inner + p["offset_m"], WEST, size=truck[1], lights=LEFT
         ),
-        standing("follower", "helper", pick(CARS, rng), truck_x + 0.5 * length + 4.5, inner, WEST, lights=_LEFT),
+        standing("follower", "helper", pick(CARS, rng), truck_x + 0.5 * length + 4.5, inner, WEST, lights=LEFT),
     )
     two = (Lane(), Lane())
     arms = {
@@ -88,7 +88,7 @@ def cyclist_right_hook(p: Mapping[str, float], rng: np.random.Generator) -> Layo
     meet_at = float(np.interp(-bike_y, -way.points[:, 1], way.along))
     # It is the front of the car that meets the rider.
     x, _, _ = (float(v) for v in way.at(meet_at)[0])
-    pace = _slowing(min(turn_mps + 4.0, 11.0), turn_mps, radius + 4.0, HIT_S)
+    pace = slowing(min(turn_mps + 4.0, 11.0), turn_mps, radius + 4.0, HIT_S)
     rider_way, rider_at = through(x, bike_y, EAST, rider_mps)
     van_x = -p["van_to_corner_m"]
     van = pick(("van_box", "truck_light"), rng)
@@ -147,7 +147,7 @@ def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     # Long enough a way in the ring for what comes before.
     while car_at - ring_mps * HIT_S < 1.0:
         car_at += 2.0 * math.pi * ring_r
-    pace = _slowing(min(ego_mps + 4.0, 13.0), ego_mps, 12.0, HIT_S)
+    pace = slowing(min(ego_mps + 4.0, 13.0), ego_mps, 12.0, HIT_S)
     truck_way, leave_at = _leaving(ring_r)
     length = p["truck_m"]
     # It brakes for people at its exit; shortly before the crash the car's front has come past its tail.

@@ -92,3 +92,13 @@ def test_a_control_of_a_shipped_scenario_is_asked_for_by_name() -> None:
         load_scenario("ima_building:no_ocluder")
     with pytest.raises(ScenarioError, match="control of a conflict"):
         load_scenario("four_way:ghost")
+
+
+@pytest.mark.parametrize("name", ["braunschweig_lta_truck", "braunschweig_red_light_runner"])
+def test_encounters_at_a_real_junction_hold_and_their_controls_fail(name: str) -> None:
+    found = settle(load_scenario(name), SEEDS[0])
+    assert found.proof.holds and found.proof.helper_ttc_s >= found.proof.critical_ttc_s + AHEAD_S
+    assert found.scenario.network.area_m == load_scenario(name).network.area_m
+    assert len(found.scenario.agents.roadside) == 1
+    assert settle(load_scenario(f"{name}:no_occluder"), SEEDS[0]).control.reason == "seen early"
+    assert settle(load_scenario(f"{name}:no_conflict"), SEEDS[0]).control.reason == "no collision"

@@ -10,6 +10,7 @@ import shapely
 
 from sim.collisions import overlapping_pairs
 from sim.conflicts import KINDS, instance_of, laid_out
+from sim.conflicts.streets import streets_of
 from sim.conflicts.ways import Pace, Pen, Way
 from sim.errors import ScenarioError
 from sim.networks import read_network, resolve_network
@@ -146,6 +147,56 @@ def test_a_mistake_is_told_in_one_line_with_file_field_and_finding(case: str, tm
     assert "\n" not in message and message.startswith(str(path))
     for word in words:
         assert word in message
+
+
+ON_A_MAP = """
+name = "mine"
+description = ""
+[network]
+shipped = "game/bs3d/bs.net.xml"
+[conflict]
+kind = "lta_truck"
+[conflict.streets]
+ego = ["166445412_1", "23204862_1"]
+conflict = ["166445407_0", "30425847#0_0"]
+truck = ["166445407_1", "29136063#0_1"]
+[agents]
+vehicles = 1
+"""
+
+STREET_MISTAKES = {
+    "not on maps": ("lta_truck", "ped_bus_stop", ["network", "none for ped_bus_stop", "red_light_runner, lta_truck"]),
+    "no way of the truck": ("truck =", "lorry =", ["conflict.streets", "ego, conflict, truck", "lorry"]),
+    "no network": ('[network]\nshipped = "game/bs3d/bs.net.xml"', "", ["conflict.streets", "none without a network"]),
+    "no such lane": ("166445407_1", "166445407_7", ["conflict.streets.truck", "lanes of the network", "'166445407_"]),
+    "not connected": ("29136063#0_1", "23207363#0_0", ["conflict.streets.truck", "166445407_1 leads to"]),
+}
+
+
+@pytest.mark.parametrize("case", STREET_MISTAKES)
+def test_wrong_streets_are_told_in_one_line(case: str, tmp_path) -> None:
+    old, new, words = STREET_MISTAKES[case]
+    assert old in ON_A_MAP
+    path = tmp_path / "scenario.toml"
+    path.write_text(ON_A_MAP.replace(old, new, 1))
+    with pytest.raises(ScenarioError) as caught:
+        instance_of(load_scenario(path), 1)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_ways_on_a_map_follow_its_lanes(tmp_path) -> None:
+    path = tmp_path / "scenario.toml"
+    path.write_text(ON_A_MAP)
+    scenario = load_scenario(path)
+    net = read_network(resolve_network(scenario, 1))
+    for street in streets_of("mine", net, scenario.conflict.streets).values():
+        assert street.stop_m > 100.0 and street.way.length > 300.0
+        assert np.abs(np.gradient(street.way.heading, street.way.along)).max() < 0.15
+    ego = instance_of(scenario, 1).layout.actors[0]
+    stop = net.getLane("166445412_1").getShape()[-1]
+    place, _, _ = ego.way.at(ego.way.nearest(stop))
+    np.testing.assert_allclose(place[:2], stop, atol=0.3)
 
 
 def test_a_scenario_without_network_and_without_conflict_is_refused(tmp_path) -> None:
