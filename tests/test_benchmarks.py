@@ -18,7 +18,7 @@ from sim.world.materials import MATERIALS
 from tests.dsrc.data.toy import toy_frame
 
 
-@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate"])
+@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate", "inference"])
 def test_benchmark_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as stop:
         tyro.cli(import_module(f"benchmarks.{name}").main, args=["--help"])
@@ -141,3 +141,26 @@ def test_every_corruption_is_timed_on_a_sweep_of_the_stated_size():
     assert set(GOALS) - {"peak_mb"} <= set(variants)
     assert (goal_of("fog"), goal_of("wet_ground"), goal_of("paper_fog"), goal_of("spray")) == (0.05, 0.035, None, None)
     assert 5.0 < peak_mb(variants["rain"]) < 300.0
+
+
+def test_every_stage_of_every_method_is_timed_and_counted_once(monkeypatch):
+    from benchmarks import inference
+    from dsrc.models.fusion import FUSIONS
+    from dsrc.training.recipes import debug
+
+    monkeypatch.setattr(inference, "POINTS", 500)
+    bench = inference.Bench(debug().model, "cpu", True, float("inf"))
+    for agents in inference.AGENTS:
+        for method in FUSIONS:
+            bench.add(method, agents)
+    found = inference.figures(bench, rate=10.0)
+    for method in FUSIONS:
+        assert set(found["latency_ms"][method]) == set(found["floor_ms"][method]) == {"1", "2", "5"}
+        assert all(value > 0 for value in found["latency_ms"][method].values())
+        assert sum(found["share_of_2_agents"][method].values()) == pytest.approx(1.0, abs=0.01)
+    # Late fusion runs everything for every cloud, early fusion once for all.
+    floor = found["floor_ms"]
+    assert floor["late"]["5"] == pytest.approx(5 * floor["none"]["1"], rel=0.1)
+    assert floor["early"]["5"] == pytest.approx(floor["none"]["1"], rel=0.1)
+    for method in set(FUSIONS) - {"none", "early"}:
+        assert floor[method]["1"] < floor[method]["2"] < floor[method]["5"]

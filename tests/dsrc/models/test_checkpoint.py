@@ -49,6 +49,8 @@ def test_missing_garbage_and_foreign_files_are_refused(tmp_path: Path) -> None:
     garbage = tmp_path / "garbage.pt"
     garbage.write_bytes(b"not a checkpoint at all")
     assert "something else or damaged" in refusal(garbage)
+    garbage.write_bytes(b"root:x:0:0:root")
+    assert "something else or damaged" in refusal(garbage)
     whole = tmp_path / "whole.pt"
     save_detector(whole, detector())
     truncated = tmp_path / "truncated.pt"

@@ -103,5 +103,9 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     assert "none" in refusal(whole, teacher=True)
     assert "list" in refusal([1, 2])
     assert "no pickled objects" in refusal({"x": Boxes.zeros()})
+    for garbage in (b"", b"root:x:0:0:root", b"q\x00q\x01", b"\x80\x02}q\x00."):
+        (tmp_path / "garbage.pth").write_bytes(garbage)
+        with pytest.raises(CheckpointError, match=r"garbage.pth: (file|state): expected"):
+            import_detector(tmp_path / "garbage.pth", grid)
     with pytest.raises(CheckpointError, match="no such"):
         import_detector(tmp_path / "nothing.pth", grid)
