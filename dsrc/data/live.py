@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -143,7 +144,7 @@ def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: fl
     from sim.traffic.choose import open_traffic
 
     about = {
-        "scenario": msgspec.to_builtins(scenario),
+        "scenario": _told(scenario),
         "seed": int(seed),
         "frames": int(frames),
         "interval_s": float(interval_s),
@@ -158,6 +159,23 @@ def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: fl
             log.append(traffic.step())
     area = _reach(scenario)
     (log if area is None else log.within(area)).save(path)
+
+
+def _told(value: Any) -> Any:
+    """Return plain values of settings, without those that nobody has set: later versions may have more of them."""
+    if isinstance(value, msgspec.Struct):
+        fields = {field.name: field for field in msgspec.structs.fields(value)}
+        set_ = {name: getattr(value, name) for name, field in fields.items() if not _is_default(value, field)}
+        return {name: _told(item) for name, item in set_.items()}
+    if isinstance(value, tuple | list):
+        return [_told(item) for item in value]
+    return {key: _told(item) for key, item in value.items()} if isinstance(value, dict) else value
+
+
+def _is_default(value: msgspec.Struct, field: msgspec.structs.FieldInfo) -> bool:
+    if field.default_factory is not msgspec.NODEFAULT:
+        return bool(getattr(value, field.name) == field.default_factory())
+    return bool(getattr(value, field.name) == field.default)
 
 
 def _reach(scenario: Scenario) -> Area | None:

@@ -13,12 +13,14 @@ import pytest
 from dsrc.data.generate import generate
 from dsrc.data.opv2v import DriveReader
 from dsrc.data.sample import GridSpec, make_sample
+from dsrc.data.splits import about_log
 from dsrc.data.sums import wrong_files
 from dsrc.data.yamlio import read_yaml
 from sensors.record import record
 from sim.errors import DataError, SettingsError
 from sim.scenario import Scenario, load_scenario
 from sim.traffic.choose import open_traffic
+from sim.traffic.log import TrafficLog
 from sim.world.compact import load_world
 from tests.dsrc.data.toy import same_frames
 
@@ -144,6 +146,13 @@ def test_a_drive_is_made_again_from_its_log_and_its_world_alone(drive: Path, tmp
     scenario = msgspec.json.encode(quick()).decode()
     subprocess.run([sys.executable, "-c", code, scenario, str(tmp_path / "again"), str(drive)], cwd=ROOT, check=True)
     assert tree(tmp_path / "again") == tree(drive)
+
+
+def test_a_log_tells_its_scenario_and_only_what_was_set_of_it(drive: Path):
+    scenario, about = about_log(drive / "traffic.npz")
+    assert scenario == quick() and about == {"seed": 5, "frames": FRAMES, "interval_s": 0.2}
+    told = TrafficLog.load(drive / "traffic.npz").about["scenario"]
+    assert "conflict" not in told and "shipped" not in told["network"] and told["agents"]["lidar"] == "debug-16"
 
 
 def test_the_checksums_beside_a_drive_are_those_of_its_files(drive: Path):
