@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from msgspec.structs import replace as changed
 
 from dsrc.data.batch import collate
 from dsrc.data.sample import GridSpec, Sample, inside_range, make_sample
+from dsrc.models.backbones import BACKBONES
 from dsrc.models.checkpoint import load_detector, save_detector
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.fusion.max import MaxFusion
+from dsrc.models.settings import Backbone, Fusion
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import debug
 from sim.boxes import Boxes
@@ -167,3 +170,14 @@ def test_a_map_that_is_warped_is_nearly_the_map_of_a_cloud_that_was_moved() -> N
     inner = maps[0][:, 8:-8] - maps[1][:, 8:-8]
     assert (inner.abs() > 0.1).float().mean() < 0.02
     assert maps[0][:, 8:-8].sum() > 500
+
+
+def test_settings_name_what_there_is() -> None:
+    assert set(get_args(Fusion)) == set(FUSIONS)
+    assert set(get_args(Backbone)) == set(BACKBONES)
+    with pytest.raises(ValueError, match="own_frame: expected a fusion of maps"):
+        changed(debug().model, own_frame=True)
+    with pytest.raises(ValueError, match="shrink_channels: expected a multiple of 16"):
+        changed(debug().model, fusion="cobevt", shrink_channels=40)
+    with pytest.raises(ValueError, match="compress: expected no more"):
+        changed(debug().model, compress=32)
