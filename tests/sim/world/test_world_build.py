@@ -10,6 +10,7 @@ from embreex.mesh_construction import TriangleMesh
 
 from sensors.rig import blocked_share, place_roadside
 from sensors.scene import RayScene
+from sim.conflicts import laid_out
 from sim.networks import read_network, resolve_network, sumo_home
 from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit, list_scenarios, load_scenario
 from sim.world.build import MARGIN_M, build_world
@@ -30,7 +31,7 @@ def worlds():
 
     def of(name):
         if name not in made:
-            scenario = at_hand(name)
+            scenario = laid_out(at_hand(name), 1)
             streets = read_streets(read_network(resolve_network(scenario, 1)), scenario.network.area_m, MARGIN_M)
             made[name] = build_world(scenario, 1), streets
         return made[name]
@@ -69,7 +70,7 @@ def names(mesh, faces):
 def test_a_ray_straight_down_on_a_lane_meets_the_road_or_its_paint(worlds, name):
     mesh, streets = worlds(name)
     points, _ = lane_samples(streets)
-    assert len(points) > 200
+    assert len(points) > 100
     above = np.column_stack([points, np.full(len(points), 4.4)])
     distance, face = look(mesh, above, [0, 0, -1])
     assert set(names(mesh, face)) <= {"asphalt", "marking"}
@@ -119,7 +120,7 @@ def test_paint_lies_above_the_road(worlds, name):
     material = mesh.face_attributes["material"]
     paint = mesh.triangles[material == material_index("marking")][:, :, 2]
     roads = mesh.triangles[material == material_index("asphalt")][:, :, 2]
-    assert len(paint) > 100 and paint.min() >= roads.max() + 0.005
+    assert len(paint) > 50 and paint.min() >= roads.max() + 0.005
 
 
 def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds):
