@@ -208,7 +208,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
 def choose_ego(traffic: Any, scenario: Scenario) -> int:
     """Return the first vehicle that the scenario names, else the car or van with the longest way left inside its area.
 
-    Of cars and vans one that moves is taken, if there is one.
+    Of cars and vans one that moves is taken, if there is one; a parked car goes nowhere.
 
     Raises:
         TrafficError: when there is none.
@@ -216,7 +216,7 @@ def choose_ego(traffic: Any, scenario: Scenario) -> int:
     actors = traffic.actors
     if scenario.agents.named:
         return _named(actors, scenario)
-    fit = np.isin(actors.boxes.label, [CLASSES.index("car"), CLASSES.index("van")])
+    fit = np.isin(actors.boxes.label, [CLASSES.index("car"), CLASSES.index("van")]) & ~actors.parked()
     moving = np.linalg.norm(actors.velocity, axis=1) > 2.0
     way_left = {
         row: _way_left(traffic.route(int(actors.boxes.object_id[row]), 300.0), scenario) for row in np.flatnonzero(fit)

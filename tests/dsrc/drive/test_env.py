@@ -48,6 +48,13 @@ def test_one_seed_is_one_episode() -> None:
     assert len(first) == 40
 
 
+def test_a_parked_car_is_not_driven() -> None:
+    env = CoopDrivingEnv("rilsa_1", duration_s=0.3)  # its parked cars have the first ids
+    speeds, info = run(env, 0)
+    assert len(speeds) == 3
+    assert info["progress_m"] > 0.0
+
+
 def test_who_sees_nothing_crashes_where_who_sees_does_not() -> None:
     # Two seeds, because a blind drive may be lucky once.
     crashes = {"TruthPerception": 0, "Blind": 0}
