@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any, Self
 
 import torch
@@ -20,7 +21,8 @@ class Where2comm(Fusion):
     Source: Where2comm, arXiv 2209.12836, Section 4: the confidence of a cell is that of the agent's own detections
     there (4.2), smoothed by a 5 x 5 Gaussian; above 0.01 it is sent (4.3); the receiver computes the further scales of
     what it got and fuses each by attention per cell (4.4). One round. While training, a random number of the best cells
-    is sent. (N, C, H, W) scales to (B, C, H, W); the confidence takes a run of decoder and heads on every agent's maps.
+    is sent. (N, C, H, W) scales to (B, C, H, W); the confidence takes a run of decoder and heads on every
+    collaborator's maps.
 
     Released: the authors' code also keeps whole what the third and the fifth agent have, not the ego's alone:
     `released` does so. Its Gaussian has the amplitude 1 / (2 pi sigma), here too.
@@ -48,10 +50,18 @@ class Where2comm(Fusion):
 
     def send(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
         """Return the first scale with zeros in the cells that are not sent."""
-        if not self.training and set(company.agents) == {1}:
-            return list(maps)  # nobody sends: no need to look, nor to compute the further scales again
-        whole = self.chosen(network.logits(maps), company, tuple(maps[0].shape[-2:]))
-        return [maps[0] * whole]
+        if self.training:
+            confidence = self.smoothed(network.logits(maps))
+            return [maps[0] * self.as_large(self.mask(confidence, company), maps[0])]
+        # An ego keeps its own whatever it thinks of it: only the others look at theirs.
+        starts = set(accumulate((0, *company.agents)))
+        others = [row for row in range(len(maps[0])) if row not in starts]
+        if not others:
+            return list(maps)
+        found = self.smoothed(network.logits([scale[others] for scale in maps]))
+        confidence = found.new_zeros((len(maps[0]), *found.shape[1:]))
+        confidence[others] = found
+        return [maps[0] * self.as_large(self.mask(confidence, company), maps[0])]
 
     def forward(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
         """Fuse the first scale and what the network's later stages make of it."""
@@ -72,9 +82,9 @@ class Where2comm(Fusion):
         best = torch.sigmoid(logits.detach()).amax(1, keepdim=True)
         return functional.conv2d(best, self.kernel.to(best.dtype), padding=self.kernel.shape[-1] // 2)
 
-    def chosen(self, logits: Tensor, company: Company, size: tuple[int, ...]) -> Tensor:
-        """Return (N, 1, H, W) which cells are fused, with soft edges where the logits are coarser than the map."""
-        mask = self.mask(self.smoothed(logits), company)
+    def as_large(self, mask: Tensor, features: Tensor) -> Tensor:
+        """Return (N, 1, h, w) at the size of (N, C, H, W), with soft edges where the mask is coarser."""
+        size = features.shape[-2:]
         if mask.shape[-2:] == size:
             return mask
         return functional.interpolate(mask, size, mode="bilinear", align_corners=False)
