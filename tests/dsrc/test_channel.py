@@ -151,7 +151,11 @@ def test_bytes_are_those_of_what_is_sent():
     objects = int(((frame.points_on[1] >= 1) & frame.truth.is_vehicle).sum())
     late = ModelSettings(grid=GRID, fusion="late")
     assert payload_of(late, PRESETS["ideal"])(frame, 1) == 156 + 35 * objects
-    assert payload_of(object(), PRESETS["ideal"])(frame, 1) == 16 * len(frame.agents[1].sweep)
+    early = ModelSettings(grid=GRID, fusion="early")
+    for clouds in (object(), early):
+        assert payload_of(clouds, PRESETS["ideal"])(frame, 1) == 16 * len(frame.agents[1].sweep)
+    one_map = ModelSettings(grid=GRID, fusion="cobevt", shrink_channels=32, compress=4)
+    assert payload_of(one_map, PRESETS["ideal"])(frame, 0) == 4 * 32 * (GRID.width // 4) * (GRID.height // 4) // 4
 
 
 def test_clouds_lose_the_points_of_lost_packets():
