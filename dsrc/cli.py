@@ -286,7 +286,7 @@ def data(
     for fault in faults:
         _say(str(fault))
     if faults:
-        raise DataError(f"{folder}: {len(faults)} things are wrong")
+        raise DataError(f"{folder}: {len(faults)} thing{'s are' if len(faults) > 1 else ' is'} wrong")
     _say(f"{folder}: nothing is wrong")
 
 

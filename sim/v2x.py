@@ -161,7 +161,8 @@ def get_channel(name: str) -> ChannelSpec:
     """
     preset, _, file = name.partition(":")
     if preset not in PRESETS:
-        raise SettingsError(complaint("channel", "name", "a preset", name, did_you_mean(preset, PRESETS)))
+        choices = [f"{known}:FILE" if known == "trace" else known for known in PRESETS]
+        raise SettingsError(complaint("channel", "name", "a preset", name, did_you_mean(preset, choices)))
     if (preset == "trace") != bool(file):
         expected = "trace:FILE with a CSV file" if preset == "trace" else f"'{preset}' without a file"
         raise SettingsError(complaint("channel", "name", expected, name))
@@ -493,7 +494,7 @@ def read_trace(path: str) -> Trace:
     names = [name.strip() for name in reader.fieldnames or []]
     for name in ("time_s", "delay_s", "loss"):
         if name not in names:
-            raise DataError(complaint(path, "columns", f"one of the name {name}", ", ".join(names) or "none"))
+            raise DataError(complaint(path, "columns", f"a column '{name}'", ", ".join(names) or "none"))
     reader.fieldnames = names
     rows = [_trace_row(path, number, row) for number, row in enumerate(reader, start=2)]
     if not rows:
