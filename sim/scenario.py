@@ -121,8 +121,8 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Attributes:
         vehicles: how many vehicles are connected.
         lidar: sensor preset of the vehicles.
-        mount_xyz_m: where their sensors sit in the body frame, m, from the middle of the footprint on the road; left out:
-            the preset's place, lifted clear of tall roofs.
+        mount_xyz_m: where their sensors sit in the body frame, m, from the middle of the footprint on the road; left
+            out: the preset's place, lifted clear of tall roofs.
         mount_pitch_deg: tilt of their sensors, positive looks down.
         within_m: those are chosen that spend the most of the drive within this distance of the ego, m.
         named: names of the connected vehicles in the traffic, ego first; left out: `vehicles` of them are drawn.
