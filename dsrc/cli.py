@@ -178,7 +178,7 @@ def generate(
     from dsrc.data.generate import generate as make_drive
     from sim.scenario import load_scenario
 
-    if out is None or splits or executor != "local" or address:
+    if out is None or splits or executor != "local" or address or record or workers is not None:
         raise SettingsError(complaint("generate", "source", "a TOML of splits for these options", source))
     spec = load_scenario(source)
     single["seed"] = spec.seed if seed is None else seed
