@@ -1,7 +1,6 @@
 """Plumes: where the spray of a vehicle is and how much light it takes."""
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -116,12 +115,8 @@ def test_who_lifts_no_spray(speed: float, label: str, water_mm: float) -> None:
 
 
 def test_nobody_lifts_no_spray() -> None:
-    assert (
-        plumes_of(
-            replace(frame(), truth=Boxes.zeros(), velocity=np.zeros((0, 2)), points_on=np.zeros((0, 0), np.int32)), 1.0
-        )
-        == []
-    )
+    empty = Frame(0, 0.0, (), Boxes.zeros(), np.zeros((0, 2)), np.zeros((0, 0), np.int32))
+    assert plumes_of(empty, 1.0) == []
 
 
 def test_patches_have_mean_one_and_repeat() -> None:
