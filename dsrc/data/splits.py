@@ -29,7 +29,7 @@ from msgspec import Meta
 from dsrc.data.generate import DriveSpec
 from dsrc.data.live import TRAFFIC_LOG
 from sensors.sweep import Motion
-from sim.errors import DataError, SettingsError, complaint
+from sim.errors import DataError, ScenarioError, SettingsError, complaint
 from sim.scenario import ROOT, Scenario, load_scenario
 from sim.tomlfile import read_toml
 from sim.traffic.log import read_log_columns
@@ -191,7 +191,10 @@ def _drives(dataset: Dataset, split: str, group: Group, path: Path, where: str) 
         recorded = recorded if recorded is not None and (recorded / TRAFFIC_LOG).is_file() else None
         if recorded is None:
             beside = path.parent / name
-            scenario, proof = load_scenario(beside if beside.is_file() else name), None
+            try:
+                scenario, proof = load_scenario(beside if beside.is_file() else name), None
+            except ScenarioError as error:
+                raise ScenarioError(f"{where}: scenarios: {error}") from None
         else:
             scenario, proof = _recorded_scenario(recorded / TRAFFIC_LOG)
         scenario = equipped(scenario, count, lidar, roadside_lidar, group.roadside)

@@ -202,7 +202,9 @@ def _write_csv(path: Path, rows: list[Episode]) -> None:
 
 
 def _table(rows: list[Episode]) -> Table:
-    table = Table(title=f"{rows[0].scenario}: perception {rows[0].perception}, {rows[0].corruption}")
+    first = rows[0]
+    through = "" if first.channel == IDEAL else f", through {first.channel}"
+    table = Table(title=f"{first.scenario}: perception {first.perception}, {first.corruption}{through}")
     for heading in ("seed", "seconds", "progress m", "mean m/s", "collision", "min TTC s", "hardest brake m/s²"):
         table.add_column(heading, justify="right")
     for row in rows:

@@ -173,7 +173,11 @@ def test_a_drive_that_cannot_be_made_is_told_and_the_others_are_made(tmp_path: P
         ("frames = [2]", 'frames = "many"', r"split.toml: split.train\[0\].frames: expected array, found many"),
         ("frames = [2]", "frames = [9000]", r"split.train\[0\]: frames: expected a drive of at most"),
         ('"debug-16"', '"debug-61"', r"agents.lidar: expected a LiDAR preset, found debug-61; did"),
-        ("quick.toml", "four_wya", r"unknown scenario 'four_wya'; did you mean 'four_way'"),
+        (
+            "quick.toml",
+            "four_wya",
+            r"split.train\[0\]: scenarios: unknown scenario 'four_wya'; did you mean 'four_way'",
+        ),
         (
             "seeds = [2]",
             "seeds = [1]",
