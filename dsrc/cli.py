@@ -598,7 +598,7 @@ def drive(
 
 @app.command(name="demo")
 def demo(out: Path = Path("demo"), quick: bool = False) -> None:
-    """Walk the whole testbed on a real junction: generate, evaluate, look, drive. About four minutes on 2 cores.
+    """Walk the whole testbed on a real junction: generate, evaluate, look, drive. About two minutes on 2 cores.
 
     Args:
         out: folder for everything that the demo makes; an interrupted demo goes on there.

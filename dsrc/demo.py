@@ -12,7 +12,7 @@ CHECKPOINTS = Path(__file__).parent / "checkpoints"
 
 SCENARIO = "braunschweig"
 TRAIN_SEED = 1
-TEST_SEED = 900
+TEST_SEED = 903
 """No shipped detector was trained or validated on a drive of this seed."""
 
 
