@@ -152,7 +152,7 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             (
                 "azimuth_end_deg",
                 "more than azimuth_start_deg, by at most 360",
-                0.0 < self.azimuth_end_deg - self.azimuth_start_deg <= 360.0,
+                0.0 < self.azimuth_end_deg - self.azimuth_start_deg <= 360.0 + 1e-9,  # start + 360 is rounded
             ),
             (
                 "prisms",

@@ -210,3 +210,13 @@ def test_beams_reach_as_far_as_the_sensor_unless_told_otherwise():
     np.testing.assert_array_equal(get_lidar("debug-16").beam_range, [[0.5, 120.0]] * 16)
     told = msgspec.structs.replace(get_lidar("debug-16"), beam_range_m=((1.0, 50.0),) * 16)
     np.testing.assert_array_equal(told.beam_range, [[1.0, 50.0]] * 16)
+
+
+def test_a_full_turn_may_start_anywhere() -> None:
+    start = 152.11373162672265  # start + 360 - start is a little more than 360 in floating point
+    assert (
+        msgspec.structs.replace(
+            get_lidar("debug-16"), azimuth_start_deg=start, azimuth_end_deg=start + 360.0
+        ).azimuth_end_deg
+        > start
+    )
