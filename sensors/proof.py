@@ -3,8 +3,9 @@
 What is proven of an instance, with the LiDARs that its drive will have and before anything of it is written:
 
 * without reaction ego and conflict actor collide, and nobody collides before them;
-* the ego has fewer than `UNSEEN_POINTS` points on the conflict actor until the time to collision is below the critical
-  one: a latency of `LATENCY_S` and full braking at `BRAKING_MPS2`, `LATENCY_S + v / (2 * BRAKING_MPS2)` at speed v;
+* the ego has fewer than `UNSEEN_POINTS` points on the conflict actor at every step until the time to collision is below
+  the critical one: a latency of `LATENCY_S` and full braking at `BRAKING_MPS2`, `LATENCY_S + v / (2 * BRAKING_MPS2)` at
+  speed v. Its LiDAR loses no beam at random here, so the drive's, which may lose some, has no more;
 * a helper has at least `SEEN_POINTS` points on it a second or more before that.
 
 The time to collision is that of the rollout, from an instant to the first contact of the two bodies.
@@ -21,12 +22,10 @@ import msgspec
 import numpy as np
 
 from sensors.frame import count_points
-from sensors.lidar import Sensor, scan_all
-from sensors.motion import Path
+from sensors.lidar import scan_all
 from sensors.presets import scenario_lidars
-from sensors.rig import Mount, Roadside, mount, place_roadside
+from sensors.rig import Mount, on_roadside, on_vehicle, place_roadside
 from sensors.scene import RayScene
-from sensors.spec import LidarSpec
 from sim.conflicts import instance_of, laid_out
 from sim.conflicts.instance import Ghost
 from sim.errors import ScenarioError, complaint
@@ -197,8 +196,9 @@ def prove(scenario: Scenario, seed: int, *, hurry: bool = False) -> Proof:
     in_time = np.flatnonzero(ttc >= critical)
     limit = int(in_time[-1]) if len(in_time) else 0
     said: dict[str, Any] = {"hit_s": drive.hit_s, "hit": drive.hit, "critical_ttc_s": round(float(critical[limit]), 3)}
-    # Every step of the last second, in which sight opens, and every other step before, for what is glimpsed in passing.
-    before = [*range(limit, max(limit - 10, 1), -1), *range(max(limit - 10, 1), 0, -_LOOK_EVERY)]
+    # First the last second, in which sight opens, then every other step for what is glimpsed in passing, then the rest.
+    likely = [*range(limit, max(limit - 10, -1), -1), *range(max(limit - 10, 0), -1, -_LOOK_EVERY)]
+    before = list(dict.fromkeys([*likely, *range(limit, -1, -1)]))
     if hurry and (early := next((n for step in before if (n := look.points("ego", step)) >= UNSEEN_POINTS), 0)):
         return Proof(holds=False, reason="seen early", ego_points=early, **said)
     points = {step: look.points("ego", step) for step in before}
@@ -236,10 +236,10 @@ class _Drive:
 
 def _roll_out(scenario: Scenario, seed: int) -> _Drive:
     with ScriptedTraffic(scenario, seed) as traffic:
-        steps = [traffic.actors]
+        steps = [traffic.actors.rounded()]  # as a drive has them
         while traffic.time_s < _MOST_S and not traffic.crashes:
-            steps.append(traffic.step())
-        steps.append(traffic.step())
+            steps.append(traffic.step().rounded())
+        steps.append(traffic.step().rounded())
         if not traffic.crashes:
             return _Drive(tuple(steps), None, "")
         time_s, *names = traffic.crashes[0]
@@ -253,6 +253,7 @@ class _Lookout:
     def __init__(self, scene: RayScene, scenario: Scenario, seed: int, steps: Sequence[Actors]) -> None:
         self._scene, self._steps, self._seed = scene, steps, seed
         self._spec, _ = scenario_lidars(scenario)
+        self._without_loss = msgspec.structs.replace(self._spec, dropoff_rate=0.0, dropoff_zero_intensity=0.0)
         self._mount = Mount(scenario.agents.mount_xyz_m, scenario.agents.mount_pitch_deg)
         self._units = {f"roadside {-u.agent_id}": u for u in place_roadside(scene, scenario.agents.roadside)}
         self.helpers = (*scenario.agents.named[1:], *self._units)
@@ -271,25 +272,16 @@ class _Lookout:
         unit = self._units.get(name)
         if unit is None and name not in now.name:
             return 0
-        spec = self._spec if unit is None else unit.spec
-        margin = 1
-        before, after = self._steps[max(step - margin, 0)], self._steps[min(step + margin, len(self._steps) - 1)]
-        scene = self._scene.with_bodies(now, before, after, reach_s=0.5 * spec.period_s)
-        sensor = self._sensor(scene, now, name, unit, spec, step)
-        sweep = scan_all(scene, [sensor])[0]
-        return int(count_points(sweep, np.array([CONFLICT_ID]))[0])
-
-    def _sensor(
-        self, scene: RayScene, now: Actors, name: str, unit: Roadside | None, spec: LidarSpec, step: int
-    ) -> Sensor:
-        if unit is not None:
-            path = Path.through(now.time_s + np.array([-1.0, 1.0]), np.stack([unit.world_from_lidar] * 2))
-            return Sensor(spec, path, now.time_s, np.random.default_rng([self._seed, step]))
-        row = now.name.index(name)
-        body = scene.bodies.path[row]
-        path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2], self._mount))
+        spec = self._without_loss if name == "ego" else self._spec if unit is None else unit.spec
+        before = self._steps[step - 1] if step else None
+        scene = self._scene.with_bodies(now, before, self._steps[step + 1], reach_s=0.5 * spec.period_s)
         rng = np.random.default_rng([self._seed, step])
-        return Sensor(spec, path, now.time_s, rng, rides_on=int(now.boxes.object_id[row]))
+        if unit is not None:
+            sensor = on_roadside(unit, now.time_s, rng)
+        else:
+            agent_id = int(now.boxes.object_id[now.name.index(name)])
+            sensor = on_vehicle(scene, now, agent_id, spec, self._mount, rng)
+        return int(count_points(scan_all(scene, [sensor])[0], np.array([CONFLICT_ID]))[0])
 
 
 def _with(scenario: Scenario, **changes: Any) -> Scenario:

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from sensors.agents import choose_agents
 from sensors.frame import AgentFrame, Frame, agent_order, count_points
-from sensors.lidar import Sensor, scan_all
-from sensors.motion import Path
+from sensors.lidar import scan_all
 from sensors.presets import scenario_lidars
-from sensors.rig import ON_ROOF, Mount, Roadside, mount, place_roadside
+from sensors.rig import ON_ROOF, Mount, Roadside, on_roadside, on_vehicle, place_roadside
 from sensors.scene import BodyMesh, RayScene
 from sensors.sight import lines_of_sight
 from sensors.spec import LidarSpec
@@ -199,10 +198,12 @@ def make_frame(
     specs = [vehicle_spec, *(unit.spec for unit in roadside)]
     scene = scene.with_bodies(now, before, after, reach_s=0.5 * max(spec.period_s for spec in specs))
     sensors = {
-        agent_id: _on_vehicle(scene, now, agent_id, vehicle_spec, vehicle_mount, _sweep_rng(seed, index, agent_id))
+        agent_id: on_vehicle(scene, now, agent_id, vehicle_spec, vehicle_mount, _sweep_rng(seed, index, agent_id))
         for agent_id in vehicles
     }
-    sensors |= {unit.agent_id: _on_roadside(now, unit, seed, index) for unit in roadside}
+    sensors |= {
+        unit.agent_id: on_roadside(unit, now.time_s, _sweep_rng(seed, index, unit.agent_id)) for unit in roadside
+    }
     sweeps = dict(zip(sensors, scan_all(scene, list(sensors.values()), threads=threads), strict=True))
     bodies = {unit.agent_id: unit.world_from_body for unit in roadside}
     ordered = tuple(
@@ -229,20 +230,6 @@ def make_frame(
         visible_fraction=visible_fraction(scene, ordered_sensors, truth.object_id) if visibility else unmeasured,
     )
     return replace(frame, sight=lines_of_sight(scene, frame))
-
-
-def _on_vehicle(
-    scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, place: Mount, rng: np.random.Generator
-) -> Sensor:
-    row = now.row(agent_id)
-    body = scene.bodies.path[row]
-    path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2], place))
-    return Sensor(spec, path, now.time_s, rng, rides_on=agent_id)
-
-
-def _on_roadside(now: Actors, unit: Roadside, seed: int, index: int) -> Sensor:
-    path = Path.through(now.time_s + np.array([-1.0, 1.0]), np.stack([unit.world_from_lidar] * 2))
-    return Sensor(unit.spec, path, now.time_s, _sweep_rng(seed, index, unit.agent_id))
 
 
 def _vehicle_frame(now: Actors, agent_id: int, sweep: Sweep) -> AgentFrame:

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.beams import beams_of
+from sensors.lidar import Sensor
+from sensors.motion import Path
 from sensors.presets import get_lidar
 from sensors.scene import RayScene
 from sensors.spec import LidarSpec
 from sim.geometry import pose_matrix
 from sim.scenario import RoadsideUnit
+from sim.traffic.base import Actors
 
 _ROOF_CLEARANCE_M = 0.2
 _BLOCKED_M = 1.0
@@ -58,6 +61,22 @@ def mount(spec: LidarSpec, height_m: float, place: Mount = ON_ROOF) -> NDArray[n
     x, y, z = spec.mount_xyz_m if place.xyz_m is None else place.xyz_m
     z = max(z, height_m + _ROOF_CLEARANCE_M) if place.xyz_m is None else z
     return pose_matrix(np.array([x, y, z]), 0.0, np.radians(place.pitch_deg))
+
+
+def on_vehicle(
+    scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, place: Mount, rng: np.random.Generator
+) -> Sensor:
+    """Return the sensor that rides on a vehicle of a scene, which has the bodies of `now`."""
+    row = now.row(agent_id)
+    body = scene.bodies.path[row]
+    path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2], place))
+    return Sensor(spec, path, now.time_s, rng, rides_on=agent_id)
+
+
+def on_roadside(unit: Roadside, time_s: float, rng: np.random.Generator) -> Sensor:
+    """Return the sensor of a roadside unit, which stands still."""
+    path = Path.through(time_s + np.array([-1.0, 1.0]), np.stack([unit.world_from_lidar] * 2))
+    return Sensor(unit.spec, path, time_s, rng)
 
 
 def place_roadside(scene: RayScene, units: Sequence[RoadsideUnit]) -> tuple[Roadside, ...]:

@@ -3,10 +3,13 @@
 import msgspec
 import pytest
 
-from sensors.proof import AHEAD_S, LATENCY_S, UNSEEN_POINTS, prove, settle, settled
+from sensors.proof import AHEAD_S, CONFLICT_ID, EGO_ID, LATENCY_S, UNSEEN_POINTS, prove, settle, settled
+from sensors.record import record
 from sim.conflicts import KINDS
 from sim.errors import ScenarioError
 from sim.scenario import ConflictSpec, load_scenario
+from sim.traffic.choose import open_traffic
+from sim.world.build import build_world
 from tests.sim.test_conflicts import encounter
 
 SEEDS = (1, 2, 3)
@@ -102,3 +105,18 @@ def test_encounters_at_a_real_junction_hold_and_their_controls_fail(name: str) -
     assert len(found.scenario.agents.roadside) == 1
     assert settle(load_scenario(f"{name}:no_occluder"), SEEDS[0]).control.reason == "seen early"
     assert settle(load_scenario(f"{name}:no_conflict"), SEEDS[0]).control.reason == "no collision"
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("cut_in_merge", 7), ("ima_building", 1)])
+def test_no_frame_of_the_drive_shows_the_ego_what_the_proof_says_is_hidden(kind: str, seed: int) -> None:
+    """Frames from the very first, with the noise and the losses of the drive."""
+    found = settle(encounter(kind), seed)
+    hidden = found.proof.hit_s - found.proof.critical_ttc_s
+    with open_traffic(found.scenario, seed) as traffic:
+        world = build_world(found.scenario, seed)
+        frames = int(hidden / found.scenario.step_s) + 1
+        drive = record(traffic, world, found.scenario, seed, frames, visibility=False)
+        for frame in drive:
+            ego = frame.agents.index(frame.agent(EGO_ID))
+            on_it = frame.points_on[ego][frame.truth.object_id == CONFLICT_ID].sum()
+            assert on_it <= found.proof.ego_points < UNSEEN_POINTS, frame.index
