@@ -17,14 +17,11 @@ An abstract model at 5.9 GHz, one link budget per message and one draw per packe
 Every draw is a function of the seed, the link and the number of the instant: nothing depends on what was asked before.
 """
 
-import csv
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import lru_cache
-from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
@@ -33,7 +30,8 @@ from msgspec import Meta
 from msgspec.structs import replace
 from numpy.typing import ArrayLike, NDArray
 
-from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.errors import SettingsError, complaint, did_you_mean
+from sim.v2x_trace import read_trace
 
 IDEAL = "ideal"
 FREQUENCY_GHZ = 5.9
@@ -459,75 +457,6 @@ def lost_tiles(arrived: NDArray[np.bool_], rows: int, columns: int) -> NDArray[n
     last = np.maximum(np.ceil(edges[1:] - 1e-9).astype(int), first + 1)
     missing = np.concatenate([[0], np.cumsum(~arrived)])
     return (missing[last] > missing[first]).reshape(rows, columns)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trace:
-    """Rows in order of time: seconds, sender and receiver (None: any), delay in s, share of the packets lost."""
-
-    rows: tuple[tuple[float, int | None, int | None, float, float], ...]
-
-    def at(self, time_s: float, sender: int, receiver: int) -> tuple[float, float]:
-        """Return delay, s, and share lost, of the last row for this link that is not later; the first one before it.
-
-        A link that the trace does not know loses everything.
-        """
-        own = [row for row in self.rows if row[1] in (None, sender) and row[2] in (None, receiver)]
-        if not own:
-            return 0.0, 1.0
-        past = [row for row in own if row[0] <= time_s + 1e-9]
-        return (past[-1] if past else own[0])[3:]
-
-
-@lru_cache(maxsize=8)
-def read_trace(path: str) -> Trace:
-    """Read a CSV file with the columns time_s, delay_s, loss and, for single links, sender and receiver.
-
-    Raises:
-        DataError: the file cannot be read, a column is missing or a value is wrong.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: not a readable CSV file: {' '.join(str(error).split())}") from None
-    reader = csv.DictReader(text.splitlines())
-    names = [name.strip() for name in reader.fieldnames or []]
-    for name in ("time_s", "delay_s", "loss"):
-        if name not in names:
-            raise DataError(complaint(path, "columns", f"a column '{name}'", ", ".join(names) or "none"))
-    reader.fieldnames = names
-    rows = [_trace_row(path, number, row) for number, row in enumerate(reader, start=2)]
-    if not rows:
-        raise DataError(complaint(path, "rows", "at least one", "none"))
-    return Trace(tuple(sorted(rows, key=lambda row: row[0])))
-
-
-def _trace_row(path: str, line: int, row: dict[str, str]) -> tuple[float, int | None, int | None, float, float]:
-    limits = {"time_s": (-math.inf, math.inf), "delay_s": (0.0, math.inf), "loss": (0.0, 1.0)}
-    values = {name: _number(path, line, name, row.get(name), limits[name]) for name in limits}
-    ends = [_agent(path, line, name, row.get(name)) for name in ("sender", "receiver")]
-    return values["time_s"], ends[0], ends[1], values["delay_s"], values["loss"]
-
-
-def _number(path: str, line: int, name: str, text: str | None, limits: tuple[float, float]) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and limits[0] <= value <= limits[1]):
-        expected = "a number" if math.isinf(limits[1]) and math.isinf(limits[0]) else f"{limits[0]:g} to {limits[1]:g}"
-        raise DataError(complaint(path, f"line {line}, {name}", expected, text if text else "nothing"))
-    return value
-
-
-def _agent(path: str, line: int, name: str, text: str | None) -> int | None:
-    text = (text or "").strip()
-    if text in ("", "*"):
-        return None
-    try:
-        return int(text)
-    except ValueError:
-        raise DataError(complaint(path, f"line {line}, {name}", "the id of an agent or *", text)) from None
 
 
 def total_bytes(links: Iterable[Link]) -> int:

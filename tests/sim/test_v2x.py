@@ -223,3 +223,10 @@ def test_an_agent_that_was_not_there_sent_nothing():
     alone = changed(before, agent_ids=(0, 7))
     assert channel.newest([now, before], 1, 0).heard
     assert not channel.newest([now, alone], 1, 0).heard
+
+
+def test_a_negative_delay_is_told_its_bound(tmp_path):
+    file = tmp_path / "early.csv"
+    file.write_text("time_s,delay_s,loss\n0,-1,0\n")
+    with pytest.raises(DataError, match="delay_s: expected at least 0, found -1"):
+        get_channel(f"trace:{file}")
