@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: demo test test-slow test-browser lint format types clean
+.PHONY: demo test test-slow test-browser test-explore lint format types clean
 
 # `dsrc demo` goes on where an interrupted one stopped.
 demo: $(READY)
@@ -17,6 +17,10 @@ test-slow: $(READY)
 
 test-browser: $(READY)
 	$(BIN)/python -m pytest -m browser
+
+# Property tests with examples that no run had before.
+test-explore: $(READY)
+	$(BIN)/python -m pytest --hypothesis-profile explore $$(grep -rl --include 'test_*.py' hypothesis tests)
 
 lint: $(READY)
 	$(BIN)/ruff check .

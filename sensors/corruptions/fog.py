@@ -106,12 +106,11 @@ def _answer(fog: Fog, sight: Sight, through: NDArray[np.float64], rng: np.random
     floor = sight.floor(through)
     # As strong as all the fog that there is, then as the fog before the target, where that could be enough.
     line = np.flatnonzero(scale * echo.strongest(echo.cumulated[-1], strength) > floor)
-    unseen = echo.cells(sight.near[line])
-    between = np.maximum(echo.cells(sight.reach[line]) - unseen, 0.0)
+    near, far = sight.near[line], sight.reach[line]
+    between = np.maximum(echo.cells(far) - echo.cells(near), 0.0)
     answer = Echo(np.zeros(len(sight)), np.zeros(len(sight)))
     answer.power[line] = scale * echo.strongest(between, strength[line])
-    place = echo.place(unseen + quantile[line] * between)
-    answer.range_m[line] = np.clip(place, sight.near[line], sight.reach[line])
+    answer.range_m[line] = echo.place(quantile[line], near, far)
     return answer
 
 

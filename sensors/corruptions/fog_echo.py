@@ -71,9 +71,21 @@ class FogEcho:
         patch = (cells / strength) ** self.patchiness
         return patch * (self.waveform.max() / math.gamma(1.0 - self.patchiness))
 
-    def place(self, cells: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (P,) the range, as reported, up to which the cells have some S, m."""
-        return np.interp(cells, self.cumulated, self.range_m)
+    def place(
+        self, quantile: NDArray[np.float64], near_m: NDArray[np.float64], far_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return (P,) where the strongest echo between two ranges comes from, as reported, m.
+
+        Args:
+            quantile: (P,) uniform draws, 0 to 1.
+            near_m, far_m: (P,) the ranges, as reported.
+        """
+        near, far = self.cells(near_m), self.cells(far_m)
+        # Beyond `full` cells are too faint to count in a sum of floats: all of S lies before them.
+        full = int(np.searchsorted(self.cumulated, self.cumulated[-1])) + 1
+        place = np.interp(near + quantile * (far - near), self.cumulated[:full], self.range_m[:full])
+        # Where S hardly grows its inverse is as coarse as floats are.
+        return np.clip(place, near_m, far_m)
 
 
 @lru_cache(maxsize=64)
