@@ -114,8 +114,18 @@ def scenarios(
         scenario_lidars(scenario)  # what is shown can be generated
         _say(msgspec.json.format(msgspec.json.encode(scenario).decode(), indent=2))
         return
-    for known in list_scenarios():
-        _say(f"{known:20s} {load_scenario(known).description}")
+    from dsrc.data.splits import list_datasets
+
+    known = {name: load_scenario(name) for name in list_scenarios()}
+    groups = {
+        "Places": {name: one.description for name, one in known.items() if one.conflict is None},
+        "Encounters": {name: one.description for name, one in known.items() if one.conflict is not None},
+        "Datasets": list_datasets(),
+    }
+    for title, members in groups.items():
+        _say(f"{title}:")
+        for name, description in members.items():
+            _say(f"  {name:30s} {description}")
 
 
 @app.command(name="generate")
@@ -381,6 +391,7 @@ def train(
     seed: int = 0,
     epochs: int | None = None,
     method: str | None = None,
+    init: Path | None = None,
     set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE")] = (),
 ) -> None:
     """Train a detector; started again in the same folder it resumes.
@@ -395,7 +406,8 @@ def train(
         seed: of weights, order and augmentation.
         epochs: instead of the recipe's.
         method: dsrc, or a rival in the same preset, such as v2x-vit; a wrong one is answered with the right ones.
-        set: change model settings, for ablations: `--set sdd=false fusion=max`.
+        init: a detector.pt to start from: the weights whose name and shape agree are taken.
+        set: change settings of the model or the recipe: `--set sdd=false fusion=max`, `--set epoch_frames=1000`.
     """
     from dsrc.training.train import train_stages
 
@@ -410,6 +422,7 @@ def train(
         epochs=epochs,
         overrides=set,
         method=method,
+        init=init,
     )
     _say(str(detector))
 

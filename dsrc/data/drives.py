@@ -64,7 +64,7 @@ def list_drives(root: Path) -> list[Path]:
     if address is not None:
         return dairv2x.list_batches(address)
     if not root.is_dir():
-        raise DataError(f"{root}: no such folder")
+        raise DataError(f"{root}: not a folder" if root.exists() else f"{root}: no such folder")
     below = [folder for pattern in ("*/", "*/*/") for folder in sorted(root.glob(pattern)) if dairv2x.is_tree(folder)]
     found = [drive for tree in below for drive in list_drives(tree)]
     found += opv2v.drives_below(root)

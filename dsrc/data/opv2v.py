@@ -284,7 +284,7 @@ def find_drives(root: Path) -> list[Path]:
     """
     root = Path(root)
     if not root.is_dir():
-        raise DataError(f"{root}: no such folder")
+        raise DataError(f"{root}: not a folder" if root.exists() else f"{root}: no such folder")
     drives = drives_below(root)
     if not drives:
         raise DataError(complaint(root, "folder", "an OPV2V tree (drive/agent/000000.yaml)", "none"))

@@ -126,9 +126,16 @@ def find_split_file(name_or_path: str | Path) -> Path | None:
     if path.suffix != ".toml" or not path.is_file():
         return None
     try:
-        return path if "split" in tomllib.loads(path.read_text(encoding="utf-8")) else None
+        fields = tomllib.loads(path.read_text(encoding="utf-8")).keys()
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
         return None
+    # Without splits it is still no scenario where nothing says how traffic comes about.
+    return path if "split" in fields or not fields & {"network", "demand", "conflict"} else None
+
+
+def list_datasets() -> dict[str, str]:
+    """Return the shipped datasets' descriptions by name."""
+    return {path.parent.name: read_dataset(path).description for path in sorted(ROOT.glob(f"*/{SPLIT_FILE}"))}
 
 
 def read_dataset(path: Path) -> Dataset:
