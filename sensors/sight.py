@@ -21,7 +21,8 @@ def lines_of_sight(scene: RayScene | None, frame: Frame) -> NDArray[np.int8]:
     """Return (A, A) `Sight` between the agents, the same both ways; the diagonal is free.
 
     Args:
-        scene: whose static world blocks, all of it as a building does, also a trunk or a pole; None for data of which nobody knows the world, where only vehicles do.
+        scene: whose static world blocks, all of it as a building does, also a trunk or a pole; None for data of which
+            nobody knows the world, where only vehicles do.
         frame: gives the agents and the boxes of everything that moves.
     """
     place = antennas(frame)

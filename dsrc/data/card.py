@@ -277,8 +277,7 @@ def _markdown(card: Card, pictures: Sequence[tuple[str, str]]) -> str:
     lines = [
         f"# {card.name}",
         "",
-        f"Drives: {len(card.drives)}; frames: {card.frames}; sweeps: {card.agent_frames}. "
-        f"Drives by agents: {numbers}.",
+        f"Drives: {len(card.drives)}; frames: {card.frames}; sweeps: {card.agent_frames}. Drives by agents: {numbers}.",
         f"{listed}",
         f"Points per sweep: {_spread(points)}.",
         f"Of the boxes within 100 m of the ego {seen['ego'] / total:.0%} have points of the ego,"

@@ -78,7 +78,8 @@ class FogEcho:
 
         Args:
             quantile: (P,) uniform draws, 0 to 1.
-            near_m, far_m: (P,) the ranges, as reported.
+            near_m: (P,) the nearer range, as reported.
+            far_m: (P,) the farther.
         """
         near, far = self.cells(near_m), self.cells(far_m)
         # Beyond `full` cells are too faint to count in a sum of floats: all of S lies before them.
