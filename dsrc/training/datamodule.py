@@ -20,21 +20,23 @@ Draw = tuple[int, int]
 
 
 class EpochSampler(Sampler[Draw]):
-    """All frames in an order that depends on the seed and the epoch alone, so that a resumed run repeats it."""
+    """Frames in an order that depends on the seed and the epoch alone, so that a resumed run repeats it."""
 
-    def __init__(self, frames: int, seed: int) -> None:
+    def __init__(self, frames: int, seed: int, limit: int | None = None) -> None:
+        """Draw from so many frames, all of them or `limit` in each epoch."""
         self.frames, self.seed, self.epoch = frames, seed, 0
+        self.count = frames if limit is None else min(limit, frames)
 
     def set_epoch(self, epoch: int) -> None:
         """Start this epoch; called by the trainer."""
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[Draw]:
-        order = np.random.default_rng([self.seed, 1, self.epoch]).permutation(self.frames)
+        order = np.random.default_rng([self.seed, 1, self.epoch]).permutation(self.frames)[: self.count]
         return iter([(self.epoch, int(i)) for i in order])
 
     def __len__(self) -> int:
-        return self.frames
+        return self.count
 
 
 class TrainingSet(Dataset[Sample]):
@@ -113,7 +115,7 @@ class DetectionData(pl.LightningDataModule):
             held_out = exact.frames
         self.training = TrainingSet(wide, frames, recipe, seed)
         self.validation = ValidationSet(exact, _evenly(held_out or exact.frames, recipe.validation_frames))
-        self.sampler = EpochSampler(len(frames), seed)
+        self.sampler = EpochSampler(len(frames), seed, recipe.epoch_frames)
 
     def train_dataloader(self) -> DataLoader:
         """Return the training batches; a last batch that is not full is dropped unless it is the only one."""
@@ -122,7 +124,7 @@ class DetectionData(pl.LightningDataModule):
             batch_size=self.recipe.batch_size,
             sampler=self.sampler,
             collate_fn=Collate(self.settings, training=True),
-            drop_last=len(self.training) >= self.recipe.batch_size,
+            drop_last=len(self.sampler) >= self.recipe.batch_size,
             **_workers(self.recipe.workers),
         )
 

@@ -45,7 +45,9 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         distill: weights and forms of the distillation.
         reconstruction: weight of the reconstruction losses.
         augmentation: changes of the training samples.
-        epochs: passes over the data.
+        epochs: passes over the data, or over draws of `epoch_frames` from it.
+        epoch_frames: an epoch is this many frames, drawn anew for each epoch and none twice in one, where there are
+            more; None takes all. Frames a tenth of a second apart are much alike.
         batch_size: samples per step.
         learning_rate: its peak.
         weight_decay: of AdamW, on weights of convolutions and the linear layer only.
@@ -68,6 +70,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reconstruction: NotNegative = 1.0
     augmentation: Augmentation = Augmentation()
     epochs: Count = 40
+    epoch_frames: Count | None = None
     batch_size: Count = 2
     learning_rate: Annotated[float, Meta(gt=0)] = 2e-3
     weight_decay: NotNegative = 1e-2

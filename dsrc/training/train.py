@@ -49,6 +49,7 @@ def train_stages(
     epochs: int | None = None,
     overrides: Sequence[str] = (),
     method: str | None = None,
+    init: Path | None = None,
 ) -> Path:
     """Train one stage, or the teacher and then the student, each in its own subfolder of `out`.
 
@@ -63,6 +64,7 @@ def train_stages(
         epochs: instead of the recipe's.
         overrides: `field=value` of `ModelSettings`, or of the recipe when the model has no such field.
         method: a key of `METHODS`; None is what the recipe and the overrides say.
+        init: detector file whose weights every stage starts from, see `train`.
 
     Returns:
         The detector file of the last stage.
@@ -85,7 +87,7 @@ def train_stages(
         known = teacher
         if part == "student" and known is None and chosen.model.distils:
             known = out / "teacher" / DETECTOR
-        path = train(chosen, data, out / part, part, teacher=known, validate=validate, seed=seed)
+        path = train(chosen, data, out / part, part, teacher=known, validate=validate, seed=seed, init=init)
     return path
 
 
@@ -99,6 +101,7 @@ def train(
     validate: Path | None = None,
     resume: bool = True,
     seed: int = 0,
+    init: Path | None = None,
     callbacks: Sequence[pl.Callback] = (),
 ) -> Path:
     """Train one stage.
@@ -117,6 +120,8 @@ def train(
         resume: continue from the run folder's last checkpoint if there is one; a run interrupted and resumed ends with
             the same weights as one that was not, and a finished one is left as it is.
         seed: of weights, order and augmentation.
+        init: detector file to start from: of its weights all are taken whose name and shape agree; the record says
+            how many those are.
         callbacks: further Lightning callbacks.
 
     Returns:
@@ -124,8 +129,8 @@ def train(
 
     Raises:
         DataError: the data is missing or wrong.
-        CheckpointError: the teacher is missing or does not fit, or the checkpoint to resume from is damaged.
-        SettingsError: the run to resume was started with other settings, data or teacher.
+        CheckpointError: the teacher or the start is missing or does not fit, or the checkpoint is damaged.
+        SettingsError: the run to resume was started with other settings, data, teacher or start.
         TrainingAlarm: the loss became NaN, or nothing is ever detected.
     """
     settings = recipe.settings(stage)
@@ -138,6 +143,7 @@ def train(
         torch.manual_seed(seed)
         module = DetectionModule(recipe, Detector(settings), taught_by, seed)
     record = _record(recipe, stage, seed, drives, validation, teacher if taught_by else None)
+    record["init"] = None if init is None else _start_from(init, module.detector)
     last = out / "checkpoints" / "last.ckpt"
     resume = resume and last.exists()
     if resume:
@@ -198,6 +204,19 @@ def _teacher(path: Path | None, student: ModelSettings) -> Detector:
     return teacher
 
 
+def _start_from(path: Path, detector: Detector) -> dict[str, object]:
+    """Copy the weights of a detector file that fit, by name and shape; return what was done, for the record."""
+    own = detector.state_dict()
+    theirs = load_detector(path).state_dict()
+    fitting = {name: t for name, t in theirs.items() if name in own and own[name].shape == t.shape}
+    if all(tensor.ndim < 2 for tensor in fitting.values()):  # the heads' biases and the steps' counters always fit
+        raise CheckpointError(complaint(path, "state", "a weight of the name and shape of the network's", "none"))
+    taken, whole = (sum(t.is_floating_point() for t in tensors.values()) for tensors in (fitting, own))
+    detector.load_state_dict(own | fitting)
+    LOG.info("%s: %d of %d tensors taken", path, taken, whole)
+    return {"sha256": hash_file(path), "tensors_taken": taken, "tensors": whole}
+
+
 def _check_same_run(settings: Path, last: Path, record: dict) -> None:
     """Compare what made the run that is to be resumed with what is asked for now."""
     if not zipfile.is_zipfile(last):
@@ -227,6 +246,7 @@ def _made_of(record: dict) -> dict[str, object]:
         "seed": plain["seed"],
         "data": sorted(plain["data"].values()),
         "teacher": plain["teacher"],
+        "init": (plain.get("init") or {}).get("sha256"),
         "own validation drives": plain["validation"] is not None,
     }
 

@@ -35,6 +35,24 @@ def test_the_order_depends_on_seed_and_epoch_alone() -> None:
     assert [n for _, n in one] != [n for _, n in two]
 
 
+def test_a_short_epoch_draws_other_frames_each_time_and_none_twice() -> None:
+    sampler, drawn = EpochSampler(50, seed=1, limit=20), []
+    for epoch in range(30):
+        sampler.set_epoch(epoch)
+        drawn.append([number for _, number in sampler])
+        assert len(set(drawn[-1])) == len(drawn[-1]) == len(sampler) == 20
+    assert drawn[0] != drawn[1]
+    assert set().union(*drawn) == set(range(50))
+    assert len(EpochSampler(5, seed=1, limit=20)) == 5
+
+
+def test_a_short_epoch_has_its_number_of_steps(data: Path) -> None:
+    recipe = replace(debug(), epoch_frames=3, batch_size=2)
+    assert len(DetectionData(recipe, recipe.model, [data], None, seed=0).train_dataloader()) == 1
+    alone = replace(debug(), epoch_frames=1, batch_size=2)
+    assert len(DetectionData(alone, alone.model, [data], None, seed=0).train_dataloader()) == 1
+
+
 def test_a_training_sample_depends_on_seed_epoch_and_number_alone(data: Path) -> None:
     recipe = replace(debug(), augmentation=RECIPES["small"]().augmentation)
     sets = [DetectionData(recipe, recipe.model, [data], None, seed=s).training for s in (1, 1, 2)]

@@ -12,7 +12,9 @@ from msgspec.structs import replace
 from dsrc.data.opv2v import DriveReader
 from dsrc.data.sample import make_sample
 from dsrc.evaluation.ap import FrameResult, evaluate
-from dsrc.models.checkpoint import load_detector, read_meta
+from dsrc.evaluation.provenance import hash_file
+from dsrc.models.checkpoint import load_detector, read_meta, save_detector
+from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
 from dsrc.training.recipes import METHODS, Augmentation, Recipe, debug, of_method
 from dsrc.training.train import override, train, train_stages
@@ -44,9 +46,11 @@ class Power(pl.Callback):
             raise RuntimeError("power cut")
 
 
-@pytest.mark.parametrize("fusion", ["attention", "cobevt"])  # the second draws while it trains
-def test_a_resumed_training_ends_with_the_same_weights(data: Path, tmp_path: Path, fusion: str) -> None:
-    recipe = replace(tiny(), model=replace(tiny().model, fusion=fusion))
+@pytest.mark.parametrize(("fusion", "frames"), [("attention", 2), ("cobevt", None)])  # CoBEVT draws while it trains
+def test_a_resumed_training_ends_with_the_same_weights(
+    data: Path, tmp_path: Path, fusion: str, frames: int | None
+) -> None:
+    recipe = replace(tiny(epoch_frames=frames), model=replace(tiny().model, fusion=fusion))
     whole = train(recipe, data, tmp_path / "whole", "plain", seed=3)
     with pytest.raises(RuntimeError, match="power cut"):
         train(recipe, data, tmp_path / "cut", "plain", seed=3, callbacks=[Power(2)])
@@ -109,6 +113,33 @@ def test_a_run_is_resumed_with_what_it_was_started_with_or_not_at_all(data: Path
     last.write_bytes(last.read_bytes()[:5000])
     with pytest.raises(CheckpointError, match=r"last.ckpt: .* remove it to start afresh"):
         train(recipe, data, tmp_path, "plain")
+
+
+def test_a_training_starts_from_the_weights_that_fit(data: Path, tmp_path: Path) -> None:
+    first = train(replace(tiny(), epochs=1), data, tmp_path / "first", "plain")
+    # A rate of almost nothing keeps what is trained at what it was started from.
+    still = replace(tiny(learning_rate=1e-12), epochs=1)
+    wider = replace(still, model=replace(still.model, decoder_channels=16))
+    path = train(wider, data, tmp_path / "second", "plain", seed=1, init=first)
+    expected, found = load_detector(first).state_dict(), load_detector(path).state_dict()
+    torch.testing.assert_close(found["reg_head.weight"], expected["reg_head.weight"])
+    assert found["shrink.0.weight"].shape != expected["shrink.0.weight"].shape
+    start = read_meta(path)["init"]
+    weights = {name for name, tensor in found.items() if tensor.is_floating_point()}
+    same = {name for name in weights if found[name].shape == expected[name].shape}
+    assert (start["tensors_taken"], start["tensors"]) == (len(same), len(weights))
+    assert start["sha256"] == hash_file(first)
+    with pytest.raises(SettingsError, match=r"init: expected None as asked for now, found"):
+        train(wider, data, tmp_path / "second", "plain", seed=1)
+
+
+def test_a_start_of_which_nothing_fits_is_refused(data: Path, tmp_path: Path) -> None:
+    sizes = {"pillar_channels": 24, "stage_channels": (24, 40, 48), "decoder_channels": 24, "shrink_channels": 48}
+    save_detector(tmp_path / "other.pt", Detector(replace(tiny().model, **sizes)))
+    with pytest.raises(CheckpointError, match=r"other.pt: state: expected a weight .* found none"):
+        train(tiny(), data, tmp_path / "run", "plain", init=tmp_path / "other.pt")
+    with pytest.raises(CheckpointError, match="no such checkpoint file"):
+        train(tiny(), data, tmp_path / "run", "plain", init=tmp_path / "nowhere.pt")
 
 
 @pytest.mark.parametrize("text", ["batch_size=0", "learning_rate=nan", "score_prior=2", 'grid={"cell_m":0.3}', "seed"])
