@@ -18,7 +18,7 @@ from sim.world.materials import MATERIALS
 from tests.dsrc.data.toy import toy_frame
 
 
-@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate", "inference"])
+@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate", "inference", "evaluation"])
 def test_benchmark_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as stop:
         tyro.cli(import_module(f"benchmarks.{name}").main, args=["--help"])
@@ -164,3 +164,14 @@ def test_every_stage_of_every_method_is_timed_and_counted_once(monkeypatch):
     assert floor["early"]["5"] == pytest.approx(floor["none"]["1"], rel=0.1)
     for method in set(FUSIONS) - {"none", "early"}:
         assert floor[method]["1"] < floor[method]["2"] < floor[method]["5"]
+
+
+def test_the_loop_over_polygons_finds_the_same_precisions():
+    from benchmarks.evaluation import make_frames, shapely_metrics
+    from dsrc.evaluation.ap import evaluate
+
+    frames = make_frames(12)
+    result = evaluate(frames)
+    assert all(20 <= len(frame.detections) <= 60 for frame in frames)
+    assert 0.5 < result.curves["bev", 0.5].ap < 0.95
+    assert shapely_metrics(frames) == pytest.approx(result.metrics(), abs=1e-9)

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.detections import Detections
-from dsrc.evaluation.matching import match
-from dsrc.ops.iou import bev_iou, volume_iou
+from dsrc.evaluation.matching import first_come
+from dsrc.ops.iou import bev_iou, paired_volume_iou
 from sim.boxes import Boxes
 
 Space = Literal["bev", "3d"]
@@ -78,35 +78,56 @@ def metric_name(space: Space, threshold: float, *, opencood: bool = False) -> st
 
 
 def evaluate(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOLDS) -> EvalResult:
-    """Return the average precisions of frames; changes nothing that it is given."""
-    overlaps: dict[Space, list[NDArray[np.float64]]] = {"bev": [], "3d": []}
-    for frame in results:
-        found, truth = frame.detections.boxes.array, frame.truth.array
-        footprint = bev_iou(found, truth)
-        overlaps["bev"].append(footprint)
-        overlaps["3d"].append(volume_iou(found, truth, footprint))
-    scores = [frame.detections.score for frame in results]
-    n_truth = sum(len(frame.truth) for frame in results)
-    return EvalResult(
-        frames=len(results),
-        truth=n_truth,
-        detections=sum(map(len, scores)),
-        curves={
-            (space, threshold): _curve(overlaps[space], scores, n_truth, threshold)
-            for space in SPACES
-            for threshold in thresholds
-        },
-    )
+    """Return the average precisions of frames at positive thresholds; changes nothing that it is given."""
+    found = [frame.detections.boxes.array for frame in results]
+    truth = [frame.truth.array for frame in results]
+    score = np.concatenate([np.zeros(0, np.float32), *(frame.detections.score for frame in results)])
+    frame_of = np.repeat(np.arange(len(results)), [len(boxes) for boxes in found])
+    # Frame by frame, in each the most confident first.
+    ranked = np.lexsort((-score, frame_of))
+    place = np.zeros(len(ranked), np.int64)
+    place[ranked] = np.arange(len(ranked))
+    n_truth = sum(map(len, truth))
+    pairs = _overlapping(found, truth)
+    a, b = _stacked(found)[pairs.detection], _stacked(truth)[pairs.truth]
+    overlaps = {"bev": pairs.iou, "3d": paired_volume_iou(a, b, pairs.iou)}
+    curves: dict[tuple[Space, float], Curve] = {}
+    for space in SPACES:
+        order = np.lexsort((-overlaps[space], place[pairs.detection]))
+        iou, at, box = overlaps[space][order], place[pairs.detection][order], pairs.truth[order]
+        for threshold in thresholds:
+            near = iou >= threshold
+            curves[space, threshold] = _curve(first_come(at[near], box[near], len(score)) >= 0, score[ranked], n_truth)
+    return EvalResult(frames=len(results), truth=n_truth, detections=len(score), curves=curves)
 
 
-def _curve(
-    overlaps: list[NDArray[np.float64]], scores: list[NDArray[np.float32]], n_truth: int, threshold: float
-) -> Curve:
-    """Match all frames at one threshold and rank the outcome in both orders."""
-    matches = [match(iou, score, threshold) for iou, score in zip(overlaps, scores, strict=True)]
-    hit = np.concatenate([m.hit for m in matches]) if matches else np.zeros(0, bool)
-    ranked = [score[m.order] for m, score in zip(matches, scores, strict=True)]
-    score = np.concatenate(ranked) if ranked else np.zeros(0, np.float32)
+class _Pairs(NamedTuple):
+    """The detections and boxes whose footprints overlap, (K,) rows in all frames' and their IoU."""
+
+    detection: NDArray[np.int64]
+    truth: NDArray[np.int64]
+    iou: NDArray[np.float64]
+
+
+def _overlapping(found: list[NDArray[np.float64]], truth: list[NDArray[np.float64]]) -> _Pairs:
+    rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
+    detections = boxes = 0
+    for a, b in zip(found, truth, strict=True):
+        iou = bev_iou(a, b)
+        row, column = np.nonzero(iou)
+        rows.append(row + detections)
+        columns.append(column + boxes)
+        values.append(iou[row, column])
+        detections, boxes = detections + len(a), boxes + len(b)
+    return _Pairs(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
+
+
+def _stacked(boxes: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    return np.concatenate([np.zeros((0, 7)), *boxes])
+
+
+def _curve(hit: NDArray[np.bool_], score: NDArray[np.float32], n_truth: int) -> Curve:
+    """Rank detections, which come frame by frame, in both orders."""
     order = np.argsort(-score, kind="stable")
     recall, precision = precision_recall(hit[order], n_truth)
     return Curve(

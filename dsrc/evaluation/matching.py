@@ -35,14 +35,27 @@ def match(iou: NDArray[np.floating], scores: NDArray[np.floating], threshold: fl
         threshold: least IoU of a match.
     """
     order = np.argsort(-scores, kind="stable")
-    truth = np.full(len(order), -1, np.int64)
-    if iou.shape[1] == 0:
-        return Match(truth, order)
-    free = np.array(iou, np.float64)
-    for place in np.flatnonzero(free.max(axis=1)[order] >= threshold):
-        row = order[place]
-        best = int(free[row].argmax())
-        if free[row, best] >= threshold:
-            truth[place] = best
-            free[:, best] = -1.0
-    return Match(truth, order)
+    ranked = np.asarray(iou)[order]
+    place, truth = np.nonzero(ranked >= threshold)
+    best_first = np.lexsort((-ranked[place, truth], place))
+    return Match(first_come(place[best_first], truth[best_first], len(order)), order)
+
+
+def first_come(place: NDArray[np.integer], truth: NDArray[np.integer], places: int) -> NDArray[np.int64]:
+    """Return (places,) int64 the truth that each detection gets, -1 for none.
+
+    Args:
+        place: (K,) of the detections in pairs that overlap enough, ascending.
+        truth: (K,) of the pairs; those of one detection by overlap, most first.
+        places: how many detections there are.
+    """
+    matched = np.full(places, -1, np.int64)
+    taken: set[int] = set()
+    served = -1
+    # Pairs that overlap enough are few, and an array of Python's own is quicker to walk through than numpy's.
+    for detection, box in zip(place.tolist(), truth.tolist(), strict=True):
+        if detection != served and box not in taken:
+            matched[detection] = box
+            taken.add(box)
+            served = detection
+    return matched

@@ -33,16 +33,22 @@ def iou_3d(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 
 def volume_iou(a: ArrayLike, b: ArrayLike, footprint_iou: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `iou_3d` where the (n, m) `bev_iou` is known already."""
-    a, b = _rows(a), _rows(b)
-    # Boxes that overlap nothing may hold anything: their rows must not spoil the arithmetic.
-    a = np.where(_has_area(a)[:, None], a, 0.0)
-    b = np.where(_has_area(b)[:, None], b, 0.0)
-    area_a, area_b = (a[:, 3] * a[:, 4])[:, None], (b[:, 3] * b[:, 4])[None, :]
+    out = np.zeros_like(footprint_iou)
+    pairs = np.nonzero(footprint_iou)
+    out[pairs] = paired_volume_iou(_rows(a)[pairs[0]], _rows(b)[pairs[1]], footprint_iou[pairs])
+    return out
+
+
+def paired_volume_iou(
+    a: NDArray[np.float64], b: NDArray[np.float64], footprint_iou: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (k,) IoU of the volumes of upright boxes a (k, 7) and b (k, 7) whose footprints overlap by (k,)."""
+    area_a, area_b = a[:, 3] * a[:, 4], b[:, 3] * b[:, 4]
     shared_area = footprint_iou * (area_a + area_b) / (1.0 + footprint_iou)
-    top = np.minimum((a[:, 2] + 0.5 * a[:, 5])[:, None], (b[:, 2] + 0.5 * b[:, 5])[None, :])
-    bottom = np.maximum((a[:, 2] - 0.5 * a[:, 5])[:, None], (b[:, 2] - 0.5 * b[:, 5])[None, :])
+    top = np.minimum(a[:, 2] + 0.5 * a[:, 5], b[:, 2] + 0.5 * b[:, 5])
+    bottom = np.maximum(a[:, 2] - 0.5 * a[:, 5], b[:, 2] - 0.5 * b[:, 5])
     shared = shared_area * np.maximum(top - bottom, 0.0)
-    union = area_a * a[:, None, 5] + area_b * b[None, :, 5] - shared
+    union = area_a * a[:, 5] + area_b * b[:, 5] - shared
     return np.divide(shared, union, out=np.zeros_like(shared), where=(shared > 0) & (union > 0))
 
 
