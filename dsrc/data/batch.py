@@ -126,11 +126,8 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
         roadside=torch.tensor([agent < 0 for sample in samples for agent in sample.agent_ids]),
     )
     if for_teacher or (training and settings.distils):
-        in_one = settings.fusion == "early"
         views = [
-            teacher_clouds(
-                part, dense=settings.sdd, paint=settings.pcp, further=[] if in_one else _unheard(part, sample)
-            )
+            teacher_clouds(part, dense=settings.sdd, paint=settings.pcp, further=_unheard(part, sample, settings))
             for part, sample in whole
         ]
         batch = replace(batch, teacher=_teacher_pillars(views, settings))
@@ -168,9 +165,11 @@ def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
     return [_select(sample, slice(0, count), sample.boxes)]
 
 
-def _unheard(part: Sample, whole: Sample) -> list[NDArray[np.float32]]:
+def _unheard(part: Sample, whole: Sample, settings: ModelSettings) -> list[NDArray[np.float32]]:
     """Return the clouds of the agents that are not in a part of a sample: a lone student's teacher has them still."""
-    return [cloud for agent, cloud in zip(whole.agent_ids, whole.clouds, strict=True) if agent not in part.agent_ids]
+    joined = whole.agent_ids[: settings.max_agents] if settings.fusion == "early" else part.agent_ids
+    others = [cloud for agent, cloud in zip(whole.agent_ids, whole.clouds, strict=True) if agent not in joined]
+    return [*others, *whole.unheard]
 
 
 def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:

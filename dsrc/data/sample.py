@@ -53,6 +53,8 @@ class Sample:
         agent_boxes: per agent the vehicles that it has annotated itself (a subset of the same rule).
         lost: per agent (h, w) bool the tiles of its feature map that did not arrive, (0, 0) when all did; empty when
             all of everybody did.
+        unheard: (P, 4) clouds of agents in range that take no part: no detector hears them, but a teacher's objects
+            have their points.
     """
 
     key: str
@@ -62,6 +64,7 @@ class Sample:
     boxes: Boxes
     agent_boxes: tuple[Boxes, ...]
     lost: tuple[NDArray[np.bool_], ...] = ()
+    unheard: tuple[NDArray[np.float32], ...] = ()
 
 
 # The released code drops an agent's returns on itself in this box of the LiDAR's frame, m; it fits OPV2V's Lincoln.

@@ -47,13 +47,18 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     return replace(
         sample,
         clouds=tuple(_cloud(cloud, plane, grid) for cloud in sample.clouds),
+        unheard=tuple(_cloud(cloud, plane, grid) for cloud in sample.unheard),
         boxes=_boxes(sample.boxes, plane, scale, grid),
         agent_boxes=tuple(_boxes(boxes, plane, scale, grid) for boxes in sample.agent_boxes),
     )
 
 
 def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
-    """Keep some agents only, the ego first, and of the ground truth what these have annotated."""
+    """Keep some agents only, the ego first, and of the ground truth what these have annotated.
+
+    The others' clouds go to `unheard`: without them, the teacher of a student that hears few would not be dense.
+    """
+    dropped = tuple(cloud for row, cloud in enumerate(sample.clouds) if row not in rows)
     agent_boxes = tuple(sample.agent_boxes[row] for row in rows)
     known = np.isin(sample.boxes.object_id, np.concatenate([boxes.object_id for boxes in agent_boxes]))
     return replace(
@@ -63,6 +68,7 @@ def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
         ego_from_agent=sample.ego_from_agent[list(rows)],
         boxes=sample.boxes[known],
         agent_boxes=agent_boxes,
+        unheard=(*sample.unheard, *dropped),
     )
 
 

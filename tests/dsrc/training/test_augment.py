@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_setting
 
+from dsrc.data.batch import collate
 from dsrc.data.sample import Sample, inside_range, make_sample
+from dsrc.models.encoder import Pillars
 from dsrc.training.augment import augment, source_grid, with_agents
 from dsrc.training.recipes import Augmentation, debug
 from tests.dsrc.training.drive import frame
@@ -55,6 +58,28 @@ def test_a_dropped_agent_takes_with_it_what_only_it_has_seen(sample: Sample) -> 
     assert len(alone.clouds) == 1
     assert set(alone.boxes.object_id) == set(sample.agent_boxes[0].object_id)
     assert len(alone.boxes) < len(sample.boxes)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_teacher_has_the_same_clouds_of_those_who_are_kept_whether_others_are_dropped_or_not(
+    sample: Sample, seed: int
+) -> None:
+    settings = replace_setting(debug().model, max_points=10_000, rec=False)
+    company, few = (augment(sample, GRID, replace_dropout(p), np.random.default_rng(seed)) for p in (0.0, 1.0))
+    whole, part = (collate([s], settings, training=True) for s in (company, few))
+    assert len(few.clouds) + len(few.unheard) == len(company.clouds) == 3
+    assert part.teacher.clouds == part.student.clouds == len(few.clouds)
+    for row, agent in enumerate(few.agent_ids):
+        expected = points_of(whole.teacher, company.agent_ids.index(agent))
+        np.testing.assert_array_equal(in_order(points_of(part.teacher, row)), in_order(expected))
+
+
+def points_of(pillars: Pillars, cloud: int) -> np.ndarray:
+    return pillars.points[pillars.coords[pillars.pillar, 0] == cloud].numpy()
+
+
+def in_order(points: np.ndarray) -> np.ndarray:
+    return points[np.lexsort(points.T)]
 
 
 def test_every_collaborator_is_dropped_now_and_then_but_never_the_ego(sample: Sample) -> None:
