@@ -22,6 +22,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import islice
 from typing import Annotated, Literal
 
 import msgspec
@@ -46,7 +47,7 @@ CPM_BYTES, CPM_BYTES_PER_OBJECT = 156, 35
 """A Collective Perception Message (ETSI TS 103 324): header, station and one sensor; each object."""
 
 _WAVES = 64
-_SHADOW, _PACKETS, _ACCESS, _PHASE, _CLOCK, _COLLISIONS = range(6)
+_SHADOW, _PACKETS, _ACCESS, _PHASE, _CLOCK, _COLLISIONS, _, _LOSSES = range(8)  # the seventh is `dsrc.channel`'s
 _RESERVED = 10  # instants that a reservation of the semi-persistent scheduler lasts
 
 
@@ -78,6 +79,7 @@ class ChannelSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         packet_bytes: payload of a packet.
         congestion_control: reactive, as in ETSI TS 102 687.
         collision_share: of the packets in the air at full load, those that are lost because they met.
+        packet_loss: probability that a packet is lost for whatever reason else.
         message_bytes: of every message; None sends what there is to send.
         compression: the detector's features are sent in a code that is so many times smaller.
         delay_s: between measuring and sending: processing, and the backbone network of infrastructure.
@@ -100,6 +102,7 @@ class ChannelSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     packet_bytes: Annotated[int, Meta(ge=1)] = 1400
     congestion_control: bool = False
     collision_share: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    packet_loss: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     message_bytes: Annotated[int, Meta(ge=1)] | None = None
     compression: Annotated[float, Meta(ge=1.0)] = 1.0
     delay_s: NonNegative = 0.0
@@ -271,6 +274,10 @@ class Channel:
             delay, loss = self._trace.at(instant.index * self.interval_s, sender, receiver)
             probability = 1.0 - loss
             arrived = self._rng(_PACKETS, instant.index, sender, receiver).random(packets) >= loss
+        if self.spec.packet_loss:
+            probability *= 1.0 - self.spec.packet_loss
+            kept = self._rng(_LOSSES, instant.index, sender, receiver).random(packets) >= self.spec.packet_loss
+            arrived &= kept
         if distance > self.spec.range_m or instant.index % stride != self._phase(sender, stride):
             arrived = np.zeros(packets, bool)
         heard = float(arrived.mean()) >= LEAST_SHARE
@@ -299,7 +306,7 @@ class Channel:
         """
         now = instants[0].index
         first = None
-        for instant in instants[: MAX_AGE + 1]:
+        for instant in islice(instants, MAX_AGE + 1):  # not a slice: an instant may be made when it is looked at
             if sender not in instant.agent_ids or receiver not in instant.agent_ids:
                 continue
             link = self.link(instant, sender, receiver)

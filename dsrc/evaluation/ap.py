@@ -26,6 +26,23 @@ class FrameResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """Which detections hit what, in a set of frames.
+
+    Attributes:
+        frames: how many.
+        truth: ground-truth boxes, numbered through all frames.
+        score: (D,) confidence, frame by frame and in each the most confident first.
+        matched: by ("bev" or "3d", IoU threshold) the (D,) number of the true box that each detection hits, or -1.
+    """
+
+    frames: int
+    truth: int
+    score: NDArray[np.float32]
+    matched: dict[tuple[Space, float], NDArray[np.int64]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Curve:
     """The result at one IoU threshold.
 
@@ -79,6 +96,11 @@ def metric_name(space: Space, threshold: float, *, opencood: bool = False) -> st
 
 def evaluate(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOLDS) -> EvalResult:
     """Return the average precisions of frames at positive thresholds; changes nothing that it is given."""
+    return result_of(judge(results, thresholds))
+
+
+def judge(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOLDS) -> Judged:
+    """Return which detections of frames hit what, at positive thresholds."""
     found = [frame.detections.boxes.array for frame in results]
     truth = [frame.truth.array for frame in results]
     score = np.concatenate([np.zeros(0, np.float32), *(frame.detections.score for frame in results)])
@@ -87,18 +109,45 @@ def evaluate(results: Sequence[FrameResult], thresholds: Sequence[float] = THRES
     ranked = np.lexsort((-score, frame_of))
     place = np.zeros(len(ranked), np.int64)
     place[ranked] = np.arange(len(ranked))
-    n_truth = sum(map(len, truth))
     pairs = _overlapping(found, truth)
     a, b = _stacked(found)[pairs.detection], _stacked(truth)[pairs.truth]
     overlaps = {"bev": pairs.iou, "3d": paired_volume_iou(a, b, pairs.iou)}
-    curves: dict[tuple[Space, float], Curve] = {}
+    matched: dict[tuple[Space, float], NDArray[np.int64]] = {}
     for space in SPACES:
         order = np.lexsort((-overlaps[space], place[pairs.detection]))
         iou, at, box = overlaps[space][order], place[pairs.detection][order], pairs.truth[order]
         for threshold in thresholds:
             near = iou >= threshold
-            curves[space, threshold] = _curve(first_come(at[near], box[near], len(score)) >= 0, score[ranked], n_truth)
-    return EvalResult(frames=len(results), truth=n_truth, detections=len(score), curves=curves)
+            matched[space, threshold] = first_come(at[near], box[near], len(score))
+    return Judged(len(results), sum(map(len, truth)), score[ranked], matched)
+
+
+def join(parts: Sequence[Judged]) -> Judged:
+    """Return the frames of all parts, at least one, as if they had been judged together."""
+    starts = np.cumsum([0, *(part.truth for part in parts)])
+    matched = {
+        key: np.concatenate(
+            [np.where(p.matched[key] >= 0, p.matched[key] + n, -1) for p, n in zip(parts, starts[:-1], strict=True)]
+        )
+        for key in parts[0].matched
+    }
+    score = np.concatenate([part.score for part in parts])
+    return Judged(sum(part.frames for part in parts), int(starts[-1]), score, matched)
+
+
+def result_of(judged: Judged, among: NDArray[np.bool_] | None = None) -> EvalResult:
+    """Return the average precisions of frames that were judged.
+
+    Args:
+        judged: which detections hit what.
+        among: (N,) of the true boxes, those that are asked for; detections of others count neither way.
+    """
+    n_truth = judged.truth if among is None else int(among.sum())
+    curves: dict[tuple[Space, float], Curve] = {}
+    for key, box in judged.matched.items():
+        asked = np.ones(len(box), bool) if among is None else (box < 0) | np.append(among, False)[box]
+        curves[key] = _curve(box[asked] >= 0, judged.score[asked], n_truth)
+    return EvalResult(frames=judged.frames, truth=n_truth, detections=len(judged.score), curves=curves)
 
 
 class _Pairs(NamedTuple):

@@ -1,20 +1,21 @@
-"""Benchmark runner: methods on drives, clean and under corruptions."""
+"""The core of every evaluation: methods on drives, clean and under corruptions."""
 
 import logging
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dsrc.channel import Receiver
 from dsrc.data.drives import Drive, open_drive
 from dsrc.data.sample import GridSpec, Sample, inside_range, make_sample
 from dsrc.detections import Detections
-from dsrc.evaluation.ap import FrameResult, evaluate
+from dsrc.evaluation.ap import FrameResult, Judged, join, judge, result_of
 from dsrc.evaluation.rows import CLEAN, Row, make_row, summary_rows
 from sensors import corruptions as registry
 from sensors.corruptions import Family, drive_seed
@@ -48,15 +49,51 @@ class SampleDetector(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A detector, its name in tables, whether it gets the collaborators' clouds, and through which channel.
+    """A detector, its name in tables, how many agents' clouds it gets, and through which channel.
 
-    Without a channel everything arrives at once and nothing is counted.
+    Attributes:
+        name: in tables.
+        detector: finds boxes.
+        agents: it gets the clouds of so many at most, the ego's first; None for all that its settings take. What there
+            is to find is the same for any number.
+        channel: without one everything arrives at once and nothing is counted.
     """
 
     name: str
     detector: SampleDetector
-    cooperative: bool = True
+    agents: int | None = None
     channel: ChannelSpec | None = None
+
+    @property
+    def listens(self) -> bool:
+        """Whether messages go through a channel."""
+        return self.channel is not None and self.agents != 1
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What becomes of the sweeps: the corruption's kind, or `clean`, its severity, 0 for clean, and its family."""
+
+    kind: str = CLEAN
+    severity: int = 0
+    family: Family = "physical"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tally:
+    """What a method made of F frames.
+
+    Attributes:
+        judged: which of its detections hit what.
+        ego_share: (N,) float32 of each true box the share of the ego's rays on it that nothing else stops; NaN unknown.
+        seconds: (F,) that each detection took.
+        traffic: (F, 4) see `make_row`; None without a channel.
+    """
+
+    judged: Judged
+    ego_share: NDArray[np.float32]
+    seconds: NDArray[np.float64]
+    traffic: NDArray[np.float64] | None
 
 
 def run_benchmark(
@@ -69,11 +106,7 @@ def run_benchmark(
     progress: Progress | None = None,
     family: Family = "physical",
 ) -> list[Row]:
-    """Evaluate methods under the clean condition and under each corruption.
-
-    Each frame is read once and corrupted once per corruption; all methods see the same sweeps. The ground truth is
-    that of the clean frame: an object whose points a corruption took away is still there to be missed. Detections
-    that are not wholly inside the detector's range are left out, as such ground truth is.
+    """Evaluate methods under the clean condition and under each corruption, see `evaluate_drive`.
 
     Args:
         methods: detectors with names that differ.
@@ -92,51 +125,126 @@ def run_benchmark(
         SettingsError: an unknown corruption, a severity, seed or limit out of range, two methods of one name.
         DataError: a drive cannot be read, or there is no frame.
     """
-    conditions = [CLEAN, *corruption_kinds(corruptions, family)]
-    _check(methods, severity, seed, limit)
-    places = _places([open_drive(drive) for drive in drives], limit)
-    if not places:
-        raise DataError(complaint("evaluate", "drives", "at least one frame", "none"))
+    kinds = corruption_kinds(corruptions, family)
+    conditions = [Condition(), *(Condition(kind, severity, family) for kind in kinds)]
+    check_names([method.name for method in methods])
+    check_numbers("evaluate", (severity,), seed, limit)
+    readers = [open_drive(drive) for drive in drives]
+    places = places_of(readers, limit)
     if any(method.channel is not None for method in methods):
-        _warn_of_slow_drives([reader for reader, i in places if i == 1])
-    results: dict[tuple[str, str], list[FrameResult]] = {(c, m.name): [] for c in conditions for m in methods}
-    links: dict[tuple[str, str], list[Link]] = {key: [] for key in results}
-    seconds = dict.fromkeys(results, 0.0)
-    done, total = 0, len(places) * len(conditions)
-    for reader, i in places:
-        own_seed = drive_seed(seed, reader.drive.name)
-        recorded = _Past(reader.read, i)
-        for condition in conditions:
-            seen = partial(corrupted, condition=condition, severity=severity, seed=own_seed, family=family)
-            past = _Past(recorded.at, i, seen)
-            samples: dict[tuple[GridSpec, int, bool], Sample] = {}
+        warn_of_slow_drives(readers)
+    done, total = 0, sum(map(len, places)) * len(conditions)
+
+    def tell() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, total)
+
+    tallies: dict[tuple[Condition, str], list[Tally]] = {}
+    for reader, positions in zip(readers, places, strict=True):
+        for key, tally in evaluate_drive(reader, positions, dict.fromkeys(conditions, methods), seed, tell).items():
+            tallies.setdefault(key, []).append(tally)
+    rows = []
+    for (condition, name), parts in tallies.items():
+        whole = joined(parts)
+        result = result_of(whole.judged)
+        rows.append(make_row(name, condition.kind, condition.severity, result, whole.seconds, whole.traffic))
+    return [*rows, *summary_rows(rows)]
+
+
+def evaluate_drive(
+    reader: Drive,
+    positions: Sequence[int],
+    work: Mapping[Condition, Sequence[Method]],
+    seed: int,
+    tell: Callable[[], None] = lambda: None,
+) -> dict[tuple[Condition, str], Tally]:
+    """Evaluate methods in frames of a drive under conditions.
+
+    Each frame is read once and corrupted once per condition; all methods see the same sweeps. The ground truth is
+    that of the clean frame: an object whose points a corruption took away is still there to be missed. Detections
+    that are not wholly inside the detector's range are left out, as such ground truth is.
+
+    Args:
+        reader: of the drive.
+        positions: of the frames.
+        work: under each condition the methods, whose names differ.
+        seed: of corruptions and channels.
+        tell: called when a frame is done under a condition.
+
+    Returns:
+        By condition and method's name, in the order of the work.
+    """
+    name = reader.drive.name
+    own_seed = drive_seed(seed, name)
+    read = lru_cache(maxsize=3)(reader.read)
+    records = {(condition, method.name): _Record() for condition, methods in work.items() for method in methods}
+    receivers: dict[str, Receiver] = {}
+    for methods in work.values():
+        for method in methods:
+            if method.channel is not None and method.listens and method.name not in receivers:
+                settings = method.detector.settings
+                receivers[method.name] = Receiver(method.channel, own_seed, interval_of(reader), settings)
+    for i in positions:
+        recorded = _Past(read, i)
+        for condition, methods in work.items():
+            past = _Past(recorded.at, i, partial(corrupted, condition=condition, seed=own_seed))
+            samples: dict[tuple[GridSpec, int, int | None], Sample] = {}
             for method in methods:
-                sample = _sample(past[0], method, samples, reader.drive.name)
-                if method.channel is not None and method.cooperative:
-                    receiver = Receiver(method.channel, own_seed, interval_of(past), method.detector.settings)
-                    sample, heard = receiver.receive(past, i, sample, method.detector.settings.grid)
-                    links[condition, method.name].extend(heard)
+                sample, record = _sample(past[0], method, samples, name), records[condition, method.name]
+                if method.name in receivers:
+                    grid = method.detector.settings.grid
+                    sample, links = receivers[method.name].receive(past, i, sample, grid)
+                    record.traffic.append(_traffic(links))
                 start = time.perf_counter()
                 found = method.detector.detect(sample)
-                seconds[condition, method.name] += time.perf_counter() - start
+                record.seconds.append(time.perf_counter() - start)
                 judged = found[inside_range(found.boxes, method.detector.settings.grid)]
-                results[condition, method.name].append(FrameResult(judged, sample.boxes))
-            done += 1
-            if progress is not None:
-                progress(done, total)
-    through = {method.name: method.channel is not None and method.cooperative for method in methods}
-    rows = [
-        make_row(
-            name,
-            condition,
-            0 if condition == CLEAN else severity,
-            evaluate(frames),
-            seconds[condition, name],
-            links[condition, name] if through[name] else None,
+                record.results.append(FrameResult(judged, sample.boxes))
+                record.ego_share.append(_ego_share(recorded[0], sample))
+            tell()
+    return {key: record.tally() for key, record in records.items()}
+
+
+@dataclass(slots=True)
+class _Record:
+    """What a method has made of frames so far."""
+
+    results: list[FrameResult] = field(default_factory=list)
+    ego_share: list[NDArray[np.float32]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    traffic: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    def tally(self) -> Tally:
+        return Tally(
+            judge(self.results),
+            np.concatenate([np.zeros(0, np.float32), *self.ego_share]),
+            np.array(self.seconds, np.float64),
+            np.array(self.traffic, np.float64) if self.traffic else None,
         )
-        for (condition, name), frames in results.items()
-    ]
-    return [*rows, *summary_rows(rows)]
+
+
+def joined(tallies: Sequence[Tally]) -> Tally:
+    """Return what a method made of the frames of all its tallies, at least one."""
+    traffic = [tally.traffic for tally in tallies if tally.traffic is not None]
+    return Tally(
+        join([tally.judged for tally in tallies]),
+        np.concatenate([tally.ego_share for tally in tallies]),
+        np.concatenate([tally.seconds for tally in tallies]),
+        np.concatenate(traffic) if traffic else None,
+    )
+
+
+def _traffic(links: Sequence[Link]) -> tuple[float, float, float, float]:
+    heard = [link.age_s for link in links if link.heard]
+    return float(sum(link.bytes for link in links)), float(len(links)), float(len(heard)), float(sum(heard))
+
+
+def _ego_share(frame: Frame, sample: Sample) -> NDArray[np.float32]:
+    """Return (N,) of each of the sample's true boxes the share that the ego sees."""
+    row = [agent.agent_id for agent in frame.agents].index(sample.agent_ids[0])
+    return frame.visible_fraction[row][np.searchsorted(frame.truth.object_id, sample.boxes.object_id)]
 
 
 def corruption_kinds(names: Sequence[str], family: Family = "physical") -> tuple[str, ...]:
@@ -160,9 +268,11 @@ def corruption_kinds(names: Sequence[str], family: Family = "physical") -> tuple
     return tuple(kind for kind in registry.CORRUPTIONS if kind in wanted)
 
 
-def corrupted(frame: Frame, condition: str, severity: int, seed: int, family: Family = "physical") -> Frame:
+def corrupted(frame: Frame, condition: Condition, seed: int) -> Frame:
     """Return the frame as the sensors deliver it under a condition; `seed` is the drive's."""
-    return frame if condition == CLEAN else registry.corrupt_frame(frame, condition, severity, seed, family)
+    if condition.kind == CLEAN:
+        return frame
+    return registry.corrupt_frame(frame, condition.kind, condition.severity, seed, condition.family)
 
 
 class _Past(Sequence[Frame]):
@@ -198,10 +308,10 @@ class _Past(Sequence[Frame]):
         return self[self._position - position]
 
 
-def _warn_of_slow_drives(readers: Sequence[Drive]) -> None:
+def warn_of_slow_drives(readers: Sequence[Drive]) -> None:
     """Say which drives have no frames between that a channel could deliver."""
     for reader in readers:
-        step_s = interval_of([reader.read(1), reader.read(0)])
+        step_s = interval_of(reader)
         if step_s > _SENSOR_S + 1e-6:
             _log.warning(
                 "%s: its frames are %g s apart: a message that is late by less than that is as old as the frame before",
@@ -209,39 +319,67 @@ def _warn_of_slow_drives(readers: Sequence[Drive]) -> None:
             )
 
 
-def interval_of(past: Sequence[Frame]) -> float:
-    """Return the time between the frames of a drive, s; 0.1 s for its first frame."""
-    step = past[0].time_s - past[1].time_s if len(past) > 1 else 0.0
-    return step if step > 0.0 else 0.1
+def interval_of(reader: Drive) -> float:
+    """Return the time between the first two frames of a drive, s; 0.1 s where there is but one."""
+    step = reader.read(1).time_s - reader.read(0).time_s if len(reader) > 1 else 0.0
+    return step if step > 0.0 else _SENSOR_S
 
 
-def _check(methods: Sequence[Method], severity: int, seed: int, limit: int | None) -> None:
-    names = [method.name for method in methods]
+def check_names(names: Sequence[str]) -> None:
+    """Raise SettingsError where a method's name comes twice."""
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise SettingsError(complaint("evaluate", "methods", "names that differ", repeated[0]))
-    if not 1 <= severity <= 5:
-        raise SettingsError(complaint("evaluate", "severity", "1 to 5", severity))
+
+
+def check_numbers(where: str, severities: Sequence[int], seed: int, limit: int | None) -> None:
+    """Raise SettingsError where one is out of its range; `where` is for the message."""
+    for severity in severities:
+        if not 1 <= severity <= 5:
+            raise SettingsError(complaint(where, "severity", "1 to 5", severity))
     if seed < 0:
-        raise SettingsError(complaint("evaluate", "seed", "at least 0", seed))
+        raise SettingsError(complaint(where, "seed", "at least 0", seed))
     if limit is not None and limit < 1:
-        raise SettingsError(complaint("evaluate", "limit", "at least 1 frame", limit))
+        raise SettingsError(complaint(where, "limit", "at least 1 frame", limit))
 
 
-def _places(readers: Sequence[Drive], limit: int | None) -> list[tuple[Drive, int]]:
-    """Return the frames to evaluate, all or `limit` of them evenly spread, as (drive, position)."""
-    places = [(reader, i) for reader in readers for i in range(len(reader.frames))]
-    if limit is None or limit >= len(places):
-        return places
-    chosen = np.linspace(0, len(places) - 1, limit).round().astype(int)
-    return [places[i] for i in chosen]
+def places_of(readers: Sequence[Drive], limit: int | None) -> list[list[int]]:
+    """Return of each drive the positions of the frames to evaluate: all, or `limit` of them evenly spread over all.
+
+    Raises:
+        DataError: there is none.
+    """
+    places = [(k, i) for k, reader in enumerate(readers) for i in range(len(reader.frames))]
+    if not places:
+        raise DataError(complaint("evaluate", "drives", "at least one frame", "none"))
+    if limit is not None and limit < len(places):
+        places = [places[i] for i in np.linspace(0, len(places) - 1, limit).round().astype(int)]
+    return [[i for drive, i in places if drive == k] for k in range(len(readers))]
 
 
-def _sample(frame: Frame, method: Method, samples: dict[tuple[GridSpec, int, bool], Sample], drive: str) -> Sample:
+def _sample(
+    frame: Frame, method: Method, samples: dict[tuple[GridSpec, int, int | None], Sample], drive: str
+) -> Sample:
     """Return what a method sees; methods with one grid and one company share it."""
     settings = method.detector.settings
-    key = (settings.grid, getattr(settings, "max_agents", 5), method.cooperative)
+    key = (settings.grid, getattr(settings, "max_agents", 5), method.agents)
     if key not in samples:
-        sample = make_sample(frame, None, key[0], max_agents=key[1], cooperative=key[2])
-        samples[key] = replace(sample, key=f"{drive}/{sample.key}")
+        if method.agents is None:
+            sample = make_sample(frame, None, key[0], max_agents=key[1])
+            samples[key] = replace(sample, key=f"{drive}/{sample.key}")
+        else:
+            whole = _sample(frame, replace(method, agents=None), samples, drive)
+            samples[key] = first_agents(whole, method.agents)
     return samples[key]
+
+
+def first_agents(sample: Sample, count: int) -> Sample:
+    """Return what the ego has of itself and the first of its collaborators, `count` together; the truth stays."""
+    return replace(
+        sample,
+        agent_ids=sample.agent_ids[:count],
+        clouds=sample.clouds[:count],
+        ego_from_agent=sample.ego_from_agent[:count],
+        agent_boxes=sample.agent_boxes[:count],
+        lost=sample.lost[:count],
+    )

@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dsrc.evaluation.ap import EvalResult
 from dsrc.evaluation.robustness import mce, mean_ap
-from sim.v2x import Link
 
 CLEAN = "clean"
 MEAN_AP = "mean_ap"
@@ -24,7 +26,7 @@ class Row:
         truth: ground-truth boxes in them.
         detections: detected boxes.
         metrics: average precisions by name, see `metric_name`; in an `mce` row the mean corruption errors of them.
-        seconds_per_frame: mean time of one detection; never in a result file, since it differs from run to run.
+        seconds_per_frame: median time of one detection; never in a result file, since it differs from run to run.
         bytes_per_frame: that the collaborators sent, mean over the frames; None without a channel.
         message_age_s: of what the ego used of them, mean over the messages; None without a channel or a message.
         heard: share of the collaborators of whom it had any; likewise.
@@ -50,8 +52,8 @@ def make_row(
     condition: str,
     severity: int,
     result: EvalResult,
-    seconds: float | None = None,
-    links: Sequence[Link] | None = None,
+    seconds: NDArray[np.float64] | None = None,
+    traffic: NDArray[np.float64] | None = None,
 ) -> Row:
     """Return the row of a result.
 
@@ -60,10 +62,11 @@ def make_row(
         condition: `clean` or a corruption.
         severity: 0 for clean.
         result: of all its frames.
-        seconds: that all its detections took together.
-        links: of all its frames, None without a channel.
+        seconds: (F,) that the detection in each frame took.
+        traffic: (F, 4) of each frame: bytes sent, collaborators, how many of them were heard, the sum of the ages of
+            their messages, s; None without a channel.
     """
-    used = [link for link in links or () if link.heard]
+    sent, others, heard, age_s = (None,) * 4 if traffic is None else traffic.sum(axis=0).tolist()
     return Row(
         method=method,
         condition=condition,
@@ -72,10 +75,10 @@ def make_row(
         truth=result.truth,
         detections=result.detections,
         metrics=result.metrics(),
-        seconds_per_frame=None if seconds is None or not result.frames else seconds / result.frames,
-        bytes_per_frame=None if links is None or not result.frames else sum(k.bytes for k in links) / result.frames,
-        message_age_s=sum(link.age_s for link in used) / len(used) if used else None,
-        heard=len(used) / len(links) if links else None,
+        seconds_per_frame=None if seconds is None or not len(seconds) else float(np.median(seconds)),
+        bytes_per_frame=None if sent is None or not result.frames else sent / result.frames,
+        message_age_s=age_s / heard if heard else None,
+        heard=heard / others if others else None,
         result=result,
     )
 

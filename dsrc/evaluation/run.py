@@ -68,7 +68,7 @@ def evaluate_checkpoints(
         raise SettingsError(complaint("evaluate", "checkpoints", "at least one detector", "none"))
     if ego_alone:
         first = next(iter(detectors))
-        methods.append(Method(f"{first}, {EGO_ALONE}", detectors[first], cooperative=False))
+        methods.append(Method(f"{first}, {EGO_ALONE}", detectors[first], agents=1))
     drives = list_drives(data)
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be is told before the work, not after
     rows = run_benchmark(methods, drives, kinds or ("clean",), severity, seed, limit, progress, family)

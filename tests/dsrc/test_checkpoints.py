@@ -29,7 +29,7 @@ def test_a_shipped_detector_finds_vehicles_on_unseen_drives_and_more_of_them_in_
     name: str, unseen: list[Path]
 ) -> None:
     detector = load_detector(CHECKPOINTS / f"{name}.pt")
-    methods = [Method("together", detector), Method("alone", detector, cooperative=False)]
+    methods = [Method("together", detector), Method("alone", detector, agents=1)]
     together, alone = run_benchmark(methods, unseen, ("clean",), severity=3, seed=0)
     ap = "ap_bev_50"
     assert together.metrics[ap] >= 0.6

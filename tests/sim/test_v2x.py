@@ -230,3 +230,26 @@ def test_a_negative_delay_is_told_its_bound(tmp_path):
     file.write_text("time_s,delay_s,loss\n0,-1,0\n")
     with pytest.raises(DataError, match="delay_s: expected at least 0, found -1"):
         get_channel(f"trace:{file}")
+
+
+def test_so_many_packets_are_lost_as_the_settings_say_and_each_by_itself():
+    lossy = Channel(replace(PRESETS["ideal"], packet_loss=0.3), 1, 0.1)
+    links = [lossy.link(at(i, [(0, 0), (20, 0)], 140_000), 1, 0) for i in range(100)]
+    arrived = np.concatenate([link.arrived for link in links])
+    assert arrived.mean() == pytest.approx(0.7, abs=0.02)
+    assert np.corrcoef(arrived[:-1], arrived[1:])[0, 1] == pytest.approx(0.0, abs=0.03)
+    assert links[0].probability == pytest.approx(0.7)
+
+
+def test_instants_are_made_only_as_far_back_as_is_looked():
+    class Made(list):
+        asked: tuple = ()
+
+        def __iter__(self):
+            for i in range(len(self)):
+                self.asked = (*self.asked, i)
+                yield self[i]
+
+    instants = Made(at(i, [(0, 0), (20, 0)]) for i in range(5, -1, -1))
+    assert Channel(PRESETS["ideal"], 1, 0.1).newest(instants, 1, 0).sent == 5
+    assert instants.asked == (0,)

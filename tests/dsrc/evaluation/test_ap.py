@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 
 from dsrc.detections import Detections
-from dsrc.evaluation.ap import FrameResult, average_precision, envelope, evaluate, metric_name, precision_recall
+from dsrc.evaluation.ap import (
+    FrameResult,
+    average_precision,
+    envelope,
+    evaluate,
+    join,
+    judge,
+    metric_name,
+    precision_recall,
+    result_of,
+)
 from dsrc.evaluation.matching import match
 from dsrc.ops.iou import bev_iou, iou_3d
 from sim.boxes import Boxes
@@ -123,6 +133,20 @@ def test_ap_equals_brute_force_on_random_sets(seed):
     for (space, threshold), curve in result.curves.items():
         expected = brute_force_ap(frames, threshold, {"bev": bev_iou, "3d": iou_3d}[space])
         assert curve.ap == pytest.approx(expected, abs=1e-9), (space, threshold)
+
+
+def test_frames_may_be_judged_in_parts_and_asked_for_some_boxes_only():
+    frames = random_frames(np.random.default_rng(11), 9)
+    whole, parts = judge(frames), join([judge(frames[:4]), judge([]), judge(frames[4:])])
+    assert result_of(parts).metrics() == result_of(whole).metrics() == evaluate(frames).metrics()
+    assert result_of(whole, np.ones(whole.truth, bool)).metrics() == evaluate(frames).metrics()
+    hit = np.isin(np.arange(whole.truth), whole.matched["bev", 0.5])
+    missed = result_of(whole, ~hit)
+    assert missed.truth == (~hit).sum() and missed.curves["bev", 0.5].hits == 0
+    # Of those that were hit all are found; what hit no box at all is as wrong as before.
+    found = result_of(whole, hit).curves["bev", 0.5]
+    assert found.hits == hit.sum() and found.recall[-1] == 1.0
+    assert len(found.score) == len(whole.score)
 
 
 def test_a_perfect_detector_has_ap_1_and_the_truth_itself_is_one():

@@ -5,15 +5,16 @@ import numpy as np
 import pytest
 
 from dsrc.data.opv2v import write_frame
+from dsrc.data.sample import make_sample
 from dsrc.detections import Detections
-from dsrc.evaluation.benchmark import Method, corruption_kinds, run_benchmark
+from dsrc.evaluation.benchmark import Method, corruption_kinds, first_agents, run_benchmark
 from dsrc.evaluation.rows import find_row
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from sim.v2x import PRESETS
 from tests.dsrc.data.toy import toy_frame
-from tests.dsrc.evaluation.fakes import PointCounter, halve, write_drives
+from tests.dsrc.evaluation.fakes import GRID, PointCounter, halve, write_drives
 
 KINDS = {"fog": None, "snow": None}
 registered = CORRUPTIONS
@@ -56,12 +57,26 @@ def test_truth_stays_that_of_the_clean_frame(drives):
 
 def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives):
     together, alone = PointCounter(need=90), PointCounter(need=90)
-    rows = run_benchmark([Method("all", together), Method("ego", alone, cooperative=False)], drives, ("clean",))
+    rows = run_benchmark([Method("all", together), Method("ego", alone, agents=1)], drives, ("clean",))
     assert {len(s.clouds) for s in together.seen} == {3}
     assert {len(s.clouds) for s in alone.seen} == {1}
     assert rows[0].truth == rows[1].truth
     assert rows[1].metrics["ap_bev_50"] < rows[0].metrics["ap_bev_50"]
     assert len(rows) == 2
+
+
+def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives):
+    frame = toy_frame(0)
+    whole = make_sample(frame, None, GRID)
+    alone, first = make_sample(frame, None, GRID, cooperative=False), first_agents(whole, 1)
+    assert first.agent_ids == alone.agent_ids and len(first.clouds) == len(first.agent_boxes) == 1
+    np.testing.assert_array_equal(first.clouds[0], alone.clouds[0])
+    np.testing.assert_array_equal(first.ego_from_agent, alone.ego_from_agent)
+    np.testing.assert_array_equal(first.boxes.array, alone.boxes.array)
+    detectors = [PointCounter(need=60) for _ in range(3)]
+    rows = run_benchmark([Method(str(k), d, agents=k) for k, d in enumerate(detectors, 1)], drives, ("clean",))
+    assert [{len(s.clouds) for s in d.seen} for d in detectors] == [{1}, {2}, {3}]
+    assert len({row.truth for row in rows}) == 1
 
 
 def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
