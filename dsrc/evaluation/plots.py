@@ -131,6 +131,35 @@ def precision_recall_curves(rows: Sequence[Row], condition: str = CLEAN, space: 
     return figure
 
 
+def training_curves(epochs: Sequence[Mapping[str, str]]) -> Figure:
+    """Draw the parts of the loss, the validations' average precision and the learning rate over the epochs.
+
+    Args:
+        epochs: rows of a training's `metrics.csv`; what an epoch lacks is empty or missing.
+    """
+    names = list(dict.fromkeys(name for row in epochs for name in row))
+    parts = [name for name in names if name.startswith("train/") and name != "train/loss"]
+    panels = {
+        "loss, each part with its weight": parts,
+        "average precision in validation": [name for name in names if name.startswith("val/ap_")],
+        "learning rate": ["lr"],
+    }
+    with _style():
+        figure, axes = _figure(13.0, 3.8, columns=3)
+        for panel, (title, shown) in zip(axes, panels.items(), strict=True):
+            for i, name in enumerate(shown):
+                known = [(int(row["epoch"]) + 1, float(row[name])) for row in epochs if row.get(name)]
+                label = name.removeprefix("train/").removeprefix("val/").replace("_", " ")
+                panel.plot(*zip(*known, strict=True), color=COLORS[i % len(COLORS)], marker=".", label=label)
+            panel.set(title=title, xlabel="epochs")
+            if len(shown) > 1:
+                panel.legend(fontsize=9)
+        axes[0].set_yscale("log")
+        axes[1].set_ylim(0, 1)
+        axes[2].set_ylim(bottom=0)
+    return figure
+
+
 def png_bytes(figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int = 150) -> bytes:
     """Return a figure as PNG; `made_by` goes into its description, where image tools show it."""
     description = json.dumps(made_by or {}, sort_keys=True)

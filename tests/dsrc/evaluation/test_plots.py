@@ -8,7 +8,14 @@ from PIL import Image
 
 from dsrc.detections import Detections
 from dsrc.evaluation.ap import FrameResult, evaluate
-from dsrc.evaluation.plots import COLORS, corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
+from dsrc.evaluation.plots import (
+    COLORS,
+    corruption_bars,
+    png_bytes,
+    precision_recall_curves,
+    robustness_scatter,
+    training_curves,
+)
 from dsrc.evaluation.rows import Row, make_row, summary_rows
 from sim.boxes import Boxes
 
@@ -59,3 +66,22 @@ def test_every_figure_can_be_saved_and_leaves_no_trace(figure, rows, tmp_path):
 def test_the_same_rows_give_the_same_bytes():
     first, second = (png_bytes(corruption_bars(some_rows()), dpi=40) for _ in range(2))
     assert first == second
+
+
+def test_a_training_is_drawn_with_gaps_where_it_was_not_validated():
+    rows = [
+        {"epoch": "0", "lr": "1e-4", "train/cls": "2.0", "train/loss": "2.5", "train/reg": "0.5"},
+        {
+            "epoch": "1",
+            "lr": "2e-4",
+            "train/cls": "1.0",
+            "train/loss": "1.2",
+            "train/reg": "0.2",
+            "val/ap_bev_50": ".6",
+        },
+    ]
+    losses, precisions, rates = training_curves(rows).axes
+    assert [line.get_label() for line in losses.lines] == ["cls", "reg"]
+    np.testing.assert_allclose(precisions.lines[0].get_xydata(), [[2, 1]])
+    np.testing.assert_allclose(rates.lines[0].get_xydata(), [[1, 1e-4], [2, 2e-4]])
+    training_curves(rows[:1])
