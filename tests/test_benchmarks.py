@@ -18,7 +18,7 @@ from sim.world.materials import MATERIALS
 from tests.dsrc.data.toy import toy_frame
 
 
-@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate", "inference", "evaluation"])
+@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate", "inference", "evaluation", "reading"])
 def test_benchmark_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as stop:
         tyro.cli(import_module(f"benchmarks.{name}").main, args=["--help"])
@@ -175,3 +175,16 @@ def test_the_loop_over_polygons_finds_the_same_precisions():
     assert all(20 <= len(frame.detections) <= 60 for frame in frames)
     assert 0.5 < result.curves["bev", 0.5].ap < 0.95
     assert shapely_metrics(frames) == pytest.approx(result.metrics(), abs=1e-9)
+
+
+def test_the_plain_script_reads_what_our_reader_reads(monkeypatch, tmp_path):
+    from benchmarks import reading
+
+    monkeypatch.setattr(reading, "POINTS", 2000)
+    ours, theirs = reading.write_trees(tmp_path, frames=reading.SAMPLES)
+    reading.check_same(ours, theirs)
+    variants = reading.variants_of(ours, theirs)
+    notes, points = variants["plain_binary"]()[0]
+    assert points.shape == (2000, 4) and "lidar_pose" in notes and "testbed" in notes
+    assert variants["batch_dsrc"]().teacher is not None and variants["batch_plain"]().teacher is None
+    assert len(variants["batch_plain"]().student.count) > 0

@@ -222,22 +222,17 @@ def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -
     start = 0
     for number, cloud in enumerate(clouds):
         voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
-        # A kept point's place: behind all points of earlier pillars and the earlier points of its own.
-        kept = np.flatnonzero(voxels.slot >= 0)
-        slot, counted = voxels.slot[kept], voxels.count.astype(np.int64)
-        order = np.zeros(len(kept), np.int64)
-        order[(np.cumsum(counted) - counted)[slot] + voxels.rank[kept]] = kept
-        points.append(cloud[order])
-        rows.append(np.repeat(np.arange(start, start + len(counted)), counted))
-        counts.append(counted)
+        points.append(cloud.take(voxels.order, axis=0))
+        rows.append(np.repeat(np.arange(start, start + len(voxels)), voxels.count))
+        counts.append(voxels.count)
         cloud_number = np.full((len(voxels.coords_zyx), 1), number)
         coords.append(np.concatenate([cloud_number, voxels.coords_zyx[:, 1:]], axis=1))
-        start += len(voxels.coords_zyx)
+        start += len(voxels)
     return Pillars(
-        points=torch.from_numpy(np.concatenate(points).astype(np.float32)),
+        points=torch.from_numpy(np.concatenate(points).astype(np.float32, copy=False)),
         pillar=torch.from_numpy(np.concatenate(rows)),
         coords=torch.from_numpy(np.concatenate(coords).astype(np.int64)),
-        count=torch.from_numpy(np.concatenate(counts).astype(np.int64)),
+        count=torch.from_numpy(np.concatenate(counts)),
         clouds=len(clouds),
     )
 
@@ -264,10 +259,15 @@ def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> 
     for number, cloud in enumerate(merged):
         x, y, z = _cells(cloud, grid, cell_z)
         flat = (z * grid.height + y) * grid.width + x
-        count = np.bincount(flat, minlength=settings.reconstruction_bins * grid.height * grid.width)
-        cells = np.flatnonzero(count)
-        total = [np.bincount(flat, cloud[:, k], len(count))[cells] for k in range(3)]
-        mean = np.stack(total, axis=1) / count[cells, None]
+        occupied = np.zeros(settings.reconstruction_bins * grid.height * grid.width, bool)
+        occupied[flat] = True
+        cells = np.flatnonzero(occupied)
+        # Sums of a row for each occupied voxel stay in a processor's cache, those of all voxels do not.
+        row_of = np.zeros(len(occupied), np.int32)
+        row_of[cells] = np.arange(len(cells), dtype=np.int32)
+        row = row_of[flat]
+        count = np.bincount(row, minlength=len(cells))
+        mean = np.stack([np.bincount(row, cloud[:, k], len(cells)) for k in range(3)], axis=1) / count[:, None]
         zyx = np.stack(np.unravel_index(cells, (settings.reconstruction_bins, grid.height, grid.width)), axis=1)
         size = np.array([grid.cell_m, grid.cell_m, cell_z])
         centre = (zyx[:, ::-1] + 0.5) * size + np.array(grid.range_m[:3])
@@ -284,11 +284,16 @@ def _cells(
     cloud: NDArray[np.float32], grid: GridSpec, cell_z: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the (P,) columns, rows and layers of points in range; one on the far face stays in the last cell."""
-    low = np.asarray(grid.range_m[:3])
-    size = np.asarray([grid.cell_m, grid.cell_m, cell_z])
-    last = np.array([grid.width, grid.height, round((grid.range_m[5] - grid.range_m[2]) / cell_z)]) - 1
-    cells = np.clip(np.floor((cloud[:, :3].astype(np.float64) - low) / size).astype(np.int64), 0, last)
-    return cells[:, 0], cells[:, 1], cells[:, 2]
+    size = (grid.cell_m, grid.cell_m, cell_z)
+    cells = []
+    for axis in range(3):
+        place = cloud[:, axis].astype(np.float64)
+        place -= grid.range_m[axis]
+        place /= size[axis]
+        last = round((grid.range_m[axis + 3] - grid.range_m[axis]) / size[axis]) - 1
+        # What is clipped is not negative: cutting off its fraction rounds it down.
+        cells.append(np.clip(place, 0, last, out=place).astype(np.int64))
+    return cells[0], cells[1], cells[2]
 
 
 @lru_cache(maxsize=4)

@@ -7,6 +7,7 @@ sensor frame (y to the right); in memory, and in the files of real sensors, in o
 Source: https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 """
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -206,8 +207,8 @@ def _intensity(path: Path, table: NDArray[np.void], full_scale: float | None) ->
     raise DataError(complaint(path, "FIELDS", "a field rgb or intensity", " ".join(names)))
 
 
-def _split_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes]:
-    """Return the header's entries and the bytes after its DATA line."""
+def _split_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], memoryview]:
+    """Return the header's entries and the bytes after its DATA line, which are not copied."""
     header: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in header:
@@ -226,7 +227,7 @@ def _split_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], byt
     for name in ("FIELDS", "SIZE", "TYPE", "DATA"):
         if not header.get(name):
             raise DataError(complaint(path, "header", f"a line {name}", "none"))
-    return header, content[start:]
+    return header, memoryview(content)[start:]
 
 
 def _record_type(path: Path, header: dict[str, list[str]]) -> np.dtype:
@@ -268,7 +269,7 @@ def _point_count(path: Path, header: dict[str, list[str]]) -> int:
     return numbers["POINTS"]
 
 
-def _compressed_table(path: Path, body: bytes, dtype: np.dtype, points: int) -> NDArray[np.void]:
+def _compressed_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> NDArray[np.void]:
     """Decode LZF: two sizes of 4 bytes, then the fields one after another, each of all points."""
     if len(body) < 8:
         raise DataError(complaint(path, "DATA", "two sizes of 4 bytes", f"{len(body)} bytes"))
@@ -279,7 +280,7 @@ def _compressed_table(path: Path, body: bytes, dtype: np.dtype, points: int) -> 
     if len(body) < 8 + packed:
         raise DataError(complaint(path, "DATA", f"{packed} compressed bytes", f"{len(body) - 8} bytes"))
     try:
-        columns = decompress(body[8 : 8 + packed], size)
+        columns = decompress(bytes(body[8 : 8 + packed]), size)
     except ValueError as error:
         raise DataError(f"{path}: DATA: expected {error}") from None
     table = np.zeros(points, dtype)
@@ -292,18 +293,10 @@ def _compressed_table(path: Path, body: bytes, dtype: np.dtype, points: int) -> 
     return table
 
 
-def _ascii_table(path: Path, body: bytes, dtype: np.dtype, points: int) -> NDArray[np.void]:
-    words = body.split()
+def _ascii_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> NDArray[np.void]:
     names = dtype.names or ()
     widths = [int(np.prod(dtype[name].shape, dtype=int)) for name in names]
-    if len(words) != points * sum(widths):
-        raise DataError(
-            complaint(path, "DATA", f"{points * sum(widths)} numbers for {points} points", f"{len(words)} numbers")
-        )
-    try:
-        values = np.array([float(word) for word in words]).reshape(points, sum(widths))
-    except ValueError as error:
-        raise DataError(complaint(path, "DATA", "numbers", str(error))) from None
+    values = _numbers(path, bytes(body), (points, sum(widths)))
     table = np.zeros(points, dtype)
     column = 0
     for name, width in zip(names, widths, strict=True):
@@ -313,3 +306,23 @@ def _ascii_table(path: Path, body: bytes, dtype: np.dtype, points: int) -> NDArr
             raise DataError(complaint(path, name, "whole numbers", "nan or inf"))
         table[name] = block.reshape(table[name].shape)
     return table
+
+
+def _numbers(path: Path, body: bytes, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the numbers of a text, by numpy's compiled parser where there is a line for each point."""
+    if shape[0]:
+        try:
+            values = np.loadtxt(BytesIO(body), comments=None, ndmin=2)
+        except ValueError:
+            pass  # what is wrong, if anything is, the words tell
+        else:
+            if values.shape == shape:
+                return values
+    words = body.split()
+    if len(words) != shape[0] * shape[1]:
+        expected = f"{shape[0] * shape[1]} numbers for {shape[0]} points"
+        raise DataError(complaint(path, "DATA", expected, f"{len(words)} numbers"))
+    try:
+        return np.array([float(word) for word in words]).reshape(shape)
+    except ValueError as error:
+        raise DataError(complaint(path, "DATA", "numbers", str(error))) from None

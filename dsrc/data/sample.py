@@ -151,12 +151,17 @@ def inside_range(boxes: Boxes, grid: GridSpec) -> NDArray[np.bool_]:
 def cloud_of(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
     """Return (P, 4) x, y, z, intensity in the ego's frame: without the agent's own body, strictly in range."""
     sweep = frame.agents[row].sweep
-    kept = ~_own_body(frame, row)
-    points = transform_points(ego_from_agent, sweep.points[kept])
-    low, high = np.array(grid.range_m[:3], np.float32), np.array(grid.range_m[3:], np.float32)
-    inside = ((points > low) & (points < high)).all(axis=1)
-    cloud = np.concatenate([points, sweep.intensity[kept][:, None]], axis=1)[inside]
-    return np.ascontiguousarray(cloud, np.float32)
+    points = transform_points(ego_from_agent, sweep.points)
+    inside = ~_own_body(frame, row)
+    for axis in range(3):
+        # Column by column: a comparison of whole rows that asks for all three takes three times as long.
+        place = points[:, axis]
+        inside &= (place > np.float32(grid.range_m[axis])) & (place < np.float32(grid.range_m[axis + 3]))
+    kept = np.flatnonzero(inside)
+    cloud = np.zeros((len(kept), 4), np.float32)
+    cloud[:, :3] = points.take(kept, axis=0)
+    cloud[:, 3] = sweep.intensity[kept]
+    return cloud
 
 
 def _own_body(frame: Frame, row: int) -> NDArray[np.bool_]:

@@ -65,11 +65,12 @@ def teacher_clouds(
             object_clouds.append(whole)
             continue
         on_object = members.of(boxes)
-        chosen = merged[on_object] if dense else merged[own][on_object[own]]
-        objects = _painted(chosen, 1.0 if paint else 0.0)
-        others = _painted(merged[own][~on_object[own]], 0.0)
-        clouds.append(np.concatenate([objects, others]))
-        object_clouds.append(objects)
+        chosen = np.flatnonzero(on_object) if dense else starts[agent] + np.flatnonzero(on_object[own])
+        others = starts[agent] + np.flatnonzero(~on_object[own])
+        cloud = _painted(merged.take(np.concatenate([chosen, others]), axis=0), 0.0)
+        cloud[: len(chosen), 4] = 1.0 if paint else 0.0
+        clouds.append(cloud)
+        object_clouds.append(cloud[: len(chosen)])
     return TeacherClouds(tuple(clouds), tuple(object_clouds), merged)
 
 
@@ -81,7 +82,7 @@ class _Members:
     """Finds the points in boxes; sorted by x once, so that each box looks at a thin slice only."""
 
     def __init__(self, points: NDArray[np.float32], inside: Inside) -> None:
-        self._order = np.argsort(points[:, 0], kind="stable")
+        self._order = np.argsort(points[:, 0])
         self._points = points[self._order, :3]
         self._inside = inside
         self._known: dict[bytes, NDArray[np.int64]] = {}

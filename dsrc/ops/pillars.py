@@ -11,17 +11,33 @@ class Voxels:
     """Which voxel each of P points went to; V voxels in the order in which their first point came.
 
     Attributes:
-        slot: (P,) int64 row of the point's voxel, -1 when the point was dropped: out of range, beyond the cap of
-            its voxel, or in a voxel that came after the cap on voxels.
-        rank: (P,) int64 place of the point inside its voxel, 0 for the first; -1 when dropped.
+        order: (K,) int64 the points that were kept, voxel by voxel, in a voxel in order of arrival. Dropped are points
+            out of range, beyond the cap of their voxel, or in a voxel that came after the cap on voxels.
         coords_zyx: (V, 3) int32 cell indices.
-        count: (V,) int32 points kept in the voxel.
+        count: (V,) int64 points kept in the voxel.
+        points: P.
     """
 
-    slot: NDArray[np.int64]
-    rank: NDArray[np.int64]
+    order: NDArray[np.int64]
     coords_zyx: NDArray[np.int32]
-    count: NDArray[np.int32]
+    count: NDArray[np.int64]
+    points: int
+
+    @property
+    def slot(self) -> NDArray[np.int64]:
+        """(P,) row of the point's voxel, -1 when the point was dropped."""
+        return self._at_points(np.repeat(np.arange(len(self)), self.count))
+
+    @property
+    def rank(self) -> NDArray[np.int64]:
+        """(P,) place of the point inside its voxel, 0 for the first; -1 when dropped."""
+        start = np.cumsum(self.count) - self.count
+        return self._at_points(np.arange(len(self.order)) - np.repeat(start, self.count))
+
+    def _at_points(self, values: NDArray[np.int64]) -> NDArray[np.int64]:
+        out = np.full(self.points, -1, np.int64)
+        out[self.order] = values
+        return out
 
     def __len__(self) -> int:
         return len(self.count)
@@ -59,37 +75,20 @@ def voxelise(
     points = np.asarray(points, np.float32)
     if points.ndim != 2 or points.shape[1] < 3:
         raise ValueError(f"voxelise: points must have shape (P, D >= 3), got {points.shape}")
-    n = len(points)
     shape = grid_shape(range_m, cell_xyz)
     inside, cell = _cells(points, range_m, cell_xyz, shape)
-
-    # Numpy lets the last of several writes to one place win: written backwards, the table keeps the first point.
-    first_point = np.full(int(shape.prod()), -1, np.int64)
-    first_point[cell[::-1]] = inside[::-1]
-    opening_cell = cell[first_point[cell] == inside][:max_voxels]
-    row_of_cell = np.full_like(first_point, -1)
-    row_of_cell[opening_cell] = np.arange(len(opening_cell))
-
-    slot, rank = np.full(n, -1, np.int64), np.full(n, -1, np.int64)
-    row = row_of_cell[cell]
-    taken = row >= 0
-    chosen, row = inside[taken], row[taken]
-    count = np.bincount(row, minlength=len(opening_cell))
-    # One sort of unique keys (voxel, point) lists the voxels' points in order of arrival.
-    shift = max(n.bit_length(), 1)
-    keys = np.sort((row << shift) | chosen)
-    order, sorted_row = keys & ((1 << shift) - 1), keys >> shift
-    place = np.arange(len(keys)) - (np.cumsum(count) - count)[sorted_row]
-    kept = place < max_points
-    slot[order[kept]] = sorted_row[kept]
-    rank[order[kept]] = place[kept]
-    z, y, x = np.unravel_index(opening_cell, shape[::-1])
-    return Voxels(
-        slot=slot,
-        rank=rank,
-        coords_zyx=np.stack([z, y, x], axis=1).astype(np.int32),
-        count=np.minimum(count, max_points).astype(np.int32),
-    )
+    # One sort of unique keys (cell, point) lists the points cell by cell, in order of arrival.
+    shift = max(len(points).bit_length(), 1)
+    keys = np.sort((cell << shift) | inside)
+    sorted_cell, sorted_point = keys >> shift, keys & ((1 << shift) - 1)
+    start = np.flatnonzero(np.diff(sorted_cell, prepend=-1))
+    opened = np.argsort(sorted_point[start])[:max_voxels]
+    count = np.minimum(np.diff(start, append=len(keys))[opened], max_points)
+    behind = np.cumsum(count) - count
+    # The k-th point of a voxel lies k places behind the voxel's first.
+    order = sorted_point[np.repeat(start[opened] - behind, count) + np.arange(count.sum())]
+    z, y, x = np.unravel_index(sorted_cell[start[opened]], shape[::-1])
+    return Voxels(order, np.stack([z, y, x], axis=1).astype(np.int32), count, len(points))
 
 
 def _cells(
@@ -113,6 +112,5 @@ def _cells(
 def dense_voxels(points: NDArray[np.float32], voxels: Voxels, max_points: int) -> NDArray[np.float32]:
     """Return (V, max_points, D) float32: each voxel's points in order of arrival, padded with zeros."""
     out = np.zeros((len(voxels), max_points, points.shape[1]), np.float32)
-    kept = np.flatnonzero(voxels.slot >= 0)
-    out[voxels.slot[kept], voxels.rank[kept]] = points[kept]
+    out[voxels.slot[voxels.order], voxels.rank[voxels.order]] = points[voxels.order]
     return out
