@@ -1,7 +1,7 @@
 """Average precision of 2,000 frames: ours against a loop over shapely polygons that gives the same answer.
 
-Frames are made from a seed: 26 to 50 vehicles in lanes, and detections as a detector's are, some 20 to 60: most vehicles
-are found, off by some decimetres and degrees, some twice, some not, and there are boxes where nothing is.
+Frames are made from a seed: 26 to 50 vehicles in lanes, and detections as a detector's are, some 20 to 60: most
+vehicles are found, off by some decimetres and degrees, some twice, some not, and there are boxes where nothing is.
 
     python -m benchmarks.evaluation            # the loop goes through all frames, a quarter of a minute
     python -m benchmarks.evaluation --quick    # the loop goes through every tenth
