@@ -43,6 +43,11 @@ class Output:
     cls: Tensor
     reg: Tensor
 
+    def float(self) -> "Output":
+        """Return it in single precision."""
+        stages = self.stages[0].float(), self.stages[1].float(), self.stages[2].float()
+        return Output(stages, self.fused.float(), self.cls.float(), self.reg.float())
+
 
 class Detector(nn.Module):
     """Pillar encoder, backbone, fusion, decoder and heads: DSRC, its rivals, and whatever else fuses maps.

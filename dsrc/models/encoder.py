@@ -124,7 +124,9 @@ class PillarEncoder(nn.Module):
 
     def forward(self, pillars: Pillars) -> Tensor:
         """Return the (N, C, H, W) feature map; cells without points are zero."""
-        return self.scatter(self.features(pillars), pillars)
+        # The norm's statistics and the offsets of points need all digits, and this is no matrix work to speak of.
+        with torch.autocast(pillars.points.device.type, enabled=False):
+            return self.scatter(self.features(pillars), pillars)
 
     def features(self, pillars: Pillars) -> Tensor:
         """Return (V, C) features of the pillars."""

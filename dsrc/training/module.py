@@ -1,20 +1,22 @@
 """DetectionModule: one training step, one validation, and the alarms."""
 
 import math
+from itertools import zip_longest
 from typing import Any
 
 import lightning.pytorch as pl
 import torch
-from torch import Tensor
+from torch import Tensor, distributed
 from torch.optim.lr_scheduler import LambdaLR
 
 from dsrc.data.batch import Batch
-from dsrc.evaluation.ap import FrameResult, evaluate
+from dsrc.evaluation.ap import FrameResult
 from dsrc.models.detector import Detector, Output
 from dsrc.models.encoder import Pillars
 from dsrc.models.reconstruction import Reconstruction, reconstruction_losses
 from dsrc.training.losses import detection_loss, distillation_losses
 from dsrc.training.recipes import Recipe
+from dsrc.training.validation import detections_of, metrics_of
 from sim.errors import UserError
 
 
@@ -40,12 +42,17 @@ class DetectionModule(pl.LightningModule):
         self.reconstruction = Reconstruction(settings) if settings.rec and settings.role == "student" else None
         # In a tuple the teacher is no submodule: it is not saved with the student, trained, or set to training mode.
         self._teacher = (teacher.eval().requires_grad_(False),) if teacher is not None else ()
-        self._results: list[FrameResult] = []
+        self._results: list[list[FrameResult]] = []
         self._zeros_in_a_row = 0
 
     def forward(self, batch: Batch) -> Output:
         """Detect, on the clouds that this network reads."""
-        return self.detector(self._pillars(batch), batch.company)
+        pillars = self._pillars(batch)
+        with self._autocast():
+            return self.detector(pillars, batch.company).float()
+
+    def _autocast(self) -> torch.autocast:
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.bfloat16)
 
     def _pillars(self, batch: Batch) -> Pillars:
         pillars = batch.teacher if self.detector.settings.role == "teacher" else batch.student
@@ -61,8 +68,8 @@ class DetectionModule(pl.LightningModule):
         cls, reg = detection_loss(output.cls, output.reg, batch.targets.positive, batch.targets.regression)
         losses = {"cls": cls, "reg": reg}
         if self._teacher and batch.teacher is not None and batch.foreground is not None:
-            with torch.no_grad():
-                taught = self._teacher[0](batch.teacher, batch.company)
+            with torch.no_grad(), self._autocast():
+                taught = self._teacher[0](batch.teacher, batch.company).float()
             losses |= distillation_losses(output, taught, batch.foreground, batch.agents, self.recipe.distill)
         if self.reconstruction is not None and batch.scene is not None:
             mask, offset = reconstruction_losses(self.reconstruction, output.fused, batch.scene)
@@ -77,8 +84,8 @@ class DetectionModule(pl.LightningModule):
             TrainingAlarm: the loss is not a finite number.
         """
         with torch.random.fork_rng():
-            # By the step, not by what was drawn before: a resumed run draws the same.
-            torch.manual_seed((self.seed << 32) + self.global_step)
+            # By the step, not by what was drawn before: a resumed run draws the same, and each device its own.
+            torch.manual_seed((self.seed << 32) + (self.global_rank << 28) + self.global_step)
             losses = self.losses(batch)
         total = torch.stack(list(losses.values())).sum()
         if not bool(torch.isfinite(total)):
@@ -86,13 +93,12 @@ class DetectionModule(pl.LightningModule):
             where = f"epoch {self.current_epoch}, step {self.global_step}, samples {', '.join(batch.keys)}"
             raise TrainingAlarm(f"training: loss: expected a finite number, found {values} at {where}")
         logged = {f"train/{name}": value.detach() for name, value in losses.items()} | {"train/loss": total.detach()}
-        self.log_dict(logged, on_step=True, on_epoch=True, batch_size=len(batch.keys))
+        self.log_dict(logged, on_step=True, on_epoch=True, batch_size=len(batch.keys), sync_dist=True)
         return total
 
     def validation_step(self, batch: Batch, batch_index: int) -> None:
         """Detect in a batch and keep the result; with late fusion that of each agent by itself."""
-        for found, truth in zip(self.detector.decode(self(batch)), batch.boxes, strict=True):
-            self._results.append(FrameResult(found, truth))
+        self._results.append(detections_of(self.detector, batch))
 
     def on_validation_epoch_end(self) -> None:
         """Log the average precisions.
@@ -100,9 +106,8 @@ class DetectionModule(pl.LightningModule):
         Raises:
             TrainingAlarm: they have been 0 for too long.
         """
-        curves = evaluate(self._results, thresholds=(0.3, 0.5, 0.7)).curves
+        ap = metrics_of(self._all_results())
         self._results.clear()
-        ap = {f"val/ap_bev_{round(100 * t)}": float(curves["bev", t].ap) for t in (0.3, 0.5, 0.7)}
         self.log_dict({name: 0.0 if math.isnan(value) else value for name, value in ap.items()})
         if self.trainer.sanity_checking or math.isnan(ap["val/ap_bev_50"]):
             return
@@ -112,6 +117,15 @@ class DetectionModule(pl.LightningModule):
                 f"training: AP@0.3: expected more than 0 by epoch {self.current_epoch}, found 0 in "
                 f"{self._zeros_in_a_row} validations in a row; look at the labels' frame and the learning rate"
             )
+
+    def _all_results(self) -> list[FrameResult]:
+        """Return the results of all devices in the order of the frames, as one device alone would have them."""
+        parts = [self._results]
+        if self.trainer.world_size > 1:
+            parts = [[] for _ in range(self.trainer.world_size)]
+            distributed.all_gather_object(parts, self._results)
+        by_turns = zip_longest(*parts, fillvalue=[])
+        return [result for turn in by_turns for frames in turn for result in frames]
 
     def configure_optimizers(self) -> Any:
         """Return AdamW and the schedule, which advances with every step."""

@@ -48,7 +48,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         epochs: passes over the data, or over draws of `epoch_frames` from it.
         epoch_frames: an epoch is this many frames, drawn anew for each epoch and none twice in one, where there are
             more; None takes all. Frames a tenth of a second apart are much alike.
-        batch_size: samples per step.
+        batch_size: samples per step, shared among the devices.
         learning_rate: its peak.
         weight_decay: of AdamW, on weights of convolutions and the linear layer only.
         schedule: per step, after a linear warm-up: `one_cycle` and `cosine` fall along a half cosine, the first to
@@ -59,8 +59,13 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         validate_every: epochs between validations; the last epoch always has one.
         validation_share: without a validation set, this last part of each drive is held out.
         validation_frames: at most this many frames are validated on, evenly spread.
+        patience: validations in a row without a better AP@0.5 + AP@0.7 that end the training; None never ends it early.
+        keep: the weights that the training ends with: the `last`, or the `best` by AP@0.5 + AP@0.7 of the validations.
+        ema: end with a moving average of the weights, in which a step counts so many times as much as the next; 0 ends
+            with the weights themselves. Validations look at the average.
         alarm_after: validations in a row with an average precision of 0 that end the training.
         workers: processes that prepare batches.
+        bfloat16: convolutions and matrix products of the training in it: with AMX or on a GPU about twice as fast.
         half: ship the weights in half precision.
     """
 
@@ -81,8 +86,12 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     validate_every: Count = 2
     validation_share: Annotated[float, Meta(ge=0, lt=1)] = 0.1
     validation_frames: Count = 40
+    patience: Count | None = None
+    keep: Literal["last", "best"] = "last"
+    ema: Annotated[float, Meta(ge=0, lt=1)] = 0.0
     alarm_after: Count = 3
     workers: Annotated[int, Meta(ge=0)] = 1
+    bfloat16: bool = False
     half: bool = True
 
     def settings(self, stage: Stage) -> ModelSettings:
