@@ -392,6 +392,7 @@ def train(
     epochs: int | None = None,
     method: str | None = None,
     init: Path | None = None,
+    devices: int = 1,
     set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE")] = (),
 ) -> None:
     """Train a detector; started again in the same folder it resumes.
@@ -407,6 +408,7 @@ def train(
         epochs: instead of the recipe's.
         method: dsrc, or a rival in the same preset, such as v2x-vit; a wrong one is answered with the right ones.
         init: a detector.pt to start from: the weights whose name and shape agree are taken.
+        devices: GPUs, or processes without one, that share each batch; torchrun brings its own number.
         set: change settings of the model or the recipe: `--set sdd=false fusion=max`, `--set epoch_frames=1000`.
     """
     from dsrc.training.train import train_stages
@@ -423,6 +425,7 @@ def train(
         overrides=set,
         method=method,
         init=init,
+        devices=devices,
     )
     _say(str(detector))
 
@@ -505,6 +508,69 @@ def evaluate(
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     _console().print(table)
+    _say(str(out))
+
+
+@app.command(name="benchmark")
+def benchmark(
+    what: Positional[tuple[str, ...]],
+    /,
+    out: Path,
+    data: tuple[str, ...] = (),
+    corruptions: tuple[str, ...] | None = None,
+    severities: tuple[int, ...] | None = None,
+    family: Literal["physical", "paper"] | None = None,
+    channels: tuple[str, ...] | None = None,
+    agents: tuple[int, ...] | None = None,
+    pose_error: tuple[float, ...] | None = None,
+    delay_s: tuple[float, ...] | None = None,
+    loss: tuple[float, ...] | None = None,
+    limit: int | None = None,
+    seed: int | None = None,
+    docs: Path | None = None,
+    workers: int = 1,
+    device: Literal["cpu", "cuda"] = "cpu",
+) -> None:
+    """Compare methods as the paper's tables do: methods x corruptions x severities x datasets x channels.
+
+    Killed and started again, it goes on where it stopped; a method that is added costs its own evaluations alone.
+
+    Args:
+        what: a TOML file that describes the benchmark, or detector files: `name=path` names a method, and a name with
+            several files is one that was trained several times.
+        out: folder for results, tables and plots, and for the cells that they are made of.
+        data: folders of drives, each a dataset with tables of its own; `name=folder` names one.
+        corruptions: kinds, `paper_six` for those of the paper's table (the default), `all` or `clean`.
+        severities: 1 to 5; default: 3, the paper's.
+        family: of the corruptions' settings: physical models (the default), or those of the published papers.
+        channels: radio channels: ideal (the default), paper, its-g5-6, its-g5-27, c-v2x or trace:FILE.
+        agents: numbers of agents to compare, for Figure 7, such as 1 2 3 4 5.
+        pose_error: errors of the collaborators' poses to compare, m and degrees, such as 0.2 0.4.
+        delay_s: delays to compare, s.
+        loss: shares of lost packets to compare.
+        limit: evaluate at most this many frames of a dataset, evenly spread.
+        seed: of corruptions and channels.
+        docs: put the tables into this Markdown document too, between its markers or at its end, and files beside it.
+        workers: processes; each has its share of the cores.
+        device: of the networks.
+    """
+    from dsrc.evaluation.plan import plan_of
+    from dsrc.evaluation.report import publish, write_report
+    from dsrc.evaluation.runner import run_plan
+
+    flags = {"corruptions": corruptions, "severities": severities, "family": family, "channels": channels}
+    sweeps = {"agents": agents, "pose_error": pose_error, "delay_s": delay_s, "loss": loss}
+    plan = plan_of(what, data, {**flags, "limit": limit, "seed": seed}, sweeps)
+    with _progress() as progress:
+        task = progress.add_task(f"benchmark {plan.name}", total=None)
+        outcome = run_plan(
+            plan, out, workers, device, lambda done, total: progress.update(task, completed=done, total=total)
+        )
+    blocks = write_report(outcome, out)
+    _say((out / "tables.md").read_text(encoding="utf-8"))
+    if docs is not None:
+        publish(blocks, out, docs, plan.name)
+        _say(str(docs))
     _say(str(out))
 
 

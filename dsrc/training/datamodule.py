@@ -22,17 +22,20 @@ Draw = tuple[int, int]
 class EpochSampler(Sampler[Draw]):
     """Frames in an order that depends on the seed and the epoch alone, so that a resumed run repeats it."""
 
-    def __init__(self, frames: int, seed: int, limit: int | None = None) -> None:
-        """Draw from so many frames, all of them or `limit` in each epoch."""
+    def __init__(self, frames: int, seed: int, limit: int | None = None, device: int = 0, devices: int = 1) -> None:
+        """Draw from so many frames, all of them or `limit` in each epoch; each of the devices takes every n-th."""
         self.frames, self.seed, self.epoch = frames, seed, 0
-        self.count = frames if limit is None else min(limit, frames)
+        self.device, self.devices = device, devices
+        # All devices get equally many, so that none waits for another; what is left over has its turn another epoch.
+        self.count = (frames if limit is None else min(limit, frames)) // devices
 
     def set_epoch(self, epoch: int) -> None:
         """Start this epoch; called by the trainer."""
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[Draw]:
-        order = np.random.default_rng([self.seed, 1, self.epoch]).permutation(self.frames)[: self.count]
+        order = np.random.default_rng([self.seed, 1, self.epoch]).permutation(self.frames)
+        order = order[: self.count * self.devices][self.device :: self.devices]
         return iter([(self.epoch, int(i)) for i in order])
 
     def __len__(self) -> int:
@@ -115,27 +118,39 @@ class DetectionData(pl.LightningDataModule):
             held_out = exact.frames
         self.training = TrainingSet(wide, frames, recipe, seed)
         self.validation = ValidationSet(exact, _evenly(held_out or exact.frames, recipe.validation_frames))
-        self.sampler = EpochSampler(len(frames), seed, recipe.epoch_frames)
+        self.validates_on_unseen = validation_drives is not None or len(frames) < len(wide.frames)
 
     def train_dataloader(self) -> DataLoader:
         """Return the training batches; a last batch that is not full is dropped unless it is the only one."""
+        device, devices = self._place()
+        sampler = EpochSampler(len(self.training), self.training.seed, self.recipe.epoch_frames, device, devices)
+        batch_size = self.recipe.batch_size // devices
         return DataLoader(
             self.training,
-            batch_size=self.recipe.batch_size,
-            sampler=self.sampler,
+            batch_size=batch_size,
+            sampler=sampler,
             collate_fn=Collate(self.settings, training=True),
-            drop_last=len(self.sampler) >= self.recipe.batch_size,
+            drop_last=len(sampler) >= batch_size,
             **_workers(self.recipe.workers),
         )
 
     def val_dataloader(self) -> DataLoader:
-        """Return the validation batches, one sample each."""
+        """Return the validation batches of this device."""
+        return self.validation_batches(*self._place())
+
+    def validation_batches(self, device: int = 0, devices: int = 1) -> DataLoader:
+        """Return the validation batches, one sample each; of several devices each has every n-th."""
         return DataLoader(
             self.validation,
             batch_size=1,
+            sampler=range(device, len(self.validation), devices),
             collate_fn=Collate(self.settings, training=False),
             **_workers(min(self.recipe.workers, 1)),
         )
+
+    def _place(self) -> tuple[int, int]:
+        """Return the number of this process and how many train together."""
+        return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
         """Move a batch's tensors."""

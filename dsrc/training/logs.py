@@ -1,21 +1,74 @@
-"""What a training writes beside its weights: one row per epoch, and lines for those who watch without a terminal."""
+"""What a training writes beside its weights: the machine, a row per epoch, its curves, and a line for the log."""
 
 import csv
+import io
 import logging
+import os
+import platform
 import time
 from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
+import msgspec
+import torch
+
+from dsrc.evaluation.plots import png_bytes, training_curves
+from dsrc.evaluation.provenance import commit, versions
 
 LOG = logging.getLogger(__name__)
 
 
-class MetricsFile(pl.Callback):
-    """Keeps `metrics.csv`: one row per epoch, rewritten whole each time, so that a resumed run continues it."""
+def write_json(path: Path, content: object) -> None:
+    """Write a JSON file, whole or not at all."""
+    _write(path, msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+
+def note_environment(path: Path, devices: int) -> None:
+    """Add what a training runs on to a JSON list, unless the entry before says the same."""
+    now = {
+        "versions": versions(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "commit": commit(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "threads": torch.get_num_threads(),
+        "gpus": [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())],
+        "devices": devices,
+    }
+    try:
+        before = msgspec.json.decode(path.read_bytes(), type=list[dict[str, Any]])
+    except (FileNotFoundError, msgspec.DecodeError):
+        before = []
+    if before[-1:] != [now]:
+        write_json(path, [*before, now])
+
+
+def _processor() -> str:
+    """Return the name of the processor, which Linux alone tells in a file."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _write(path: Path, content: bytes) -> None:
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_bytes(content)
+    temporary.replace(path)
+
+
+class MetricsFile(pl.Callback):
+    """Keeps `metrics.csv` and `curves.png` of a run folder.
+
+    The table has one row per epoch and is rewritten whole each time, so that a resumed run continues it; it is drawn
+    after each validation.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path, self.picture = folder / "metrics.csv", folder / "curves.png"
         self._rows: list[dict[str, str]] = []
         self._started = 0.0
 
@@ -39,18 +92,21 @@ class MetricsFile(pl.Callback):
                 continue
             if name.startswith("val/") or name.endswith("_epoch"):
                 values[name.removesuffix("_epoch")] = f"{float(value):.5g}"
+        if not trainer.is_global_zero:
+            return
         self._rows.append({name: str(value) for name, value in values.items()})
         self._write()
+        if _validated(trainer):
+            _write(self.picture, png_bytes(training_curves(self._rows)))
         LOG.info("%s", ", ".join(f"{name} {value}" for name, value in self._rows[-1].items()))
 
     def _write(self) -> None:
         names = list(dict.fromkeys(name for row in self._rows for name in row))
-        temporary = self.path.with_name(self.path.name + ".tmp")
-        with temporary.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, names, restval="")
-            writer.writeheader()
-            writer.writerows(self._rows)
-        temporary.replace(self.path)
+        text = io.StringIO()
+        writer = csv.DictWriter(text, names, restval="")
+        writer.writeheader()
+        writer.writerows(self._rows)
+        _write(self.path, text.getvalue().encode())
 
 
 class ValidateLast(pl.Callback):

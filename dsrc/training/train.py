@@ -1,6 +1,7 @@
 """train: one stage of a recipe on a folder of drives, resumable, into one run folder."""
 
 import logging
+import os
 import sys
 import warnings
 import zipfile
@@ -22,13 +23,17 @@ from dsrc.models.checkpoint import load_detector, save_detector
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.training.datamodule import DetectionData
-from dsrc.training.logs import MetricsFile, ValidateLast
+from dsrc.training.logs import MetricsFile, ValidateLast, note_environment, write_json
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import RECIPES, Recipe, Stage, of_method
+from dsrc.training.validation import best_device
+from dsrc.training.validation import validate as validate_detector
+from dsrc.training.weights import Selection
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 
 LOG = logging.getLogger(__name__)
-DETECTOR = "detector.pt"
+DETECTOR, SETTINGS, RESULT = "detector.pt", "settings.json", "result.json"
+"""Files of a run folder."""
 _PARTS = ("model", "distill", "augmentation")
 _OF_A_TEACHER = ("grid", "sdd", "pcp", "stage_channels", "shrink_channels", "box_order")
 _WITHOUT_EFFECT = ("name", "validate_every", "validation_frames", "alarm_after", "workers", "half")
@@ -50,6 +55,7 @@ def train_stages(
     overrides: Sequence[str] = (),
     method: str | None = None,
     init: Path | None = None,
+    devices: int = 1,
 ) -> Path:
     """Train one stage, or the teacher and then the student, each in its own subfolder of `out`.
 
@@ -65,6 +71,7 @@ def train_stages(
         overrides: `field=value` of `ModelSettings`, or of the recipe when the model has no such field.
         method: a key of `METHODS`; None is what the recipe and the overrides say.
         init: detector file whose weights every stage starts from, see `train`.
+        devices: processes that train together, see `train`.
 
     Returns:
         The detector file of the last stage.
@@ -87,7 +94,9 @@ def train_stages(
         known = teacher
         if part == "student" and known is None and chosen.model.distils:
             known = out / "teacher" / DETECTOR
-        path = train(chosen, data, out / part, part, teacher=known, validate=validate, seed=seed, init=init)
+        path = train(
+            chosen, data, out / part, part, teacher=known, validate=validate, seed=seed, init=init, devices=devices
+        )
     return path
 
 
@@ -102,12 +111,23 @@ def train(
     resume: bool = True,
     seed: int = 0,
     init: Path | None = None,
+    devices: int = 1,
     callbacks: Sequence[pl.Callback] = (),
 ) -> Path:
     """Train one stage.
 
-    The run folder gets `settings.json` (recipe, seed, versions, hash of the data), `metrics.csv` (one row per epoch),
-    `tensorboard/` where it is installed, `checkpoints/last.ckpt` (to resume from) and `detector.pt` (to use).
+    The run folder gets
+
+    * `settings.json`: recipe, seed, versions, hashes of the data, of the teacher and of the start,
+    * `environment.json`: the machine and its libraries, once more for each start on another,
+    * `metrics.csv`: one row per epoch, and `curves.png`, the same drawn; `tensorboard/` where that is installed,
+    * `checkpoints/last.ckpt` to resume from and, where a recipe keeps the best weights, `checkpoints/best.pt`,
+    * `detector.pt` to use, and `result.json`: its hash and its average precision. `dsrc verify` compares with them.
+
+    Several devices, or `torchrun`'s processes, share each batch and average their gradients: a step is that of one
+    device, but for what looks at a batch as a whole. Batch norms take their statistics from a device's own share of
+    it (the running ones, which a detector uses, are those of the first device), and the distillation and
+    reconstruction losses, means over foreground, are averaged by device and not by cell.
 
     Args:
         recipe: what to do.
@@ -122,6 +142,8 @@ def train(
         seed: of weights, order and augmentation.
         init: detector file to start from: of its weights all are taken whose name and shape agree; the record says
             how many those are.
+        devices: GPUs, or processes where there is no GPU, that train together on this machine; under `torchrun` it is
+            `torchrun` that says how many and where.
         callbacks: further Lightning callbacks.
 
     Returns:
@@ -130,39 +152,51 @@ def train(
     Raises:
         DataError: the data is missing or wrong.
         CheckpointError: the teacher or the start is missing or does not fit, or the checkpoint is damaged.
-        SettingsError: the run to resume was started with other settings, data, teacher or start.
+        SettingsError: the run to resume was started with other settings, data, teacher or start; the recipe asks for
+            the best weights and there is nothing to validate on; the batch cannot be shared among the devices.
         TrainingAlarm: the loss became NaN, or nothing is ever detected.
     """
     settings = recipe.settings(stage)
     taught_by = _teacher(teacher, settings) if stage == "student" and settings.distils else None
     drives = list_drives(data)
     validation = None if validate is None else list_drives(validate)
-    out.mkdir(parents=True, exist_ok=True)
+    per_node, nodes = _world(recipe, devices)
     loaders = DetectionData(recipe, settings, drives, validation, seed)
+    _check_frames(recipe, loaders, per_node * nodes)
+    out.mkdir(parents=True, exist_ok=True)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         module = DetectionModule(recipe, Detector(settings), taught_by, seed)
     record = _record(recipe, stage, seed, drives, validation, teacher if taught_by else None)
     record["init"] = None if init is None else _start_from(init, module.detector)
+    record["devices"] = per_node * nodes
     last = out / "checkpoints" / "last.ckpt"
     resume = resume and last.exists()
     if resume:
-        _check_same_run(out / "settings.json", last, record)
-    _write_json(out / "settings.json", record)
+        _check_same_run(out / SETTINGS, last, record)
+    selection = Selection(recipe, out / "checkpoints" / "best.pt")
     with warnings.catch_warnings():
         # Advice about workers and log steps, which are the recipe's choice, and about Lightning's own inside.
         warnings.simplefilter("ignore", PossibleUserWarning)
         warnings.filterwarnings("ignore", message=".*LeafSpec")
         warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
-        trainer = _trainer(recipe, out, callbacks)
+        trainer = _trainer(recipe, out, per_node, nodes, [selection, *callbacks])
+        if trainer.is_global_zero:
+            folders = {"data": str(data.resolve()), "validate": None if validate is None else str(validate.resolve())}
+            write_json(out / SETTINGS, {**record, "folders": folders})
+            note_environment(out / "environment.json", per_node * nodes)
         trainer.fit(module, loaders, ckpt_path=str(last) if resume else None)
     if trainer.interrupted:
         raise KeyboardInterrupt
-    metrics = {k: float(v) for k, v in trainer.callback_metrics.items() if k.startswith("val/")}
-    path = out / DETECTOR
-    if path.exists() and resume and not trainer.callback_metrics:
-        return path  # it was finished before: not an epoch was left
-    save_detector(path, module.detector, {**record, "metrics": metrics}, half=recipe.half)
+    path, result = out / DETECTOR, out / RESULT
+    # Without an epoch left the run was finished before; it may have been killed since, before the files were written.
+    again = not (resume and not trainer.callback_metrics)
+    if trainer.is_global_zero and (again or not path.exists()):
+        selection.apply(module.detector)
+        save_detector(path, module.detector, {**record, "metrics": selection.metrics}, half=recipe.half)
+    if trainer.is_global_zero and (again or not result.exists()):
+        metrics = validate_detector(load_detector(path, best_device()), loaders.validation_batches())
+        write_json(result, {"detector": hash_file(path), "epoch": selection.epoch, "metrics": metrics})
     return path
 
 
@@ -202,6 +236,34 @@ def _teacher(path: Path | None, student: ModelSettings) -> Detector:
         if getattr(teacher.settings, name) != value:
             raise CheckpointError(complaint(path, name, f"{value} as the student's", getattr(teacher.settings, name)))
     return teacher
+
+
+def _world(recipe: Recipe, devices: int) -> tuple[int, int]:
+    """Return how many processes train on this machine, and on how many machines."""
+    if "TORCHELASTIC_RUN_ID" in os.environ:
+        per_node, nodes = int(os.environ["LOCAL_WORLD_SIZE"]), int(os.environ["GROUP_WORLD_SIZE"])
+    else:
+        per_node, nodes = devices, 1
+    if per_node < 1:
+        raise SettingsError(complaint("train", "devices", "at least 1", per_node))
+    if torch.cuda.is_available() and per_node > torch.cuda.device_count():
+        raise SettingsError(complaint("train", "devices", f"at most {torch.cuda.device_count()} GPUs", per_node))
+    if recipe.batch_size % (per_node * nodes):
+        raise SettingsError(
+            complaint("recipe", "batch_size", f"a multiple of the {per_node * nodes} devices", recipe.batch_size)
+        )
+    return per_node, nodes
+
+
+def _check_frames(recipe: Recipe, loaders: DetectionData, devices: int) -> None:
+    """Refuse data that the recipe cannot be followed on."""
+    frames = min(len(loaders.training), recipe.epoch_frames or len(loaders.training))
+    if frames < devices:
+        raise SettingsError(complaint("recipe", "epoch_frames", f"at least one for each of {devices} devices", frames))
+    choosing = "keep" if recipe.keep == "best" else "patience" if recipe.patience is not None else None
+    if choosing and not loaders.validates_on_unseen:
+        hint = "; give validation drives or a validation_share"
+        raise SettingsError(complaint("recipe", choosing, "frames that are not trained on, to choose by", "none", hint))
 
 
 def _start_from(path: Path, detector: Detector) -> dict[str, object]:
@@ -247,11 +309,12 @@ def _made_of(record: dict) -> dict[str, object]:
         "data": sorted(plain["data"].values()),
         "teacher": plain["teacher"],
         "init": (plain.get("init") or {}).get("sha256"),
+        "devices": plain.get("devices", 1),
         "own validation drives": plain["validation"] is not None,
     }
 
 
-def _trainer(recipe: Recipe, out: Path, callbacks: Sequence[pl.Callback]) -> pl.Trainer:
+def _trainer(recipe: Recipe, out: Path, per_node: int, nodes: int, callbacks: Sequence[pl.Callback]) -> pl.Trainer:
     keep = ModelCheckpoint(
         out / "checkpoints", filename="last", save_top_k=1, enable_version_counter=False, save_on_train_epoch_end=True
     )
@@ -263,9 +326,13 @@ def _trainer(recipe: Recipe, out: Path, callbacks: Sequence[pl.Callback]) -> pl.
     return pl.Trainer(
         max_epochs=recipe.epochs,
         accelerator="auto",
-        devices=1,
+        devices=per_node,
+        num_nodes=nodes,
+        # Not every step of every method uses every weight: alone, an ego has nothing to fuse.
+        strategy="ddp_find_unused_parameters_true" if per_node * nodes > 1 else "auto",
+        use_distributed_sampler=False,
         logger=logger,
-        callbacks=[ValidateLast(recipe.validate_every), MetricsFile(out / "metrics.csv"), keep, *shown, *callbacks],
+        callbacks=[ValidateLast(recipe.validate_every), MetricsFile(out), keep, *shown, *callbacks],
         gradient_clip_val=recipe.clip,
         num_sanity_val_steps=0,
         log_every_n_steps=10,
@@ -284,9 +351,3 @@ def _record(
         "validation": None if validation is None else hashes(validation),
         "teacher": None if teacher is None else hash_file(teacher),
     }
-
-
-def _write_json(path: Path, content: dict) -> None:
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
-    temporary.replace(path)

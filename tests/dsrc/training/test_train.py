@@ -16,10 +16,11 @@ from dsrc.evaluation.provenance import hash_file
 from dsrc.models.checkpoint import load_detector, read_meta, save_detector
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
-from dsrc.training.recipes import METHODS, Augmentation, Recipe, debug, of_method
+from dsrc.training.recipes import METHODS, debug, of_method
 from dsrc.training.train import override, train, train_stages
 from sim.errors import CheckpointError, SettingsError
 from tests.dsrc.training.drive import write_drive
+from tests.dsrc.training.runs import Power, tiny
 
 
 @pytest.fixture(scope="module")
@@ -27,30 +28,18 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_drive(tmp_path_factory.mktemp("data"), 4)
 
 
-def tiny(**changes: object) -> Recipe:
-    """The debug recipe, cut down to what a fast test can run."""
-    recipe = debug()
-    model = replace(recipe.model, pillar_channels=8, stage_channels=(8, 16, 16), shrink_channels=16, decoder_channels=8)
-    model = replace(model, base_width=64, reconstruction_channels=(4, 2))
-    return replace(recipe, model=model, epochs=4, augmentation=Augmentation(), validate_every=2, **changes)
-
-
-class Power(pl.Callback):
-    """Fails at the start of an epoch."""
-
-    def __init__(self, epoch: int) -> None:
-        self.epoch = epoch
-
-    def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        if trainer.current_epoch == self.epoch:
-            raise RuntimeError("power cut")
-
-
-@pytest.mark.parametrize(("fusion", "frames"), [("attention", 2), ("cobevt", None)])  # CoBEVT draws while it trains
+@pytest.mark.parametrize(
+    ("fusion", "choice"),
+    [
+        ("attention", {"epoch_frames": 2, "ema": 0.9}),
+        ("attention", {"keep": "best", "validation_share": 0.25, "half": False}),
+        ("cobevt", {}),  # draws while it trains
+    ],
+)
 def test_a_resumed_training_ends_with_the_same_weights(
-    data: Path, tmp_path: Path, fusion: str, frames: int | None
+    data: Path, tmp_path: Path, fusion: str, choice: dict[str, object]
 ) -> None:
-    recipe = replace(tiny(epoch_frames=frames), model=replace(tiny().model, fusion=fusion))
+    recipe = replace(tiny(**choice), model=replace(tiny().model, fusion=fusion))
     whole = train(recipe, data, tmp_path / "whole", "plain", seed=3)
     with pytest.raises(RuntimeError, match="power cut"):
         train(recipe, data, tmp_path / "cut", "plain", seed=3, callbacks=[Power(2)])
@@ -62,7 +51,8 @@ def test_a_resumed_training_ends_with_the_same_weights(
         rows = list(csv.DictReader(file))
     assert [row["epoch"] for row in rows] == ["0", "1", "2", "3"]
     assert [bool(row["val/ap_bev_50"]) for row in rows] == [False, True, False, True]
-    assert (tmp_path / "cut/settings.json").exists()
+    for name in ("settings.json", "environment.json", "result.json", "curves.png"):
+        assert (tmp_path / "cut" / name).exists(), name
     assert list((tmp_path / "cut/tensorboard").glob("events*"))
 
 
@@ -88,7 +78,7 @@ def test_other_fusions_train_and_detect(data: Path, tmp_path: Path, fusion: str)
 
 
 def test_a_finished_training_is_left_as_it_is(data: Path, tmp_path: Path) -> None:
-    recipe = replace(tiny(), epochs=1)
+    recipe = tiny(epochs=1)
     path = train(recipe, data, tmp_path, "plain")
     before = path.read_bytes()
     assert train(recipe, data, tmp_path, "plain") == path
@@ -97,7 +87,7 @@ def test_a_finished_training_is_left_as_it_is(data: Path, tmp_path: Path) -> Non
 
 
 def test_a_run_is_resumed_with_what_it_was_started_with_or_not_at_all(data: Path, tmp_path: Path) -> None:
-    recipe = replace(tiny(), epochs=1)
+    recipe = tiny(epochs=1)
     train(recipe, data, tmp_path, "plain")
     written = (tmp_path / "settings.json").read_bytes()
     wider = replace(recipe, model=replace(recipe.model, decoder_channels=16))
@@ -116,9 +106,9 @@ def test_a_run_is_resumed_with_what_it_was_started_with_or_not_at_all(data: Path
 
 
 def test_a_training_starts_from_the_weights_that_fit(data: Path, tmp_path: Path) -> None:
-    first = train(replace(tiny(), epochs=1), data, tmp_path / "first", "plain")
+    first = train(tiny(epochs=1), data, tmp_path / "first", "plain")
     # A rate of almost nothing keeps what is trained at what it was started from.
-    still = replace(tiny(learning_rate=1e-12), epochs=1)
+    still = tiny(learning_rate=1e-12, epochs=1)
     wider = replace(still, model=replace(still.model, decoder_channels=16))
     path = train(wider, data, tmp_path / "second", "plain", seed=1, init=first)
     expected, found = load_detector(first).state_dict(), load_detector(path).state_dict()

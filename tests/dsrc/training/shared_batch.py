@@ -1,0 +1,12 @@
+"""A training for `torchrun`: python -m tests.dsrc.training.shared_batch DATA OUT."""
+
+import sys
+from pathlib import Path
+
+from dsrc.training.train import train
+from tests.dsrc.training.runs import StillNorms, tiny
+
+RECIPE = tiny(epochs=2, validate_every=1, batch_size=2, validation_share=0.4, half=False)
+
+if __name__ == "__main__":
+    train(RECIPE, Path(sys.argv[1]), Path(sys.argv[2]), "plain", seed=1, callbacks=[StillNorms()])
