@@ -430,6 +430,33 @@ def train(
     _say(str(detector))
 
 
+@app.command(name="verify")
+def verify(run: Positional[Path], /, data: Path | None = None, validate: Path | None = None) -> None:
+    """Evaluate the detector of a training again and compare with what its run folder says; exit code 1 if they differ.
+
+    Args:
+        run: folder of a finished training, or of one with several stages.
+        data: folder of the training drives, if they have moved.
+        validate: folder of the validation drives, if they have moved.
+    """
+    from dsrc.training.verify import agree, runs_in
+    from dsrc.training.verify import verify as verify_run
+
+    whole = True
+    with _progress() as progress:
+        for folder in runs_in(run):
+            task = progress.add_task(f"verify {folder}", total=None)
+
+            def tell(done: int, total: int, task: Any = task) -> None:
+                progress.update(task, completed=done, total=total)
+
+            checks = verify_run(folder, data, validate, tell)
+            whole &= agree(checks)
+            _say("\n".join([str(folder), *(f"  {check}" for check in checks)]))
+    if not whole:
+        raise SystemExit(1)
+
+
 @app.command(name="import-checkpoint")
 def import_checkpoint(
     file: Positional[Path],

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
 
 from dsrc.models.checkpoint import load_detector
 from dsrc.training.datamodule import EpochSampler

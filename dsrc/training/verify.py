@@ -1,0 +1,181 @@
+"""verify: whether a training's detector still is, and still does, what its run folder says."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from dsrc.data.batch import Batch
+from dsrc.data.drives import list_drives
+from dsrc.evaluation.provenance import hash_file, hashes, versions
+from dsrc.models.checkpoint import load_detector, read_meta
+from dsrc.training.datamodule import DetectionData
+from dsrc.training.recipes import Recipe, Stage
+from dsrc.training.train import DETECTOR, RESULT, SETTINGS
+from dsrc.training.validation import best_device, validate
+from sim.errors import DataError, complaint
+
+AP_TOLERANCE = 0.002
+"""Other processors and versions sum in another order: a detection near a threshold is then in or out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that a run folder says of its detector, and what is found."""
+
+    name: str
+    recorded: object
+    found: object
+    agrees: bool
+
+    def __str__(self) -> str:
+        if self.agrees:
+            return f"agrees   {self.name}: {self.recorded}"
+        return f"differs  {self.name}: recorded {self.recorded}, found {self.found}"
+
+
+class _Settings(msgspec.Struct, frozen=True):
+    recipe: dict[str, Any]
+    stage: Stage
+
+
+class _Record(msgspec.Struct, frozen=True):
+    """What is read of a run's `settings.json`."""
+
+    settings: _Settings
+    seed: int
+    versions: dict[str, str]
+    data: dict[str, str]
+    folders: dict[str, str | None]
+    validation: dict[str, str] | None = None
+
+
+class _Result(msgspec.Struct, frozen=True):
+    """A run's `result.json`."""
+
+    detector: str
+    epoch: int
+    metrics: dict[str, float]
+
+
+File = TypeVar("File", _Record, _Result)
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """Return the run folders of a training: the folder itself, or one per stage.
+
+    Raises:
+        DataError: there is none.
+    """
+    found = [folder] if (folder / SETTINGS).is_file() else sorted(path.parent for path in folder.glob(f"*/{SETTINGS}"))
+    if not found:
+        raise DataError(complaint(folder, SETTINGS, "the run folder of a training", "none here or one folder below"))
+    return found
+
+
+def verify(
+    run: Path,
+    data: Path | None = None,
+    validation: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Check]:
+    """Evaluate a run's detector on its validation frames again and compare everything with the record.
+
+    Compared are the hash of the detector file, the settings in it, the hashes of the data, the versions of what
+    computes, and the average precisions, these to within `AP_TOLERANCE`.
+
+    Args:
+        run: folder of a finished training.
+        data: folder of its training drives, where they have moved.
+        validation: of its validation drives, likewise.
+        progress: called with frames done and frames in all.
+
+    Raises:
+        DataError: the folder is no finished run, or the data is not where it was.
+        CheckpointError: the detector is missing or damaged.
+    """
+    record, result = _read(run / SETTINGS, _Record), _read(run / RESULT, _Result)
+    try:
+        recipe = msgspec.convert(record.settings.recipe, Recipe)
+    except msgspec.ValidationError as error:
+        raise DataError(complaint(run / SETTINGS, "recipe", "one of this version", str(error))) from None
+    settings = recipe.settings(record.settings.stage)
+    detector = load_detector(run / DETECTOR, best_device())
+    meta = read_meta(run / DETECTOR)
+    drives = _drives(run, "data", data, record.folders.get("data"))
+    held = None
+    if record.validation is not None:
+        held = _drives(run, "validate", validation, record.folders.get("validate"))
+    loaders = DetectionData(recipe, settings, drives, held, record.seed)
+    checks = [
+        _same("detector.pt, SHA-256", result.detector, hash_file(run / DETECTOR)),
+        *_fields("model", _plain(settings), _plain(detector.settings)),
+        *_fields("recipe", record.settings.recipe, _plain(meta.get("settings", {}).get("recipe", {}))),
+        _same("seed", record.seed, meta.get("seed")),
+        *_fields("data", record.data, hashes(drives)),
+        *_fields("validation data", record.validation or {}, hashes(held or [])),
+        *_fields("version", record.versions, versions()),
+    ]
+    batches = loaders.validation_batches()
+    found = validate(detector, _counted(batches, len(batches), progress))
+    for name, recorded in result.metrics.items():
+        now = found.get(name, float("nan"))
+        checks.append(Check(name.removeprefix("val/"), _rounded(recorded), _rounded(now), _near(recorded, now)))
+    return checks
+
+
+def _read(path: Path, kind: type[File]) -> File:
+    if not path.is_file():
+        raise DataError(complaint(path, "file", "that of a finished training", "none", "; `dsrc train` resumes it"))
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except msgspec.DecodeError as error:
+        raise DataError(complaint(path, "file", "what a training has written", str(error))) from None
+
+
+def _drives(run: Path, option: str, given: Path | None, recorded: str | None) -> list[Path]:
+    """Return the drives of a folder that was given or, else, recorded."""
+    folder = given or (Path(recorded) if recorded else None)
+    if folder is None or not folder.exists():
+        raise DataError(complaint(run, option, "the folder of its drives", folder, f"; say where it is: --{option}"))
+    return list_drives(folder)
+
+
+def _same(name: str, recorded: object, found: object) -> Check:
+    return Check(name, recorded, found, recorded == found)
+
+
+def _fields(name: str, recorded: dict[str, Any], found: dict[str, Any]) -> list[Check]:
+    """Compare two tables: one line when they agree, else one per entry that differs."""
+    differ = [key for key in {**recorded, **found} if recorded.get(key) != found.get(key)]
+    if not differ:
+        return [Check(name, f"all {len(recorded)}", None, True)] if recorded else []
+    return [_same(f"{name} {key}", recorded.get(key), found.get(key)) for key in differ]
+
+
+def _plain(settings: object) -> dict[str, Any]:
+    """Return settings as a file has them."""
+    plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(settings))
+    return plain
+
+
+def _near(a: float, b: float) -> bool:
+    return abs(a - b) <= AP_TOLERANCE
+
+
+def _rounded(value: float) -> str:
+    return f"{value:.4f}"
+
+
+def _counted(batches: Iterable[Batch], total: int, progress: Callable[[int, int], None]) -> Iterator[Batch]:
+    for done, batch in enumerate(batches):
+        progress(done, total)
+        yield batch
+    progress(total, total)
+
+
+def agree(checks: Sequence[Check]) -> bool:
+    """Return whether everything agrees."""
+    return all(check.agrees for check in checks)

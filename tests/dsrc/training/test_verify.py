@@ -1,0 +1,93 @@
+"""A finished run is verified; what was changed since is named."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+
+from dsrc.cli import run as cli
+from dsrc.models.checkpoint import load_detector, read_meta, save_detector
+from dsrc.training.train import train
+from dsrc.training.verify import agree, runs_in, verify
+from sim.errors import CheckpointError, DataError
+from tests.dsrc.training.drive import write_drive
+from tests.dsrc.training.runs import tiny
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("verify")
+    data = write_drive(root / "data", 4)
+    train(tiny(epochs=1), data, root / "run/plain", "plain")
+    return root / "run/plain"
+
+
+@pytest.fixture
+def run(finished: Path, tmp_path: Path) -> Path:
+    shutil.copytree(finished, tmp_path / "run/plain")
+    return tmp_path / "run/plain"
+
+
+def differing(run: Path, **moved: Path) -> list[str]:
+    return [check.name for check in verify(run, **moved) if not check.agrees]
+
+
+def change(path: Path, **entries: object) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | entries))
+
+
+def test_a_run_agrees_with_itself(run: Path) -> None:
+    checks = verify(run)
+    assert agree(checks), [str(check) for check in checks]
+    assert {"detector.pt, SHA-256", "model", "recipe", "seed", "data", "version", "ap_bev_50"} <= {
+        c.name for c in checks
+    }
+
+
+def test_other_weights_are_found_out_by_hash_and_precision(run: Path) -> None:
+    detector = load_detector(run / "detector.pt")
+    meta = read_meta(run / "detector.pt")
+    torch.nn.init.constant_(detector.cls_head.bias, 3.0)  # sees cars everywhere
+    save_detector(run / "detector.pt", detector, meta)
+    change(run / "result.json", metrics={"val/ap_bev_50": 0.9})
+    assert differing(run) == ["detector.pt, SHA-256", "ap_bev_50"]
+
+
+def test_other_settings_data_and_versions_are_named(run: Path, tmp_path: Path) -> None:
+    settings = json.loads((run / "settings.json").read_text())
+    settings["settings"]["recipe"]["learning_rate"] = 1.0
+    change(run / "settings.json", settings=settings["settings"], versions=settings["versions"] | {"torch": "0.1"})
+    other = write_drive(tmp_path / "data", 3)
+    assert set(differing(run, data=other)) >= {"recipe learning_rate", "version torch", "data made_up"}
+
+
+def test_the_command_says_what_differs_and_returns_1(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cli(["verify", str(run.parent)])
+    assert "agrees   data: all 1" in capsys.readouterr().out
+    change(run / "settings.json", seed=7)
+    with pytest.raises(SystemExit) as stopped:
+        cli(["verify", str(run)])
+    assert stopped.value.code == 1
+    assert "differs  seed: recorded 7, found 0" in capsys.readouterr().out
+
+
+def test_what_is_no_finished_run_is_told(run: Path, tmp_path: Path) -> None:
+    assert runs_in(run.parent) == [run]
+    with pytest.raises(DataError, match=r"settings.json: expected the run folder of a training"):
+        runs_in(tmp_path / "nowhere")
+    with pytest.raises(DataError, match=r"data: expected the folder of its drives, found .* say where it is: --data"):
+        verify(run, data=tmp_path / "nowhere")
+    (run / "result.json").write_text("[]")
+    with pytest.raises(DataError, match=r"result.json: file: expected what a training has written"):
+        verify(run)
+    (run / "result.json").unlink()
+    with pytest.raises(DataError, match=r"result.json: file: expected that of a finished training, found none"):
+        verify(run)
+
+
+def test_a_damaged_detector_is_told(run: Path) -> None:
+    (run / "detector.pt").write_bytes(b"no detector")
+    with pytest.raises(CheckpointError, match=r"detector.pt"):
+        verify(run)
