@@ -23,7 +23,7 @@ def main(args: list[str] | None = None) -> None:
         sys.stderr.write(f"dsrc: {error.filename2 or error.filename}: {error.strerror}\n")
         raise SystemExit(2) from None
     except KeyboardInterrupt:
-        sys.stderr.write("dsrc: interrupted; generate, corrupt, train and demo go on when started again\n")
+        sys.stderr.write("dsrc: interrupted; generate, corrupt, train, benchmark and demo go on when started again\n")
         raise SystemExit(130) from None
 
 

@@ -398,7 +398,7 @@ def train(
     """Train a detector; started again in the same folder it resumes.
 
     Args:
-        recipe: debug, small or opv2v.
+        recipe: debug, small, opv2v, dsrc-paper (as the text) or dsrc-code (as released).
         data: folder of drives to train on.
         out: run folder; one subfolder per stage.
         stage: all = teacher, then student; plain = the student without teacher and reconstruction.
@@ -581,6 +581,7 @@ def benchmark(
         workers: processes; each has its share of the cores.
         device: of the networks.
     """
+    from dsrc.evaluation.paper_tables import View, table_1
     from dsrc.evaluation.plan import plan_of
     from dsrc.evaluation.report import publish, write_report
     from dsrc.evaluation.runner import run_plan
@@ -594,11 +595,15 @@ def benchmark(
             plan, out, workers, device, lambda done, total: progress.update(task, completed=done, total=total)
         )
     blocks = write_report(outcome, out)
-    _say((out / "tables.md").read_text(encoding="utf-8"))
+    for dataset in plan.datasets:
+        _console().print(table_1(View.of(outcome, dataset.name)).terminal())
+    for block in blocks:
+        if not block.picture and "left out: " in block.text:
+            _say(block.text.strip())
     if docs is not None:
         publish(blocks, out, docs, plan.name)
         _say(str(docs))
-    _say(str(out))
+    _say(str(out / "tables.md"))
 
 
 @app.command(name="view")

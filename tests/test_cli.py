@@ -34,7 +34,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_every_verb_has_help() -> None:
     made = ("scenarios", "generate", "render", "data", "corrupt", "convert")
-    for verb in (*made, "train", "evaluate", "view", "drive", "demo"):
+    for verb in (*made, "train", "evaluate", "benchmark", "view", "drive", "demo"):
         result = dsrc(verb, "--help")
         assert result.returncode == 0
         assert "usage: dsrc" in result.stdout
@@ -70,3 +70,14 @@ def test_a_checkpoint_that_is_none_is_named(tmp_path: Path) -> None:
     path = tmp_path / "model.pt"
     path.write_bytes(b"not a checkpoint")
     assert_one_line(dsrc("drive", "four_way", "--perception", "ego", "--checkpoint", str(path)), "model.pt")
+
+
+def test_a_benchmark_says_what_is_wrong_with_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "benchmark.toml"
+    path.write_text('[[methods]]\nname = "DSRC"\ndetectors = ["none.pt"]\n[[datasets]]\nname = "x"\ndrives = ["y"]\n')
+    out = ("--out", str(tmp_path / "out"))
+    assert_one_line(dsrc("benchmark", str(path), *out), "none.pt", "no such checkpoint")
+    assert_one_line(dsrc("benchmark", str(path), *out, "--limit", "3"), "limit", "describes the benchmark")
+    path.write_text(path.read_text().replace("detectors", "detector"))
+    assert_one_line(dsrc("benchmark", str(path), *out), str(path), "did you mean 'detectors'")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,367 @@
+"""The paper's tables, made of the rows of a benchmark: which methods and conditions each of them holds.
+
+What a method is, its settings say: how it fuses, and which of DSRC's parts (SDD, PCP, REC) trained it. So a table finds
+its methods whatever they are called, and says which it lacks.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from msgspec.structs import replace
+
+from dsrc.evaluation.ap import metric_name
+from dsrc.evaluation.plan import Case
+from dsrc.evaluation.robustness import mce, mean_ap
+from dsrc.evaluation.rows import CLEAN, Row, condition_title
+from dsrc.evaluation.runner import VISIBILITY, Entry, Outcome
+from dsrc.evaluation.sheets import Column, Line, Sheet, Stat
+from dsrc.models.settings import ModelSettings
+from sim.v2x import IDEAL
+
+PAPER_SEVERITY = 3
+NAMES = ("ap_bev_50", "ap_bev_70")
+OPENCOOD_NAMES = (metric_name("bev", 0.5, opencood=True), metric_name("bev", 0.7, opencood=True))
+
+_AP = "Average precision in bird's-eye view at IoU 0.5 / 0.7, %"
+_PLAIN, _WHOLE = (False, False, False), (True, True, True)
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """The rows of one dataset, and how the tables ask for them.
+
+    Attributes:
+        dataset: its name.
+        settings: of each method, in the order of the lines.
+        entries: the rows.
+        severity: that the tables show.
+        channel: likewise.
+    """
+
+    dataset: str
+    settings: dict[str, ModelSettings]
+    entries: tuple[Entry, ...]
+    severity: int
+    channel: str
+
+    @classmethod
+    def of(cls, outcome: Outcome, dataset: str) -> "View":
+        """Return the rows of a dataset."""
+        plan = outcome.plan
+        return cls(
+            dataset,
+            {name: several[0].settings for name, several in outcome.trained.items()},
+            tuple(entry for entry in outcome.entries if entry.case.dataset == dataset),
+            PAPER_SEVERITY if PAPER_SEVERITY in plan.severities or not plan.severities else plan.severities[0],
+            IDEAL if IDEAL in plan.channels else plan.channels[0],
+        )
+
+    def kinds(self) -> list[str]:
+        """Return the corruptions, in their order."""
+        found = dict.fromkeys(entry.case.condition.kind for entry in self.entries)
+        return [kind for kind in found if kind != CLEAN]
+
+    def rows(
+        self,
+        method: str,
+        kind: str = CLEAN,
+        *,
+        severity: int | None = None,
+        channel: str | None = None,
+        agents: int | None = None,
+        pose_error: float = 0.0,
+        delay_s: float = 0.0,
+        loss: float = 0.0,
+    ) -> list[Row]:
+        """Return the rows of a method, one per training in their order."""
+        level = 0 if kind == CLEAN else severity or self.severity
+        wanted = (method, kind, level, channel or self.channel, agents, pose_error, delay_s, loss)
+        return [entry.row for entry in self.entries if _place(entry.case) == wanted]
+
+    def ap(self, rows: Sequence[Row], names: Sequence[str] = NAMES) -> tuple[Stat, ...]:
+        """Return the average precisions of rows."""
+        return tuple(Stat.of([row.metrics.get(name, math.nan) for row in rows]) for name in names)
+
+    def summary(
+        self, method: str, formula: Callable[[float, dict[str, float]], float], names: Sequence[str] = NAMES
+    ) -> tuple[Stat, ...]:
+        """Return `mce` or `mean_ap` over the corruptions, of each training by itself."""
+        clean = self.rows(method)
+        corrupted = {kind: self.rows(method, kind) for kind in self.kinds()}
+        if not corrupted:
+            return tuple(Stat(math.nan) for _ in names)
+        return tuple(
+            Stat.of(
+                [
+                    formula(row.metrics[name], {kind: rows[i].metrics[name] for kind, rows in corrupted.items()})
+                    for i, row in enumerate(clean)
+                ]
+            )
+            for name in names
+        )
+
+    def variant(self, like: ModelSettings, parts: tuple[bool, bool, bool]) -> str | None:
+        """Return the first method that differs from `like` in (SDD, PCP, REC) alone."""
+        sdd, pcp, rec = parts
+        wanted = replace(like, sdd=sdd, pcp=pcp, rec=rec)
+        return next((name for name, settings in self.settings.items() if settings == wanted), None)
+
+    def whole(self, fusion: str) -> str | None:
+        """Return the first method of a fusion with all of DSRC's parts."""
+        return self._first(fusion, _WHOLE)
+
+    def plain(self, fusion: str) -> str | None:
+        """Return the first method of a fusion without any of DSRC's parts, alike the whole in all else if one is."""
+        whole = self.whole(fusion)
+        alike = None if whole is None else self.variant(self.settings[whole], _PLAIN)
+        return alike or self._first(fusion, _PLAIN)
+
+    def _first(self, fusion: str, parts: tuple[bool, bool, bool]) -> str | None:
+        return next((n for n, s in self.settings.items() if s.fusion == fusion and parts_of(s) == parts), None)
+
+
+def _place(case: Case) -> tuple[object, ...]:
+    condition = case.condition
+    return (
+        *(case.method, condition.kind, condition.severity, case.channel, case.agents),
+        *(case.pose_error, case.delay_s, case.loss),
+    )
+
+
+def parts_of(settings: ModelSettings) -> tuple[bool, bool, bool]:
+    """Return which of SDD, PCP and REC trained a detector."""
+    return settings.sdd, settings.pcp, settings.rec
+
+
+def compared(view: View) -> list[str]:
+    """Return the methods of Table 1: all but DSRC with only some of its parts, which are Table 2's."""
+    return [name for name, settings in view.settings.items() if parts_of(settings) in (_PLAIN, _WHOLE)]
+
+
+def table_1(view: View, *, opencood: bool = False) -> Sheet:
+    """Return Table 1: clean and corrupted, mCE and mean AP, bytes and time.
+
+    Args:
+        view: the rows.
+        opencood: precision over detections sorted inside their frame only, as the paper's tables have it.
+    """
+    names, kinds = OPENCOOD_NAMES if opencood else NAMES, view.kinds()
+    columns = [Column(condition_title(kind).capitalize()) for kind in (CLEAN, *kinds)]
+    columns += [Column("mCE", better="low"), Column("mAP")]
+    columns += [
+        Column("kB / frame", ("",), better="", scale=1e-3),
+        Column("ms / frame", ("",), better="", scale=1e3, digits=0),
+    ]
+    lines = []
+    for method in compared(view):
+        clean = view.rows(method)
+        cells = [view.ap(clean, names), *(view.ap(view.rows(method, kind), names) for kind in kinds)]
+        cells += [view.summary(method, mce, names), view.summary(method, mean_ap, names)]
+        cells += [
+            (Stat.of([row.bytes_per_frame for row in clean if row.bytes_per_frame is not None]),),
+            (Stat.of([row.seconds_per_frame for row in clean if row.seconds_per_frame is not None]),),
+        ]
+        lines.append(Line(method, tuple(cells)))
+    order = (
+        "detections sorted inside each frame, as OpenCOOD and the paper do" if opencood else "sorted over all frames"
+    )
+    note = (
+        f"{_AP}; {order}. Severity {view.severity}. mCE: share of the clean AP lost, less is better; mAP: mean over "
+        f"clean and corrupted frames.{_spread(view)} kB: what all collaborators send for a frame, clean. ms: median "
+        f"time of a detection."
+    )
+    name = "table_1_opencood" if opencood else "table_1"
+    title = f"Table 1{', sorted inside frames' if opencood else ''}. Clean and corrupted frames, {view.dataset}"
+    return Sheet(name, title, note, "Method", tuple(columns), tuple(lines))
+
+
+def table_2(view: View) -> Sheet | str:
+    """Return Table 2, DSRC and its parts, or what is missing for it."""
+    whole = view.whole("attention")
+    if whole is None:
+        return _lacks("Table 2", "a method with attention, SDD, PCP and REC (dsrc)")
+    like, lines, missing = view.settings[whole], [], []
+    for parts in (_PLAIN, (True, False, False), (False, True, False), (True, True, False), _WHOLE):
+        method = view.variant(like, parts)
+        label = " + ".join(part for part, there in zip(("SDD", "PCP", "REC"), parts, strict=True) if there) or "none"
+        if method is None:
+            missing.append(label)
+            continue
+        clean = view.ap(view.rows(method))
+        lines.append(Line(label, (clean, view.summary(method, mean_corrupted), view.summary(method, mean_ap))))
+    if len(lines) < 2:
+        return _lacks("Table 2", f"'{whole}' with other parts: {', '.join(missing)}")
+    columns = (Column("Clean"), Column("Mean of the corruptions"), Column("Mean with clean"))
+    without = f" Left out, for want of a method: {', '.join(missing)}." if missing else ""
+    note = (
+        f"{_AP}. Severity {view.severity}. The paper's numbers agree with its mean with clean, whatever its caption "
+        f"says.{_spread(view)}{without}"
+    )
+    return Sheet("table_2", f"Table 2. Parts of DSRC, {view.dataset}", note, "Parts", columns, tuple(lines))
+
+
+def table_3(view: View) -> Sheet | str:
+    """Return Table 3, DSRC around fusion by the maximum and by attention, or what is missing for it."""
+    return _pairs(
+        view,
+        "Table 3",
+        "DSRC around another fusion",
+        (("max", "Maximum", "f-cooper, dsrc-max"), ("attention", "Attention", "attfuse, dsrc")),
+    )
+
+
+def table_4(view: View) -> Sheet | str:
+    """Return Table 4, DSRC for a single vehicle, or what is missing for it."""
+    return _pairs(view, "Table 4", "A single vehicle", (("none", "No collaboration", "no-collaboration, dsrc-alone"),))
+
+
+def _pairs(view: View, title: str, what: str, fusions: Sequence[tuple[str, str, str]]) -> Sheet | str:
+    """Return a table of conditions over pairs of methods, without and with DSRC."""
+    columns, methods, missing = [], [], []
+    for fusion, label, wanted in fusions:
+        pair = view.plain(fusion), view.whole(fusion)
+        if pair[0] is None or pair[1] is None:
+            missing.append(wanted)
+            continue
+        columns += [Column(label), Column(f"{label} + DSRC")]
+        methods += [name for name in pair if name is not None]
+    if not methods:
+        return _lacks(title, "; ".join(missing))
+    lines = [
+        Line(condition_title(kind).capitalize(), tuple(view.ap(view.rows(method, kind)) for method in methods))
+        for kind in (CLEAN, *view.kinds())
+    ]
+    lines.append(Line("mCE", tuple(view.summary(method, mce) for method in methods)))
+    lines.append(Line("mAP", tuple(view.summary(method, mean_ap) for method in methods)))
+    columns = [Column(column.title, better="") for column in columns]  # the best of a line, not of a column, matters
+    without = f" Left out, for want of methods: {'; '.join(missing)}." if missing else ""
+    note = f"{_AP}. Severity {view.severity}.{_spread(view)}{without}"
+    name = title.lower().replace(" ", "_")
+    return Sheet(name, f"{title}. {what}, {view.dataset}", note, "Condition", tuple(columns), tuple(lines))
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A quantity that a benchmark varies.
+
+    Attributes:
+        name: of the sheet.
+        title: of the sheet.
+        label: with its unit.
+        values: in their order; a value as people read it, and the arguments of `View.rows` that pick its rows.
+    """
+
+    name: str
+    title: str
+    label: str
+    values: tuple[tuple[str, dict[str, object]], ...]
+
+
+def axes_of(outcome: Outcome) -> list[Axis]:
+    """Return what a benchmark varies."""
+    plan, sweeps = outcome.plan, outcome.plan.sweeps
+    still: dict[str, object] = {"channel": IDEAL}
+    axes = [
+        Axis(
+            "agents",
+            "Figure 7. Number of agents",
+            "agents, the ego included",
+            tuple((str(n), {**still, "agents": n}) for n in sorted(sweeps.agents)),
+        )
+    ]
+    for name, title, label, values in (
+        ("pose_error", "Errors of the pose", "standard deviation, m and degrees", sweeps.pose_error),
+        ("delay_s", "Delay", "s", sweeps.delay_s),
+        ("loss", "Loss", "share of packets lost", sweeps.loss),
+    ):
+        shown = sorted({0.0, *values}) if values else []
+        axes.append(Axis(name, title, label, tuple((f"{v:g}", {**still, name: v}) for v in shown)))
+    axes.append(Axis("channels", "Channels", "channel", tuple((name, {"channel": name}) for name in plan.channels)))
+    return [axis for axis in axes if len(axis.values) > 1]
+
+
+def sweep_sheet(view: View, axis: Axis) -> Sheet:
+    """Return the methods over the values of an axis, in clean frames."""
+    columns = [Column(text) for text, _ in axis.values]
+    if axis.name == "channels":
+        columns += [Column(f"{text}, kB / age ms / heard %", ("kB", "ms", "%"), "", 1.0, 0) for text, _ in axis.values]
+    lines = []
+    for method in view.settings:
+        found = [view.rows(method, **picks) for _, picks in axis.values]  # type: ignore[arg-type]
+        cells = [view.ap(rows) for rows in found]
+        if all(math.isnan(cell[0].mean) for cell in cells[1:]):
+            continue
+        lines.append(Line(method, tuple(cells + ([_air(rows) for rows in found] if axis.name == "channels" else []))))
+    note = f"{_AP}, clean frames, over: {axis.label}.{_spread(view)}"
+    return Sheet(axis.name, f"{axis.title}, {view.dataset}", note, "Method", tuple(columns), tuple(lines))
+
+
+def _air(rows: Sequence[Row]) -> tuple[Stat, ...]:
+    """Return kB sent per frame, age of what is used, ms, and share of the senders heard, %."""
+    return tuple(
+        Stat.of([math.nan if (value := getattr(row, name)) is None else scale * value for row in rows])
+        for name, scale in (("bytes_per_frame", 1e-3), ("message_age_s", 1e3), ("heard", 100.0))
+    )
+
+
+def severity_sheet(view: View, severities: Sequence[int]) -> Sheet:
+    """Return the mean AP under the corruptions over their severities."""
+    columns = [Column(CLEAN.capitalize()), *(Column(f"severity {level}") for level in severities)]
+    lines = []
+    for method in compared(view):
+        cells = [view.ap(view.rows(method))]
+        for level in severities:
+            groups = [view.rows(method, kind, severity=level) for kind in view.kinds()]
+            trainings = zip(*groups, strict=True)
+            means = [
+                [sum(row.metrics[name] for row in rows) / len(rows) for name in NAMES] for rows in trainings if rows
+            ]
+            cells.append(tuple(Stat.of([pair[k] for pair in means]) for k in range(2)))
+        lines.append(Line(method, tuple(cells)))
+    note = f"{_AP}, mean of the corruptions.{_spread(view)}"
+    return Sheet("severity", f"Severity, {view.dataset}", note, "Method", tuple(columns), tuple(lines))
+
+
+def visibility_sheet(view: View) -> Sheet | str:
+    """Return the AP of boxes by how much of them the ego sees."""
+    if not any(name.endswith("_hidden") for entry in view.entries for name in entry.row.metrics):
+        return f"Visibility is left out: nobody has measured it in {view.dataset}."
+    columns = [Column(f"{name}, {low:.0%} to {min(high, 1.0):.0%}") for name, (low, high) in VISIBILITY.items()]
+    lines = [
+        Line(
+            method,
+            tuple(view.ap(view.rows(method), [f"{name}_{part}" for name in NAMES]) for part in VISIBILITY),
+        )
+        for method in compared(view)
+    ]
+    note = (
+        f"{_AP}, clean frames, of boxes by the share of the ego's rays on them that nothing else stops.{_spread(view)}"
+    )
+    title = f"By what the ego sees, {view.dataset}"
+    return Sheet("visibility", title, note, "Method", tuple(columns), tuple(lines))
+
+
+def mean_corrupted(clean: float, by_corruption: dict[str, float]) -> float:
+    """Return the mean average precision over the corruptions, clean frames left out."""
+    return sum(by_corruption.values()) / len(by_corruption)
+
+
+def sheets_of(outcome: Outcome, dataset: str) -> list[Sheet | str]:
+    """Return all tables of a dataset; for one that lacks its methods the line that says so."""
+    view = View.of(outcome, dataset)
+    sheets: list[Sheet | str] = [table_1(view), table_1(view, opencood=True), table_2(view), table_3(view)]
+    sheets += [table_4(view), visibility_sheet(view)]
+    sheets += [sweep_sheet(view, axis) for axis in axes_of(outcome)]
+    if len(outcome.plan.severities) > 1 and view.kinds():
+        sheets.append(severity_sheet(view, sorted(outcome.plan.severities)))
+    return sheets
+
+
+def _lacks(table: str, what: str) -> str:
+    return f"{table} is left out: it needs {what}."
+
+
+def _spread(view: View) -> str:
+    several = any(len(view.rows(method)) > 1 for method in view.settings)
+    return " ± is the standard deviation between trainings." if several else ""

@@ -1,0 +1,257 @@
+"""What a benchmark writes: result files, tables and plots, and the blocks of a document that hold them."""
+
+import csv
+import io
+import json
+import math
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from matplotlib.figure import Figure
+
+from dsrc.evaluation.paper_tables import NAMES, View, axes_of, compared, sheets_of
+from dsrc.evaluation.plots import (
+    corruption_bars,
+    lines_of_sheet,
+    mean_bars,
+    png_bytes,
+    robustness_scatter,
+    traffic_scatter,
+)
+from dsrc.evaluation.provenance import commit, versions
+from dsrc.evaluation.robustness import mce, mean_ap
+from dsrc.evaluation.rows import CLEAN, MCE, MEAN_AP, Row
+from dsrc.evaluation.runner import Entry, Outcome
+from dsrc.evaluation.sheets import Column, Line, Sheet, Stat
+from dsrc.evaluation.tables import write_atomic
+from sim.errors import DataError, complaint
+
+_CASE = ("method", "training", "dataset")
+_SWEPT = ("channel", "agents", "pose_error", "delay_s", "loss")
+_COUNTS = ("frames", "truth", "detections", "bytes_per_frame", "message_age_s", "heard")
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A part of a document: text, and a picture's name and what it shows; either may be missing.
+
+    Attributes:
+        name: of its place in the document.
+        text: Markdown.
+        picture: file beside the table; "" for none.
+        about: what the picture shows.
+    """
+
+    name: str
+    text: str = ""
+    picture: str = ""
+    about: str = ""
+
+
+def write_report(outcome: Outcome, out: Path) -> list[Block]:
+    """Write `results.json`, `results.csv`, `timings.csv` and, in a folder for each dataset, tables and plots.
+
+    The result files are the same for the same cells; times, which are not, are in `timings.csv` and in Table 1.
+
+    Returns:
+        The blocks for a document, pictures given by their paths below `out`.
+    """
+    made_by = provenance_of(outcome)
+    listed = [_listed(entry, outcome) for entry in outcome.entries]
+    text = json.dumps({"provenance": made_by, "rows": listed}, indent=1, sort_keys=True, allow_nan=False)
+    write_atomic(out / "results.json", text + "\n")
+    write_atomic(out / "results.csv", _csv(listed, made_by))
+    write_atomic(out / "timings.csv", _timings(outcome.entries))
+    blocks = []
+    for dataset in outcome.drives:
+        folder = slug(dataset)
+        for block in _dataset(outcome, dataset, out / folder, made_by):
+            picture = f"{folder}/{block.picture}" if block.picture else ""
+            blocks.append(Block(f"{folder}/{block.name}", block.text, picture, block.about))
+    write_atomic(out / "tables.md", "\n".join(markdown(block, out.name, Path()) for block in blocks))
+    return blocks
+
+
+def provenance_of(outcome: Outcome) -> dict[str, Any]:
+    """Return what made a result: the plan, files by their hashes, versions, code and data."""
+    plan = outcome.plan
+    settings = msgspec.to_builtins(plan)
+    settings["methods"] = {
+        name: [{"file": one.path.name, "sha256": one.sha256, "training_seed": one.seed} for one in several]
+        for name, several in outcome.trained.items()
+    }
+    settings["datasets"] = outcome.drives
+    settings["pictures"]["teacher"] = Path(plan.pictures.teacher).name
+    return {"settings": settings, "seed": plan.seed, "versions": versions(), "commit": commit()}
+
+
+def slug(name: str) -> str:
+    """Return a name as it is in paths."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "dataset"
+
+
+def _listed(entry: Entry, outcome: Outcome) -> dict[str, Any]:
+    """Return everything about a row as JSON's types."""
+    case, row = entry.case, entry.row
+    one = outcome.trained[case.method][case.training]
+    fields = {name: getattr(case, name) for name in (*_CASE, *_SWEPT)}
+    condition = {"condition": case.condition.kind, "severity": case.condition.severity, "family": case.condition.family}
+    numbers = {name: getattr(row, name) for name in _COUNTS}
+    made_of = {"detector": one.sha256, "training_seed": one.seed, "cells": entry.digest}
+    metrics = {name: None if math.isnan(value) else value for name, value in row.metrics.items()}
+    return {**fields, **condition, **made_of, **numbers, "metrics": metrics}
+
+
+def _csv(listed: list[dict[str, Any]], made_by: Mapping[str, Any]) -> str:
+    """Return CSV with one line per row; its first line is a comment (#) that holds the provenance as JSON."""
+    text = io.StringIO()
+    text.write(f"# {json.dumps(made_by, sort_keys=True, allow_nan=False)}\n")
+    metrics = list(dict.fromkeys(name for row in listed for name in row["metrics"]))
+    fields = [name for name in listed[0] if name != "metrics"]
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*fields, *metrics])
+    for row in listed:
+        values = [row[name] for name in fields] + [row["metrics"].get(name) for name in metrics]
+        writer.writerow(
+            ["" if value is None else repr(value) if isinstance(value, float) else value for value in values]
+        )
+    return text.getvalue()
+
+
+def _timings(entries: list[Entry]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*_CASE, "condition", "severity", *_SWEPT, "frames", "median_seconds_per_frame"])
+    for entry in entries:
+        case, seconds = entry.case, entry.row.seconds_per_frame
+        if seconds is not None:
+            place = [getattr(case, name) for name in _CASE] + [case.condition.kind, case.condition.severity]
+            writer.writerow([*place, *(getattr(case, name) for name in _SWEPT), entry.row.frames, f"{seconds:.6f}"])
+    return text.getvalue()
+
+
+def _dataset(outcome: Outcome, dataset: str, folder: Path, made_by: Mapping[str, Any]) -> list[Block]:
+    """Write tables and plots of a dataset; return its blocks, pictures by the names of their files."""
+    view = View.of(outcome, dataset)
+    blocks = []
+    for sheet in sheets_of(outcome, dataset):
+        if isinstance(sheet, str):
+            name = sheet.split(" is ")[0].lower().replace(" ", "_")
+            blocks.append(Block(name, f"{sheet}\n"))
+            continue
+        write_atomic(folder / f"{sheet.name}.md", sheet.markdown())
+        write_atomic(folder / f"{sheet.name}.csv", sheet.csv())
+        figure = _figure_of(sheet, view, outcome)
+        picture = "" if figure is None else f"{sheet.name}.png"
+        if figure is not None:
+            write_atomic(folder / picture, png_bytes(figure, made_by))
+        blocks.append(Block(sheet.name, sheet.markdown(), picture, sheet.title))
+    rows = mean_rows(view, compared(view))
+    figures = {"traffic": (traffic_scatter(_traffic(view)), "AP in clean frames against the bytes that are sent")}
+    if view.kinds():
+        figures["figure_4"] = (mean_bars(rows), "Figure 4. Mean of all methods under each corruption")
+        figures["figure_5"] = (robustness_scatter(rows), "Figure 5. mCE against mean AP")
+    for name, (figure, about) in figures.items():
+        write_atomic(folder / f"{name}.png", png_bytes(figure, made_by))
+        blocks.append(Block(name, picture=f"{name}.png", about=f"{about}, {dataset}"))
+    return blocks
+
+
+def _figure_of(sheet: Sheet, view: View, outcome: Outcome) -> Figure | None:
+    """Return the plot of a sheet."""
+    for axis in axes_of(outcome):
+        if axis.name == sheet.name:
+            return lines_of_sheet(sheet, axis.label, len(axis.values))
+    if sheet.name in ("severity", "visibility"):
+        return lines_of_sheet(sheet, "", len(sheet.columns))
+    if sheet.name == "table_1":
+        return corruption_bars(mean_rows(view, compared(view)))
+    if sheet.name == "table_2":
+        return lines_of_sheet(_turned(sheet), "parts", len(sheet.lines))
+    if sheet.name in ("table_3", "table_4"):
+        fusions = ("max", "attention") if sheet.name == "table_3" else ("none",)
+        pairs = [(view.plain(fusion), view.whole(fusion)) for fusion in fusions]
+        return corruption_bars(mean_rows(view, [name for pair in pairs if None not in pair for name in pair if name]))
+    return None
+
+
+def _turned(sheet: Sheet) -> Sheet:
+    """Return a sheet with lines for columns."""
+    lines = tuple(
+        Line(column.title, tuple(line.cells[number] for line in sheet.lines))
+        for number, column in enumerate(sheet.columns)
+    )
+    columns = tuple(Column(line.label) for line in sheet.lines)
+    return Sheet(sheet.name, sheet.title, sheet.note, "", columns, lines)
+
+
+def mean_rows(view: View, methods: list[str]) -> list[Row]:
+    """Return the mean over the trainings of methods: a row per condition, and the summaries where there are any."""
+    rows = []
+    for method in methods:
+        first = view.rows(method)[0]
+
+        def row(condition: str, stats: tuple[Stat, ...], method: str = method, first: Row = first) -> Row:
+            metrics = {name: stat.mean for name, stat in zip(NAMES, stats, strict=True)}
+            return Row(method, condition, 0, first.frames, first.truth, 0, metrics)
+
+        rows += [row(kind, view.ap(view.rows(method, kind))) for kind in (CLEAN, *view.kinds())]
+        if view.kinds():
+            rows += [row(MEAN_AP, view.summary(method, mean_ap)), row(MCE, view.summary(method, mce))]
+    return rows
+
+
+def _traffic(view: View) -> dict[str, tuple[float, float, float]]:
+    """Return by method kB per frame and AP in clean frames."""
+    points = {}
+    for method in compared(view):
+        rows = view.rows(method)
+        sent = sum(row.bytes_per_frame or 0.0 for row in rows) / len(rows)
+        low, high = view.ap(rows)
+        points[method] = (1e-3 * sent, low.mean, high.mean)
+    return points
+
+
+def markdown(block: Block, alt: str, pictures: Path) -> str:
+    """Return the text of a block with its picture, which lies below the folder `pictures`."""
+    picture = f"\n![{block.about or alt}]({(pictures / block.picture).as_posix()})\n" if block.picture else ""
+    return f"{block.text}{picture}"
+
+
+def publish(blocks: list[Block], out: Path, document: Path, name: str) -> Path:
+    """Put the blocks between their markers in a document, and the files that it needs beside it in a folder `name`.
+
+    A block `x/y` goes between the lines `<!-- begin NAME/x/y -->` and `<!-- end NAME/x/y -->`; without them it is
+    added at the end. What stands elsewhere is left as it is.
+
+    Returns:
+        The folder with result files, tables and pictures; cells stay where they are.
+
+    Raises:
+        DataError: a marker has begun and does not end.
+    """
+    folder = document.parent / document.stem / slug(name)
+    for file in sorted(out.rglob("*")):
+        below = file.relative_to(out)
+        if file.suffix in (".json", ".csv", ".md", ".png") and below.parts[0] != "cells":
+            (folder / below).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, folder / below)
+    text = document.read_text(encoding="utf-8") if document.is_file() else f"# {document.stem.capitalize()}\n"
+    for block in blocks:
+        begin, end = (f"<!-- {word} {slug(name)}/{block.name} -->" for word in ("begin", "end"))
+        content = f"{begin}\n{markdown(block, name, folder.relative_to(document.parent))}\n{end}"
+        if begin not in text:
+            text = f"{text.rstrip()}\n\n{content}\n"
+            continue
+        before, _, rest = text.partition(begin)
+        _, ended, after = rest.partition(end)
+        if not ended:
+            raise DataError(complaint(document, begin, f"a line {end} behind it", "none"))
+        text = f"{before}{content}{after}"
+    write_atomic(document, text)
+    return folder

@@ -1,0 +1,337 @@
+"""Runs a benchmark: cells that are missing are made, by any number of processes; rows are made of cells.
+
+A benchmark that was killed goes on, and a method that was added costs its own cells alone. A unit of work is some
+frames of a drive under one condition: each frame is read and corrupted once for all detectors that lack it.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from dsrc.data.drive_folder import locked
+from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.executors import Report, cores, open_executor
+from dsrc.evaluation.ap import metric_name, result_of
+from dsrc.evaluation.benchmark import (
+    Condition,
+    Method,
+    Tally,
+    evaluate_drive,
+    joined,
+    places_of,
+    warn_of_slow_drives,
+)
+from dsrc.evaluation.cells import (
+    CellSettings,
+    described,
+    has_cell,
+    of_channel,
+    read_cell,
+    relevant_versions,
+    write_cell,
+)
+from dsrc.evaluation.plan import Benchmark, Case, cases_of
+from dsrc.evaluation.provenance import hash_file
+from dsrc.evaluation.rows import Row, make_row
+from dsrc.models.checkpoint import load_student, read_meta
+from dsrc.models.detector import Detector
+from dsrc.models.settings import ModelSettings
+from sim.errors import SettingsError, UserError, complaint
+from sim.v2x import ChannelSpec
+
+Device = Literal["cpu", "cuda"]
+Progress = Callable[[int, int], None]
+
+CHUNK = 50
+"""Frames of a unit of work: so many are lost at most when a process is killed."""
+
+VISIBILITY = {"hidden": (0.0, 0.1), "partly": (0.1, 0.6), "open": (0.6, 1.01)}
+"""Classes of true boxes by the share of the ego's rays on them that nothing else stops; what is so far away that not
+even a free view has a ray on it is hidden."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """A detector of a method.
+
+    Attributes:
+        path: its file.
+        sha256: of the file.
+        settings: of the network.
+        seed: of its training; None where the file does not say.
+    """
+
+    path: Path
+    sha256: str
+    settings: ModelSettings
+    seed: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A row of the result.
+
+    Attributes:
+        case: what it is of.
+        row: the numbers.
+        cells: keys of what it was made of.
+    """
+
+    case: Case
+    row: Row
+    cells: tuple[str, ...]
+
+    @property
+    def digest(self) -> str:
+        """Hash of the cells' keys, and so of all settings of the row."""
+        return hashlib.sha256("".join(self.cells).encode()).hexdigest()[:32]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a benchmark found.
+
+    Attributes:
+        plan: what was asked for.
+        trained: by method its detectors.
+        drives: by dataset its drives and their hashes.
+        entries: the rows.
+        made: cells that were made in this run.
+    """
+
+    plan: Benchmark
+    trained: dict[str, list[Trained]]
+    drives: dict[str, dict[str, str]]
+    entries: list[Entry]
+    made: int
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One cell to make: which detector, how many agents, through which channel."""
+
+    settings: CellSettings
+    path: Path
+    agents: int | None
+    channel: ChannelSpec | None
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """Cells of the same frames under the same condition, made together.
+
+    Attributes:
+        folder: of the cells.
+        drive: its path.
+        positions: of the frames.
+        condition: of the sweeps.
+        seed: of corruptions and channels.
+        device: of the networks.
+        threads: of a process; None as they are.
+        jobs: the cells.
+    """
+
+    folder: Path
+    drive: Path
+    positions: tuple[int, ...]
+    condition: Condition
+    seed: int
+    device: Device
+    threads: int | None
+    jobs: tuple[Job, ...]
+
+
+def run_plan(
+    plan: Benchmark, out: Path, workers: int = 1, device: Device = "cpu", progress: Progress | None = None
+) -> Outcome:
+    """Make the cells that are missing in `out/cells`, and rows of all.
+
+    Args:
+        plan: see `dsrc.evaluation.plan.check`.
+        out: folder of the benchmark.
+        workers: processes; a core's share of the threads each.
+        device: of the networks.
+        progress: called with detections done and those that were missing at the start.
+
+    Raises:
+        UserError: a file, a drive or a setting is wrong. What is not concerned has been done.
+    """
+    import torch
+
+    if device == "cuda" and not torch.cuda.is_available():
+        raise SettingsError(complaint("benchmark", "device", "a GPU that torch can use", "none", "; use cpu"))
+    trained = {method.name: [_trained(Path(path)) for path in method.detectors] for method in plan.methods}
+    for name, several in trained.items():
+        for other in several[1:]:
+            if other.settings != several[0].settings:
+                raise SettingsError(
+                    complaint(other.path, "settings", f"those of {several[0].path}, which is '{name}' too", "others")
+                )
+    datasets = {d.name: [r for folder in d.drives for r in _readers(folder)] for d in plan.datasets}
+    places = {name: places_of(readers, plan.limit) for name, readers in datasets.items()}
+    drives = {name: {str(r.drive): r.digest() for r in readers} for name, readers in datasets.items()}
+    cases = cases_of(plan)
+    folder = out / "cells"
+    with locked(out, what="benchmark"):
+        plans = [_jobs(plan, case, trained, datasets, places, drives, device) for case in cases]
+        if any(job.channel is not None and job.channel.medium != "perfect" for jobs in plans for job, *_ in jobs):
+            warn_of_slow_drives([reader for readers in datasets.values() for reader in readers])
+        threads = max(1, cores() // workers) if workers > 1 else None
+        units = _units(folder, plan.seed, device, threads, zip(cases, plans, strict=True))
+        _make(units, workers, progress)
+        entries = [
+            _entry(case, folder, [job.settings.key for job, *_ in jobs])
+            for case, jobs in zip(cases, plans, strict=True)
+        ]
+    named = {name: {Path(p).name: digest for p, digest in listed.items()} for name, listed in drives.items()}
+    return Outcome(plan, trained, named, entries, sum(len(unit.jobs) for unit in units))
+
+
+def _trained(path: Path) -> Trained:
+    seed = read_meta(path).get("seed")
+    return Trained(path, hash_file(path), load_student(path).settings, seed if isinstance(seed, int) else None)
+
+
+def _readers(folder: str) -> list[Drive]:
+    return [open_drive(drive) for drive in list_drives(Path(folder))]
+
+
+Piece = tuple[Job, Path, tuple[int, ...]]
+
+
+def _jobs(
+    plan: Benchmark,
+    case: Case,
+    trained: dict[str, list[Trained]],
+    datasets: dict[str, list[Drive]],
+    places: dict[str, list[list[int]]],
+    drives: dict[str, dict[str, str]],
+    device: Device,
+) -> list[Piece]:
+    """Return the cells of a row, with their drives and frames."""
+    one = trained[case.method][case.training]
+    most = 1 if one.settings.fusion == "none" else one.settings.max_agents
+    agents = min(case.agents or most, most)
+    # Who is alone gets no messages: the same through every channel.
+    channel = case.spec() if agents > 1 else None
+    pieces = []
+    for reader, positions in zip(datasets[case.dataset], places[case.dataset], strict=True):
+        for start in range(0, len(positions), CHUNK):
+            chunk = tuple(positions[start : start + CHUNK])
+            settings = CellSettings(
+                detector=one.sha256,
+                drive=reader.drive.name,
+                data=drives[case.dataset][str(reader.drive)],
+                positions=chunk,
+                condition=described(case.condition),
+                seed=plan.seed,
+                channel=None if channel is None else of_channel(channel),
+                agents=agents,
+                device=device,
+                versions=relevant_versions(),
+            )
+            limit = None if agents == one.settings.max_agents else agents
+            pieces.append((Job(settings, one.path, limit, channel), reader.drive, chunk))
+    return pieces
+
+
+def _units(
+    folder: Path,
+    seed: int,
+    device: Device,
+    threads: int | None,
+    planned: Iterable[tuple[Case, list[Piece]]],
+) -> list[Unit]:
+    """Return the work that is left: cells that are not there, those of the same frames and condition together."""
+    groups: dict[tuple[Path, tuple[int, ...], Condition], dict[str, Job]] = {}
+    for case, pieces in planned:
+        for job, drive, positions in pieces:
+            if not has_cell(folder, job.settings.key):
+                groups.setdefault((drive, positions, case.condition), {})[job.settings.key] = job
+    return [
+        Unit(folder, drive, positions, condition, seed, device, threads, tuple(jobs.values()))
+        for (drive, positions, condition), jobs in groups.items()
+    ]
+
+
+def _make(units: Sequence[Unit], workers: int, progress: Progress | None) -> None:
+    """Make the cells of all units; the first user's error is raised when the others are done."""
+    total = sum(len(unit.positions) * len(unit.jobs) for unit in units)
+    done = [0] * len(units)
+
+    def tell(row: int, frames: int, wanted: int) -> None:
+        done[row] = frames * len(units[row].jobs)
+        if progress is not None:
+            progress(sum(done), total)
+
+    if progress is not None:
+        progress(0, total)
+    errors: list[UserError] = []
+    with open_executor("local", workers) as pool:
+        for outcome in pool.run(make_unit, units, tell):
+            if outcome.error is not None:
+                errors.append(outcome.error)
+    if errors:
+        raise errors[0]
+
+
+def make_unit(unit: Unit, report: Report) -> None:
+    """Make the cells of a unit: a task of an executor."""
+    import torch
+
+    if unit.threads is not None:
+        torch.set_num_threads(unit.threads)
+    methods = [
+        Method(job.settings.key, _detector(job.path, job.settings.detector, unit.device), job.agents, job.channel)
+        for job in unit.jobs
+    ]
+    frames = 0
+
+    def tell() -> None:
+        nonlocal frames
+        frames += 1
+        report(frames, len(unit.positions))
+
+    reader = _reader(unit.drive)
+    tallies = evaluate_drive(reader, unit.positions, {unit.condition: methods}, unit.seed, tell)
+    for job in unit.jobs:
+        write_cell(unit.folder, job.settings, tallies[unit.condition, job.settings.key])
+
+
+@lru_cache(maxsize=64)
+def _detector(path: Path, sha256: str, device: Device) -> Detector:
+    """Return a detector; the hash is there so that a file that has changed is read again."""
+    return load_student(path).to(device)
+
+
+@lru_cache(maxsize=4)
+def _reader(drive: Path) -> Drive:
+    return open_drive(drive)
+
+
+def _entry(case: Case, folder: Path, keys: list[str]) -> Entry:
+    tally = joined([read_cell(folder, key) for key in keys])
+    result = result_of(tally.judged)
+    row = make_row(case.method, case.condition.kind, case.condition.severity, result, tally.seconds, tally.traffic)
+    # Who is alone was sent nothing.
+    sent = 0.0 if row.bytes_per_frame is None else row.bytes_per_frame
+    metrics = {**row.metrics, **by_visibility(tally)}
+    return Entry(case, replace(row, metrics=metrics, bytes_per_frame=sent, result=None), tuple(keys))
+
+
+def by_visibility(tally: Tally) -> dict[str, float]:
+    """Return the average precision of each class of `VISIBILITY`; nothing where nobody knows what the ego sees."""
+    if not np.isfinite(tally.ego_share).any():
+        return {}
+    share = np.nan_to_num(tally.ego_share, nan=0.0)
+    named = {}
+    for name, (low, high) in VISIBILITY.items():
+        result = result_of(tally.judged, (share >= low) & (share < high))
+        for threshold in (0.5, 0.7):
+            named[f"{metric_name('bev', threshold)}_{name}"] = result.curves["bev", threshold].ap
+    return named

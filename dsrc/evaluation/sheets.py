@@ -1,0 +1,137 @@
+"""Sheet: a table of means and spreads, as Markdown, CSV and for the terminal."""
+
+import csv
+import io
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Self
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+
+class Stat(NamedTuple):
+    """A number that may come from several trainings.
+
+    Attributes:
+        mean: NaN for none.
+        spread: standard deviation between the trainings; NaN for fewer than two.
+    """
+
+    mean: float
+    spread: float = math.nan
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Self:
+        """Return the mean and the spread of values; NaN among them makes both NaN."""
+        if not values:
+            return cls(math.nan)
+        spread = statistics.stdev(values) if len(values) > 1 and all(map(math.isfinite, values)) else math.nan
+        return cls(sum(values) / len(values), spread)
+
+    def text(self, scale: float, digits: int) -> str:
+        """Return it as people read it."""
+        if math.isnan(self.mean):
+            return "-"
+        spread = "" if math.isnan(self.spread) else f" ± {scale * self.spread:.{digits}f}"
+        return f"{scale * self.mean:.{digits}f}{spread}"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a sheet.
+
+    Attributes:
+        title: above it.
+        parts: what its cells hold: average precisions at these IoU, or one number without a name.
+        better: which is the best of a column; none of a column of other facts.
+        scale: factor for the reader; 100 for percent.
+        digits: behind the point.
+    """
+
+    title: str
+    parts: tuple[str, ...] = ("0.5", "0.7")
+    better: Literal["high", "low", ""] = "high"
+    scale: float = 100.0
+    digits: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line of a sheet: its label and a cell per column, a number for each of the column's parts."""
+
+    label: str
+    cells: tuple[tuple[Stat, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """A table.
+
+    Attributes:
+        name: of its files and of its place in a document.
+        title: one line.
+        note: what a reader has to know, one or two sentences.
+        head: title of the labels.
+        columns: as many as each line has cells.
+        lines: from top to bottom.
+    """
+
+    name: str
+    title: str
+    note: str
+    head: str
+    columns: tuple[Column, ...]
+    lines: tuple[Line, ...]
+
+    def markdown(self) -> str:
+        """Return the title, the table with the best of each column in bold, and the note."""
+        rows = [
+            [self.head, *(column.title for column in self.columns)],
+            ["---", *("---:" for _ in self.columns)],
+            *([line.label, *self._texts(line, "**", "**")] for line in self.lines),
+        ]
+        table = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)
+        return f"**{self.title}**\n\n{table}\n\n{self.note}\n"
+
+    def csv(self) -> str:
+        """Return CSV with a column for each number and one for its spread, unscaled."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        names = [f"{column.title} {part}".strip() for column in self.columns for part in column.parts]
+        writer.writerow([self.head, *(name for part in names for name in (part, f"{part} spread"))])
+        for line in self.lines:
+            numbers = [number for cell in line.cells for stat in cell for number in stat]
+            writer.writerow([line.label, *("" if math.isnan(number) else repr(float(number)) for number in numbers)])
+        return text.getvalue()
+
+    def terminal(self) -> Table:
+        """Return the table for the terminal."""
+        table = Table(title=self.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+        table.add_column(self.head)
+        for column in self.columns:
+            table.add_column(column.title, justify="right")
+        for line in self.lines:
+            table.add_row(line.label, *self._texts(line, "[bold]", "[/bold]"))
+        return table
+
+    def _texts(self, line: Line, before: str, after: str) -> list[str]:
+        """Return the cells of a line as people read them, what is best between two marks."""
+        texts = []
+        for number, (column, cell) in enumerate(zip(self.columns, line.cells, strict=True)):
+            shown = [stat.text(column.scale, column.digits) for stat in cell]
+            best = [self._is_best(number, part, stat) for part, stat in enumerate(cell)]
+            texts.append(" / ".join(f"{before}{t}{after}" if b else t for t, b in zip(shown, best, strict=True)))
+        return texts
+
+    def _is_best(self, column: int, part: int, stat: Stat) -> bool:
+        """Return whether a number is the best of several in its column, as far as its digits are shown."""
+        about = self.columns[column]
+        means = [line.cells[column][part].mean for line in self.lines]
+        known = [mean for mean in means if not math.isnan(mean)]
+        if not about.better or len(known) < 2 or math.isnan(stat.mean):
+            return False
+        best = max(known) if about.better == "high" else min(known)
+        return Stat(best).text(about.scale, about.digits) == Stat(stat.mean).text(about.scale, about.digits)

@@ -1,0 +1,116 @@
+"""The file of a benchmark: what it says is what is run, and a mistake in it is one line."""
+
+import pytest
+
+from dsrc.evaluation.benchmark import Condition
+from dsrc.evaluation.plan import cases_of, plan_of, read_benchmark
+from sim.errors import SettingsError
+
+GOOD = """
+name = "small"
+corruptions = ["fog", "snow"]
+severities = [1, 3]
+channels = ["ideal", "its-g5-6"]
+limit = 10
+
+[[methods]]
+name = "DSRC"
+detectors = ["a.pt", "b.pt"]
+
+[[methods]]
+name = "Late"
+detectors = ["c.pt"]
+
+[[datasets]]
+name = "test"
+drives = ["data"]
+
+[sweeps]
+methods = ["DSRC"]
+agents = [1, 2]
+pose_error = [0.0, 0.2]
+"""
+
+
+def written(tmp_path, text=GOOD):
+    path = tmp_path / "benchmark.toml"
+    path.write_text(text)
+    return path
+
+
+def test_rows_are_the_product_and_the_sweeps(tmp_path):
+    cases = cases_of(read_benchmark(written(tmp_path)))
+    assert len(set(cases)) == len(cases)
+    # 3 detectors x (clean + 2 corruptions x 2 severities) x 2 channels; 2 detectors x (2 numbers of agents + 1 error).
+    assert len(cases) == 3 * 5 * 2 + 2 * 3
+    assert {case.condition for case in cases if case.method == "Late"} == {
+        Condition(),
+        *(Condition(kind, level) for kind in ("fog", "snow") for level in (1, 3)),
+    }
+    swept = [case for case in cases if case.pose_error]
+    assert [(case.method, case.training, case.pose_error) for case in swept] == [("DSRC", 0, 0.2), ("DSRC", 1, 0.2)]
+    spec = swept[0].spec()
+    assert (spec.position_error_m, spec.heading_error_deg, spec.medium) == (0.2, 0.2, "perfect")
+
+
+def test_paths_are_taken_from_the_files_folder_first(tmp_path):
+    (tmp_path / "a.pt").write_bytes(b"")
+    plan = read_benchmark(written(tmp_path))
+    assert plan.methods[0].detectors == (str(tmp_path / "a.pt"), "b.pt")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"snow"]', '"snwo"]', ["corruptions", "snwo", "did you mean 'snow'"]),
+        ("severities = [1, 3]", "severities = [6]", ["severity", "1 to 5", "6"]),
+        ("severities = [1, 3]", "severities = [3, 3]", ["severities", "names that differ", "3"]),
+        ('"its-g5-6"]', '"its-g5-7"]', ["channel", "its-g5-7", "did you mean"]),
+        ('name = "Late"', 'name = "DSRC"', ["methods", "names that differ", "DSRC"]),
+        ('name = "Late"', 'nam = "Late"', ["methods[1]", "nam", "did you mean 'name'"]),
+        ('["c.pt"]', "[]", ["methods[1].detectors"]),
+        ("limit = 10", "limit = 0", ["limit", "at least 1 frame"]),
+        ("limit = 10", 'limit = "ten"', ["limit", "int", "ten"]),
+        ("limit = 10", "seed = -1", ["seed", "at least 0"]),
+        ('methods = ["DSRC"]', 'methods = ["DSCR"]', ["sweeps.methods", "DSCR", "did you mean 'DSRC'"]),
+        ("agents = [1, 2]", "agents = [0]", ["sweeps.agents[0]", ">= 1"]),
+        ("agents = [1, 2]", "loss = [1.5]", ["sweeps.loss[0]", "<= 1"]),
+        ("[sweeps]", "[sweep]", ["sweep", "did you mean 'sweeps'"]),
+        ("[[datasets]]", "[[data]]", ["data", "did you mean 'datasets'"]),
+        ('name = "small"', 'name = "small', ["not a readable TOML file"]),
+        ('name = "small"', 'family = "papers"', ["family"]),
+    ],
+)
+def test_a_mistake_is_one_line_with_its_place(tmp_path, old, new, words):
+    assert old in GOOD
+    path = written(tmp_path, GOOD.replace(old, new))
+    with pytest.raises(SettingsError) as caught:
+        read_benchmark(path)
+    text = str(caught.value)
+    assert "\n" not in text and str(path) in text
+    assert all(word in text for word in words), text
+
+
+def test_flags_say_the_same_as_a_file(tmp_path):
+    flags = {"corruptions": ("fog", "snow"), "severities": (1, 3), "channels": ("ideal", "its-g5-6"), "limit": 10}
+    sweeps = {"agents": (1, 2), "pose_error": (0.0, 0.2), "loss": None}
+    plan = plan_of(("DSRC=a.pt", "DSRC=b.pt", "Late=c.pt"), ("test=data",), {**flags, "seed": None}, sweeps)
+    assert plan.methods == read_benchmark(written(tmp_path)).methods
+    assert len(cases_of(plan)) == 3 * 5 * 2 + 3 * 3
+    assert plan_of((str(written(tmp_path)),), (), {"seed": None}, {}) == read_benchmark(written(tmp_path))
+    unnamed = plan_of(("runs/c.pt",), ("data/test",), {}, {})
+    assert (unnamed.methods[0].name, unnamed.datasets[0].name) == ("c", "test")
+
+
+def test_a_file_and_flags_do_not_both_describe_it(tmp_path):
+    path = str(written(tmp_path))
+    with pytest.raises(SettingsError, match=r"limit: expected nothing: .* describes the benchmark"):
+        plan_of((path,), (), {"limit": 5}, {})
+    with pytest.raises(SettingsError, match="data: expected nothing"):
+        plan_of((path,), ("data",), {}, {})
+    with pytest.raises(SettingsError, match="detectors: expected at least one"):
+        plan_of((), ("data",), {}, {})
+    with pytest.raises(SettingsError, match="data: expected at least one"):
+        plan_of(("a.pt",), (), {}, {})
+    with pytest.raises(SettingsError, match="agents"):
+        plan_of(("a.pt",), ("data",), {}, {"agents": (0,)})

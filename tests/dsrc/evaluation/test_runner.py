@@ -1,0 +1,230 @@
+"""A benchmark goes on where it stopped, makes what is missing and nothing else, and ends with the same bytes."""
+
+import shutil
+from dataclasses import replace as changed
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from dsrc.data.drives import list_drives
+from dsrc.evaluation import runner
+from dsrc.evaluation.benchmark import Condition, Method, run_benchmark
+from dsrc.evaluation.cells import CellSettings, described, of_channel, read_cell
+from dsrc.evaluation.plan import Sweeps
+from dsrc.evaluation.report import write_report
+from dsrc.evaluation.runner import Outcome, run_plan
+from dsrc.models.checkpoint import load_student
+from sim.errors import CheckpointError, DataError, SettingsError
+from sim.v2x import PRESETS
+from tests.dsrc.evaluation.small import make_plan, write_detector, write_drives
+
+TWO = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "alone": [("no-collaboration", 0)]}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("benchmark")
+    write_drives(root / "test")
+    return root
+
+
+@pytest.fixture(scope="module")
+def plan(root: Path):
+    sweeps = Sweeps(agents=(1, 2), pose_error=(0.0, 0.5), delay_s=(0.1,), loss=(0.9,))
+    return make_plan(root, TWO, corruptions=("fog", "beam_missing"), sweeps=sweeps)
+
+
+@pytest.fixture(scope="module")
+def done(plan, root: Path) -> tuple[Path, Outcome]:
+    outcome = run_plan(plan, root / "done")
+    write_report(outcome, root / "done")
+    return root / "done", outcome
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """What has to be the same: times and their tables aside."""
+    names = ["results.json", "results.csv", *(f"cells/{path.name}" for path in folder.glob("cells/*.npz"))]
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+def test_a_row_of_a_benchmark_says_what_an_evaluation_says(done, plan, root):
+    _, outcome = done
+    detector = load_student(root / "dsrc_1.pt")
+    direct = run_benchmark(
+        [Method("DSRC", detector, channel=PRESETS["ideal"])], list_drives(root / "test"), plan.corruptions
+    )
+    rows = {
+        e.case.condition.kind: e.row for e in outcome.entries[:9] if (e.case.method, e.case.training) == ("DSRC", 1)
+    }
+    assert set(rows) == {"clean", "fog", "beam_missing"}
+    for row in direct[:3]:
+        assert rows[row.condition].metrics.items() >= row.metrics.items()
+        assert changed(rows[row.condition], metrics=row.metrics) == row
+    assert any(row.metrics["ap_bev_30"] > 0 for row in direct)
+
+
+def test_killed_and_started_again_it_ends_with_the_same_bytes(done, plan, root, monkeypatch):
+    out, written = root / "killed", []
+    whole, write = files(done[0]), runner.write_cell
+
+    def dies(folder, settings, tally):
+        if len(written) % 5 == 4:
+            written.append("died")
+            raise KeyboardInterrupt
+        written.append(settings.key)
+        write(folder, settings, tally)
+
+    monkeypatch.setattr(runner, "write_cell", dies)
+    deaths = 0
+    while True:
+        try:
+            outcome = run_plan(plan, out)
+        except KeyboardInterrupt:
+            deaths += 1
+            continue
+        break
+    assert deaths >= 3
+    write_report(outcome, out)
+    assert files(out) == whole
+
+
+def test_what_is_done_is_not_done_again(done, plan):
+    out, outcome = done
+    before = {path: path.stat().st_mtime_ns for path in out.glob("cells/*")}
+    assert outcome.made == len(before) / 2 > 0
+    again = run_plan(plan, out)
+    assert again.made == 0
+    assert {path: path.stat().st_mtime_ns for path in out.glob("cells/*")} == before
+    assert again.entries == outcome.entries
+
+
+def test_a_method_that_is_added_costs_its_own_cells_alone(done, plan, root, monkeypatch):
+    out, outcome = shutil.copytree(done[0], root / "more"), done[1]
+    more = make_plan(root, {**TWO, "late": [("late", 0)]}, corruptions=plan.corruptions, sweeps=plan.sweeps)
+    made, write = [], runner.write_cell
+    monkeypatch.setattr(runner, "write_cell", lambda f, s, t: (made.append(s.detector), write(f, s, t)))
+    after = run_plan(more, out)
+    assert set(made) == {after.trained["late"][0].sha256}
+    old = [entry for entry in after.entries if entry.case.method != "late"]
+    assert old == outcome.entries
+    # A name is no setting: called otherwise, nothing is made anew.
+    renamed = replace(plan, methods=tuple(replace(m, name=m.name + "!") for m in plan.methods), sweeps=Sweeps())
+    assert run_plan(renamed, out).made == 0
+
+
+def test_two_processes_find_what_one_does(done, plan, root):
+    outcome = run_plan(plan, root / "two", workers=2)
+    write_report(outcome, root / "two")
+    assert files(root / "two") == files(done[0])
+
+
+def test_units_of_few_frames_give_the_same_rows(done, plan, root, monkeypatch):
+    monkeypatch.setattr(runner, "CHUNK", 1)
+    outcome = run_plan(plan, root / "chunks")
+    rows = [entry.row for entry in outcome.entries]
+    assert rows == [entry.row for entry in done[1].entries]
+    assert len(outcome.entries[0].cells) == 4
+
+
+def test_who_is_alone_is_the_same_through_every_channel(done):
+    _, outcome = done
+    alone = [e for e in outcome.entries if e.case.method == "alone" and e.case.condition.kind == "clean"]
+    assert len(alone) > 3 and len({entry.cells for entry in alone}) == 1
+    assert all(entry.row.bytes_per_frame == 0.0 for entry in alone)
+    one = next(e.row for e in outcome.entries if (e.case.method, e.case.agents) == ("DSRC", 1))
+    assert one.bytes_per_frame == 0.0
+    two = next(e.row for e in outcome.entries if (e.case.method, e.case.agents) == ("DSRC", 2))
+    assert two.bytes_per_frame > 0.0 and two.truth == one.truth
+
+
+def test_a_sweep_changes_what_arrives(done):
+    _, outcome = done
+    rows = {
+        (e.case.pose_error, e.case.delay_s, e.case.loss): e.row
+        for e in outcome.entries
+        if (e.case.method, e.case.training, e.case.condition.kind, e.case.agents) == ("DSRC", 0, "clean", None)
+    }
+    assert set(rows) == {(0, 0, 0), (0.5, 0, 0), (0, 0.1, 0), (0, 0, 0.9)}
+    assert rows[0, 0, 0].heard == 1.0
+    # Of two frames the first has nothing to hear yet, and of nine lost packets in ten no message is whole enough.
+    assert rows[0, 0.1, 0].heard == 0.5 and rows[0, 0.1, 0].message_age_s == pytest.approx(0.1)
+    assert rows[0, 0, 0.9].heard == 0.0
+    assert rows[0.5, 0, 0].metrics != rows[0, 0, 0].metrics
+
+
+SETTINGS = CellSettings(
+    detector="ab",
+    drive="drive_0",
+    data="cd",
+    positions=(0, 1),
+    condition=described(Condition("fog", 3)),
+    seed=0,
+    channel=of_channel(PRESETS["ideal"]),
+    agents=5,
+    device="cpu",
+    versions={"torch": "2"},
+)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"detector": "ba"},
+        {"drive": "drive_1"},
+        {"data": "dc"},
+        {"positions": (0, 2)},
+        {"condition": described(Condition("fog", 4))},
+        {"condition": described(Condition("fog", 3, "paper"))},
+        {"condition": described(Condition("snow", 3))},
+        {"condition": described(Condition())},
+        {"seed": 1},
+        {"channel": None},
+        {"channel": of_channel(PRESETS["c-v2x"])},
+        {"channel": of_channel(replace(PRESETS["ideal"], packet_loss=0.1))},
+        {"agents": 4},
+        {"device": "cuda"},
+        {"versions": {"torch": "3"}},
+        {"code": SETTINGS.code + 1},
+    ],
+)
+def test_every_setting_has_cells_of_its_own(change):
+    assert replace(SETTINGS, **change).key != SETTINGS.key
+    assert {field for field in SETTINGS.__struct_fields__} >= set(change)
+
+
+def test_a_channel_is_what_it_does_and_not_its_name(tmp_path):
+    assert of_channel(replace(PRESETS["ideal"], name="other")) == of_channel(PRESETS["ideal"])
+    trace = tmp_path / "trace.csv"
+    trace.write_text("time_s,delay_s,loss\n0,0.1,0\n")
+    one = of_channel(replace(PRESETS["trace"], trace=str(trace)))
+    trace.write_text("time_s,delay_s,loss\n0,0.2,0\n")
+    assert of_channel(replace(PRESETS["trace"], trace=str(trace))) != one
+
+
+def test_a_damaged_cell_is_named(done, root):
+    path = next((done[0] / "cells").glob("*.npz"))
+    copy = root / path.name
+    copy.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(DataError, match=f"{path.name}: cell: expected a whole one.*remove it"):
+        read_cell(root, path.stem)
+
+
+def test_a_cell_reads_back(done):
+    key = done[1].entries[0].cells[0]
+    tally = read_cell(done[0] / "cells", key)
+    assert tally.judged.frames == len(tally.seconds) == 2
+    assert tally.ego_share.shape == (tally.judged.truth,)
+    assert all(m.max(initial=-1) < tally.judged.truth for m in tally.judged.matched.values())
+    assert np.all(np.isfinite(tally.judged.score))
+
+
+def test_what_is_wrong_is_told_before_the_work(plan, root):
+    missing = replace(plan, methods=(replace(plan.methods[0], detectors=(str(root / "none.pt"),)),))
+    with pytest.raises(CheckpointError, match=r"none\.pt"):
+        run_plan(missing, root / "wrong")
+    mixed = (str(root / "dsrc_0.pt"), str(write_detector(root / "mixed.pt", "dsrc-max")))
+    with pytest.raises(SettingsError, match=r"mixed\.pt: settings: expected those of .*dsrc_0\.pt"):
+        run_plan(replace(plan, methods=(replace(plan.methods[0], detectors=mixed),)), root / "wrong")
+    assert not (root / "wrong" / "cells").exists()
