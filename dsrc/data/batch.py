@@ -5,11 +5,13 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from dsrc.data.labels import Labels, cells_in_boxes
 from dsrc.data.sample import GridSpec, Sample
 from dsrc.data.teacher import TeacherClouds, teacher_clouds
 from dsrc.models.encoder import Pillars
@@ -28,6 +30,9 @@ from sim.geometry import invert, transform_points
 _POSITIVE_IOU = 0.5
 """True overlap of an anchor that is responsible for a box; about the 0.6 of the released code, whose overlap adds a
 metre to every side."""
+
+
+_LABELS = Labels()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +70,7 @@ class Batch:
         teacher: pillars of the teacher's clouds, None when nothing is distilled.
         foreground: (N, H, W) bool cells with a point on one of the agent's objects, None without teacher.
         scene: the reconstruction's target, None when it is off.
+        objects: pillars of the agents' objects alone, for a teacher whose norms see them too; None for others.
     """
 
     keys: tuple[str, ...]
@@ -79,6 +85,7 @@ class Batch:
     teacher: Pillars | None = None
     foreground: Tensor | None = None
     scene: Scene | None = None
+    objects: Pillars | None = None
 
     @property
     def company(self) -> Company:
@@ -92,14 +99,21 @@ class Batch:
         if torch.device(device).type == "cpu":
             return self
         moved: dict[str, Any] = {
-            name: part.to(device)
-            for name in ("student", "lost", "roadside", "pairwise", "teacher", "foreground", "targets", "scene")
-            if (part := getattr(self, name)) is not None
+            name: part.to(device) for name in _TENSORS if (part := getattr(self, name)) is not None
         }
         return replace(self, **moved)
 
 
-def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) -> Batch:
+_TENSORS = ("student", "lost", "roadside", "pairwise", "teacher", "foreground", "targets", "scene", "objects")
+
+
+def collate(
+    samples: Sequence[Sample],
+    settings: ModelSettings,
+    training: bool,
+    labels: Labels = _LABELS,
+    objects: bool = False,
+) -> Batch:
     """Turn samples into a batch.
 
     Args:
@@ -107,7 +121,11 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
         settings: of the network that will read the batch. A teacher's batch has no student pillars; a student's has
             the teacher's clouds too, in training, when its settings distil.
         training: make targets and everything else that needs ground truth.
+        labels: how it is made of the ground truth.
+        objects: in training, the teacher's norms see the clouds of its objects too.
     """
+    if training and labels.max_pillars is not None:
+        settings = msgspec.structs.replace(settings, max_pillars=min(labels.max_pillars, settings.max_pillars))
     whole = [(part, sample) for sample in samples for part in heard(sample, settings)]
     samples = [part for part, _ in whole]
     for_teacher = settings.role == "teacher"
@@ -127,18 +145,24 @@ def collate(samples: Sequence[Sample], settings: ModelSettings, training: bool) 
     )
     if for_teacher or (training and settings.distils):
         views = [
-            teacher_clouds(part, dense=settings.sdd, paint=settings.pcp, further=_unheard(part, sample, settings))
+            teacher_clouds(part, labels.inside, settings.sdd, settings.pcp, _unheard(part, sample, settings))
             for part, sample in whole
         ]
-        batch = replace(batch, teacher=_teacher_pillars(views, settings))
+        batch = replace(batch, teacher=_painted_pillars([c for view in views for c in view.clouds], settings))
+        if training and objects:
+            clouds = [cloud for view in views for cloud in view.object_clouds]
+            batch = replace(batch, objects=_painted_pillars(clouds, settings))
         if not for_teacher:
-            batch = replace(batch, foreground=_foreground(views, settings.grid))
+            by_points = labels.foreground == "points"
+            boxes = [own for sample in samples for own in sample.agent_boxes]
+            mask = _cells_with_points(views, settings.grid) if by_points else cells_in_boxes(boxes, settings.grid)
+            batch = replace(batch, foreground=torch.from_numpy(mask))
     if not training:
         return batch
     scene = None
     if settings.rec and not for_teacher:
         scene = scene_of([np.concatenate(sample.clouds) for sample in samples], settings)
-    return replace(batch, targets=_targets(samples, settings), scene=scene)
+    return replace(batch, targets=_targets(samples, settings, labels), scene=scene)
 
 
 def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
@@ -237,19 +261,19 @@ def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -
     )
 
 
-def _teacher_pillars(views: list[TeacherClouds], settings: ModelSettings) -> Pillars:
+def _painted_pillars(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Pillars:
     features = 5 if settings.pcp else 4
-    return pillars_of([cloud[:, :features] for view in views for cloud in view.clouds], settings)
+    return pillars_of([cloud[:, :features] for cloud in clouds], settings)
 
 
-def _foreground(views: list[TeacherClouds], grid: GridSpec) -> Tensor:
-    """Mark the cells with a point on one of the agent's objects."""
+def _cells_with_points(views: list[TeacherClouds], grid: GridSpec) -> NDArray[np.bool_]:
+    """Return (N, H, W) the cells with a point on one of the agent's objects."""
     objects = [cloud for view in views for cloud in view.object_clouds]
     mask = np.zeros((len(objects), grid.height, grid.width), bool)
     for row, cloud in enumerate(objects):
         column_x, row_y, _ = _cells(cloud, grid, grid.cell_m)
         mask[row, row_y, column_x] = True
-    return torch.from_numpy(mask)
+    return mask
 
 
 def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Scene:
@@ -301,10 +325,11 @@ def _anchors(grid: GridSpec) -> NDArray[np.float64]:
     return anchor_grid(grid)
 
 
-def _targets(samples: Sequence[Sample], settings: ModelSettings) -> Targets:
+def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: Labels) -> Targets:
     """Assign every sample's boxes to anchors."""
     grid = settings.grid
-    found = [assign_targets(sample.boxes.array, _anchors(grid), _POSITIVE_IOU, legacy_iou=False) for sample in samples]
+    legacy = labels.targets == "released"
+    found = [assign_targets(sample.boxes.array, _anchors(grid), _POSITIVE_IOU, legacy) for sample in samples]
     regression = np.stack([np.asarray(t.regression, np.float32) for t in found])
     if settings.box_order == "hwl":
         regression = regression.reshape(*regression.shape[:3], 2, 7)[..., REFERENCE_ORDER].reshape(regression.shape)

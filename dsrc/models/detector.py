@@ -128,7 +128,12 @@ class Detector(nn.Module):
     def decode(self, output: Output) -> list[Detections]:
         """Turn the heads' maps into detections wholly inside the grid's range, one row of the batch each."""
         settings = self.settings
-        post = PostSettings(settings.score_threshold, settings.nms_iou, range_m=settings.grid.range_m)
+        post = PostSettings(
+            settings.score_threshold,
+            settings.nms_iou,
+            range_m=settings.grid.range_m,
+            max_extent_m=settings.max_extent_m,
+        )
         cls, reg = output.cls.detach().float().cpu().numpy(), output.reg.detach().float().cpu().numpy()
         if settings.box_order == "hwl":
             reg = reg.reshape(len(reg), 2, 7, *reg.shape[2:])[:, :, REFERENCE_ORDER].reshape(reg.shape)

@@ -63,6 +63,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         max_agents: agents that one ego listens to, itself included.
         score_threshold: detections below this confidence are dropped.
         nms_iou: of two detections that overlap more than this, the less confident is dropped.
+        max_extent_m: detections longer than this along x or y are dropped, buses among them, as in the released code,
+            which has 6 m; None keeps all.
     """
 
     grid: GridSpec = GridSpec()
@@ -93,6 +95,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_agents: Count = 5
     score_threshold: Share = 0.2
     nms_iou: Share = 0.15
+    max_extent_m: Annotated[float, Meta(gt=0)] | None = None
 
     def __post_init__(self) -> None:
         if self.grid.width % 8 or self.grid.height % 8:

@@ -75,14 +75,15 @@ class ValidationSet(Dataset[Sample]):
 
 
 class Collate:
-    """Turns a list of samples into a batch for a network of these settings."""
+    """Turns a list of samples into a batch for a network of these settings, with a recipe's labels."""
 
-    def __init__(self, settings: ModelSettings, training: bool) -> None:
-        self.settings, self.training = settings, training
+    def __init__(self, settings: ModelSettings, recipe: Recipe, training: bool) -> None:
+        self.settings, self.labels, self.training = settings, recipe.labels, training
+        self.objects = recipe.distill.teacher_norms == "moving"
 
     def __call__(self, samples: list[Sample]) -> Batch:
         """Collate."""
-        return collate(samples, self.settings, self.training)
+        return collate(samples, self.settings, self.training, self.labels, self.objects)
 
 
 class DetectionData(pl.LightningDataModule):
@@ -107,7 +108,7 @@ class DetectionData(pl.LightningDataModule):
         """
         super().__init__()
         self.recipe, self.settings = recipe, settings
-        agents = (recipe.comm_range_m, recipe.model.max_agents)
+        agents = (recipe.comm_range_m, recipe.model.max_agents, recipe.labels.ego_box)
         wide = SampleStore(drives, source_grid(recipe.model.grid, recipe.augmentation), *agents)
         frames, held_out = wide.frames, wide.frames
         if validation_drives is None and recipe.validation_share > 0:
@@ -129,7 +130,7 @@ class DetectionData(pl.LightningDataModule):
             self.training,
             batch_size=batch_size,
             sampler=sampler,
-            collate_fn=Collate(self.settings, training=True),
+            collate_fn=Collate(self.settings, self.recipe, training=True),
             drop_last=len(sampler) >= batch_size,
             **_workers(self.recipe.workers),
         )
@@ -144,7 +145,7 @@ class DetectionData(pl.LightningDataModule):
             self.validation,
             batch_size=1,
             sampler=range(device, len(self.validation), devices),
-            collate_fn=Collate(self.settings, training=False),
+            collate_fn=Collate(self.settings, self.recipe, training=False),
             **_workers(min(self.recipe.workers, 1)),
         )
 

@@ -31,6 +31,9 @@ class DistillSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             the two anchors and over the 14 residuals.
         daf_mask: restrict the distillation after fusion to the foreground of any agent. On by default: over the whole
             map, of which a few per cent are foreground, the mean is a distillation of the road.
+        teacher_norms: the batch norms of a teacher are `fixed` when its student is trained, or `moving` as in the
+            released code: they take the batch's statistics and go on averaging them, and in the pillar encoder, there
+            and when the teacher is trained, the objects' clouds by themselves take part.
     """
 
     dae: float = 1.0
@@ -38,11 +41,12 @@ class DistillSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     dap: float = 0.5
     form: Literal["paper", "released"] = "paper"
     daf_mask: bool = True
+    teacher_norms: Literal["fixed", "moving"] = "fixed"
 
 
 def released() -> DistillSettings:
-    """Return the settings of the released code: all weights 1, its masks and its means."""
-    return DistillSettings(dap=1.0, form="released")
+    """Return the settings of the released code: all weights 1, its masks, its means and its teacher's norms."""
+    return DistillSettings(dap=1.0, form="released", teacher_norms="moving")
 
 
 def detection_loss(cls: Tensor, reg: Tensor, positive: Tensor, regression: Tensor) -> tuple[Tensor, Tensor]:

@@ -40,25 +40,24 @@ class DetectionModule(pl.LightningModule):
         self.recipe, self.detector, self.seed = recipe, detector, seed
         settings = detector.settings
         self.reconstruction = Reconstruction(settings) if settings.rec and settings.role == "student" else None
-        # In a tuple the teacher is no submodule: it is not saved with the student, trained, or set to training mode.
+        # In a tuple the teacher is no submodule: it is not saved with the student, nor trained.
         self._teacher = (teacher.eval().requires_grad_(False),) if teacher is not None else ()
+        if teacher is not None and recipe.distill.teacher_norms == "moving":
+            teacher.train()
         self._results: list[list[FrameResult]] = []
         self._zeros_in_a_row = 0
 
     def forward(self, batch: Batch) -> Output:
         """Detect, on the clouds that this network reads."""
-        pillars = self._pillars(batch)
         with self._autocast():
-            return self.detector(pillars, batch.company).float()
+            if self.detector.settings.role == "teacher":
+                return as_teacher(self.detector, batch).float()
+            if batch.student is None:
+                raise ValueError("the batch was collated for another network")
+            return self.detector(batch.student, batch.company).float()
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.bfloat16)
-
-    def _pillars(self, batch: Batch) -> Pillars:
-        pillars = batch.teacher if self.detector.settings.role == "teacher" else batch.student
-        if pillars is None:
-            raise ValueError("the batch was collated for another network")
-        return pillars
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         """Return the weighted losses of a training batch by name; their sum is what is minimised."""
@@ -69,7 +68,7 @@ class DetectionModule(pl.LightningModule):
         losses = {"cls": cls, "reg": reg}
         if self._teacher and batch.teacher is not None and batch.foreground is not None:
             with torch.no_grad(), self._autocast():
-                taught = self._teacher[0](batch.teacher, batch.company).float()
+                taught = as_teacher(self._teacher[0], batch).float()
             losses |= distillation_losses(output, taught, batch.foreground, batch.agents, self.recipe.distill)
         if self.reconstruction is not None and batch.scene is not None:
             mask, offset = reconstruction_losses(self.reconstruction, output.fused, batch.scene)
@@ -128,27 +127,71 @@ class DetectionModule(pl.LightningModule):
         return [result for turn in by_turns for frames in turn for result in frames]
 
     def configure_optimizers(self) -> Any:
-        """Return AdamW and the schedule, which advances with every step."""
+        """Return the optimizer and the schedule, which advances with every step."""
         decayed = [p for p in self.parameters() if p.ndim > 1]
         others = [p for p in self.parameters() if p.ndim <= 1]
         groups = [{"params": decayed, "weight_decay": self.recipe.weight_decay}, {"params": others, "weight_decay": 0}]
-        optimizer = torch.optim.AdamW(groups, lr=self.recipe.learning_rate)
+        optimizer: torch.optim.Optimizer
+        if self.recipe.optimizer == "adam":
+            whole, decay = list(self.parameters()), self.recipe.weight_decay
+            optimizer = torch.optim.Adam(whole, lr=self.recipe.learning_rate, eps=1e-10, weight_decay=decay)
+        else:
+            optimizer = torch.optim.AdamW(groups, lr=self.recipe.learning_rate)
         steps = max(int(self.trainer.estimated_stepping_batches), 1)
         schedule = LambdaLR(optimizer, RateCurve(self.recipe, steps))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
+def as_teacher(teacher: Detector, batch: Batch) -> Output:
+    """Return what a teacher says of its clouds; in training its pillar norm sees those of its objects, if there are.
+
+    The released code has both in one batch of the pillar encoder and goes on with the teacher's clouds alone.
+    """
+    pillars = batch.teacher
+    if pillars is None:
+        raise ValueError("the batch was collated for another network")
+    if batch.objects is None or not teacher.training:
+        return teacher(pillars, batch.company)
+    encoder = teacher.encoder
+    features = encoder.features(joined(pillars, batch.objects))[: len(pillars.coords)]
+    stages = teacher.backbone(encoder.scatter(features, pillars))
+    return teacher.read(stages, teacher.join(teacher.maps(stages), batch.company))
+
+
+def joined(first: Pillars, second: Pillars) -> Pillars:
+    """Return the pillars of two groups of clouds, those of the first first."""
+    shift = torch.zeros_like(second.coords)
+    shift[:, 0] = first.clouds
+    return Pillars(
+        points=torch.cat([first.points, second.points]),
+        pillar=torch.cat([first.pillar, second.pillar + len(first.coords)]),
+        coords=torch.cat([first.coords, second.coords + shift]),
+        count=torch.cat([first.count, second.count]),
+        clouds=first.clouds + second.clouds,
+    )
+
+
 class RateCurve:
-    """The learning rate over the steps, as a share of its peak: a linear rise, then half a cosine."""
+    """The learning rate over the steps, as a share of its peak: a rise, then half a cosine; see `Recipe.schedule`."""
 
     def __init__(self, recipe: Recipe, steps: int) -> None:
-        self.steps = steps
-        self.rise = max(round(steps * recipe.warmup), 1)
+        # Plain numbers alone: they are in every checkpoint.
+        self.steps, self.epochs, self.released = steps, recipe.epochs, recipe.schedule == "released"
+        self.rise_epochs = round(recipe.epochs * recipe.warmup)
+        self.rise = max(round(steps * recipe.warmup), 1) if recipe.warmup else 0
         self.start, self.end = 0.04, 1e-4 if recipe.schedule == "one_cycle" else 1e-2
 
     def __call__(self, step: int) -> float:
         """Return the share at a step."""
+        if self.released:
+            return self._in_epoch(step * self.epochs // self.steps)
         if step < self.rise:
             return self.start + (1 - self.start) * step / self.rise
         fall = min((step - self.rise) / max(self.steps - self.rise, 1), 1.0)
         return self.end + (1 - self.end) * 0.5 * (1 + math.cos(math.pi * fall))
+
+    def _in_epoch(self, epoch: int) -> float:
+        """Return the released code's share in an epoch: the cosine falls already while the rise replaces it."""
+        if epoch < self.rise_epochs:
+            return 0.2 + 0.8 * epoch / self.rise_epochs
+        return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(epoch / self.epochs, 1.0)))

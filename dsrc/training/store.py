@@ -29,7 +29,14 @@ class SampleStore:
         frames: all frames, drive by drive.
     """
 
-    def __init__(self, drives: Sequence[Path], grid: GridSpec, comm_range_m: float, max_agents: int) -> None:
+    def __init__(
+        self,
+        drives: Sequence[Path],
+        grid: GridSpec,
+        comm_range_m: float,
+        max_agents: int,
+        keep_ego_box: bool = False,
+    ) -> None:
         """Look at the drives.
 
         Args:
@@ -37,12 +44,14 @@ class SampleStore:
             grid: range to which the samples are cropped.
             comm_range_m: agents farther from the ego do not take part.
             max_agents: at most this many agents per sample.
+            keep_ego_box: count the ego's own body as an object where a collaborator has seen it.
 
         Raises:
             DataError: there is not a single frame.
         """
         self.drives = [open_drive(drive) for drive in drives]
         self.grid, self.comm_range_m, self.max_agents = grid, comm_range_m, max_agents
+        self.keep_ego_box = keep_ego_box
         self.frames = [FrameRef(d, i) for d, reader in enumerate(self.drives) for i in range(len(reader))]
         if not self.frames:
             raise DataError(complaint(drives[0] if drives else "data", "frames", "at least one", 0))
@@ -61,5 +70,6 @@ class SampleStore:
             self.grid,
             comm_range_m=self.comm_range_m,
             max_agents=self.max_agents,
+            keep_ego_box=self.keep_ego_box,
             key=f"{reader.drive.name}/{ego_id}/{reader.frames[ref.position]:06d}",
         )

@@ -34,7 +34,7 @@ from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 LOG = logging.getLogger(__name__)
 DETECTOR, SETTINGS, RESULT = "detector.pt", "settings.json", "result.json"
 """Files of a run folder."""
-_PARTS = ("model", "distill", "augmentation")
+_PARTS = ("model", "distill", "labels", "augmentation")
 _OF_A_TEACHER = ("grid", "sdd", "pcp", "stage_channels", "shrink_channels", "box_order")
 _WITHOUT_EFFECT = ("name", "validate_every", "validation_frames", "alarm_after", "workers", "half")
 """Fields of a recipe that do not change the weights."""
@@ -299,7 +299,7 @@ def _made_of(record: dict) -> dict[str, object]:
     """Return by name what decides over the weights of a run."""
     plain = msgspec.json.decode(msgspec.json.encode(record))
     recipe = plain["settings"]["recipe"]
-    parts = {f"{part}.{name}": value for part in _PARTS for name, value in recipe[part].items()}
+    parts = {f"{part}.{name}": value for part in _PARTS for name, value in recipe.get(part, {}).items()}
     whole = {name: value for name, value in recipe.items() if name not in (*_PARTS, *_WITHOUT_EFFECT)}
     return {
         **parts,
