@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import torch
 
+from dsrc.models.deploy import deployed
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from sim.errors import CheckpointError, complaint
@@ -60,7 +61,7 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
 
 
 def load_student(path: Path, device: str = "cpu") -> Detector:
-    """Read a detector file as `load_detector` does, for use without ground truth.
+    """Read a detector file for use without ground truth; the detector is `deployed`, so that it is fast.
 
     Raises:
         CheckpointError: as `load_detector`, or the file holds a teacher.
@@ -69,7 +70,7 @@ def load_student(path: Path, device: str = "cpu") -> Detector:
     if detector.settings.role != "student":
         hint = "; a teacher reads clouds that are made with ground truth"
         raise CheckpointError(complaint(path, "settings.role", "student", detector.settings.role, hint))
-    return detector
+    return deployed(detector)
 
 
 def read_meta(path: Path) -> dict[str, Any]:

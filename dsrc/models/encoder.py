@@ -170,6 +170,6 @@ class PillarEncoder(nn.Module):
         cloud, row, column = pillars.coords.unbind(1)
         cell = (cloud * height + row) * width + column
         dense = features.new_zeros((pillars.clouds * height * width, features.shape[1]))
-        dense = dense.index_copy(0, cell, features)
+        dense.index_copy_(0, cell, features)
         # (N, H, W, C) seen as (N, C, H, W): already the memory order that CPU convolutions like best.
         return dense.view(pillars.clouds, height, width, -1).permute(0, 3, 1, 2)

@@ -98,3 +98,8 @@ class Fusion(nn.Module):
             network: the detector, for a method that lets parts of it run again.
         """
         return [self.fuse(features, company) for features in maps]
+
+
+def stacked(rows: Sequence[Tensor]) -> Tensor:
+    """Return (B, C, H, W) of B (C, H, W) maps in the order that they have in memory, as `torch.stack` does not."""
+    return rows[0][None] if len(rows) == 1 else torch.cat([row[None] for row in rows])

@@ -1,9 +1,8 @@
 """Fusion by the maximum over the agents."""
 
-import torch
 from torch import Tensor
 
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import Company, Fusion, stacked
 from dsrc.models.fusion.warp import into_ego
 
 
@@ -19,4 +18,4 @@ class MaxFusion(Fusion):
     def fuse(self, features: Tensor, company: Company) -> Tensor:
         """Fuse one scale."""
         groups = company.split(features)
-        return torch.stack([into_ego(group, company, b).amax(0) for b, group in enumerate(groups)])
+        return stacked([into_ego(group, company, b).amax(0) for b, group in enumerate(groups)])

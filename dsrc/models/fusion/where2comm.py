@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from dsrc.models.fusion.attention import ego_row
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import Company, Fusion, stacked
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.settings import ModelSettings
 
@@ -74,8 +74,8 @@ class Where2comm(Fusion):
         """Fuse one scale."""
         groups = [into_ego(group, company, b) for b, group in enumerate(company.split(features))]
         if self.agg == "max":
-            return torch.stack([group.amax(0) for group in groups])
-        return torch.stack([ego_row(group) for group in groups])
+            return stacked([group.amax(0) for group in groups])
+        return stacked([ego_row(group) for group in groups])
 
     def smoothed(self, logits: Tensor) -> Tensor:
         """Return (N, 1, h, w) confidences of (N, anchors, h, w) logits."""
