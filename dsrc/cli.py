@@ -409,7 +409,8 @@ def train(
         method: dsrc, or a rival in the same preset, such as v2x-vit; a wrong one is answered with the right ones.
         init: a detector.pt to start from: the weights whose name and shape agree are taken.
         devices: GPUs, or processes without one, that share each batch; torchrun brings its own number.
-        set: change settings of the model or the recipe: `--set sdd=false fusion=max`, `--set epoch_frames=1000`.
+        set: change settings of the model, of the recipe or of a part of it: `--set sdd=false fusion=max
+            epoch_frames=1000 augmentation.corruption=0.5`.
     """
     from dsrc.training.train import train_stages
 
@@ -582,9 +583,11 @@ def benchmark(
         device: of the networks.
     """
     from dsrc.evaluation.paper_tables import View, table_1
+    from dsrc.evaluation.pictures import write_pictures
     from dsrc.evaluation.plan import plan_of
     from dsrc.evaluation.report import publish, write_report
     from dsrc.evaluation.runner import run_plan
+    from dsrc.evaluation.tables import write_atomic
 
     flags = {"corruptions": corruptions, "severities": severities, "family": family, "channels": channels}
     sweeps = {"agents": agents, "pose_error": pose_error, "delay_s": delay_s, "loss": loss}
@@ -594,7 +597,8 @@ def benchmark(
         outcome = run_plan(
             plan, out, workers, device, lambda done, total: progress.update(task, completed=done, total=total)
         )
-    blocks = write_report(outcome, out)
+    blocks = [*write_report(outcome, out), *write_pictures(outcome, out)]
+    write_atomic(out / "tables.md", "\n".join(block.markdown(Path()) for block in blocks))
     for dataset in plan.datasets:
         _console().print(table_1(View.of(outcome, dataset.name)).terminal())
     for block in blocks:

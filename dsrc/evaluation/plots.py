@@ -25,7 +25,7 @@ _MARKERS = "osD^vPX"
 
 
 @contextmanager
-def _style() -> Iterator[None]:
+def styled() -> Iterator[None]:
     """Set the look while a figure is made and drawn; global settings stay as they were."""
     look: dict[Any, Any] = {
         "font.family": "DejaVu Sans",
@@ -50,19 +50,19 @@ def _style() -> Iterator[None]:
         yield
 
 
-def _figure(width: float, height: float, columns: int = 1) -> tuple[Figure, list[Axes]]:
+def panels(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
+    """Return a figure of a size, inches, and its panels row by row."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(1, columns, squeeze=False)[0]
-    return figure, list(axes)
+    return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
 
 
 def corruption_bars(rows: Sequence[Row], space: Space = "bev") -> Figure:
     """Draw AP at IoU 0.5 (light) and, inside it, at 0.7 (dark): a group per condition, a bar per method."""
     methods, conditions = methods_of(rows), conditions_of(rows)
     width = 0.8 / max(len(methods), 1)
-    with _style():
-        figure, (axes,) = _figure(min(12.0, max(7.0, 1.0 + 0.6 * len(conditions) * len(methods) ** 0.75)), 4.2)
+    with styled():
+        figure, (axes,) = panels(min(12.0, max(7.0, 1.0 + 0.6 * len(conditions) * len(methods) ** 0.75)), 4.2)
         for i, method in enumerate(methods):
             color = method_color(i)
             place = [c + (i - (len(methods) - 1) / 2) * width for c in range(len(conditions))]
@@ -89,8 +89,8 @@ def corruption_bars(rows: Sequence[Row], space: Space = "bev") -> Figure:
 def mean_bars(rows: Sequence[Row], space: Space = "bev") -> Figure:
     """Draw AP under each condition as the mean over all methods, as the paper's Figure 4."""
     methods, conditions = methods_of(rows), conditions_of(rows)
-    with _style():
-        figure, (axes,) = _figure(min(12.0, 2.0 + 0.9 * len(conditions)), 3.6)
+    with styled():
+        figure, (axes,) = panels(min(12.0, 2.0 + 0.9 * len(conditions)), 3.6)
         for threshold, shade in ((0.5, _tint(COLORS[0])), (0.7, COLORS[0])):
             name = metric_name(space, threshold)
             heights = [
@@ -116,10 +116,10 @@ def lines_of_sheet(sheet: Sheet, label: str, columns: int) -> Figure:
         label: of the horizontal axis.
         columns: how many of them.
     """
-    ticks = [column.title for column in sheet.columns[:columns]]
-    with _style():
-        figure, panels = _figure(9.0, 4.4, columns=2)
-        for part, (axes, threshold) in enumerate(zip(panels, (0.5, 0.7), strict=True)):
+    ticks = [column.title.replace(", ", "\n").replace(" + ", "\n+ ") for column in sheet.columns[:columns]]
+    with styled():
+        figure, parts = panels(9.0, 4.4, columns=2)
+        for part, (axes, threshold) in enumerate(zip(parts, (0.5, 0.7), strict=True)):
             for i, line in enumerate(sheet.lines):
                 stats = [cell[part] for cell in line.cells[:columns]]
                 axes.errorbar(
@@ -131,8 +131,8 @@ def lines_of_sheet(sheet: Sheet, label: str, columns: int) -> Figure:
             axes.set_xticks(range(columns), ticks)
             axes.set_title(f"IoU {threshold}")
             axes.set_xlabel(label)
-        panels[0].set_ylabel("average precision, %")
-        _legend_below(figure, panels[0])
+        parts[0].set_ylabel("average precision, %")
+        _legend_below(figure, parts[0])
     return figure
 
 
@@ -142,29 +142,30 @@ def traffic_scatter(points: Mapping[str, tuple[float, float, float]]) -> Figure:
     Args:
         points: by method kB per frame, AP at IoU 0.5 and AP at 0.7.
     """
-    with _style():
-        figure, panels = _figure(9.0, 4.4, columns=2)
-        for part, (axes, threshold) in enumerate(zip(panels, (0.5, 0.7), strict=True)):
+    with styled():
+        figure, parts = panels(9.0, 4.4, columns=2)
+        for part, (axes, threshold) in enumerate(zip(parts, (0.5, 0.7), strict=True)):
             for i, (name, values) in enumerate(points.items()):
                 axes.scatter(
                     [values[0]], [100 * values[1 + part]], s=80, color=method_color(i), marker=method_marker(i),
                     edgecolor="white", linewidth=0.8, label=name, zorder=3,
                 )  # fmt: skip
-            axes.set_xscale("symlog", linthresh=0.1)
             axes.margins(0.15)
+            axes.set_xscale("symlog", linthresh=0.1)
+            axes.set_xlim(-0.05, 10.0 * max([0.1, *(sent for sent, *_ in points.values())]))
             axes.set_title(f"IoU {threshold}")
             axes.set_xlabel("kB sent per frame by all collaborators")
-        panels[0].set_ylabel("average precision, %")
-        _legend_below(figure, panels[0])
+        parts[0].set_ylabel("average precision, %")
+        _legend_below(figure, parts[0])
     return figure
 
 
 def robustness_scatter(rows: Sequence[Row], space: Space = "bev") -> Figure:
     """Draw mean AP over clean and all corruptions against mCE, one panel per IoU, as the paper's Figure 5."""
     methods = methods_of(rows)
-    with _style():
-        figure, panels = _figure(9.0, 4.4, columns=2)
-        for axes, threshold in zip(panels, (0.5, 0.7), strict=True):
+    with styled():
+        figure, parts = panels(9.0, 4.4, columns=2)
+        for axes, threshold in zip(parts, (0.5, 0.7), strict=True):
             name = metric_name(space, threshold)
             for i, method in enumerate(methods):
                 x = _metric(find_row(rows, method, MCE), name)
@@ -178,16 +179,16 @@ def robustness_scatter(rows: Sequence[Row], space: Space = "bev") -> Figure:
             axes.margins(0.25)
             axes.set_title(f"IoU {threshold}")
             axes.set_xlabel("mCE, % of the clean AP lost (left is better)")
-        panels[0].set_ylabel(f"mean AP, %, {_space_title(space)} (up is better)")
-        _legend_below(figure, panels[0])
+        parts[0].set_ylabel(f"mean AP, %, {_space_title(space)} (up is better)")
+        _legend_below(figure, parts[0])
     return figure
 
 
 def precision_recall_curves(rows: Sequence[Row], condition: str = CLEAN, space: Space = "bev") -> Figure:
     """Draw precision over recall of each method that still has its curves, one panel per IoU."""
-    with _style():
-        figure, panels = _figure(9.0, 4.4, columns=2)
-        for axes, threshold in zip(panels, (0.5, 0.7), strict=True):
+    with styled():
+        figure, parts = panels(9.0, 4.4, columns=2)
+        for axes, threshold in zip(parts, (0.5, 0.7), strict=True):
             for i, method in enumerate(methods_of(rows)):
                 row = find_row(rows, method, condition)
                 if row is None or row.result is None or (space, threshold) not in row.result.curves:
@@ -197,8 +198,8 @@ def precision_recall_curves(rows: Sequence[Row], condition: str = CLEAN, space: 
                 axes.plot(recall[:-1], precision[:-1], color=method_color(i), linewidth=2, label=method)
                 axes.plot(curve.recall, curve.precision, color=method_color(i), linewidth=0.7, alpha=0.5)
             axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", title=f"IoU {threshold}")
-        panels[0].set_ylabel(f"precision, {condition_title(condition)} ({_space_title(space)})")
-        _legend_below(figure, panels[0])
+        parts[0].set_ylabel(f"precision, {condition_title(condition)} ({_space_title(space)})")
+        _legend_below(figure, parts[0])
     return figure
 
 
@@ -210,14 +211,14 @@ def training_curves(epochs: Sequence[Mapping[str, str]]) -> Figure:
     """
     names = list(dict.fromkeys(name for row in epochs for name in row))
     parts = [name for name in names if name.startswith("train/") and name != "train/loss"]
-    panels = {
+    shown_in = {
         "loss, each part with its weight": parts,
         "average precision in validation": [name for name in names if name.startswith("val/ap_")],
         "learning rate": ["lr"],
     }
-    with _style():
-        figure, axes = _figure(13.0, 3.8, columns=3)
-        for panel, (title, shown) in zip(axes, panels.items(), strict=True):
+    with styled():
+        figure, axes = panels(13.0, 3.8, columns=3)
+        for panel, (title, shown) in zip(axes, shown_in.items(), strict=True):
             for i, name in enumerate(shown):
                 known = [(int(row["epoch"]) + 1, float(row[name])) for row in epochs if row.get(name)]
                 label = name.removeprefix("train/").removeprefix("val/").replace("_", " ")
@@ -235,7 +236,7 @@ def png_bytes(figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int
     """Return a figure as PNG; `made_by` goes into its description, where image tools show it."""
     description = json.dumps(made_by or {}, sort_keys=True)
     buffer = io.BytesIO()
-    with _style():
+    with styled():
         figure.savefig(buffer, format="png", dpi=dpi, metadata={"Description": description})
     return buffer.getvalue()
 

@@ -7,13 +7,14 @@ import math
 import re
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from matplotlib.figure import Figure
 
+from dsrc.evaluation.paper import paper_sheets
 from dsrc.evaluation.paper_tables import NAMES, View, axes_of, compared, sheets_of
 from dsrc.evaluation.plots import (
     corruption_bars,
@@ -52,6 +53,16 @@ class Block:
     picture: str = ""
     about: str = ""
 
+    def below(self, folder: str) -> "Block":
+        """Return the block with its name and its picture in a folder."""
+        picture = f"{folder}/{self.picture}" if self.picture else ""
+        return replace(self, name=f"{folder}/{self.name}", picture=picture)
+
+    def markdown(self, pictures: Path) -> str:
+        """Return the text with the picture, which lies below the folder `pictures`."""
+        picture = f"\n![{self.about}]({(pictures / self.picture).as_posix()})\n" if self.picture else ""
+        return f"{self.text}{picture}"
+
 
 def write_report(outcome: Outcome, out: Path) -> list[Block]:
     """Write `results.json`, `results.csv`, `timings.csv` and, in a folder for each dataset, tables and plots.
@@ -59,7 +70,7 @@ def write_report(outcome: Outcome, out: Path) -> list[Block]:
     The result files are the same for the same cells; times, which are not, are in `timings.csv` and in Table 1.
 
     Returns:
-        The blocks for a document, pictures given by their paths below `out`.
+        The blocks for a document, names and pictures below the folder of their dataset.
     """
     made_by = provenance_of(outcome)
     listed = [_listed(entry, outcome) for entry in outcome.entries]
@@ -70,10 +81,7 @@ def write_report(outcome: Outcome, out: Path) -> list[Block]:
     blocks = []
     for dataset in outcome.drives:
         folder = slug(dataset)
-        for block in _dataset(outcome, dataset, out / folder, made_by):
-            picture = f"{folder}/{block.picture}" if block.picture else ""
-            blocks.append(Block(f"{folder}/{block.name}", block.text, picture, block.about))
-    write_atomic(out / "tables.md", "\n".join(markdown(block, out.name, Path()) for block in blocks))
+        blocks += [block.below(folder) for block in _dataset(outcome, dataset, out / folder, made_by)]
     return blocks
 
 
@@ -137,7 +145,7 @@ def _timings(entries: list[Entry]) -> str:
 
 def _dataset(outcome: Outcome, dataset: str, folder: Path, made_by: Mapping[str, Any]) -> list[Block]:
     """Write tables and plots of a dataset; return its blocks, pictures by the names of their files."""
-    view = View.of(outcome, dataset)
+    view, published = View.of(outcome, dataset), paper_sheets()
     blocks = []
     for sheet in sheets_of(outcome, dataset):
         if isinstance(sheet, str):
@@ -150,7 +158,8 @@ def _dataset(outcome: Outcome, dataset: str, folder: Path, made_by: Mapping[str,
         picture = "" if figure is None else f"{sheet.name}.png"
         if figure is not None:
             write_atomic(folder / picture, png_bytes(figure, made_by))
-        blocks.append(Block(sheet.name, sheet.markdown(), picture, sheet.title))
+        beside = f"\n{published[sheet.name].markdown()}" if sheet.name in published else ""
+        blocks.append(Block(sheet.name, f"{sheet.markdown()}{beside}", picture, sheet.title))
     rows = mean_rows(view, compared(view))
     figures = {"traffic": (traffic_scatter(_traffic(view)), "AP in clean frames against the bytes that are sent")}
     if view.kinds():
@@ -217,12 +226,6 @@ def _traffic(view: View) -> dict[str, tuple[float, float, float]]:
     return points
 
 
-def markdown(block: Block, alt: str, pictures: Path) -> str:
-    """Return the text of a block with its picture, which lies below the folder `pictures`."""
-    picture = f"\n![{block.about or alt}]({(pictures / block.picture).as_posix()})\n" if block.picture else ""
-    return f"{block.text}{picture}"
-
-
 def publish(blocks: list[Block], out: Path, document: Path, name: str) -> Path:
     """Put the blocks between their markers in a document, and the files that it needs beside it in a folder `name`.
 
@@ -244,7 +247,7 @@ def publish(blocks: list[Block], out: Path, document: Path, name: str) -> Path:
     text = document.read_text(encoding="utf-8") if document.is_file() else f"# {document.stem.capitalize()}\n"
     for block in blocks:
         begin, end = (f"<!-- {word} {slug(name)}/{block.name} -->" for word in ("begin", "end"))
-        content = f"{begin}\n{markdown(block, name, folder.relative_to(document.parent))}\n{end}"
+        content = f"{begin}\n{block.markdown(folder.relative_to(document.parent))}\n{end}"
         if begin not in text:
             text = f"{text.rstrip()}\n\n{content}\n"
             continue

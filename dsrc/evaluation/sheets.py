@@ -108,22 +108,22 @@ class Sheet:
         return text.getvalue()
 
     def terminal(self) -> Table:
-        """Return the table for the terminal."""
+        """Return the table for the terminal, the parts of a cell one below the other."""
         table = Table(title=self.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
         table.add_column(self.head)
         for column in self.columns:
             table.add_column(column.title, justify="right")
         for line in self.lines:
-            table.add_row(line.label, *self._texts(line, "[bold]", "[/bold]"))
+            table.add_row(line.label, *self._texts(line, "[bold]", "[/bold]", "\n"))
         return table
 
-    def _texts(self, line: Line, before: str, after: str) -> list[str]:
+    def _texts(self, line: Line, before: str, after: str, between: str = " / ") -> list[str]:
         """Return the cells of a line as people read them, what is best between two marks."""
         texts = []
         for number, (column, cell) in enumerate(zip(self.columns, line.cells, strict=True)):
             shown = [stat.text(column.scale, column.digits) for stat in cell]
             best = [self._is_best(number, part, stat) for part, stat in enumerate(cell)]
-            texts.append(" / ".join(f"{before}{t}{after}" if b else t for t, b in zip(shown, best, strict=True)))
+            texts.append(between.join(f"{before}{t}{after}" if b else t for t, b in zip(shown, best, strict=True)))
         return texts
 
     def _is_best(self, column: int, part: int, stat: Stat) -> bool:

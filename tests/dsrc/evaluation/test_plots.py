@@ -82,6 +82,6 @@ def test_a_training_is_drawn_with_gaps_where_it_was_not_validated():
     ]
     losses, precisions, rates = training_curves(rows).axes
     assert [line.get_label() for line in losses.lines] == ["cls", "reg"]
-    np.testing.assert_allclose(precisions.lines[0].get_xydata(), [[2, 1]])
+    np.testing.assert_allclose(precisions.lines[0].get_xydata(), [[2, 0.6]])
     np.testing.assert_allclose(rates.lines[0].get_xydata(), [[1, 1e-4], [2, 2e-4]])
     training_curves(rows[:1])

@@ -1,0 +1,120 @@
+"""Pictures of a frame hold the boxes, points and features that they are of."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
+from msgspec.structs import replace
+from PIL import Image
+
+from dsrc.data.drives import list_drives, open_drive
+from dsrc.data.sample import make_sample
+from dsrc.evaluation.pictures import (
+    FOUND,
+    TRUTH,
+    detection_figure,
+    feature_figure,
+    feature_map,
+    project,
+    take_shot,
+    write_pictures,
+)
+from dsrc.evaluation.plan import Pictures
+from dsrc.evaluation.plots import png_bytes
+from dsrc.evaluation.runner import run_plan
+from dsrc.models.detector import Detector
+from sim.errors import SettingsError
+from tests.dsrc.evaluation.small import make_detector, make_plan, write_drives
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    root = tmp_path_factory.mktemp("pictures")
+    write_drives(root / "test", frames=3)
+    return make_plan(root, {"DSRC": [("dsrc", 0)], "plain": [("attfuse", 0)]})
+
+
+@pytest.fixture(scope="module")
+def shot(plan):
+    return take_shot(plan, make_detector("dsrc").settings.grid)
+
+
+def lines_of(axes, color):
+    """Return the segments that are drawn in a colour."""
+    found = [c for c in axes.collections if isinstance(c, LineCollection) and to_hex(c.get_color()[0]) == color.lower()]
+    return [segment for collection in found for segment in collection.get_segments()]
+
+
+def test_the_frame_is_the_one_that_was_asked_for(plan, shot):
+    grid = make_detector("dsrc").settings.grid
+    reader = open_drive(list_drives(Path(plan.datasets[0].drives[0]))[1])
+    chosen = take_shot(replace(plan, pictures=Pictures(drive="drive_1", frame=2)), grid)
+    assert chosen.title == "drive_1, frame 12, clean"  # its number, in the third place
+    np.testing.assert_array_equal(chosen.sample.clouds[0], make_sample(reader.read(2), None, grid).clouds[0])
+    assert shot.title == "drive_0, frame 1, clean"  # the middle of the first drive
+    foggy = take_shot(replace(plan, pictures=Pictures(corruption="fog")), grid)
+    assert foggy.sample.clouds[0].shape != shot.sample.clouds[0].shape
+    np.testing.assert_array_equal(foggy.sample.boxes.array, shot.sample.boxes.array)
+
+
+def test_a_wrong_drive_or_frame_is_told(plan):
+    grid = make_detector("dsrc").settings.grid
+    with pytest.raises(SettingsError, match="did you mean 'drive_1'"):
+        take_shot(replace(plan, pictures=Pictures(drive="drive1")), grid)
+    with pytest.raises(SettingsError, match="frame: expected less than 3, found 7"):
+        take_shot(replace(plan, pictures=Pictures(frame=7)), grid)
+
+
+def test_what_lies_where_a_camera_looks_is_in_the_middle_and_higher_is_up():
+    eye, aim = np.array([-10.0, 0.0, 5.0]), np.array([10.0, 0.0, 5.0])
+    seen = project(np.array([[10.0, 0, 5], [10, 0, 7], [10, 2, 5], [-20, 0, 5]]), eye, aim)
+    np.testing.assert_allclose(seen[0], [0, 0, 20], atol=1e-12)
+    np.testing.assert_allclose(seen[1], [0, 0.1, 20], atol=1e-12)
+    np.testing.assert_allclose(seen[2], [-0.1, 0, 20], atol=1e-12)  # y is to the left
+    assert seen[3, 2] == -10.0  # behind
+
+
+def test_every_box_is_drawn_in_both_views_of_every_method(shot):
+    found = {name: make_detector(name).detect(shot.sample) for name in ("dsrc", "attfuse")}
+    assert all(len(detections) for detections in found.values())
+    figure = detection_figure(shot, found, make_detector("dsrc").settings.grid)
+    assert len(figure.axes) == 4
+    for column, detections in enumerate(found.values()):
+        scene, above = figure.axes[column], figure.axes[2 + column]
+        for boxes, color in ((shot.sample.boxes, TRUTH), (detections.boxes, FOUND)):
+            assert len(lines_of(scene, color)) == 12 * len(boxes)
+            outlines = lines_of(above, color)[: len(boxes)]
+            np.testing.assert_allclose([outline[0] for outline in outlines], boxes.corners()[:, 0, :2])
+    assert len(png_bytes(figure, dpi=40)) > 5000
+
+
+def test_feature_maps_are_of_the_grid_and_of_what_each_network_reads(shot):
+    student = make_detector("dsrc")
+    grid = student.settings.grid
+    teacher = Detector(replace(student.settings, role="teacher", rec=False)).eval()
+    values = feature_map(student, shot.sample)
+    assert values.shape == (grid.height // 2, grid.width // 2) and values.max() > 0
+    figure = feature_figure(shot, {"student": student, "teacher": teacher})
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["point clouds of all agents", "student", "teacher"]
+    for axes, detector in zip(figure.axes[1:], (student, teacher), strict=True):
+        (image,) = axes.get_images()
+        np.testing.assert_allclose(image.get_array(), feature_map(detector, shot.sample))
+        # Columns go along x: the picture has the grid's extent with its first row at the bottom.
+        assert tuple(image.get_extent()) == (grid.range_m[0], grid.range_m[3], grid.range_m[1], grid.range_m[4])
+        assert image.origin == "lower"
+        assert len(lines_of(axes, "#E8483F")) == 2 * len(shot.sample.boxes)
+
+
+def test_figures_6_and_8_are_written_with_what_made_them(plan, tmp_path):
+    outcome = run_plan(replace(plan, corruptions=("clean",), limit=1), tmp_path)
+    blocks = write_pictures(outcome, tmp_path)
+    assert [block.name for block in blocks] == ["made-up/figure_6", "made-up/figure_8"]
+    for block in blocks:
+        with Image.open(tmp_path / block.picture) as image:
+            assert json.loads(image.text["Description"])["settings"]["datasets"] == outcome.drives
+    alone = make_plan(Path(plan.datasets[0].drives[0]).parent, {"late": [("late", 0)]}, corruptions=("clean",), limit=1)
+    text = write_pictures(run_plan(alone, tmp_path / "alone"), tmp_path / "alone")[0].text
+    assert text == "Figure 6 is left out: it needs a plain method with attention (attfuse).\n"
