@@ -71,6 +71,7 @@ class Batch:
         foreground: (N, H, W) bool cells with a point on one of the agent's objects, None without teacher.
         scene: the reconstruction's target, None when it is off.
         objects: pillars of the agents' objects alone, for a teacher whose norms see them too; None for others.
+        view: pillars of the corrupted view of the samples; None where the student has that, or no sample has one.
     """
 
     keys: tuple[str, ...]
@@ -86,6 +87,7 @@ class Batch:
     foreground: Tensor | None = None
     scene: Scene | None = None
     objects: Pillars | None = None
+    view: Pillars | None = None
 
     @property
     def company(self) -> Company:
@@ -104,7 +106,7 @@ class Batch:
         return replace(self, **moved)
 
 
-_TENSORS = ("student", "lost", "roadside", "pairwise", "teacher", "foreground", "targets", "scene", "objects")
+_TENSORS = ("student", "lost", "roadside", "pairwise", "teacher", "foreground", "targets", "scene", "objects", "view")
 
 
 def collate(
@@ -113,6 +115,7 @@ def collate(
     training: bool,
     labels: Labels = _LABELS,
     objects: bool = False,
+    both_views: bool = False,
 ) -> Batch:
     """Turn samples into a batch.
 
@@ -123,21 +126,23 @@ def collate(
         training: make targets and everything else that needs ground truth.
         labels: how it is made of the ground truth.
         objects: in training, the teacher's norms see the clouds of its objects too.
+        both_views: make the student's pillars of the clean clouds and `view` of the corrupted ones; else a sample's
+            corrupted clouds take the place of its clean ones.
     """
     if training and labels.max_pillars is not None:
         settings = msgspec.structs.replace(settings, max_pillars=min(labels.max_pillars, settings.max_pillars))
     whole = [(part, sample) for sample in samples for part in heard(sample, settings)]
     samples = [part for part, _ in whole]
     for_teacher = settings.role == "teacher"
-    clouds = [cloud for sample in samples for cloud in sample.clouds]
-    if settings.own_frame:
-        poses = [pose for sample in samples for pose in sample.ego_from_agent]
-        clouds = [_moved(cloud, invert(pose), settings.grid) for cloud, pose in zip(clouds, poses, strict=True)]
+    clean = [cloud for sample in samples for cloud in sample.clouds]
+    corrupted = [cloud for sample in samples for cloud in sample.corrupted or sample.clouds]
+    two = both_views and not for_teacher and any(sample.corrupted for sample in samples)
     batch = Batch(
         keys=tuple(sample.key for sample in samples),
         agents=tuple(len(sample.clouds) for sample in samples),
         boxes=tuple(sample.boxes for sample in samples),
-        student=None if for_teacher else pillars_of(clouds, settings),
+        student=None if for_teacher else _sent(clean if both_views else corrupted, samples, settings),
+        view=_sent(corrupted, samples, settings) if two else None,
         lost=_lost(samples),
         pairwise=_pairwise(samples) if settings.own_frame else None,
         grid=settings.grid,
@@ -172,11 +177,12 @@ def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
     first; and `late` makes each agent's cloud a sample of its own with the boxes that it annotated.
     """
     if settings.fusion == "early":
-        clouds = sample.clouds[: settings.max_agents]
+        seen = sample.corrupted[: settings.max_agents]
         return [
             replace(
                 _select(sample, slice(0, 1), sample.boxes),
-                clouds=(np.concatenate(clouds),),
+                clouds=(np.concatenate(sample.clouds[: settings.max_agents]),),
+                corrupted=(np.concatenate(seen),) if seen else (),
                 agent_boxes=(sample.boxes,),
             )
         ]
@@ -205,7 +211,16 @@ def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:
         boxes=boxes,
         agent_boxes=sample.agent_boxes[rows],
         lost=sample.lost[rows],
+        corrupted=sample.corrupted[rows],
     )
+
+
+def _sent(clouds: Sequence[NDArray[np.float32]], samples: Sequence[Sample], settings: ModelSettings) -> Pillars:
+    """Return the pillars of all samples' clouds, each in the frame in which its agent encodes it."""
+    if settings.own_frame:
+        poses = [pose for sample in samples for pose in sample.ego_from_agent]
+        clouds = [_moved(cloud, invert(pose), settings.grid) for cloud, pose in zip(clouds, poses, strict=True)]
+    return pillars_of(clouds, settings)
 
 
 def _moved(cloud: NDArray[np.float32], move: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:

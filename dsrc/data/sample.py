@@ -55,6 +55,8 @@ class Sample:
             all of everybody did.
         unheard: (P, 4) clouds of agents in range that take no part: no detector hears them, but a teacher's objects
             have their points.
+        corrupted: per agent the cloud that it has in place of that in `clouds`, where a training sample was corrupted;
+            empty else.
     """
 
     key: str
@@ -65,6 +67,7 @@ class Sample:
     agent_boxes: tuple[Boxes, ...]
     lost: tuple[NDArray[np.bool_], ...] = ()
     unheard: tuple[NDArray[np.float32], ...] = ()
+    corrupted: tuple[NDArray[np.float32], ...] = ()
 
 
 # The released code drops an agent's returns on itself in this box of the LiDAR's frame, m; it fits OPV2V's Lincoln.

@@ -57,6 +57,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         decoder_channels: width of each scale after it was brought back to half the grid's resolution.
         shrink_channels: width of the two 3 x 3 convolutions before the heads.
         norm_momentum: of the batch norms of the encoder and the decoder.
+        direction: a third head says which way along its anchor a box heads; without it, front and back are guessed.
         score_prior: confidence that an untrained head gives, None for the framework's own start.
         reconstruction_channels: widths of the reconstruction head, per vertical bin and after reduction.
         reconstruction_cell_z_m: height of a reconstruction voxel; the released code's is the whole range.
@@ -89,6 +90,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     decoder_channels: Count = 128
     shrink_channels: Count = 256
     norm_momentum: Share = 0.01
+    direction: bool = False
     score_prior: Annotated[float, Meta(gt=0, lt=1)] | None = 0.01
     reconstruction_channels: tuple[Count, Count] = (128, 32)
     reconstruction_cell_z_m: Annotated[float, Meta(gt=0)] = 0.4

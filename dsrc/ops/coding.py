@@ -62,3 +62,21 @@ def decode(deltas: Array, anchors: Array) -> Array:
         ],
         -1,
     )
+
+
+def headed(deltas: NDArray[np.floating], against: NDArray[np.bool_]) -> NDArray[np.floating]:
+    """Return (B, 14, h, w) deltas with the boxes turned round that do not head as they should.
+
+    A box overlaps its mirror image, so that no loss of overlap or of a heading's sine tells them apart. What does is
+    which way a box heads along its anchor: 45 degrees to either side is as far as a box is from the nearest anchor, so
+    the answer is never near a boundary. (SECOND, Sensors 2018, 18, 3337, and PointPillars put the boundary of their two
+    bins at 45 degrees, where a small error of the heading flips the box.)
+
+    Args:
+        deltas: headings at 6 and 13.
+        against: (B, 2, h, w) whether the box of an anchor heads against it.
+    """
+    turned = deltas.copy()
+    yaw = turned[:, 6::7]
+    yaw[(np.cos(yaw) < 0) != against] += np.pi
+    return turned

@@ -48,6 +48,7 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
         sample,
         clouds=tuple(_cloud(cloud, plane, grid) for cloud in sample.clouds),
         unheard=tuple(_cloud(cloud, plane, grid) for cloud in sample.unheard),
+        corrupted=tuple(_cloud(cloud, plane, grid) for cloud in sample.corrupted),
         boxes=_boxes(sample.boxes, plane, scale, grid),
         agent_boxes=tuple(_boxes(boxes, plane, scale, grid) for boxes in sample.agent_boxes),
     )
@@ -69,6 +70,7 @@ def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
         boxes=sample.boxes[known],
         agent_boxes=agent_boxes,
         unheard=(*sample.unheard, *dropped),
+        corrupted=tuple(sample.corrupted[row] for row in rows if sample.corrupted),
     )
 
 

@@ -13,7 +13,8 @@ from dsrc.data.sample import Sample
 from dsrc.models.settings import ModelSettings
 from dsrc.training.augment import augment, source_grid
 from dsrc.training.recipes import Recipe
-from dsrc.training.store import FrameRef, SampleStore
+from dsrc.training.store import Corruption, FrameRef, SampleStore
+from sensors.corruptions import SEVERITIES
 
 Draw = tuple[int, int]
 """Epoch and number of a frame: together with the seed they fix a training sample completely."""
@@ -57,8 +58,17 @@ class TrainingSet(Dataset[Sample]):
         egos = self.store.egos(self.frames[number])
         choice = int(rng.integers(len(egos)))
         ego = egos[choice if self.recipe.augmentation.random_ego else 0]
-        sample = self.store.sample(self.frames[number], ego)
+        sample = self.store.sample(self.frames[number], ego, self._corruption(epoch, number))
         return augment(sample, self.recipe.model.grid, self.recipe.augmentation, rng)
+
+    def _corruption(self, epoch: int, number: int) -> Corruption | None:
+        """Draw what befalls the sensors, if anything, beside all other draws."""
+        choice = self.recipe.augmentation
+        rng = np.random.default_rng([self.seed, 3, epoch, number])
+        if rng.random() >= choice.corruption:
+            return None
+        kind = choice.kinds[int(rng.integers(len(choice.kinds)))]
+        return kind, int(rng.choice(SEVERITIES)), int(rng.integers(2**31))
 
 
 class ValidationSet(Dataset[Sample]):
@@ -80,10 +90,11 @@ class Collate:
     def __init__(self, settings: ModelSettings, recipe: Recipe, training: bool) -> None:
         self.settings, self.labels, self.training = settings, recipe.labels, training
         self.objects = recipe.distill.teacher_norms == "moving"
+        self.both_views = recipe.consistency > 0
 
     def __call__(self, samples: list[Sample]) -> Batch:
         """Collate."""
-        return collate(samples, self.settings, self.training, self.labels, self.objects)
+        return collate(samples, self.settings, self.training, self.labels, self.objects, self.both_views)
 
 
 class DetectionData(pl.LightningDataModule):

@@ -79,6 +79,38 @@ def detection_loss(cls: Tensor, reg: Tensor, positive: Tensor, regression: Tenso
     return cls_loss, reg_loss
 
 
+def direction_loss(direction: Tensor, positive: Tensor, regression: Tensor) -> Tensor:
+    """Return the cross entropy of the positive anchors' directions, per number of positives, a mean over samples.
+
+    Args:
+        direction: (B, 2, h, w) logits of a box that heads against its anchor.
+        positive: (B, h, w, 2) bool.
+        regression: (B, h, w, 14) residuals of the assigned boxes.
+    """
+    logits = direction.permute(0, 2, 3, 1)
+    against = (torch.cos(regression[..., 6::7]) < 0).to(logits.dtype)
+    entropy = functional.binary_cross_entropy_with_logits(logits, against, reduction="none")
+    return ((entropy * positive).flatten(1).sum(1) / positive.flatten(1).sum(1).clamp(min=1)).mean()
+
+
+def consistency_loss(view: Output, clean: Output, positive: Tensor) -> Tensor:
+    """Return how far the predictions in a corrupted view are from those in the clean one, which do not move.
+
+    The Kullback-Leibler divergence of every anchor's probability, and of unit normals around the residuals of positive
+    anchors; per number of positives, a mean over samples. Empty cells count: there, corruption makes ghosts.
+
+    Args:
+        view: output in the corrupted view, with gradient.
+        clean: output in the clean view.
+        positive: (B, h, w, 2) bool.
+    """
+    count = positive.flatten(1).sum(1).clamp(min=1)
+    divergence = _bernoulli_kl(clean.cls.detach(), view.cls).flatten(1).sum(1)
+    error = (view.reg - clean.reg.detach()).permute(0, 2, 3, 1).unflatten(-1, (2, 7))
+    residuals = 0.5 * (error.square().mean(-1) * positive).flatten(1).sum(1)
+    return ((divergence + residuals) / count).mean()
+
+
 def distillation_losses(
     student: Output, teacher: Output, foreground: Tensor, agents: tuple[int, ...], settings: DistillSettings
 ) -> dict[str, Tensor]:

@@ -14,7 +14,7 @@ from dsrc.evaluation.ap import FrameResult
 from dsrc.models.detector import Detector, Output
 from dsrc.models.encoder import Pillars
 from dsrc.models.reconstruction import Reconstruction, reconstruction_losses
-from dsrc.training.losses import detection_loss, distillation_losses
+from dsrc.training.losses import consistency_loss, detection_loss, direction_loss, distillation_losses
 from dsrc.training.recipes import Recipe
 from dsrc.training.validation import detections_of, metrics_of
 from sim.errors import UserError
@@ -64,8 +64,14 @@ class DetectionModule(pl.LightningModule):
         output = self(batch)
         if batch.targets is None:
             raise ValueError("the batch was collated without targets")
-        cls, reg = detection_loss(output.cls, output.reg, batch.targets.positive, batch.targets.regression)
+        positive = batch.targets.positive
+        cls, reg = detection_loss(output.cls, output.reg, positive, batch.targets.regression)
         losses = {"cls": cls, "reg": reg}
+        if output.direction is not None:
+            turned = direction_loss(output.direction, positive, batch.targets.regression)
+            losses["direction"] = self.recipe.direction * turned
+        if self.recipe.consistency and batch.student is not None:
+            losses["consistency"] = self.recipe.consistency * self._inconsistency(batch, output)
         if self._teacher and batch.teacher is not None and batch.foreground is not None:
             with torch.no_grad(), self._autocast():
                 taught = as_teacher(self._teacher[0], batch).float()
@@ -75,6 +81,14 @@ class DetectionModule(pl.LightningModule):
             weight = self.recipe.reconstruction
             losses |= {"rec_mask": weight * mask, "rec_offset": weight * offset}
         return losses
+
+    def _inconsistency(self, batch: Batch, clean: Output) -> Tensor:
+        """Return the loss between the two views of a batch; 0 where there is only one."""
+        if batch.view is None or batch.targets is None:
+            return clean.cls.new_zeros(())
+        with self._autocast():
+            view = self.detector(batch.view, batch.company).float()
+        return consistency_loss(view, clean, batch.targets.positive)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the loss of a batch.

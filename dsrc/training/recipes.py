@@ -11,6 +11,7 @@ from dsrc.data.labels import Labels, released_labels
 from dsrc.data.sample import GridSpec
 from dsrc.models.settings import ModelSettings
 from dsrc.training.losses import DistillSettings, released
+from sensors.corruptions import CORRUPTIONS, PAPER_SIX
 from sim.errors import SettingsError, did_you_mean
 
 Stage = Literal["teacher", "student", "plain"]
@@ -28,6 +29,10 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         random_ego: look through any of the frame's vehicles, not always the first.
         dropout: probability that only some agents (one to all, evenly) take part; the ground truth is then what these
             have seen. One network so learns to be good alone and in company.
+        corruption: probability that the sensors of a sample are corrupted, by any of `kinds` in any severity. Ground
+            truth, the teacher's clouds and what is reconstructed are of the uncorrupted sample.
+        kinds: of corruption, by physical cause. Those of the paper's tables by default: results under them are then of
+            a network that has seen them, and have to say so.
     """
 
     flip: bool = True
@@ -35,6 +40,17 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scale: Annotated[float, Meta(ge=0, lt=1)] = 0.05
     random_ego: bool = True
     dropout: Annotated[float, Meta(ge=0, le=1)] = 0.3
+    corruption: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    kinds: tuple[str, ...] = PAPER_SIX
+
+    def __post_init__(self) -> None:
+        known = [kind for kind, corruption in CORRUPTIONS.items() if not corruption.spares_ego]
+        for kind in self.kinds:
+            if kind not in known:
+                # Errors of pose and clock move whole clouds: that is no matter of what a sensor sees.
+                raise ValueError(f"kinds: expected any of {', '.join(known)}, found '{kind}'")
+        if self.corruption and not self.kinds:
+            raise ValueError("kinds: expected at least one, found none")
 
 
 class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -46,6 +62,9 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         distill: weights and forms of the distillation.
         labels: how ground truth becomes what is learned.
         reconstruction: weight of the reconstruction losses.
+        direction: weight of the direction loss, where the model has that head; PointPillars' by default.
+        consistency: weight of the loss that ties the predictions in a corrupted view of a sample to those in the clean
+            one; the other losses then see the clean one. 0 makes no clean view where there is a corrupted one.
         augmentation: changes of the training samples.
         epochs: passes over the data, or over draws of `epoch_frames` from it.
         epoch_frames: an epoch is this many frames, drawn anew for each epoch and none twice in one, where there are
@@ -78,6 +97,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     distill: DistillSettings = DistillSettings()
     labels: Labels = Labels()
     reconstruction: NotNegative = 1.0
+    direction: NotNegative = 0.2
+    consistency: NotNegative = 0.0
     augmentation: Augmentation = Augmentation()
     epochs: Count = 40
     epoch_frames: Count | None = None

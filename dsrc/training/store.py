@@ -5,12 +5,17 @@ about what reading a prepared sample would, and prepared samples of all egos wou
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dsrc.data.drives import open_drive
 from dsrc.data.sample import GridSpec, Sample, make_sample
+from sensors.corruptions import corrupt_frame
+from sensors.frame import Frame
 from sim.errors import DataError, complaint
+
+Corruption = tuple[str, int, int]
+"""Kind, severity and seed of a corruption."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +66,24 @@ class SampleStore:
         agents = self.drives[ref.drive].agents
         return [agent for agent in agents if agent >= 0] or list(agents)
 
-    def sample(self, ref: FrameRef, ego_id: int) -> Sample:
-        """Return the sample of one frame and ego."""
+    def sample(self, ref: FrameRef, ego_id: int, corruption: Corruption | None = None) -> Sample:
+        """Return the sample of one frame and ego, with corrupted clouds beside the others if asked for.
+
+        Raises:
+            DataError: the sweeps do not say what the corruption needs.
+        """
+        frame = self.drives[ref.drive].read(ref.position)
+        sample = self._sample(frame, ref, ego_id)
+        if corruption is None:
+            return sample
+        kind, severity, seed = corruption
+        corrupted = corrupt_frame(frame, kind, severity, seed, ego_id=ego_id)
+        return replace(sample, corrupted=self._sample(corrupted, ref, ego_id).clouds)
+
+    def _sample(self, frame: Frame, ref: FrameRef, ego_id: int) -> Sample:
         reader = self.drives[ref.drive]
         return make_sample(
-            reader.read(ref.position),
+            frame,
             ego_id,
             self.grid,
             comm_range_m=self.comm_range_m,

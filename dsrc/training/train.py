@@ -68,7 +68,8 @@ def train_stages(
         validate: folder of drives to validate on; None holds out the end of each training drive.
         seed: of weights, order and augmentation.
         epochs: instead of the recipe's.
-        overrides: `field=value` of `ModelSettings`, or of the recipe when the model has no such field.
+        overrides: `field=value` of `ModelSettings`, of the recipe when the model has no such field, or of a part of it,
+            as `augmentation.dropout=0`.
         method: a key of `METHODS`; None is what the recipe and the overrides say.
         init: detector file whose weights every stage starts from, see `train`.
         devices: processes that train together, see `train`.
@@ -201,27 +202,31 @@ def train(
 
 
 def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
-    """Return the recipe with `field=value` of its model, or of itself, changed.
+    """Return the recipe with `field=value` of its model, of itself, or of a part (`augmentation.dropout=0`) changed.
 
     Raises:
         SettingsError: no such field, or a value of another type.
     """
+    parts = {part: getattr(recipe, part).__struct_fields__ for part in _PARTS}
     for text in overrides:
         name, _, value = text.partition("=")
-        in_model = name in ModelSettings.__struct_fields__
-        if not in_model and name not in Recipe.__struct_fields__:
-            known = [*ModelSettings.__struct_fields__, *Recipe.__struct_fields__]
+        part, _, field = name.rpartition(".")
+        if name in parts["model"]:
+            part = "model"
+        if field not in parts.get(part, Recipe.__struct_fields__ if not part else ()):
+            dotted = [f"{part}.{field}" for part, fields in parts.items() if part != "model" for field in fields]
+            known = [*parts["model"], *Recipe.__struct_fields__, *dotted]
             raise SettingsError(f"--set {name}: no such setting{did_you_mean(name, known)}")
-        target: ModelSettings | Recipe = recipe.model if in_model else recipe
         try:
             parsed = msgspec.json.decode(value)
         except msgspec.DecodeError:
             parsed = value
+        plain = msgspec.to_builtins(recipe)
+        (plain[part] if part else plain)[field] = parsed
         try:
-            changed = msgspec.convert({**msgspec.to_builtins(target), name: parsed}, type(target), strict=False)
+            recipe = msgspec.convert(plain, Recipe, strict=False)
         except msgspec.ValidationError as error:
             raise SettingsError(f"--set {text}: {error}") from None
-        recipe = replace(recipe, model=changed) if isinstance(changed, ModelSettings) else changed
     return recipe
 
 

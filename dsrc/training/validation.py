@@ -7,6 +7,7 @@ import torch
 
 from dsrc.data.batch import Batch
 from dsrc.evaluation.ap import FrameResult, evaluate
+from dsrc.evaluation.heading import heading_share
 from dsrc.models.detector import Detector
 
 THRESHOLDS = (0.3, 0.5, 0.7)
@@ -30,9 +31,13 @@ def detections_of(detector: Detector, batch: Batch) -> list[FrameResult]:
 
 
 def metrics_of(results: Sequence[FrameResult]) -> dict[str, float]:
-    """Return the average precisions of frames by their names in logs; NaN without any ground truth."""
+    """Return the average precisions of frames by their names in logs, and the share of headings that are right.
+
+    NaN where there is no ground truth, or no heading.
+    """
     curves = evaluate(results, thresholds=THRESHOLDS).curves
-    return {f"val/ap_bev_{round(100 * t)}": float(curves["bev", t].ap) for t in THRESHOLDS}
+    precision = {f"val/ap_bev_{round(100 * t)}": float(curves["bev", t].ap) for t in THRESHOLDS}
+    return {**precision, "val/heading": heading_share(results)}
 
 
 @torch.inference_mode()

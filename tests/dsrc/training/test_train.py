@@ -16,7 +16,7 @@ from dsrc.evaluation.provenance import hash_file
 from dsrc.models.checkpoint import load_detector, read_meta, save_detector
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
-from dsrc.training.recipes import METHODS, debug, of_method
+from dsrc.training.recipes import METHODS, Augmentation, debug, of_method
 from dsrc.training.train import override, train, train_stages
 from sim.errors import CheckpointError, SettingsError
 from tests.dsrc.training.drive import write_drive
@@ -34,12 +34,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("attention", {"epoch_frames": 2, "ema": 0.9}),
         ("attention", {"keep": "best", "validation_share": 0.25, "half": False}),
         ("cobevt", {}),  # draws while it trains
+        ("max", {"consistency": 1.0, "augmentation": Augmentation(corruption=0.7, kinds=("noise", "point_dropping"))}),
     ],
 )
 def test_a_resumed_training_ends_with_the_same_weights(
     data: Path, tmp_path: Path, fusion: str, choice: dict[str, object]
 ) -> None:
-    recipe = replace(tiny(**choice), model=replace(tiny().model, fusion=fusion))
+    recipe = replace(tiny(**choice), model=replace(tiny().model, fusion=fusion, direction=fusion == "max"))
     whole = train(recipe, data, tmp_path / "whole", "plain", seed=3)
     with pytest.raises(RuntimeError, match="power cut"):
         train(recipe, data, tmp_path / "cut", "plain", seed=3, callbacks=[Power(2)])
@@ -132,7 +133,30 @@ def test_a_start_of_which_nothing_fits_is_refused(data: Path, tmp_path: Path) ->
         train(tiny(), data, tmp_path / "run", "plain", init=tmp_path / "nowhere.pt")
 
 
-@pytest.mark.parametrize("text", ["batch_size=0", "learning_rate=nan", "score_prior=2", 'grid={"cell_m":0.3}', "seed"])
+def test_a_setting_is_of_the_model_of_the_recipe_or_of_a_part_of_it() -> None:
+    texts = ["fusion=max", "epochs=3", "augmentation.dropout=0.5", "model.sdd=false", "labels.foreground=boxes"]
+    changed = override(debug(), texts)
+    assert (changed.model.fusion, changed.model.sdd, changed.epochs) == ("max", False, 3)
+    assert changed.augmentation == replace(debug().augmentation, dropout=0.5)
+    assert changed.labels.foreground == "boxes"
+    assert (
+        override(changed, ["fusion=attention", "epochs=60", "augmentation.dropout=0", "sdd=true"]).model
+        == debug().model
+    )
+
+
+WRONG = [
+    "batch_size=0",
+    "learning_rate=nan",
+    "score_prior=2",
+    'grid={"cell_m":0.3}',
+    "seed",
+    "labels.dropout=1",
+    "a.b=1",
+]
+
+
+@pytest.mark.parametrize("text", [*WRONG, 'augmentation.kinds=["fogg"]', 'augmentation.kinds=["pose_error"]'])
 def test_a_setting_that_cannot_be_is_named(text: str) -> None:
     with pytest.raises(SettingsError, match=text.partition("=")[0]):
         override(debug(), [text])
