@@ -1,14 +1,15 @@
 """How long every method takes to detect at the paper's grid, which stage takes it, and the floor below.
 
 Random weights, 704 x 200 cells, 1, 2 and 5 agents with 60,000 points each; the sizes of the paper (Res2Net blocks 3, 5,
-8). The floor is the network's floating point operations over the rate of the same machine at multiplying matrices in
-the same precision, all cores.
+8); detectors as they are loaded for use (`dsrc.models.deploy`). The floor is the network's floating point operations
+over the rate of the same machine at multiplying matrices in the same precision, all cores.
 
     python -m benchmarks.inference            # every stage several times, the least disturbed samples count
     python -m benchmarks.inference --quick    # every stage once; what does not fit into 38 s is left out
 """
 
 import json
+import math
 import os
 import sys
 import time
@@ -31,6 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.quiet import measure
 from dsrc.data.batch import pillars_of
+from dsrc.models.deploy import deployed
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, Company
 from dsrc.models.settings import ModelSettings
@@ -72,6 +74,18 @@ def cloud(settings: ModelSettings, seed: int) -> NDArray[np.float32]:
     return np.concatenate([xy, rest], axis=1).astype(np.float32)
 
 
+def _fused_flop(x: list[int], weight: list[int], *rest: Any, out_shape: list[int], **named: Any) -> int:
+    """Return the operations of a fused convolution of x into `out_shape`."""
+    return 2 * math.prod(out_shape) * math.prod(weight[1:])
+
+
+_FLOPS = {
+    torch.ops.mkldnn._convolution_pointwise: _fused_flop,
+    torch.ops.mkldnn._convolution_pointwise_: lambda out, *rest, **named: _fused_flop(*rest, **named),
+}
+"""What PyTorch's counter of operations does not know: the convolutions of a detector that is made for use."""
+
+
 class Bench:
     """All stages of all methods; those that several methods share are run once."""
 
@@ -90,7 +104,7 @@ class Bench:
         """Take a method with so many agents into the plan, running each of its stages once."""
         settings = replace(self.settings, fusion=method)
         torch.manual_seed(0)
-        detector = Detector(settings).eval().to(self.device)
+        detector = deployed(Detector(settings)).to(self.device)
         clouds = self.clouds[: 1 if method == "none" else agents]
         if method == "early":
             clouds = [np.concatenate(clouds)]
@@ -131,7 +145,7 @@ class Bench:
         if time.perf_counter() > self.deadline:
             raise TimeoutError
         timed = partial(self._whole, run)
-        with torch.inference_mode(), FlopCounterMode(display=False) as counter:
+        with torch.inference_mode(), FlopCounterMode(display=False, custom_mapping=_FLOPS) as counter:
             start, busy = time.perf_counter(), time.process_time()
             made = timed()
             seconds, cpu_s = time.perf_counter() - start, time.process_time() - busy

@@ -60,8 +60,13 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
     return detector.to(device).eval()
 
 
-def load_student(path: Path, device: str = "cpu") -> Detector:
-    """Read a detector file for use without ground truth; the detector is `deployed`, so that it is fast.
+def load_student(path: Path, device: str = "cpu", precision: torch.dtype = torch.float32) -> Detector:
+    """Read a detector file for use without ground truth; the detector is made fast by `deployed`.
+
+    Args:
+        path: the file.
+        device: where it computes.
+        precision: see `deployed`.
 
     Raises:
         CheckpointError: as `load_detector`, or the file holds a teacher.
@@ -70,7 +75,7 @@ def load_student(path: Path, device: str = "cpu") -> Detector:
     if detector.settings.role != "student":
         hint = "; a teacher reads clouds that are made with ground truth"
         raise CheckpointError(complaint(path, "settings.role", "student", detector.settings.role, hint))
-    return deployed(detector)
+    return deployed(detector, precision)
 
 
 def read_meta(path: Path) -> dict[str, Any]:

@@ -23,10 +23,20 @@ from dsrc.models.res2net import Res2Block
 _ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
 
 
-def deployed(detector: Detector) -> Detector:
-    """Return a detector for evaluation that gives what this one gives, faster; this one stays as it is."""
+def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Detector:
+    """Return a detector for evaluation that gives what this one gives, faster; this one stays as it is.
+
+    Args:
+        detector: the plain one.
+        precision: of matrix products and maps. `torch.bfloat16` keeps 8 bits of the numbers and is nearly three times
+            as fast again on CPUs with matrix units for it (AMX); boxes then move by a centimetre, scores by 0.005.
+    """
     fast = copy.deepcopy(detector).eval().requires_grad_(False)
     _fuse_children(fast)
+    for layer in fast.modules():
+        if isinstance(layer, FusedConv):
+            layer.to(precision)
+    fast.precision = precision
     return fast
 
 
@@ -98,7 +108,7 @@ class FusedConv(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (N, inputs, H, W) to (N, outputs, H', W')."""
-        stride, padding = [self.stride] * 2, [self.padding] * 2
+        x, stride, padding = x.to(self.weight.dtype), [self.stride] * 2, [self.padding] * 2
         if _ONEDNN and x.device.type == "cpu":
             relu = "relu" if self.relu else "none"
             return torch.ops.mkldnn._convolution_pointwise(

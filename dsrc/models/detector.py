@@ -61,6 +61,9 @@ class Detector(nn.Module):
     leaves these methods at a quarter, with a quarter of the anchors.)
     """
 
+    precision = torch.float32
+    """Of matrix products and maps; another one is set by `dsrc.models.deploy`."""
+
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.settings = settings
@@ -93,6 +96,12 @@ class Detector(nn.Module):
             pillars: clouds of all samples' agents, those of a sample consecutive and ego first.
             company: whose clouds they are; zeros take the place of what of their maps did not arrive.
         """
+        if self.precision == torch.float32:
+            return self._forward(pillars, company)
+        with torch.autocast(pillars.points.device.type, self.precision):
+            return self._forward(pillars, company).float()
+
+    def _forward(self, pillars: Pillars, company: Company) -> Output:
         stages = self.backbone(self.encoder(pillars))
         return self.read(stages, self.join(self.maps(stages), company))
 

@@ -74,3 +74,15 @@ def test_it_gives_the_same_maps_for_every_backbone(backbone, monkeypatch):
         # Where there is no oneDNN.
         monkeypatch.setattr("dsrc.models.deploy._ONEDNN", False)
         assert_same(fast(pillars, Company(AGENTS)), expected)
+
+
+@pytest.mark.parametrize("method", FUSIONS)
+def test_half_the_digits_give_nearly_the_same_scores(method):
+    detector = a_detector(fusion=method)
+    coarse, pillars = deployed(detector, torch.bfloat16), some_pillars(detector)
+    company = Company((1, 1, 1)) if method in ("none", "early", "late") else Company(AGENTS)
+    with torch.inference_mode():
+        expected, found = detector(pillars, company), coarse(pillars, company)
+    assert found.cls.dtype == torch.float32
+    difference = (found.cls.sigmoid() - expected.cls.sigmoid()).abs().max()
+    assert 0 < difference < 0.005
