@@ -412,6 +412,8 @@ def train(
         set: change settings of the model, of the recipe or of a part of it: `--set sdd=false fusion=max
             epoch_frames=1000 augmentation.corruption=0.5`.
     """
+    from lightning.pytorch.utilities import rank_zero_only
+
     from dsrc.training.train import train_stages
 
     detector = train_stages(
@@ -428,7 +430,7 @@ def train(
         init=init,
         devices=devices,
     )
-    _say(str(detector))
+    rank_zero_only(_say)(str(detector))
 
 
 @app.command(name="verify")

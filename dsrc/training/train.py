@@ -198,6 +198,7 @@ def train(
     if trainer.is_global_zero and (again or not result.exists()):
         metrics = validate_detector(load_detector(path, best_device()), loaders.validation_batches())
         write_json(result, {"detector": hash_file(path), "epoch": selection.epoch, "metrics": metrics})
+    trainer.strategy.barrier()  # the next stage of every process reads the file
     return path
 
 

@@ -9,4 +9,7 @@ from tests.dsrc.training.runs import StillNorms, tiny
 RECIPE = tiny(epochs=2, validate_every=1, batch_size=2, validation_share=0.4, half=False)
 
 if __name__ == "__main__":
-    train(RECIPE, Path(sys.argv[1]), Path(sys.argv[2]), "plain", seed=1, callbacks=[StillNorms()])
+    data, out = Path(sys.argv[1]), Path(sys.argv[2])
+    train(RECIPE, data, out, "plain", seed=1, callbacks=[StillNorms()])
+    teacher = train(RECIPE, data, out / "teacher", "teacher")
+    train(RECIPE, data, out / "student", "student", teacher=teacher)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.models.checkpoint import load_detector
+from dsrc.evaluation.provenance import hash_file
+from dsrc.models.checkpoint import load_detector, read_meta
 from dsrc.training.datamodule import EpochSampler
 from dsrc.training.train import train
 from sim.errors import SettingsError
@@ -29,6 +30,7 @@ def test_two_devices_share_the_batches_of_one() -> None:
     assert len(parts[0]) == len(parts[1]) == len(EpochSampler(11, seed=3, device=1, devices=2)) == 5
 
 
+@pytest.mark.slow
 def test_two_processes_end_with_the_weights_of_one(tmp_path: Path) -> None:
     data = write_drive(tmp_path / "data", 7)
     alone = train(RECIPE, data, tmp_path / "alone", "plain", seed=1, callbacks=[StillNorms()])
@@ -48,6 +50,10 @@ def test_two_processes_end_with_the_weights_of_one(tmp_path: Path) -> None:
     assert len(rows[0]) == len(rows[1]) == 3
     results = [json.loads((tmp_path / run / "result.json").read_text()) for run in ("alone", "both")]
     assert results[0]["metrics"] == pytest.approx(results[1]["metrics"], abs=0.02)
+    # A student of several processes finds the file of its teacher, which one of them has written.
+    assert read_meta(tmp_path / "both/student/detector.pt")["teacher"] == hash_file(
+        tmp_path / "both/teacher/detector.pt"
+    )
 
 
 def test_a_batch_that_cannot_be_shared_is_refused(tmp_path: Path) -> None:
