@@ -558,6 +558,7 @@ def benchmark(
     limit: int | None = None,
     seed: int | None = None,
     docs: Path | None = None,
+    partial: bool = False,
     workers: int = 1,
     device: Literal["cpu", "cuda"] = "cpu",
 ) -> None:
@@ -581,12 +582,13 @@ def benchmark(
         limit: evaluate at most this many frames of a dataset, evenly spread.
         seed: of corruptions and channels.
         docs: put the tables into this Markdown document too, between its markers or at its end, and files beside it.
-        workers: processes; each has its share of the cores.
+        partial: leave out detectors whose files are not there yet, and say which.
+        workers: processes, of one thread each; the results are the same for any number.
         device: of the networks.
     """
     from dsrc.evaluation.paper_tables import View, table_1
     from dsrc.evaluation.pictures import write_pictures
-    from dsrc.evaluation.plan import plan_of
+    from dsrc.evaluation.plan import available, plan_of
     from dsrc.evaluation.report import publish, write_report
     from dsrc.evaluation.runner import run_plan
     from dsrc.evaluation.tables import write_atomic
@@ -594,6 +596,7 @@ def benchmark(
     flags = {"corruptions": corruptions, "severities": severities, "family": family, "channels": channels}
     sweeps = {"agents": agents, "pose_error": pose_error, "delay_s": delay_s, "loss": loss}
     plan = plan_of(what, data, {**flags, "limit": limit, "seed": seed}, sweeps)
+    plan, absent = available(plan) if partial else (plan, [])
     with _progress() as progress:
         task = progress.add_task(f"benchmark {plan.name}", total=None)
         outcome = run_plan(
@@ -602,10 +605,13 @@ def benchmark(
     blocks = [*write_report(outcome, out), *write_pictures(outcome, out)]
     write_atomic(out / "tables.md", "\n".join(block.markdown(Path()) for block in blocks))
     for dataset in plan.datasets:
-        _console().print(table_1(View.of(outcome, dataset.name)).terminal())
+        sheet = table_1(View.of(outcome, dataset.name))
+        _console().print(sheet.terminal(len(sheet.columns) - 2))  # bytes and times are in the files
     for block in blocks:
         if not block.picture and "left out: " in block.text:
             _say(block.text.strip())
+    if absent:
+        _say(f"Left out, for they are not there: {', '.join(absent)}.")
     if docs is not None:
         publish(blocks, out, docs, plan.name)
         _say(str(docs))

@@ -269,6 +269,28 @@ def check(plan: Benchmark, where: str) -> None:
         raise SettingsError(f"{where}: {error}") from None
 
 
+def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
+    """Return the benchmark of those detectors whose files are there, and the paths of the others.
+
+    Raises:
+        SettingsError: there is none.
+    """
+    absent = [path for method in plan.methods for path in method.detectors if not Path(path).is_file()]
+    kept = [(method, tuple(path for path in method.detectors if path not in absent)) for method in plan.methods]
+    methods = tuple(replace(method, detectors=paths) for method, paths in kept if paths)
+    if not methods:
+        raise SettingsError(complaint("benchmark", "methods", "at least one detector that is there", f"no {absent[0]}"))
+    names = [method.name for method in methods]
+    sweeps = replace(plan.sweeps, methods=tuple(name for name in plan.sweeps.methods if name in names))
+    if plan.sweeps.methods and not sweeps.methods:
+        sweeps = Sweeps()
+    pictures = replace(plan.pictures, methods=tuple(name for name in plan.pictures.methods if name in names))
+    if pictures.teacher and not Path(pictures.teacher).is_file():
+        absent.append(pictures.teacher)
+        pictures = replace(pictures, teacher="")
+    return replace(plan, methods=methods, sweeps=sweeps, pictures=pictures), absent
+
+
 def conditions_of(plan: Benchmark) -> list[Condition]:
     """Return clean, then every corruption at every severity."""
     kinds = corruption_kinds(plan.corruptions, plan.family)

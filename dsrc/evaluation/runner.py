@@ -5,17 +5,19 @@ frames of a drive under one condition: each frame is read and corrupted once for
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import torch
 
 from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.executors import Report, cores, open_executor
+from dsrc.data.executors import Report, open_executor
 from dsrc.evaluation.ap import metric_name, result_of
 from dsrc.evaluation.benchmark import (
     Condition,
@@ -132,7 +134,6 @@ class Unit:
         condition: of the sweeps.
         seed: of corruptions and channels.
         device: of the networks.
-        threads: of a process; None as they are.
         jobs: the cells.
     """
 
@@ -142,7 +143,6 @@ class Unit:
     condition: Condition
     seed: int
     device: Device
-    threads: int | None
     jobs: tuple[Job, ...]
 
 
@@ -154,15 +154,13 @@ def run_plan(
     Args:
         plan: see `dsrc.evaluation.plan.check`.
         out: folder of the benchmark.
-        workers: processes; a core's share of the threads each.
+        workers: processes, of one thread each; the cells are the same for any number.
         device: of the networks.
         progress: called with detections done and those that were missing at the start.
 
     Raises:
         UserError: a file, a drive or a setting is wrong. What is not concerned has been done.
     """
-    import torch
-
     if device == "cuda" and not torch.cuda.is_available():
         raise SettingsError(complaint("benchmark", "device", "a GPU that torch can use", "none", "; use cpu"))
     trained = {method.name: [_trained(Path(path)) for path in method.detectors] for method in plan.methods}
@@ -181,8 +179,7 @@ def run_plan(
         plans = [_jobs(plan, case, trained, datasets, places, drives, device) for case in cases]
         if any(job.channel is not None and job.channel.medium != "perfect" for jobs in plans for job, *_ in jobs):
             warn_of_slow_drives([reader for readers in datasets.values() for reader in readers])
-        threads = max(1, cores() // workers) if workers > 1 else None
-        units = _units(folder, plan.seed, device, threads, zip(cases, plans, strict=True))
+        units = _units(folder, plan.seed, device, zip(cases, plans, strict=True))
         _make(units, workers, progress)
         entries = [
             _entry(case, folder, [job.settings.key for job, *_ in jobs])
@@ -240,13 +237,7 @@ def _jobs(
     return pieces
 
 
-def _units(
-    folder: Path,
-    seed: int,
-    device: Device,
-    threads: int | None,
-    planned: Iterable[tuple[Case, list[Piece]]],
-) -> list[Unit]:
+def _units(folder: Path, seed: int, device: Device, planned: Iterable[tuple[Case, list[Piece]]]) -> list[Unit]:
     """Return the work that is left: cells that are not there, those of the same frames and condition together."""
     groups: dict[tuple[Path, tuple[int, ...], Condition], dict[str, Job]] = {}
     for case, pieces in planned:
@@ -254,7 +245,7 @@ def _units(
             if not has_cell(folder, job.settings.key):
                 groups.setdefault((drive, positions, case.condition), {})[job.settings.key] = job
     return [
-        Unit(folder, drive, positions, condition, seed, device, threads, tuple(jobs.values()))
+        Unit(folder, drive, positions, condition, seed, device, tuple(jobs.values()))
         for (drive, positions, condition), jobs in groups.items()
     ]
 
@@ -282,10 +273,6 @@ def _make(units: Sequence[Unit], workers: int, progress: Progress | None) -> Non
 
 def make_unit(unit: Unit, report: Report) -> None:
     """Make the cells of a unit: a task of an executor."""
-    import torch
-
-    if unit.threads is not None:
-        torch.set_num_threads(unit.threads)
     methods = [
         Method(job.settings.key, _detector(job.path, job.settings.detector, unit.device), job.agents, job.channel)
         for job in unit.jobs
@@ -297,10 +284,21 @@ def make_unit(unit: Unit, report: Report) -> None:
         frames += 1
         report(frames, len(unit.positions))
 
-    reader = _reader(unit.drive)
-    tallies = evaluate_drive(reader, unit.positions, {unit.condition: methods}, unit.seed, tell)
+    with _one_thread():
+        tallies = evaluate_drive(_reader(unit.drive), unit.positions, {unit.condition: methods}, unit.seed, tell)
     for job in unit.jobs:
         write_cell(unit.folder, job.settings, tallies[unit.condition, job.settings.key])
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let torch work on one thread: with the number of threads the last digits of a network's numbers change."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @lru_cache(maxsize=64)

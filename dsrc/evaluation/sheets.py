@@ -107,14 +107,15 @@ class Sheet:
             writer.writerow([line.label, *("" if math.isnan(number) else repr(float(number)) for number in numbers)])
         return text.getvalue()
 
-    def terminal(self) -> Table:
-        """Return the table for the terminal, the parts of a cell one below the other."""
+    def terminal(self, columns: int) -> Table:
+        """Return the first columns for the terminal: means alone, the parts of a cell one below the other."""
         table = Table(title=self.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-        table.add_column(self.head)
-        for column in self.columns:
-            table.add_column(column.title, justify="right")
-        for line in self.lines:
-            table.add_row(line.label, *self._texts(line, "[bold]", "[/bold]", "\n"))
+        table.add_column(self.head, no_wrap=True)
+        for column in self.columns[:columns]:
+            table.add_column(column.title.replace(" ", "\n"), justify="right", min_width=4)
+        means = [tuple(tuple(Stat(stat.mean) for stat in cell) for cell in line.cells) for line in self.lines]
+        for line, cells in zip(self.lines, means, strict=True):
+            table.add_row(line.label, *self._texts(Line(line.label, cells), "[bold]", "[/bold]", "\n")[:columns])
         return table
 
     def _texts(self, line: Line, before: str, after: str, between: str = " / ") -> list[str]:

@@ -3,7 +3,7 @@
 import pytest
 
 from dsrc.evaluation.benchmark import Condition
-from dsrc.evaluation.plan import cases_of, plan_of, read_benchmark
+from dsrc.evaluation.plan import available, cases_of, plan_of, read_benchmark
 from sim.errors import SettingsError
 
 GOOD = """
@@ -114,3 +114,19 @@ def test_a_file_and_flags_do_not_both_describe_it(tmp_path):
         plan_of(("a.pt",), (), {}, {})
     with pytest.raises(SettingsError, match="agents"):
         plan_of(("a.pt",), ("data",), {}, {"agents": (0,)})
+
+
+def test_detectors_that_are_not_there_yet_can_be_left_out(tmp_path):
+    (tmp_path / "b.pt").write_bytes(b"")
+    plan = read_benchmark(written(tmp_path, GOOD.replace("[sweeps]", '[pictures]\nteacher = "t.pt"\n\n[sweeps]')))
+    part, absent = available(plan)
+    assert [(method.name, method.detectors) for method in part.methods] == [("DSRC", (str(tmp_path / "b.pt"),))]
+    assert absent == ["a.pt", "c.pt", "t.pt"] and part.pictures.teacher == ""
+    assert part.sweeps == plan.sweeps
+    (tmp_path / "b.pt").rename(tmp_path / "c.pt")
+    other, _ = available(read_benchmark(written(tmp_path)))
+    # Only DSRC was to be swept: without it nothing is, rather than everything.
+    assert [case for case in cases_of(other) if case.agents or case.pose_error] == []
+    (tmp_path / "c.pt").unlink()
+    with pytest.raises(SettingsError, match="at least one detector that is there"):
+        available(read_benchmark(written(tmp_path)))
