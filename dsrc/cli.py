@@ -491,6 +491,32 @@ def import_checkpoint(
     _say(str(out))
 
 
+@app.command(name="export")
+def export(
+    detector: Positional[Path],
+    /,
+    out: Path,
+    agents: int = 2,
+) -> None:
+    """Write a detector as an ONNX file; what goes in are the points of one sample, sorted into pillars.
+
+    Args:
+        detector: detector file.
+        out: the ONNX file.
+        agents: how many there are, the ego included, where the method does not take any number.
+    """
+    from dsrc.models.checkpoint import load_detector
+    from dsrc.models.export import INPUTS, OUTPUTS, export_onnx
+    from sim.errors import SettingsError, complaint
+
+    if agents < 1:
+        raise SettingsError(complaint("export", "agents", "at least 1", agents))
+    taken = export_onnx(load_detector(detector), out, agents)
+    _say("\n".join(f"{name}: {meaning}" for name, meaning in (INPUTS | OUTPUTS).items()))
+    _say(f"agents: {taken}")
+    _say(str(out))
+
+
 @app.command(name="evaluate")
 def evaluate(
     checkpoints: Positional[tuple[Path, ...]],
@@ -504,6 +530,7 @@ def evaluate(
     limit: int | None = None,
     ego_alone: bool = True,
     channels: tuple[str, ...] = (),
+    engine: Literal["fused", "bf16", "compiled", "plain"] = "fused",
 ) -> None:
     """Evaluate detectors on drives, clean and corrupted: table, CSV, JSON and plots.
 
@@ -519,6 +546,8 @@ def evaluate(
         ego_alone: also evaluate the first detector without collaborators.
         channels: radio channels: ideal, paper, its-g5-6, its-g5-27, c-v2x or trace:FILE; default: nothing is lost
             or late, and nothing counted.
+        engine: how the networks run: fused layers, the same in half precision for CPUs with AMX, PyTorch's compiler, or
+            layer by layer.
     """
     from dsrc.evaluation.run import evaluate_checkpoints
 
@@ -535,6 +564,7 @@ def evaluate(
             ego_alone=ego_alone,
             family=family,
             channels=channels,
+            engine=engine,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     _console().print(table)

@@ -34,7 +34,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_every_verb_has_help() -> None:
     made = ("scenarios", "generate", "render", "data", "corrupt", "convert")
-    for verb in (*made, "train", "verify", "evaluate", "benchmark", "view", "drive", "demo"):
+    for verb in (*made, "train", "verify", "export", "evaluate", "benchmark", "view", "drive", "demo"):
         result = dsrc(verb, "--help")
         assert result.returncode == 0
         assert "usage: dsrc" in result.stdout

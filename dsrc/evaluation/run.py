@@ -31,6 +31,7 @@ def evaluate_checkpoints(
     progress: Progress | None = None,
     family: Family = "physical",
     channels: Sequence[str] = (),
+    engine: str = "fused",
 ) -> Table:
     """Evaluate detectors and write `results.csv`, `results.json`, `timings.csv` and the plots.
 
@@ -47,6 +48,7 @@ def evaluate_checkpoints(
         family: of the corruptions' settings.
         channels: presets of the radio channel; every cooperative detector is evaluated through each of them. Without
             any, everything arrives at once and nothing is counted.
+        engine: how the networks run, one of `dsrc.models.deploy.ENGINES`.
 
     Returns:
         The table for the terminal.
@@ -60,7 +62,7 @@ def evaluate_checkpoints(
     kinds = corruption_kinds(corruptions, family)
     named = dict(checkpoints) if isinstance(checkpoints, Mapping) else name_checkpoints(checkpoints)
     specs = {name: get_channel(name) for name in channels}
-    detectors = {name: load_student(path) for name, path in named.items()}
+    detectors = {name: load_student(path, engine=engine) for name, path in named.items()}
     methods = [Method(name, detector) for name, detector in detectors.items() if not specs]
     for channel, spec in specs.items():
         methods += [Method(f"{name}, {channel}", detector, channel=spec) for name, detector in detectors.items()]

