@@ -36,6 +36,7 @@ DETECTOR, SETTINGS, RESULT = "detector.pt", "settings.json", "result.json"
 """Files of a run folder."""
 _PARTS = ("model", "distill", "labels", "augmentation")
 _OF_A_TEACHER = ("grid", "sdd", "pcp", "stage_channels", "shrink_channels", "box_order")
+_FIRST = "encoder.linear.weight"
 _WITHOUT_EFFECT = ("name", "validate_every", "validation_frames", "alarm_after", "workers", "half")
 """Fields of a recipe that do not change the weights."""
 
@@ -273,9 +274,16 @@ def _check_frames(recipe: Recipe, loaders: DetectionData, devices: int) -> None:
 
 
 def _start_from(path: Path, detector: Detector) -> dict[str, object]:
-    """Copy the weights of a detector file that fit, by name and shape; return what was done, for the record."""
+    """Copy the weights of a detector file that fit, by name and shape; return what was done, for the record.
+
+    A network of painted points takes the first layer of one of bare points and treats paint as that does: not at all.
+    """
     own = detector.state_dict()
     theirs = load_detector(path).state_dict()
+    bare = theirs[_FIRST]
+    if own[_FIRST].shape == (bare.shape[0], bare.shape[1] + 1):
+        paint = detector.settings.point_features - 1
+        theirs[_FIRST] = torch.cat([bare[:, :paint], torch.zeros_like(bare[:, :1]), bare[:, paint:]], dim=1)
     fitting = {name: t for name, t in theirs.items() if name in own and own[name].shape == t.shape}
     if all(tensor.ndim < 2 for tensor in fitting.values()):  # the heads' biases and the steps' counters always fit
         raise CheckpointError(complaint(path, "state", "a weight of the name and shape of the network's", "none"))

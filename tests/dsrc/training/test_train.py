@@ -124,6 +124,16 @@ def test_a_training_starts_from_the_weights_that_fit(data: Path, tmp_path: Path)
         train(wider, data, tmp_path / "second", "plain", seed=1)
 
 
+def test_a_teacher_that_starts_from_a_plain_student_sees_bare_points_as_that_does(data: Path, tmp_path: Path) -> None:
+    first = train(tiny(epochs=1), data, tmp_path / "first", "plain")
+    path = train(tiny(learning_rate=1e-12, epochs=1), data, tmp_path / "second", "teacher", seed=1, init=first)
+    bare, painted = (load_detector(p).encoder.linear.weight for p in (first, path))
+    x_y_z_intensity = [0, 1, 2, 3]
+    torch.testing.assert_close(painted[:, [*x_y_z_intensity, *range(5, 11)]], bare, atol=2e-3, rtol=0)
+    assert painted[:, 4].abs().max() < 1e-6
+    assert read_meta(path)["init"]["tensors_taken"] == read_meta(path)["init"]["tensors"]
+
+
 def test_a_start_of_which_nothing_fits_is_refused(data: Path, tmp_path: Path) -> None:
     sizes = {"pillar_channels": 24, "stage_channels": (24, 40, 48), "decoder_channels": 24, "shrink_channels": 48}
     save_detector(tmp_path / "other.pt", Detector(replace(tiny().model, **sizes)))
