@@ -8,6 +8,7 @@ import hashlib
 import io
 import zipfile
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,7 @@ def of_channel(spec: ChannelSpec) -> dict[str, Any]:
     return {**settings, "trace": hash_file(Path(spec.trace))} if spec.trace else settings
 
 
+@cache
 def relevant_versions() -> dict[str, str]:
     """Return the versions of the packages that can change a number here."""
     found = versions()

@@ -216,6 +216,7 @@ def _jobs(
     agents = min(case.agents or most, most)
     # Who is alone gets no messages: the same through every channel.
     channel = case.spec() if agents > 1 else None
+    condition, listed = described(case.condition), None if channel is None else of_channel(channel)
     pieces = []
     for reader, positions in zip(datasets[case.dataset], places[case.dataset], strict=True):
         for start in range(0, len(positions), CHUNK):
@@ -225,12 +226,12 @@ def _jobs(
                 drive=reader.drive.name,
                 data=drives[case.dataset][str(reader.drive)],
                 positions=chunk,
-                condition=described(case.condition),
                 seed=plan.seed,
-                channel=None if channel is None else of_channel(channel),
                 agents=agents,
                 device=device,
                 versions=relevant_versions(),
+                condition=condition,
+                channel=listed,
             )
             limit = None if agents == one.settings.max_agents else agents
             pieces.append((Job(settings, one.path, limit, channel), reader.drive, chunk))

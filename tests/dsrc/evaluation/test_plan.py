@@ -1,10 +1,15 @@
 """The file of a benchmark: what it says is what is run, and a mistake in it is one line."""
 
+from pathlib import Path
+
 import pytest
 
 from dsrc.evaluation.benchmark import Condition
 from dsrc.evaluation.plan import available, cases_of, plan_of, read_benchmark
+from dsrc.training.recipes import METHODS
 from sim.errors import SettingsError
+
+SHIPPED = Path(__file__).parents[3] / "docs" / "results" / "dsrc-sim-small" / "benchmark.toml"
 
 GOOD = """
 name = "small"
@@ -130,3 +135,19 @@ def test_detectors_that_are_not_there_yet_can_be_left_out(tmp_path):
     (tmp_path / "c.pt").unlink()
     with pytest.raises(SettingsError, match="at least one detector that is there"):
         available(read_benchmark(written(tmp_path)))
+
+
+def test_the_projects_own_benchmark_has_all_that_the_papers_tables_need():
+    plan = read_benchmark(SHIPPED)
+    runs = [Path(path).parts[1].rpartition("_s") for method in plan.methods for path in method.detectors]
+    assert set(METHODS) <= {name for name, _, _ in runs}
+    assert {name for name, _, _ in runs} - set(METHODS) == {"sdd", "pcp", "sdd-pcp"}
+    trainings = {method.name: len(method.detectors) for method in plan.methods}
+    assert trainings["DSRC"] == trainings["AttFuse (plain student)"] == 3
+    # The document has a place for every block, so that what people write stays where it is.
+    text = (SHIPPED.parents[2] / "results.md").read_text(encoding="utf-8")
+    sweeps = [field for field in ("agents", "pose_error", "delay_s", "loss") if getattr(plan.sweeps, field)]
+    tables = ["table_1", "table_1_opencood", "table_2", "table_3", "table_4", "visibility", *sweeps]
+    for name in (*tables, "figure_4", "figure_5", "figure_6", "figure_8", "traffic"):
+        for word in ("begin", "end"):
+            assert text.count(f"<!-- {word} {plan.name}/{plan.datasets[0].name}/{name} -->") == 1
