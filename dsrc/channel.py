@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 
 from dsrc.data.sample import GridSpec, Sample, cloud_of
 from dsrc.models.fusion import FUSIONS
+from dsrc.models.sharing import TILE_CELLS, message_bytes
 from sensors.corruptions.clock_offset import run_on, way
 from sensors.corruptions.pose_error import PoseError, errors
 from sensors.frame import AgentFrame, Frame
 from sensors.sight import antennas, lines_of_sight
 from sim.geometry import invert, pose_matrix
 from sim.v2x import Channel, ChannelSpec, Instant, Link, cpm_bytes, lost_tiles
-
-TILE_CELLS = 8
-"""Side of a tile of a feature map, cells of the detector's input grid."""
 
 Payload = Callable[[Frame, int], int]
 """(frame, row of an agent) -> bytes that it has to send."""
@@ -168,8 +166,9 @@ def instant_of(frame: Frame, index: int, payload: Payload) -> Instant:
 def payload_of(settings: Any, spec: ChannelSpec) -> Payload:
     """Return what agents send to a detector.
 
-    Features: the maps that its method sends as float32, `spec.compression` times smaller; of Where2comm the whole first
-    scale, of which it sends a share that depends on what is seen. Late fusion: a Collective Perception Message with
+    Features: the tiles of the maps that its method sends, in numbers of as many bits as `settings` say
+    (`dsrc.models.sharing`), `spec.compression` times smaller; of Where2comm the whole first scale, of which it sends a
+    share that depends on what is seen. Late fusion: a Collective Perception Message with
     the objects that the agent has points on, in place of its detections. Early fusion: clouds.
 
     Args:
@@ -181,5 +180,7 @@ def payload_of(settings: Any, spec: ChannelSpec) -> Payload:
         return lambda frame, row: cpm_bytes(int(((frame.points_on[row] >= 1) & frame.truth.is_vehicle).sum()))
     if fusion in _CLOUDS:
         return lambda frame, row: 16 * len(frame.agents[row].sweep)
-    size = math.ceil(4 * FUSIONS[fusion].values_sent(settings) / settings.compress / spec.compression)
+    method = FUSIONS[fusion]
+    message = message_bytes(settings, method.values_sent(settings), method.channels_sent(settings))
+    size = math.ceil(message / spec.compression)
     return lambda frame, row: size

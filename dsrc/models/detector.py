@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from math import log
 
 import numpy as np
@@ -20,6 +21,7 @@ from dsrc.models.fusion import FUSIONS, Company
 from dsrc.models.fusion.late import join_detections
 from dsrc.models.pose_graph import aligned
 from dsrc.models.settings import ModelSettings
+from dsrc.models.sharing import as_large, reduced
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, headed
 from dsrc.ops.postprocess import PostSettings, decode_detections
@@ -116,9 +118,26 @@ class Detector(nn.Module):
     def join(self, maps: Sequence[Tensor], company: Company) -> list[Tensor]:
         """Return what becomes of the agents' maps: three scales or one map, B rows each."""
         sent = self.fusion.send(maps, company, self)
+        if not self.training and (self.settings.share < 1 or self.settings.bits < 32):
+            sent = self._reduced(sent, maps, company)
         if company.lost is not None:
-            sent = [part.masked_fill(_as_large(company.lost, part), 0.0) for part in sent]
+            sent = [part.masked_fill(as_large(company.lost, part), 0.0) for part in sent]
         return self.fusion(sent, company, self)
+
+    def _reduced(self, sent: Sequence[Tensor], maps: Sequence[Tensor], company: Company) -> list[Tensor]:
+        """Return what arrives of the collaborators' maps; an ego keeps all of its own."""
+        egos = set(accumulate((0, *company.agents)))
+        others = [row for row in range(sum(company.agents)) if row not in egos]
+        if not others:
+            return list(sent)
+        confidence = None
+        if self.settings.share < 1:
+            own = [part[others] for part in maps]
+            logits = self.logits(own) if self.by_stage else self.cls_head(self.widen(own[0]))
+            confidence = logits.sigmoid().amax(1)
+        few = reduced([part[others] for part in sent], confidence, self.settings)
+        rows = torch.tensor(others, device=sent[0].device)
+        return [part.index_copy(0, rows, small.to(part.dtype)) for part, small in zip(sent, few, strict=True)]
 
     def read(self, stages: tuple[Tensor, Tensor, Tensor], joined: Sequence[Tensor]) -> Output:
         """Return the output of what was joined."""
@@ -171,9 +190,3 @@ class Detector(nn.Module):
         clouds = sample.clouds[: 1 if self.settings.fusion == "none" else self.settings.max_agents]
         pillars = pillars_of(clouds, self.settings).to(self.cls_head.weight.device)
         return self.decode(self(pillars, Company((1,) * len(clouds))))
-
-
-def _as_large(lost: Tensor, stage: Tensor) -> Tensor:
-    """Return the (N, h, w) tiles as an (N, 1, H, W) mask of a stage's cells."""
-    factor = stage.shape[-1] // lost.shape[-1]
-    return lost.repeat_interleave(factor, 1).repeat_interleave(factor, 2)[:, None]

@@ -42,6 +42,9 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         align_poses: put the collaborators' poses right by a graph of agents and objects before a sample is
             detected in; it takes another run of the network on each agent's cloud by itself.
         compress: times fewer channels that are sent of each map.
+        share: of the tiles of its maps that an agent sends, those in which it is surest to see something; in use only,
+            training has everything. Needs no training of its own: see `dsrc.models.sharing`.
+        bits: of each number that is sent, in use only.
         sdd: sparse-to-dense distillation: the teacher's objects hold the points of all agents.
         pcp: point cloud painting: the teacher's points carry a fifth channel, 1 inside a labelled box.
         rec: point cloud reconstruction supervises the fused feature (training only).
@@ -76,6 +79,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     own_frame: bool = False
     align_poses: bool = False
     compress: Count = 1
+    share: Share = 1.0
+    bits: Literal[32, 16, 8] = 32
     sdd: bool = True
     pcp: bool = True
     rec: bool = True
@@ -110,6 +115,13 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             # Their targets, clouds and boxes are all in the ego's frame.
             found = f"fusion {self.fusion}, sdd {self.sdd}, pcp {self.pcp}, rec {self.rec}"
             raise ValueError(f"own_frame: expected a fusion of maps without teacher and reconstruction, found {found}")
+        if (self.share < 1 or self.bits < 32) and self.fusion in ("none", "early", "late"):
+            raise ValueError(f"share, bits: expected a fusion of maps, found {self.fusion}")
+        if self.share < 1 and self.fusion == "mrcnet":
+            # Its decoder takes two maps at a time: no agent can tell by itself where it sees something.
+            raise ValueError(f"share: expected 1 with fusion mrcnet, found {self.share}")
+        if self.bits < 32 and self.compress > 1:
+            raise ValueError(f"bits: expected 32 with compressed maps, found {self.bits}")
         if self.compress > min(*self.stage_channels, self.shrink_channels):
             raise ValueError(f"compress: expected no more than a map has channels, found {self.compress}")
         if self.shrink_channels % 16 and self.fusion in ("v2xvit", "cobevt", "ermvp"):

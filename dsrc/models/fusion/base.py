@@ -77,6 +77,11 @@ class Fusion(nn.Module):
         sent = settings.stage_channels[: cls.scales_sent]
         return sum(channels * cells // 4 ** (k + 1) for k, channels in enumerate(sent))
 
+    @classmethod
+    def channels_sent(cls, settings: ModelSettings) -> int:
+        """Return how many channels the maps that an agent sends have together."""
+        return settings.shrink_channels if cls.place == "map" else sum(settings.stage_channels[: cls.scales_sent])
+
     def widths(self, settings: ModelSettings) -> tuple[int, ...]:
         """Return the channels of the fused stages, which the decoder gets."""
         return settings.stage_channels
