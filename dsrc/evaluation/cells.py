@@ -36,6 +36,7 @@ class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         detector: SHA-256 of its file.
+        use: what of its settings is changed.
         drive: name of the drive, by which its seed goes.
         data: hash of the drive.
         positions: of the frames in the drive.
@@ -49,6 +50,7 @@ class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     detector: str
+    use: dict[str, Any]
     drive: str
     data: str
     positions: tuple[int, ...]

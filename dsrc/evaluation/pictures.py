@@ -21,9 +21,9 @@ from dsrc.evaluation.paper_tables import PAPER_SEVERITY, View
 from dsrc.evaluation.plan import Benchmark
 from dsrc.evaluation.plots import COLORS, panels, png_bytes, styled
 from dsrc.evaluation.report import Block, provenance_of, slug
-from dsrc.evaluation.runner import Outcome
+from dsrc.evaluation.runner import Outcome, Trained, load_used
 from dsrc.evaluation.tables import write_atomic
-from dsrc.models.checkpoint import load_detector, load_student
+from dsrc.models.checkpoint import load_detector
 from dsrc.models.detector import Detector
 from sensors.corruptions import CLEAN, drive_seed
 from sim.boxes import Boxes
@@ -63,27 +63,31 @@ def write_pictures(outcome: Outcome, out: Path) -> list[Block]:
     plan, made_by = outcome.plan, provenance_of(outcome)
     folder = slug(plan.datasets[0].name)
     view = View.of(outcome, plan.datasets[0].name)
-    first = {name: several[0].path for name, several in outcome.trained.items()}
+    first = {name: several[0] for name, several in outcome.trained.items()}
     blocks = []
     baseline, student = view.plain("attention"), view.whole("attention")
     if baseline is None or student is None:
         lacking = "a plain method with attention (attfuse)" if baseline is None else "DSRC with attention (dsrc)"
         blocks.append(Block("figure_6", f"Figure 6 is left out: it needs {lacking}.\n"))
     else:
-        detectors = {f"baseline: {baseline}": load_student(first[baseline])}
+        detectors = {f"baseline: {baseline}": _load(first[baseline])}
         if plan.pictures.teacher:
             detectors["teacher"] = load_detector(Path(plan.pictures.teacher))
-        detectors[f"student: {student}"] = load_student(first[student])
+        detectors[f"student: {student}"] = _load(first[student])
         shot = take_shot(plan, view.settings[student].grid)
         write_atomic(out / folder / "figure_6.png", png_bytes(feature_figure(shot, detectors), made_by))
         blocks.append(Block("figure_6", picture="figure_6.png", about=f"Figure 6. Fused features, {shot.title}"))
     names = list(plan.pictures.methods or (first if len(first) <= 4 else [*list(first)[:3], list(first)[-1]]))
     grid = view.settings[names[-1]].grid
     shot = take_shot(plan, grid)
-    found = {name: load_student(first[name]).detect(shot.sample) for name in names}
+    found = {name: _load(first[name]).detect(shot.sample) for name in names}
     write_atomic(out / folder / "figure_8.png", png_bytes(detection_figure(shot, found, grid), made_by))
     blocks.append(Block("figure_8", picture="figure_8.png", about=f"Figure 8. Detections, {shot.title}"))
     return [block.below(folder) for block in blocks]
+
+
+def _load(one: Trained) -> Detector:
+    return load_used(one.path, one.use)
 
 
 def take_shot(plan: Benchmark, grid: GridSpec) -> Shot:

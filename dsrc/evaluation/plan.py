@@ -10,6 +10,11 @@
     name = "DSRC"
     detectors = ["runs/dsrc_0/student/detector.pt", "runs/dsrc_1/student/detector.pt"]   # one per training
 
+    [[methods]]
+    name = "DSRC that sends a tenth"
+    detectors = ["runs/dsrc_0/student/detector.pt", "runs/dsrc_1/student/detector.pt"]
+    use = {share = 0.1}
+
     [[datasets]]
     name = "dsrc-sim"
     drives = ["data/dsrc-sim/test"]
@@ -39,6 +44,9 @@ from sim.tomlfile import read_toml
 from sim.v2x import IDEAL, ChannelSpec, get_channel
 
 _Texts = Annotated[tuple[str, ...], Meta(min_length=1)]
+IN_USE = ("align_poses", "share", "bits", "score_threshold", "nms_iou")
+"""Settings of a model that its weights do not depend on."""
+
 _Amounts = tuple[Annotated[float, Meta(ge=0.0)], ...]
 
 
@@ -48,10 +56,13 @@ class MethodSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     Attributes:
         name: in tables.
         detectors: detector files, one for each seed that the method was trained with.
+        use: changes of the model's settings that need no training of their own, of `IN_USE`: the same detectors that
+            send less, or that put poses right, are another method.
     """
 
     name: str
     detectors: _Texts
+    use: dict[str, bool | int | float] = {}
 
 
 class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -260,6 +271,13 @@ def check(plan: Benchmark, where: str) -> None:
         for name in wanted:
             if name not in names:
                 raise SettingsError(complaint(where, field, "one of the methods", name, did_you_mean(name, names)))
+    for method in plan.methods:
+        for field in method.use:
+            if field not in IN_USE:
+                expected = "a setting that needs no training"
+                raise SettingsError(
+                    complaint(where, f"methods.{method.name}.use", expected, field, did_you_mean(field, IN_USE))
+                )
     check_numbers(where, plan.severities, plan.seed, plan.limit)
     try:
         corruption_kinds((*plan.corruptions, plan.pictures.corruption), plan.family)

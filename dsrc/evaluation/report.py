@@ -90,7 +90,9 @@ def provenance_of(outcome: Outcome) -> dict[str, Any]:
     plan = outcome.plan
     settings = msgspec.to_builtins(plan)
     settings["methods"] = {
-        name: [{"file": one.path.name, "sha256": one.sha256, "training_seed": one.seed} for one in several]
+        name: [
+            {"file": one.path.name, "sha256": one.sha256, "training_seed": one.seed, "use": one.use} for one in several
+        ]
         for name, several in outcome.trained.items()
     }
     settings["datasets"] = outcome.drives

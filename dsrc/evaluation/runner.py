@@ -5,13 +5,14 @@ frames of a drive under one condition: each frame is read and corrupted once for
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
+import msgspec
 import numpy as np
 import torch
 
@@ -64,14 +65,16 @@ class Trained:
     Attributes:
         path: its file.
         sha256: of the file.
-        settings: of the network.
+        settings: of the network, as it is used.
         seed: of its training; None where the file does not say.
+        use: see `MethodSpec`.
     """
 
     path: Path
     sha256: str
     settings: ModelSettings
     seed: int | None
+    use: dict[str, bool | int | float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +166,7 @@ def run_plan(
     """
     if device == "cuda" and not torch.cuda.is_available():
         raise SettingsError(complaint("benchmark", "device", "a GPU that torch can use", "none", "; use cpu"))
-    trained = {method.name: [_trained(Path(path)) for path in method.detectors] for method in plan.methods}
+    trained = {m.name: [_trained(Path(path), m.use) for path in m.detectors] for m in plan.methods}
     for name, several in trained.items():
         for other in several[1:]:
             if other.settings != several[0].settings:
@@ -189,9 +192,26 @@ def run_plan(
     return Outcome(plan, trained, named, entries, sum(len(unit.jobs) for unit in units))
 
 
-def _trained(path: Path) -> Trained:
+def _trained(path: Path, use: dict[str, bool | int | float]) -> Trained:
     seed = read_meta(path).get("seed")
-    return Trained(path, hash_file(path), load_student(path).settings, seed if isinstance(seed, int) else None)
+    settings = load_used(path, use).settings
+    return Trained(path, hash_file(path), settings, seed if isinstance(seed, int) else None, use)
+
+
+def load_used(path: Path, use: Mapping[str, bool | int | float]) -> Detector:
+    """Read a detector file for use with some of its settings changed.
+
+    Raises:
+        CheckpointError: the file is missing, damaged or a teacher's.
+        SettingsError: a setting is out of its range, or does not go with the others.
+    """
+    detector = load_student(path)
+    if use:
+        try:
+            detector.settings = msgspec.convert({**msgspec.to_builtins(detector.settings), **use}, ModelSettings)
+        except (msgspec.ValidationError, ValueError) as error:
+            raise SettingsError(f"{path}: use: {' '.join(str(error).split())}") from None
+    return detector
 
 
 def _readers(folder: str) -> list[Drive]:
@@ -223,6 +243,7 @@ def _jobs(
             chunk = tuple(positions[start : start + CHUNK])
             settings = CellSettings(
                 detector=one.sha256,
+                use=one.use,
                 drive=reader.drive.name,
                 data=drives[case.dataset][str(reader.drive)],
                 positions=chunk,
@@ -274,10 +295,7 @@ def _make(units: Sequence[Unit], workers: int, progress: Progress | None) -> Non
 
 def make_unit(unit: Unit, report: Report) -> None:
     """Make the cells of a unit: a task of an executor."""
-    methods = [
-        Method(job.settings.key, _detector(job.path, job.settings.detector, unit.device), job.agents, job.channel)
-        for job in unit.jobs
-    ]
+    methods = [Method(job.settings.key, _detector(job, unit.device), job.agents, job.channel) for job in unit.jobs]
     frames = 0
 
     def tell() -> None:
@@ -302,10 +320,14 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+def _detector(job: Job, device: Device) -> Detector:
+    return _loaded(job.path, job.settings.detector, tuple(sorted(job.settings.use.items())), device)
+
+
 @lru_cache(maxsize=64)
-def _detector(path: Path, sha256: str, device: Device) -> Detector:
+def _loaded(path: Path, sha256: str, use: tuple[tuple[str, bool | int | float], ...], device: Device) -> Detector:
     """Return a detector; the hash is there so that a file that has changed is read again."""
-    return load_student(path).to(device)
+    return load_used(path, dict(use)).to(device)
 
 
 @lru_cache(maxsize=4)

@@ -62,7 +62,7 @@ def outcome_of(methods: dict[str, int], **settings: object) -> Outcome:
     specs = tuple(MethodSpec(name=n, detectors=tuple(f"{n}{i}" for i in range(k))) for n, k in methods.items())
     plan = Benchmark(methods=specs, datasets=(DatasetSpec(name="made up", drives=("x",)),), **settings)
     trained = {
-        name: [Trained(Path(f"{name}{i}.pt"), f"{name}{i}", settings_of(name), i) for i in range(count)]
+        name: [Trained(Path(f"{name}{i}.pt"), f"{name}{i}", settings_of(name), i, {}) for i in range(count)]
         for name, count in methods.items()
     }
     entries = []
@@ -153,7 +153,7 @@ def test_tables_3_and_4_find_their_pairs_by_what_methods_are():
 def test_a_plain_method_of_other_sizes_is_not_taken_for_the_base():
     outcome = outcome_of({"attfuse": 1, "dsrc": 1})
     wider = replace(settings_of("attfuse"), shrink_channels=128)
-    outcome.trained["attfuse"][0] = Trained(Path("x.pt"), "x", wider, 0)
+    outcome.trained["attfuse"][0] = Trained(Path("x.pt"), "x", wider, 0, {})
     assert "none" in table_2(View.of(outcome, "made up"))
 
 

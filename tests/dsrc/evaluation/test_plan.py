@@ -74,6 +74,7 @@ def test_paths_are_taken_from_the_files_folder_first(tmp_path):
         ('name = "Late"', 'name = "DSRC"', ["methods", "names that differ", "DSRC"]),
         ('name = "Late"', 'nam = "Late"', ["methods[1]", "nam", "did you mean 'name'"]),
         ('["c.pt"]', "[]", ["methods[1].detectors"]),
+        ('["c.pt"]', '["c.pt"]\nuse = {shar = 0.1}', ["methods.Late.use", "shar", "did you mean 'share'"]),
         ("limit = 10", "limit = 0", ["limit", "at least 1 frame"]),
         ("limit = 10", 'limit = "ten"', ["limit", "int", "ten"]),
         ("limit = 10", "seed = -1", ["seed", "at least 0"]),

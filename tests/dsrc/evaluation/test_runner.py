@@ -23,6 +23,13 @@ from tests.dsrc.evaluation.small import make_plan, write_detector, write_drives
 TWO = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "alone": [("no-collaboration", 0)]}
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _one_commit():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dsrc.evaluation.report.commit", lambda: "0123456789")
+        yield
+
+
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("benchmark")
@@ -156,6 +163,7 @@ def test_a_sweep_changes_what_arrives(done):
 
 SETTINGS = CellSettings(
     detector="ab",
+    use={},
     drive="drive_0",
     data="cd",
     positions=(0, 1),
@@ -172,6 +180,7 @@ SETTINGS = CellSettings(
     "change",
     [
         {"detector": "ba"},
+        {"use": {"score_threshold": 0.5}},
         {"drive": "drive_1"},
         {"data": "dc"},
         {"positions": (0, 2)},
@@ -228,3 +237,16 @@ def test_what_is_wrong_is_told_before_the_work(plan, root):
     with pytest.raises(SettingsError, match=r"mixed\.pt: settings: expected those of .*dsrc_0\.pt"):
         run_plan(replace(plan, methods=(replace(plan.methods[0], detectors=mixed),)), root / "wrong")
     assert not (root / "wrong" / "cells").exists()
+
+
+def test_a_method_may_use_the_same_detectors_otherwise(done, plan, root):
+    out = shutil.copytree(done[0], root / "otherwise")
+    picky = replace(plan.methods[0], name="picky", use={"score_threshold": 0.6})
+    both = replace(plan, methods=(plan.methods[0], picky), corruptions=("clean",), sweeps=Sweeps())
+    outcome = run_plan(both, out)
+    assert outcome.made == 2 * 2  # two trainings on two drives; the other method's cells are there
+    assert outcome.trained["picky"][0].settings.score_threshold == 0.6
+    rows = {(entry.case.method, entry.case.training): entry.row for entry in outcome.entries}
+    assert 0 < rows["picky", 0].detections < rows["DSRC", 0].detections
+    with pytest.raises(SettingsError, match=r"dsrc_0\.pt: use: .*score_threshold"):
+        run_plan(replace(both, methods=(replace(picky, use={"score_threshold": 2.0}),)), out)
