@@ -273,8 +273,8 @@ def main(quick: bool = False) -> None:
     show(console, timings)
     ready = timings["batch_dsrc"].cpu_s
     console.print(
-        f"A worker of DSRC's training has a batch ready every {ready:.2f} s, four every {ready / 4:.2f} s. A step on it is\n"
-        f"{STEP_TFLOP} TFLOP: {STEP_TFLOP / 20:.2f} s on a GPU that does 20 TFLOP of convolutions per second."
+        f"A worker of DSRC's training has a batch ready every {ready:.2f} s, four every {ready / 4:.2f} s.\n"
+        f"A step on it is {STEP_TFLOP} TFLOP: {STEP_TFLOP / 20:.2f} s on a GPU at 20 TFLOP of convolutions a second."
     )
     others = float(np.median([timing.load for timing in timings.values()]))
     facts = {"agents": AGENTS, "points": POINTS, "samples": SAMPLES, "cores": os.cpu_count()}
