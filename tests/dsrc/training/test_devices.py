@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from dsrc.evaluation.provenance import hash_file
 from dsrc.models.checkpoint import load_detector, read_meta
@@ -30,16 +31,21 @@ def test_two_devices_share_the_batches_of_one() -> None:
     assert len(parts[0]) == len(parts[1]) == len(EpochSampler(11, seed=3, device=1, devices=2)) == 5
 
 
+def both_train(data: Path, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    """Run the trainings of `shared_batch` in two processes."""
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    program = ["-m", "tests.dsrc.training.shared_batch", str(data), str(out), *more]
+    quiet = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "CUDA_VISIBLE_DEVICES": ""}
+    return subprocess.run(
+        [sys.executable, *launch, *program], cwd=ROOT, env=quiet, capture_output=True, text=True, timeout=900
+    )
+
+
 @pytest.mark.slow
-def test_two_processes_end_with_the_weights_of_one(tmp_path: Path) -> None:
+def test_two_processes_end_with_the_weights_of_one_and_resume_exactly(tmp_path: Path) -> None:
     data = write_drive(tmp_path / "data", 7)
     alone = train(RECIPE, data, tmp_path / "alone", "plain", seed=1, callbacks=[StillNorms()])
-    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    program = ["-m", "tests.dsrc.training.shared_batch", str(data), str(tmp_path / "both")]
-    quiet = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "CUDA_VISIBLE_DEVICES": ""}
-    done = subprocess.run(
-        [sys.executable, *launch, *program], cwd=ROOT, env=quiet, capture_output=True, text=True, timeout=240
-    )
+    done = both_train(data, tmp_path / "both")
     assert done.returncode == 0, done.stderr
     expected, found = load_detector(alone).state_dict(), load_detector(tmp_path / "both/detector.pt").state_dict()
     worst = max(float((found[name].double() - tensor.double()).abs().max()) for name, tensor in expected.items())
@@ -51,9 +57,15 @@ def test_two_processes_end_with_the_weights_of_one(tmp_path: Path) -> None:
     results = [json.loads((tmp_path / run / "result.json").read_text()) for run in ("alone", "both")]
     assert results[0]["metrics"] == pytest.approx(results[1]["metrics"], abs=0.02)
     # A student of several processes finds the file of its teacher, which one of them has written.
-    assert read_meta(tmp_path / "both/student/detector.pt")["teacher"] == hash_file(
-        tmp_path / "both/teacher/detector.pt"
-    )
+    teacher = hash_file(tmp_path / "both/teacher/detector.pt")
+    assert read_meta(tmp_path / "both/student/detector.pt")["teacher"] == teacher
+
+    assert "power cut" in both_train(data, tmp_path / "cut", "cut").stderr
+    assert not (tmp_path / "cut/detector.pt").exists()
+    done = both_train(data, tmp_path / "cut")
+    assert done.returncode == 0, done.stderr
+    for name, tensor in load_detector(tmp_path / "cut/detector.pt").state_dict().items():
+        assert torch.equal(tensor, found[name]), name
 
 
 def test_a_batch_that_cannot_be_shared_is_refused(tmp_path: Path) -> None:

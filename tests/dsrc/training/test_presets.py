@@ -138,6 +138,19 @@ def test_a_preset_trains_its_teacher_and_its_student_and_resumes_exactly(preset,
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", [dsrc_paper, dsrc_code])
+def test_a_full_network_takes_a_step(preset) -> None:
+    recipe = preset()
+    module = DetectionModule(recipe, *(Detector(recipe.settings(stage)) for stage in ("student", "teacher"))).train()
+    sample = make_sample(frame(0), 1000, recipe.model.grid, keep_ego_box=recipe.labels.ego_box)
+    moving = recipe.distill.teacher_norms == "moving"
+    losses = module.losses(collate([sample], recipe.model, True, recipe.labels, objects=moving))
+    sum(losses.values()).backward()
+    assert set(losses) == {"cls", "reg", "dae", "daf", "dap", "rec_mask", "rec_offset"}
+    assert all(torch.isfinite(parameter.grad).all() for parameter in module.parameters())
+
+
 def golden_batch(recipe: Recipe) -> Batch:
     """The reference's batch, made by our own code of its points and boxes."""
     arrays, _ = golden("dsrc_student_train")
