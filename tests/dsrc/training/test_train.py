@@ -31,7 +31,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("fusion", "choice"),
     [
-        ("attention", {"epoch_frames": 2, "ema": 0.9}),
+        ("attention", {"epoch_frames": 2, "ema": 0.9, "half": False}),
         ("attention", {"keep": "best", "validation_share": 0.25, "half": False}),
         ("cobevt", {}),  # draws while it trains
         ("max", {"consistency": 1.0, "augmentation": Augmentation(corruption=0.7, kinds=("noise", "point_dropping"))}),
