@@ -412,9 +412,7 @@ def train(
         set: change settings of the model, of the recipe or of a part of it: `--set sdd=false fusion=max
             epoch_frames=1000 augmentation.corruption=0.5`.
     """
-    from lightning.pytorch.utilities import rank_zero_only
-
-    from dsrc.training.train import train_stages
+    from dsrc.training.train import leads, train_stages
 
     detector = train_stages(
         recipe,
@@ -430,7 +428,8 @@ def train(
         init=init,
         devices=devices,
     )
-    rank_zero_only(_say)(str(detector))
+    if leads():
+        _say(str(detector))
 
 
 @app.command(name="verify")

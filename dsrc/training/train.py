@@ -15,6 +15,7 @@ import torch
 from lightning.fabric.utilities.warnings import PossibleUserWarning
 from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
 from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.utilities import rank_zero_only
 from msgspec.structs import replace
 
 from dsrc.data.drives import list_drives
@@ -201,6 +202,11 @@ def train(
         write_json(result, {"detector": hash_file(path), "epoch": selection.epoch, "metrics": metrics})
     trainer.strategy.barrier()  # the next stage of every process reads the file
     return path
+
+
+def leads() -> bool:
+    """Return whether this process is the first, or the only one, of those that share a training."""
+    return not getattr(rank_zero_only, "rank", None)
 
 
 def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
