@@ -204,7 +204,7 @@ def plan_of(what: Sequence[str], data: Sequence[str], flags: Mapping[str, Any], 
     """Return the benchmark that the command line describes.
 
     Args:
-        what: a TOML file, or detector files; `name=path` gives one its name, and one name with several files is a
+        what: a TOML file, or detector files; `name=path` gives one its name, and one name given to several files is a
             method with several trainings.
         data: folders of drives, a dataset each; `name=folder` names one.
         flags: further fields of `Benchmark`; None for what was not said.
@@ -222,14 +222,7 @@ def plan_of(what: Sequence[str], data: Sequence[str], flags: Mapping[str, Any], 
                 complaint("benchmark", said[0], f"nothing: {what[0]} describes the benchmark", "a value")
             )
         return read_benchmark(Path(what[0]))
-    methods: dict[str, list[str]] = {}
-    for text in what:
-        name, path = _named(text)
-        methods.setdefault(name, []).append(path)
-    datasets: dict[str, list[str]] = {}
-    for text in data:
-        name, path = _named(text)
-        datasets.setdefault(name, []).append(path)
+    methods, datasets = _grouped("detectors", what), _grouped("data", data)
     for field, found in (("detectors", methods), ("data", datasets)):
         if not found:
             raise SettingsError(complaint("benchmark", field, "at least one, or a TOML file", "none"))
@@ -247,10 +240,32 @@ def plan_of(what: Sequence[str], data: Sequence[str], flags: Mapping[str, Any], 
     return plan
 
 
-def _named(text: str) -> tuple[str, str]:
-    """Return name and path of `name=path`, or of a path alone."""
+def _grouped(field: str, texts: Sequence[str]) -> dict[str, list[str]]:
+    """Return paths by name; only paths whose names were given share one."""
+    groups: dict[str, list[str]] = {}
+    for (name, path), text in zip(named(texts), texts, strict=True):
+        if name in groups and split_name(text)[0] != name:
+            hint = "; give names: name=path"
+            raise SettingsError(complaint("benchmark", field, "names that differ", f"{name} for {path} too", hint))
+        groups.setdefault(name, []).append(path)
+    return groups
+
+
+def named(texts: Sequence[str]) -> list[tuple[str, str]]:
+    """Return names and paths: `name=path` as it says, else the file's stem, its folder before it where stems repeat."""
+    split = [split_name(text) for text in texts]
+    stems = [Path(path).stem for name, path in split if not name]
+
+    def name_of(path: Path) -> str:
+        return path.stem if stems.count(path.stem) == 1 else f"{path.absolute().parent.name}/{path.stem}"
+
+    return [(name or name_of(Path(path)), path) for name, path in split]
+
+
+def split_name(text: str) -> tuple[str, str]:
+    """Return name and path of `name=path`, "" and the path of a path alone, whose folders may hold a `=`."""
     name, equals, path = text.partition("=")
-    return (name, path) if equals and path else (Path(text).stem, text)
+    return (name, path) if equals and path and not {"/", "\\"} & set(name) else ("", text)
 
 
 def check(plan: Benchmark, where: str) -> None:

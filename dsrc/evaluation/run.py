@@ -7,6 +7,7 @@ import msgspec
 from rich.table import Table
 
 from dsrc.evaluation.benchmark import PAPER_TABLE, Method, Progress, corruption_kinds, run_benchmark
+from dsrc.evaluation.plan import named
 from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
 from dsrc.evaluation.provenance import hash_file, provenance
 from dsrc.evaluation.rows import Row
@@ -60,9 +61,9 @@ def evaluate_checkpoints(
     from dsrc.models.checkpoint import load_student
 
     kinds = corruption_kinds(corruptions, family)
-    named = dict(checkpoints) if isinstance(checkpoints, Mapping) else name_checkpoints(checkpoints)
+    files = dict(checkpoints) if isinstance(checkpoints, Mapping) else name_checkpoints(checkpoints)
     specs = {name: get_channel(name) for name in channels}
-    detectors = {name: load_student(path, engine=engine) for name, path in named.items()}
+    detectors = {name: load_student(path, engine=engine) for name, path in files.items()}
     methods = [Method(name, detector) for name, detector in detectors.items() if not specs]
     for channel, spec in specs.items():
         methods += [Method(f"{name}, {channel}", detector, channel=spec) for name, detector in detectors.items()]
@@ -75,12 +76,13 @@ def evaluate_checkpoints(
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be is told before the work, not after
     rows = run_benchmark(methods, drives, kinds or ("clean",), severity, seed, limit, progress, family)
     settings = {
-        "checkpoints": {name: {"file": path.name, "sha256": hash_file(path)} for name, path in named.items()},
+        "checkpoints": {name: {"file": path.name, "sha256": hash_file(path)} for name, path in files.items()},
         "conditions": ["clean", *kinds],
         "severity": severity,
         "family": family,
         "limit": limit,
         "ego_alone": ego_alone,
+        "engine": engine,
     }
     if specs:
         settings["channels"] = {name: msgspec.to_builtins(spec) for name, spec in specs.items()}
@@ -94,18 +96,12 @@ def name_checkpoints(checkpoints: Sequence[Path]) -> dict[str, Path]:
     Raises:
         CheckpointError: two of them have one name.
     """
-    stems = [path.stem for path in checkpoints]
-    named: dict[str, Path] = {}
-    for path in checkpoints:
-        name, equals, rest = str(path).partition("=")
-        if equals and rest:
-            path = Path(rest)
-        else:
-            name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}/{path.stem}"
-        if name in named:
+    found: dict[str, Path] = {}
+    for name, path in named([str(path) for path in checkpoints]):
+        if name in found:
             raise CheckpointError(f"{path}: a detector of the name '{name}' is there already; give names: name=path")
-        named[name] = path
-    return named
+        found[name] = Path(path)
+    return found
 
 
 def write_results(out: Path, rows: Sequence[Row], made_by: Mapping[str, object]) -> None:

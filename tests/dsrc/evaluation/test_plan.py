@@ -108,6 +108,29 @@ def test_flags_say_the_same_as_a_file(tmp_path):
     assert (unnamed.methods[0].name, unnamed.datasets[0].name) == ("c", "test")
 
 
+def test_only_files_that_were_given_one_name_are_trainings_of_one_method():
+    plan = plan_of(("runs/a/detector.pt", "runs/b/detector.pt"), ("one/test", "two/test"), {}, {})
+    assert {m.name: m.detectors for m in plan.methods} == {
+        "a/detector": ("runs/a/detector.pt",),
+        "b/detector": ("runs/b/detector.pt",),
+    }
+    assert [d.name for d in plan.datasets] == ["one/test", "two/test"]
+    pooled = plan_of(("x=runs/a/detector.pt", "x=runs/b/detector.pt"), ("test",), {}, {})
+    assert len(pooled.methods) == 1 and len(pooled.methods[0].detectors) == 2
+    for pair in (("a/student/d.pt", "b/student/d.pt"), ("d=a.pt", "b/d.pt")):
+        with pytest.raises(SettingsError, match=r"detectors: expected names that differ.*name=path"):
+            plan_of(pair, ("test",), {}, {})
+
+
+def test_a_folder_with_an_equals_sign_is_no_name():
+    plan = plan_of(("runs/lr=0.1/c.pt", "slow=runs/lr=0.01/c.pt"), ("data/n=3/test",), {}, {})
+    assert [(m.name, m.detectors[0]) for m in plan.methods] == [
+        ("c", "runs/lr=0.1/c.pt"),
+        ("slow", "runs/lr=0.01/c.pt"),
+    ]
+    assert (plan.datasets[0].name, plan.datasets[0].drives) == ("test", ("data/n=3/test",))
+
+
 def test_a_file_and_flags_do_not_both_describe_it(tmp_path):
     path = str(written(tmp_path))
     with pytest.raises(SettingsError, match=r"limit: expected nothing: .* describes the benchmark"):

@@ -38,6 +38,7 @@ def test_an_evaluation_writes_tables_plots_and_what_made_them(world):
     made_by = result["provenance"]
     assert made_by["seed"] == 4
     assert made_by["settings"]["conditions"] == ["clean", "fog", "snow"]
+    assert made_by["settings"]["engine"] == "fused"
     assert len(made_by["settings"]["checkpoints"]["DSRC"]["sha256"]) == 64
     assert list(made_by["data"]) == ["drive_0"]
     assert {row["method"] for row in result["rows"]} == {"DSRC", "plain", "DSRC, ego alone"}
@@ -70,6 +71,7 @@ def test_checkpoints_are_named_by_their_file_or_by_hand(world):
         "b/detector": Path("runs/b/detector.pt"),
         "late fusion": Path("runs/c.pt"),
     }
+    assert name_checkpoints([Path("runs/lr=0.1/d.pt")]) == {"d": Path("runs/lr=0.1/d.pt")}
     with pytest.raises(CheckpointError, match="name=path"):
         name_checkpoints([Path("x=a.pt"), Path("x=b.pt")])
 
