@@ -616,7 +616,7 @@ def benchmark(
         device: of the networks.
     """
     from dsrc.evaluation.paper_tables import View, table_1
-    from dsrc.evaluation.pictures import write_pictures
+    from dsrc.evaluation.pictures import check_pictures, write_pictures
     from dsrc.evaluation.plan import available, plan_of
     from dsrc.evaluation.report import publish, write_report
     from dsrc.evaluation.runner import run_plan
@@ -626,6 +626,7 @@ def benchmark(
     sweeps = {"agents": agents, "pose_error": pose_error, "delay_s": delay_s, "loss": loss}
     plan = plan_of(what, data, {**flags, "limit": limit, "seed": seed}, sweeps)
     plan, absent = available(plan) if partial else (plan, [])
+    check_pictures(plan)
     with _progress() as progress:
         task = progress.add_task(f"benchmark {plan.name}", total=None)
         outcome = run_plan(

@@ -86,6 +86,19 @@ def write_pictures(outcome: Outcome, out: Path) -> list[Block]:
     return [block.below(folder) for block in blocks]
 
 
+def check_pictures(plan: Benchmark) -> None:
+    """Look, before the work, whether the pictures of a benchmark can be drawn after it.
+
+    Raises:
+        UserError: the frame that is asked for does not exist, or the teacher's file is missing, damaged or a student's.
+    """
+    _place(plan)
+    if plan.pictures.teacher:
+        role = load_detector(Path(plan.pictures.teacher)).settings.role
+        if role != "teacher":
+            raise SettingsError(complaint(plan.pictures.teacher, "settings.role", "teacher", role))
+
+
 def _load(one: Trained) -> Detector:
     return load_used(one.path, one.use)
 
@@ -97,15 +110,21 @@ def take_shot(plan: Benchmark, grid: GridSpec) -> Shot:
         SettingsError: there is no such drive in the first dataset, or no such frame in it.
     """
     wanted = plan.pictures
-    readers = [open_drive(d) for folder in plan.datasets[0].drives for d in list_drives(Path(folder))]
-    reader = _drive(readers, wanted.drive)
-    position = len(reader) // 2 if wanted.frame is None else wanted.frame
-    if position >= len(reader):
-        raise SettingsError(complaint("pictures", "frame", f"less than {len(reader)}", position))
+    reader, position = _place(plan)
     condition = Condition(wanted.corruption, 0 if wanted.corruption == CLEAN else PAPER_SEVERITY, plan.family)
     name = reader.drive.name
     frame = corrupted(reader.read(position), condition, drive_seed(plan.seed, name))
     return Shot(make_sample(frame, None, grid), f"{name}, frame {reader.frames[position]}, {wanted.corruption}")
+
+
+def _place(plan: Benchmark) -> tuple[Drive, int]:
+    """Return the drive and the position of the frame in it."""
+    readers = [open_drive(d) for folder in plan.datasets[0].drives for d in list_drives(Path(folder))]
+    reader = _drive(readers, plan.pictures.drive)
+    position = len(reader) // 2 if plan.pictures.frame is None else plan.pictures.frame
+    if position >= len(reader):
+        raise SettingsError(complaint("pictures", "frame", f"less than {len(reader)}", position))
+    return reader, position
 
 
 def _drive(readers: list[Drive], name: str) -> Drive:

@@ -5,7 +5,6 @@ import io
 import json
 import math
 import re
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +33,7 @@ from sim.errors import DataError, complaint
 
 _CASE = ("method", "training", "dataset")
 _SWEPT = ("channel", "agents", "pose_error", "delay_s", "loss")
+_RESULTS = ("results.json", "results.csv", "timings.csv")
 _COUNTS = ("frames", "truth", "detections", "bytes_per_frame", "message_age_s", "heard")
 
 
@@ -46,17 +46,25 @@ class Block:
         text: Markdown.
         picture: file beside the table; "" for none.
         about: what the picture shows.
+        tables: files with the text's numbers.
     """
 
     name: str
     text: str = ""
     picture: str = ""
     about: str = ""
+    tables: tuple[str, ...] = ()
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """What was written for the block."""
+        return (*self.tables, self.picture) if self.picture else self.tables
 
     def below(self, folder: str) -> "Block":
-        """Return the block with its name and its picture in a folder."""
+        """Return the block with its name and its files in a folder."""
         picture = f"{folder}/{self.picture}" if self.picture else ""
-        return replace(self, name=f"{folder}/{self.name}", picture=picture)
+        tables = tuple(f"{folder}/{table}" for table in self.tables)
+        return replace(self, name=f"{folder}/{self.name}", picture=picture, tables=tables)
 
     def markdown(self, pictures: Path) -> str:
         """Return the text with the picture, which lies below the folder `pictures`."""
@@ -154,14 +162,15 @@ def _dataset(outcome: Outcome, dataset: str, folder: Path, made_by: Mapping[str,
             name = sheet.split(" is ")[0].lower().replace(" ", "_")
             blocks.append(Block(name, f"{sheet}\n"))
             continue
-        write_atomic(folder / f"{sheet.name}.md", sheet.markdown())
-        write_atomic(folder / f"{sheet.name}.csv", sheet.csv())
+        tables = {f"{sheet.name}.md": sheet.markdown(), f"{sheet.name}.csv": sheet.csv()}
+        for name, text in tables.items():
+            write_atomic(folder / name, text)
         figure = _figure_of(sheet, view, outcome)
         picture = "" if figure is None else f"{sheet.name}.png"
         if figure is not None:
             write_atomic(folder / picture, png_bytes(figure, made_by))
         beside = f"\n{published[sheet.name].markdown()}" if sheet.name in published else ""
-        blocks.append(Block(sheet.name, f"{sheet.markdown()}{beside}", picture, sheet.title))
+        blocks.append(Block(sheet.name, f"{sheet.markdown()}{beside}", picture, sheet.title, tuple(tables)))
     rows = mean_rows(view, compared(view))
     figures = {"traffic": (traffic_scatter(_traffic(view)), "AP in clean frames against the bytes that are sent")}
     if view.kinds():
@@ -232,7 +241,7 @@ def publish(blocks: list[Block], out: Path, document: Path, name: str) -> Path:
     """Put the blocks between their markers in a document, and the files that it needs beside it in a folder `name`.
 
     A block `x/y` goes between the lines `<!-- begin NAME/x/y -->` and `<!-- end NAME/x/y -->`; without them it is
-    added at the end. What stands elsewhere is left as it is.
+    added at the end. What stands elsewhere is left as it is. `out` may be that folder.
 
     Returns:
         The folder with result files, tables and pictures; cells stay where they are.
@@ -241,11 +250,8 @@ def publish(blocks: list[Block], out: Path, document: Path, name: str) -> Path:
         DataError: a marker has begun and does not end.
     """
     folder = document.parent / document.stem / slug(name)
-    for file in sorted(out.rglob("*")):
-        below = file.relative_to(out)
-        if file.suffix in (".json", ".csv", ".md", ".png") and below.parts[0] != "cells":
-            (folder / below).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(file, folder / below)
+    for file in (*_RESULTS, *(path for block in blocks for path in block.files)):
+        write_atomic(folder / file, (out / file).read_bytes())
     text = document.read_text(encoding="utf-8") if document.is_file() else f"# {document.stem.capitalize()}\n"
     for block in blocks:
         begin, end = (f"<!-- {word} {slug(name)}/{block.name} -->" for word in ("begin", "end"))

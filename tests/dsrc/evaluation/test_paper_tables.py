@@ -194,6 +194,7 @@ def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
     assert {"figure_4.png", "figure_5.png", "traffic.png"} <= names
     assert len([sheet for sheet in sheets_of(outcome, "made up") if isinstance(sheet, str)]) == 1  # visibility
     document.parent.mkdir()
+    (out / "made-up" / "stale.csv").write_text("of a run before")
     begin, end = (f"<!-- {word} small/made-up/table_1 -->" for word in ("begin", "end"))
     document.write_text(f"# Results\n\nBefore.\n\n{begin}\nold\n{end}\n\nAfter.\n")
     folder = publish(blocks, out, document, "Small")
@@ -204,3 +205,15 @@ def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
     assert folder == tmp_path / "docs" / "results" / "small"
     publish(blocks, out, document, "Small")
     assert document.read_text() == text
+    written = {name for block in blocks for name in block.files} | {"results.json", "results.csv", "timings.csv"}
+    assert "made-up/table_1.csv" in written and "made-up/figure_4.png" in written
+    assert {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} == written
+
+
+def test_results_may_lie_in_the_documents_own_folder(tmp_path):
+    out = tmp_path / "results" / "small"
+    blocks = write_report(outcome_of({"dsrc": 1}, name="Small"), out)
+    before = (out / "results.json").read_bytes()
+    assert publish(blocks, out, tmp_path / "results.md", "Small") == out
+    assert (out / "results.json").read_bytes() == before
+    assert (tmp_path / "results" / blocks[0].picture).name == "table_1.png"

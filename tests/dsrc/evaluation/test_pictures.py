@@ -10,11 +10,13 @@ from matplotlib.colors import to_hex
 from msgspec.structs import replace
 from PIL import Image
 
+from dsrc.__main__ import main
 from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.sample import make_sample
 from dsrc.evaluation.pictures import (
     FOUND,
     TRUTH,
+    check_pictures,
     detection_figure,
     feature_figure,
     feature_map,
@@ -26,7 +28,7 @@ from dsrc.evaluation.plan import Pictures
 from dsrc.evaluation.plots import png_bytes
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
-from sim.errors import SettingsError
+from sim.errors import SettingsError, UserError
 from tests.dsrc.evaluation.small import make_detector, make_plan, write_drives
 
 
@@ -66,6 +68,26 @@ def test_a_wrong_drive_or_frame_is_told(plan):
         take_shot(replace(plan, pictures=Pictures(drive="drive1")), grid)
     with pytest.raises(SettingsError, match="frame: expected less than 3, found 7"):
         take_shot(replace(plan, pictures=Pictures(frame=7)), grid)
+
+
+def test_what_cannot_be_drawn_is_told_before_the_work(plan, tmp_path):
+    check_pictures(plan)
+    student = plan.methods[0].detectors[0]
+    for pictures, words in (
+        (Pictures(drive="nope"), "pictures: drive: expected one of the dataset"),
+        (Pictures(frame=7), "pictures: frame"),
+        (Pictures(teacher="none.pt"), "none.pt: no such"),
+        (Pictures(teacher=student), "settings.role: expected teacher"),
+    ):
+        with pytest.raises(UserError, match=words):
+            check_pictures(replace(plan, pictures=pictures))
+    (tmp_path / "b.toml").write_text(
+        f'[[methods]]\nname = "a"\ndetectors = ["{student}"]\n[[datasets]]\nname = "d"\n'
+        f'drives = ["{plan.datasets[0].drives[0]}"]\n[pictures]\ndrive = "nope"\n'
+    )
+    with pytest.raises(SystemExit, match="2"):
+        main(["benchmark", str(tmp_path / "b.toml"), "--out", str(tmp_path / "out")])
+    assert not (tmp_path / "out").exists()
 
 
 def test_what_lies_where_a_camera_looks_is_in_the_middle_and_higher_is_up():
