@@ -141,7 +141,7 @@ def train(
         teacher: detector file of a teacher, for a student that distils.
         validate: folder of drives to validate on; None holds out the end of each training drive.
         resume: continue from the run folder's last checkpoint if there is one; a run interrupted and resumed ends with
-            the same weights as one that was not, and a finished one is left as it is.
+            the same weights as one that was not. A finished one is left as it is, but for `environment.json`.
         seed: of weights, order and augmentation.
         init: detector file to start from: of its weights all are taken whose name and shape agree; the record says
             how many those are.
@@ -173,10 +173,17 @@ def train(
     record = _record(recipe, stage, seed, drives, validation, teacher if taught_by else None)
     record["init"] = None if init is None else _start_from(init, module.detector)
     record["devices"] = per_node * nodes
-    last = out / "checkpoints" / "last.ckpt"
+    last, path, result = out / "checkpoints" / "last.ckpt", out / DETECTOR, out / RESULT
+    finished = resume and path.exists() and result.exists()
     resume = resume and last.exists()
+    if finished or resume:
+        _check_same_run(out / SETTINGS, record)
+    if finished:
+        if leads():
+            note_environment(out / "environment.json", per_node * nodes)
+        return path
     if resume:
-        _check_same_run(out / SETTINGS, last, record)
+        _check_whole(last)
     selection = Selection(recipe, out / "checkpoints" / "best.pt")
     with warnings.catch_warnings():
         # Advice about workers and log steps, which are the recipe's choice, and about Lightning's own inside.
@@ -185,19 +192,23 @@ def train(
         warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")
         trainer = _trainer(recipe, out, per_node, nodes, [selection, *callbacks])
         if trainer.is_global_zero:
-            folders = {"data": str(data.resolve()), "validate": None if validate is None else str(validate.resolve())}
-            write_json(out / SETTINGS, {**record, "folders": folders})
+            if not resume:
+                # An earlier run's are none of this one's, should it be cut off before it writes its own.
+                path.unlink(missing_ok=True)
+                result.unlink(missing_ok=True)
+            if not path.exists():
+                folders = {"data": str(data.resolve()), "validate": validate and str(validate.resolve())}
+                write_json(out / SETTINGS, {**record, "folders": folders})
             note_environment(out / "environment.json", per_node * nodes)
         trainer.fit(module, loaders, ckpt_path=str(last) if resume else None)
     if trainer.interrupted:
         raise KeyboardInterrupt
-    path, result = out / DETECTOR, out / RESULT
-    # Without an epoch left the run was finished before; it may have been killed since, before the files were written.
-    again = not (resume and not trainer.callback_metrics)
-    if trainer.is_global_zero and (again or not path.exists()):
+    # The detector may be there, as `settings.json` says: a run can be cut off while its result is computed.
+    if trainer.is_global_zero and not path.exists():
         selection.apply(module.detector)
-        save_detector(path, module.detector, {**record, "metrics": selection.metrics}, half=recipe.half)
-    if trainer.is_global_zero and (again or not result.exists()):
+        meta = {**record, "epoch": selection.epoch, "metrics": selection.metrics}
+        save_detector(path, module.detector, meta, half=recipe.half)
+    if trainer.is_global_zero:
         metrics = validate_detector(load_detector(path, best_device()), loaders.validation_batches())
         write_json(result, {"detector": hash_file(path), "epoch": selection.epoch, "metrics": metrics})
     trainer.strategy.barrier()  # the next stage of every process reads the file
@@ -299,17 +310,26 @@ def _start_from(path: Path, detector: Detector) -> dict[str, object]:
     return {"sha256": hash_file(path), "tensors_taken": taken, "tensors": whole}
 
 
-def _check_same_run(settings: Path, last: Path, record: dict) -> None:
-    """Compare what made the run that is to be resumed with what is asked for now."""
-    if not zipfile.is_zipfile(last):
+def _check_whole(last: Path) -> None:
+    """Compare the parts of a checkpoint with their checksums, which torch's reader does not look at."""
+    try:
+        with zipfile.ZipFile(last) as file:
+            whole = file.testzip() is None
+    except Exception:  # of a damaged directory, the reader says so by whatever error it runs into
+        whole = False
+    if not whole:
         raise CheckpointError(complaint(last, "file", "a checkpoint", "a damaged one", "; remove it to start afresh"))
+
+
+def _check_same_run(settings: Path, record: dict) -> None:
+    """Compare what made a run that is there with what is asked for now."""
     if not settings.exists():
         return
     try:
         before, now = _made_of(msgspec.json.decode(settings.read_bytes())), _made_of(record)
     except (msgspec.DecodeError, KeyError, TypeError, AttributeError):
         raise SettingsError(complaint(settings, "file", "the settings of a training", "something else")) from None
-    for name in before.keys() & now.keys():
+    for name in sorted(before.keys() & now.keys()):
         if before[name] != now[name]:
             hint = "; choose another folder or remove this one"
             raise SettingsError(complaint(settings, name, f"{now[name]} as asked for now", before[name], hint))

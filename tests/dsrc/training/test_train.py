@@ -1,6 +1,8 @@
 """Training end to end on a made-up drive: it learns, resumes, and says so when it goes wrong."""
 
 import csv
+import json
+import zipfile
 from pathlib import Path
 
 import lightning.pytorch as pl
@@ -78,13 +80,43 @@ def test_other_fusions_train_and_detect(data: Path, tmp_path: Path, fusion: str)
     detector.detect(make_sample(DriveReader(data / "made_up").read(0), 1000, detector.settings.grid))
 
 
-def test_a_finished_training_is_left_as_it_is(data: Path, tmp_path: Path) -> None:
+def test_a_finished_training_is_left_as_it_is(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recipe = tiny(epochs=1)
     path = train(recipe, data, tmp_path, "plain")
-    before = path.read_bytes()
-    assert train(recipe, data, tmp_path, "plain") == path
-    assert path.read_bytes() == before
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    monkeypatch.setattr("dsrc.training.logs.versions", lambda: {"torch": "later"})
+    monkeypatch.setattr("dsrc.evaluation.provenance.versions", lambda: {"torch": "later"})
+    assert train(replace(recipe, validate_every=1, validation_frames=1), data, tmp_path, "plain") == path
+    changed = [file.name for file in tmp_path.rglob("*") if file.is_file() and file.read_bytes() != before[file]]
+    assert changed == ["environment.json"]
+    starts = json.loads((tmp_path / "environment.json").read_text())
+    assert [start["versions"] == {"torch": "later"} for start in starts] == [False, True]
     assert read_meta(path)["metrics"]
+
+
+def test_a_run_that_was_cut_off_between_its_detector_and_its_result_keeps_its_record(
+    data: Path, tmp_path: Path
+) -> None:
+    path = train(tiny(epochs=1), data, tmp_path, "plain")
+    result = tmp_path / "result.json"
+    before = {file: file.read_bytes() for file in (path, result, tmp_path / "settings.json")}
+    result.unlink()
+    train(tiny(epochs=1, validate_every=1), data, tmp_path, "plain")
+    assert {file: file.read_bytes() for file in before} == before
+
+
+def test_a_checkpoint_in_which_a_byte_was_flipped_is_told_wherever_it_is(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="power cut"):
+        train(tiny(epochs=2), data, tmp_path, "plain", callbacks=[Power(1)])
+    last = tmp_path / "checkpoints/last.ckpt"
+    whole = last.read_bytes()
+    with zipfile.ZipFile(last) as file:
+        names = file.namelist()
+        spots = [whole.index(file.read(name)[:4000]) + 10 for name in (names[0], max(names, key=len))]
+    for spot in (*spots, whole.rindex(b"PK\x01\x02") + 50):
+        last.write_bytes(whole[:spot] + bytes(255 - b for b in whole[spot : spot + 4]) + whole[spot + 4 :])
+        with pytest.raises(CheckpointError, match=r"last.ckpt: file: .* remove it to start afresh"):
+            train(tiny(epochs=2), data, tmp_path, "plain")
 
 
 def test_a_run_is_resumed_with_what_it_was_started_with_or_not_at_all(data: Path, tmp_path: Path) -> None:
@@ -99,11 +131,10 @@ def test_a_run_is_resumed_with_what_it_was_started_with_or_not_at_all(data: Path
     with pytest.raises(SettingsError, match=r"seed: expected 4 as asked for now, found 0"):
         train(recipe, data, tmp_path, "plain", seed=4)
     assert (tmp_path / "settings.json").read_bytes() == written
+    several = {"warmup": 0.5, "learning_rate": 1.0, "weight_decay": 0.0, "ema": 0.5, "clip": 1.0, "reconstruction": 2.0}
+    with pytest.raises(SettingsError, match=r"clip: expected 1.0 as asked for now"):  # always the same one
+        train(replace(recipe, **several), data, tmp_path, "plain", seed=4)
     train(replace(recipe, workers=0, alarm_after=9), data, tmp_path, "plain")
-    last = tmp_path / "checkpoints/last.ckpt"
-    last.write_bytes(last.read_bytes()[:5000])
-    with pytest.raises(CheckpointError, match=r"last.ckpt: .* remove it to start afresh"):
-        train(recipe, data, tmp_path, "plain")
 
 
 def test_a_training_starts_from_the_weights_that_fit(data: Path, tmp_path: Path) -> None:
