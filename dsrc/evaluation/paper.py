@@ -48,14 +48,18 @@ _CONDITIONS = tuple(condition_title(kind).capitalize() for kind in ("clean", *PA
 
 def paper_sheets() -> dict[str, Sheet]:
     """Return the paper's tables by the names of ours."""
-    corrupted = (*(Column(title) for title in _CONDITIONS), Column("mCE", better="low"), Column("mAP"))
+    corrupted = (
+        *(Column(t, digits=2) for t in _CONDITIONS),
+        Column("mCE", better="low", digits=2),
+        Column("mAP", digits=2),
+    )
     one = tuple(Line(name, (*cells, *_summaries(cells))) for name, cells in _read(_TABLE_1).items())
     two = tuple(Line(name, tuple(cells)) for name, cells in _read(_TABLE_2).items())
     titles = {1: "Clean and corrupted frames", 2: "Parts of DSRC", 3: "DSRC around the maximum", 4: "A single vehicle"}
     named = {number: f"The paper's Table {number}, OPV2V. {title}" for number, title in titles.items()}
     return {
         "table_1": Sheet("table_1", named[1], f"{_NOTE} {_TWICE}", "Method", corrupted, one),
-        "table_2": Sheet("table_2", named[2], _NOTE, "Parts", (Column("Mean with clean"),), two),
+        "table_2": Sheet("table_2", named[2], _NOTE, "Parts", (Column("Mean with clean", digits=2),), two),
         "table_3": _turned("table_3", named[3], _TABLE_3),
         "table_4": _turned("table_4", named[4], _TABLE_4),
     }
@@ -86,4 +90,4 @@ def _turned(name: str, title: str, text: str) -> Sheet:
         Line(label, tuple(cells[row] for cells in methods.values()))
         for row, label in enumerate((*_CONDITIONS, "mCE", "mAP"))
     )
-    return Sheet(name, title, _NOTE, "Condition", tuple(Column(label, better="") for label in methods), lines)
+    return Sheet(name, title, _NOTE, "Condition", tuple(Column(label, better="", digits=2) for label in methods), lines)

@@ -14,7 +14,7 @@ from dsrc.evaluation.ap import metric_name
 from dsrc.evaluation.plan import Case
 from dsrc.evaluation.robustness import mce, mean_ap
 from dsrc.evaluation.rows import CLEAN, Row, condition_title
-from dsrc.evaluation.runner import VISIBILITY, Entry, Outcome
+from dsrc.evaluation.runner import VISIBILITY, Entry, Outcome, Trained
 from dsrc.evaluation.sheets import Column, Line, Sheet, Stat
 from dsrc.models.settings import ModelSettings
 from sim.v2x import IDEAL
@@ -33,14 +33,14 @@ class View:
 
     Attributes:
         dataset: its name.
-        settings: of each method, in the order of the lines.
+        trained: detectors of each method, in the order of the lines.
         entries: the rows.
         severity: that the tables show.
         channel: likewise.
     """
 
     dataset: str
-    settings: dict[str, ModelSettings]
+    trained: dict[str, list[Trained]]
     entries: tuple[Entry, ...]
     severity: int
     channel: str
@@ -51,11 +51,16 @@ class View:
         plan = outcome.plan
         return cls(
             dataset,
-            {name: several[0].settings for name, several in outcome.trained.items()},
+            outcome.trained,
             tuple(entry for entry in outcome.entries if entry.case.dataset == dataset),
             PAPER_SEVERITY if PAPER_SEVERITY in plan.severities or not plan.severities else plan.severities[0],
             IDEAL if IDEAL in plan.channels else plan.channels[0],
         )
+
+    @property
+    def settings(self) -> dict[str, ModelSettings]:
+        """Settings of each method."""
+        return {name: several[0].settings for name, several in self.trained.items()}
 
     def kinds(self) -> list[str]:
         """Return the corruptions, in their order."""
@@ -139,6 +144,16 @@ def compared(view: View) -> list[str]:
     return [name for name, settings in view.settings.items() if parts_of(settings) in (_PLAIN, _WHOLE)]
 
 
+def averaged(view: View) -> list[str]:
+    """Return the methods whose mean Figure 4 shows: none used otherwise or, as in Tables 3 and 4, wrapped."""
+    return [
+        name
+        for name in compared(view)
+        if not view.trained[name][0].use
+        and (parts_of(view.settings[name]) == _PLAIN or view.settings[name].fusion == "attention")
+    ]
+
+
 def table_1(view: View, *, opencood: bool = False) -> Sheet:
     """Return Table 1: clean and corrupted, mCE and mean AP, bytes and time.
 
@@ -168,8 +183,8 @@ def table_1(view: View, *, opencood: bool = False) -> Sheet:
     )
     note = (
         f"{_AP}; {order}. Severity {view.severity}. mCE: share of the clean AP lost, less is better; mAP: mean over "
-        f"clean and corrupted frames.{_spread(view)} kB: what all collaborators send for a frame, clean. ms: median "
-        f"time of a detection."
+        f"clean and corrupted frames. kB: what all collaborators send for a frame, clean."
+        f"{_bytes(view, compared(view))} ms: median time of a detection.{_made_of(view, compared(view))}"
     )
     name = "table_1_opencood" if opencood else "table_1"
     title = f"Table 1{', sorted inside frames' if opencood else ''}. Clean and corrupted frames, {view.dataset}"
@@ -181,13 +196,14 @@ def table_2(view: View) -> Sheet | str:
     whole = view.whole("attention")
     if whole is None:
         return _lacks("Table 2", "a method with attention, SDD, PCP and REC (dsrc)")
-    like, lines, missing = view.settings[whole], [], []
+    like, lines, found, missing = view.settings[whole], [], [], []
     for parts in (_PLAIN, (True, False, False), (False, True, False), (True, True, False), _WHOLE):
         method = view.variant(like, parts)
         label = " + ".join(part for part, there in zip(("SDD", "PCP", "REC"), parts, strict=True) if there) or "none"
         if method is None:
             missing.append(label)
             continue
+        found.append(method)
         clean = view.ap(view.rows(method))
         lines.append(Line(label, (clean, view.summary(method, mean_corrupted), view.summary(method, mean_ap))))
     if len(lines) < 2:
@@ -196,7 +212,7 @@ def table_2(view: View) -> Sheet | str:
     without = f" Left out, for want of a method: {', '.join(missing)}." if missing else ""
     note = (
         f"{_AP}. Severity {view.severity}. The paper's numbers agree with its mean with clean, whatever its caption "
-        f"says.{_spread(view)}{without}"
+        f"says.{_made_of(view, found)}{without}"
     )
     return Sheet("table_2", f"Table 2. Parts of DSRC, {view.dataset}", note, "Parts", columns, tuple(lines))
 
@@ -236,7 +252,7 @@ def _pairs(view: View, title: str, what: str, fusions: Sequence[tuple[str, str, 
     lines.append(Line("mAP", tuple(view.summary(method, mean_ap) for method in methods)))
     columns = [Column(column.title, better="") for column in columns]  # the best of a line, not of a column, matters
     without = f" Left out, for want of methods: {'; '.join(missing)}." if missing else ""
-    note = f"{_AP}. Severity {view.severity}.{_spread(view)}{without}"
+    note = f"{_AP}. Severity {view.severity}.{_made_of(view, methods)}{without}"
     name = title.lower().replace(" ", "_")
     return Sheet(name, f"{title}. {what}, {view.dataset}", note, "Condition", tuple(columns), tuple(lines))
 
@@ -256,6 +272,12 @@ class Axis:
     title: str
     label: str
     values: tuple[tuple[str, dict[str, object]], ...]
+
+    @property
+    def places(self) -> list[float]:
+        """Where the values stand: numbers at what they are, names one behind the other."""
+        numbers = [picks.get(self.name) for _, picks in self.values]
+        return [float(x) if isinstance(x, int | float) else row for row, x in enumerate(numbers)]
 
 
 def axes_of(outcome: Outcome) -> list[Axis]:
@@ -286,14 +308,16 @@ def sweep_sheet(view: View, axis: Axis) -> Sheet:
     columns = [Column(text) for text, _ in axis.values]
     if axis.name == "channels":
         columns += [Column(f"{text}, kB / age ms / heard %", ("kB", "ms", "%"), "", 1.0, 0) for text, _ in axis.values]
-    lines = []
+    lines, shown = [], []
     for method in view.settings:
         found = [view.rows(method, **picks) for _, picks in axis.values]  # type: ignore[arg-type]
         cells = [view.ap(rows) for rows in found]
         if all(math.isnan(cell[0].mean) for cell in cells[1:]):
             continue
+        shown.append(method)
         lines.append(Line(method, tuple(cells + ([_air(rows) for rows in found] if axis.name == "channels" else []))))
-    note = f"{_AP}, clean frames, over: {axis.label}.{_spread(view)}"
+    sent = _bytes(view, shown) if axis.name == "channels" else ""
+    note = f"{_AP}, clean frames, over: {axis.label}.{sent}{_made_of(view, shown)}"
     return Sheet(axis.name, f"{axis.title}, {view.dataset}", note, "Method", tuple(columns), tuple(lines))
 
 
@@ -319,7 +343,7 @@ def severity_sheet(view: View, severities: Sequence[int]) -> Sheet:
             ]
             cells.append(tuple(Stat.of([pair[k] for pair in means]) for k in range(2)))
         lines.append(Line(method, tuple(cells)))
-    note = f"{_AP}, mean of the corruptions.{_spread(view)}"
+    note = f"{_AP}, mean of the corruptions.{_made_of(view, compared(view))}"
     return Sheet("severity", f"Severity, {view.dataset}", note, "Method", tuple(columns), tuple(lines))
 
 
@@ -336,7 +360,8 @@ def visibility_sheet(view: View) -> Sheet | str:
         for method in compared(view)
     ]
     note = (
-        f"{_AP}, clean frames, of boxes by the share of the ego's rays on them that nothing else stops.{_spread(view)}"
+        f"{_AP}, clean frames, of boxes by the share of the ego's rays on them that nothing else stops."
+        f"{_made_of(view, compared(view))}"
     )
     title = f"By what the ego sees, {view.dataset}"
     return Sheet("visibility", title, note, "Method", tuple(columns), tuple(lines))
@@ -362,6 +387,47 @@ def _lacks(table: str, what: str) -> str:
     return f"{table} is left out: it needs {what}."
 
 
-def _spread(view: View) -> str:
-    several = any(len(view.rows(method)) > 1 for method in view.settings)
-    return " ± is the standard deviation between trainings." if several else ""
+def _made_of(view: View, methods: Sequence[str]) -> str:
+    """Return what the numbers of a table come from: frames and boxes, recipe and range, trainings."""
+    if not methods:
+        return ""
+    rows = [row for method in methods for row in view.rows(method)[:1]]
+    counts = dict.fromkeys(f"{row.frames} frames with {row.truth} boxes" for row in rows)
+    several = any(len(view.trained[method]) > 1 for method in methods)
+    spread = " ± is the standard deviation between trainings." if several else ""
+    recipes = _told(methods, {method: _recipe(view.trained[method]) for method in methods})
+    seeds = _told(
+        methods,
+        {method: ", ".join(_or_unknown(one.seed) for one in view.trained[method]) for method in methods},
+    )
+    return f" {' or '.join(counts)}. Recipe and range: {recipes}. Seeds of the trainings: {seeds}.{spread}"
+
+
+def _recipe(trained: Sequence[Trained]) -> str:
+    x0, y0, _, x1, y1, _ = trained[0].settings.grid.range_m
+    names = dict.fromkeys(one.recipe or "not known" for one in trained)
+    return f"{' or '.join(names)}, x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m"
+
+
+def _or_unknown(seed: int | None) -> str:
+    return "not known" if seed is None else str(seed)
+
+
+def _told(methods: Sequence[str], texts: dict[str, str]) -> str:
+    """Return a text per method, the most frequent one last and for the others."""
+    groups: dict[str, list[str]] = {}
+    for method in methods:
+        groups.setdefault(texts[method], []).append(method)
+    *fewer, usual = sorted(groups, key=lambda text: len(groups[text]))
+    parts = [f"{text} ({', '.join(groups[text])})" for text in fewer]
+    return "; ".join([*parts, f"{usual} (the others)" if fewer else usual])
+
+
+def _bytes(view: View, methods: Sequence[str]) -> str:
+    """Return what is special about the bytes of some methods."""
+    special = {
+        "where2comm": "is an upper bound: the whole first scale, of which it sends a part",
+        "late": "is of the objects of the ground truth that a sender has points on, not of its detections",
+    }
+    told = [f" That of {name} {special[f]}." for name in methods if (f := view.settings[name].fusion) in special]
+    return "".join(told)

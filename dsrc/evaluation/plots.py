@@ -108,27 +108,29 @@ def mean_bars(rows: Sequence[Row], space: Space = "bev") -> Figure:
     return figure
 
 
-def lines_of_sheet(sheet: Sheet, label: str, columns: int) -> Figure:
+def lines_of_sheet(sheet: Sheet, label: str, places: Sequence[float]) -> Figure:
     """Draw the first columns of a sheet from left to right, a line per line, one panel per IoU.
 
     Args:
         sheet: whose cells are AP at IoU 0.5 and 0.7.
         label: of the horizontal axis.
-        columns: how many of them.
+        places: where each of them stands on it.
     """
+    columns = len(places)
     ticks = [column.title.replace(", ", "\n").replace(" + ", "\n+ ") for column in sheet.columns[:columns]]
     with styled():
         figure, parts = panels(9.0, 4.4, columns=2)
         for part, (axes, threshold) in enumerate(zip(parts, (0.5, 0.7), strict=True)):
             for i, line in enumerate(sheet.lines):
                 stats = [cell[part] for cell in line.cells[:columns]]
+                spreads = [100 * s.spread for s in stats]
                 axes.errorbar(
-                    range(columns), [100 * s.mean for s in stats],
-                    yerr=[0.0 if math.isnan(s.spread) else 100 * s.spread for s in stats],
+                    places, [100 * s.mean for s in stats],
+                    yerr=None if all(map(math.isnan, spreads)) else spreads,
                     color=method_color(i), marker=method_marker(i), markersize=6, linewidth=1.8, capsize=2.5,
                     label=line.label,
                 )  # fmt: skip
-            axes.set_xticks(range(columns), ticks)
+            axes.set_xticks(places, ticks)
             axes.set_title(f"IoU {threshold}")
             axes.set_xlabel(label)
         parts[0].set_ylabel("average precision, %")

@@ -14,7 +14,7 @@ import msgspec
 from matplotlib.figure import Figure
 
 from dsrc.evaluation.paper import paper_sheets
-from dsrc.evaluation.paper_tables import NAMES, View, axes_of, compared, sheets_of
+from dsrc.evaluation.paper_tables import NAMES, View, averaged, axes_of, compared, sheets_of
 from dsrc.evaluation.plots import (
     corruption_bars,
     lines_of_sheet,
@@ -174,7 +174,10 @@ def _dataset(outcome: Outcome, dataset: str, folder: Path, made_by: Mapping[str,
     rows = mean_rows(view, compared(view))
     figures = {"traffic": (traffic_scatter(_traffic(view)), "AP in clean frames against the bytes that are sent")}
     if view.kinds():
-        figures["figure_4"] = (mean_bars(rows), "Figure 4. Mean of all methods under each corruption")
+        figures["figure_4"] = (
+            mean_bars(mean_rows(view, averaged(view))),
+            "Figure 4. Mean of all methods under each corruption",
+        )
         figures["figure_5"] = (robustness_scatter(rows), "Figure 5. mCE against mean AP")
     for name, (figure, about) in figures.items():
         write_atomic(folder / f"{name}.png", png_bytes(figure, made_by))
@@ -186,13 +189,15 @@ def _figure_of(sheet: Sheet, view: View, outcome: Outcome) -> Figure | None:
     """Return the plot of a sheet."""
     for axis in axes_of(outcome):
         if axis.name == sheet.name:
-            return lines_of_sheet(sheet, axis.label, len(axis.values))
-    if sheet.name in ("severity", "visibility"):
-        return lines_of_sheet(sheet, "", len(sheet.columns))
+            return lines_of_sheet(sheet, axis.label, axis.places)
+    if sheet.name == "severity":
+        return lines_of_sheet(sheet, "", [0, *sorted(outcome.plan.severities)])
+    if sheet.name == "visibility":
+        return lines_of_sheet(sheet, "", range(len(sheet.columns)))
     if sheet.name == "table_1":
         return corruption_bars(mean_rows(view, compared(view)))
     if sheet.name == "table_2":
-        return lines_of_sheet(_turned(sheet), "parts", len(sheet.lines))
+        return lines_of_sheet(_turned(sheet), "parts", range(len(sheet.lines)))
     if sheet.name in ("table_3", "table_4"):
         fusions = ("max", "attention") if sheet.name == "table_3" else ("none",)
         pairs = [(view.plain(fusion), view.whole(fusion)) for fusion in fusions]

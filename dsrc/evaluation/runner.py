@@ -68,6 +68,7 @@ class Trained:
         settings: of the network, as it is used.
         seed: of its training; None where the file does not say.
         use: see `MethodSpec`.
+        recipe: of its training; "" where the file does not say.
     """
 
     path: Path
@@ -75,6 +76,7 @@ class Trained:
     settings: ModelSettings
     seed: int | None
     use: dict[str, bool | int | float]
+    recipe: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,9 +195,12 @@ def run_plan(
 
 
 def _trained(path: Path, use: dict[str, bool | int | float]) -> Trained:
-    seed = read_meta(path).get("seed")
-    settings = load_used(path, use).settings
-    return Trained(path, hash_file(path), settings, seed if isinstance(seed, int) else None, use)
+    settings, meta = load_used(path, use).settings, read_meta(path)
+    seed, recipe = meta.get("seed"), meta.get("settings")
+    for name in ("recipe", "name"):
+        recipe = recipe.get(name) if isinstance(recipe, Mapping) else None
+    seed, recipe = seed if isinstance(seed, int) else None, recipe if isinstance(recipe, str) else ""
+    return Trained(path, hash_file(path), settings, seed, use, recipe)
 
 
 def load_used(path: Path, use: Mapping[str, bool | int | float]) -> Detector:

@@ -73,7 +73,7 @@ class Sheet:
     Attributes:
         name: of its files and of its place in a document.
         title: one line.
-        note: what a reader has to know, one or two sentences.
+        note: what a reader has to know.
         head: title of the labels.
         columns: as many as each line has cells.
         lines: from top to bottom.

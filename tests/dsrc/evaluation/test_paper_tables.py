@@ -4,6 +4,7 @@ import csv
 import io
 import math
 import statistics
+from dataclasses import replace as changed
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,9 @@ from msgspec.structs import replace
 from dsrc.evaluation.benchmark import Condition
 from dsrc.evaluation.paper_tables import (
     View,
+    averaged,
     axes_of,
+    compared,
     mean_corrupted,
     sheets_of,
     sweep_sheet,
@@ -164,6 +167,7 @@ def test_curves_hold_what_is_varied_in_ascending_order():
     assert [column.title for column in sweep_sheet(view, agents).columns] == ["1", "2", "3"]
     line = sweep_sheet(view, agents).lines[0]
     assert [cell[0].mean for cell in line.cells] == pytest.approx([0.9258 - 0.005 - 0.01 * (5 - n) for n in (1, 2, 3)])
+    assert agents.places == [1, 2, 3] and errors.places == [0, 0.2, 0.4]
     assert [text for text, _ in errors.values] == ["0", "0.2", "0.4"]
     line = sweep_sheet(view, errors).lines[0]
     assert [cell[0].mean for cell in line.cells] == pytest.approx([0.9208, 0.9008, 0.8808])
@@ -182,6 +186,35 @@ def test_clean_frames_alone_have_no_mce():
     sheet = table_1(view_of({"dsrc": 1}, corruptions=("clean",)))
     assert [column.title for column in sheet.columns] == ["Clean", "mCE", "mAP", "kB / frame", "ms / frame"]
     assert "| dsrc | 92.6 / 88.5 | - / - | - / - | 1.5 | 20 |" in sheet.markdown()
+
+
+def test_every_table_says_what_its_numbers_come_from():
+    methods = {"late": 1, "where2comm": 1, "attfuse": 1, "dsrc": 3, "f-cooper": 1, "dsrc-max": 1}
+    outcome = outcome_of(methods, severities=(1, 3), sweeps=Sweeps(agents=(1, 2)), channels=("ideal", "its-g5-6"))
+    for name, several in outcome.trained.items():
+        outcome.trained[name] = [changed(one, recipe="debug") for one in several]
+    x0, y0, _, x1, y1, _ = settings_of("dsrc").grid.range_m
+    sheets = {sheet.name: sheet for sheet in sheets_of(outcome, "made up") if not isinstance(sheet, str)}
+    assert {"table_1", "table_2", "table_3", "agents", "channels", "severity"} <= set(sheets)
+    for sheet in sheets.values():
+        assert "10 frames with 40 boxes" in sheet.note
+        assert f"debug, x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m" in sheet.note
+        assert "0, 1, 2 (dsrc); 0 (the others)" in sheet.note or sheet.name == "table_2"
+    for name in ("table_1", "channels"):
+        assert "That of where2comm is an upper bound" in sheets[name].note
+        assert "That of late is of the objects of the ground truth" in sheets[name].note
+    assert "upper bound" not in sheets["agents"].note
+    view = View.of(outcome, "made up")
+    outcome.trained["late"] = [changed(one, recipe="", seed=None) for one in outcome.trained["late"]]
+    assert "not known (late)" in table_1(view).note
+
+
+def test_figure_4_is_the_mean_of_methods_that_are_different():
+    outcome = outcome_of({"late": 1, "f-cooper": 1, "dsrc": 1, "dsrc-max": 1, "dsrc-alone": 1, "v2vnet": 1})
+    outcome.trained["late"][0] = changed(outcome.trained["late"][0], use={"bits": 8})
+    view = View.of(outcome, "made up")
+    assert averaged(view) == ["f-cooper", "dsrc", "v2vnet"]
+    assert len(compared(view)) == 6
 
 
 def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):

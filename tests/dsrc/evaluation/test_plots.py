@@ -11,12 +11,14 @@ from dsrc.evaluation.ap import FrameResult, evaluate
 from dsrc.evaluation.plots import (
     COLORS,
     corruption_bars,
+    lines_of_sheet,
     png_bytes,
     precision_recall_curves,
     robustness_scatter,
     training_curves,
 )
 from dsrc.evaluation.rows import Row, make_row, summary_rows
+from dsrc.evaluation.sheets import Column, Line, Sheet, Stat
 from sim.boxes import Boxes
 
 
@@ -85,3 +87,16 @@ def test_a_training_is_drawn_with_gaps_where_it_was_not_validated():
     np.testing.assert_allclose(precisions.lines[0].get_xydata(), [[2, 0.6]])
     np.testing.assert_allclose(rates.lines[0].get_xydata(), [[1, 1e-4], [2, 2e-4]])
     training_curves(rows[:1])
+
+
+def test_curves_are_drawn_where_their_values_are_and_one_training_has_no_spread():
+    lines = (
+        Line("one", tuple((Stat(0.5), Stat(0.4)) for _ in range(3))),
+        Line("three", tuple((Stat(0.6, 0.1), Stat(0.3, 0.1)) for _ in range(3))),
+    )
+    sheet = Sheet("loss", "Loss", "", "Method", tuple(map(Column, ("0", "0.1", "0.5"))), lines)
+    for axes in lines_of_sheet(sheet, "share", [0, 0.1, 0.5]).axes:
+        assert list(axes.get_xticks()) == [0, 0.1, 0.5]
+        one, three = axes.containers
+        assert list(one.lines[0].get_xdata()) == [0, 0.1, 0.5]
+        assert (one.has_yerr, three.has_yerr) == (False, True)
