@@ -14,18 +14,27 @@ from sim.geometry import wrap_angle
 
 def source_grid(grid: GridSpec, augmentation: Augmentation) -> GridSpec:
     """Return the range to read, large enough that the turned and resized sample still fills the grid."""
-    angle = np.radians(augmentation.rotation_deg)
-    cos, sin, grow = np.cos(angle), np.sin(angle), 1 + augmentation.scale
     x = max(abs(grid.range_m[0]), abs(grid.range_m[3]))
     y = max(abs(grid.range_m[1]), abs(grid.range_m[4]))
     # Multiples of two cells keep the enlarged range a legal grid.
     step = 2 * grid.cell_m
-    reach_x = float(np.ceil((x * cos + y * sin) * grow / step) * step)
-    reach_y = float(np.ceil((y * cos + x * sin) * grow / step) * step)
+    reach_x, reach_y = (
+        float(np.ceil(_reach(*sides, augmentation.rotation_deg) / (1 - augmentation.scale) / step) * step)
+        for sides in ((x, y), (y, x))
+    )
     low, high = grid.range_m[2], grid.range_m[5]
     if augmentation.rotation_deg == 0 and augmentation.scale == 0:
         return grid
     return GridSpec(range_m=(-reach_x, -reach_y, low, reach_x, reach_y, high), cell_m=grid.cell_m)
+
+
+def _reach(along: float, across: float, rotation_deg: float) -> float:
+    """Return how far a rectangle of these half sides reaches along the first when turned by up to an angle.
+
+    It reaches farthest when its corner lies on the axis, and the less the farther from there.
+    """
+    angle = min(np.radians(rotation_deg), np.arctan2(across, along))
+    return float(along * np.cos(angle) + across * np.sin(angle))
 
 
 def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.random.Generator) -> Sample:

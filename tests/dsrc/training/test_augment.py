@@ -42,6 +42,19 @@ def test_points_stay_on_their_objects(sample: Sample, seed: int) -> None:
     assert not np.allclose(moved.boxes.center, sample.boxes.center)
 
 
+@pytest.mark.parametrize("scale", [0.0, 0.05, 0.5])
+@pytest.mark.parametrize("limit", [0.0, 5.0, 15.0, 26.0, 45.0, 60.0, 90.0, 120.0, 180.0])
+def test_whatever_ends_in_the_grid_was_read(limit: float, scale: float) -> None:
+    read = source_grid(GRID, Augmentation(rotation_deg=limit, scale=scale)).range_m
+    x, y = np.meshgrid(GRID.range_m[::3], GRID.range_m[1::3])
+    corners = x.ravel() + 1j * y.ravel()
+    turns = np.exp(1j * np.radians(np.linspace(-limit, limit, 721)))
+    before = corners[:, None] * turns / (1 - scale)
+    # No more than needed: a step of two cells.
+    for reach, high in ((np.abs(before.real).max(), read[3]), (np.abs(before.imag).max(), read[4])):
+        assert reach - 1e-6 <= high <= reach + 2 * GRID.cell_m + 1e-3
+
+
 def replace_dropout(dropout: float) -> Augmentation:
     return Augmentation(flip=True, rotation_deg=15, scale=0.05, random_ego=True, dropout=dropout)
 
