@@ -38,8 +38,10 @@ DETECTOR, SETTINGS, RESULT = "detector.pt", "settings.json", "result.json"
 _PARTS = ("model", "distill", "labels", "augmentation")
 _OF_A_TEACHER = ("grid", "sdd", "pcp", "stage_channels", "shrink_channels", "box_order")
 _FIRST = "encoder.linear.weight"
-_WITHOUT_EFFECT = ("name", "validate_every", "validation_frames", "alarm_after", "workers", "half")
+_WITHOUT_EFFECT = ("name", "alarm_after", "workers", "half")
 """Fields of a recipe that do not change the weights."""
+_OF_THE_CHOICE = ("validate_every", "validation_frames")
+"""Those that do where validations choose the weights, or the end of the training."""
 
 logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 
@@ -284,10 +286,15 @@ def _check_frames(recipe: Recipe, loaders: DetectionData, devices: int) -> None:
     frames = min(len(loaders.training), recipe.epoch_frames or len(loaders.training))
     if frames < devices:
         raise SettingsError(complaint("recipe", "epoch_frames", f"at least one for each of {devices} devices", frames))
-    choosing = "keep" if recipe.keep == "best" else "patience" if recipe.patience is not None else None
+    choosing = _chooses_by(recipe.keep, recipe.patience)
     if choosing and not loaders.validates_on_unseen:
         hint = "; give validation drives or a validation_share"
         raise SettingsError(complaint("recipe", choosing, "frames that are not trained on, to choose by", "none", hint))
+
+
+def _chooses_by(keep: str, patience: int | None) -> str | None:
+    """Return the field of a recipe by which validations decide over the weights, if there is one."""
+    return "keep" if keep == "best" else "patience" if patience is not None else None
 
 
 def _start_from(path: Path, detector: Detector) -> dict[str, object]:
@@ -340,10 +347,17 @@ def _made_of(record: dict) -> dict[str, object]:
     plain = msgspec.json.decode(msgspec.json.encode(record))
     recipe = plain["settings"]["recipe"]
     parts = {f"{part}.{name}": value for part in _PARTS for name, value in recipe.get(part, {}).items()}
-    whole = {name: value for name, value in recipe.items() if name not in (*_PARTS, *_WITHOUT_EFFECT)}
+    left_out = (*_PARTS, *_WITHOUT_EFFECT)
+    chosen: dict[str, object] = {}
+    if _chooses_by(recipe.get("keep", "last"), recipe.get("patience")):
+        chosen["validation"] = sorted((plain["validation"] or {}).values())
+    else:
+        left_out += _OF_THE_CHOICE
+    whole = {name: value for name, value in recipe.items() if name not in left_out}
     return {
         **parts,
         **whole,
+        **chosen,
         "stage": plain["settings"]["stage"],
         "seed": plain["seed"],
         "data": sorted(plain["data"].values()),

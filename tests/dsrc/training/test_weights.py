@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from msgspec.structs import replace
 
 from dsrc.models.checkpoint import load_detector
 from dsrc.models.detector import Detector
@@ -111,6 +112,24 @@ def test_to_choose_there_must_be_something_to_choose_by(data: Path, tmp_path: Pa
         train(tiny(keep="best"), data, tmp_path, "plain")
     with pytest.raises(SettingsError, match="patience: expected frames"):
         train(tiny(patience=2), data, tmp_path, "plain")
+
+
+@pytest.mark.parametrize("choice", [{"keep": "best"}, {"patience": 3}, {}])
+def test_what_chooses_the_weights_stays_the_same_in_a_run(
+    data: Path, tmp_path: Path, choice: dict[str, object]
+) -> None:
+    recipe = tiny(epochs=2, **choice)
+    run, others = tmp_path / "run", write_drive(tmp_path / "others", 3)
+    with pytest.raises(RuntimeError, match="power cut"):
+        train(recipe, data, run, "plain", validate=data, callbacks=[Power(1)])
+    changes = {"validate_every": (replace(recipe, validate_every=1), data)}
+    changes["validation_frames"] = (replace(recipe, validation_frames=2), data)
+    changes["validation"] = (recipe, others)
+    for name, (changed, validation) in changes.items() if choice else ():
+        with pytest.raises(SettingsError, match=rf"settings.json: {name}: expected .* as asked for now"):
+            train(changed, data, run, "plain", validate=validation)
+    if not choice:
+        train(replace(recipe, validate_every=1, validation_frames=2), data, run, "plain", validate=others)
 
 
 def test_a_training_that_ended_early_is_resumed_with_the_same_bytes_and_then_left_alone(
