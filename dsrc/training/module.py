@@ -131,6 +131,14 @@ class DetectionModule(pl.LightningModule):
                 f"{self._zeros_in_a_row} validations in a row; look at the labels' frame and the learning rate"
             )
 
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep how long the alarm has been due, so that an interruption does not put it off."""
+        checkpoint["zeros_in_a_row"] = self._zeros_in_a_row
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Go on counting; older checkpoints have no count."""
+        self._zeros_in_a_row = checkpoint.get("zeros_in_a_row", 0)
+
     def _all_results(self) -> list[FrameResult]:
         """Return the results of all devices in the order of the frames, as one device alone would have them."""
         parts = [self._results]

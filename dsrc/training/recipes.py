@@ -12,7 +12,7 @@ from dsrc.data.sample import GridSpec
 from dsrc.models.settings import ModelSettings
 from dsrc.training.losses import DistillSettings, released
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX
-from sim.errors import SettingsError, did_you_mean
+from sim.errors import SettingsError, complaint
 
 Stage = Literal["teacher", "student", "plain"]
 Count = Annotated[int, Meta(ge=1)]
@@ -266,7 +266,7 @@ def of_method(recipe: Recipe, method: str) -> Recipe:
         SettingsError: no such method.
     """
     if method not in METHODS:
-        raise SettingsError(f"method: unknown '{method}'{did_you_mean(method, METHODS)}")
+        raise SettingsError(complaint("train", "method", f"one of {', '.join(METHODS)}", method))
     return replace(recipe, model=replace(recipe.model, **METHODS[method]))
 
 

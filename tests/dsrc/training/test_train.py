@@ -222,6 +222,16 @@ def test_an_ap_that_stays_zero_stops_the_training(data: Path, tmp_path: Path) ->
         train(recipe, data, tmp_path, "plain")
 
 
+def test_an_interruption_does_not_put_the_alarm_off(data: Path, tmp_path: Path) -> None:
+    from dsrc.training.module import TrainingAlarm
+
+    recipe = tiny(learning_rate=1e-9, alarm_after=3, validate_every=1)
+    with pytest.raises(RuntimeError, match="power cut"):
+        train(recipe, data, tmp_path, "plain", callbacks=[Power(2)])
+    with pytest.raises(TrainingAlarm, match="by epoch 2, found 0 in 3 validations"):
+        train(recipe, data, tmp_path, "plain")
+
+
 def test_a_student_without_its_teacher_is_told(data: Path, tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="no such checkpoint file"):
         train_stages("debug", data=data, out=tmp_path, stage="student")
@@ -229,8 +239,8 @@ def test_a_student_without_its_teacher_is_told(data: Path, tmp_path: Path) -> No
         train_stages("debug", data=data, out=tmp_path, overrides=("fusoin=max",))
     with pytest.raises(SettingsError, match="did you mean 'debug'"):
         train_stages("debgu", data=data, out=tmp_path)
-    with pytest.raises(SettingsError, match="did you mean 'v2x-vit'"):
-        train_stages("debug", data=data, out=tmp_path, method="v2xvit")
+    with pytest.raises(SettingsError, match=r"method: expected one of .*early.*v2x-vit.*dsrc.*, found foo"):
+        train_stages("debug", data=data, out=tmp_path, method="foo")
 
 
 def test_methods_differ_in_their_fusion_and_designs_alone() -> None:
