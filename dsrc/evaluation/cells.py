@@ -7,6 +7,7 @@ lie beside in `KEY.seconds`. A cell is there completely or not at all.
 import hashlib
 import io
 import zipfile
+import zlib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -24,8 +25,21 @@ from sensors.corruptions import CLEAN
 from sim.errors import DataError, complaint
 from sim.v2x import ChannelSpec
 
-CODE = 1
-"""Of this code; higher where a change of it changes results, so that cells are made anew."""
+_ROOT = Path(__file__).resolve().parents[2]
+SOURCES = (
+    "sensors/corruptions",
+    "dsrc/data/sample.py",
+    "dsrc/data/batch.py",
+    "dsrc/models",
+    "dsrc/ops",
+    "dsrc/channel.py",
+    "sim/v2x.py",
+    "sim/v2x_trace.py",
+    "dsrc/evaluation/ap.py",
+    "dsrc/evaluation/benchmark.py",
+    "dsrc/evaluation/matching.py",
+)
+"""Code that decides numbers: where it changes, cells are made anew."""
 
 _PACKAGES = ("dsrc-testbed", "numpy", "torch", "powerboxes", "scipy")
 _KEYS = [(space, threshold) for space in SPACES for threshold in THRESHOLDS]
@@ -46,7 +60,7 @@ class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
         agents: how many take part at most.
         device: that the network runs on, `cpu` or `cuda`.
         versions: of packages that can change a number.
-        code: see `CODE`.
+        code: hash of the code, see `code_hash`.
     """
 
     detector: str
@@ -60,7 +74,7 @@ class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
     agents: int
     device: str
     versions: dict[str, str]
-    code: int = CODE
+    code: str
 
     @property
     def key(self) -> str:
@@ -91,9 +105,26 @@ def relevant_versions() -> dict[str, str]:
     return {name: found[name] for name in _PACKAGES if name in found}
 
 
+@cache
+def code_hash(root: Path = _ROOT) -> str:
+    """Return the hash of the files of `SOURCES` below a folder, their names included."""
+    total = hashlib.sha256()
+    for source in SOURCES:
+        place = root / source
+        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            total.update(f"{path.relative_to(root).as_posix()} {hash_file(path)}\n".encode())
+    return total.hexdigest()
+
+
 def has_cell(folder: Path, key: str) -> bool:
-    """Return whether a cell is there."""
-    return (folder / f"{key}.npz").is_file()
+    """Return whether a cell is there and whole."""
+    if not (folder / f"{key}.npz").is_file():
+        return False
+    try:
+        read_cell(folder, key)
+    except DataError:
+        return False
+    return True
 
 
 def write_cell(folder: Path, settings: CellSettings, tally: Tally) -> None:
@@ -126,10 +157,9 @@ def read_cell(folder: Path, key: str) -> Tally:
             matched = dict(zip(_KEYS, file["matched"].astype(np.int64), strict=True))
             judged = Judged(frames, truth, file["score"], matched)
             ego_share, traffic = file["ego_share"], file["traffic"]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        raise DataError(
-            complaint(path, "cell", "a whole one", "a damaged one", "; remove it and start again")
-        ) from None
-    times = path.with_suffix(".seconds")
-    seconds = np.array(times.read_text(encoding="utf-8").split() if times.is_file() else [], np.float64)
+        times = path.with_suffix(".seconds")
+        seconds = np.array(times.read_text(encoding="utf-8").split() if times.is_file() else [], np.float64)
+    except (OSError, EOFError, ValueError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error):
+        hint = "; start again: it is made anew"
+        raise DataError(complaint(path, "cell", "a whole one", "a damaged one", hint)) from None
     return Tally(judged, ego_share, seconds, traffic if len(traffic) else None)

@@ -31,6 +31,7 @@ from dsrc.evaluation.benchmark import (
 )
 from dsrc.evaluation.cells import (
     CellSettings,
+    code_hash,
     described,
     has_cell,
     of_channel,
@@ -256,6 +257,7 @@ def _jobs(
                 agents=agents,
                 device=device,
                 versions=relevant_versions(),
+                code=code_hash(),
                 condition=condition,
                 channel=listed,
             )
@@ -265,7 +267,7 @@ def _jobs(
 
 
 def _units(folder: Path, seed: int, device: Device, planned: Iterable[tuple[Case, list[Piece]]]) -> list[Unit]:
-    """Return the work that is left: cells that are not there, those of the same frames and condition together."""
+    """Return the work that is left: cells that are missing or damaged, by frames and condition."""
     groups: dict[tuple[Path, tuple[int, ...], Condition], dict[str, Job]] = {}
     for case, pieces in planned:
         for job, drive, positions in pieces:

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from dsrc.data.drives import list_drives
 from dsrc.evaluation import runner
 from dsrc.evaluation.benchmark import Condition, Method, run_benchmark
-from dsrc.evaluation.cells import CellSettings, described, of_channel, read_cell
+from dsrc.evaluation.cells import SOURCES, CellSettings, code_hash, described, of_channel, read_cell
 from dsrc.evaluation.plan import Sweeps
 from dsrc.evaluation.report import write_report
 from dsrc.evaluation.runner import Outcome, run_plan
@@ -173,6 +173,7 @@ SETTINGS = CellSettings(
     agents=5,
     device="cpu",
     versions={"torch": "2"},
+    code="ef",
 )
 
 
@@ -195,7 +196,7 @@ SETTINGS = CellSettings(
         {"agents": 4},
         {"device": "cuda"},
         {"versions": {"torch": "3"}},
-        {"code": SETTINGS.code + 1},
+        {"code": "fe"},
     ],
 )
 def test_every_setting_has_cells_of_its_own(change):
@@ -216,8 +217,37 @@ def test_a_damaged_cell_is_named(done, root):
     path = next((done[0] / "cells").glob("*.npz"))
     copy = root / path.name
     copy.write_bytes(path.read_bytes()[:-30])
-    with pytest.raises(DataError, match=f"{path.name}: cell: expected a whole one.*remove it"):
+    with pytest.raises(DataError, match=f"{path.name}: cell: expected a whole one.*made anew"):
         read_cell(root, path.stem)
+
+
+def test_cells_that_are_damaged_are_made_anew_to_the_same_bytes(done, plan, root):
+    out = shutil.copytree(done[0], root / "damaged")
+    short, wrong, empty, times = sorted((out / "cells").glob("*.npz"))[:4]
+    before = {path: path.read_bytes() for path in (short, wrong, empty, times)}
+    short.write_bytes(before[short][:-30])
+    middle = len(before[wrong]) // 2
+    wrong.write_bytes(before[wrong][:middle] + bytes(40) + before[wrong][middle + 40 :])
+    empty.write_bytes(b"")
+    times.with_suffix(".seconds").write_bytes(b"\xff\x00")
+    outcome = run_plan(plan, out)
+    assert outcome.made == 4 and outcome.entries == done[1].entries
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_code_that_changes_has_cells_of_its_own(tmp_path):
+    assert all((Path(__file__).parents[3] / source).exists() for source in SOURCES)
+    code = {source if source.endswith(".py") else f"{source}/a/b.py" for source in SOURCES}
+    for path in code:
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text("x = 1\n")
+    hash_of = code_hash.__wrapped__
+    hashes = {hash_of(tmp_path)}
+    for path in code:
+        (tmp_path / path).write_text("x = 2\n")
+        hashes.add(hash_of(tmp_path))
+    (tmp_path / "sensors" / "corruptions" / "new.py").write_text("")
+    assert len(hashes | {hash_of(tmp_path)}) == len(SOURCES) + 2
 
 
 def test_a_cell_reads_back(done):
