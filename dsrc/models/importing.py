@@ -26,8 +26,8 @@ def import_detector(path: Path, grid: GridSpec, teacher: bool = False) -> Detect
     """Make a detector of a state dict that the published code has written.
 
     The sizes are read off the tensors. What no tensor says is as released: padded slots take part in the pillars' batch
-    norm and maximum, 32 points per pillar, 70,000 pillars, a score threshold of 0.25, and regression maps with sizes in
-    the order height, width, length.
+    norm and maximum, 32 points per pillar, 70,000 pillars, a score threshold of 0.25, boxes longer than 6 m along x
+    or y dropped, and regression maps with sizes in the order height, width, length.
 
     Args:
         path: `net_epoch....pth` of the base model, of a student or of a teacher.
@@ -125,4 +125,5 @@ def _settings(state: Mapping[str, Tensor], grid: GridSpec, teacher: bool, design
         decoder_channels=state["decoder.0.0.weight"].shape[1],
         shrink_channels=len(state["shrink.0.weight"]),
         score_threshold=0.25,
+        max_extent_m=6.0,
     )

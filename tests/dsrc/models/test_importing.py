@@ -13,6 +13,7 @@ from dsrc.models.checkpoint import load_detector
 from dsrc.models.fusion import Company
 from dsrc.models.importing import import_detector
 from dsrc.ops.coding import REFERENCE_ORDER, decode
+from dsrc.training.recipes import RECIPES
 from sim.boxes import Boxes
 from sim.errors import CheckpointError
 from tests.dsrc.models.reference import golden, state
@@ -43,6 +44,10 @@ def test_an_imported_detector_says_the_same_of_the_same_points(tmp_path: Path) -
     detector = load_detector(out)
     assert detector.settings.stage_blocks == tuple(notes["config"]["layer_nums"])
     assert detector.settings.base_width == 26
+    # What no tensor says is as in the preset of the released code.
+    released = RECIPES["dsrc-code"]().model
+    for field in ("max_extent_m", "score_threshold", "max_points", "max_pillars", "box_order", "padded_slots"):
+        assert getattr(detector.settings, field) == getattr(released, field), field
     clouds = clouds_of(arrays, grid)
     with torch.inference_mode():
         output = detector(pillars_of(clouds, detector.settings), Company((len(clouds),)))
