@@ -347,12 +347,9 @@ def _made_of(record: dict) -> dict[str, object]:
     plain = msgspec.json.decode(msgspec.json.encode(record))
     recipe = plain["settings"]["recipe"]
     parts = {f"{part}.{name}": value for part in _PARTS for name, value in recipe.get(part, {}).items()}
-    left_out = (*_PARTS, *_WITHOUT_EFFECT)
-    chosen: dict[str, object] = {}
-    if _chooses_by(recipe.get("keep", "last"), recipe.get("patience")):
-        chosen["validation"] = sorted((plain["validation"] or {}).values())
-    else:
-        left_out += _OF_THE_CHOICE
+    chooses = _chooses_by(recipe.get("keep", "last"), recipe.get("patience"))
+    chosen = {"validation": sorted((plain["validation"] or {}).values())} if chooses else {}
+    left_out = {*_PARTS, *_WITHOUT_EFFECT, *(() if chooses else _OF_THE_CHOICE)}
     whole = {name: value for name, value in recipe.items() if name not in left_out}
     return {
         **parts,

@@ -15,7 +15,7 @@ from dsrc.training.datamodule import DetectionData
 from dsrc.training.recipes import Recipe, Stage
 from dsrc.training.train import DETECTOR, RESULT, SETTINGS
 from dsrc.training.validation import best_device, validate
-from sim.errors import DataError, complaint
+from sim.errors import CheckpointError, DataError, complaint
 
 AP_TOLERANCE = 0.002
 """Other processors and versions sum in another order: a detection near a threshold is then in or out."""
@@ -50,6 +50,18 @@ class _Record(msgspec.Struct, frozen=True):
     data: dict[str, str]
     folders: dict[str, str | None]
     validation: dict[str, str] | None = None
+    teacher: str | None = None
+    init: dict[str, Any] | None = None
+
+
+class _Meta(msgspec.Struct, frozen=True):
+    """What is read of where a detector file says that it comes from; one of another origin may say nothing."""
+
+    settings: _Settings | None = None
+    seed: int | None = None
+    teacher: str | None = None
+    init: dict[str, Any] | None = None
+    epoch: int | None = None
 
 
 class _Result(msgspec.Struct, frozen=True):
@@ -84,7 +96,8 @@ def verify(
     """Evaluate a run's detector on its validation frames again and compare everything with the record.
 
     Compared are the hash of the detector file, the settings in it, the hashes of the data, the versions of what
-    computes, and the average precisions, these to within `AP_TOLERANCE`.
+    computes, the teacher, the start and the epoch where there are such, and the average precisions, these to within
+    `AP_TOLERANCE`.
 
     Args:
         run: folder of a finished training.
@@ -103,7 +116,7 @@ def verify(
         raise DataError(complaint(run / SETTINGS, "recipe", "one of this version", str(error))) from None
     settings = recipe.settings(record.settings.stage)
     detector = load_detector(run / DETECTOR, best_device())
-    meta = read_meta(run / DETECTOR)
+    meta = _meta(run / DETECTOR)
     drives = _drives(run, "data", data, record.folders.get("data"))
     held = None
     if record.validation is not None:
@@ -112,18 +125,29 @@ def verify(
     checks = [
         _same("detector.pt, SHA-256", result.detector, hash_file(run / DETECTOR)),
         *_fields("model", _plain(settings), _plain(detector.settings)),
-        *_fields("recipe", record.settings.recipe, _plain(meta.get("settings", {}).get("recipe", {}))),
-        _same("seed", record.seed, meta.get("seed")),
+        *_fields("recipe", record.settings.recipe, meta.settings.recipe if meta.settings else {}),
+        _same("seed", record.seed, meta.seed),
+        *_fields("teacher", _known(sha256=record.teacher), _known(sha256=meta.teacher)),
+        *_fields("start", record.init or {}, meta.init or {}),
+        *([] if meta.epoch is None else [_same("epoch", result.epoch, meta.epoch)]),
         *_fields("data", record.data, hashes(drives)),
         *_fields("validation data", record.validation or {}, hashes(held or [])),
         *_fields("version", record.versions, versions()),
     ]
     batches = loaders.validation_batches()
     found = validate(detector, _counted(batches, len(batches), progress))
-    for name, recorded in result.metrics.items():
-        now = found.get(name, float("nan"))
-        checks.append(Check(name.removeprefix("val/"), _rounded(recorded), _rounded(now), _near(recorded, now)))
+    for name in {**found, **result.metrics}:
+        recorded, now = result.metrics.get(name), found.get(name)
+        agrees = recorded is not None and now is not None and _near(recorded, now)
+        checks.append(Check(name.removeprefix("val/"), _rounded(recorded), _rounded(now), agrees))
     return checks
+
+
+def _meta(path: Path) -> _Meta:
+    try:
+        return msgspec.convert(_plain(read_meta(path)), _Meta)
+    except (TypeError, ValueError, msgspec.ValidationError) as error:
+        raise CheckpointError(complaint(path, "meta", "what a training has written", str(error))) from None
 
 
 def _read(path: Path, kind: type[File]) -> File:
@@ -165,8 +189,13 @@ def _near(a: float, b: float) -> bool:
     return abs(a - b) <= AP_TOLERANCE
 
 
-def _rounded(value: float) -> str:
-    return f"{value:.4f}"
+def _rounded(value: float | None) -> str:
+    return "nothing" if value is None else f"{value:.4f}"
+
+
+def _known(**values: object) -> dict[str, Any]:
+    """Return those that are there."""
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _counted(batches: Iterable[Batch], total: int, progress: Callable[[int, int], None]) -> Iterator[Batch]:

@@ -51,8 +51,39 @@ def test_other_weights_are_found_out_by_hash_and_precision(run: Path) -> None:
     meta = read_meta(run / "detector.pt")
     torch.nn.init.constant_(detector.cls_head.bias, 3.0)  # sees cars everywhere
     save_detector(run / "detector.pt", detector, meta)
-    change(run / "result.json", metrics={"val/ap_bev_50": 0.9})
-    assert differing(run) == ["detector.pt, SHA-256", "ap_bev_50"]
+    metrics = json.loads((run / "result.json").read_text())["metrics"]
+    change(run / "result.json", metrics=metrics | {"val/ap_bev_50": 0.9})
+    differ = differing(run)
+    assert differ[0] == "detector.pt, SHA-256"
+    assert "ap_bev_50" in differ
+
+
+def test_a_result_without_its_metrics_does_not_agree(run: Path) -> None:
+    change(run / "result.json", metrics={"val/luck": 1.0})
+    assert differing(run) == ["ap_bev_30", "ap_bev_50", "ap_bev_70", "heading", "luck"]
+
+
+def test_another_teacher_start_and_epoch_are_named(run: Path) -> None:
+    change(run / "settings.json", teacher="0" * 64, init={"sha256": "1" * 64})
+    change(run / "result.json", epoch=7)
+    assert differing(run) == ["teacher sha256", "start sha256", "epoch"]
+
+
+WRONG_META = [3, "none", [1, 2], {"settings": "small"}, {"settings": []}, {"seed": "many"}, {"epoch": 1.5}]
+
+
+@pytest.mark.parametrize("meta", WRONG_META)
+def test_a_detector_with_a_damaged_origin_is_told_in_one_line(run: Path, meta: object) -> None:
+    content = torch.load(run / "detector.pt", weights_only=True)
+    torch.save(content | {"meta": meta}, run / "detector.pt")
+    with pytest.raises(CheckpointError, match=r"^.*detector.pt: meta: expected what a training has written.*$") as told:
+        verify(run)
+    assert "\n" not in str(told.value)
+
+
+def test_a_detector_of_unknown_origin_differs_in_it(run: Path) -> None:
+    save_detector(run / "detector.pt", load_detector(run / "detector.pt"))
+    assert {"detector.pt, SHA-256", "seed", "recipe learning_rate"} <= set(differing(run))
 
 
 def test_other_settings_data_and_versions_are_named(run: Path, tmp_path: Path) -> None:
