@@ -506,10 +506,7 @@ def export(
     """
     from dsrc.models.checkpoint import load_detector
     from dsrc.models.export import INPUTS, OUTPUTS, export_onnx
-    from sim.errors import SettingsError, complaint
 
-    if agents < 1:
-        raise SettingsError(complaint("export", "agents", "at least 1", agents))
     taken = export_onnx(load_detector(detector), out, agents)
     _say("\n".join(f"{name}: {meaning}" for name, meaning in (INPUTS | OUTPUTS).items()))
     _say(f"agents: {taken}")

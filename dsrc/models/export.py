@@ -60,13 +60,13 @@ def export_onnx(detector: Detector, out: Path, agents: int = 2) -> str:
     Args:
         detector: as `load_detector` gives it, on a CPU.
         out: the file; the detector's settings are its entry `settings`, in JSON.
-        agents: how many there are, where the method needs to know.
+        agents: how many there are, where the method needs to know; of no meaning where it takes any number.
 
     Returns:
         What the file takes of agents: "any number" or a number.
 
     Raises:
-        SettingsError: the packages are missing, or there is no ONNX form of the method.
+        SettingsError: the packages are missing, the method has no ONNX form or does not take so many agents.
     """
     fusion = detector.settings.fusion
     if fusion not in (*_ANY_NUMBER, *_FIXED_NUMBER):
@@ -74,14 +74,16 @@ def export_onnx(detector: Detector, out: Path, agents: int = 2) -> str:
         raise SettingsError(complaint("export", "fusion", expected, fusion))
     if detector.settings.own_frame or detector.settings.role == "teacher":
         raise SettingsError(complaint("export", "detector", "a student that gets clouds in the ego's frame", "another"))
+    is_open, most = fusion in _ANY_NUMBER, detector.settings.max_agents
+    if not is_open and not 1 <= agents <= most:
+        raise SettingsError(complaint("export", "agents", f"1 to {most}", agents))
     for package in ("onnx", "onnxscript"):
         if importlib.util.find_spec(package) is None:
             hint = "; run: pip install 'dsrc-testbed[onnx]'"
             raise SettingsError(complaint("export", "packages", package, "none", hint))
-    is_open = fusion in _ANY_NUMBER
     network = _Network(detector.eval())
     dims = {name: torch.export.Dim(name, min=2) for name in ("points", "pillars")}
-    number = torch.export.Dim("agents", min=1, max=max(detector.settings.max_agents, 2)) if is_open else None
+    number = torch.export.Dim("agents", min=1, max=max(most, 2)) if is_open else None
     shapes = {
         "points": {0: dims["points"]},
         "pillar": {0: dims["points"]},
@@ -96,7 +98,9 @@ def export_onnx(detector: Detector, out: Path, agents: int = 2) -> str:
     try:
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
-            program = torch.export.export(network, _example(agents), dynamic_shapes=shapes, strict=False)
+            program = torch.export.export(
+                network, _example(2 if is_open else agents), dynamic_shapes=shapes, strict=False
+            )
             names = list(OUTPUTS)[: 2 if detector.direction_head is None else 3]
             made = torch.onnx.export(program, dynamo=True, verbose=False, input_names=list(INPUTS), output_names=names)
     finally:

@@ -53,6 +53,30 @@ def test_logits_are_the_same_for_the_number_of_agents_that_was_asked_for(fusion,
     assert_same_as_torch(detector, tmp_path / "detector.onnx", 3, 1000)
 
 
+@pytest.mark.parametrize("agents", [-1, 0, 6])
+def test_more_agents_than_a_method_takes_are_refused_at_once(agents, tmp_path):
+    with pytest.raises(SettingsError, match=f"export: agents: expected 1 to 5, found {agents}"):
+        export_onnx(a_detector(fusion="where2comm", max_agents=5), tmp_path / "detector.onnx", agents)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agents", [1, 9])
+def test_where_any_number_is_taken_the_one_that_is_said_has_no_meaning(agents, tmp_path):
+    pytest.importorskip("onnxscript")
+    detector = a_detector(fusion="max")
+    assert export_onnx(detector, tmp_path / "detector.onnx", agents) == "any number"
+    assert_same_as_torch(detector, tmp_path / "detector.onnx", 3, 200)
+
+
+@pytest.mark.slow
+def test_one_agent_may_be_the_number_that_a_method_takes(tmp_path):
+    pytest.importorskip("onnxscript")
+    detector = a_detector(fusion="where2comm")
+    assert export_onnx(detector, tmp_path / "detector.onnx", agents=1) == "1"
+    assert_same_as_torch(detector, tmp_path / "detector.onnx", 1, 200)
+
+
 def test_a_method_without_a_form_in_onnx_is_refused_at_once(tmp_path):
     with pytest.raises(SettingsError, match="fusion") as caught:
         export_onnx(a_detector(fusion="v2xvit"), tmp_path / "detector.onnx")
