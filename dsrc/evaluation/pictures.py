@@ -92,7 +92,8 @@ def check_pictures(plan: Benchmark) -> None:
     Raises:
         UserError: the frame that is asked for does not exist, or the teacher's file is missing, damaged or a student's.
     """
-    _place(plan)
+    if plan.pictures.drive or plan.pictures.frame is not None:
+        _place(plan)
     if plan.pictures.teacher:
         role = load_detector(Path(plan.pictures.teacher)).settings.role
         if role != "teacher":
