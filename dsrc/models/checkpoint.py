@@ -82,8 +82,15 @@ def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Dete
 
 
 def read_meta(path: Path) -> dict[str, Any]:
-    """Return where a detector file's weights came from."""
-    return dict(_content(Path(path)).get("meta", {}))
+    """Return where a detector file's weights came from.
+
+    Raises:
+        CheckpointError: the file is missing, damaged or no detector.
+    """
+    meta = _content(Path(path)).get("meta", {})
+    if not isinstance(meta, dict):
+        raise CheckpointError(complaint(path, "meta", "what a training has written", type(meta).__name__))
+    return meta
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -75,6 +75,14 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
     assert "telepathy" in refusal(path)
 
 
+def test_a_damaged_origin_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "detector.pt"
+    save_detector(path, detector())
+    torch.save(torch.load(path, weights_only=True) | {"meta": 7}, path)
+    with pytest.raises(CheckpointError, match="meta: expected what a training has written, found int"):
+        read_meta(path)
+
+
 def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
     broken = detector()
     torch.nn.init.constant_(broken.cls_head.bias, torch.nan)
