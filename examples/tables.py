@@ -149,6 +149,15 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these, and what they need")
     parser.add_argument("--dry-run", action="store_true", help="print the commands")
     options = parser.parse_args()
+    known = [training.name for training in campaign()]
+    if unknown := sorted(set(options.only or ()) - set(known)):
+        parser.error(f"--only: expected some of {', '.join(known)}, found {', '.join(unknown)}")
+    for name, least in (("steps", 1), ("jobs", 1), ("workers", 0)):
+        if getattr(options, name) < least:
+            parser.error(f"--{name}: expected at least {least}, found {getattr(options, name)}")
+    for part in ("train", "validation"):
+        if not options.dry_run and not (options.data / part).is_dir():
+            parser.error(f"--data: expected a folder {part} in {options.data}, found none")
     wanted = selected(options.only)
     if options.dry_run:
         for training in wanted:
@@ -165,9 +174,6 @@ def main() -> None:
 def selected(names: list[str] | None) -> list[Training]:
     """Return the trainings of these names and what they need, in the campaign's order."""
     by_name = {training.name: training for training in campaign()}
-    unknown = sorted(set(names or ()) - set(by_name))
-    if unknown:
-        sys.exit(f"--only: expected some of {', '.join(by_name)}, found {', '.join(unknown)}")
     wanted = set(names or by_name)
     while missing := {need for name in wanted for need in by_name[name].needs()} - wanted:
         wanted |= missing

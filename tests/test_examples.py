@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -71,6 +72,31 @@ def test_the_campaign_trains_every_detector_of_the_tables_after_those_it_needs()
     table = tomllib.loads((ROOT / "docs/results/dsrc-sim-small/benchmark.toml").read_text())
     assert {path for method in table["methods"] for path in method["detectors"]} <= set(made)
     assert table["pictures"]["teacher"] in made
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (("--only", "telepathy"), "--only: expected some of first, .* found telepathy"),
+        (("--jobs", "0"), "--jobs: expected at least 1, found 0"),
+        (("--steps", "-3"), "--steps: expected at least 1, found -3"),
+        ((), "--data: expected a folder train in .*, found none"),
+    ],
+)
+def test_the_campaign_refuses_what_it_cannot_do_before_it_begins(
+    wrong: tuple[str, ...], told: str, tmp_path: Path
+) -> None:
+    script = str(ROOT / "examples/tables.py")
+    result = subprocess.run(
+        [sys.executable, script, "--data", str(tmp_path / "data"), "--out", str(tmp_path / "runs"), *wrong],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert result.returncode == 2
+    assert re.search(told, result.stderr.splitlines()[-1])
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize("name", LIDARS)
