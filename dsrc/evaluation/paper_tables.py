@@ -293,8 +293,8 @@ def axes_of(outcome: Outcome) -> list[Axis]:
         )
     ]
     for name, title, label, values in (
-        ("pose_error", "Errors of the pose", "standard deviation, m and degrees", sweeps.pose_error),
-        ("delay_s", "Delay", "s", sweeps.delay_s),
+        ("pose_error", "Errors of the pose", "standard deviation of the pose, m and degrees", sweeps.pose_error),
+        ("delay_s", "Delay", "delay, s", sweeps.delay_s),
         ("loss", "Loss", "share of packets lost", sweeps.loss),
     ):
         shown = sorted({0.0, *values}) if values else []

@@ -16,8 +16,12 @@ from matplotlib.figure import Figure
 from dsrc.evaluation.paper import paper_sheets
 from dsrc.evaluation.paper_tables import NAMES, View, averaged, axes_of, compared, sheets_of
 from dsrc.evaluation.plots import (
+    Look,
+    bars_of_sheet,
     corruption_bars,
     lines_of_sheet,
+    looks_of,
+    map_of_sheet,
     mean_bars,
     png_bytes,
     robustness_scatter,
@@ -27,7 +31,7 @@ from dsrc.evaluation.provenance import commit, versions
 from dsrc.evaluation.robustness import mce, mean_ap
 from dsrc.evaluation.rows import CLEAN, MCE, MEAN_AP, Row
 from dsrc.evaluation.runner import Entry, Outcome
-from dsrc.evaluation.sheets import Column, Line, Sheet, Stat
+from dsrc.evaluation.sheets import Sheet, Stat
 from dsrc.evaluation.tables import write_atomic
 from sim.errors import DataError, complaint
 
@@ -156,6 +160,7 @@ def _timings(entries: list[Entry]) -> str:
 def _dataset(outcome: Outcome, dataset: str, folder: Path, made_by: Mapping[str, Any]) -> list[Block]:
     """Write tables and plots of a dataset; return its blocks, pictures by the names of their files."""
     view, published = View.of(outcome, dataset), paper_sheets()
+    looks = looks_of([*outcome.plan.sweeps.methods, *view.trained])  # curves lie closest, so theirs differ most
     blocks = []
     for sheet in sheets_of(outcome, dataset):
         if isinstance(sheet, str):
@@ -165,54 +170,48 @@ def _dataset(outcome: Outcome, dataset: str, folder: Path, made_by: Mapping[str,
         tables = {f"{sheet.name}.md": sheet.markdown(), f"{sheet.name}.csv": sheet.csv()}
         for name, text in tables.items():
             write_atomic(folder / name, text)
-        figure = _figure_of(sheet, view, outcome)
+        figure = _figure_of(sheet, view, outcome, looks)
         picture = "" if figure is None else f"{sheet.name}.png"
         if figure is not None:
             write_atomic(folder / picture, png_bytes(figure, made_by))
         beside = f"\n{published[sheet.name].markdown()}" if sheet.name in published else ""
         blocks.append(Block(sheet.name, f"{sheet.markdown()}{beside}", picture, sheet.title, tuple(tables)))
     rows = mean_rows(view, compared(view))
-    figures = {"traffic": (traffic_scatter(_traffic(view)), "AP in clean frames against the bytes that are sent")}
-    if view.kinds():
-        figures["figure_4"] = (
-            mean_bars(mean_rows(view, averaged(view))),
+    traffic, four, five = (
+        f"{about}, {dataset}"
+        for about in (
+            "AP in clean frames against the bytes that are sent",
             "Figure 4. Mean of all methods under each corruption",
+            "Figure 5. mCE against mean AP",
         )
-        figures["figure_5"] = (robustness_scatter(rows), "Figure 5. mCE against mean AP")
+    )
+    figures = {"traffic": (traffic_scatter(_traffic(view), looks, traffic), traffic)}
+    if view.kinds():
+        figures["figure_4"] = (mean_bars(mean_rows(view, averaged(view)), title=four), four)
+        figures["figure_5"] = (robustness_scatter(rows, looks=looks, title=five), five)
     for name, (figure, about) in figures.items():
         write_atomic(folder / f"{name}.png", png_bytes(figure, made_by))
-        blocks.append(Block(name, picture=f"{name}.png", about=f"{about}, {dataset}"))
+        blocks.append(Block(name, picture=f"{name}.png", about=about))
     return blocks
 
 
-def _figure_of(sheet: Sheet, view: View, outcome: Outcome) -> Figure | None:
+def _figure_of(sheet: Sheet, view: View, outcome: Outcome, looks: Mapping[str, Look]) -> Figure | None:
     """Return the plot of a sheet."""
     for axis in axes_of(outcome):
         if axis.name == sheet.name:
-            return lines_of_sheet(sheet, axis.label, axis.places)
+            return lines_of_sheet(sheet, axis.label, axis.places, looks)
     if sheet.name == "severity":
-        return lines_of_sheet(sheet, "", [0, *sorted(outcome.plan.severities)])
-    if sheet.name == "visibility":
-        return lines_of_sheet(sheet, "", range(len(sheet.columns)))
-    if sheet.name == "table_1":
-        return corruption_bars(mean_rows(view, compared(view)))
+        return lines_of_sheet(sheet, "severity, 0 for clean", [0, *sorted(outcome.plan.severities)], looks)
+    if sheet.name in ("table_1", "visibility"):
+        return map_of_sheet(sheet)
     if sheet.name == "table_2":
-        return lines_of_sheet(_turned(sheet), "parts", range(len(sheet.lines)))
+        return bars_of_sheet(sheet)
     if sheet.name in ("table_3", "table_4"):
         fusions = ("max", "attention") if sheet.name == "table_3" else ("none",)
         pairs = [(view.plain(fusion), view.whole(fusion)) for fusion in fusions]
-        return corruption_bars(mean_rows(view, [name for pair in pairs if None not in pair for name in pair if name]))
+        methods = [name for pair in pairs if None not in pair for name in pair if name]
+        return corruption_bars(mean_rows(view, methods), looks=looks, title=sheet.title)
     return None
-
-
-def _turned(sheet: Sheet) -> Sheet:
-    """Return a sheet with lines for columns."""
-    lines = tuple(
-        Line(column.title, tuple(line.cells[number] for line in sheet.lines))
-        for number, column in enumerate(sheet.columns)
-    )
-    columns = tuple(Column(line.label) for line in sheet.lines)
-    return Sheet(sheet.name, sheet.title, sheet.note, "", columns, lines)
 
 
 def mean_rows(view: View, methods: list[str]) -> list[Row]:
