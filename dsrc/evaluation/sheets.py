@@ -9,7 +9,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, Self
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Group
+from rich.markup import escape
+from rich.padding import Padding
 from rich.table import Table
+from rich.text import Text
 
 
 class Stat(NamedTuple):
@@ -107,16 +111,41 @@ class Sheet:
             writer.writerow([line.label, *("" if math.isnan(number) else repr(float(number)) for number in numbers)])
         return text.getvalue()
 
-    def terminal(self, columns: int) -> Table:
-        """Return the first columns for the terminal: means alone, the parts of a cell one below the other."""
-        table = Table(title=self.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-        table.add_column(self.head, no_wrap=True)
-        for column in self.columns[:columns]:
-            table.add_column(column.title.replace(" ", "\n"), justify="right", min_width=4)
-        means = [tuple(tuple(Stat(stat.mean) for stat in cell) for cell in line.cells) for line in self.lines]
-        for line, cells in zip(self.lines, means, strict=True):
-            table.add_row(line.label, *self._texts(Line(line.label, cells), "[bold]", "[/bold]", "\n")[:columns])
-        return table
+    def terminal(self, columns: int, width: int = 80) -> Group:
+        """Return the first columns for a terminal of a width, in as many tables one below the other as it needs.
+
+        Means alone are shown, the parts of a cell one below the other; long labels are broken.
+        """
+        lines = [
+            Line(line.label, tuple(tuple(Stat(stat.mean) for stat in cell) for cell in line.cells))
+            for line in self.lines
+        ]
+        plain = [self._texts(line, "", "", "\n") for line in lines]
+        marked = [self._texts(line, "[bold]", "[/bold]", "\n") for line in lines]
+        heads = [column.title.replace(" ", "\n") for column in self.columns]
+        widths = [
+            max(len(t) for cell in (heads[i], *(row[i] for row in plain)) for t in cell.split("\n"))
+            for i in range(columns)
+        ]
+        label = min(max(len(text) for text in (self.head, *(line.label for line in lines))), width // 4)
+        blocks: list[list[int]] = [[]]
+        for i in range(columns):
+            if blocks[-1] and label + sum(1 + widths[k] for k in (*blocks[-1], i)) > width:
+                blocks.append([])
+            blocks[-1].append(i)
+        tables = []
+        for block in blocks:
+            table = Table(box=SIMPLE_HEAD, padding=0, show_edge=False)
+            table.add_column(self.head, width=label, overflow="fold")
+            for i in block:
+                table.add_column(heads[i], justify="right", width=widths[i], no_wrap=True)
+            for line, cells in zip(lines, marked, strict=True):
+                table.add_row(escape(line.label), *(cells[i] for i in block))
+            tables.append(Padding(table, (1, 0, 0, 0)))
+        parts = self.columns[0].parts
+        return Group(
+            Text(self.title, style="bold"), Text(f"In a cell, from above: IoU {', '.join(parts)}; %."), *tables
+        )
 
     def _texts(self, line: Line, before: str, after: str, between: str = " / ") -> list[str]:
         """Return the cells of a line as people read them, what is best between two marks."""
