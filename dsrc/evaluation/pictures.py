@@ -1,15 +1,17 @@
 """Pictures of one frame: feature maps as in the paper's Figure 6, detections as in its Figure 8."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import PowerNorm, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from dsrc.data.batch import collate
@@ -17,6 +19,7 @@ from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.sample import GridSpec, Sample, make_sample
 from dsrc.detections import Detections
 from dsrc.evaluation.benchmark import Condition, corrupted
+from dsrc.evaluation.matching import match
 from dsrc.evaluation.paper_tables import PAPER_SEVERITY, View
 from dsrc.evaluation.plan import Benchmark
 from dsrc.evaluation.plots import COLORS, panels, png_bytes, styled
@@ -25,15 +28,18 @@ from dsrc.evaluation.runner import Outcome, Trained, load_used
 from dsrc.evaluation.tables import write_atomic
 from dsrc.models.checkpoint import load_detector
 from dsrc.models.detector import Detector
+from dsrc.ops.iou import bev_iou
 from sensors.corruptions import CLEAN, drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.geometry import invert
 
-TRUTH, FOUND, POINT = COLORS[2], COLORS[1], "#8A939E"
-"""Green and red, as in the paper's figures, and told apart with any colour vision."""
+TRUTH, FOUND, AGENT, POINT = COLORS[0], COLORS[1], "#000000", "#7B848E"
+"""Blue and orange: told apart with any colour vision. In grey it is the filling that tells true boxes."""
+HIT_IOU = 0.5
 
-_EYE_M, _AIM_M = np.array([-72.0, 0.0, 46.0]), np.array([0.0, 0.0, -4.0])
 _SHOWN_POINTS = 25_000
+_GRID_M = 20.0
 _RING = np.array([(0, 1), (1, 2), (2, 3), (3, 0)])
 _EDGES = np.concatenate([_RING, _RING + 4, [(corner, corner + 4) for corner in range(4)]])
 """Pairs of corners of a box, in the order of `Boxes.corners`."""
@@ -46,10 +52,12 @@ class Shot:
     Attributes:
         sample: as the ego and its collaborators see it.
         title: which frame it is.
+        ego: the ego's own body, which is no object to be found, in its LiDAR's frame; none where it is not known.
     """
 
     sample: Sample
     title: str
+    ego: Boxes = field(default_factory=Boxes.zeros)
 
 
 def write_pictures(outcome: Outcome, out: Path) -> list[Block]:
@@ -115,7 +123,11 @@ def take_shot(plan: Benchmark, grid: GridSpec) -> Shot:
     condition = Condition(wanted.corruption, 0 if wanted.corruption == CLEAN else PAPER_SEVERITY, plan.family)
     name = reader.drive.name
     frame = corrupted(reader.read(position), condition, drive_seed(plan.seed, name))
-    return Shot(make_sample(frame, None, grid), f"{name}, frame {reader.frames[position]}, {wanted.corruption}")
+    sample = make_sample(frame, None, grid)
+    ego_id = sample.agent_ids[0]
+    pose = next(agent.sweep.world_from_lidar for agent in frame.agents if agent.agent_id == ego_id)
+    ego = frame.truth[frame.truth.object_id == ego_id].transform(invert(pose))
+    return Shot(sample, f"{name}, frame {reader.frames[position]}, {wanted.corruption}", ego)
 
 
 def _place(plan: Benchmark) -> tuple[Drive, int]:
@@ -149,44 +161,83 @@ def feature_map(detector: Detector, sample: Sample) -> NDArray[np.float32]:
 
 
 def feature_figure(shot: Shot, detectors: Mapping[str, Detector]) -> Figure:
-    """Draw the points of all agents and the fused feature of each detector, true boxes in red, as Figure 6."""
+    """Draw the points of all agents and the fused feature of each detector, with the true boxes, as Figure 6."""
     grid = next(iter(detectors.values())).settings.grid
     x0, y0, _, x1, y1, _ = grid.range_m
-    rows = 1 + len(detectors)
+    rows = (2 + len(detectors)) // 2
     with styled():
-        figure, axes = panels(8.0, 0.6 + rows * (0.5 + 7.4 * (y1 - y0) / (x1 - x0)), rows=rows)
+        size = 9.0, 0.8 + rows * (0.6 + 3.4 * (y1 - y0) / (x1 - x0))
+        figure, axes = panels(*size, rows, 2, f"Fused features: {shot.title}")
+        for panel in axes[1 + len(detectors) :]:
+            panel.set_axis_off()
+        axes = axes[: 1 + len(detectors)]
         _points_above(axes[0], shot.sample)
-        axes[0].set_title("point clouds of all agents")
+        axes[0].set_title("LiDAR points of all agents")
         for panel, (name, detector) in zip(axes[1:], detectors.items(), strict=True):
             values = feature_map(detector, shot.sample)
             high = float(np.quantile(values, 0.998))
-            panel.imshow(values, origin="lower", extent=(x0, x1, y0, y1), cmap="viridis", vmin=0.0, vmax=high or 1.0)
+            scale = PowerNorm(0.5, 0.0, high or 1.0)  # a few cells are so strong that all others would look alike
+            image = panel.imshow(values, origin="lower", extent=(x0, x1, y0, y1), cmap="YlOrBr", norm=scale)
+            bar = figure.colorbar(image, ax=panel, extend="max", fraction=0.03, pad=0.02)
+            bar.set_label("mean |feature|")
             panel.set_title(name)
         for panel in axes:
-            _boxes_above(panel, shot.sample.boxes, "#E8483F", 1.1)
+            _boxes_above(panel, shot.sample.boxes, TRUTH, 0.9, filled=panel is axes[0])
             _frame_above(panel, grid)
-        figure.suptitle(f"Fused features: {shot.title}", x=0.012, ha="left", fontsize=11, fontweight="bold")
+            _agents(panel, shot.sample, grid)
+        figure.legend(handles=_handles()[:1] + _handles()[2:], loc="outside lower center", ncols=4)
     return figure
 
 
 def detection_figure(shot: Shot, found: Mapping[str, Detections], grid: GridSpec) -> Figure:
-    """Draw each method's detections and the truth in 3D (top) and from above (bottom), as Figure 8."""
+    """Draw each method's detections and the truth in 3D (left) and from above (right), a line each, as Figure 8.
+
+    The others have points on the ego, so that some detectors find it. Its own body is no object of the truth and AP
+    takes such a detection for a false one; here it has the ego's colour and is counted apart.
+    """
     with styled():
-        # As high as a scene of 0.4 times its width and the grid below it are.
         x0, y0, _, x1, y1, _ = grid.range_m
-        figure, axes = panels(4.2 * len(found), 1.4 + 4.2 * (0.4 + (y1 - y0) / (x1 - x0)), rows=2, columns=len(found))
-        for column, (name, detections) in enumerate(found.items()):
-            high, flat = axes[column], axes[len(found) + column]
-            _scene(high, shot.sample, detections)
-            high.set_title(name)
-            _points_above(flat, shot.sample)
-            _boxes_above(flat, shot.sample.boxes, TRUTH, 1.4)
-            _boxes_above(flat, detections.boxes, FOUND, 1.0)
-            _frame_above(flat, grid)
-        figure.suptitle(f"Detections: {shot.title}", x=0.012, ha="left", fontsize=11, fontweight="bold")
-        handles = [Line2D([], [], color=color, label=label) for color, label in ((TRUTH, "truth"), (FOUND, "detected"))]
-        figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=9)
+        size = 9.0, 0.9 + len(found) * (0.55 + 4.1 * (y1 - y0) / (x1 - x0))
+        title = f"Detections: {shot.title}; hits at IoU {HIT_IOU} in bird's-eye view"
+        figure, axes = panels(*size, len(found), 2, title)
+        for line, (name, detections) in enumerate(found.items()):
+            scene, above = axes[2 * line : 2 * line + 2]
+            own = bev_iou(detections.boxes.array, shot.ego.array).max(axis=1, initial=0.0) >= HIT_IOU
+            others = detections[~own]
+            drawn = (
+                (shot.sample.boxes, TRUTH, 1.0, True), (others.boxes, FOUND, 1.1, False),
+                (shot.ego, AGENT, 1.0, True), (detections.boxes[own], AGENT, 1.1, False),
+            )  # fmt: skip
+            _scene(scene, shot.sample, drawn, grid)
+            found_itself = ", and the ego itself" if own.any() else ""
+            scene.set_title(f"{name}: {counted(others, shot.sample.boxes)}{found_itself}")
+            _points_above(above, shot.sample)
+            for boxes, color, width, filled in drawn:
+                _boxes_above(above, boxes, color, width, filled=filled)
+            _frame_above(above, grid)
+            _agents(above, shot.sample, grid)
+        figure.legend(handles=_handles(), loc="outside lower center", ncols=5)
     return figure
+
+
+def counted(detections: Detections, truth: Boxes) -> str:
+    """Return how many true boxes were hit and missed, and how many detections hit none."""
+    hits = int(match(bev_iou(detections.boxes.array, truth.array), detections.score, HIT_IOU).hit.sum())
+    return f"{hits} hit, {len(truth) - hits} missed, {len(detections) - hits} false"
+
+
+def _handles() -> list[Patch | Line2D]:
+    """Return what the colours and signs of the pictures mean."""
+    agents = [
+        Line2D([], [], color=AGENT, linestyle="", marker=marker, markerfacecolor=face, label=label)
+        for marker, face, label in ((">", AGENT, "ego"), ("D", "white", "other agents"))
+    ]
+    return [
+        Patch(edgecolor=TRUTH, facecolor=to_rgba(TRUTH, 0.3), label="true box"),
+        Line2D([], [], color=FOUND, label="detection"),
+        *agents,
+        Line2D([], [], color=POINT, linestyle="", marker=".", label="LiDAR points"),
+    ]
 
 
 def project(points: NDArray[np.floating], eye: NDArray[np.float64], aim: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -205,18 +256,62 @@ def project(points: NDArray[np.floating], eye: NDArray[np.float64], aim: NDArray
     return np.concatenate([seen[:, :2] / depth, seen[:, 2:]], axis=1)
 
 
-def _scene(axes: Axes, sample: Sample, detections: Detections) -> None:
-    """Draw points and boxes as seen from behind and above the ego."""
-    points = project(_shown(sample), _EYE_M, _AIM_M)
-    points = points[points[:, 2] > 1.0]
-    axes.scatter(points[:, 0], points[:, 1], s=0.3, color=POINT, linewidth=0, rasterized=True)
-    for boxes, color, width in ((sample.boxes, TRUTH, 1.4), (detections.boxes, FOUND, 1.0)):
-        corners = project(boxes.corners().reshape(-1, 3), _EYE_M, _AIM_M).reshape(-1, 8, 3)
-        corners = corners[(corners[:, :, 2] > 1.0).all(axis=1)]
-        edges = corners[:, _EDGES, :2].reshape(-1, 2, 2)
+def _scene(axes: Axes, sample: Sample, drawn: Iterable[tuple[Boxes, str, float, bool]], grid: GridSpec) -> None:
+    """Draw points and boxes as seen from the right of the ego and above, the whole range in sight.
+
+    Args:
+        axes: to draw on.
+        sample: whose points and agents.
+        drawn: boxes, their colour, width of their edges and whether their floor is filled.
+        grid: the range.
+    """
+    x0, y0, z0, x1, y1, z1 = grid.range_m
+    aim = np.array([(x0 + x1) / 2, (y0 + y1) / 2, z0])
+    eye = aim + (x1 - x0) * np.array([0.0, -1.0, 1.1])
+
+    def seen(points: NDArray[np.floating]) -> NDArray[np.float64]:
+        return project(points.reshape(-1, 3), eye, aim)[:, :2].reshape(*points.shape[:-1], 2)
+
+    ground = [((x, y0, z0), (x, y1, z0)) for x in _ticks(x0, x1)] + [((x0, y, z0), (x1, y, z0)) for y in _ticks(y0, y1)]
+    axes.add_collection(LineCollection(list(seen(np.array(ground))), colors="#D5D9DE", linewidths=0.6, zorder=0))
+    points = seen(_shown(sample))
+    axes.scatter(points[:, 0], points[:, 1], s=0.5, color=POINT, linewidth=0, rasterized=True)
+    for boxes, color, width, filled in drawn:
+        corners = seen(boxes.corners())
+        if filled:
+            axes.add_collection(PolyCollection(list(corners[:, :4]), facecolors=to_rgba(color, 0.3), linewidths=0))
+        edges = corners[:, _EDGES].reshape(-1, 2, 2)
         axes.add_collection(LineCollection(list(edges), colors=color, linewidths=width))
-    axes.set(xlim=(-0.62, 0.62), ylim=(-0.3, 0.2), xticks=[], yticks=[], aspect="equal")
+    _agents(axes, sample, grid, seen)
+    ends = seen(np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)]))
+    (left, low), (right, high) = ends.min(axis=0), ends.max(axis=0)
+    axes.set(xlim=(left, right), ylim=(low, high), xticks=[], yticks=[], aspect="equal")
+    axes.set_xlabel(f"from the right and above; lines on the ground every {_GRID_M:g} m", fontsize=8)
+    axes.spines[:].set_visible(False)
     axes.grid(visible=False)
+
+
+def _ticks(low: float, high: float) -> NDArray[np.float64]:
+    """Return the multiples of the grid's width in a range, and its ends."""
+    inside = np.arange(np.ceil(low / _GRID_M), np.floor(high / _GRID_M) + 1) * _GRID_M
+    return np.unique([low, *inside, high])
+
+
+def _agents(
+    axes: Axes,
+    sample: Sample,
+    grid: GridSpec,
+    seen: Callable[[NDArray[np.float64]], NDArray[np.float64]] = lambda points: points[:, :2],
+) -> None:
+    """Mark the agents in the range, by what a picture sees of (P, 3) points: the ego ahead, the others as diamonds."""
+    places = sample.ego_from_agent[:, :3, 3]
+    low, high = np.array(grid.range_m[:2]), np.array(grid.range_m[3:5])
+    others = places[1:][((places[1:, :2] >= low) & (places[1:, :2] <= high)).all(axis=1)]
+    for points, marker, size, face in ((others, "D", 4.5, "white"), (places[:1], ">", 6.0, AGENT)):
+        axes.plot(
+            *seen(points).T, marker=marker, markersize=size, markerfacecolor=face, color=AGENT,
+            markeredgewidth=0.9, linestyle="", zorder=4,
+        )  # fmt: skip
 
 
 def _shown(sample: Sample) -> NDArray[np.float32]:
@@ -227,12 +322,14 @@ def _shown(sample: Sample) -> NDArray[np.float32]:
 
 def _points_above(axes: Axes, sample: Sample) -> None:
     points = _shown(sample)
-    axes.scatter(points[:, 0], points[:, 1], s=0.3, color=POINT, linewidth=0, rasterized=True)
+    axes.scatter(points[:, 0], points[:, 1], s=0.7, color=POINT, linewidth=0, rasterized=True)
 
 
-def _boxes_above(axes: Axes, boxes: Boxes, color: str, width: float) -> None:
+def _boxes_above(axes: Axes, boxes: Boxes, color: str, width: float, *, filled: bool = False) -> None:
     """Draw outlines, and a line from the centre to the front."""
-    corners = boxes.corners()[:, :4, :2]
+    corners = boxes.bev_polygons()
+    if filled:
+        axes.add_collection(PolyCollection(list(corners), facecolors=to_rgba(color, 0.3), linewidths=0))
     outlines = [*corners[:, [0, 1, 2, 3, 0]]]
     outlines += [*np.stack([boxes.center[:, :2], corners[:, :2].mean(axis=1)], axis=1)]
     axes.add_collection(LineCollection(outlines, colors=color, linewidths=width))
@@ -241,5 +338,7 @@ def _boxes_above(axes: Axes, boxes: Boxes, color: str, width: float) -> None:
 def _frame_above(axes: Axes, grid: GridSpec) -> None:
     x0, y0, _, x1, y1, _ = grid.range_m
     axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
+    axes.set_xlabel("x, m, ahead of the ego", fontsize=8)
+    axes.set_ylabel("y, m, to its left", fontsize=8)
     axes.grid(visible=False)
     axes.tick_params(labelsize=7)

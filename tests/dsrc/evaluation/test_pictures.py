@@ -13,7 +13,9 @@ from PIL import Image
 from dsrc.__main__ import main
 from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.sample import make_sample
+from dsrc.detections import Detections
 from dsrc.evaluation.pictures import (
+    AGENT,
     FOUND,
     TRUTH,
     check_pictures,
@@ -28,6 +30,7 @@ from dsrc.evaluation.plan import Pictures
 from dsrc.evaluation.plots import png_bytes
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
+from sim.boxes import Boxes
 from sim.errors import SettingsError, UserError
 from tests.dsrc.evaluation.small import make_detector, make_plan, write_drives
 
@@ -105,12 +108,32 @@ def test_every_box_is_drawn_in_both_views_of_every_method(shot):
     figure = detection_figure(shot, found, make_detector("dsrc").settings.grid)
     assert len(figure.axes) == 4
     for column, detections in enumerate(found.values()):
-        scene, above = figure.axes[column], figure.axes[2 + column]
+        scene, above = figure.axes[2 * column], figure.axes[2 * column + 1]
         for boxes, color in ((shot.sample.boxes, TRUTH), (detections.boxes, FOUND)):
             assert len(lines_of(scene, color)) == 12 * len(boxes)
             outlines = lines_of(above, color)[: len(boxes)]
             np.testing.assert_allclose([outline[0] for outline in outlines], boxes.corners()[:, 0, :2])
+        x0, y0, _, x1, y1, _ = make_detector("dsrc").settings.grid.range_m
+        assert (above.get_xlim(), above.get_ylim()) == ((x0, x1), (y0, y1))
+        low, high = np.array([scene.get_xlim(), scene.get_ylim()]).T
+        seen = np.concatenate(lines_of(scene, TRUTH))
+        assert (seen >= low).all() and (seen <= high).all()  # nothing is cut off
     assert len(png_bytes(figure, dpi=40)) > 5000
+
+
+def test_a_detection_of_the_ego_itself_is_neither_a_hit_nor_false(shot):
+    truth, ego = shot.sample.boxes, shot.ego
+    assert len(ego) == 1 and len(truth) > 1
+    np.testing.assert_allclose(ego.center[0, :2], [0, 0], atol=2.0)
+    far = Boxes.from_array([[30, 20, -1, 4, 2, 1.5, 0]])
+    boxes = Boxes.from_array(np.concatenate([truth.array[1:], ego.array, far.array]))
+    found = Detections(boxes, np.linspace(0.9, 0.5, len(boxes), dtype=np.float32))
+    figure = detection_figure(shot, {"some": found}, make_detector("dsrc").settings.grid)
+    title = figure.axes[0].get_title(loc="left")
+    assert title == f"some: {len(truth) - 1} hit, 1 missed, 1 false, and the ego itself"
+    for axes, edges in zip(figure.axes, (12, 2), strict=True):
+        assert len(lines_of(axes, FOUND)) == edges * len(truth)
+        assert len(lines_of(axes, AGENT)) == edges * 2  # its body, and the detection of it
 
 
 def test_feature_maps_are_of_the_grid_and_of_what_each_network_reads(shot):
@@ -120,14 +143,16 @@ def test_feature_maps_are_of_the_grid_and_of_what_each_network_reads(shot):
     values = feature_map(student, shot.sample)
     assert values.shape == (grid.height // 2, grid.width // 2) and values.max() > 0
     figure = feature_figure(shot, {"student": student, "teacher": teacher})
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["point clouds of all agents", "student", "teacher"]
-    for axes, detector in zip(figure.axes[1:], (student, teacher), strict=True):
+    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
+    assert titles == ["LiDAR points of all agents", "student", "teacher"]
+    assert [axes.get_ylabel() for axes in figure.axes].count("mean |feature|") == 2  # colour bars
+    for axes, detector in zip(figure.axes[1:3], (student, teacher), strict=True):
         (image,) = axes.get_images()
         np.testing.assert_allclose(image.get_array(), feature_map(detector, shot.sample))
         # Columns go along x: the picture has the grid's extent with its first row at the bottom.
         assert tuple(image.get_extent()) == (grid.range_m[0], grid.range_m[3], grid.range_m[1], grid.range_m[4])
         assert image.origin == "lower"
-        assert len(lines_of(axes, "#E8483F")) == 2 * len(shot.sample.boxes)
+        assert len(lines_of(axes, TRUTH)) == 2 * len(shot.sample.boxes)
 
 
 def test_figures_6_and_8_are_written_with_what_made_them(plan, tmp_path):
