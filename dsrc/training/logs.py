@@ -60,6 +60,14 @@ def _write(path: Path, content: bytes) -> None:
     temporary.replace(path)
 
 
+def _title(folder: Path) -> str:
+    """Return which training a run folder holds and on what, each by the last two names of its path."""
+    path = folder / "settings.json"
+    folders = msgspec.json.decode(path.read_bytes()).get("folders", {}) if path.exists() else {}
+    named = {"": folder, "trained on ": folders.get("data"), "validated on ": folders.get("validate")}
+    return ", ".join(f"{what}{'/'.join(Path(place).parts[-2:])}" for what, place in named.items() if place)
+
+
 class MetricsFile(pl.Callback):
     """Keeps `metrics.csv` and `curves.png` of a run folder.
 
@@ -97,7 +105,7 @@ class MetricsFile(pl.Callback):
         self._rows.append({name: str(value) for name, value in values.items()})
         self._write()
         if _validated(trainer):
-            _write(self.picture, png_bytes(training_curves(self._rows)))
+            _write(self.picture, png_bytes(training_curves(self._rows, _title(self.path.parent))))
         LOG.info("%s", ", ".join(f"{name} {value}" for name, value in self._rows[-1].items()))
 
     def _write(self) -> None:
