@@ -53,7 +53,7 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     # Columns: x, y turned and mirrored; z resized about the road would move it, so only the plane is resized.
     plane = scale * rotation @ np.diag(signs)
-    return replace(
+    moved = replace(
         sample,
         clouds=tuple(_cloud(cloud, plane, grid) for cloud in sample.clouds),
         unheard=tuple(_cloud(cloud, plane, grid) for cloud in sample.unheard),
@@ -61,6 +61,18 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
         boxes=_boxes(sample.boxes, plane, scale, grid),
         agent_boxes=tuple(_boxes(boxes, plane, scale, grid) for boxes in sample.agent_boxes),
     )
+    return thinned(moved, rng) if rng.random() < augmentation.thinning else moved
+
+
+def thinned(sample: Sample, rng: np.random.Generator) -> Sample:
+    """Leave the student a random share of each agent's points, from a tenth to all; nothing else of the sample changes.
+
+    Shares differ between agents, as the density of a scene does between views.
+    """
+    seen = sample.corrupted or sample.clouds
+    shares = rng.uniform(0.1, 1.0, len(seen))
+    kept = (cloud[rng.random(len(cloud)) < share] for cloud, share in zip(seen, shares, strict=True))
+    return replace(sample, corrupted=tuple(kept))
 
 
 def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:

@@ -29,6 +29,8 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         random_ego: look through any of the frame's vehicles, not always the first.
         dropout: probability that only some agents (one to all, evenly) take part; the ground truth is then what these
             have seen. One network so learns to be good alone and in company.
+        thinning: probability that a student sees but a random share of each agent's points. Ground truth, the teacher's
+            clouds and what is reconstructed have all of them: sparse to dense by more than one view differs from many.
         corruption: probability that the sensors of a sample are corrupted, by any of `kinds` in any severity. Ground
             truth, the teacher's clouds and what is reconstructed are of the uncorrupted sample.
         kinds: of corruption, by physical cause. Those of the paper's tables by default: results under them are then of
@@ -40,6 +42,7 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scale: Annotated[float, Meta(ge=0, lt=1)] = 0.05
     random_ego: bool = True
     dropout: Annotated[float, Meta(ge=0, le=1)] = 0.3
+    thinning: Annotated[float, Meta(ge=0, le=1)] = 0.0
     corruption: Annotated[float, Meta(ge=0, le=1)] = 0.0
     kinds: tuple[str, ...] = PAPER_SIX
 

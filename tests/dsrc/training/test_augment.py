@@ -9,7 +9,7 @@ from msgspec.structs import replace as replace_setting
 from dsrc.data.batch import collate
 from dsrc.data.sample import Sample, inside_range, make_sample
 from dsrc.models.encoder import Pillars
-from dsrc.training.augment import augment, source_grid, with_agents
+from dsrc.training.augment import augment, source_grid, thinned, with_agents
 from dsrc.training.recipes import Augmentation, debug
 from tests.dsrc.training.drive import frame
 
@@ -105,3 +105,21 @@ def test_every_collaborator_is_dropped_now_and_then_but_never_the_ego(sample: Sa
 def test_equal_seeds_make_equal_samples(sample: Sample) -> None:
     a, b = (augment(replace(sample), GRID, Augmentation(), np.random.default_rng(9)) for _ in range(2))
     assert all(np.array_equal(x, y) for x, y in zip(a.clouds, b.clouds, strict=True))
+
+
+def test_a_thinned_student_sees_some_of_its_points_and_its_teacher_all(sample: Sample) -> None:
+    thin = thinned(sample, np.random.default_rng(1))
+    for seen, cloud in zip(thin.corrupted, sample.clouds, strict=True):
+        assert 0.05 * len(cloud) < len(seen) < len(cloud)
+        assert {tuple(point) for point in seen.tolist()} <= {tuple(point) for point in cloud.tolist()}
+    for ours, theirs in zip(thin.clouds, sample.clouds, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_thinning_changes_nothing_else_of_a_sample(sample: Sample) -> None:
+    choice = Augmentation(thinning=1.0)
+    thin, whole = (augment(sample, GRID, a, np.random.default_rng(5)) for a in (choice, Augmentation()))
+    assert thin.corrupted and not whole.corrupted
+    for ours, theirs in zip(thin.clouds, whole.clouds, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    np.testing.assert_array_equal(thin.boxes.array, whole.boxes.array)
