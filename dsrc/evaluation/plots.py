@@ -1,6 +1,6 @@
 """Figures of a result: AP per condition, mCE against mean AP, precision over recall, AP over whatever is varied.
 
-A method has one look in all figures of a result. Markers and names at the lines tell methods apart in grey too, bars
+A method has one look in all figures of a result. Markers and names at the lines tell methods apart in grey too; bars
 stand in the order of their legend.
 """
 
@@ -63,6 +63,10 @@ class Look(NamedTuple):
         """Return what draws markers alone."""
         shape = {"marker": self.marker, "markersize": 6.5, "markerfacecolor": self.face, "markeredgewidth": 1.2}
         return {"color": self.color, "linestyle": "", **shape}
+
+    def bar(self) -> dict[str, Any]:
+        """Return what draws bars: hatched where the markers are hollow."""
+        return {"facecolor": self.color, "edgecolor": "white", "hatch": "" if self.face == self.color else "///"}
 
 
 def looks_of(methods: Sequence[str]) -> dict[str, Look]:
@@ -185,7 +189,7 @@ def corruption_bars(
         figure, parts = panels(_WIDTH_IN, 5.2, rows=2, title=title)
         for axes, iou, of_methods in zip(parts, IOUS, values, strict=True):
             series = {method: [Stat(value) for value in line] for method, line in zip(methods, of_methods, strict=True)}
-            _grouped(axes, titles, series, [looks[m].color for m in methods])
+            _grouped(axes, titles, series, [looks[m].bar() for m in methods])
             axes.set_title(f"IoU {iou}")
             axes.set_ylabel("average precision, %")
         _legend(figure, parts[0], below=True)
@@ -207,7 +211,7 @@ def mean_bars(rows: Sequence[Row], space: Space = "bev", title: str = "") -> Fig
     return figure
 
 
-_SHADES = ("#9CC7E4", "#4A93C4", "#0B4F80")
+_SHADES = [{"facecolor": color} for color in ("#9CC7E4", "#4A93C4", "#0B4F80")]
 """For bars that are no methods: one hue, from light to dark."""
 
 
@@ -224,24 +228,22 @@ def bars_of_sheet(sheet: Sheet) -> Figure:
     return figure
 
 
-def _grouped(axes: Axes, groups: Sequence[str], series: Mapping[str, Sequence[Stat]], colors: Sequence[str]) -> None:
+def _grouped(
+    axes: Axes, groups: Sequence[str], series: Mapping[str, Sequence[Stat]], fills: Sequence[Mapping[str, Any]]
+) -> None:
     """Draw a bar of each series in each group, in percent, with its number above it and its spread where known."""
     width = 0.84 / max(len(series), 1)
-    for i, ((name, stats), color) in enumerate(zip(series.items(), colors, strict=True)):
+    for i, ((name, stats), fill) in enumerate(zip(series.items(), fills, strict=True)):
         places = [group + (i - (len(series) - 1) / 2) * width for group in range(len(groups))]
         heights, spreads = [100 * s.mean for s in stats], [100 * s.spread for s in stats]
         known = None if all(map(math.isnan, spreads)) else spreads
-        axes.bar(
-            places, heights, width * 0.92, yerr=known, color=color, ecolor=_INK, capsize=2, linewidth=0, label=name
-        )
+        axes.bar(places, heights, 0.92 * width, yerr=known, ecolor=_INK, capsize=2, label=name, **fill)
         for x, height, spread in zip(places, heights, spreads, strict=True):
             if not math.isnan(height):
                 top = height + (0.0 if math.isnan(spread) else spread) + 1.2
                 text = f"{height:.1f}" if len(groups) * len(series) <= 24 else f"{height:.0f}"
                 axes.text(x, top, text, ha="center", va="bottom", fontsize=7)
-    axes.set_xticks(
-        range(len(groups)), [group.replace(" ", "\n", 1) if "+" not in group else group for group in groups]
-    )
+    axes.set_xticks(range(len(groups)), [name if "+" in name else name.replace(" ", "\n", 1) for name in groups])
     axes.tick_params(axis="x", length=0)
     axes.grid(visible=False, axis="x")
     axes.set(ylim=(0, 108), yticks=range(0, 101, 20))
@@ -289,7 +291,8 @@ def _name_ends(axes: Axes, x: float, ends: Mapping[str, float], looks: Mapping[s
     step = _NAME_IN / (axes.get_figure(root=True).get_figheight() - 1.3)  # type: ignore[union-attr]
     heights = apart([(ends[name] - low) / (high - low) for name in known], step)
     for name, height in zip(known, heights, strict=True):
-        leader = {"arrowstyle": "-", "color": looks[name].color, "linewidth": 0.8, "relpos": (0, 0.5), "shrinkB": 4}
+        leader = {"arrowstyle": "-", "color": looks[name].color, "linewidth": 0.8, "relpos": (0, 0.5)}
+        leader |= {"patchA": None, "shrinkA": 2, "shrinkB": 4}
         axes.annotate(
             name, (x, ends[name]), (1.09, height), textcoords="axes fraction", va="center", fontsize=8,
             annotation_clip=False, arrowprops=leader,
