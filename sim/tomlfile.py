@@ -25,7 +25,9 @@ def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Setti
     """
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as wrong:
+    except OSError as wrong:
+        raise error(f"{path}: expected a TOML file, found {(wrong.strerror or str(wrong)).lower()}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as wrong:
         raise error(f"{path}: not a readable TOML file: {' '.join(str(wrong).split())}") from None
     for keys, struct in _unknown_keys(raw, kind, ()):
         *where, key = keys

@@ -247,12 +247,13 @@ def _ego_share(frame: Frame, sample: Sample) -> NDArray[np.float32]:
     return frame.visible_fraction[row][np.searchsorted(frame.truth.object_id, sample.boxes.object_id)]
 
 
-def corruption_kinds(names: Sequence[str], family: Family = "physical") -> tuple[str, ...]:
+def corruption_kinds(names: Sequence[str], family: Family = "physical", where: str = "evaluate") -> tuple[str, ...]:
     """Return corruptions by name, in the order of `CORRUPTIONS`.
 
     Args:
         names: kinds, `paper_six` for those of the paper's tables, `all` for all of the family, `clean` for none.
         family: of their settings.
+        where: what asks, for messages.
 
     Raises:
         SettingsError: there is no such corruption or family, or the family has no model of it.
@@ -261,9 +262,12 @@ def corruption_kinds(names: Sequence[str], family: Family = "physical") -> tuple
     for name in names:
         if name not in (*groups, *registry.CORRUPTIONS):
             hint = did_you_mean(name, [*groups, *registry.CORRUPTIONS])
-            raise SettingsError(complaint("evaluate", "corruptions", "a corruption", name, hint))
+            raise SettingsError(complaint(where, "corruptions", "a corruption", name, hint))
         if name not in groups:
-            registry.check_corruption(name, family=family)
+            try:
+                registry.check_corruption(name, family=family)
+            except SettingsError as error:
+                raise SettingsError(f"{where}: corruptions: {error}") from None
     wanted = {kind for name in names for kind in groups.get(name, (name,))}
     return tuple(kind for kind in registry.CORRUPTIONS if kind in wanted)
 

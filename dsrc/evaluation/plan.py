@@ -294,8 +294,8 @@ def check(plan: Benchmark, where: str) -> None:
                     complaint(where, f"methods.{method.name}.use", expected, field, did_you_mean(field, IN_USE))
                 )
     check_numbers(where, plan.severities, plan.seed, plan.limit)
+    corruption_kinds((*plan.corruptions, plan.pictures.corruption), plan.family, where)
     try:
-        corruption_kinds((*plan.corruptions, plan.pictures.corruption), plan.family)
         for channel in plan.channels:
             get_channel(channel)
     except SettingsError as error:

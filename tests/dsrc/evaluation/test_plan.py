@@ -85,6 +85,7 @@ def test_paths_are_taken_from_the_files_folder_first(tmp_path):
         ("[[datasets]]", "[[data]]", ["data", "did you mean 'datasets'"]),
         ('name = "small"', 'name = "small', ["not a readable TOML file"]),
         ('name = "small"', 'family = "papers"', ["family"]),
+        ('"snow"]', '"snwo"]', ["toml: corruptions: expected a corruption"]),
     ],
 )
 def test_a_mistake_is_one_line_with_its_place(tmp_path, old, new, words):
@@ -95,6 +96,11 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path, old, new, words):
     text = str(caught.value)
     assert "\n" not in text and str(path) in text
     assert all(word in text for word in words), text
+
+
+def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path):
+    with pytest.raises(SettingsError, match=r"none\.toml: expected a TOML file, found no such file or directory$"):
+        read_benchmark(tmp_path / "none.toml")
 
 
 def test_flags_say_the_same_as_a_file(tmp_path):
