@@ -127,7 +127,8 @@ class Sheet:
             max(len(t) for cell in (heads[i], *(row[i] for row in plain)) for t in cell.split("\n"))
             for i in range(columns)
         ]
-        label = min(max(len(text) for text in (self.head, *(line.label for line in lines))), width // 4)
+        room = max(width - sum(1 + w for w in widths), width // 4)
+        label = min(max(len(text) for text in (self.head, *(line.label for line in lines))), room)
         blocks: list[list[int]] = [[]]
         for i in range(columns):
             if blocks[-1] and label + sum(1 + widths[k] for k in (*blocks[-1], i)) > width:
