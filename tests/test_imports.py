@@ -15,7 +15,7 @@ DOORS = {
     "viser": ("dsrc/review/",),
     "libsumo": ("sim/traffic/sumo.py",),
     "embreex": ("sensors/raycast/",),
-    "numba": ("sensors/raycast/", "dsrc/data/lzf.py"),
+    "numba": ("sensors/raycast/", "dsrc/data/kernel.py", "dsrc/data/lzf.py"),
     "highway_env": ("sim/traffic/highway",),
 }
 

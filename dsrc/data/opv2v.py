@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.annotation import Annotation, with_own_bodies
+from dsrc.data.inside import points_in_boxes
 from dsrc.data.opv2v_record import Record, encode_agent, read_agent, read_plan
 from dsrc.data.pcd import encode_pcd, read_pcd
 from dsrc.data.tracks import Instant, tracked_velocity
@@ -206,8 +207,8 @@ class DriveReader:
         )
 
     def _foreign_frame(self, stem: str, notes: list[Annotation]) -> Frame:
-        now = self._instant(stem, notes)
-        truth, velocity = now.boxes, _union(notes)[1]
+        now, velocity = self._instant(stem, notes)
+        truth = now.boxes
         if np.isnan(velocity).any():
             velocity = np.where(np.isnan(velocity), tracked_velocity(now, *self._neighbours(stem)), velocity)
         agents, points_on = [], np.zeros((len(notes), len(truth)), np.int32)
@@ -218,15 +219,18 @@ class DriveReader:
             kind: AgentKind = "roadside" if agent_id < 0 else "vehicle"
             agents.append(AgentFrame(agent_id, kind, note.world_from_body, note.speed, sweep))
             listed = np.isin(truth.object_id, note.boxes.object_id)
-            counts = truth[listed].contains(sweep.world_points).sum(axis=1)
+            _, boxes = points_in_boxes(truth[listed], sweep.points, sweep.world_from_lidar)
+            counts = np.bincount(boxes, minlength=np.count_nonzero(listed))
             # An annotation means that a ray has hit the object, even if no point of the file lies in its box.
             points_on[row, listed] = np.maximum(counts, 1)
         frame = Frame(int(stem), now.time_s, tuple(agents), truth, velocity, points_on)
         return frame if all(note.mirrored for note in notes) else with_own_bodies(frame)
 
-    def _instant(self, stem: str, notes: list[Annotation]) -> Instant:
+    def _instant(self, stem: str, notes: list[Annotation]) -> tuple[Instant, NDArray[np.float64]]:
+        """Return the objects of a frame and their (N, 2) velocities."""
         interval_s = self._tick_s() if notes[0].interval_s is None else notes[0].interval_s
-        return Instant(int(stem) * interval_s, _union(notes)[0])
+        boxes, velocity = _union(notes)
+        return Instant(int(stem) * interval_s, boxes), velocity
 
     def _neighbours(self, stem: str) -> list[Instant | None]:
         """Return the objects a frame earlier and later."""
@@ -236,7 +240,7 @@ class DriveReader:
     def _objects(self, stem: str) -> Instant | None:
         notes = [read_agent(self.drive / str(agent) / f"{stem}.yaml") for agent in self.agents]
         foreign = [note for note in notes if isinstance(note, Annotation)]
-        return self._instant(stem, foreign) if foreign else None
+        return self._instant(stem, foreign)[0] if foreign else None
 
     def _compensated(self, path: Path, sweep: Sweep) -> Sweep:
         if self.motion is None:

@@ -7,12 +7,12 @@ sensor frame (y to the right); in memory, and in the files of real sensors, in o
 Source: https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 """
 
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.decimals import read_numbers
 from dsrc.data.lzf import decompress
 from sensors.spec import LidarSpec
 from sensors.sweep import Sweep, make_sweep
@@ -296,7 +296,7 @@ def _compressed_table(path: Path, body: memoryview, dtype: np.dtype, points: int
 def _ascii_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> NDArray[np.void]:
     names = dtype.names or ()
     widths = [int(np.prod(dtype[name].shape, dtype=int)) for name in names]
-    values = _numbers(path, bytes(body), (points, sum(widths)))
+    values = _numbers(path, body, (points, sum(widths)))
     table = np.zeros(points, dtype)
     column = 0
     for name, width in zip(names, widths, strict=True):
@@ -308,17 +308,12 @@ def _ascii_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> 
     return table
 
 
-def _numbers(path: Path, body: bytes, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the numbers of a text, by numpy's compiled parser where there is a line for each point."""
-    if shape[0]:
-        try:
-            values = np.loadtxt(BytesIO(body), comments=None, ndmin=2)
-        except ValueError:
-            pass  # what is wrong, if anything is, the words tell
-        else:
-            if values.shape == shape:
-                return values
-    words = body.split()
+def _numbers(path: Path, body: memoryview, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the numbers of a text: compiled, else word by word, which also tells what is wrong."""
+    values = read_numbers(body, shape[0] * shape[1])
+    if values is not None:
+        return values.reshape(shape)
+    words = bytes(body).split()
     if len(words) != shape[0] * shape[1]:
         expected = f"{shape[0] * shape[1]} numbers for {shape[0]} points"
         raise DataError(complaint(path, "DATA", expected, f"{len(words)} numbers"))

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.data import lzf
+from dsrc.data import lzf, pcd
 from dsrc.data.lzf import decompress
 from dsrc.data.pcd import encode_sensor_pcd, encode_table, read_pcd, read_table, write_pcd
 from sensors.sweep import POINT_FIELDS, UNKNOWN_MATERIAL, make_sweep
@@ -63,6 +63,46 @@ def test_ascii_colour_becomes_intensity_whether_packed_as_number_or_float(tmp_pa
         sweep = read_pcd(tmp_path / "a.pcd")
         assert sweep.points.tolist() == [[1.5, -2.0, -3.0], [-0.25, np.float32(-0.4), 0.0]]
         assert sweep.intensity.tolist() == [np.float32(0.2), 0.0]
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+@pytest.mark.parametrize("compiled", [True, False])
+def test_text_may_have_any_columns_in_any_order_and_no_last_line_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line_end: str, compiled: bool
+):
+    if not compiled:
+        monkeypatch.setattr(pcd, "read_numbers", lambda text, count: None)
+    n = 50
+    rng = np.random.default_rng(0)
+    table = np.zeros(
+        n, [("label", "<u4"), ("z", "<f8"), ("normal", "<f4", 3), ("intensity", "<f4"), ("y", "<f4"), ("x", "<f4")]
+    )
+    table["label"] = rng.integers(0, 2**32, n)
+    for name in ("z", "normal", "intensity", "y", "x"):
+        table[name] = rng.normal(size=table[name].shape) * 10.0 ** rng.integers(-5, 5, table[name].shape)
+    head = ASCII.format(n=n, rgb=0, kind="F").split("DATA")[0]
+    for old, new in (
+        ("x y z rgb", "label z normal intensity y x"),
+        ("4 4 4 4", "4 8 4 4 4 4"),
+        ("F F F F", "U F F F F F"),
+        ("1 1 1 1", "1 1 3 1 1 1"),
+    ):
+        assert old in head
+        head = head.replace(old, new, 1)
+    lines = [" ".join(repr(v.item()) for part in row for v in np.atleast_1d(part)) for row in table]
+    (tmp_path / "a.pcd").write_bytes((head + "DATA ascii\n" + "\n".join(lines)).replace("\n", line_end).encode())
+    assert np.array_equal(read_table(tmp_path / "a.pcd"), table)
+    assert np.array_equal(read_pcd(tmp_path / "a.pcd").points[:, 0], table["x"])
+
+
+def test_a_word_among_many_numbers_is_named(tmp_path: Path):
+    head = ASCII.format(n=40, rgb=0, kind="U").split("DATA")[0] + "DATA ascii\n"
+    (tmp_path / "a.pcd").write_text(head + "1 2 3 0\n" * 20 + "1 2 one 0\n" + "1 2 3 0\n" * 19)
+    with pytest.raises(DataError, match=r"a.pcd: DATA: expected numbers, found .*'one'"):
+        read_pcd(tmp_path / "a.pcd")
+    (tmp_path / "a.pcd").write_text(head + "1 2 3 0\n" * 39 + "1 2 3")
+    with pytest.raises(DataError, match="DATA: expected 160 numbers for 40 points, found 159 numbers"):
+        read_pcd(tmp_path / "a.pcd")
 
 
 def test_intensity_of_0_to_255_is_scaled_when_there_is_no_colour(tmp_path: Path):
