@@ -3,8 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
-from dsrc.data.yamlio import emit, read_yaml
+from dsrc.data.yamlio import emit, parse_yaml, read_yaml
 from sim.errors import DataError
 
 VALUE = {
@@ -85,3 +87,99 @@ def test_numpys_numbers_and_arrays_are_read_as_plain_ones(tmp_path: Path):
         "empty": [],
         "pair": [1, "two"],
     }
+
+
+numbers = st.one_of(st.integers(-(10**20), 10**20), st.floats(), st.just(-0.0))
+words = st.one_of(
+    st.sampled_from(["y", "No", "TRUE", "null", "true", "vehicle.audi.a2", "17,37,103", "1e5", "0123", "1:30", ""]),
+    st.text("aeYnoN.,:0_- ", max_size=6),
+)
+leaves = st.one_of(
+    numbers,
+    words,
+    st.booleans(),
+    st.none(),
+    st.lists(numbers, max_size=4),
+    st.lists(st.lists(numbers, max_size=3), max_size=3),
+)
+tables = st.recursive(
+    st.dictionaries(st.one_of(words, st.integers(-(10**20), 10**20)), leaves, max_size=4),
+    lambda inner: st.dictionaries(st.one_of(words, st.integers(0, 2000)), st.one_of(leaves, inner), max_size=4),
+    max_leaves=6,
+)
+
+
+@given(tables, st.sampled_from([False, None]), st.sampled_from([2, 4]))
+def test_what_pyyaml_lays_out_is_read_as_pyyaml_reads_it(table: dict, flow: bool | None, indent: int):
+    text = yaml.dump(table, default_flow_style=flow, indent=indent)
+    assert repr(parse_yaml(Path("a.yaml"), text)) == repr(yaml.load(text, yaml.SafeLoader))
+
+
+@given(tables, st.data())
+def test_damaged_files_are_read_as_pyyaml_reads_them_or_refused(table: dict, data: st.DataObject):
+    text = yaml.dump(table)
+    place = data.draw(st.integers(0, len(text)))
+    text = (
+        text[:place]
+        + data.draw(st.sampled_from(["", " ", "\n", "- ", "  ", ":", "\n  ", "#", "1", "\t", "\r\n", "a: 1\n"]))
+        + text[place + data.draw(st.integers(0, 3)) :]
+    )
+    try:
+        expected = yaml.load(text, yaml.CSafeLoader)
+    except (yaml.YAMLError, ValueError, TypeError):
+        expected = None
+    if isinstance(expected, dict):
+        assert repr(parse_yaml(Path("a.yaml"), text)) == repr(expected)
+    else:
+        with pytest.raises((DataError, TypeError)):
+            parse_yaml(Path("a.yaml"), text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: 1\na: 2\n",
+        "a:\n  b: 1\nc: 2\n",
+        "a:\nb: 1\n",
+        "a:\n",
+        "a:\n- 1\n- 2\nb:\n  - 3\n",
+        "a: 1\n  b: 2\n",
+        "a:\n- 1\n- - 2\n",
+        "a:\n- - 1\n  - 2\n- 3\n",
+        "a:\n    b: 1\n  c: 2\n",
+        "a: 1\n\nb: 2\n",
+        "a: 1\nb: 2",
+        "a: 1\r\nb: 2\r\n",
+        "a: True\nb: yes\nNo: 1\ny: 2\n",
+        "1: 0x10\n2: 010\n3: 1_000\n4: 1.5e3\n5: 1.5e+3\n6: .5\n7: 1:30\n",
+        "a: 2001-01-01\nb: ~\nc:\n- -0.0\n- 1.0e-05\n",
+        "a: 1 # one\n",
+        "- 1\n",
+        "a: b: c\n",
+        "a\n",
+    ],
+)
+def test_odd_layouts_are_read_as_pyyaml_reads_them(text: str):
+    try:
+        expected = yaml.load(text, yaml.SafeLoader)
+    except yaml.YAMLError:
+        expected = None
+    if isinstance(expected, dict):
+        assert repr(parse_yaml(Path("a.yaml"), text)) == repr(expected)
+    else:
+        with pytest.raises(DataError):
+            parse_yaml(Path("a.yaml"), text)
+
+
+def test_opv2vs_files_do_without_the_library(monkeypatch: pytest.MonkeyPatch):
+    content = {
+        "camera0": {"extrinsic": [[1.0, 0.5], [-2.0e-17, 1]], "cords": [1.5, -2.0]},
+        "ego_speed": 3.25,
+        "lidar_pose": [1.0, 2.0, 3.0, 0.0, -90.0, 0.0],
+        "plan_trajectory": [],
+        "RSU": True,
+        "vehicles": {7: {"angle": [0.0, 1.0, 0.0], "bp_id": "vehicle.audi.a2", "color": "1,2,3"}, 12: {"speed": 0.5}},
+    }
+    text = yaml.dump(content)
+    monkeypatch.setattr(yaml, "load", None)
+    assert parse_yaml(Path("a.yaml"), text) == content
