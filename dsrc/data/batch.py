@@ -20,7 +20,7 @@ from dsrc.models.reconstruction import Scene
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER
-from dsrc.ops.pillars import voxelise
+from dsrc.ops.pillars import grid_shape, voxelise
 from dsrc.ops.targets import assign_targets
 from sim.boxes import Boxes
 from sim.geometry import invert, transform_points
@@ -255,25 +255,40 @@ def _lost(samples: Sequence[Sample]) -> Tensor | None:
 
 def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Pillars:
     """Sort the points of (P, D) clouds into pillars."""
-    grid = settings.grid
-    cell = (grid.cell_m, grid.cell_m, grid.range_m[5] - grid.range_m[2])
     points, rows, coords, counts = [], [], [], []
     start = 0
     for number, cloud in enumerate(clouds):
-        voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
-        points.append(cloud.take(voxels.order, axis=0))
-        rows.append(np.repeat(np.arange(start, start + len(voxels)), voxels.count))
-        counts.append(voxels.count)
-        cloud_number = np.full((len(voxels.coords_zyx), 1), number)
-        coords.append(np.concatenate([cloud_number, voxels.coords_zyx[:, 1:]], axis=1))
-        start += len(voxels)
+        order, cells, count = _sorted(cloud, settings)
+        points.append(cloud.take(order, axis=0))
+        rows.append(np.repeat(np.arange(start, start + len(count)), count))
+        counts.append(count)
+        coords.append(np.concatenate([np.full((len(cells), 1), number), cells], axis=1))
+        start += len(count)
     return Pillars(
         points=torch.from_numpy(np.concatenate(points).astype(np.float32, copy=False)),
         pillar=torch.from_numpy(np.concatenate(rows)),
-        coords=torch.from_numpy(np.concatenate(coords).astype(np.int64)),
+        coords=torch.from_numpy(np.concatenate(coords).astype(np.int64, copy=False)),
         count=torch.from_numpy(np.concatenate(counts)),
         clouds=len(clouds),
     )
+
+
+def _sorted(
+    cloud: NDArray[np.float32], settings: ModelSettings
+) -> tuple[NDArray[np.int64], NDArray[np.integer], NDArray[np.int64]]:
+    """Return (K,) points, pillar by pillar, and the pillars' (V, 2) rows and columns and (V,) numbers of points."""
+    grid = settings.grid
+    cell = (grid.cell_m, grid.cell_m, grid.range_m[5] - grid.range_m[2])
+    try:
+        from dsrc.data import kernel
+    except ImportError:
+        voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
+        return voxels.order, voxels.coords_zyx[:, 1:], voxels.count
+    low, size = np.array(grid.range_m[:3], np.float32), np.array(cell, np.float32)
+    shape = grid_shape(grid.range_m, cell)
+    cloud = np.asarray(cloud, np.float32)
+    order, cells, count = kernel.sort_voxels(cloud, low, size, shape, settings.max_points, settings.max_pillars)
+    return order, np.stack(np.divmod(cells, shape[0]), axis=1), count
 
 
 def _painted_pillars(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Pillars:
@@ -296,27 +311,32 @@ def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> 
     grid, cell_z = settings.grid, settings.reconstruction_cell_z_m
     voxels, offsets = [], []
     for number, cloud in enumerate(merged):
-        x, y, z = _cells(cloud, grid, cell_z)
-        flat = (z * grid.height + y) * grid.width + x
-        occupied = np.zeros(settings.reconstruction_bins * grid.height * grid.width, bool)
-        occupied[flat] = True
-        cells = np.flatnonzero(occupied)
-        # Sums of a row for each occupied voxel stay in a processor's cache, those of all voxels do not.
-        row_of = np.zeros(len(occupied), np.int32)
-        row_of[cells] = np.arange(len(cells), dtype=np.int32)
-        row = row_of[flat]
-        count = np.bincount(row, minlength=len(cells))
-        mean = np.stack([np.bincount(row, cloud[:, k], len(cells)) for k in range(3)], axis=1) / count[:, None]
+        cells, count, sums = _summed(cloud, grid, cell_z)
         zyx = np.stack(np.unravel_index(cells, (settings.reconstruction_bins, grid.height, grid.width)), axis=1)
         size = np.array([grid.cell_m, grid.cell_m, cell_z])
         centre = (zyx[:, ::-1] + 0.5) * size + np.array(grid.range_m[:3])
         voxels.append(np.concatenate([np.full((len(cells), 1), number), zyx], axis=1))
-        offsets.append(mean - centre)
+        offsets.append(sums / count[:, None] - centre)
     return Scene(
         torch.from_numpy(np.concatenate(voxels).astype(np.int64)),
         torch.from_numpy(np.concatenate(offsets).astype(np.float32)),
         len(merged),
     )
+
+
+def _summed(
+    cloud: NDArray[np.float32], grid: GridSpec, cell_z: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return the (V,) flat cells with points, ascending, how many each has and the (V, 3) sums of these."""
+    try:
+        from dsrc.data import kernel
+    except ImportError:
+        x, y, z = _cells(cloud, grid, cell_z)
+        cells, row, count = np.unique((z * grid.height + y) * grid.width + x, return_inverse=True, return_counts=True)
+        return cells, count, np.stack([np.bincount(row, cloud[:, k], len(cells)) for k in range(3)], axis=1)
+    layers = round((grid.range_m[5] - grid.range_m[2]) / cell_z)
+    size, shape = np.array([grid.cell_m, grid.cell_m, cell_z]), np.array([grid.width, grid.height, layers])
+    return kernel.sum_cells(np.asarray(cloud, np.float32), np.array(grid.range_m[:3]), size, shape)
 
 
 def _cells(

@@ -20,8 +20,6 @@ CELL_M, CELLS = 2.0, 128
 """Boxes are listed by cells of the plane, so many along each axis before they begin anew."""
 GROWN_M = 1e-3
 """Boxes reach so far into other cells: more than any rounding."""
-SLACK_M = 1e-9
-"""That of `Boxes.contains`."""
 
 
 def _is_cached() -> bool:
@@ -221,7 +219,16 @@ def _cell(place: Any) -> Any:
 
 @njit(**_OPTIONS)
 def pairs_inside(
-    points: Any, matrix: Any, low: Any, high: Any, center: Any, size: Any, turn: Any, hull: Any, pairs: Any
+    points: Any,
+    matrix: Any,
+    low: Any,
+    high: Any,
+    margin: Any,
+    center: Any,
+    reach: Any,
+    turn: Any,
+    hull: Any,
+    pairs: Any,
 ) -> Any:
     """Find every pair of a point and a box that it lies in.
 
@@ -230,8 +237,9 @@ def pairs_inside(
         matrix: (4, 4) from the points' frame to the boxes'.
         low: (N, 3) least coordinates of the boxes' corners.
         high: (N, 3) greatest ones.
+        margin: how far beyond these a point may lie in a box, m.
         center: (N, 3).
-        size: (N, 3).
+        reach: (N, 3) how far from the centre a point may lie in a box, along its own axes.
         turn: (N, 2) cosine and sine of the headings.
         hull: ask whether a point lies between `low` and `high` only.
         pairs: (K, 2) int32 room for rows of points and of boxes.
@@ -239,13 +247,15 @@ def pairs_inside(
     Returns:
         How many pairs there are; the first K of them are in `pairs`.
     """
+    # A turned box grows by more along the axes: up to the root of 2.
+    grown = 1.5 * margin + GROWN_M
     start = np.zeros(CELLS * CELLS + 1, np.int64)
     boxes = np.zeros(0, np.int64)
     for filling in (False, True):
         # Once to count the boxes of each cell, once to list them; the starts of the cells are their ends at first.
         for box in range(len(low)):
-            x, y = low[box, 0] - GROWN_M, low[box, 1] - GROWN_M
-            columns, rows = (high[box, 0] + GROWN_M - x) / CELL_M, (high[box, 1] + GROWN_M - y) / CELL_M
+            x, y = low[box, 0] - grown, low[box, 1] - grown
+            columns, rows = (high[box, 0] + grown - x) / CELL_M, (high[box, 1] + grown - y) / CELL_M
             for column in range(min(int(columns) + 2, CELLS)):
                 for row in range(min(int(rows) + 2, CELLS)):
                     cell = _cell(x + column * CELL_M) * CELLS + _cell(y + row * CELL_M)
@@ -276,11 +286,96 @@ def pairs_inside(
                 dx, dy, dz = x - center[box, 0], y - center[box, 1], z - center[box, 2]
                 along = abs(turn[box, 0] * dx + turn[box, 1] * dy)
                 across = abs(turn[box, 0] * dy - turn[box, 1] * dx)
-                inside = along <= 0.5 * size[box, 0] + SLACK_M and across <= 0.5 * size[box, 1] + SLACK_M
-                inside = inside and abs(dz) <= 0.5 * size[box, 2] + SLACK_M
+                inside = along <= reach[box, 0] and across <= reach[box, 1] and abs(dz) <= reach[box, 2]
             if inside:
                 if found < len(pairs):
                     pairs[found, 0] = point
                     pairs[found, 1] = box
                 found += 1
     return found
+
+
+@njit(**_OPTIONS)
+def sort_voxels(points: Any, low: Any, size: Any, shape: Any, max_points: Any, max_voxels: Any) -> Any:
+    """Sort points into voxels, first come, first served; see `dsrc.ops.pillars.voxelise`.
+
+    Args:
+        points: (P, 3 or more) float32 x, y, z.
+        low: (3,) float32 where the range begins.
+        size: (3,) float32 sides of a voxel.
+        shape: (3,) int64 voxels along x, y and z.
+        max_points: cap per voxel.
+        max_voxels: cap on voxels.
+
+    Returns:
+        (K,) int64 the points that are kept, voxel by voxel; (V,) int64 the voxels' flat cells in z, y, x order and
+        (V,) int64 how many points each keeps.
+    """
+    opened = 0
+    voxel_at = np.full(shape[0] * shape[1] * shape[2], -1, np.int32)
+    cells = np.zeros(min(len(points), max_voxels), np.int64)
+    count = np.zeros(len(cells), np.int64)
+    voxel_of = np.full(len(points), -1, np.int32)
+    for point in range(len(points)):
+        x = np.floor((points[point, 0] - low[0]) / size[0])
+        y = np.floor((points[point, 1] - low[1]) / size[1])
+        z = np.floor((points[point, 2] - low[2]) / size[2])
+        if not (x >= 0 and x < shape[0] and y >= 0 and y < shape[1] and z >= 0 and z < shape[2]):
+            continue
+        cell = (np.int64(z) * shape[1] + np.int64(y)) * shape[0] + np.int64(x)
+        voxel = voxel_at[cell]
+        if voxel < 0:
+            if opened == max_voxels:
+                continue
+            voxel = np.int32(opened)
+            voxel_at[cell] = voxel
+            cells[opened] = cell
+            opened += 1
+        if count[voxel] < max_points:
+            voxel_of[point] = voxel
+            count[voxel] += 1
+    place = np.cumsum(count[:opened]) - count[:opened]
+    order = np.zeros(count.sum(), np.int64)
+    for point in range(len(points)):
+        voxel = voxel_of[point]
+        if voxel >= 0:
+            order[place[voxel]] = point
+            place[voxel] += 1
+    return order, cells[:opened], count[:opened]
+
+
+@njit(**_OPTIONS)
+def sum_cells(points: Any, low: Any, size: Any, shape: Any) -> Any:
+    """Add up the points of each cell; those beyond the range are in its outermost cells.
+
+    Args:
+        points: (P, 3 or more) float32 x, y, z.
+        low: (3,) float64 where the range begins.
+        size: (3,) float64 sides of a cell.
+        shape: (3,) int64 cells along x, y and z.
+
+    Returns:
+        (V,) int64 flat cells in z, y, x order with a point, ascending; (V,) int64 how many each has and (V, 3) float64
+        their sums.
+    """
+    found = 0
+    row_of = np.full(shape[0] * shape[1] * shape[2], -1, np.int32)
+    # Sums of a row for each cell with points stay in a processor's cache, those of all cells do not.
+    count = np.zeros(min(len(points), len(row_of)), np.int64)
+    sums = np.zeros((len(count), 3))
+    for point in range(len(points)):
+        cell = 0
+        for axis in (2, 1, 0):
+            place = (np.float64(points[point, axis]) - low[axis]) / size[axis]
+            cell = cell * shape[axis] + np.int64(min(max(place, 0.0), np.float64(shape[axis] - 1)))
+        row = row_of[cell]
+        if row < 0:
+            row = np.int32(found)
+            row_of[cell] = row
+            found += 1
+        count[row] += 1
+        for axis in range(3):
+            sums[row, axis] += np.float64(points[point, axis])
+    cells = np.flatnonzero(row_of >= 0)
+    rows = row_of[cells]
+    return cells, count[rows], sums[rows]

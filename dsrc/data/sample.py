@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.inside import points_in_boxes
 from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, complaint
@@ -172,7 +173,9 @@ def _own_body(frame: Frame, row: int) -> NDArray[np.bool_]:
     agent = frame.agents[row]
     points = agent.sweep.points
     if agent.sweep.spec is None:
-        plane = points[:, :2]
-        return np.all((plane >= _OWN_BODY_LOW) & (plane <= _OWN_BODY_HIGH), axis=1)
+        (x, y), low, high = points[:, :2].T, _OWN_BODY_LOW, _OWN_BODY_HIGH
+        return (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
     own = frame.truth[frame.truth.object_id == agent.agent_id].transform(invert(agent.sweep.world_from_lidar))
-    return np.any(own.contains(points, _OWN_BODY_MARGIN_M), axis=0)
+    mask = np.zeros(len(points), bool)
+    mask[points_in_boxes(own, points, margin=_OWN_BODY_MARGIN_M)[0]] = True
+    return mask

@@ -11,8 +11,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.inside import points_in_boxes
 from dsrc.data.sample import Sample
-from sim.boxes import Boxes
+from sim.boxes import Boxes, concatenate
 
 Inside = Literal["rotated", "hull"]
 """`rotated`: the box itself, as in the paper; `hull`: its axis-aligned hull, as the released code has it."""
@@ -55,16 +56,15 @@ def teacher_clouds(
     """
     merged = np.concatenate([*sample.clouds, *further, np.zeros((0, 4), np.float32)])
     starts = np.cumsum([0] + [len(cloud) for cloud in sample.clouds])
-    members = _Members(merged, inside)
+    on_objects = _on_objects(merged, sample.agent_boxes, inside)
     clouds, object_clouds = [], []
-    for agent, boxes in enumerate(sample.agent_boxes):
+    for agent, (boxes, on_object) in enumerate(zip(sample.agent_boxes, on_objects, strict=True)):
         own = slice(starts[agent], starts[agent + 1])
         if inside == "hull" and len(boxes) == 0:
             whole = _painted(sample.clouds[agent], 0.0)
             clouds.append(whole)
             object_clouds.append(whole)
             continue
-        on_object = members.of(boxes)
         chosen = np.flatnonzero(on_object) if dense else starts[agent] + np.flatnonzero(on_object[own])
         others = starts[agent] + np.flatnonzero(~on_object[own])
         cloud = _painted(merged.take(np.concatenate([chosen, others]), axis=0), 0.0)
@@ -74,40 +74,19 @@ def teacher_clouds(
     return TeacherClouds(tuple(clouds), tuple(object_clouds), merged)
 
 
+def _on_objects(points: NDArray[np.float32], agent_boxes: Sequence[Boxes], inside: Inside) -> NDArray[np.bool_]:
+    """Return (A, M) whether each point lies in one of each agent's boxes."""
+    boxes = concatenate(list(agent_boxes))
+    # Most objects are known to several agents.
+    _, first, same = np.unique(boxes.array, axis=0, return_index=True, return_inverse=True)
+    rows, owners = points_in_boxes(boxes[first], points, hull=inside == "hull")
+    known = np.zeros((len(agent_boxes), len(first)), bool)
+    known[np.repeat(np.arange(len(agent_boxes)), [len(own) for own in agent_boxes]), same.reshape(-1)] = True
+    mask = np.zeros((len(agent_boxes), len(points)), bool)
+    for agent in range(len(agent_boxes)):
+        mask[agent, rows[known[agent, owners]]] = True
+    return mask
+
+
 def _painted(cloud: NDArray[np.float32], value: float) -> NDArray[np.float32]:
     return np.concatenate([cloud, np.full((len(cloud), 1), value, np.float32)], axis=1)
-
-
-class _Members:
-    """Finds the points in boxes; sorted by x once, so that each box looks at a thin slice only."""
-
-    def __init__(self, points: NDArray[np.float32], inside: Inside) -> None:
-        self._order = np.argsort(points[:, 0])
-        self._points = points[self._order, :3]
-        self._inside = inside
-        self._known: dict[bytes, NDArray[np.int64]] = {}
-
-    def of(self, boxes: Boxes) -> NDArray[np.bool_]:
-        """Return (M,) whether each point, in the order given at first, lies in any of the boxes."""
-        mask = np.zeros(len(self._order), bool)
-        if len(boxes) == 0:
-            return mask
-        # The comparison is in float32 like the points, so that a face means the same for both.
-        corners = boxes.corners().astype(np.float32)
-        low, high = corners.min(axis=1), corners.max(axis=1)
-        for row in range(len(boxes)):
-            key = boxes.array[row].tobytes()
-            if key not in self._known:
-                self._known[key] = self._in_box(boxes[row : row + 1], low[row], high[row])
-            mask[self._known[key]] = True
-        return mask
-
-    def _in_box(self, box: Boxes, low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.int64]:
-        first = np.searchsorted(self._points[:, 0], low[0], "left")
-        last = np.searchsorted(self._points[:, 0], high[0], "right")
-        near = self._points[first:last]
-        if self._inside == "hull":
-            mask = ((near >= low) & (near <= high)).all(axis=1)
-        else:
-            mask = box.contains(near)[0]
-        return self._order[first:last][mask]

@@ -49,6 +49,15 @@ def test_faces_are_included_and_overlapping_boxes_both_have_a_point():
     assert sorted(owners[rows == 0]) == list(range(100))
 
 
+@given(st.integers(0, 999), st.floats(0.0, 2.0))
+def test_boxes_may_be_grown(seed: int, margin: float):
+    boxes, points = street(seed, 8, 200)
+    rows, owners = points_in_boxes(boxes, points, margin=margin)
+    mask = np.zeros((8, 200), bool)
+    mask[owners, rows] = True
+    assert np.array_equal(mask, boxes.contains(points, margin))
+
+
 @pytest.mark.parametrize("hull", [True, False])
 def test_without_a_compiler_the_pairs_are_the_same(monkeypatch: pytest.MonkeyPatch, hull: bool):
     boxes, points = street(1, 10, 500)
