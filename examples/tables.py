@@ -39,6 +39,8 @@ RIVALS = (
     "ermvp",
     "mrcnet-style",
 )
+STRONGEST = "where2comm"
+"""The rival that has three seeds, like DSRC and its plain student: best on the validation drives with the first."""
 TOML = Path(__file__).parents[1] / "docs/results/dsrc-sim-small/benchmark.toml"
 
 
@@ -102,7 +104,14 @@ def campaign() -> list[Training]:
         Training("dsrc-max_s0", "dsrc-max", "student", teacher="teacher"),
         Training("dsrc-alone_s0", "dsrc-alone", "student", teacher="teacher"),
         *(Training(f"dsrc_s{seed}", "dsrc", "student", seed, teacher="teacher") for seed in SEEDS[1:]),
-        *(Training(f"attfuse_s{seed}", "attfuse", "student", seed) for seed in SEEDS[1:]),
+        *(Training(f"{m}_s{seed}", m, "student", seed) for m in ("attfuse", STRONGEST) for seed in SEEDS[1:]),
+        *(
+            Training(f"dsrc-{name}_s0", "dsrc", "student", 0, (setting,), "teacher")
+            for name, setting in (
+                ("thinned", "augmentation.thinning=0.5"),
+                ("corrupted", "augmentation.corruption=0.5"),
+            )
+        ),
         *(
             Training(f"teacher-{name}", "dsrc-alone", "teacher", passes=2, settings=("ema=0.998", *parts), init=FIRST)
             for name, parts in ablations.items()

@@ -145,11 +145,16 @@ def compared(view: View) -> list[str]:
 
 
 def averaged(view: View) -> list[str]:
-    """Return the methods whose mean Figure 4 shows: none used otherwise or, as in Tables 3 and 4, wrapped."""
+    """Return the methods whose mean Figure 4 shows: none used otherwise or, as in Tables 3 and 4, wrapped.
+
+    Of several that are one method by their settings, as when its clouds were changed for its training, the first.
+    """
+    first = {settings: name for name, settings in reversed(view.settings.items())}
     return [
         name
         for name in compared(view)
         if not view.trained[name][0].use
+        and first[view.settings[name]] == name
         and (parts_of(view.settings[name]) == _PLAIN or view.settings[name].fusion == "attention")
     ]
 
