@@ -11,6 +11,7 @@ Usage:
 """
 
 import argparse
+import csv
 import os
 import subprocess
 import sys
@@ -22,6 +23,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from dsrc.evaluation.tables import write_atomic
 from dsrc.training.recipes import RECIPES
 
 FIRST, START = "first", "start"
@@ -173,11 +175,27 @@ def main() -> None:
             print(" ".join(command(training, options)))
         return
     failed = train_all(wanted, options)
+    write_atomic(options.out / "trainings.csv", record(options.out))
     if failed:
         sys.exit(f"failed: {', '.join(failed)}; see {options.out}/NAME.log")
     if options.recipe == "small" and not options.only:
         measure = ["benchmark", str(TOML), "--out", str(options.out / "benchmark"), "--workers", str(options.jobs)]
         subprocess.run([sys.executable, "-m", "dsrc", *measure], check=True)
+
+
+def record(out: Path) -> str:
+    """Return the trainings that are done as CSV: what they began with, how long they took, how well they ended."""
+    lines = ["name,method,stage,seed,init,teacher,settings,steps,minutes,val_ap_bev_50,val_ap_bev_70"]
+    for training in campaign():
+        path = out / training.name / training.stage / "metrics.csv"
+        if not training.detector(out).exists() or not path.exists():
+            continue
+        rows = list(csv.DictReader(path.open(encoding="utf-8")))
+        minutes = sum(float(row["seconds"]) for row in rows) / 60
+        what = [training.method, training.stage, str(training.seed), training.init, training.teacher]
+        end = [rows[-1]["step"], f"{minutes:.1f}", rows[-1]["val/ap_bev_50"], rows[-1]["val/ap_bev_70"]]
+        lines.append(",".join([training.name, *what, " ".join(training.settings), *end]))
+    return "\n".join(lines) + "\n"
 
 
 def selected(names: list[str] | None) -> list[Training]:

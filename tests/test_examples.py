@@ -74,6 +74,25 @@ def test_the_campaign_trains_every_detector_of_the_tables_after_those_it_needs()
     assert table["pictures"]["teacher"] in made
 
 
+def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path) -> None:
+    run_folder = tmp_path / "runs/first/plain"
+    for folder in (run_folder, tmp_path / "data/train", tmp_path / "data/validation"):
+        folder.mkdir(parents=True)
+    (run_folder / "detector.pt").write_bytes(b"done")
+    columns = "epoch,step,seconds,val/ap_bev_50,val/ap_bev_70\n"
+    (run_folder / "metrics.csv").write_text(f"{columns}0,10,60.0,0.1,0.0\n1,20,30.0,0.2,0.1\n")
+    arguments = ("--data", str(tmp_path / "data"), "--out", str(tmp_path / "runs"), "--only", "first")
+    run(ROOT / "examples/tables.py", *arguments)
+    assert (run_folder / "detector.pt").read_bytes() == b"done"
+    names, *lines = (tmp_path / "runs/trainings.csv").read_text().splitlines()
+    assert [dict(zip(names.split(","), line.split(","), strict=True)) for line in lines] == [
+        {
+            **{"name": "first", "method": "no-collaboration", "stage": "plain", "seed": "0", "init": "", "teacher": ""},
+            **{"settings": "", "steps": "20", "minutes": "1.5", "val_ap_bev_50": "0.2", "val_ap_bev_70": "0.1"},
+        }
+    ]
+
+
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
