@@ -114,7 +114,7 @@ def campaign() -> list[Training]:
                 ("corrupted", "augmentation.corruption=0.5"),
             )
         ),
-        # Without paint a teacher's clouds are like those of the start, with it like the teacher's: from there it is short.
+        # Without paint a teacher's clouds are like those of the start, with it like the teacher's: a short way.
         Training("teacher-sdd", "dsrc-alone", "teacher", settings=ablations["sdd"], init=START),
         Training("teacher-pcp", "dsrc-alone", "teacher", settings=ablations["pcp"], init="teacher"),
         *(
