@@ -633,7 +633,8 @@ def benchmark(
     write_atomic(out / "tables.md", "\n".join(block.markdown(Path()) for block in blocks))
     for dataset in plan.datasets:
         sheet = table_1(View.of(outcome, dataset.name))
-        _console().print(sheet.terminal(len(sheet.columns) - 2))  # bytes and times are in the files
+        console = _console()
+        console.print(sheet.terminal(len(sheet.columns) - 2, console.width))  # bytes and times are in the files
     for block in blocks:
         if not block.picture and "left out: " in block.text:
             _say(block.text.strip())

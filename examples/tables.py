@@ -12,7 +12,10 @@ Usage:
 
 import argparse
 import csv
+import io
+import json
 import os
+import shlex
 import subprocess
 import sys
 import time
@@ -23,6 +26,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from dsrc.evaluation.provenance import hash_file
 from dsrc.evaluation.tables import write_atomic
 from dsrc.training.recipes import RECIPES
 
@@ -150,9 +154,9 @@ def main() -> None:
     )
     parser.add_argument("--data", type=Path, required=True, help="folder with train, validation and test")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run folders")
-    parser.add_argument("--recipe", default="small", choices=sorted(RECIPES))
-    parser.add_argument("--steps", type=int, default=400, help="of each method after the common start")
-    parser.add_argument("--jobs", type=int, default=2, help="trainings at a time; they share the cores")
+    parser.add_argument("--recipe", default="small", choices=sorted(RECIPES), help="default: small")
+    parser.add_argument("--steps", type=int, default=400, help="of each method after the common start; default: 400")
+    parser.add_argument("--jobs", type=int, default=2, help="trainings at a time, which share the cores; default: 2")
     parser.add_argument("--workers", type=int, default=0, help="processes that prepare batches, of each training")
     parser.add_argument("--bfloat16", action=argparse.BooleanOptionalAction, default=True)
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these, and what they need")
@@ -164,36 +168,52 @@ def main() -> None:
     for name, least in (("steps", 1), ("jobs", 1), ("workers", 0)):
         if getattr(options, name) < least:
             parser.error(f"--{name}: expected at least {least}, found {getattr(options, name)}")
-    for part in ("train", "validation"):
+    for part in ("train", "validation", "test"):
         if not options.dry_run and not (options.data / part).is_dir():
             parser.error(f"--data: expected a folder {part} in {options.data}, found none")
     wanted = selected(options.only)
     if options.dry_run:
         for training in wanted:
-            print(" ".join(command(training, options)))
+            print(shlex.join(command(training, options)))
         return
     failed = train_all(wanted, options)
     write_atomic(options.out / "trainings.csv", record(options.out))
     if failed:
         sys.exit(f"failed: {', '.join(failed)}; see {options.out}/NAME.log")
-    if options.recipe == "small" and not options.only:
+    # The tables' file names the runs and the data by where the usage has them.
+    usual = (
+        options.out.resolve() == Path("runs").resolve() and options.data.resolve() == Path("data/dsrc-sim").resolve()
+    )
+    if options.recipe == "small" and not options.only and usual:
         measure = ["benchmark", str(TOML), "--out", str(options.out / "benchmark"), "--workers", str(options.jobs)]
         subprocess.run([sys.executable, "-m", "dsrc", *measure], check=True)
+    else:
+        print(f"now measure: dsrc benchmark {TOML}, with the folders that it names made yours")
 
 
 def record(out: Path) -> str:
-    """Return the trainings that are done as CSV: what they began with, how long they took, how well they ended."""
-    lines = ["name,method,stage,seed,init,teacher,settings,steps,minutes,val_ap_bev_50,val_ap_bev_70"]
-    for training in campaign():
-        path = out / training.name / training.stage / "metrics.csv"
-        if not training.detector(out).exists() or not path.exists():
-            continue
-        rows = list(csv.DictReader(path.open(encoding="utf-8")))
+    """Return the trainings that are done as CSV: what their run folders say of how they began and ended."""
+    done = [t for t in campaign() if t.detector(out).exists() and (out / t.name / t.stage / "metrics.csv").exists()]
+    names = {hash_file(t.detector(out)): t.name for t in done}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    columns = ("name", "method", "stage", "seed", "init", "teacher", "settings", "steps", "minutes")
+    writer.writerow([*columns, "val_ap_bev_50", "val_ap_bev_70"])
+    for training in done:
+        folder = out / training.name / training.stage
+        made = json.loads((folder / "settings.json").read_text(encoding="utf-8"))
+        init, teacher = (made.get("init") or {}).get("sha256"), made.get("teacher")
+        rows = list(csv.DictReader((folder / "metrics.csv").open(encoding="utf-8")))
         minutes = sum(float(row["seconds"]) for row in rows) / 60
-        what = [training.method, training.stage, str(training.seed), training.init, training.teacher]
-        end = [rows[-1]["step"], f"{minutes:.1f}", rows[-1]["val/ap_bev_50"], rows[-1]["val/ap_bev_70"]]
-        lines.append(",".join([training.name, *what, " ".join(training.settings), *end]))
-    return "\n".join(lines) + "\n"
+        writer.writerow(
+            [
+                *(training.name, training.method, made["settings"]["stage"], made["seed"]),
+                *("" if sha is None else names.get(sha, sha) for sha in (init, teacher)),
+                *(" ".join(training.settings), rows[-1]["step"], f"{minutes:.1f}"),
+                *(rows[-1].get(f"val/ap_bev_{iou}", "") for iou in (50, 70)),
+            ]
+        )
+    return text.getvalue()
 
 
 def selected(names: list[str] | None) -> list[Training]:

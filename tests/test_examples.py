@@ -76,9 +76,10 @@ def test_the_campaign_trains_every_detector_of_the_tables_after_those_it_needs()
 
 def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path) -> None:
     run_folder = tmp_path / "runs/first/plain"
-    for folder in (run_folder, tmp_path / "data/train", tmp_path / "data/validation"):
+    for folder in (run_folder, *(tmp_path / f"data/{part}" for part in ("train", "validation", "test"))):
         folder.mkdir(parents=True)
     (run_folder / "detector.pt").write_bytes(b"done")
+    (run_folder / "settings.json").write_text('{"settings": {"stage": "plain"}, "seed": 0, "teacher": null}')
     columns = "epoch,step,seconds,val/ap_bev_50,val/ap_bev_70\n"
     (run_folder / "metrics.csv").write_text(f"{columns}0,10,60.0,0.1,0.0\n1,20,30.0,0.2,0.1\n")
     arguments = ("--data", str(tmp_path / "data"), "--out", str(tmp_path / "runs"), "--only", "first")

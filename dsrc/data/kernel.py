@@ -248,7 +248,7 @@ def pairs_inside(
         How many pairs there are; the first K of them are in `pairs`.
     """
     # A turned box grows by more along the axes: up to the root of 2.
-    grown = 1.5 * margin + GROWN_M
+    grown = 1.5 * max(margin, 0.0) + GROWN_M
     start = np.zeros(CELLS * CELLS + 1, np.int64)
     boxes = np.zeros(0, np.int64)
     for filling in (False, True):
@@ -367,7 +367,9 @@ def sum_cells(points: Any, low: Any, size: Any, shape: Any) -> Any:
         cell = 0
         for axis in (2, 1, 0):
             place = (np.float64(points[point, axis]) - low[axis]) / size[axis]
-            cell = cell * shape[axis] + np.int64(min(max(place, 0.0), np.float64(shape[axis] - 1)))
+            # A comparison with NaN is false: a point that is nowhere is in the first cell, not outside of the arrays.
+            place = place if place > 0.0 else 0.0
+            cell = cell * shape[axis] + np.int64(min(place, np.float64(shape[axis] - 1)))
         row = row_of[cell]
         if row < 0:
             row = np.int32(found)

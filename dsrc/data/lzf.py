@@ -39,7 +39,10 @@ def _compiled() -> Callable[[NDArray[np.uint8], NDArray[np.uint8]], int]:
         from numba import njit  # takes half a second, and most files are not compressed
     except ImportError:
         return _decompress
-    return njit(cache=True)(_decompress)
+    try:
+        return njit(cache=True)(_decompress)
+    except RuntimeError:  # there is no folder to keep it in
+        return njit(_decompress)
 
 
 def _decompress(data: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:

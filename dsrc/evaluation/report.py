@@ -196,7 +196,9 @@ def _dataset(outcome: Outcome, dataset: str, folder: Path, made_by: Mapping[str,
 
 
 def _figure_of(sheet: Sheet, view: View, outcome: Outcome, looks: Mapping[str, Look]) -> Figure | None:
-    """Return the plot of a sheet."""
+    """Return the plot of a sheet; none of one without lines, or that has no plot."""
+    if not sheet.lines:
+        return None
     for axis in axes_of(outcome):
         if axis.name == sheet.name:
             return lines_of_sheet(sheet, axis.label, axis.places, looks)

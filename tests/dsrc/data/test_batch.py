@@ -63,3 +63,9 @@ def test_a_voxels_offset_is_that_of_the_mean_of_its_points():
     scene = scene_of([cloud], SETTINGS)
     assert scene.voxel.tolist() == [[0, 5, 1, 5], [0, 7, 4, 8]]
     np.testing.assert_allclose(scene.offset[1].numpy(), [0.0, -0.1, 0.125], atol=1e-6)
+
+
+@given(clouds)
+def test_a_point_that_is_nowhere_is_in_no_cell_beyond_the_grid(cloud):
+    z, y, x = scene_of([cloud], SETTINGS).voxel[:, 1:].numpy().T
+    assert all(((0 <= at) & (at < size)).all() for at, size in ((z, 10), (y, 8), (x, 16)))

@@ -244,6 +244,14 @@ def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
     assert {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} == written
 
 
+def test_parts_of_dsrc_alone_are_reported_too(tmp_path):
+    outcome = outcome_of({"dsrc": 1})
+    parts = replace(settings_of("dsrc"), pcp=False, rec=False)
+    outcome.trained["dsrc"] = [changed(one, settings=parts) for one in outcome.trained["dsrc"]]
+    assert compared(View.of(outcome, "made up")) == []
+    assert write_report(outcome, tmp_path)
+
+
 def test_results_may_lie_in_the_documents_own_folder(tmp_path):
     out = tmp_path / "results" / "small"
     blocks = write_report(outcome_of({"dsrc": 1}, name="Small"), out)
