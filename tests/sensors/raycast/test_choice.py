@@ -213,12 +213,15 @@ def test_an_interrupted_sweep_lets_nobody_in_before_its_workers_have_stopped(mon
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
 
     monkeypatch.setattr(fused._Job, "make", slowly)
+    # What a shell has started in the background does not hear of interrupts by itself.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     user = threading.Thread(target=impatient)
     user.start()
     with pytest.raises(KeyboardInterrupt):
         scan_all(scene, [sensor], threads=2)
     still_at_work, locked = len(begun) - len(ended), scene.engine._lock.locked()
     user.join()
+    signal.signal(signal.SIGINT, before)
     assert begun and still_at_work == 0 and not locked
     # What nobody waits for any more is not begun.
     assert len(begun) <= 2
