@@ -55,12 +55,15 @@ def assert_same(found, expected, atol=2e-5, rtol=1e-5):
 @pytest.mark.parametrize("method", FUSIONS)
 def test_it_gives_the_same_maps_for_every_method(method):
     detector = a_detector(fusion=method)
+    before = {name: value.clone() for name, value in detector.state_dict().items()}
     fast, pillars = deployed(detector), some_pillars(detector)
     company = Company((1, 1, 1)) if method in ("none", "early", "late") else Company(AGENTS)
     with torch.inference_mode():
         expected = detector(pillars, company)
         assert_same(fast(pillars, company), expected)
-        assert_same(detector(pillars, company), expected, atol=0.0, rtol=0.0)
+        # A network's last bits may change from run to run, with how its threads share the work; its weights may not.
+        assert_same(detector(pillars, company), expected)
+    assert all(torch.equal(value, before[name]) for name, value in detector.state_dict().items())
     assert any(isinstance(module, FusedConv) for module in fast.modules())
 
 
