@@ -6,14 +6,25 @@ import torch
 from torch import Tensor, nn
 
 
-def double_conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
-    """Two convolutions without batch norm; the first has the kernel and the stride, the second is 3 x 3."""
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, kernel, stride=stride, padding=kernel // 2),
-        nn.ReLU(inplace=True),
-        nn.Conv2d(outputs, outputs, 3, padding=1),
-        nn.ReLU(inplace=True),
-    )
+def double_conv(
+    inputs: int, outputs: int, kernel: int = 3, stride: int = 1, norm_momentum: float | None = None
+) -> nn.Sequential:
+    """Two convolutions with ReLUs; the first has the kernel and the stride, the second is 3 x 3.
+
+    Args:
+        inputs: channels.
+        outputs: channels.
+        kernel: of the first convolution.
+        stride: of the first convolution.
+        norm_momentum: of a batch norm after each convolution; None for none, as in the released code.
+    """
+
+    def layer(fro: int, kernel: int, stride: int) -> tuple[nn.Module, ...]:
+        convolution = nn.Conv2d(fro, outputs, kernel, stride, kernel // 2, bias=norm_momentum is None)
+        norm = () if norm_momentum is None else (nn.BatchNorm2d(outputs, eps=1e-3, momentum=norm_momentum),)
+        return convolution, *norm, nn.ReLU(inplace=True)
+
+    return nn.Sequential(*layer(inputs, kernel, stride), *layer(outputs, 3, 1))
 
 
 def upsample(inputs: int, outputs: int, stride: int, momentum: float) -> nn.Sequential:

@@ -76,7 +76,12 @@ class Detector(nn.Module):
         self.by_stage = self.fusion.place == "stages"
         widths = self.fusion.widths(settings)
         self.decoder = Decoder(upsample(widths[k], decoder, 2**k, momentum) for k in range(3))
-        self.shrink = double_conv(3 * decoder, shrink, stride=1 if self.by_stage else 2)
+        self.shrink = double_conv(
+            3 * decoder,
+            shrink,
+            stride=1 if self.by_stage else 2,
+            norm_momentum=momentum if settings.shrink_norm else None,
+        )
         if not self.by_stage:
             self.widen = upsample(shrink, shrink, 2, momentum)
         if settings.compress > 1:

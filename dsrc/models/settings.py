@@ -59,7 +59,9 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         base_width: width of a Res2Net split at 64 channels; the split is `channels * base_width // 64`.
         decoder_channels: width of each scale after it was brought back to half the grid's resolution.
         shrink_channels: width of the two 3 x 3 convolutions before the heads.
-        norm_momentum: of the batch norms of the encoder and the decoder.
+        shrink_norm: batch norms in these two convolutions. The published networks have none; ours then lost nearly half
+            of the channels, which were negative in every cell.
+        norm_momentum: of the batch norms of the encoder, the decoder and the shrink convolutions.
         direction: a third head says which way along its anchor a box heads; without it, front and back are guessed.
         score_prior: confidence that an untrained head gives, None for the framework's own start.
         reconstruction_channels: widths of the reconstruction head, per vertical bin and after reduction.
@@ -94,6 +96,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     base_width: Count = 26
     decoder_channels: Count = 128
     shrink_channels: Count = 256
+    shrink_norm: bool = False
     norm_momentum: Share = 0.01
     direction: bool = False
     score_prior: Annotated[float, Meta(gt=0, lt=1)] | None = 0.01

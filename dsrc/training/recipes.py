@@ -210,6 +210,7 @@ def small() -> Recipe:
         norm_momentum=0.05,
         decoder_channels=64,
         shrink_channels=128,
+        shrink_norm=True,
         reconstruction_channels=(32, 8),
     )
     return Recipe(name="small", model=model, epochs=6, augmentation=Augmentation(dropout=0.4))

@@ -38,7 +38,7 @@ def talkative(**changes: object) -> Detector:
         model = changed(
             debug().model, grid=GRID, stage_channels=(16, 16, 16), shrink_channels=16, decoder_channels=16, **changes
         )
-        made = Detector(changed(model, score_threshold=0.005))
+        made = Detector(changed(model, score_threshold=0.005, score_prior=0.02))
         torch.nn.init.normal_(made.reg_head.bias, std=0.5)
         return made.eval()
 
