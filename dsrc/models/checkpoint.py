@@ -6,10 +6,11 @@ from typing import Any
 
 import msgspec
 import torch
+from msgspec.structs import replace
 
 from dsrc.models.deploy import ENGINES
 from dsrc.models.detector import Detector
-from dsrc.models.settings import ModelSettings
+from dsrc.models.settings import Fusion, ModelSettings
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 
 FORMAT = "dsrc-detector-1"
@@ -79,6 +80,35 @@ def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Dete
         hint = "; a teacher reads clouds that are made with ground truth"
         raise CheckpointError(complaint(path, "settings.role", "student", detector.settings.role, hint))
     return ENGINES[engine](detector)
+
+
+def with_fusion(detector: Detector, fusion: Fusion) -> Detector:
+    """Detector of the same weights that joins the agents' maps another way; the given one stays as it is.
+
+    Attention, maximum and none bring no weights: a teacher that was trained on the ego's cloud alone reads all agents'
+    clouds with either of the first two.
+
+    Args:
+        detector: a plain one, as `load_detector` gives it; `deployed` ones have weights of other names.
+        fusion: a key of `FUSIONS`.
+
+    Raises:
+        CheckpointError: the fusion has weights that the detector lacks, or the detector weights that it has no use for.
+    """
+    try:
+        other = Detector(replace(detector.settings, fusion=fusion))
+    except ValueError as error:  # the settings do not go together
+        raise CheckpointError(complaint("detector", "fusion", "one that goes with the settings", str(error))) from None
+    state = detector.state_dict()
+    shapes = {name: tuple(tensor.shape) for name, tensor in state.items()}
+    wanted = {name: tuple(tensor.shape) for name, tensor in other.state_dict().items()}
+    if shapes != wanted:
+        name = min(name for name in shapes.keys() | wanted.keys() if shapes.get(name) != wanted.get(name))
+        expected = f"one with the weights of '{detector.settings.fusion}'"
+        found = f"'{fusion}', where {name} is {wanted.get(name, 'missing')} for {shapes.get(name, 'missing')}"
+        raise CheckpointError(complaint("detector", "fusion", expected, found))
+    other.load_state_dict(state)
+    return other.to(detector.cls_head.weight.device).train(detector.training)
 
 
 def read_meta(path: Path) -> dict[str, Any]:

@@ -6,10 +6,14 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.models.checkpoint import load_detector, load_student, read_meta, save_detector
-from dsrc.models.detector import Detector
+from dsrc.data.batch import collate
+from dsrc.data.sample import make_sample
+from dsrc.models.checkpoint import load_detector, load_student, read_meta, save_detector, with_fusion
+from dsrc.models.detector import Detector, Output
+from dsrc.models.settings import Fusion
 from dsrc.training.recipes import debug, small
 from sim.errors import CheckpointError
+from tests.dsrc.training.drive import frame
 
 
 def detector(seed: int = 0) -> Detector:
@@ -118,3 +122,48 @@ def test_settings_that_make_no_network_are_refused(tmp_path: Path, change: dict,
     content = torch.load(path, weights_only=True)
     torch.save({**content, "settings": {**content["settings"], **change}}, path)
     assert word in refusal(path)
+
+
+def output_of(teacher: Detector, agents: int) -> Output:
+    """Return what a teacher makes of the first agents of a frame with three."""
+    sample = make_sample(frame(0, ground=300, per_car=60), None, teacher.settings.grid, max_agents=agents)
+    batch = collate([sample], teacher.settings, training=False)
+    assert batch.teacher is not None
+    with torch.inference_mode():
+        return teacher(batch.teacher, batch.company)
+
+
+def test_a_teacher_of_the_ego_alone_reads_all_agents_with_a_fusion_without_weights() -> None:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        alone = Detector(replace(debug().model, role="teacher", fusion="none")).eval()
+    together = with_fusion(alone, "attention")
+    assert (together.settings, together.training) == (replace(alone.settings, fusion="attention"), False)
+    for name, tensor in alone.state_dict().items():
+        assert torch.equal(together.state_dict()[name], tensor)
+    assert len(output_of(alone, 2).stages[0]) == 1
+    assert len(output_of(together, 2).stages[0]) == 2
+    assert not torch.equal(output_of(together, 2).fused, output_of(alone, 2).fused)
+    back = with_fusion(together, "none")
+    assert torch.equal(output_of(back, 2).fused, output_of(alone, 2).fused)
+
+
+def test_a_detector_of_another_fusion_has_weights_of_its_own() -> None:
+    plain = detector().eval()
+    before = {name: tensor.clone() for name, tensor in plain.state_dict().items()}
+    with torch.no_grad():
+        with_fusion(plain, "max").cls_head.weight.zero_()
+    assert all(torch.equal(tensor, before[name]) for name, tensor in plain.state_dict().items())
+
+
+@pytest.mark.parametrize("fusion", ["v2vnet", "v2xvit", "cobevt", "coalign", "ermvp", "mrcnet"])
+def test_a_fusion_with_weights_takes_none_from_a_detector_without(fusion: Fusion) -> None:
+    with pytest.raises(CheckpointError, match=rf"fusion: expected .* 'attention', found '{fusion}', where") as error:
+        with_fusion(detector(), fusion)
+    assert "\n" not in str(error.value)
+
+
+def test_settings_that_a_fusion_does_not_go_with_are_told() -> None:
+    few = Detector(replace(debug().model, share=0.5))
+    with pytest.raises(CheckpointError, match="share, bits: expected a fusion of maps, found none"):
+        with_fusion(few, "none")
