@@ -10,6 +10,7 @@ from dsrc.data.sample import GridSpec
 Fusion = Literal[
     "attention",
     "max",
+    "max_map",
     "none",
     "late",
     "early",

@@ -7,7 +7,7 @@ from dsrc.models.fusion.cobevt import CoBEVT
 from dsrc.models.fusion.early import EarlyFusion
 from dsrc.models.fusion.ermvp import ERMVP
 from dsrc.models.fusion.late import LateFusion
-from dsrc.models.fusion.max import MaxFusion
+from dsrc.models.fusion.max import MaxFusion, MaxMapFusion
 from dsrc.models.fusion.mrcnet import MRCNetStyle
 from dsrc.models.fusion.none import NoFusion
 from dsrc.models.fusion.v2vnet import V2VNet
@@ -21,6 +21,7 @@ FUSIONS: dict[str, type[Fusion]] = {
     "early": EarlyFusion,
     "late": LateFusion,
     "max": MaxFusion,
+    "max_map": MaxMapFusion,
     "attention": AttentionFusion,
     "v2vnet": V2VNet,
     "v2xvit": V2XViT,
