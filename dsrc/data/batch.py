@@ -166,7 +166,9 @@ def collate(
         return batch
     scene = None
     if settings.rec and not for_teacher:
-        scene = scene_of([np.concatenate(sample.clouds) for sample in samples], settings)
+        # All agents' scene, also where the student hears few of them: its target is what they saw together.
+        merged = [np.concatenate([*part.clouds, *_unheard(part, sample, settings)]) for part, sample in whole]
+        scene = scene_of(merged, settings)
     return replace(batch, targets=_targets(samples, settings, labels), scene=scene)
 
 

@@ -69,7 +69,30 @@ class Reconstruction(nn.Module):
         return functional.linear(volume[b, :, z, y, x], weight, self.offset.bias)
 
 
-def reconstruction_losses(head: Reconstruction, fused: Tensor, scene: Scene) -> tuple[Tensor, Tensor]:
+def windowed(fused: Tensor, scene: Scene, share: float) -> tuple[Tensor, Scene]:
+    """Return a random window of the fused feature, and of the scene what lies in it.
+
+    Args:
+        fused: (B, C, h, w) fused feature.
+        scene: its voxels, two by two to a cell of the feature.
+        share: of the feature's height and width; 1 returns both as they are.
+    """
+    if share == 1:
+        return fused, scene
+    sizes = [max(round(size * share), 1) for size in fused.shape[-2:]]
+    starts = [int(torch.randint(whole - size + 1, ())) for whole, size in zip(fused.shape[-2:], sizes, strict=True)]
+    (top, left), (height, width) = starts, sizes
+    shift = scene.voxel.new_tensor([0, 0, 2 * top, 2 * left])
+    voxel = scene.voxel - shift
+    y, x = voxel[:, 2], voxel[:, 3]
+    inside = (y >= 0) & (y < 2 * height) & (x >= 0) & (x < 2 * width)
+    cut = fused[..., top : top + height, left : left + width]
+    return cut, Scene(voxel[inside], scene.offset[inside], scene.samples)
+
+
+def reconstruction_losses(
+    head: Reconstruction, fused: Tensor, scene: Scene, window: float = 1.0
+) -> tuple[Tensor, Tensor]:
     """Return the occupancy and the offset loss.
 
     The occupied voxels' cross entropy is weighted by N_background / N_foreground, as in the released code. (Equation 7
@@ -79,15 +102,18 @@ def reconstruction_losses(head: Reconstruction, fused: Tensor, scene: Scene) -> 
         head: the reconstruction head.
         fused: (B, C, h, w) fused feature of the student.
         scene: the voxels to give back.
+        window: share of the feature's height and width that is reconstructed, at a random place.
     """
+    fused, scene = windowed(fused, scene, window)
     logits, volume = head(fused)
+    logits = logits.float()
     target = torch.zeros_like(logits)
     b, z, y, x = scene.voxel.unbind(1)
     target[b, z, y, x] = 1.0
     ratio = (target.numel() - len(scene.voxel)) / max(len(scene.voxel), 1)
     weight = torch.tensor(ratio, dtype=logits.dtype, device=logits.device)
     mask_loss = functional.binary_cross_entropy_with_logits(logits, target, pos_weight=weight)
-    error = (head.offsets_at(volume, scene.voxel) - scene.offset).abs()
+    error = (head.offsets_at(volume, scene.voxel).float() - scene.offset).abs()
     # A component that lies exactly on the centre counts as absent, as released.
     valid = scene.offset != 0
     return mask_loss, (error * valid).sum() / valid.sum().clamp(min=1)

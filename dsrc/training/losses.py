@@ -4,10 +4,11 @@ Where the paper and its released code differ, `DistillSettings` has both: its de
 is the code. The reconstruction losses stand beside their head, in `dsrc.models.reconstruction`.
 """
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 import torch
+from msgspec import Meta
 from torch import Tensor
 from torch.nn import functional
 
@@ -21,11 +22,14 @@ class DistillSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         dae, daf, dap: weights of the distillation after encoding, fusion and prediction (alpha, beta, gamma).
+        fade: last share of the steps, over which these weights fall to 0 in a straight line: what is left to learn then
+            is the detection itself.
         form: `paper`: binary masks. Squared feature differences are taken over the foreground, relative to the
             teacher's mean square there, and averaged over the scales: the sums of Equations 2 and 3 grow with the
             grid, the agents and the features, and would outweigh the detection loss tenfold. Prediction by the
-            Kullback-Leibler divergence of each anchor's own probability and, for the box residuals, of unit normals
-            around both predictions (half the squared difference), both as means over foreground cells.
+            Kullback-Leibler divergence of each foreground anchor's own probability and, for the box residuals of
+            positive anchors, of unit normals around both predictions (half the mean squared difference), both per
+            number of positives, as the detection loss: means over the foreground would be 2 % of it.
             Equation 3 has no mask; `daf_mask` decides.
             `released`: bilinear soft masks, means over all elements including the masked zeros, and softmaxes over
             the two anchors and over the 14 residuals.
@@ -39,6 +43,7 @@ class DistillSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     dae: float = 1.0
     daf: float = 1.0
     dap: float = 0.5
+    fade: Annotated[float, Meta(ge=0, le=1)] = 0.0
     form: Literal["paper", "released"] = "paper"
     daf_mask: bool = True
     teacher_norms: Literal["fixed", "moving"] = "fixed"
@@ -104,15 +109,32 @@ def consistency_loss(view: Output, clean: Output, positive: Tensor) -> Tensor:
         clean: output in the clean view.
         positive: (B, h, w, 2) bool.
     """
+    return _prediction_error(view, clean, positive, torch.ones_like(view.cls[:, :1]))
+
+
+def _prediction_error(student: Output, teacher: Output, positive: Tensor, where: Tensor) -> Tensor:
+    """Return how far predictions are from others, which do not move, per number of positives, a mean over samples.
+
+    Args:
+        student: output with gradient.
+        teacher: output to come near to.
+        positive: (B, h, w, 2) bool anchors whose residuals are compared.
+        where: (B, 1, h, w) 1 in the cells whose probabilities are compared.
+    """
     count = positive.flatten(1).sum(1).clamp(min=1)
-    divergence = _bernoulli_kl(clean.cls.detach(), view.cls).flatten(1).sum(1)
-    error = (view.reg - clean.reg.detach()).permute(0, 2, 3, 1).unflatten(-1, (2, 7))
+    divergence = (_bernoulli_kl(teacher.cls.detach(), student.cls) * where).flatten(1).sum(1)
+    error = (student.reg - teacher.reg.detach()).permute(0, 2, 3, 1).unflatten(-1, (2, 7))
     residuals = 0.5 * (error.square().mean(-1) * positive).flatten(1).sum(1)
     return ((divergence + residuals) / count).mean()
 
 
 def distillation_losses(
-    student: Output, teacher: Output, foreground: Tensor, agents: tuple[int, ...], settings: DistillSettings
+    student: Output,
+    teacher: Output,
+    foreground: Tensor,
+    positive: Tensor,
+    agents: tuple[int, ...],
+    settings: DistillSettings,
 ) -> dict[str, Tensor]:
     """Return the weighted losses `dae`, `daf` and `dap`.
 
@@ -120,6 +142,7 @@ def distillation_losses(
         student: its output, with gradient.
         teacher: its output on the teacher's clouds.
         foreground: (N, H, W) bool, cells that hold a point on one of the agent's objects.
+        positive: (B, h, w, 2) bool anchors that are responsible for a box.
         agents: number of agents of each row of the fused maps.
         settings: weights and forms.
     """
@@ -131,10 +154,7 @@ def distillation_losses(
     union = torch.stack([group.amax(0) for group in masks[0].split(list(agents))])
     whole = torch.ones_like(union)
     daf = _relative_error(student.fused, teacher.fused, union if settings.daf_mask else whole)
-    cells = union.sum().clamp(min=1)
-    dap = (_bernoulli_kl(teacher.cls, student.cls) * union).sum() / (cells * student.cls.shape[1])
-    row, y, x = union[:, 0].nonzero(as_tuple=True)
-    dap = dap + 0.5 * _mean_square(student.reg[row, :, y, x] - teacher.reg[row, :, y, x])
+    dap = _prediction_error(student, teacher, positive, union)
     return {"dae": settings.dae * dae, "daf": settings.daf * daf, "dap": settings.dap * dap}
 
 

@@ -75,12 +75,25 @@ class DetectionModule(pl.LightningModule):
         if self._teacher and batch.teacher is not None and batch.foreground is not None:
             with torch.no_grad(), self._autocast():
                 taught = as_teacher(self._teacher[0], batch).float()
-            losses |= distillation_losses(output, taught, batch.foreground, batch.agents, self.recipe.distill)
+            parts = output, taught, batch.foreground, positive, batch.agents
+            distilled = distillation_losses(*parts, self.recipe.distill)
+            losses |= {name: self._distilled_share() * value for name, value in distilled.items()}
         if self.reconstruction is not None and batch.scene is not None:
-            mask, offset = reconstruction_losses(self.reconstruction, output.fused, batch.scene)
+            with self._autocast():
+                mask, offset = reconstruction_losses(
+                    self.reconstruction, output.fused, batch.scene, self.recipe.reconstruction_window
+                )
             weight = self.recipe.reconstruction
             losses |= {"rec_mask": weight * mask, "rec_offset": weight * offset}
         return losses
+
+    def _distilled_share(self) -> float:
+        """Return the share of its weights that the distillation has at this step, see `DistillSettings.fade`."""
+        fade = self.recipe.distill.fade
+        if not fade:
+            return 1.0
+        done = self.global_step / max(int(self.trainer.estimated_stepping_batches), 1)
+        return min(max((1.0 - done) / fade, 0.0), 1.0)
 
     def _inconsistency(self, batch: Batch, clean: Output) -> Tensor:
         """Return the loss between the two views of a batch; 0 where there is only one."""

@@ -65,6 +65,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         distill: weights and forms of the distillation.
         labels: how ground truth becomes what is learned.
         reconstruction: weight of the reconstruction losses.
+        reconstruction_window: share of the map's width and height that a step reconstructs, at a random place; 1 is all
+            of it. Half of both is a quarter of the cells, and of what is a third of a step's time.
         direction: weight of the direction loss, where the model has that head; PointPillars' by default.
         consistency: weight of the loss that ties the predictions in a corrupted view of a sample to those in the clean
             one; the other losses then see the clean one. 0 makes no clean view where there is a corrupted one.
@@ -100,6 +102,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     distill: DistillSettings = DistillSettings()
     labels: Labels = Labels()
     reconstruction: NotNegative = 1.0
+    reconstruction_window: Annotated[float, Meta(gt=0, le=1)] = 1.0
     direction: NotNegative = 0.2
     consistency: NotNegative = 0.0
     augmentation: Augmentation = Augmentation()
@@ -213,7 +216,8 @@ def small() -> Recipe:
         shrink_norm=True,
         reconstruction_channels=(32, 8),
     )
-    return Recipe(name="small", model=model, epochs=6, augmentation=Augmentation(dropout=0.4))
+    augmentation = Augmentation(dropout=0.4)
+    return Recipe(name="small", model=model, epochs=6, augmentation=augmentation, reconstruction_window=0.5)
 
 
 def debug() -> Recipe:

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from dsrc.data.drives import list_drives
 from dsrc.evaluation.provenance import hash_file, hashes, provenance
-from dsrc.models.checkpoint import load_detector, save_detector
+from dsrc.models.checkpoint import load_detector, save_detector, with_fusion
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.training.datamodule import DetectionData
@@ -252,7 +252,11 @@ def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
 
 
 def _teacher(path: Path | None, student: ModelSettings) -> Detector:
-    """Load a teacher and compare what must be equal for its features to be a model for the student's."""
+    """Load a teacher and compare what must be equal for its features to be a model for the student's.
+
+    It joins the agents' maps as the student does: a teacher of single clouds would see the ego's alone, and teach that
+    there is nothing where only a collaborator has points.
+    """
     if path is None:
         raise CheckpointError("teacher: a student with sdd or pcp needs a teacher's detector.pt; train it first")
     teacher = load_detector(path)
@@ -261,7 +265,11 @@ def _teacher(path: Path | None, student: ModelSettings) -> Detector:
     for name, value in wanted.items():
         if getattr(teacher.settings, name) != value:
             raise CheckpointError(complaint(path, name, f"{value} as the student's", getattr(teacher.settings, name)))
-    return teacher
+    try:
+        return with_fusion(teacher, student.fusion)
+    except CheckpointError:
+        expected = f"{student.fusion} as the student's, which has weights of its own"
+        raise CheckpointError(complaint(path, "fusion", expected, teacher.settings.fusion)) from None
 
 
 def _world(recipe: Recipe, devices: int) -> tuple[int, int]:
@@ -301,13 +309,17 @@ def _start_from(path: Path, detector: Detector) -> dict[str, object]:
     """Copy the weights of a detector file that fit, by name and shape; return what was done, for the record.
 
     A network of painted points takes the first layer of one of bare points and treats paint as that does: not at all.
+    One of bare points takes that of painted points without the paint, so that a student can begin as its teacher.
     """
     own = detector.state_dict()
-    theirs = load_detector(path).state_dict()
-    bare = theirs[_FIRST]
-    if own[_FIRST].shape == (bare.shape[0], bare.shape[1] + 1):
-        paint = detector.settings.point_features - 1
-        theirs[_FIRST] = torch.cat([bare[:, :paint], torch.zeros_like(bare[:, :1]), bare[:, paint:]], dim=1)
+    start = load_detector(path)
+    theirs = start.state_dict()
+    first, paint = theirs[_FIRST], 4
+    painted, wanted = start.settings.point_features > paint, detector.settings.point_features > paint
+    if wanted and not painted:
+        theirs[_FIRST] = torch.cat([first[:, :paint], torch.zeros_like(first[:, :1]), first[:, paint:]], dim=1)
+    if painted and not wanted:
+        theirs[_FIRST] = torch.cat([first[:, :paint], first[:, paint + 1 :]], dim=1)
     fitting = {name: t for name, t in theirs.items() if name in own and own[name].shape == t.shape}
     if all(tensor.ndim < 2 for tensor in fitting.values()):  # the heads' biases and the steps' counters always fit
         raise CheckpointError(complaint(path, "state", "a weight of the name and shape of the network's", "none"))

@@ -39,7 +39,7 @@ class Step:
             teacher = self._teacher_output()
         cls, reg = detection_loss(student.cls, student.reg, self.positive, self.regression)
         mask, offset = reconstruction_losses(self.nets["pcr"], student.fused, self.scene)
-        kd = distillation_losses(student, teacher, self.foreground, AGENTS, released())
+        kd = distillation_losses(student, teacher, self.foreground, self.positive, AGENTS, released())
         return {"cls": cls, "reg": reg, "mask": mask, "offset": offset, **kd}
 
     def _teacher_output(self):

@@ -1,0 +1,129 @@
+"""What a student is taught: boxes that only a collaborator has points on, the scene of all agents, and when."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from msgspec.structs import replace as changed
+
+from dsrc.data.batch import collate
+from dsrc.data.sample import Sample, make_sample
+from dsrc.models.checkpoint import load_detector, save_detector
+from dsrc.models.detector import Detector
+from dsrc.models.reconstruction import Reconstruction, Scene, reconstruction_losses, windowed
+from dsrc.training.losses import DistillSettings
+from dsrc.training.module import DetectionModule, as_teacher
+from dsrc.training.recipes import of_method
+from dsrc.training.train import _start_from, _teacher
+from sim.errors import CheckpointError
+from tests.dsrc.training.drive import frame
+from tests.dsrc.training.runs import tiny
+
+HIDDEN = 1002
+"""An object that a collaborator sees and the ego, 1000, has no point on, in every frame of the made-up drive."""
+
+
+@pytest.fixture(scope="module")
+def sample() -> Sample:
+    return make_sample(frame(0), 1000, tiny().model.grid)
+
+
+@pytest.fixture
+def teacher_file(tmp_path: Path) -> Path:
+    """A teacher of single clouds, as a campaign trains it."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        teacher = Detector(of_method(tiny(), "dsrc-alone").settings("teacher"))
+    save_detector(tmp_path / "teacher.pt", teacher, half=False)
+    return tmp_path / "teacher.pt"
+
+
+@pytest.mark.parametrize("method", ["dsrc", "dsrc-max"])
+def test_a_box_that_only_a_collaborator_sees_is_taught(sample: Sample, teacher_file: Path, method: str) -> None:
+    settings = of_method(tiny(), method).settings("student")
+    truth = frame(0)
+    seen = truth.points_on[[agent.agent_id for agent in truth.agents].index(1000), truth.truth.object_id == HIDDEN]
+    assert seen == 0
+    x, y = sample.boxes.center[sample.boxes.object_id == HIDDEN][0, :2]
+    low, cell_m = settings.grid.range_m, 2 * settings.grid.cell_m
+    row, column = int((y - low[1]) / cell_m), int((x - low[0]) / cell_m)
+
+    batch = collate([sample], settings, training=True)
+    assert batch.foreground[:, 2 * row, 2 * column].any()  # it is in the mask of the distillation
+    with torch.no_grad():
+        taught = as_teacher(_teacher(teacher_file, settings), batch).fused[0, :, row, column]
+        ego_alone = as_teacher(load_detector(teacher_file), batch).fused[0, :, row, column]
+    assert (taught - ego_alone).norm() > 0.05 * ego_alone.norm()
+
+
+def test_a_teacher_of_another_fusion_with_weights_is_refused(teacher_file: Path) -> None:
+    settings = of_method(changed(tiny(), model=changed(tiny().model, shrink_channels=16)), "dsrc").settings("student")
+    with pytest.raises(CheckpointError, match=r"teacher.pt: fusion: expected v2vnet .* found none"):
+        _teacher(teacher_file, changed(settings, fusion="v2vnet"))
+
+
+def test_a_student_can_begin_as_its_teacher_without_the_paint(sample: Sample, teacher_file: Path) -> None:
+    settings = of_method(tiny(), "dsrc").settings("student")
+    student = Detector(settings).eval()
+    record = _start_from(teacher_file, student)
+    assert record["tensors_taken"] == record["tensors"]
+    batch = collate([sample], settings, training=True)
+    bare = changed(settings, pcp=False, role="teacher", sdd=False)
+    unpainted = collate([sample], bare, training=True)
+    painted = torch.cat([unpainted.teacher.points, torch.zeros(len(unpainted.teacher.points), 1)], dim=1)
+    with torch.no_grad():
+        found = student(unpainted.teacher, batch.company).cls
+        teacher = _teacher(teacher_file, settings)
+        expected = teacher(replace(unpainted.teacher, points=painted), batch.company).cls
+    torch.testing.assert_close(found, expected)
+
+
+def test_what_is_reconstructed_is_the_scene_of_all_agents_also_for_one_that_hears_none(sample: Sample) -> None:
+    together, alone = (of_method(tiny(), method).settings("student") for method in ("dsrc", "dsrc-alone"))
+    scenes = [collate([sample], settings, training=True).scene for settings in (together, alone)]
+    torch.testing.assert_close(scenes[0].voxel, scenes[1].voxel)
+
+
+def test_a_window_of_the_scene_holds_the_voxels_above_its_cells() -> None:
+    marked = torch.arange(8 * 16, dtype=torch.float32).view(1, 1, 8, 16)
+    every = torch.stack(torch.meshgrid(*(torch.arange(n) for n in (1, 4, 16, 32)), indexing="ij"), -1).view(-1, 4)
+    scene = Scene(every, every[:, 1:].float(), 1)
+    torch.manual_seed(4)
+    for _ in range(20):
+        cut, part = windowed(marked, scene, 0.5)
+        assert cut.shape == (1, 1, 4, 8)
+        assert len(part.voxel) == 4 * 8 * 16
+        # An offset here is the voxel's old place: its cell's mark says the same.
+        z, y, x = part.voxel[:, 1:].unbind(1)
+        torch.testing.assert_close(part.offset[:, 0], z.float())
+        cell = part.offset[:, 1] // 2 * 16 + part.offset[:, 2] // 2
+        torch.testing.assert_close(cut[0, 0, y // 2, x // 2], cell)
+    whole, same = windowed(marked, scene, 1.0)
+    assert whole is marked
+    assert same is scene
+
+
+def test_windows_cost_what_the_whole_scene_costs_on_average(sample: Sample) -> None:
+    settings = of_method(tiny(), "dsrc").settings("student")
+    torch.manual_seed(0)
+    head = Reconstruction(settings).eval()
+    scene = collate([sample], settings, training=True).scene
+    fused = torch.randn(1, settings.shrink_channels, settings.grid.height // 2, settings.grid.width // 2)
+    with torch.no_grad():
+        whole = reconstruction_losses(head, fused, scene)
+        parts = [reconstruction_losses(head, fused, scene, 0.5) for _ in range(200)]
+    for number in (0, 1):
+        np.testing.assert_allclose(np.mean([part[number] for part in parts]), whole[number], rtol=0.1)
+
+
+@pytest.mark.parametrize(("step", "share"), [(0, 1.0), (69, 1.0), (85, 0.5), (100, 0.0)])
+def test_the_distillation_fades_in_the_last_steps(step: int, share: float) -> None:
+    class Trainer:
+        estimated_stepping_batches, global_step = 100, step
+
+    recipe = changed(tiny(), distill=DistillSettings(fade=0.3))
+    module = DetectionModule(recipe, Detector(recipe.settings("student")))
+    module._trainer = Trainer()
+    assert module._distilled_share() == pytest.approx(share)
