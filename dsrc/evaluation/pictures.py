@@ -1,5 +1,6 @@
 """Pictures of one frame: feature maps as in the paper's Figure 6, detections as in its Figure 8."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from dsrc.data.batch import collate
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.sample import GridSpec, Sample, make_sample
 from dsrc.detections import Detections
-from dsrc.evaluation.benchmark import Condition, corrupted
+from dsrc.evaluation.benchmark import Condition, corrupted, places_of
 from dsrc.evaluation.matching import match
 from dsrc.evaluation.paper_tables import PAPER_SEVERITY, View
 from dsrc.evaluation.plan import Benchmark
@@ -31,7 +32,7 @@ from dsrc.models.detector import Detector
 from dsrc.ops.iou import bev_iou
 from sensors.corruptions import CLEAN, drive_seed
 from sim.boxes import Boxes
-from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.errors import SettingsError, complaint
 from sim.geometry import invert
 
 TRUTH, FOUND, AGENT, POINT = COLORS[0], COLORS[1], "#000000", "#7B848E"
@@ -52,11 +53,13 @@ class Shot:
     Attributes:
         sample: as the ego and its collaborators see it.
         title: which frame it is.
+        percentile: that it stands at, see `frames_at`.
         ego: the ego's own body, which is no object to be found, in its LiDAR's frame; none where it is not known.
     """
 
     sample: Sample
     title: str
+    percentile: int
     ego: Boxes = field(default_factory=Boxes.zeros)
 
 
@@ -82,12 +85,12 @@ def write_pictures(outcome: Outcome, out: Path) -> list[Block]:
         if plan.pictures.teacher:
             detectors["teacher"] = load_detector(Path(plan.pictures.teacher))
         detectors[f"student: {student}"] = _load(first[student])
-        shot = take_shot(plan, view.settings[student].grid)
+        shot = take_shots(plan, view.settings[student].grid)[0]
         write_atomic(out / folder / "figure_6.png", png_bytes(feature_figure(shot, detectors), made_by))
         blocks.append(Block("figure_6", picture="figure_6.png", about=f"Figure 6. Fused features, {shot.title}"))
     names = list(plan.pictures.methods or (first if len(first) <= 4 else [*list(first)[:3], list(first)[-1]]))
     grid = view.settings[names[-1]].grid
-    shot = take_shot(plan, grid)
+    shot = take_shots(plan, grid)[0]
     found = {name: _load(first[name]).detect(shot.sample) for name in names}
     write_atomic(out / folder / "figure_8.png", png_bytes(detection_figure(shot, found, grid), made_by))
     blocks.append(Block("figure_8", picture="figure_8.png", about=f"Figure 8. Detections, {shot.title}"))
@@ -100,8 +103,6 @@ def check_pictures(plan: Benchmark) -> None:
     Raises:
         UserError: the frame that is asked for does not exist, or the teacher's file is missing, damaged or a student's.
     """
-    if plan.pictures.drive or plan.pictures.frame is not None:
-        _place(plan)
     if plan.pictures.teacher:
         role = load_detector(Path(plan.pictures.teacher)).settings.role
         if role != "teacher":
@@ -112,41 +113,55 @@ def _load(one: Trained) -> Detector:
     return load_used(one.path, one.use)
 
 
-def take_shot(plan: Benchmark, grid: GridSpec) -> Shot:
-    """Return the frame that a benchmark's pictures are of.
+def only_helpers_see(sample: Sample) -> NDArray[np.bool_]:
+    """(N,) whether a true box has a point from a helper and none from the ego, in the sweeps as they were recorded."""
+    return ~np.isin(sample.boxes.object_id, sample.agent_boxes[0].object_id)
+
+
+def frames_at(plan: Benchmark, grid: GridSpec) -> list[tuple[int, Drive, int]]:
+    """Percentile, drive and position of the frames that are drawn: nobody chooses them.
+
+    The evaluated frames of the first dataset are sorted by the number of true boxes in the grid's range that only
+    helpers have points on, frames of the same number by the names of their drives and their own numbers. The frame at
+    percentile p of n is number ceil(p / 100 * n) of them, at least the first: nearest rank, definition 1 of Hyndman and
+    Fan, Sample Quantiles in Statistical Packages, 1996.
 
     Raises:
-        SettingsError: there is no such drive in the first dataset, or no such frame in it.
+        DataError: the dataset has no frame.
     """
-    wanted = plan.pictures
-    reader, position = _place(plan)
-    condition = Condition(wanted.corruption, 0 if wanted.corruption == CLEAN else PAPER_SEVERITY, plan.family)
-    name = reader.drive.name
-    frame = corrupted(reader.read(position), condition, drive_seed(plan.seed, name))
-    sample = make_sample(frame, None, grid)
-    ego_id = sample.agent_ids[0]
-    pose = next(agent.sweep.world_from_lidar for agent in frame.agents if agent.agent_id == ego_id)
-    ego = frame.truth[frame.truth.object_id == ego_id].transform(invert(pose))
-    return Shot(sample, f"{name}, frame {reader.frames[position]}, {wanted.corruption}", ego)
+    readers = [open_drive(drive) for folder in plan.datasets[0].drives for drive in list_drives(Path(folder))]
+    places = places_of(readers, plan.limit)
+    ranked = []
+    for row, (reader, positions) in enumerate(zip(readers, places, strict=True)):
+        for position in positions:
+            seen = make_sample(reader.read(position), None, grid, cooperative=False)
+            count, number = int(only_helpers_see(seen).sum()), reader.frames[position]
+            ranked.append((count, reader.drive.name, number, row, position))
+    ranked.sort()
+    chosen = []
+    for percentile in plan.pictures.percentiles:
+        *_, row, position = ranked[max(1, math.ceil(percentile * len(ranked) / 100)) - 1]
+        chosen.append((percentile, readers[row], position))
+    return chosen
 
 
-def _place(plan: Benchmark) -> tuple[Drive, int]:
-    """Return the drive and the position of the frame in it."""
-    readers = [open_drive(d) for folder in plan.datasets[0].drives for d in list_drives(Path(folder))]
-    reader = _drive(readers, plan.pictures.drive)
-    position = len(reader) // 2 if plan.pictures.frame is None else plan.pictures.frame
-    if position >= len(reader):
-        raise SettingsError(complaint("pictures", "frame", f"less than {len(reader)}", position))
-    return reader, position
+def take_shots(plan: Benchmark, grid: GridSpec) -> list[Shot]:
+    """Frames that a benchmark's pictures are of, see `frames_at`, as the ego and its helpers see them.
 
-
-def _drive(readers: list[Drive], name: str) -> Drive:
-    names = [reader.drive.name for reader in readers]
-    if not readers:
-        raise DataError(complaint("pictures", "drive", "a drive", "none"))
-    if name and name not in names:
-        raise SettingsError(complaint("pictures", "drive", "one of the dataset", name, did_you_mean(name, names)))
-    return readers[names.index(name)] if name else readers[0]
+    Raises:
+        DataError: the dataset has no frame.
+    """
+    kind = plan.pictures.corruption
+    condition = Condition(kind, 0 if kind == CLEAN else PAPER_SEVERITY, plan.family)
+    shots = []
+    for percentile, reader, position in frames_at(plan, grid):
+        name = reader.drive.name
+        frame = corrupted(reader.read(position), condition, drive_seed(plan.seed, name))
+        sample = make_sample(frame, None, grid)
+        pose = frame.agent(sample.agent_ids[0]).sweep.world_from_lidar
+        ego = frame.truth[frame.truth.object_id == sample.agent_ids[0]].transform(invert(pose))
+        shots.append(Shot(sample, f"{name}, frame {reader.frames[position]}, {kind}", percentile, ego))
+    return shots
 
 
 @torch.inference_mode()

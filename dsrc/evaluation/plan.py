@@ -97,20 +97,19 @@ class Sweeps(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Pictures(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What is drawn of a single frame.
+    """What is drawn of single frames of the first dataset, Figures 6 and 8.
 
     Attributes:
-        teacher: detector file of DSRC's teacher, for the feature maps; "" leaves them out.
-        methods: whose detections are drawn side by side; none: the first three and the last.
-        drive: name of a drive of the first dataset; "" for its first.
-        frame: position in the drive; None for the middle.
-        corruption: of the frame.
+        teacher: detector file of DSRC's teacher, for the feature maps; "" leaves it out.
+        methods: whose detections are drawn; empty: the first three and the last.
+        percentiles: of the evaluated frames by the number of true boxes that only helpers have points on, see
+            `dsrc.evaluation.pictures.frames_at`; one frame is drawn for each.
+        corruption: of the frames.
     """
 
     teacher: str = ""
     methods: tuple[str, ...] = ()
-    drive: str = ""
-    frame: Annotated[int, Meta(ge=0)] | None = None
+    percentiles: Annotated[tuple[Annotated[int, Meta(ge=0, le=100)], ...], Meta(min_length=1)] = (25, 50, 75)
     corruption: str = "clean"
 
 

@@ -1,5 +1,6 @@
 """Pictures of a frame hold the boxes, points and features that they are of."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -11,8 +12,7 @@ from msgspec.structs import replace
 from PIL import Image
 
 from dsrc.__main__ import main
-from dsrc.data.drives import list_drives, open_drive
-from dsrc.data.sample import make_sample
+from dsrc.data.opv2v import write_frame
 from dsrc.detections import Detections
 from dsrc.evaluation.pictures import (
     AGENT,
@@ -22,8 +22,10 @@ from dsrc.evaluation.pictures import (
     detection_figure,
     feature_figure,
     feature_map,
+    frames_at,
+    only_helpers_see,
     project,
-    take_shot,
+    take_shots,
     write_pictures,
 )
 from dsrc.evaluation.plan import Pictures
@@ -31,8 +33,11 @@ from dsrc.evaluation.plots import png_bytes
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
 from sim.boxes import Boxes
-from sim.errors import SettingsError, UserError
-from tests.dsrc.evaluation.small import make_detector, make_plan, write_drives
+from sim.errors import UserError
+from tests.dsrc.evaluation.small import POINTS, make_detector, make_plan, write_drives
+from tests.dsrc.training.drive import frame
+
+GRID = make_detector("dsrc").settings.grid
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +49,7 @@ def plan(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shot(plan):
-    return take_shot(plan, make_detector("dsrc").settings.grid)
+    return take_shots(plan, GRID)[1]
 
 
 def lines_of(axes, color):
@@ -53,32 +58,48 @@ def lines_of(axes, color):
     return [segment for collection in found for segment in collection.get_segments()]
 
 
-def test_the_frame_is_the_one_that_was_asked_for(plan, shot):
-    grid = make_detector("dsrc").settings.grid
-    reader = open_drive(list_drives(Path(plan.datasets[0].drives[0]))[1])
-    chosen = take_shot(replace(plan, pictures=Pictures(drive="drive_1", frame=2)), grid)
-    assert chosen.title == "drive_1, frame 12, clean"  # its number, in the third place
-    np.testing.assert_array_equal(chosen.sample.clouds[0], make_sample(reader.read(2), None, grid).clouds[0])
-    assert shot.title == "drive_0, frame 1, clean"  # the middle of the first drive
-    foggy = take_shot(replace(plan, pictures=Pictures(corruption="fog")), grid)
-    assert foggy.sample.clouds[0].shape != shot.sample.clouds[0].shape
-    np.testing.assert_array_equal(foggy.sample.boxes.array, shot.sample.boxes.array)
+def hidden_from_the_ego(whole, cars):
+    """Return a frame whose ego has no points on some of the cars that it and helpers had points on."""
+    ego, *helpers = whole.agents
+    seen = np.flatnonzero((whole.points_on[0] > 0) & (whole.points_on[1:] > 0).any(axis=0))[:cars]
+    assert len(seen) == cars
+    sweep = ego.sweep[~np.isin(ego.sweep.object_id, whole.truth.object_id[seen])]
+    counts = whole.points_on.copy()
+    counts[0, seen] = 0
+    return dataclasses.replace(whole, agents=(dataclasses.replace(ego, sweep=sweep), *helpers), points_on=counts)
 
 
-def test_a_wrong_drive_or_frame_is_told(plan):
-    grid = make_detector("dsrc").settings.grid
-    with pytest.raises(SettingsError, match="did you mean 'drive_1'"):
-        take_shot(replace(plan, pictures=Pictures(drive="drive1")), grid)
-    with pytest.raises(SettingsError, match="frame: expected less than 3, found 7"):
-        take_shot(replace(plan, pictures=Pictures(frame=7)), grid)
+def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path):
+    fewer = {"b": (2, 0), "a": (0, 1, 1)}  # cars of which the ego loses sight, frame by frame
+    for name, cars in fewer.items():
+        for index, count in enumerate(cars):
+            write_frame(tmp_path / "test" / name, hidden_from_the_ego(frame(index, **POINTS), count))
+    plan = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=Pictures(percentiles=(0, 20, 40, 60, 80, 81, 100)))
+    places = [(reader.drive.name, position) for _, reader, position in frames_at(plan, GRID)]
+    # In order: none in the first of a and the second of b, one in two frames of a, two in the first of b.
+    assert places == [("a", 0), ("a", 0), ("b", 1), ("a", 1), ("a", 2), ("b", 0), ("b", 0)]
+    shots = take_shots(plan, GRID)
+    helped = [int(only_helpers_see(one.sample).sum()) for one in shots]
+    assert [count - helped[0] for count in helped] == [0, 0, 0, 1, 1, 2, 2]
+    ego_ids = [set(one.sample.agent_boxes[0].object_id) for one in shots]
+    for one, ids in zip(shots, ego_ids, strict=True):
+        assert ids.isdisjoint(one.sample.boxes.object_id[only_helpers_see(one.sample)])
+
+
+def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan):
+    (first, *_, last) = frames_at(replace(plan, limit=2, pictures=Pictures(percentiles=(1, 100))), GRID)
+    assert {(reader.drive.name, position) for _, reader, position in (first, last)} == {("drive_0", 0), ("drive_1", 2)}
+    clean, foggy = (take_shots(replace(plan, pictures=Pictures(corruption=kind)), GRID)[0] for kind in ("clean", "fog"))
+    assert foggy.title == clean.title.replace("clean", "fog")
+    assert foggy.sample.clouds[0].shape != clean.sample.clouds[0].shape
+    np.testing.assert_array_equal(foggy.sample.boxes.array, clean.sample.boxes.array)
+    np.testing.assert_array_equal(only_helpers_see(foggy.sample), only_helpers_see(clean.sample))
 
 
 def test_what_cannot_be_drawn_is_told_before_the_work(plan, tmp_path):
     check_pictures(plan)
     student = plan.methods[0].detectors[0]
     for pictures, words in (
-        (Pictures(drive="nope"), "pictures: drive: expected one of the dataset"),
-        (Pictures(frame=7), "pictures: frame"),
         (Pictures(teacher="none.pt"), "none.pt: no such"),
         (Pictures(teacher=student), "settings.role: expected teacher"),
     ):
@@ -86,7 +107,7 @@ def test_what_cannot_be_drawn_is_told_before_the_work(plan, tmp_path):
             check_pictures(replace(plan, pictures=pictures))
     (tmp_path / "b.toml").write_text(
         f'[[methods]]\nname = "a"\ndetectors = ["{student}"]\n[[datasets]]\nname = "d"\n'
-        f'drives = ["{plan.datasets[0].drives[0]}"]\n[pictures]\ndrive = "nope"\n'
+        f'drives = ["{plan.datasets[0].drives[0]}"]\n[pictures]\nteacher = "none.pt"\n'
     )
     with pytest.raises(SystemExit, match="2"):
         main(["benchmark", str(tmp_path / "b.toml"), "--out", str(tmp_path / "out")])
