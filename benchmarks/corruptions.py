@@ -30,9 +30,6 @@ from benchmarks.quiet import Timing, measure
 from benchmarks.street import BENCHMARK_LIDAR, fleet, street_world
 from sensors.corruptions import CORRUPTIONS, FAMILIES, Family, corrupt
 from sensors.corruptions.rings import estimate_rings
-from sensors.corruptions.snow import Snow
-from sensors.corruptions.snow import corrupt as snow
-from sensors.corruptions.snow_flakes import flake_pool, sample_flakes, snow_particles
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.lidar import scan_all
 from sensors.scene import RayScene
@@ -46,7 +43,6 @@ REFERENCES: dict[str, tuple[str, float]] = {
     "motion_blur": ("DSRC", 0.026),
     "fog": ("DSRC and Robo3D", 1.05),
     "snow": ("DSRC, light snow, two processes", 67.0),
-    "snow_flakes": ("Hahner, 64 discs of light snow", 220.0),
     "crosstalk": ("DSRC", 0.0016),
     "cross_sensor": ("DSRC", 0.0073),
     "wet_ground": ("Hahner", 0.035),
@@ -57,7 +53,7 @@ REFERENCES: dict[str, tuple[str, float]] = {
 }
 """What each kind replaces and the seconds that it took."""
 
-GOALS = {"fog": 0.05, "snow": 0.6, "snow_flakes": 1.0, "rain": 0.2, "peak_mb": 300.0}
+GOALS = {"fog": 0.05, "snow": 0.6, "rain": 0.2, "peak_mb": 300.0}
 """At most; every other kind of the physical family at most its reference."""
 
 _SEED = 1
@@ -106,11 +102,6 @@ def variants_of(frame: Frame, severity: int) -> dict[str, Callable[[], object]]:
             settings = corruption.settings.severity(severity)
             name = kind if corruption.apply is None else f"{kind}_in_frame"
             variants[name] = _in_frame(frame, corruption.in_frame, settings)
-    discs = msgspec.structs.replace(Snow.severity(severity), flakes="discs")
-    particles = snow_particles(discs.snowfall_mm_h, discs.fall_speed_mps, discs.flake_density, discs.flake_reflectivity)
-    variants["snow_discs"] = lambda: snow(sweep, discs, np.random.default_rng(_SEED))
-    # As a drive begins: nothing sampled yet.
-    variants["snow_flakes"] = lambda: sample_flakes.__wrapped__(flake_pool(particles).per_disc)
     variants["rings"] = partial(estimate_rings, sweep.points)
     for kind, corruption in CORRUPTIONS.items():
         if corruption.paper_apply is not None:
@@ -139,7 +130,7 @@ def peak_mb(run: Callable[[], object]) -> float:
 
 def reference_of(name: str) -> tuple[str, float] | None:
     """Return what a variant replaces, None when nothing like it was published with a time."""
-    kind = name.removeprefix("paper_").removesuffix("_in_frame").replace("snow_discs", "snow")
+    kind = name.removeprefix("paper_").removesuffix("_in_frame")
     return REFERENCES.get(kind)
 
 

@@ -121,7 +121,7 @@ def _within_reach(sweep: Sweep, nearest: float, farthest: float, range_10_m: flo
     """
     reach = sweep.range.astype(np.float64)
     kept = (reach >= nearest) & (reach <= farthest)
-    need, own = least_power(sweep.spec, range_10_m), least_power(sweep.spec)
+    need, own = least_power(sweep.spec, range_10_m), least_power(sweep.spec, _own_reach(sweep.spec)[1])
     if need > own:
         power = target_power(sweep, reach)
         kept &= (power >= need) | (power < own)

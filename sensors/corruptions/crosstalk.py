@@ -41,7 +41,7 @@ class Crosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     Attributes:
         share: foreign pulses for each beam of a sweep.
-        range_10_m: see `LidarSpec`; None for the sensor's own.
+        range_10_m: see `LidarSpec`; None for what `receiver` takes.
     """
 
     share: float = 0.02

@@ -56,7 +56,7 @@ class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         backscatter: beta, 1/(m sr).
         patchiness: how much the fog's density varies within metres, see `fog_echo`: at 0.4 by as much as its mean.
         pulse_s: pulse length at half power; None for the sensor's own.
-        range_10_m: see `LidarSpec`; None for the sensor's own, infinity for a receiver that detects everything.
+        range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
     extinction: float = _CONTRAST / 100.0

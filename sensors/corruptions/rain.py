@@ -52,7 +52,7 @@ class Rain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         rain_mm_h: rate of rain, mm/h.
         drop_reflectivity: of a drop that fills the beam.
         range_accuracy_m: deviation of the range where the signal is half as strong as the weakest that is detected.
-        range_10_m: see `LidarSpec`; None for the sensor's own, infinity for a receiver that detects everything.
+        range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
     rain_mm_h: float = 25.0

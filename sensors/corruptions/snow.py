@@ -11,39 +11,31 @@ Level 3 is the snowfall of DSRC's code (the published model's light snow); the p
 light above 1 km of visibility and heavy below 0.4 km.
 
 A target at range r returns power exp(-2 alpha r), the loudest flake before it reflectivity D^2 / (divergence^2 r^4),
-and the sensor reports the stronger one, if it detects it (`medium`). Two ways to have flakes:
-
-* `volume` (default): flakes fill the beam as it widens; the loudest is drawn from its law (`strongest`). A beam passes
-  so many flakes, each with so little of it, that the others are an even haze: extinction.
-* `discs`: as published (Hahner et al., CVPR 2022), each ring sweeps a plane with discs in it, which are sampled once
-  and reused (`snow_flakes`); a beam is a fan in that plane, and a disc takes its share of the fan (`snow_beams`), on
-  the way there and back. A disc at range r takes D / (divergence r) of a beam instead of the square of that: flat discs
-  overstate far flakes (one scattered return in twenty lies beyond 21 m instead of 9 m in 0.5 mm/h).
+and the sensor reports the stronger one, if it detects it (`medium`). Flakes fill the beam as it widens; the loudest is
+drawn from its law (`strongest`). A beam passes so many flakes, each with so little of it, that the others are an even
+haze: extinction.
 
 Diameters follow Gunn and Marshall (1958). Extinction is twice the flakes' cross-section (large particles, van de Hulst
 1957). A flake that fills a beam counts as a surface of reflectivity 2 pi / S with S = 30 sr, the ratio of extinction to
 backscatter that lidars find for ice (33 +- 5 sr: Josset et al. 2012).
 
-What differs from the published model: the target keeps its own power (there, a target behind any flake gets the
-flake's), the optics are the sweep's sensor instead of an HDL-64E's, the noise floor is the sensor's detection limit,
-heavier snow takes more (see `snow_flakes`), beams that hit nothing see flakes, and azimuth 0 is like any other.
+What differs from the published model (Hahner et al., CVPR 2022): flakes fill the air instead of one plane per ring,
+where a flat disc at range r takes D / (divergence r) of a beam instead of the square of that and far flakes are
+overstated; the target keeps its own power (there, a target behind any flake gets the flake's), the optics are the
+sweep's sensor instead of an HDL-64E's, the noise floor is the sensor's detection limit, heavier snow takes more (see
+`snow_flakes`), beams that hit nothing see flakes, and azimuth 0 is like any other.
 """
 
-from typing import Literal, Self, get_args
+from typing import Self
 
 import msgspec
 import numpy as np
 
-from sensors.corruptions import snow_discs
 from sensors.corruptions.levels import at_level, check_range
 from sensors.corruptions.medium import look, report
 from sensors.corruptions.snow_flakes import snow_particles
 from sensors.corruptions.strongest import strongest_particle
 from sensors.sweep import Sweep
-from sim.errors import SettingsError, complaint
-
-Where = Literal["volume", "discs"]
-FLAKES: tuple[Where, ...] = get_args(Where)
 
 SNOWFALL_MM_H = (0.1, 0.25, 0.5, 1.5, 5.0)
 
@@ -58,15 +50,13 @@ class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         fall_speed_mps: terminal velocity of the flakes, m/s.
         flake_density: relative to water.
         flake_reflectivity: of a flake that fills the beam.
-        flakes: in the whole volume of the beams, or in one disc per ring.
-        range_10_m: see `LidarSpec`; None for the sensor's own, infinity for a receiver that detects everything.
+        range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
     snowfall_mm_h: float = 0.5
     fall_speed_mps: float = 1.0
     flake_density: float = 0.1
     flake_reflectivity: float = 0.2
-    flakes: Where = "volume"
     range_10_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -74,8 +64,6 @@ class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         check_range("Snow", "fall_speed_mps", self.fall_speed_mps, 0.1, 10.0)
         check_range("Snow", "flake_density", self.flake_density, 0.01, 1.0)
         check_range("Snow", "flake_reflectivity", self.flake_reflectivity, 0.0, 1.0)
-        if self.flakes not in FLAKES:
-            raise SettingsError(complaint("Snow", "flakes", f"one of {FLAKES}", self.flakes))
 
     @classmethod
     def severity(cls, level: int) -> Self:
@@ -88,19 +76,11 @@ class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 def corrupt(sweep: Sweep, severity: int | Snow, rng: np.random.Generator) -> Sweep:
-    """Dim, replace or lose the returns; flakes' lie on the same rays, nearer, and on rays that hit nothing.
-
-    Raises:
-        DataError: flakes in discs, and the sweep does not say which ring its points are of.
-    """
+    """Dim, replace or lose the returns; flakes' lie on the same rays, nearer, and on rays that hit nothing."""
     snow = severity if isinstance(severity, Snow) else Snow.severity(severity)
     if snow.snowfall_mm_h == 0.0:
         return sweep
     particles = snow_particles(snow.snowfall_mm_h, snow.fall_speed_mps, snow.flake_density, snow.flake_reflectivity)
     sight = look(sweep, snow.range_10_m, rng)
-    if snow.flakes == "discs":
-        through, echo = snow_discs.listen(sight, particles, rng)
-    else:
-        through = np.exp(-2.0 * particles.extinction * sight.reach[: len(sweep)])
-        echo = strongest_particle(particles, sight, through, rng)
-    return report(sight, through, echo)
+    through = np.exp(-2.0 * particles.extinction * sight.reach[: len(sweep)])
+    return report(sight, through, strongest_particle(particles, sight, through, rng))

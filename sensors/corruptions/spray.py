@@ -69,7 +69,7 @@ class Spray(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     Attributes:
         water_mm: height of the water on the road, mm.
-        range_10_m: see `LidarSpec`; None for the sensor's own, infinity for a receiver that detects everything.
+        range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
     water_mm: float = 1.0

@@ -56,7 +56,7 @@ class WetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Attributes:
         water_mm: height of the water, mm.
         texture_mm: depth of the road's texture, mm.
-        range_10_m: see `LidarSpec`; None for the sensor's own, infinity for a receiver that detects everything.
+        range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
     water_mm: float = 0.6

@@ -15,7 +15,7 @@ SHARED = Path(__file__).parents[4] / "shared" / "goldens" / "corruptions"
 def spinning(rings: int = 64, columns: int = 360, **changes: object) -> LidarSpec:
     """A LiDAR of any number of rings, without noise."""
     elevation = tuple(np.linspace(3.0, -25.0, rings))
-    settings = {"range_10_m": 150.0, "range_noise_m": 0.0, **changes}
+    settings = {"range_10_m": 120.0, "range_noise_m": 0.0, **changes}
     return LidarSpec(name="test", elevation_deg=elevation, columns=columns, **settings)  # type: ignore[arg-type]
 
 

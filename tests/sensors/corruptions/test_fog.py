@@ -141,7 +141,7 @@ def test_a_longer_pulse_hears_more_fog() -> None:
     reach = np.arange(5.0, 100.0, 0.1)
     drowned = []
     for pulse_s in (5e-9, 1e-8, 2e-8):
-        out = fog.corrupt(on_a_ray(reach, 0.3, spinning(pulse_s=pulse_s, range_10_m=1e4)), 4, rng())
+        out = fog.corrupt(on_a_ray(reach, 0.3, spinning(pulse_s=pulse_s, range_10_m=120.0)), 4, rng())
         drowned.append((out.fate == SCATTERED).sum())
     assert drowned[0] < drowned[1] < drowned[2]
 

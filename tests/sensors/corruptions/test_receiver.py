@@ -9,6 +9,7 @@ import pytest
 from sensors.corruptions.receiver import (
     BLIND_M,
     SIGHT_M,
+    UNKNOWN_RANGE_10_M,
     UNKNOWN_REFLECTIVITY,
     least_power,
     overlap,
@@ -16,6 +17,7 @@ from sensors.corruptions.receiver import (
     target_power,
 )
 from sensors.optics import CLEAR_AIR_EXTINCTION, optics_of
+from sensors.presets import LIDARS
 from sensors.sweep import UNKNOWN_MATERIAL
 from sim.world.materials import MATERIALS
 from tests.sensors.corruptions.street import on_a_ray, spinning
@@ -32,6 +34,15 @@ def test_what_a_sensor_just_detects_is_what_its_scan_just_detects() -> None:
     weakest = tables.need[1:] * np.exp(-2.0 * CLEAR_AIR_EXTINCTION * distance) / distance**2
     assert np.allclose(weakest, least_power(spec), rtol=1e-5)
     assert least_power(spec, 20.0) > least_power(spec) and least_power(spec, math.inf) == 0.0
+
+
+def test_in_weather_sensors_without_a_threshold_hear_as_the_hdl_64e_does_and_all_others_as_themselves() -> None:
+    simulated = {name for name, spec in LIDARS.items() if spec.range_10_m > spec.range_max_m}
+    assert simulated == {"opv2v-64", "carla-64", "debug-16"}
+    assert LIDARS["hdl-64e-s2"].range_10_m == UNKNOWN_RANGE_10_M
+    for name, spec in LIDARS.items():
+        assert least_power(spec) == least_power(None, UNKNOWN_RANGE_10_M if name in simulated else spec.range_10_m)
+    assert least_power(None) == least_power(LIDARS["hdl-64e-s2"])
 
 
 @pytest.mark.parametrize("law", ["reflectivity", "power", "distance"])

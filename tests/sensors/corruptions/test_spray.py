@@ -31,7 +31,7 @@ def drive(speed: float = 22.0, time_s: float = 0.0) -> Frame:
     """An ego behind a leader and a second agent on the other lane; dark ground, nothing else."""
     rows = [[0.0, 0.0, 0.0], [16.0, 0.0, 0.0], [40.0, 4.0, np.pi]]
     actors = cars(rows, speed=[speed, speed, 0.0], time_s=time_s)
-    spec = ideal("debug-16", columns=1440, range_10_m=150.0, range_min_m=0.5)
+    spec = ideal("debug-16", columns=1440, range_10_m=120.0, range_min_m=0.5)
     return make_frame(
         scene_of(ground(300.0)), actors, vehicles=[EGO, OTHER], vehicle_spec=spec, seed=3, index=int(10 * time_s)
     )
@@ -174,7 +174,7 @@ def test_sweeps_without_points_a_sensor_or_a_neighbour() -> None:
 def test_beams_that_are_not_looked_at_lead_to_no_plume(turn: float, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [[0.0, 0.0, turn * np.pi], [16.0, 1.0, 0.3], [-25.0, 4.0, np.pi], [-9.0, -6.0, -2.0]]
     actors = cars(rows, speed=[22.0, 15.0, 25.0, 30.0])
-    spec = ideal("debug-16", columns=720, range_10_m=150.0, range_min_m=0.5)
+    spec = ideal("debug-16", columns=720, range_10_m=120.0, range_min_m=0.5)
     frame = make_frame(scene_of(ground(300.0)), actors, vehicles=[EGO], vehicle_spec=spec, seed=3, index=0)
     few = sprayed(frame)
     monkeypatch.setattr(spray, "_toward", lambda plume, start, lines: np.arange(len(lines.reach)))
