@@ -30,16 +30,26 @@ class Judged:
     """Which detections hit what, in a set of frames.
 
     Attributes:
-        frames: how many.
-        truth: ground-truth boxes, numbered through all frames.
+        truths: (F,) ground-truth boxes of each frame; boxes are numbered through all frames.
+        found: (F,) detections of each frame.
         score: (D,) confidence, frame by frame and in each the most confident first.
         matched: by ("bev" or "3d", IoU threshold) the (D,) number of the true box that each detection hits, or -1.
     """
 
-    frames: int
-    truth: int
+    truths: NDArray[np.int64]
+    found: NDArray[np.int64]
     score: NDArray[np.float32]
     matched: dict[tuple[Space, float], NDArray[np.int64]]
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.truths)
+
+    @property
+    def truth(self) -> int:
+        """Number of ground-truth boxes."""
+        return int(self.truths.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +129,7 @@ def judge(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOL
         for threshold in thresholds:
             near = iou >= threshold
             matched[space, threshold] = first_come(at[near], box[near], len(score))
-    return Judged(len(results), sum(map(len, truth)), score[ranked], matched)
+    return Judged(_lengths(truth), _lengths(found), score[ranked], matched)
 
 
 def join(parts: Sequence[Judged]) -> Judged:
@@ -131,8 +141,8 @@ def join(parts: Sequence[Judged]) -> Judged:
         )
         for key in parts[0].matched
     }
-    score = np.concatenate([part.score for part in parts])
-    return Judged(sum(part.frames for part in parts), int(starts[-1]), score, matched)
+    truths, found, score = (np.concatenate([getattr(p, name) for p in parts]) for name in ("truths", "found", "score"))
+    return Judged(truths, found, score, matched)
 
 
 def result_of(judged: Judged, among: NDArray[np.bool_] | None = None) -> EvalResult:
@@ -169,6 +179,10 @@ def _overlapping(found: list[NDArray[np.float64]], truth: list[NDArray[np.float6
         values.append(iou[row, column])
         detections, boxes = detections + len(a), boxes + len(b)
     return _Pairs(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
+
+
+def _lengths(boxes: list[NDArray[np.float64]]) -> NDArray[np.int64]:
+    return np.array([len(array) for array in boxes], np.int64)
 
 
 def _stacked(boxes: list[NDArray[np.float64]]) -> NDArray[np.float64]:

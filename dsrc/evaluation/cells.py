@@ -132,7 +132,8 @@ def write_cell(folder: Path, settings: CellSettings, tally: Tally) -> None:
     judged = tally.judged
     arrays: Mapping[str, Any] = {
         "settings": np.frombuffer(msgspec.json.encode(settings, order="deterministic"), np.uint8),
-        "counts": np.array([judged.frames, judged.truth], np.int64),
+        "truths": judged.truths.astype(np.int32),
+        "found": judged.found.astype(np.int32),
         "score": judged.score,
         "matched": np.stack([judged.matched[key] for key in _KEYS]).astype(np.int32),
         "ego_share": tally.ego_share,
@@ -153,9 +154,9 @@ def read_cell(folder: Path, key: str) -> Tally:
     path = folder / f"{key}.npz"
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            frames, truth = (int(count) for count in file["counts"])
+            truths, found = (file[name].astype(np.int64) for name in ("truths", "found"))
             matched = dict(zip(_KEYS, file["matched"].astype(np.int64), strict=True))
-            judged = Judged(frames, truth, file["score"], matched)
+            judged = Judged(truths, found, file["score"], matched)
             ego_share, traffic = file["ego_share"], file["traffic"]
         times = path.with_suffix(".seconds")
         seconds = np.array(times.read_text(encoding="utf-8").split() if times.is_file() else [], np.float64)
