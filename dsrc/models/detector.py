@@ -74,8 +74,7 @@ class Detector(nn.Module):
         self.backbone = BACKBONES[settings.backbone_name](settings)
         self.fusion = FUSIONS[settings.fusion].of(settings)
         self.by_stage = self.fusion.place == "stages"
-        widths = self.fusion.widths(settings)
-        self.decoder = Decoder(upsample(widths[k], decoder, 2**k, momentum) for k in range(3))
+        self.decoder = Decoder(upsample(settings.stage_channels[k], decoder, 2**k, momentum) for k in range(3))
         self.shrink = double_conv(
             3 * decoder,
             shrink,

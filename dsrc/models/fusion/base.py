@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -10,6 +10,8 @@ from torch import Tensor, nn
 from dsrc.models.settings import ModelSettings
 
 # Legend: N agents of all samples, B samples, A agents of one sample, L most agents of a sample.
+
+Layer = TypeVar("Layer", bound=nn.Module)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +60,15 @@ class Fusion(nn.Module):
             decoder; or `map`, one map of `shrink_channels` at a quarter of the grid's resolution, after decoder and
             shrink convolutions.
         scales_sent: how many of the stages go through the air.
+        start: what a method with weights of its own gives before they are trained: `identity`, the ego's maps, or
+            `maximum`, the largest of all agents' values per channel and cell. It is exact, so that a network whose
+            other weights come from a detector of single clouds starts with all that this one knows. Empty for methods
+            without weights.
     """
 
     place: ClassVar[Literal["stages", "map"]] = "stages"
     scales_sent: ClassVar[int] = 3
+    start: ClassVar[Literal["", "identity", "maximum"]] = ""
 
     @classmethod
     def of(cls, settings: ModelSettings) -> Self:
@@ -82,10 +89,6 @@ class Fusion(nn.Module):
         """Return how many channels the maps that an agent sends have together."""
         return settings.shrink_channels if cls.place == "map" else sum(settings.stage_channels[: cls.scales_sent])
 
-    def widths(self, settings: ModelSettings) -> tuple[int, ...]:
-        """Return the channels of the fused stages, which the decoder gets."""
-        return settings.stage_channels
-
     def send(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
         """Return what the agents send of their maps, cells that are not sent being zero; arguments as of `forward`."""
         return list(maps)
@@ -103,6 +106,13 @@ class Fusion(nn.Module):
             network: the detector, for a method that lets parts of it run again.
         """
         return [self.fuse(features, company) for features in maps]
+
+
+def silent(layer: Layer) -> Layer:
+    """Return a layer with weights of zero, so that what it adds to a map is learned from nothing."""
+    for weight in layer.parameters():
+        nn.init.zeros_(weight)
+    return layer
 
 
 def stacked(rows: Sequence[Tensor]) -> Tensor:

@@ -5,7 +5,7 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import Company, Fusion, silent, stacked
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import AgentWindows, FeedForward, Residual, padded
 from dsrc.models.settings import ModelSettings
@@ -19,12 +19,16 @@ class CoBEVT(Fusion):
     norm first and residual. Then the mean over the agents, a norm and a linear layer. A map that windows do not divide
     is filled up with cells that nobody looks at, and cut again.
 
+    Start: maximum. All agents count alike in the mean, and so they do in what is added to the result of the linear
+    layer, which starts at zero: the maximum, times `keep`, 1 per channel at first and 0 in the published network.
+
     Released (OpenCOOD): the agents are filled up with zero maps to the most there can be, which nobody looks at, but
     which look at others and count in the mean. `released` does so; else only real agents are there. OpenCOOD fails
     on maps that windows do not divide.
     """
 
     place = "map"
+    start = "maximum"
 
     def __init__(
         self,
@@ -65,7 +69,8 @@ class CoBEVT(Fusion):
             for _ in range(depth)
         )
         self.norm = nn.LayerNorm(channels)
-        self.out = nn.Linear(channels, channels)
+        self.out = silent(nn.Linear(channels, channels))
+        self.keep = nn.Parameter(torch.ones(channels))
 
     @classmethod
     def of(cls, settings: ModelSettings) -> Self:
@@ -74,8 +79,9 @@ class CoBEVT(Fusion):
 
     def fuse(self, features: Tensor, company: Company) -> Tensor:
         """Fuse the maps."""
-        groups = company.split(features)
-        return torch.stack([self.head(self.attend(into_ego(group, company, b))) for b, group in enumerate(groups)])
+        groups = [into_ego(group, company, b) for b, group in enumerate(company.split(features))]
+        learned = torch.stack([self.head(self.attend(group)) for group in groups])
+        return self.keep[:, None, None] * stacked([group.amax(0) for group in groups]) + learned
 
     def attend(self, group: Tensor) -> Tensor:
         """Return (A, H, W, C) features of one sample's (A, C, H, W) after the blocks."""

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import Company, Fusion, silent, stacked
 from dsrc.models.fusion.cobevt import filled_up
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import (
@@ -35,6 +35,10 @@ class ERMVP(Fusion):
     windows and of attention to queries made of the whole map fuse them (attentive feature fusion). The paper's
     calibration of poses and its interaction of agents and ego were never published and are left out.
 
+    Start: identity. What arrives of the others is sparse and normalised, no map that a head could read. The ego's map,
+    times `keep`, 1 per channel at first and 0 in the published network, is added to the result of the linear layer,
+    which starts at zero.
+
     Released: the merged map is made and thrown away, whole maps are fused and nothing is saved; clusters are weighted
     by the numbers of their cells instead of their scores; absent agents are filled up with zero maps as in CoBEVT, and
     grid attention layers exist that nothing calls. `released` has the first three; else the sampled cells are what is
@@ -42,6 +46,7 @@ class ERMVP(Fusion):
     """
 
     place = "map"
+    start = "identity"
 
     def __init__(
         self,
@@ -85,7 +90,8 @@ class ERMVP(Fusion):
             for _ in range(depth)
         )
         self.norm = nn.LayerNorm(channels)
-        self.out = nn.Linear(channels, channels)
+        self.out = silent(nn.Linear(channels, channels))
+        self.keep = nn.Parameter(torch.ones(channels))
 
     @classmethod
     def of(cls, settings: ModelSettings) -> Self:
@@ -111,7 +117,8 @@ class ERMVP(Fusion):
     def fuse(self, features: Tensor, company: Company) -> Tensor:
         """Fuse the maps."""
         groups = company.split(features)
-        return torch.stack([self.head(self.attend(into_ego(group, company, b))) for b, group in enumerate(groups)])
+        learned = [self.head(self.attend(into_ego(group, company, b))) for b, group in enumerate(groups)]
+        return self.keep[:, None, None] * stacked([group[0] for group in groups]) + torch.stack(learned)
 
     def attend(self, group: Tensor) -> Tensor:
         """Return (A, H, W, C) features of one sample's (A, C, H, W) after the blocks."""

@@ -7,18 +7,24 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import Company, Fusion, silent, stacked
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.settings import ModelSettings
 
 
 class MRCNetStyle(Fusion):
-    """After MRCNet, of which no model was published: (N, C_k, H_k, W_k) scales to (B, D, H_k, W_k).
+    """After MRCNet, of which no model was published: (N, C_k, H_k, W_k) scales to (B, C_k, H_k, W_k).
 
     Source: MRCNet, Hong et al., CVPR 2024, pages 15301 to 15310: multi-scale robust fusion. All scales are brought to D
     channels by 1 x 1 convolutions. Ego and collaborator are joined by their maximum per scale; a pyramid brings each
     scale's third of the channels to the others and back. Maximum and mean over the ego and what became of each
     collaborator, as two channels of a 3 x 3 x 3 convolution over channels and cells, are added to the ego's map.
+
+    Start: identity. What is added is brought back to the scale's own width by a 1 x 1 convolution that starts at zero;
+    so the ego's map keeps all its channels, and the decoder is that of any method. Before it, each layer passes on what
+    it can: the first channels of a scale, their maximum over the agents, nothing of the pyramid.
+
+    The scales are sent as they are, and brought to D channels by who hears them: two thirds of the numbers, with its widths.
 
     Not faithful, and cannot be: its motion enhancement needs earlier frames, which a `Sample` does not have, and is
     left out; its multi-scale deformable attention is left out, too (in the one public copy of the model its result is
@@ -26,17 +32,24 @@ class MRCNetStyle(Fusion):
     here all collaborators share weights and absent ones are absent.
     """
 
+    start = "identity"
+
     def __init__(self, channels: tuple[int, ...], width: int) -> None:
         """Make the layers.
 
         Args:
             channels: of the scales.
-            width: D, of all scales when fused.
+            width: D, of all scales while they are fused.
         """
         super().__init__()
-        self.width = width
         third = max(width // 3, 1)
-        self.project = nn.ModuleList(nn.Conv2d(c, width, 1) for c in channels)
+        # Without bias, so that cells of which nothing arrived stay zero.
+        project = [nn.Conv2d(c, width, 1, bias=False) for c in channels]
+        join = [silent(nn.Conv3d(2, 1, 3, padding=1)) for _ in channels]
+        for brought, maximum in zip(project, join, strict=True):
+            nn.init.dirac_(brought.weight)
+            maximum.weight.data[0, 0, 1, 1, 1] = 1.0
+        self.project, self.join = nn.ModuleList(project), nn.ModuleList(join)
         self.thin = nn.Conv2d(width, third, 3, padding=1)
         self.grow = nn.ModuleDict(
             {
@@ -45,44 +58,31 @@ class MRCNetStyle(Fusion):
                 for b in range(a)
             }
         )
-        self.gather = nn.ModuleList(nn.Conv2d(3 * third, width, 3, padding=1) for _ in range(3))
-        self.join = nn.ModuleList(nn.Conv3d(2, 1, 3, padding=1) for _ in range(3))
+        self.gather = nn.ModuleList(silent(nn.Conv2d(3 * third, width, 3, padding=1)) for _ in range(3))
+        self.restore = nn.ModuleList(silent(nn.Conv2d(width, c, 1)) for c in channels)
 
     @classmethod
     def of(cls, settings: ModelSettings) -> Self:
         """Return the fusion for a detector of these settings."""
         return cls(settings.stage_channels, settings.decoder_channels)
 
-    @classmethod
-    def values_sent(cls, settings: ModelSettings) -> int:
-        """Return the numbers of three scales of D channels."""
-        cells = settings.grid.width * settings.grid.height
-        return sum(settings.decoder_channels * cells // 4**k for k in (1, 2, 3))
-
-    def widths(self, settings: ModelSettings) -> tuple[int, ...]:
-        """Return D for every scale."""
-        return (self.width,) * 3
-
-    def send(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
-        """Return the scales with D channels."""
-        return [layer(scale) for layer, scale in zip(self.project, maps, strict=True)]
-
     def forward(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
         """Fuse the scales."""
-        per_sample = [
-            self._ego([into_ego(group, company, b) for group in groups])
-            for b, groups in enumerate(zip(*(company.split(scale) for scale in maps), strict=True))
+        alike = [company.split(layer(scale)) for layer, scale in zip(self.project, maps, strict=True)]
+        joined = [
+            self._joined([into_ego(group, company, b) for group in groups])
+            for b, groups in enumerate(zip(*alike, strict=True))
         ]
-        return [torch.stack(scale) for scale in zip(*per_sample, strict=True)]
+        return [
+            stacked([group[0] for group in company.split(scale)]) + layer(torch.stack(parts))
+            for layer, scale, parts in zip(self.restore, maps, zip(*joined, strict=True), strict=True)
+        ]
 
-    def _ego(self, scales: list[Tensor]) -> list[Tensor]:
-        """Return the ego's three (D, H_k, W_k) of (A, D, H_k, W_k)."""
+    def _joined(self, scales: list[Tensor]) -> list[Tensor]:
+        """Return three (D, H_k, W_k), what all agents' (A, D, H_k, W_k) add to the ego's map."""
         company = [torch.cat([own[:1], part]) for own, part in zip(scales, self._enhanced(scales), strict=True)]
-        results = []
-        for join, part in zip(self.join, company, strict=True):
-            both = torch.stack([part.amax(0), part.mean(0)])
-            results.append(part[0] + torch.relu(_over_channels(join, both)))  # type: ignore[arg-type]
-        return results
+        both = [torch.stack([part.amax(0), part.mean(0)]) for part in company]
+        return [torch.relu(_over_channels(join, pair)) for join, pair in zip(self.join, both, strict=True)]  # type: ignore[arg-type]
 
     def _enhanced(self, scales: list[Tensor]) -> list[Tensor]:
         """Return (A - 1, D, H_k, W_k) what each collaborator adds, joined with the ego and across scales."""

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import Company, Fusion, silent
 from dsrc.models.fusion.warp import about_centre, in_cells, shifted
 from dsrc.models.settings import ModelSettings
 
@@ -19,16 +19,21 @@ class V2VNet(Fusion):
     the mean over all j, i itself included, enters a convolutional GRU with i's features. A linear layer per cell ends
     it. The compensation of delay by a network of its own is left out, as in OpenCOOD.
 
+    Start: identity. A GRU keeps its state until told otherwise: the new features are `keep` times the old ones, 1 per
+    channel at first, plus a gated candidate that starts at zero; the linear layer starts as the identity.
+
     Computed once, not per pair: the convolution is linear, so its two halves are taken of each j and of each i, and the
     last round runs for the ego alone. Without warps a round costs 2 A convolutions of C channels where the released
     code has A^2 of 2 C.
 
-    Released (OpenCOOD): the GRU starts every call with a hidden state of zeros, so that its reset gate and its weights
-    for that state never matter; here they do not exist. The mask of what j sees turns about the first cell, the
-    features about the map's middle; with rotation they disagree. `released` does so, else both turn about the middle.
+    Released (OpenCOOD): the GRU starts every call with a hidden state of zeros, so that it keeps nothing (`keep` 0,
+    but 1 without the GRU); its reset gate and its weights for that state never matter, and do not exist here. The mask
+    of what j sees turns about the first cell, the features about the map's middle; with rotation they disagree.
+    `released` does so, else both turn about the middle.
     """
 
     place = "map"
+    start = "identity"
 
     def __init__(
         self, channels: int, rounds: int = 2, released: bool = False, agg: str = "mean", gated: bool = True
@@ -47,7 +52,11 @@ class V2VNet(Fusion):
         self.message = nn.Conv2d(2 * channels, channels, 3, padding=1)
         self.update = nn.Conv2d(2 * channels, channels, 3, padding=1)
         self.candidate = nn.Conv2d(2 * channels, channels, 3, padding=1)
+        silent(self.candidate if gated else self.message)
+        self.keep = nn.Parameter(torch.ones(channels))
         self.out = nn.Linear(channels, channels)
+        nn.init.eye_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
 
     @classmethod
     def of(cls, settings: ModelSettings) -> Self:
@@ -92,10 +101,11 @@ class V2VNet(Fusion):
 
     def _step(self, own: Tensor, heard: Tensor) -> Tensor:
         """Return the agents' new features."""
+        kept = self.keep[:, None, None] * own
         if not self.gated:
-            return own + heard
+            return kept + heard
         both = torch.cat([own, heard], dim=1)
-        return torch.sigmoid(self.update(both)) * torch.tanh(self.candidate(both))
+        return kept + torch.sigmoid(self.update(both)) * torch.tanh(self.candidate(both))
 
     def seen(self, motion: Tensor, group: Tensor) -> Tensor:
         """Return (A, A, 1, H, W) which cells of i, the second, lie on the map of j, the first."""

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import Company, Fusion, silent
 from dsrc.models.fusion.warp import about_centre, in_cells, shifted
 from dsrc.models.fusion.windows import FeedForward, Residual, cut, padded, paste
 from dsrc.models.settings import ModelSettings
@@ -24,6 +24,9 @@ class V2XViT(Fusion):
     agents sees only cells on the other's map. A map that windows do not divide is filled up with cells that nobody
     looks at, and cut again.
 
+    Start: identity. Every block is residual and the ego's features are read: the last layer of each branch, and that of
+    the delay, start at zero.
+
     Released (OpenCOOD): three channels of prior knowledge (speed, delay, kind) ride on the features; the layer that
     would read them is never called, so speed has no effect, and here only delay and kind exist. Absent agents are zeros
     that are computed along; what they get reaches nobody, so here they are not there, and the last block runs for the
@@ -31,6 +34,7 @@ class V2XViT(Fusion):
     """
 
     place = "map"
+    start = "identity"
 
     def __init__(
         self,
@@ -52,7 +56,7 @@ class V2XViT(Fusion):
             dropout: while training.
         """
         super().__init__()
-        self.delay = nn.Linear(channels, channels)
+        self.delay = silent(nn.Linear(channels, channels))
         self.blocks = nn.ModuleList(
             nn.ModuleDict(
                 {
@@ -63,6 +67,11 @@ class V2XViT(Fusion):
             )
             for _ in range(depth)
         )
+        for module in self.blocks.modules():
+            if isinstance(module, AgentAttention | Windows):
+                silent(module.out)
+            elif isinstance(module, FeedForward):
+                silent(module[-2])
 
     @classmethod
     def of(cls, settings: ModelSettings) -> Self:

@@ -20,6 +20,7 @@ from dsrc.models.settings import Backbone, Fusion
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import debug
 from sim.boxes import Boxes
+from tests.dsrc.models.weights import stirred
 from tests.dsrc.training.drive import frame
 
 
@@ -40,6 +41,7 @@ def talkative(**changes: object) -> Detector:
         )
         made = Detector(changed(model, score_threshold=0.005, score_prior=0.02))
         torch.nn.init.normal_(made.reg_head.bias, std=0.5)
+        stirred(made.fusion)
         return made.eval()
 
 

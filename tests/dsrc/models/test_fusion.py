@@ -7,7 +7,7 @@ from torch import nn
 
 from dsrc.models.backbones import plain
 from dsrc.models.blocks import upsample
-from dsrc.models.fusion import FUSIONS, Company
+from dsrc.models.fusion import FUSIONS, Company, Fusion
 from dsrc.models.fusion.attention import AttentionFusion
 from dsrc.models.fusion.cobevt import CoBEVT
 from dsrc.models.fusion.ermvp import ERMVP, density_clusters
@@ -19,14 +19,21 @@ from dsrc.models.fusion.warp import about_centre, in_cells, into_ego, normalised
 from dsrc.models.fusion.where2comm import Where2comm, gaussian
 from dsrc.models.settings import ModelSettings
 from tests.dsrc.models.reference import golden, matching, state
+from tests.dsrc.models.test_deploy import AGENTS, a_detector, some_pillars
+from tests.dsrc.models.weights import stirred
 
 SIZES = ModelSettings(stage_channels=(16, 16, 16), shrink_channels=16, decoder_channels=16)
+LEARNED = sorted(name for name in FUSIONS if FUSIONS[name].start)
 
 
-def made(name: str) -> torch.nn.Module:
+def untrained(name: str, settings: ModelSettings = SIZES) -> Fusion:
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        return FUSIONS[name].of(SIZES).eval()
+        return FUSIONS[name].of(settings).eval()
+
+
+def made(name: str) -> Fusion:
+    return stirred(untrained(name))
 
 
 def near(found: torch.Tensor, expected: np.ndarray, tolerance: float) -> None:
@@ -75,6 +82,7 @@ def test_v2vnet_equals_the_reference(agg: str, gated: bool, name: str) -> None:
     weights["update.weight"] = weights["update.weight"][channels:, : 2 * channels]
     weights["update.bias"] = weights["update.bias"][channels:]
     weights["candidate.weight"] = weights["candidate.weight"][:, : 2 * channels]
+    weights["keep"] = torch.zeros(channels) if gated else torch.ones(channels)
     fusion = V2VNet(channels, config["num_iteration"], released=True, agg=agg, gated=gated).eval()
     fusion.load_state_dict(weights)
     agents, cell = tuple(notes["record_len"]), config["voxel"] * config["downsample_rate"]
@@ -116,7 +124,7 @@ def test_cobevt_equals_the_reference() -> None:
     heads = config["input_dim"] // config["dim_head"]
     sizes = {"depth": config["depth"], "heads": heads, "window": config["window_size"], "hidden": config["mlp_dim"]}
     fusion = CoBEVT(config["input_dim"], config["agent_size"], **sizes, released=True).eval()
-    fusion.load_state_dict(matching(state(arrays), COBEVT))
+    fusion.load_state_dict(matching(state(arrays), COBEVT) | {"keep": torch.zeros(config["input_dim"])})
     place = arrays["state/layers.0.window_attention.fn.relative_position_index"]
     np.testing.assert_array_equal(fusion.blocks[0]["near"].inner.place, place)
     near(fusion.attend(x[:3])[:3].permute(0, 3, 1, 2), arrays["inter/after_block1_b0"], 5e-5)
@@ -155,7 +163,7 @@ def test_ermvp_equals_the_reference() -> None:
     heads = config["input_dim"] // config["dim_head"]
     sizes = {"depth": config["depth"], "heads": heads, "window": config["window_size"], "hidden": config["mlp_dim"]}
     fusion = ERMVP(config["input_dim"], config["agent_size"], **sizes, released=True).eval()
-    fusion.load_state_dict(matching(state(arrays), ERMVP_NAMES))
+    fusion.load_state_dict(matching(state(arrays), ERMVP_NAMES) | {"keep": torch.zeros(config["input_dim"])})
     company = Company(tuple(notes["record_len"]))
     near(fusion.fuse(fusion.send([x], company)[0], company), arrays["out_fusion"], 1e-4)
     sampler = fusion.sampler
@@ -307,6 +315,73 @@ def test_the_ego_keeps_all_of_its_own_and_the_released_form_the_third_agents_too
     for released, whole in ((False, [True, False, False]), (True, [True, False, True])):
         mask = Where2comm(released=released).eval().mask(confidence, Company((3,)))
         assert [bool(part.all()) for part in mask] == whole
+
+
+def some_maps(fusion: Fusion, agents: int) -> list[torch.Tensor]:
+    """Maps as they come out of a ReLU, of 16 channels and sides that windows do not divide."""
+    x = torch.randn(agents, 16, 20, 36, generator=torch.Generator().manual_seed(7)).relu()
+    return [x, x[..., ::2, ::2], x[..., ::4, ::4]] if fusion.place == "stages" else [x]
+
+
+def moved(agents: int) -> torch.Tensor:
+    """Poses of agents that stand 2 m apart, as a `Company` has them for one sample."""
+    along = torch.arange(agents, dtype=torch.float64)
+    pairwise = torch.eye(4, dtype=torch.float64).expand(1, agents, agents, 4, 4).clone()
+    pairwise[0, :, :, 0, 3] = 2.0 * (along[:, None] - along)
+    return pairwise
+
+
+def test_every_method_with_weights_says_what_it_gives_before_they_are_trained() -> None:
+    assert [name for name in sorted(FUSIONS) if any(True for _ in untrained(name).parameters())] == LEARNED
+
+
+@pytest.mark.parametrize("name", LEARNED)
+@pytest.mark.parametrize("warped", [False, True])
+@pytest.mark.parametrize("training", [False, True])
+def test_untrained_it_gives_the_egos_maps_or_the_maximum(name: str, warped: bool, training: bool) -> None:
+    fusion = untrained(name).train(training)
+    maps = some_maps(fusion, 3)
+    places = {"pairwise": moved(3), "extent_m": (36.0, 20.0)} if warped else {}
+    company = Company((3,), roadside=torch.tensor([False, True, False]), delay=torch.tensor([0, 1, 2]), **places)
+    fused = fusion(fusion.send(maps, company), company)
+    for found, own in zip(fused, maps, strict=True):
+        assert torch.equal(found, own[:1] if fusion.start == "identity" else MaxFusion().fuse(own, company))
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_every_weight_of_a_fusion_has_moved_after_three_steps(name: str) -> None:
+    fusion = untrained(name).train()
+    before = {key: weight.detach().clone() for key, weight in fusion.named_parameters()}
+    company = Company(
+        (3, 2),
+        roadside=torch.tensor([False, True, False, True, False]),
+        delay=torch.tensor([0, 1, 2, 0, 1]),
+    )
+    maps, generator = some_maps(fusion, 5), torch.Generator().manual_seed(8)
+    optimizer = torch.optim.AdamW(fusion.parameters(), lr=1e-3, weight_decay=0.0)
+    for _ in range(3):
+        optimizer.zero_grad()
+        fused = fusion(fusion.send(maps, company), company)
+        off = [(part - torch.randn(part.shape, generator=generator)).square().mean() for part in fused]
+        torch.stack(off).sum().backward()
+        optimizer.step()
+    assert [key for key, weight in fusion.named_parameters() if torch.equal(weight, before[key])] == []
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_all_other_weights_of_a_single_cloud_detector_fit_and_say_the_same(name: str) -> None:
+    detector = a_detector(fusion=name)
+    start = a_detector(fusion="max_map" if detector.fusion.place == "map" else "none")
+    own = detector.state_dict()
+    assert {key for key in own if not key.startswith("fusion.")} == set(start.state_dict())
+    detector.load_state_dict(own | start.state_dict())
+    pillars, company = some_pillars(start), Company(AGENTS)
+    with torch.inference_mode():
+        if detector.fusion.start == "identity":
+            expected = start(pillars, Company((1,) * sum(AGENTS))).cls[[0, AGENTS[0]]]
+        else:
+            expected = start(pillars, company).cls
+        torch.testing.assert_close(detector(pillars, company).cls, expected, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["attention", "max", "none", "coalign"])
