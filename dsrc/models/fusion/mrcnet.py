@@ -24,7 +24,8 @@ class MRCNetStyle(Fusion):
     so the ego's map keeps all its channels, and the decoder is that of any method. Before it, each layer passes on what
     it can: the first channels of a scale, their maximum over the agents, nothing of the pyramid.
 
-    The scales are sent as they are, and brought to D channels by who hears them: two thirds of the numbers, with its widths.
+    The scales are sent as they are and brought to D channels by who hears them: two thirds of the numbers, with the
+    default widths.
 
     Not faithful, and cannot be: its motion enhancement needs earlier frames, which a `Sample` does not have, and is
     left out; its multi-scale deformable attention is left out, too (in the one public copy of the model its result is
