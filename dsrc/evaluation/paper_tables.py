@@ -5,18 +5,21 @@ its methods whatever they are called, and says which it lacks.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
 
 from msgspec.structs import replace
 
 from dsrc.evaluation.ap import metric_name
-from dsrc.evaluation.plan import Case
+from dsrc.evaluation.plan import Case, Note
 from dsrc.evaluation.robustness import mce, mean_ap
 from dsrc.evaluation.rows import CLEAN, Row, condition_title
 from dsrc.evaluation.runner import VISIBILITY, Entry, Outcome, Trained
 from dsrc.evaluation.sheets import Column, Line, Sheet, Stat
 from dsrc.models.settings import ModelSettings
+from sensors.corruptions import Family
 from sim.v2x import IDEAL
 
 PAPER_SEVERITY = 3
@@ -29,7 +32,7 @@ _PLAIN, _WHOLE = (False, False, False), (True, True, True)
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """The rows of one dataset, and how the tables ask for them.
+    """The rows of one dataset, clean and under the corruptions of one family, and how the tables ask for them.
 
     Attributes:
         dataset: its name.
@@ -37,6 +40,9 @@ class View:
         entries: the rows.
         severity: that the tables show.
         channel: likewise.
+        family: of the corruptions.
+        starts: by method what its trainings began with, of those that say so.
+        notes: footnotes.
     """
 
     dataset: str
@@ -44,18 +50,50 @@ class View:
     entries: tuple[Entry, ...]
     severity: int
     channel: str
+    family: Family = "physical"
+    starts: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[Note, ...] = ()
 
     @classmethod
-    def of(cls, outcome: Outcome, dataset: str) -> "View":
-        """Return the rows of a dataset."""
+    def of(cls, outcome: Outcome, dataset: str, family: Family | None = None) -> "View":
+        """Return the rows of a dataset; of the first family unless another one is asked for."""
         plan = outcome.plan
+        family = family or plan.families[0]
+        rows = (entry for entry in outcome.entries if entry.case.dataset == dataset)
         return cls(
             dataset,
             outcome.trained,
-            tuple(entry for entry in outcome.entries if entry.case.dataset == dataset),
+            tuple(entry for entry in rows if entry.case.condition.family == family or _is_clean(entry)),
             PAPER_SEVERITY if PAPER_SEVERITY in plan.severities or not plan.severities else plan.severities[0],
             IDEAL if IDEAL in plan.channels else plan.channels[0],
+            family,
+            {method.name: method.start for method in plan.methods if method.start},
+            plan.notes,
         )
+
+    @property
+    def titled(self) -> str:
+        """The dataset, and whether its corruptions are those that were published, for titles."""
+        return self.dataset if self.family == "physical" else f"{self.dataset}, corruptions as published"
+
+    @property
+    def level(self) -> str:
+        """Severity of the corruptions and whose models they are, for notes."""
+        models = "" if self.family == "physical" else " of the published models"
+        return f"Severity {self.severity}{models}."
+
+    def mark(self, method: str) -> str:
+        """Return the marks of a method's footnotes; "" for none."""
+        return "".join(mark for mark, note in zip(_marks(), self.notes, strict=False) if method in note.methods)
+
+    def marked(self, label: str, method: str) -> str:
+        """Return a label of a method with its marks."""
+        return f"{label} {self.mark(method)}".rstrip()
+
+    def footnotes(self, methods: Sequence[str]) -> tuple[str, ...]:
+        """Return the footnotes of methods, in their order."""
+        marked = zip(_marks(), self.notes, strict=False)
+        return tuple(f"{mark} {note.text}" for mark, note in marked if set(methods) & set(note.methods))
 
     @property
     def settings(self) -> dict[str, ModelSettings]:
@@ -67,7 +105,7 @@ class View:
         found = dict.fromkeys(entry.case.condition.kind for entry in self.entries)
         return [kind for kind in found if kind != CLEAN]
 
-    def rows(
+    def found(
         self,
         method: str,
         kind: str = CLEAN,
@@ -78,11 +116,15 @@ class View:
         pose_error: float = 0.0,
         delay_s: float = 0.0,
         loss: float = 0.0,
-    ) -> list[Row]:
-        """Return the rows of a method, one per training in their order."""
+    ) -> list[Entry]:
+        """Return what was found of a method, one entry per training in their order."""
         level = 0 if kind == CLEAN else severity or self.severity
         wanted = (method, kind, level, channel or self.channel, agents, pose_error, delay_s, loss)
-        return [entry.row for entry in self.entries if _place(entry.case) == wanted]
+        return [entry for entry in self.entries if _place(entry.case) == wanted]
+
+    def rows(self, method: str, kind: str = CLEAN, **picks: Any) -> list[Row]:
+        """Return the rows of a method, one per training in their order; `picks` as in `found`."""
+        return [entry.row for entry in self.found(method, kind, **picks)]
 
     def ap(self, rows: Sequence[Row], names: Sequence[str] = NAMES) -> tuple[Stat, ...]:
         """Return the average precisions of rows."""
@@ -124,6 +166,15 @@ class View:
 
     def _first(self, fusion: str, parts: tuple[bool, bool, bool]) -> str | None:
         return next((n for n, s in self.settings.items() if s.fusion == fusion and parts_of(s) == parts), None)
+
+
+def _is_clean(entry: Entry) -> bool:
+    return entry.case.condition.kind == CLEAN
+
+
+def _marks() -> Iterator[str]:
+    """Return the marks of footnotes: four daggers and the like, then each of them twice, and so on."""
+    return (mark * times for times in count(1) for mark in "†‡§¶")
 
 
 def _place(case: Case) -> tuple[object, ...]:
@@ -182,18 +233,20 @@ def table_1(view: View, *, opencood: bool = False) -> Sheet:
             (Stat.of([row.bytes_per_frame for row in clean if row.bytes_per_frame is not None]),),
             (Stat.of([row.seconds_per_frame for row in clean if row.seconds_per_frame is not None]),),
         ]
-        lines.append(Line(method, tuple(cells)))
+        words = (view.starts.get(method, ""),) if view.starts else ()
+        lines.append(Line(method, tuple(cells), view.mark(method), words))
     order = (
         "detections sorted inside each frame, as OpenCOOD and the paper do" if opencood else "sorted over all frames"
     )
     note = (
-        f"{_AP}; {order}. Severity {view.severity}. mCE: share of the clean AP lost, less is better; mAP: mean over "
+        f"{_AP}; {order}. {view.level} mCE: share of the clean AP lost, less is better; mAP: mean over "
         f"clean and corrupted frames. kB: what all collaborators send for a frame, clean."
-        f"{_bytes(view, compared(view))} ms: median time of a detection.{_made_of(view, compared(view))}"
+        f"{_bytes(view, compared(view))} ms: median time of a detection.{made_of(view, compared(view))}"
     )
     name = "table_1_opencood" if opencood else "table_1"
-    title = f"Table 1{', sorted inside frames' if opencood else ''}. Clean and corrupted frames, {view.dataset}"
-    return Sheet(name, title, note, "Method", tuple(columns), tuple(lines))
+    title = f"Table 1{', sorted inside frames' if opencood else ''}. Clean and corrupted frames, {view.titled}"
+    words, footnotes = ("Start",) if view.starts else (), view.footnotes(compared(view))
+    return Sheet(name, title, note, "Method", tuple(columns), tuple(lines), words, footnotes)
 
 
 def table_2(view: View) -> Sheet | str:
@@ -210,16 +263,18 @@ def table_2(view: View) -> Sheet | str:
             continue
         found.append(method)
         clean = view.ap(view.rows(method))
-        lines.append(Line(label, (clean, view.summary(method, mean_corrupted), view.summary(method, mean_ap))))
+        cells = (clean, view.summary(method, mean_corrupted), view.summary(method, mean_ap))
+        lines.append(Line(label, cells, view.mark(method)))
     if len(lines) < 2:
         return _lacks("Table 2", f"'{whole}' with other parts: {', '.join(missing)}")
     columns = (Column("Clean"), Column("Mean of the corruptions"), Column("Mean with clean"))
     without = f" Left out, for want of a method: {', '.join(missing)}." if missing else ""
     note = (
-        f"{_AP}. Severity {view.severity}. The paper's numbers agree with its mean with clean, whatever its caption "
-        f"says.{_made_of(view, found)}{without}"
+        f"{_AP}. {view.level} The paper's numbers agree with its mean with clean, whatever its caption "
+        f"says.{made_of(view, found)}{without}"
     )
-    return Sheet("table_2", f"Table 2. Parts of DSRC, {view.dataset}", note, "Parts", columns, tuple(lines))
+    title = f"Table 2. Parts of DSRC, {view.titled}"
+    return Sheet("table_2", title, note, "Parts", columns, tuple(lines), footnotes=view.footnotes(found))
 
 
 def table_3(view: View) -> Sheet | str:
@@ -245,7 +300,8 @@ def _pairs(view: View, title: str, what: str, fusions: Sequence[tuple[str, str, 
         if pair[0] is None or pair[1] is None:
             missing.append(wanted)
             continue
-        columns += [Column(label), Column(f"{label} + DSRC")]
+        titles = (view.marked(label, pair[0]), view.marked(f"{label} + DSRC", pair[1]))
+        columns += [Column(text, better="") for text in titles]  # the best of a line, not of a column, matters
         methods += [name for name in pair if name is not None]
     if not methods:
         return _lacks(title, "; ".join(missing))
@@ -255,11 +311,11 @@ def _pairs(view: View, title: str, what: str, fusions: Sequence[tuple[str, str, 
     ]
     lines.append(Line("mCE", tuple(view.summary(method, mce) for method in methods)))
     lines.append(Line("mAP", tuple(view.summary(method, mean_ap) for method in methods)))
-    columns = [Column(column.title, better="") for column in columns]  # the best of a line, not of a column, matters
     without = f" Left out, for want of methods: {'; '.join(missing)}." if missing else ""
-    note = f"{_AP}. Severity {view.severity}.{_made_of(view, methods)}{without}"
+    note = f"{_AP}. {view.level}{made_of(view, methods)}{without}"
     name = title.lower().replace(" ", "_")
-    return Sheet(name, f"{title}. {what}, {view.dataset}", note, "Condition", tuple(columns), tuple(lines))
+    title, footnotes = f"{title}. {what}, {view.titled}", view.footnotes(methods)
+    return Sheet(name, title, note, "Condition", tuple(columns), tuple(lines), footnotes=footnotes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,10 +376,12 @@ def sweep_sheet(view: View, axis: Axis) -> Sheet:
         if all(math.isnan(cell[0].mean) for cell in cells[1:]):
             continue
         shown.append(method)
-        lines.append(Line(method, tuple(cells + ([_air(rows) for rows in found] if axis.name == "channels" else []))))
+        cells += [_air(rows) for rows in found] if axis.name == "channels" else []
+        lines.append(Line(method, tuple(cells), view.mark(method)))
     sent = _bytes(view, shown) if axis.name == "channels" else ""
-    note = f"{_AP}, clean frames, over: {axis.label}.{sent}{_made_of(view, shown)}"
-    return Sheet(axis.name, f"{axis.title}, {view.dataset}", note, "Method", tuple(columns), tuple(lines))
+    note = f"{_AP}, clean frames, over: {axis.label}.{sent}{made_of(view, shown)}"
+    title, footnotes = f"{axis.title}, {view.dataset}", view.footnotes(shown)
+    return Sheet(axis.name, title, note, "Method", tuple(columns), tuple(lines), footnotes=footnotes)
 
 
 def _air(rows: Sequence[Row]) -> tuple[Stat, ...]:
@@ -347,9 +405,10 @@ def severity_sheet(view: View, severities: Sequence[int]) -> Sheet:
                 [sum(row.metrics[name] for row in rows) / len(rows) for name in NAMES] for rows in trainings if rows
             ]
             cells.append(tuple(Stat.of([pair[k] for pair in means]) for k in range(2)))
-        lines.append(Line(method, tuple(cells)))
-    note = f"{_AP}, mean of the corruptions.{_made_of(view, compared(view))}"
-    return Sheet("severity", f"Severity, {view.dataset}", note, "Method", tuple(columns), tuple(lines))
+        lines.append(Line(method, tuple(cells), view.mark(method)))
+    note = f"{_AP}, mean of the corruptions.{made_of(view, compared(view))}"
+    title, footnotes = f"Severity, {view.titled}", view.footnotes(compared(view))
+    return Sheet("severity", title, note, "Method", tuple(columns), tuple(lines), footnotes=footnotes)
 
 
 def visibility_sheet(view: View) -> Sheet | str:
@@ -361,15 +420,16 @@ def visibility_sheet(view: View) -> Sheet | str:
         Line(
             method,
             tuple(view.ap(view.rows(method), [f"{name}_{part}" for name in NAMES]) for part in VISIBILITY),
+            view.mark(method),
         )
         for method in compared(view)
     ]
     note = (
         f"{_AP}, clean frames, of boxes by the share of the ego's rays on them that nothing else stops."
-        f"{_made_of(view, compared(view))}"
+        f"{made_of(view, compared(view))}"
     )
-    title = f"By what the ego sees, {view.dataset}"
-    return Sheet("visibility", title, note, "Method", tuple(columns), tuple(lines))
+    title, footnotes = f"By what the ego sees, {view.dataset}", view.footnotes(compared(view))
+    return Sheet("visibility", title, note, "Method", tuple(columns), tuple(lines), footnotes=footnotes)
 
 
 def mean_corrupted(clean: float, by_corruption: dict[str, float]) -> float:
@@ -377,35 +437,51 @@ def mean_corrupted(clean: float, by_corruption: dict[str, float]) -> float:
     return sum(by_corruption.values()) / len(by_corruption)
 
 
-def sheets_of(outcome: Outcome, dataset: str) -> list[Sheet | str]:
-    """Return all tables of a dataset; for one that lacks its methods the line that says so."""
-    view = View.of(outcome, dataset)
+def corruption_sheets(view: View, severities: Sequence[int]) -> list[Sheet | str]:
+    """Return the tables of one family of corruptions; for one that lacks its methods the line that says so."""
     sheets: list[Sheet | str] = [table_1(view), table_1(view, opencood=True), table_2(view), table_3(view)]
-    sheets += [table_4(view), visibility_sheet(view)]
-    sheets += [sweep_sheet(view, axis) for axis in axes_of(outcome)]
-    if len(outcome.plan.severities) > 1 and view.kinds():
-        sheets.append(severity_sheet(view, sorted(outcome.plan.severities)))
+    sheets.append(table_4(view))
+    if len(severities) > 1 and view.kinds():
+        sheets.append(severity_sheet(view, sorted(severities)))
     return sheets
+
+
+def clean_sheets(view: View, axes: Sequence[Axis]) -> list[Sheet | str]:
+    """Return the tables of clean frames, which are the same for all families."""
+    return [visibility_sheet(view), *(sweep_sheet(view, axis) for axis in axes)]
+
+
+def sheets_of(outcome: Outcome, dataset: str) -> list[Sheet | str]:
+    """Return all tables of a dataset, family by family, those of clean frames last."""
+    views = [View.of(outcome, dataset, family) for family in outcome.plan.families]
+    sheets = [sheet for view in views for sheet in corruption_sheets(view, outcome.plan.severities)]
+    return [*sheets, *clean_sheets(views[0], axes_of(outcome))]
 
 
 def _lacks(table: str, what: str) -> str:
     return f"{table} is left out: it needs {what}."
 
 
-def _made_of(view: View, methods: Sequence[str]) -> str:
-    """Return what the numbers of a table come from: frames and boxes, recipe and range, trainings."""
+def made_of(view: View, methods: Sequence[str], *, spread: bool = True) -> str:
+    """Return what the numbers of a table come from: frames and boxes, recipe and range, trainings.
+
+    Args:
+        view: the rows.
+        methods: of the table.
+        spread: say what ± is, where a method has several trainings.
+    """
     if not methods:
         return ""
     rows = [row for method in methods for row in view.rows(method)[:1]]
     counts = dict.fromkeys(f"{row.frames} frames with {row.truth} boxes" for row in rows)
-    several = any(len(view.trained[method]) > 1 for method in methods)
-    spread = " ± is the standard deviation between trainings." if several else ""
+    several = spread and any(len(view.trained[method]) > 1 for method in methods)
+    about = " ± is the standard deviation between trainings." if several else ""
     recipes = _told(methods, {method: _recipe(view.trained[method]) for method in methods})
     seeds = _told(
         methods,
         {method: ", ".join(_or_unknown(one.seed) for one in view.trained[method]) for method in methods},
     )
-    return f" {' or '.join(counts)}. Recipe and range: {recipes}. Seeds of the trainings: {seeds}.{spread}"
+    return f" {' or '.join(counts)}. Recipe and range: {recipes}. Seeds of the trainings: {seeds}.{about}"
 
 
 def _recipe(trained: Sequence[Trained]) -> str:

@@ -2,6 +2,7 @@
 
     name = "small"
     corruptions = ["paper_six"]
+    families = ["physical", "paper"]  # tables of each; default: physical
     severities = [3]
     channels = ["ideal"]
     limit = 300                       # frames of each dataset, evenly spread; default: all
@@ -14,10 +15,19 @@
     name = "DSRC that sends a tenth"
     detectors = ["runs/dsrc_0/student/detector.pt", "runs/dsrc_1/student/detector.pt"]
     use = {share = 0.1}
+    start = "own, maximum"            # what its training began with, for Table 1
 
     [[datasets]]
     name = "dsrc-sim"
     drives = ["data/dsrc-sim/test"]
+
+    [[differences]]                   # with intervals, by frame and by drive
+    method = "DSRC that sends a tenth"
+    baseline = "DSRC"
+
+    [[notes]]                         # marks the lines of methods in all tables
+    methods = ["DSRC that sends a tenth"]
+    text = "Never trained to send less."
 
     [sweeps]                          # clean frames, nothing lost or late but for the one quantity
     agents = [1, 2, 3, 4, 5]
@@ -58,11 +68,13 @@ class MethodSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         detectors: detector files, one for each seed that the method was trained with.
         use: changes of the model's settings that need no training of their own, of `IN_USE`: the same detectors that
             send less, or that put poses right, are another method.
+        start: what its trainings began with, for a column of Table 1; "" says nothing.
     """
 
     name: str
     detectors: _Texts
     use: dict[str, bool | int | float] = {}
+    start: str = ""
 
 
 class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -75,6 +87,30 @@ class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     name: str
     drives: _Texts
+
+
+class DifferenceSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A difference between two methods, for the table of intervals.
+
+    Attributes:
+        method: the one whose gain is asked for.
+        baseline: the one that it is compared with.
+    """
+
+    method: str
+    baseline: str
+
+
+class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A footnote of the tables.
+
+    Attributes:
+        methods: whose lines carry its mark.
+        text: below each table that shows one of them.
+    """
+
+    methods: _Texts
+    text: Annotated[str, Meta(min_length=1)]
 
 
 class Sweeps(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -122,10 +158,12 @@ class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         name: of the benchmark.
         corruptions: kinds, `paper_six`, `all` or `clean`; clean frames are always there.
         severities: of each corruption, 1 to 5; the tables show 3, the paper's, where it is among them.
-        family: of the corruptions' settings.
+        families: of the corruptions' settings; the tables of corruptions are written once for each.
         channels: of the radio; the tables show `ideal`, where everything arrives and bytes are counted.
         seed: of corruptions and channels.
         limit: evaluate at most so many frames of a dataset, evenly spread.
+        differences: pairs of methods.
+        notes: footnotes, marked in their order.
         sweeps: what else is varied.
         pictures: of single frames.
     """
@@ -135,12 +173,19 @@ class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     name: str = "benchmark"
     corruptions: tuple[str, ...] = (PAPER_TABLE,)
     severities: tuple[int, ...] = (3,)
-    family: Family = "physical"
+    families: Annotated[tuple[Family, ...], Meta(min_length=1)] = ("physical",)
     channels: _Texts = (IDEAL,)
     seed: int = 0
     limit: int | None = None
+    differences: tuple[DifferenceSpec, ...] = ()
+    notes: tuple[Note, ...] = ()
     sweeps: Sweeps = Sweeps()
     pictures: Pictures = Pictures()
+
+    @property
+    def family(self) -> Family:
+        """First of the families, that of pictures of single frames."""
+        return self.families[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +213,11 @@ class Case:
     pose_error: float = 0.0
     delay_s: float = 0.0
     loss: float = 0.0
+
+    @property
+    def swept(self) -> bool:
+        """Whether it belongs to a sweep."""
+        return self.agents is not None or bool(self.pose_error or self.delay_s or self.loss)
 
     def spec(self) -> ChannelSpec:
         """Return the settings of the channel."""
@@ -206,7 +256,7 @@ def plan_of(what: Sequence[str], data: Sequence[str], flags: Mapping[str, Any], 
         what: a TOML file, or detector files; `name=path` gives one its name, and one name given to several files is a
             method with several trainings.
         data: folders of drives, a dataset each; `name=folder` names one.
-        flags: further fields of `Benchmark`; None for what was not said.
+        flags: further fields of `Benchmark`, with `family` for a single one of `families`; None for what was not said.
         sweeps: likewise of `Sweeps`.
 
     Raises:
@@ -225,6 +275,8 @@ def plan_of(what: Sequence[str], data: Sequence[str], flags: Mapping[str, Any], 
     for field, found in (("detectors", methods), ("data", datasets)):
         if not found:
             raise SettingsError(complaint("benchmark", field, "at least one, or a TOML file", "none"))
+    if "family" in given:
+        given["families"] = (given.pop("family"),)
     listed: dict[str, Any] = {
         "methods": [{"name": name, "detectors": files} for name, files in methods.items()],
         "datasets": [{"name": name, "drives": folders} for name, folders in datasets.items()],
@@ -275,16 +327,29 @@ def check(plan: Benchmark, where: str) -> None:
         ("datasets", [dataset.name for dataset in plan.datasets]),
         ("channels", list(plan.channels)),
         ("severities", list(map(str, plan.severities))),
+        ("families", list(map(str, plan.families))),
     ):
         repeated = sorted({name for name in given if given.count(name) > 1})
         if repeated:
             raise SettingsError(complaint(where, field, "names that differ", repeated[0]))
         if not all(given):
             raise SettingsError(complaint(where, field, "names that are not empty", "''"))
-    for field, wanted in (("sweeps.methods", plan.sweeps.methods), ("pictures.methods", plan.pictures.methods)):
+    for field, wanted in (
+        ("sweeps.methods", plan.sweeps.methods),
+        ("pictures.methods", plan.pictures.methods),
+        ("differences.method", tuple(pair.method for pair in plan.differences)),
+        ("differences.baseline", tuple(pair.baseline for pair in plan.differences)),
+        ("notes.methods", tuple(name for note in plan.notes for name in note.methods)),
+    ):
         for name in wanted:
             if name not in names:
                 raise SettingsError(complaint(where, field, "one of the methods", name, did_you_mean(name, names)))
+    for i, pair in enumerate(plan.differences):
+        if pair.method == pair.baseline:
+            raise SettingsError(complaint(where, f"differences[{i}].baseline", "another method", pair.baseline))
+        if pair in plan.differences[:i]:
+            found = f"{pair.method} and {pair.baseline} again"
+            raise SettingsError(complaint(where, f"differences[{i}]", "a pair that is not there yet", found))
     for method in plan.methods:
         for field in method.use:
             if field not in IN_USE:
@@ -293,7 +358,8 @@ def check(plan: Benchmark, where: str) -> None:
                     complaint(where, f"methods.{method.name}.use", expected, field, did_you_mean(field, IN_USE))
                 )
     check_numbers(where, plan.severities, plan.seed, plan.limit)
-    corruption_kinds((*plan.corruptions, plan.pictures.corruption), plan.family, where)
+    for family in plan.families:
+        corruption_kinds((*plan.corruptions, plan.pictures.corruption), family, where)
     try:
         for channel in plan.channels:
             get_channel(channel)
@@ -320,13 +386,24 @@ def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
     if pictures.teacher and not Path(pictures.teacher).is_file():
         absent.append(pictures.teacher)
         pictures = replace(pictures, teacher="")
-    return replace(plan, methods=methods, sweeps=sweeps, pictures=pictures), absent
+    differences = tuple(pair for pair in plan.differences if pair.method in names and pair.baseline in names)
+    shown = ((note, tuple(name for name in note.methods if name in names)) for note in plan.notes)
+    notes = tuple(replace(note, methods=kept) for note, kept in shown if kept)
+    plan = replace(plan, methods=methods, differences=differences, notes=notes, sweeps=sweeps, pictures=pictures)
+    return plan, absent
 
 
 def conditions_of(plan: Benchmark) -> list[Condition]:
-    """Return clean, then every corruption at every severity."""
-    kinds = corruption_kinds(plan.corruptions, plan.family)
-    return [Condition(), *(Condition(kind, level, plan.family) for kind in kinds for level in plan.severities)]
+    """Return clean, then, family by family, every corruption at every severity."""
+    return [
+        Condition(),
+        *(
+            Condition(kind, level, family)
+            for family in plan.families
+            for kind in corruption_kinds(plan.corruptions, family)
+            for level in plan.severities
+        ),
+    ]
 
 
 def cases_of(plan: Benchmark) -> list[Case]:

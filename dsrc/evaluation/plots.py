@@ -22,6 +22,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from dsrc.evaluation.ap import Space, envelope, metric_name
+from dsrc.evaluation.intervals import IOUS, Difference
 from dsrc.evaluation.rows import CLEAN, MCE, MEAN_AP, Row, condition_title, conditions_of, find_row, methods_of
 from dsrc.evaluation.sheets import Sheet, Stat
 
@@ -30,7 +31,6 @@ COLORS = (
     "#882255", "#332288", "#999933", "#000000",
 )  # fmt: skip
 """Distinct with any colour vision: seven of Okabe and Ito (2008), then of Tol's muted scheme (2021), and black."""
-IOUS = (0.5, 0.7)
 _INK, _GRID, _FRAME = "#22272E", "#E3E6EA", "#9AA3AD"
 _MARKERS = "osD^vPX<>"
 _DASHES = ("-", "--", ":")
@@ -125,7 +125,7 @@ def map_of_sheet(sheet: Sheet) -> Figure:
     """Draw a sheet's columns of AP as numbers on a scale of colours, a panel per IoU; the best of a column is bold."""
     shown = [i for i, column in enumerate(sheet.columns) if column.better == "high" and len(column.parts) == len(IOUS)]
     values = [[[line.cells[i][part].mean for i in shown] for line in sheet.lines] for part in range(len(IOUS))]
-    return _map(sheet.title, [line.label for line in sheet.lines], [sheet.columns[i].title for i in shown], values)
+    return _map(sheet.title, [line.title for line in sheet.lines], [sheet.columns[i].title for i in shown], values)
 
 
 _CMAP = "cividis"
@@ -313,6 +313,48 @@ def apart(wanted: Sequence[float], step: float) -> list[float]:
             last = groups.pop()
             groups[-1] += last
     return [middle(group) + (i - (len(group) - 1) / 2) * step for group in groups for i in range(len(group))]
+
+
+def difference_dots(differences: Sequence[Difference], title: str = "") -> Figure:
+    """Draw differences with their intervals, a row of panels per pair, a panel per IoU, a line per condition.
+
+    The upper bar of a line is the interval by frame, the lower one that by drive; dots are full where both exclude 0.
+    """
+    pairs = list(dict.fromkeys((one.method, one.baseline) for one in differences))
+    conditions = list(dict.fromkeys(one.condition for one in differences))
+    height = 0.9 + len(pairs) * (0.8 + 0.24 * len(conditions))
+    with styled():
+        figure, parts = panels(_WIDTH_IN, height, rows=max(len(pairs), 1), columns=len(IOUS), title=title)
+        wanted = [(pair, iou) for pair in pairs for iou in IOUS]
+        for axes, (pair, iou) in zip(parts, wanted, strict=False):
+            shown = [one for one in differences if (one.method, one.baseline) == pair and one.iou == iou]
+            axes.axvline(0.0, color=_INK, linewidth=0.9)
+            for y, one in enumerate(shown):
+                _interval(axes, y, one, named=y == 0)
+            first = iou == IOUS[0]
+            axes.set_yticks(range(len(shown)), [condition_title(one.condition) if first else "" for one in shown])
+            axes.set(ylim=(len(conditions) - 0.5, -0.5))
+            axes.set_title(f"{pair[0]} less\n{pair[1]}, IoU {iou}")
+            axes.grid(visible=False, axis="y")
+        for axes in parts[-len(IOUS) :]:
+            axes.set_xlabel("difference, points of AP (mCE: less is better)")
+        _legend(figure, parts[0], below=True)
+    return figure
+
+
+def _interval(axes: Axes, y: float, one: Difference, *, named: bool) -> None:
+    """Draw a difference and its two intervals, in points."""
+    for bounds, off, style, label in (
+        (one.by_frame, -0.14, _SHADES[1], "95 % interval by frame"),
+        (one.by_drive, 0.14, _SHADES[2], "95 % interval by drive"),
+    ):
+        ends = [100 * bounds.low, 100 * bounds.high]
+        color = style["facecolor"]
+        axes.plot(
+            ends, [y + off] * 2, color=color, linewidth=2.6, label=label if named else None, solid_capstyle="butt"
+        )
+    face = _INK if one.resolved else "white"
+    axes.plot([100 * one.value.mean], [y], "o", color=_INK, markersize=5, markerfacecolor=face, markeredgewidth=1.2)
 
 
 def traffic_scatter(

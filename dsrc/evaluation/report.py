@@ -13,12 +13,22 @@ from typing import Any
 import msgspec
 from matplotlib.figure import Figure
 
+from dsrc.evaluation.differences import DifferenceTable, difference_table
 from dsrc.evaluation.paper import paper_sheets
-from dsrc.evaluation.paper_tables import NAMES, View, averaged, axes_of, compared, sheets_of
+from dsrc.evaluation.paper_tables import (
+    NAMES,
+    View,
+    averaged,
+    axes_of,
+    clean_sheets,
+    compared,
+    corruption_sheets,
+)
 from dsrc.evaluation.plots import (
     Look,
     bars_of_sheet,
     corruption_bars,
+    difference_dots,
     lines_of_sheet,
     looks_of,
     map_of_sheet,
@@ -33,6 +43,7 @@ from dsrc.evaluation.rows import CLEAN, MCE, MEAN_AP, Row
 from dsrc.evaluation.runner import Entry, Outcome
 from dsrc.evaluation.sheets import Sheet, Stat
 from dsrc.evaluation.tables import write_atomic
+from sensors.corruptions import Family
 from sim.errors import DataError, complaint
 
 _CASE = ("method", "training", "dataset")
@@ -86,15 +97,35 @@ def write_report(outcome: Outcome, out: Path) -> list[Block]:
     """
     made_by = provenance_of(outcome)
     listed = [_listed(entry, outcome) for entry in outcome.entries]
-    text = json.dumps({"provenance": made_by, "rows": listed}, indent=1, sort_keys=True, allow_nan=False)
+    tables = _difference_tables(outcome)
+    differences = [
+        {"dataset": dataset, "family": family, **one.listed()}
+        for (dataset, family), table in tables.items()
+        for one in table.differences
+    ]
+    result = {"provenance": made_by, "rows": listed, "differences": differences}
+    text = json.dumps(result, indent=1, sort_keys=True, allow_nan=False)
     write_atomic(out / "results.json", text + "\n")
     write_atomic(out / "results.csv", _csv(listed, made_by))
     write_atomic(out / "timings.csv", _timings(outcome.entries))
     blocks = []
     for dataset in outcome.drives:
         folder = slug(dataset)
-        blocks += [block.below(folder) for block in _dataset(outcome, dataset, out / folder, made_by)]
+        own = {family: table for (name, family), table in tables.items() if name == dataset}
+        blocks += [block.below(folder) for block in _dataset(outcome, dataset, own, out / folder, made_by)]
     return blocks
+
+
+def _difference_tables(outcome: Outcome) -> dict[tuple[str, Family], DifferenceTable]:
+    """Return by dataset and family the differences; none where no pair is asked for."""
+    plan = outcome.plan
+    if not plan.differences:
+        return {}
+    return {
+        (dataset, family): difference_table(View.of(outcome, dataset, family), plan.differences, frames)
+        for dataset, frames in outcome.frames.items()
+        for family in plan.families
+    }
 
 
 def provenance_of(outcome: Outcome) -> dict[str, Any]:
@@ -157,42 +188,81 @@ def _timings(entries: list[Entry]) -> str:
     return text.getvalue()
 
 
-def _dataset(outcome: Outcome, dataset: str, folder: Path, made_by: Mapping[str, Any]) -> list[Block]:
-    """Write tables and plots of a dataset; return its blocks, pictures by the names of their files."""
-    view, published = View.of(outcome, dataset), paper_sheets()
-    looks = looks_of([*outcome.plan.sweeps.methods, *view.trained])  # curves lie closest, so theirs differ most
-    blocks = []
-    for sheet in sheets_of(outcome, dataset):
+def _dataset(
+    outcome: Outcome,
+    dataset: str,
+    tables: Mapping[Family, DifferenceTable],
+    folder: Path,
+    made_by: Mapping[str, Any],
+) -> list[Block]:
+    """Write tables and plots of a dataset; return its blocks, pictures by the names of their files.
+
+    Those of the second family of corruptions have its name behind theirs; those of clean frames are there once.
+    """
+    plan, writer = outcome.plan, _Writer(folder, made_by)
+    views = {family: View.of(outcome, dataset, family) for family in plan.families}
+    first = views[plan.families[0]]
+    looks = looks_of([*plan.sweeps.methods, *first.trained])  # curves lie closest, so theirs differ most
+    for family, view in views.items():
+        suffix = "" if view is first else f"_{family}"
+        for sheet in corruption_sheets(view, plan.severities):
+            writer.sheet(sheet, None if isinstance(sheet, str) else _figure_of(sheet, view, outcome, looks), suffix)
+        if family in tables:
+            table = tables[family]
+            figure = difference_dots(table.differences, table.title)
+            files = {".md": table.markdown(), ".csv": table.csv()}
+            writer.block(f"differences{suffix}", table.markdown(), files, figure, table.title)
+        if view.kinds():
+            four = f"Figure 4. Mean of all methods under each corruption, {view.titled}"
+            five = f"Figure 5. mCE against mean AP, {view.titled}"
+            means, rows = mean_rows(view, averaged(view)), mean_rows(view, compared(view))
+            writer.block(f"figure_4{suffix}", figure=mean_bars(means, title=four), about=four)
+            writer.block(f"figure_5{suffix}", figure=robustness_scatter(rows, looks=looks, title=five), about=five)
+    for sheet in clean_sheets(first, axes_of(outcome)):
+        writer.sheet(sheet, None if isinstance(sheet, str) else _figure_of(sheet, first, outcome, looks))
+    about = f"AP in clean frames against the bytes that are sent, {dataset}"
+    writer.block("traffic", figure=traffic_scatter(_traffic(first), looks, about), about=about)
+    return writer.blocks
+
+
+class _Writer:
+    """Writes tables and plots into a folder and keeps the blocks that show them.
+
+    Args:
+        folder: for the files.
+        made_by: provenance, for the plots.
+    """
+
+    def __init__(self, folder: Path, made_by: Mapping[str, Any]) -> None:
+        self.blocks: list[Block] = []
+        self._folder, self._made_by, self._published = folder, made_by, paper_sheets()
+
+    def sheet(self, sheet: Sheet | str, figure: Figure | None, suffix: str = "") -> None:
+        """Write a table, with the paper's below it in its block; of one that is left out the line that says so."""
         if isinstance(sheet, str):
             name = sheet.split(" is ")[0].lower().replace(" ", "_")
-            blocks.append(Block(name, f"{sheet}\n"))
-            continue
-        tables = {f"{sheet.name}.md": sheet.markdown(), f"{sheet.name}.csv": sheet.csv()}
-        for name, text in tables.items():
-            write_atomic(folder / name, text)
-        figure = _figure_of(sheet, view, outcome, looks)
-        picture = "" if figure is None else f"{sheet.name}.png"
+            self.block(f"{name}{suffix}", f"{sheet}\n")
+            return
+        beside = f"\n{self._published[sheet.name].markdown()}" if sheet.name in self._published else ""
+        files = {".md": sheet.markdown(), ".csv": sheet.csv()}
+        self.block(f"{sheet.name}{suffix}", f"{sheet.markdown()}{beside}", files, figure, sheet.title)
+
+    def block(
+        self,
+        name: str,
+        text: str = "",
+        files: Mapping[str, str] | None = None,
+        figure: Figure | None = None,
+        about: str = "",
+    ) -> None:
+        """Write the files of a block, by their endings, and its plot."""
+        tables = {f"{name}{ending}": content for ending, content in (files or {}).items()}
+        for file, content in tables.items():
+            write_atomic(self._folder / file, content)
+        picture = "" if figure is None else f"{name}.png"
         if figure is not None:
-            write_atomic(folder / picture, png_bytes(figure, made_by))
-        beside = f"\n{published[sheet.name].markdown()}" if sheet.name in published else ""
-        blocks.append(Block(sheet.name, f"{sheet.markdown()}{beside}", picture, sheet.title, tuple(tables)))
-    rows = mean_rows(view, compared(view))
-    traffic, four, five = (
-        f"{about}, {dataset}"
-        for about in (
-            "AP in clean frames against the bytes that are sent",
-            "Figure 4. Mean of all methods under each corruption",
-            "Figure 5. mCE against mean AP",
-        )
-    )
-    figures = {"traffic": (traffic_scatter(_traffic(view), looks, traffic), traffic)}
-    if view.kinds():
-        figures["figure_4"] = (mean_bars(mean_rows(view, averaged(view)), title=four), four)
-        figures["figure_5"] = (robustness_scatter(rows, looks=looks, title=five), five)
-    for name, (figure, about) in figures.items():
-        write_atomic(folder / f"{name}.png", png_bytes(figure, made_by))
-        blocks.append(Block(name, picture=f"{name}.png", about=about))
-    return blocks
+            write_atomic(self._folder / picture, png_bytes(figure, self._made_by))
+        self.blocks.append(Block(name, text, picture, about if picture else "", tuple(tables)))
 
 
 def _figure_of(sheet: Sheet, view: View, outcome: Outcome, looks: Mapping[str, Look]) -> Figure | None:

@@ -12,6 +12,7 @@ from dsrc.evaluation.robustness import mce, mean_ap
 CLEAN = "clean"
 MEAN_AP = "mean_ap"
 MCE = "mce"
+MEAN_CORRUPTED = "mean_corrupted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,4 +119,5 @@ def find_row(rows: Sequence[Row], method: str, condition: str) -> Row | None:
 
 def condition_title(condition: str) -> str:
     """Return a condition as people read it."""
-    return {MEAN_AP: "mean AP", MCE: "mCE"}.get(condition, condition.replace("_", " "))
+    titles = {MEAN_AP: "mean AP", MCE: "mCE", MEAN_CORRUPTED: "mean of the corruptions"}
+    return titles.get(condition, condition.replace("_", " "))

@@ -7,7 +7,7 @@ frames of a drive under one condition: each frame is read and corrupted once for
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -39,6 +39,7 @@ from dsrc.evaluation.cells import (
     relevant_versions,
     write_cell,
 )
+from dsrc.evaluation.intervals import Hits
 from dsrc.evaluation.plan import Benchmark, Case, cases_of
 from dsrc.evaluation.provenance import hash_file
 from dsrc.evaluation.rows import Row, make_row
@@ -88,11 +89,13 @@ class Entry:
         case: what it is of.
         row: the numbers.
         cells: keys of what it was made of.
+        hits: detections, of a method whose differences are asked for and where nothing is swept; else None.
     """
 
     case: Case
     row: Row
     cells: tuple[str, ...]
+    hits: Hits | None = field(default=None, compare=False, repr=False)
 
     @property
     def digest(self) -> str:
@@ -108,6 +111,7 @@ class Outcome:
         plan: what was asked for.
         trained: by method its detectors.
         drives: by dataset its drives and their hashes.
+        frames: by dataset the evaluated frames of each drive.
         entries: the rows.
         made: cells that were made in this run.
     """
@@ -115,6 +119,7 @@ class Outcome:
     plan: Benchmark
     trained: dict[str, list[Trained]]
     drives: dict[str, dict[str, str]]
+    frames: dict[str, tuple[int, ...]]
     entries: list[Entry]
     made: int
 
@@ -187,12 +192,14 @@ def run_plan(
             warn_of_slow_drives([reader for readers in datasets.values() for reader in readers])
         units = _units(folder, plan.seed, device, zip(cases, plans, strict=True))
         _make(units, workers, progress)
+        told_apart = {name for pair in plan.differences for name in (pair.method, pair.baseline)}
         entries = [
-            _entry(case, folder, [job.settings.key for job, *_ in jobs])
+            _entry(case, folder, [job.settings.key for job, *_ in jobs], case.method in told_apart and not case.swept)
             for case, jobs in zip(cases, plans, strict=True)
         ]
     named = {name: {Path(p).name: digest for p, digest in listed.items()} for name, listed in drives.items()}
-    return Outcome(plan, trained, named, entries, sum(len(unit.jobs) for unit in units))
+    frames = {name: tuple(map(len, positions)) for name, positions in places.items()}
+    return Outcome(plan, trained, named, frames, entries, sum(len(unit.jobs) for unit in units))
 
 
 def _trained(path: Path, use: dict[str, bool | int | float]) -> Trained:
@@ -342,14 +349,15 @@ def _reader(drive: Path) -> Drive:
     return open_drive(drive)
 
 
-def _entry(case: Case, folder: Path, keys: list[str]) -> Entry:
+def _entry(case: Case, folder: Path, keys: list[str], keeps_hits: bool) -> Entry:
     tally = joined([read_cell(folder, key) for key in keys])
     result = result_of(tally.judged)
     row = make_row(case.method, case.condition.kind, case.condition.severity, result, tally.seconds, tally.traffic)
     # Who is alone was sent nothing.
     sent = 0.0 if row.bytes_per_frame is None else row.bytes_per_frame
     metrics = {**row.metrics, **by_visibility(tally)}
-    return Entry(case, replace(row, metrics=metrics, bytes_per_frame=sent, result=None), tuple(keys))
+    row = replace(row, metrics=metrics, bytes_per_frame=sent, result=None)
+    return Entry(case, row, tuple(keys), Hits.of(tally.judged) if keeps_hits else None)
 
 
 def by_visibility(tally: Tally) -> dict[str, float]:

@@ -64,10 +64,24 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line of a sheet: its label and a cell per column, a number for each of the column's parts."""
+    """A line of a sheet.
+
+    Attributes:
+        label: what it is of; a key in CSV and in figures.
+        cells: one per column, a number for each of the column's parts.
+        mark: of footnotes, shown behind the label.
+        words: in the sheet's columns of words.
+    """
 
     label: str
     cells: tuple[tuple[Stat, ...], ...]
+    mark: str = ""
+    words: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """The label with its mark."""
+        return f"{self.label} {self.mark}" if self.mark else self.label
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +95,8 @@ class Sheet:
         head: title of the labels.
         columns: as many as each line has cells.
         lines: from top to bottom.
+        words: titles of columns of words, left of the numbers.
+        footnotes: one for each mark that the sheet shows, the mark first.
     """
 
     name: str
@@ -89,26 +105,29 @@ class Sheet:
     head: str
     columns: tuple[Column, ...]
     lines: tuple[Line, ...]
+    words: tuple[str, ...] = ()
+    footnotes: tuple[str, ...] = ()
 
     def markdown(self) -> str:
-        """Return the title, the table with the best of each column in bold, and the note."""
+        """Return the title, the table with the best of each column in bold, the note and the footnotes."""
         rows = [
-            [self.head, *(column.title for column in self.columns)],
-            ["---", *("---:" for _ in self.columns)],
-            *([line.label, *self._texts(line, "**", "**")] for line in self.lines),
+            [self.head, *self.words, *(column.title for column in self.columns)],
+            ["---", *("---" for _ in self.words), *("---:" for _ in self.columns)],
+            *([line.title, *line.words, *self._texts(line, "**", "**")] for line in self.lines),
         ]
-        table = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)
-        return f"**{self.title}**\n\n{table}\n\n{self.note}\n"
+        parts = [f"**{self.title}**", markdown_table(rows), *self.footnotes, self.note]
+        return "\n\n".join(parts) + "\n"
 
     def csv(self) -> str:
         """Return CSV with a column for each number and one for its spread, unscaled."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         names = [f"{column.title} {part}".strip() for column in self.columns for part in column.parts]
-        writer.writerow([self.head, *(name for part in names for name in (part, f"{part} spread"))])
+        writer.writerow([self.head, *self.words, *(name for part in names for name in (part, f"{part} spread"))])
         for line in self.lines:
             numbers = [number for cell in line.cells for stat in cell for number in stat]
-            writer.writerow([line.label, *("" if math.isnan(number) else repr(float(number)) for number in numbers)])
+            values = ["" if math.isnan(number) else repr(float(number)) for number in numbers]
+            writer.writerow([line.label, *line.words, *values])
         return text.getvalue()
 
     def terminal(self, columns: int, width: int = 80) -> Group:
@@ -117,7 +136,7 @@ class Sheet:
         Means alone are shown, the parts of a cell one below the other; long labels are broken.
         """
         lines = [
-            Line(line.label, tuple(tuple(Stat(stat.mean) for stat in cell) for cell in line.cells))
+            Line(line.title, tuple(tuple(Stat(stat.mean) for stat in cell) for cell in line.cells))
             for line in self.lines
         ]
         plain = [self._texts(line, "", "", "\n") for line in lines]
@@ -144,9 +163,8 @@ class Sheet:
                 table.add_row(escape(line.label), *(cells[i] for i in block))
             tables.append(Padding(table, (1, 0, 0, 0)))
         parts = self.columns[0].parts
-        return Group(
-            Text(self.title, style="bold"), Text(f"In a cell, from above: IoU {', '.join(parts)}; %."), *tables
-        )
+        above = (Text(self.title, style="bold"), Text(f"In a cell, from above: IoU {', '.join(parts)}; %."))
+        return Group(*above, *tables, *map(Text, self.footnotes))
 
     def _texts(self, line: Line, before: str, after: str, between: str = " / ") -> list[str]:
         """Return the cells of a line as people read them, what is best between two marks."""
@@ -166,3 +184,8 @@ class Sheet:
             return False
         best = max(known) if about.better == "high" else min(known)
         return Stat(best).text(about.scale, about.digits) == Stat(stat.mean).text(about.scale, about.digits)
+
+
+def markdown_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table of rows of texts, the heads and their rule first."""
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)

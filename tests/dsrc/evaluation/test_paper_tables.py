@@ -24,7 +24,7 @@ from dsrc.evaluation.paper_tables import (
     table_3,
     table_4,
 )
-from dsrc.evaluation.plan import Benchmark, Case, DatasetSpec, MethodSpec, Sweeps, cases_of
+from dsrc.evaluation.plan import Benchmark, Case, DatasetSpec, MethodSpec, Note, Sweeps, cases_of
 from dsrc.evaluation.report import publish, write_report
 from dsrc.evaluation.rows import Row
 from dsrc.evaluation.runner import Entry, Outcome, Trained
@@ -75,7 +75,7 @@ def outcome_of(methods: dict[str, int], **settings: object) -> Outcome:
         condition = case.condition
         row = Row(case.method, condition.kind, condition.severity, 10, 40, 35, metrics, 0.02, 1500.0, 0.0, 1.0)
         entries.append(Entry(case, row, ("ab",)))
-    return Outcome(plan, trained, {"made up": {"drive": "cd"}}, entries, 0)
+    return Outcome(plan, trained, {"made up": {"drive": "cd"}}, {"made up": (10,)}, entries, 0)
 
 
 def view_of(methods: dict[str, int], **settings: object) -> View:
@@ -216,6 +216,62 @@ def test_figure_4_is_the_mean_of_methods_that_are_different():
     view = View.of(outcome, "made up")
     assert averaged(view) == ["f-cooper", "dsrc", "v2vnet"]
     assert len(compared(view)) == 7
+
+
+def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
+    notes = (
+        Note(methods=("dsrc", "no rec"), text="To be made anew."),
+        Note(methods=("late",), text="Early, too."),
+        Note(methods=("dsrc",), text="Twice."),
+    )
+    methods = {"late": 1, "attfuse": 1, "no rec": 1, "dsrc": 1, "f-cooper": 1, "dsrc-max": 1}
+    outcome = outcome_of(methods, notes=notes, severities=(1, 3), sweeps=Sweeps(agents=(1, 2)))
+    sheets = {sheet.name: sheet for sheet in sheets_of(outcome, "made up") if not isinstance(sheet, str)}
+    for name in ("table_1", "table_1_opencood", "severity", "agents"):
+        text = sheets[name].markdown()
+        assert "| dsrc †§ | " in text and "| late ‡ | " in text and "| attfuse | " in text
+        assert "\n\n† To be made anew.\n\n‡ Early, too.\n\n§ Twice.\n\n" in text
+    two, three = sheets["table_2"], sheets["table_3"]
+    assert [line.title for line in two.lines] == ["none", "SDD + PCP †", "SDD + PCP + REC †§"]
+    assert two.footnotes == three.footnotes == ("† To be made anew.", "§ Twice.")
+    assert [c.title for c in three.columns] == ["Maximum", "Maximum + DSRC", "Attention", "Attention + DSRC †§"]
+    # Keys of CSV and of figures stay the methods' names.
+    assert [row["Method"] for row in csv.DictReader(io.StringIO(sheets["table_1"].csv()))][-3] == "dsrc"
+    assert write_report(outcome, tmp_path)
+
+
+def test_a_start_has_a_column_where_a_method_says_so():
+    outcome = outcome_of({"v2vnet": 1, "dsrc": 1})
+    assert not table_1(View.of(outcome, "made up")).words
+    first, second = outcome.plan.methods
+    plan = replace(outcome.plan, methods=(replace(first, start="own, maximum"), second))
+    sheet = table_1(View.of(changed(outcome, plan=plan), "made up"))
+    text = sheet.markdown().splitlines()
+    assert text[2].startswith("| Method | Start | Clean |")
+    assert text[4].startswith("| v2vnet | own, maximum | 92.3") and text[5].startswith("| dsrc |  | **92.6**")
+    rows = list(csv.DictReader(io.StringIO(sheet.csv())))
+    assert [row["Start"] for row in rows] == ["own, maximum", ""]
+    assert float(rows[1]["Clean 0.5"]) == pytest.approx(0.9258)
+
+
+def test_each_family_of_corruptions_has_its_own_table_1():
+    outcome = outcome_of({"dsrc": 1, "attfuse": 1}, families=("physical", "paper"), corruptions=("fog", "snow"))
+    weaker = [
+        changed(e, row=changed(e.row, metrics={name: v / 2 for name, v in e.row.metrics.items()}))
+        if e.case.condition.family == "paper"
+        else e
+        for e in outcome.entries
+    ]
+    physical, paper = (
+        table_1(View.of(changed(outcome, entries=weaker), "made up", family)) for family in ("physical", "paper")
+    )
+    assert [column.title for column in physical.columns] == [column.title for column in paper.columns]
+    for ours, theirs in zip(physical.lines, paper.lines, strict=True):
+        assert ours.cells[0] == theirs.cells[0]  # clean frames are nobody's corruption
+        assert theirs.cells[1][0].mean == pytest.approx(ours.cells[1][0].mean / 2)
+        assert theirs.cells[3][0].mean > ours.cells[3][0].mean
+    assert paper.title == f"{physical.title}, corruptions as published"
+    assert "Severity 3 of the published models." in paper.note and "Severity 3. " in physical.note
 
 
 def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
