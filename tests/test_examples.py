@@ -60,7 +60,7 @@ def test_an_example_draws_in_seconds_on_a_small_setting(script: Path, tmp_path: 
 
 
 def test_the_campaign_trains_every_detector_of_the_tables_after_those_it_needs() -> None:
-    commands = run(ROOT / "examples/tables.py", "--data", "data", "--out", "runs", "--dry-run").splitlines()
+    commands = run(ROOT / "examples/campaign.py", "--data", "data", "--out", "runs", "--dry-run").splitlines()
     made: list[str] = []
     for command in commands:
         words = command.split()
@@ -83,13 +83,14 @@ def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path)
     columns = "epoch,step,seconds,val/ap_bev_50,val/ap_bev_70\n"
     (run_folder / "metrics.csv").write_text(f"{columns}0,10,60.0,0.1,0.0\n1,20,30.0,0.2,0.1\n")
     arguments = ("--data", str(tmp_path / "data"), "--out", str(tmp_path / "runs"), "--only", "first")
-    run(ROOT / "examples/tables.py", *arguments)
+    run(ROOT / "examples/campaign.py", *arguments)
     assert (run_folder / "detector.pt").read_bytes() == b"done"
     names, *lines = (tmp_path / "runs/trainings.csv").read_text().splitlines()
     assert [dict(zip(names.split(","), line.split(","), strict=True)) for line in lines] == [
         {
-            **{"name": "first", "method": "no-collaboration", "stage": "plain", "seed": "0", "init": "", "teacher": ""},
-            **{"settings": "", "steps": "20", "minutes": "1.5", "val_ap_bev_50": "0.2", "val_ap_bev_70": "0.1"},
+            **{"name": "first", "phase": "1", "method": "no-collaboration", "stage": "plain", "seed": "0", "init": ""},
+            **{"tensors_taken": "", "teacher": "", "settings": "", "steps": "20", "minutes": "1.5"},
+            **{"val_ap_bev_50": "0.2", "val_ap_bev_70": "0.1"},
         }
     ]
 
@@ -99,14 +100,14 @@ def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path)
     [
         (("--only", "telepathy"), "--only: expected some of first, .* found telepathy"),
         (("--jobs", "0"), "--jobs: expected at least 1, found 0"),
-        (("--steps", "-3"), "--steps: expected at least 1, found -3"),
+        (("--trial", "-3"), "--trial: expected at least 0, found -3"),
         ((), "--data: expected a folder train in .*, found none"),
     ],
 )
 def test_the_campaign_refuses_what_it_cannot_do_before_it_begins(
     wrong: tuple[str, ...], told: str, tmp_path: Path
 ) -> None:
-    script = str(ROOT / "examples/tables.py")
+    script = str(ROOT / "examples/campaign.py")
     result = subprocess.run(
         [sys.executable, script, "--data", str(tmp_path / "data"), "--out", str(tmp_path / "runs"), *wrong],
         capture_output=True,
@@ -135,3 +136,27 @@ def test_every_corruption_is_pictured(kind: str) -> None:
         f"python examples/corruptions.py --out docs/pictures/corruptions --only {kind}"
     )
     assert f"]({picture})" in (ROOT / "docs" / "corruptions.md").read_text()
+
+
+def test_a_gate_passes_where_every_value_reaches_its_bound_and_a_missing_one_reaches_none() -> None:
+    sys.path.insert(0, str(ROOT / "examples"))
+    import gates
+
+    bounds = {"gain_50": -1.0, "gain_70": 1.0}
+    assert gates.gate("G1", {"gain_50": -0.9, "gain_70": 1.0}, bounds, "").passed
+    assert not gates.gate("G1", {"gain_50": 5.0, "gain_70": 0.9}, bounds, "").passed
+    assert not gates.gate("G1", {"gain_50": float("nan"), "gain_70": 2.0}, bounds, "").passed
+
+
+def test_the_campaign_halves_the_distillation_once_after_a_first_gate_that_did_not_pass(tmp_path: Path) -> None:
+    sys.path.insert(0, str(ROOT / "examples"))
+    import campaign
+    import gates
+
+    assert campaign.factor(tmp_path) == 1.0
+    gates.record(tmp_path, gates.gate("G1", {"gain_50": -3.0}, {"gain_50": -1.0}, ""))
+    assert campaign.factor(tmp_path) == 0.5
+    halved = {training.name: training for training in campaign.campaign(2, 0.5)}
+    assert "dsrc-single-halved_s0" in halved["dsrc_s0"].needs()
+    assert "distill.dap=0.25" in halved["dsrc_s0"].settings
+    assert not any("distill" in setting for setting in halved["attfuse_s0"].settings)

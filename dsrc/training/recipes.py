@@ -252,6 +252,7 @@ METHODS: dict[str, dict[str, object]] = {
     "late": {"fusion": "late", **_PLAIN},
     "f-cooper": {"fusion": "max", **_PLAIN},
     "attfuse": {"fusion": "attention", **_PLAIN},
+    "max-map": {"fusion": "max_map", **_PLAIN},
     "v2vnet": {"fusion": "v2vnet", **_PLAIN},
     "v2x-vit": {"fusion": "v2xvit", **_PLAIN},
     "cobevt": {"fusion": "cobevt", **_PLAIN},

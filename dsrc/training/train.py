@@ -173,7 +173,7 @@ def train(
         torch.manual_seed(seed)
         module = DetectionModule(recipe, Detector(settings), taught_by, seed)
     record = _record(recipe, stage, seed, drives, validation, teacher if taught_by else None)
-    record["init"] = None if init is None else _start_from(init, module.detector)
+    record["init"] = None if init is None else start_from(init, module.detector)
     record["devices"] = per_node * nodes
     last, path, result = out / "checkpoints" / "last.ckpt", out / DETECTOR, out / RESULT
     finished = resume and path.exists() and result.exists()
@@ -305,7 +305,7 @@ def _chooses_by(keep: str, patience: int | None) -> str | None:
     return "keep" if keep == "best" else "patience" if patience is not None else None
 
 
-def _start_from(path: Path, detector: Detector) -> dict[str, object]:
+def start_from(path: Path, detector: Detector) -> dict[str, object]:
     """Copy the weights of a detector file that fit, by name and shape; return what was done, for the record.
 
     A network of painted points takes the first layer of one of bare points and treats paint as that does: not at all.

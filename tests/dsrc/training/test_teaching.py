@@ -16,7 +16,7 @@ from dsrc.models.reconstruction import Reconstruction, Scene, reconstruction_los
 from dsrc.training.losses import DistillSettings
 from dsrc.training.module import DetectionModule, as_teacher
 from dsrc.training.recipes import of_method
-from dsrc.training.train import _start_from, _teacher
+from dsrc.training.train import start_from, _teacher
 from sim.errors import CheckpointError
 from tests.dsrc.training.drive import frame
 from tests.dsrc.training.runs import tiny
@@ -67,7 +67,7 @@ def test_a_teacher_of_another_fusion_with_weights_is_refused(teacher_file: Path)
 def test_a_student_can_begin_as_its_teacher_without_the_paint(sample: Sample, teacher_file: Path) -> None:
     settings = of_method(tiny(), "dsrc").settings("student")
     student = Detector(settings).eval()
-    record = _start_from(teacher_file, student)
+    record = start_from(teacher_file, student)
     assert record["tensors_taken"] == record["tensors"]
     batch = collate([sample], settings, training=True)
     bare = changed(settings, pcp=False, role="teacher", sdd=False)

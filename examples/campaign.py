@@ -1,0 +1,434 @@
+"""Train every detector of docs/results.md, several at a time, past the gates, then measure them: the whole campaign.
+
+It needs neither SUMO nor a network: `dsrc generate dsrc-sim --out data/dsrc-sim` renders recorded traffic. What is
+done is not done again, and what was interrupted resumes. Phases: 1 the teacher; 2 students of single clouds, plain and
+distilled, from the teacher's weights without the paint; 3 the same in company; 4 the parts of DSRC; 5 rivals with
+weights of their own, after starts of their own; 6 further than the paper. After 1 and within 2, gates on the validation
+drives decide whether to go on; `examples/gates.py` says what they ask for.
+
+Usage:
+    python examples/campaign.py --data data/dsrc-sim --out runs                      # two CPU cores: 25 hours
+    python examples/campaign.py --data data/dsrc-sim --out runs --recipe opv2v --jobs 4 --lengthen 4   # a GPU
+    python examples/campaign.py --data data/dsrc-sim --out runs --phases 1 2 --seeds 2
+    python examples/campaign.py --data data/dsrc-sim --out runs --only teacher dsrc_s0 attfuse_s0
+    python examples/campaign.py --data data/dsrc-sim --out runs --dry-run
+"""
+
+import argparse
+import csv
+import io
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import gates
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from dsrc.evaluation.provenance import hash_file
+from dsrc.evaluation.tables import write_atomic
+from dsrc.training.recipes import RECIPES, of_method
+
+FIRST, TEACHER, MAP_START = "first", "teacher", "map-start"
+SEEDS = 5
+LONG, SHORT = 4000, 1000
+"""Steps of a student of single clouds, and of one in company after it."""
+EPOCH = 500
+"""Steps between two validations."""
+SLOW = ("learning_rate=5e-4", "ema=0.998")
+FADING = ("distill.fade=0.3",)
+KEPT = ("detector.pt", "settings.json", "environment.json", "metrics.csv", "result.json")
+"""What a later run needs of a training that is done."""
+TOML = Path(__file__).parents[1] / "docs/results/dsrc-sim-small/benchmark.toml"
+
+
+@dataclass(frozen=True)
+class Training:
+    """One run folder.
+
+    Attributes:
+        name: of the folder.
+        phase: of the campaign.
+        method: see `dsrc train --method`.
+        init: the training whose detector it starts from; "" for none.
+        seed: of weights, order and augmentation.
+        steps: of two frames.
+        settings: what differs from the recipe.
+        teacher: the training whose detector teaches; "" for none.
+        stage: `plain` for the very first, else `teacher` or `student`.
+        passes: over all frames, instead of steps.
+    """
+
+    name: str
+    phase: int
+    method: str
+    init: str = ""
+    seed: int = 0
+    steps: int = SHORT
+    settings: tuple[str, ...] = SLOW
+    teacher: str = ""
+    stage: str = "student"
+    passes: int = 0
+
+    def folder(self, out: Path) -> Path:
+        """Return its run folder."""
+        return out / self.name / self.stage
+
+    def detector(self, out: Path) -> Path:
+        """Return the file that it makes."""
+        return self.folder(out) / "detector.pt"
+
+    def needs(self) -> tuple[str, ...]:
+        """Return the trainings that have to be done first."""
+        return tuple(name for name in (self.init, self.teacher) if name)
+
+
+def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
+    """Return all trainings, those that most depends on first.
+
+    All students come from the teacher's lineage: a student whose features began elsewhere cannot be brought to the
+    teacher's without unlearning its own. A plain student begins where its distilled twin does.
+
+    Args:
+        seeds: of DSRC and of its plain twin.
+        weights: factor of the distillation's weights, which the gates decide.
+    """
+    long = ("learning_rate=1e-3", "ema=0.998")
+    halved = "" if weights == 1.0 else "-halved"
+    scaled = () if weights == 1.0 else tuple(f"distill.{part}={weights * full}" for part, full in WEIGHTS.items())
+    fading = (*FADING, *scaled)
+
+    def twins(seed: int) -> tuple[Training, Training]:
+        single, distilled = f"single_s{seed}", f"dsrc-single{halved}_s{seed}"
+        return (
+            Training(single, 2, "no-collaboration", TEACHER, seed, LONG, long),
+            Training(distilled, 2, "dsrc-alone", TEACHER, seed, LONG, (*long, *fading), TEACHER),
+        )
+
+    def student(name: str, phase: int, method: str, seed: int = 0, *settings: str) -> Training:
+        taught = method.startswith("dsrc")
+        init = f"dsrc-single{halved}_s{seed}" if taught else f"single_s{seed}"
+        more = (*fading, *settings) if taught else settings
+        return Training(name, phase, method, init, seed, SHORT, (*SLOW, *more), TEACHER if taught else "")
+
+    parts = {"sdd": ("pcp=false", "rec=false"), "pcp": ("sdd=false", "rec=false"), "sdd-pcp": ("rec=false",)}
+    teachers = {"sdd": "teacher-sdd", "pcp": "teacher-pcp", "sdd-pcp": TEACHER}
+    painted = ("ema=0.998",)
+    few, two = min(seeds, 3), min(seeds, 2)
+    return [
+        Training(FIRST, 1, "no-collaboration", settings=(), stage="plain", passes=2),
+        Training(TEACHER, 1, "dsrc-alone", FIRST, 1, settings=painted, stage="teacher", passes=3),
+        *(training for seed in range(seeds) for training in twins(seed)),
+        *(student(f"{m}_s{seed}", 3, m, seed) for seed in range(seeds) for m in ("dsrc", "attfuse")),
+        *(student(f"where2comm_s{seed}", 3, "where2comm", seed) for seed in range(few)),
+        *(student(f"{m}_s0", 3, m) for m in ("f-cooper", "dsrc-max", "no-collaboration", "dsrc-alone")),
+        *(student(f"{m}_s0", 3, m) for m in ("early", "late")),
+        *(
+            Training(f"teacher-{name}", 4, "dsrc-alone", FIRST, 1, 0, (*painted, *parts[name]), "", "teacher", 3)
+            for name in ("sdd", "pcp")
+        ),
+        *(
+            training
+            for name, settings in parts.items()
+            for seed in range(two)
+            for taught in (teachers[name],)
+            for training in (
+                Training(
+                    f"{name}-single_s{seed}", 4, "dsrc-alone", taught, seed, LONG, (*long, *fading, *settings), taught
+                ),
+                Training(
+                    f"{name}_s{seed}",
+                    4,
+                    "dsrc",
+                    f"{name}-single_s{seed}",
+                    seed,
+                    SHORT,
+                    (*SLOW, *fading, *settings),
+                    taught,
+                ),
+            )
+        ),
+        # In the shape of the methods that fuse one map; with stages of its own width; with a backbone of its own.
+        Training(MAP_START, 5, "max-map", "single_s0", settings=(*SLOW, "max_agents=1")),
+        Training("mrcnet-start", 5, "mrcnet-style", "single_s0", settings=(*SLOW, "max_agents=1")),
+        Training("coalign-start", 5, "coalign", TEACHER, 0, LONG, (*long, "max_agents=1")),
+        *(Training(f"{m}_s0", 5, m, MAP_START) for m in ("v2vnet", "v2x-vit", "cobevt", "ermvp")),
+        Training("mrcnet-style_s0", 5, "mrcnet-style", "mrcnet-start"),
+        Training("coalign_s0", 5, "coalign", "coalign-start"),
+        *(
+            student(f"dsrc-{name}_s{seed}", 6, "dsrc", seed, *settings)
+            for name, settings in FURTHER.items()
+            for seed in range(two)
+        ),
+    ]
+
+
+WEIGHTS = {"dae": 1.0, "daf": 1.0, "dap": 0.5}
+"""Of the distillation, see `DistillSettings`."""
+FURTHER = {
+    "thinned": ("augmentation.thinning=0.5",),
+    "corrupted": ("augmentation.corruption=0.5",),
+    "consistent": ("augmentation.corruption=0.5", "consistency=0.5"),
+    "directed": ("direction=true",),
+}
+"""Further than the paper, by name: what the recipe changes."""
+
+
+def command(training: Training, options: argparse.Namespace, known: dict[str, Training]) -> list[str]:
+    """Return the command line of a training."""
+    out, data = options.out, options.data
+    settings = [f"bfloat16={str(options.bfloat16).lower()}", f"workers={options.workers}", *training.settings]
+    batch = RECIPES[options.recipe]().batch_size
+    if training.passes and not options.trial:
+        epochs = round(training.passes * options.lengthen)
+    else:
+        steps = options.trial or round(training.steps * options.lengthen)
+        epochs = max(steps // EPOCH, 1)
+        settings.append(f"epoch_frames={steps // epochs * batch}")
+    settings += ["validate_every=1", f"validation_frames={min(140, 8 * options.trial or 140)}"]
+    line = [sys.executable, "-m", "dsrc", "train", options.recipe, "--method", training.method]
+    line += ["--stage", training.stage, "--seed", str(training.seed), "--epochs", str(epochs)]
+    line += ["--data", str(data / "train"), "--validate", str(data / "validation"), "--out", str(out / training.name)]
+    if training.init:
+        line += ["--init", str(known[training.init].detector(out))]
+    if training.teacher:
+        line += ["--teacher", str(known[training.teacher].detector(out))]
+    return [*line, "--set", *settings]
+
+
+def main() -> None:
+    description, _, usage = (__doc__ or "").partition("\n\n")
+    parser = argparse.ArgumentParser(
+        description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, required=True, help="folder with train, validation and test")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the run folders")
+    parser.add_argument("--recipe", default="small", choices=sorted(RECIPES), help="default: small")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="of DSRC and its plain twin; default: %(default)s")
+    parser.add_argument("--lengthen", type=float, default=1.0, help="factor of all numbers of steps; default: 1")
+    parser.add_argument("--trial", type=int, default=0, metavar="STEPS", help="try everything with so many steps each")
+    parser.add_argument("--phases", type=int, nargs="+", choices=range(1, 7), help="these, and what they need")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="these, and what they need")
+    parser.add_argument("--past", nargs="+", default=[], metavar="GATE", help="go on although this gate did not pass")
+    parser.add_argument("--jobs", type=int, default=2, help="trainings at a time, which share the cores; default: 2")
+    parser.add_argument("--workers", type=int, default=0, help="processes that prepare batches, of each training")
+    parser.add_argument("--bfloat16", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--kept", type=Path, help="folder where finished trainings that others need are kept, too")
+    parser.add_argument("--dry-run", action="store_true", help="print the commands")
+    options = parser.parse_args()
+    for name, least in (("seeds", 2), ("jobs", 1), ("workers", 0), ("trial", 0)):
+        if getattr(options, name) < least:
+            parser.error(f"--{name}: expected at least {least}, found {getattr(options, name)}")
+    if options.lengthen <= 0:
+        parser.error(f"--lengthen: expected more than 0, found {options.lengthen}")
+    known = [training.name for training in campaign(options.seeds)]
+    if unknown := sorted(set(options.only or ()) - set(known)):
+        parser.error(f"--only: expected some of {', '.join(known)}, found {', '.join(unknown)}")
+    for part in ("train", "validation"):
+        if not options.dry_run and not (options.data / part).is_dir():
+            parser.error(f"--data: expected a folder {part} in {options.data}, found none")
+    if options.dry_run:
+        planned = campaign(options.seeds)
+        for training in selected(planned, options):
+            print(shlex.join(command(training, options, {t.name: t for t in planned})))
+        return
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.kept:
+        restore(options.kept, options.out)
+    told = Campaign(options).run()
+    write_atomic(options.out / "trainings.csv", record(campaign(options.seeds, factor(options.out)), options.out))
+    if told:
+        sys.exit(told)
+    print(f"now measure: dsrc benchmark {TOML}, with the folders that it names made yours")
+
+
+def selected(planned: Sequence[Training], options: argparse.Namespace) -> list[Training]:
+    """Return the trainings that are asked for and what they need, in the campaign's order."""
+    by_name = {training.name: training for training in planned}
+    wanted = {t.name for t in planned if not options.phases or t.phase in options.phases}
+    if options.only:
+        wanted = set(options.only)
+    while missing := {need for name in wanted for need in by_name[name].needs()} - wanted:
+        wanted |= missing
+    return [training for training in planned if training.name in wanted]
+
+
+def factor(out: Path) -> float:
+    """Return the factor of the distillation's weights: a half once G1 has not passed with the whole."""
+    first = gates.recorded(out).get("G1")
+    return 1.0 if first is None or first.passed else 0.5
+
+
+class Campaign:
+    """Runs trainings, as many at a time as asked for, and measures the gates between them."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options, self.out = options, options.out
+        self.running: dict[str, subprocess.Popen] = {}
+        self.failed: list[str] = []
+        threads = max((os.cpu_count() or 1) // options.jobs, 1) if not torch.cuda.is_available() else None
+        self.environment = os.environ | ({"OMP_NUM_THREADS": str(threads)} if threads else {})
+
+    def run(self) -> str:
+        """Run everything; return why it ended early, "" when all is done."""
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=Console(stderr=True)) as progress:
+            task = progress.add_task("trainings")
+            while True:
+                self._reap()
+                planned = campaign(self.options.seeds, factor(self.out))
+                trainings = selected(planned, self.options)
+                waiting = [t for t in trainings if not t.detector(self.out).exists() and t.name not in self.running]
+                done = len(trainings) - len(waiting) - len(self.running)
+                progress.update(task, total=len(trainings), completed=done, description=", ".join(self.running) or "-")
+                if closed := self._gates(trainings):
+                    waiting = [t for t in waiting if not behind(t, closed)]
+                waiting = [t for t in waiting if t.name not in self.failed]
+                by_name = {t.name: t for t in planned}
+                ready = [t for t in waiting if all(by_name[n].detector(self.out).exists() for n in t.needs())]
+                for training in ready[: max(self.options.jobs - len(self.running), 0)]:
+                    self._start(training, by_name)
+                if not self.running and not ready:
+                    names = [f"{name}, see {self.out}/{name}.log" for name in self.failed]
+                    names += [
+                        f"gate {name} did not pass, see {self.out}/{gates.FILE}; --past {name}" for name in closed
+                    ]
+                    return "; ".join(names)
+                time.sleep(1.0)
+
+    def _start(self, training: Training, by_name: dict[str, Training]) -> None:
+        with (self.out / f"{training.name}.log").open("ab") as log:
+            self.running[training.name] = subprocess.Popen(
+                command(training, self.options, by_name), stdout=log, stderr=subprocess.STDOUT, env=self.environment
+            )
+
+    def _reap(self) -> None:
+        for name, process in list(self.running.items()):
+            if process.poll() is not None:
+                del self.running[name]
+                self.failed += [name] if process.returncode else []
+                if self.options.kept and not process.returncode:
+                    keep(self.out, self.options.kept, name)
+
+    def _gates(self, trainings: Sequence[Training]) -> list[str]:
+        """Measure the gates that can be measured by now; return those that are closed."""
+        if self.options.trial or self.options.lengthen != 1.0:
+            return []  # the gates' steps and bounds are of the whole campaign
+        names = {training.name for training in trainings}
+        before = gates.recorded(self.out)
+        if "G0" not in before and TEACHER in names and (self.out / TEACHER / "teacher/result.json").exists():
+            recipe = of_method(RECIPES[self.options.recipe](), "dsrc")
+            self._note(gates.teacher_gate(self.out / TEACHER / "teacher", self.options.data, recipe))
+        for name, step, least in (("G1", 1000, (-1.0, 1.0)), ("G2", 2500, (0.5, 0.5))):
+            pairs = self._pairs("dsrc-single", "single", 2)
+            if name not in before and all(part in names for pair in pairs for part in pair):
+                self._try(name, pairs, step, least)
+        pairs = self._pairs("dsrc", "attfuse", self.options.seeds)
+        ended = [self.out / run / "student/result.json" for pair in pairs for run in pair]
+        if "G3" not in before and all(path.exists() for path in ended):
+            self._note(gates.seeds_gate(self.out, pairs))
+        return [
+            n
+            for n, g in gates.recorded(self.out).items()
+            if n in ("G0", "G2") and not g.passed and n not in self.options.past
+        ]
+
+    def _pairs(self, distilled: str, plain: str, seeds: int) -> list[tuple[str, str]]:
+        halved = "-halved" if factor(self.out) != 1.0 and distilled == "dsrc-single" else ""
+        return [(f"{distilled}{halved}_s{seed}", f"{plain}_s{seed}") for seed in range(seeds)]
+
+    def _try(self, name: str, pairs: list[tuple[str, str]], step: int, least: tuple[float, float]) -> None:
+        try:
+            measured = gates.step_gate(name, self.out, pairs, step, least)
+        except LookupError:
+            return
+        self._note(measured)
+        if name == "G1" and not measured.passed:
+            for distilled, _ in pairs:  # begun again with half the weights, in folders of their own
+                if process := self.running.pop(distilled, None):
+                    process.terminate()
+                    process.wait()
+
+    def _note(self, measured: gates.Gate) -> None:
+        gates.record(self.out, measured)
+        if self.options.kept:
+            self.options.kept.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(self.out / gates.FILE, self.options.kept / gates.FILE)
+
+
+def behind(training: Training, closed: Sequence[str]) -> bool:
+    """Return whether a training has to wait for a gate that is closed."""
+    if "G0" in closed:
+        return training.phase > 1
+    return training.phase > 2 or training.seed > 1
+
+
+def keep(out: Path, kept: Path, name: str) -> None:
+    """Copy what later trainings need of one that is done, if any does."""
+    needed = {need for weights in (1.0, 0.5) for training in campaign(SEEDS, weights) for need in training.needs()}
+    for training in (t for weights in (1.0, 0.5) for t in campaign(SEEDS, weights) if t.name == name):
+        if name in needed:
+            target = training.folder(kept)
+            target.mkdir(parents=True, exist_ok=True)
+            for part in KEPT:
+                shutil.copyfile(training.folder(out) / part, target / part)
+
+
+def restore(kept: Path, out: Path) -> None:
+    """Take trainings and gates that were kept, where there is nothing of them yet."""
+    if (kept / gates.FILE).exists() and not (out / gates.FILE).exists():
+        shutil.copyfile(kept / gates.FILE, out / gates.FILE)
+    for source in sorted(kept.glob("*/*/detector.pt")):
+        folder = out / source.parent.relative_to(kept)
+        if not folder.exists():
+            shutil.copytree(source.parent, folder)
+
+
+def record(planned: Sequence[Training], out: Path) -> str:
+    """Return the trainings that are done as CSV: what their run folders say of how they began and ended."""
+    done = [t for t in planned if t.detector(out).exists() and (t.folder(out) / "metrics.csv").exists()]
+    names = {hash_file(t.detector(out)): t.name for t in done}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    columns = (
+        "name",
+        "phase",
+        "method",
+        "stage",
+        "seed",
+        "init",
+        "tensors_taken",
+        "teacher",
+        "settings",
+        "steps",
+        "minutes",
+    )
+    writer.writerow([*columns, "val_ap_bev_50", "val_ap_bev_70"])
+    for training in done:
+        made = json.loads((training.folder(out) / "settings.json").read_text(encoding="utf-8"))
+        init, teacher = made.get("init") or {}, made.get("teacher")
+        rows = list(csv.DictReader((training.folder(out) / "metrics.csv").open(encoding="utf-8")))
+        minutes = sum(float(row["seconds"]) for row in rows) / 60
+        taken = f"{init['tensors_taken']}/{init['tensors']}" if "tensors" in init else ""
+        writer.writerow(
+            [
+                *(training.name, training.phase, training.method, made["settings"]["stage"], made["seed"]),
+                *(names.get(init.get("sha256"), init.get("sha256", "")), taken),
+                *("" if teacher is None else names.get(teacher, teacher), " ".join(training.settings)),
+                *(rows[-1]["step"], f"{minutes:.1f}"),
+                *(rows[-1].get(f"val/ap_bev_{iou}", "") for iou in (50, 70)),
+            ]
+        )
+    return text.getvalue()
+
+
+if __name__ == "__main__":
+    main()
