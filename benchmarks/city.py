@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.street import BENCHMARK_LIDAR, SIDE_M, Fleet, city, fleet
-from sensors.lidar import scan_all
-from sensors.scene import RayScene
+from sensors.scan.lidar import scan_all
+from sensors.scan.scene import RayScene
 
 _STEADY = 5
 

@@ -29,10 +29,10 @@ from benchmarks.frames import FRAME_S
 from benchmarks.quiet import Timing, measure
 from benchmarks.street import BENCHMARK_LIDAR, fleet, street_world
 from sensors.corruptions import CORRUPTIONS, FAMILIES, Family, corrupt
-from sensors.corruptions.rings import estimate_rings
+from sensors.corruptions.physics.rings import estimate_rings
 from sensors.frame import AgentFrame, Frame, count_points
-from sensors.lidar import scan_all
-from sensors.scene import RayScene
+from sensors.scan.lidar import scan_all
+from sensors.scan.scene import RayScene
 
 POINTS = 120_000
 """Of the sweep."""

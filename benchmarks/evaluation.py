@@ -23,8 +23,8 @@ from shapely.geometry import Polygon
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from dsrc.detections import Detections
 from dsrc.evaluation.ap import SPACES, THRESHOLDS, FrameResult, average_precision, evaluate, metric_name
+from dsrc.ops.detections import Detections
 from sim.boxes import Boxes
 
 FRAMES = 2000

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from benchmarks.rivals import Rays
 from benchmarks.street import BENCHMARK_LIDAR, Fleet, baked, fleet, street_world
-from sensors.beams import beams_of
-from sensors.lidar import Sensor, scan_all
+from sensors.optics.beams import beams_of
 from sensors.raycast import Returns, Shot, Solid
-from sensors.scene import RayScene
+from sensors.scan.lidar import Sensor, scan_all
+from sensors.scan.scene import RayScene
 from sensors.sweep import Sweep
 from sim.traffic.base import Actors
 

@@ -19,22 +19,27 @@ from unittest import mock
 
 import msgspec
 import tyro
+from sim.catalog.load import load_scenario
 
 from benchmarks.quiet import others_s
 from benchmarks.street import BENCHMARK_LIDAR
+from dsrc.data.checksums import write_sums
 from dsrc.data.executors import ProcessExecutor, Report
-from dsrc.data.generate import DriveSpec
-from dsrc.data.live import TRAFFIC_LOG, WORLD, Live, open_live
-from dsrc.data.opv2v import write_frame
-from dsrc.data.sums import write_sums
+from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.data.simulate import TRAFFIC_LOG, WORLD, Live, open_live
+from dsrc.data.write import DriveSpec
 from sensors.presets import LIDARS
-from sim.scenario import Scenario, load_scenario
+from sim.scenario import Scenario
 
 AGENTS, VEHICLES = 5, 60
 STAGES: dict[str, tuple[str, ...]] = {
-    "tracing": ("sensors.record.scan_all", "sensors.record.RayScene.with_bodies"),
-    "visibility": ("sensors.record.visible_fraction", "sensors.record.lines_of_sight"),
-    "encode": ("dsrc.data.opv2v.deskew_frame", "dsrc.data.opv2v.encode_pcd", "dsrc.data.opv2v.encode_agent"),
+    "tracing": ("sensors.recording.record.scan_all", "sensors.recording.record.RayScene.with_bodies"),
+    "visibility": ("sensors.recording.record.visible_fraction", "sensors.recording.record.lines_of_sight"),
+    "encode": (
+        "dsrc.data.formats.opv2v.reader.deskew_frame",
+        "dsrc.data.formats.opv2v.reader.encode_pcd",
+        "dsrc.data.formats.opv2v.reader.encode_agent",
+    ),
 }
 """Functions whose time is a stage's; writing is the rest of `write_frame` and the checksums."""
 
@@ -125,7 +130,7 @@ def _opened(spec: DriveSpec, drive: Path, recorded: Path | None) -> Any:
 def stages(folder: Path, frames: int) -> tuple[dict[str, float], Path]:
     """Return CPU milliseconds per frame by stage, and the folder of the recording; in this process, on one thread."""
     LIDARS.setdefault(BENCHMARK_LIDAR.name, BENCHMARK_LIDAR)
-    from sim.traffic.choose import open_traffic
+    from sim.traffic.open import open_traffic
 
     spec, drive, clock = DriveSpec(busy_scenario(), 1, frames), folder / "staged", Clock()
     with open_traffic(spec.scenario, spec.seed) as traffic:

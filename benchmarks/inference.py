@@ -1,7 +1,7 @@
 """How long every method takes to detect at the paper's grid, which stage takes it, and the floor below.
 
 Random weights, 704 x 200 cells, 1, 2 and 5 agents with 60,000 points each; the sizes of the paper (Res2Net blocks 3, 5,
-8); detectors as they are loaded for use (`dsrc.models.deploy`). The floor is the network's floating point operations
+8); detectors as they are loaded for use (`dsrc.models.storage.deploy`). The floor is the network's floating point operations
 over the rate of the same machine at multiplying matrices in the same precision, all cores.
 
     python -m benchmarks.inference            # every stage several times, the least disturbed samples count
@@ -31,11 +31,11 @@ from torch.utils.flop_counter import FlopCounterMode
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.quiet import measure
-from dsrc.data.batch import pillars_of
-from dsrc.models.deploy import deployed
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, Company
+from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.settings import ModelSettings
+from dsrc.models.storage.deploy import deployed
 
 AGENTS = (1, 2, 5)
 POINTS = 60_000

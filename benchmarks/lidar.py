@@ -40,7 +40,7 @@ from benchmarks.frames import (
 from benchmarks.quiet import Timing, measure
 from benchmarks.rivals import Open3DFrame, open3d_version, trimesh_frame
 from benchmarks.street import BENCHMARK_LIDAR, fleet
-from sensors.scene import RayScene
+from sensors.scan.scene import RayScene
 from sensors.sweep import STATIC, Sweep
 from sim.errors import SettingsError
 

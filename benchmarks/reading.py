@@ -30,10 +30,10 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.quiet import Timing, measure
-from dsrc.data.batch import collate
 from dsrc.data.drives import open_drive
-from dsrc.data.opv2v import write_frame
+from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import Sample, make_sample
+from dsrc.models.inputs.batch import collate
 from dsrc.models.settings import ModelSettings
 from dsrc.training.augment import augment, source_grid
 from dsrc.training.recipes import RECIPES, Recipe

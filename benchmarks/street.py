@@ -12,16 +12,16 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from sensors.lidar import Sensor
 from sensors.motion import Path, actor_paths
+from sensors.scan.lidar import Sensor
 from sensors.spec import LidarSpec
+from sim.bodies.choice import MODELS, body_mesh
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import pose_matrix, transform_points
+from sim.mesh.solids import Piece, box, join, move, piece, to_mesh, tube
 from sim.traffic.base import Actors
 from sim.vehicle_types import TYPES
-from sim.world.bodies import MODELS, body_mesh
-from sim.world.furniture import lamp_post
-from sim.world.solids import Piece, box, join, move, piece, to_mesh, tube
+from sim.world.furniture.kerbside import lamp_post
 
 SIDE_M = 400.0
 ROADS_M = (-130.0, 0.0, 130.0)

@@ -9,7 +9,7 @@ _NO_ACCESS = (errno.EACCES, errno.EEXIST, errno.EISDIR, errno.ENOSPC, errno.ENOT
 
 def main(args: list[str] | None = None) -> None:
     """Run the command line; a user's mistake is one line on standard error and exit code 2."""
-    from dsrc.cli import run
+    from dsrc.cli.main import run
     from sim.errors import UserError
 
     try:

@@ -33,8 +33,8 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from dsrc.evaluation.provenance import hash_file
-from dsrc.evaluation.tables import write_atomic
+from dsrc.data.provenance import hash_file
+from dsrc.evaluation.report.files import write_atomic
 from dsrc.training.recipes import RECIPES, of_method
 
 FIRST, TEACHER, MAP_START = "first", "teacher", "map-start"

@@ -14,7 +14,7 @@ import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sim.v2x import PRESETS, Channel, Instant, Sight, delivery_probability, get_channel, packet_count
+from sim.radio import PRESETS, Channel, Instant, Sight, delivery_probability, get_channel, packet_count
 
 RADIO = ("its-g5-6", "its-g5-27", "c-v2x")
 COLOURS = dict(zip(RADIO, ("#0072b2", "#d55e00", "#009e73"), strict=True))

@@ -17,18 +17,18 @@ import numpy as np
 import torch
 from scipy import stats
 
-from dsrc.data.batch import collate
 from dsrc.data.drives import list_drives
-from dsrc.data.inside import points_in_boxes
+from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample
-from dsrc.evaluation.tables import write_atomic
-from dsrc.models.checkpoint import load_detector, with_fusion
+from dsrc.evaluation.report.files import write_atomic
 from dsrc.models.detector import Detector
+from dsrc.models.inputs.batch import collate
+from dsrc.models.storage.checkpoint import load_detector, with_fusion
 from dsrc.ops.targets import assign_targets
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.module import DetectionModule, as_teacher
 from dsrc.training.recipes import RECIPES, Recipe, of_method
-from dsrc.training.store import FrameRef, SampleStore
+from dsrc.training.samples import FrameRef, SampleStore
 from dsrc.training.train import start_from
 
 FILE = "gates.json"

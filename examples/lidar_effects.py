@@ -18,19 +18,19 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from sensors.beams import beams_of
 from sensors.deskew import deskew_objects
-from sensors.lidar import scan
-from sensors.optics import optics_of, returned_power
+from sensors.optics.beams import beams_of
+from sensors.optics.reflectance import optics_of, returned_power
 from sensors.presets import get_lidar
-from sensors.scene import RayScene
+from sensors.scan.lidar import scan
+from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec
 from sensors.sweep import STATIC, Sweep
+from sim.bodies.choice import models_for
 from sim.boxes import Boxes
 from sim.geometry import pose_matrix
+from sim.mesh.materials import MATERIALS, material_index
 from sim.traffic.base import Actors
-from sim.world.bodies import models_for
-from sim.world.materials import MATERIALS, material_index
 
 
 def main() -> None:

@@ -15,16 +15,17 @@ from matplotlib.colors import Colormap, LogNorm, Normalize, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+from sim.catalog.load import load_scenario
 
 from sensors.frame import Frame
 from sensors.presets import LIDARS, get_lidar
-from sensors.record import Recording, make_frame, record
-from sensors.rig import place_roadside
+from sensors.recording.mounting import place_roadside
+from sensors.recording.record import Recording, make_frame, record
 from sensors.spec import LidarSpec
 from sensors.sweep import STATIC, Sweep
 from sim.geometry import invert, transform_points
-from sim.scenario import RoadsideUnit, load_scenario
-from sim.traffic.sumo import SumoTraffic
+from sim.scenario import RoadsideUnit
+from sim.traffic.sumo.traffic import SumoTraffic
 from sim.world.build import build_world
 
 MAST_M = 3.0

@@ -17,22 +17,22 @@ from look import COLORS, FAINT, INK, new_figure, save, style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from sim.catalog.load import load_scenario
 
 from sensors.frame import AgentFrame, Frame
-from sensors.lidar import scan
 from sensors.presets import get_lidar
-from sensors.record import record
-from sensors.scene import RayScene
+from sensors.recording.record import record
+from sensors.scan.lidar import scan
+from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec
 from sensors.sweep import STATIC
+from sim.bodies.choice import models_for
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import pose_matrix
-from sim.scenario import load_scenario
+from sim.mesh.materials import material_index
 from sim.traffic.base import Actors
-from sim.traffic.sumo import SumoTraffic
-from sim.world.bodies import models_for
+from sim.traffic.sumo.traffic import SumoTraffic
 from sim.world.build import build_world
-from sim.world.materials import material_index
 
 Array = NDArray[np.float64]
 

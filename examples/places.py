@@ -15,17 +15,18 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from PIL import Image
+from sim.catalog.load import list_scenarios, load_scenario
 
-from sensors.agents import CARRIERS
-from sensors.scene import RayScene
+from sensors.recording.agent_selection import CARRIERS
+from sensors.scan.scene import RayScene
+from sim.bodies.choice import body_mesh
 from sim.boxes import CLASSES
 from sim.errors import ScenarioError
-from sim.scenario import Scenario, list_scenarios, load_scenario
+from sim.mesh.materials import MATERIALS
+from sim.scenario import Scenario
 from sim.traffic.base import Actors
-from sim.traffic.choose import open_traffic
-from sim.world.bodies import body_mesh
+from sim.traffic.open import open_traffic
 from sim.world.build import build_world
-from sim.world.materials import MATERIALS
 
 SIZE = (880, 500)
 SKY = np.array([[196, 214, 232], [150, 184, 220]], np.float64)

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from places import SIZE, Stage, picture
 from places import _everything as everything
+from sim.catalog.load import list_scenarios, load_scenario
 
-from sensors.proof import Proof, settle
+from sensors.recording.encounter_check import Proof, settle
 from sim.boxes import Boxes
-from sim.conflicts import KINDS, instance_of
+from sim.encounters import KINDS, instance_of
 from sim.geometry import wrap_angle
-from sim.scenario import Scenario, list_scenarios, load_scenario
+from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.script import FIRST_ID, ScriptedTraffic
 from sim.world.build import build_world

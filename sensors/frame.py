@@ -50,9 +50,9 @@ class Frame:
         lane: (N,) names of lanes in the road network; "" off the road, for people who walk on none, and where nobody
             knows.
         visible_fraction: (A, N) float32 share of an agent's rays on an object that nothing else stops, see
-            `sensors.visibility`; NaN where it was not measured, for an agent's own body, and where not even the object
+            `sensors.scan.visibility`; NaN where it was not measured, for an agent's own body, and where not even the object
             alone would be hit.
-        sight: (A, A) int8 `sim.v2x.Sight`, what stands between the agents' antennas; -1 where nobody knows.
+        sight: (A, A) int8 `sim.radio.Sight`, what stands between the agents' antennas; -1 where nobody knows.
 
     The last five may be left out: then nobody knows.
     """

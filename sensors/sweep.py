@@ -46,7 +46,7 @@ class Sweep:
         object_id: (P,) int32 actor hit, `STATIC` or `ADDED`.
         return_number: (P,) uint8, 1 = the nearest of those that the beam reports.
         fate: (P,) uint8, what a corruption did to the point: `KEPT`, `ATTENUATED`, `MOVED`, `SCATTERED`.
-        material: (P,) uint8 index into `sim.world.materials.MATERIALS`, `UNKNOWN_MATERIAL` where nobody knows.
+        material: (P,) uint8 index into `sim.mesh.materials.MATERIALS`, `UNKNOWN_MATERIAL` where nobody knows.
         cosine: (P,) float32 |cos| of the angle between ray and surface normal, 0 where unknown.
         world_from_lidar: (4, 4) float64 pose of the sensor at `time_s`.
         time_s: reference time of the sweep, s: its middle unless `motion` says start or end.

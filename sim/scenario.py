@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from sim.boxes import CLASSES
 from sim.errors import ScenarioError, complaint, did_you_mean
-from sim.places.wheels import wheel_folders
+from sim.roads.wheels import wheel_folders
 from sim.tomlfile import dotted, read_toml
 
 NonNegative = Annotated[float, Meta(ge=0.0)]
@@ -49,9 +49,9 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         generate: netgenerate arguments as a table of option -> value.
         file: path of a .net.xml; relative ones are looked up beside the scenario file.
         wheel: path of a .net.xml, or of a map with what stands beside its roads, inside one of
-            `sim.places.wheels.WHEELS`.
+            `sim.roads.wheels.WHEELS`.
         highway_env: id of an environment of highway-env whose roads these are, one of
-            `sim.traffic.highway_roads.ENVIRONMENTS`; nothing of SUMO is needed then.
+            `sim.traffic.highway.roads.ENVIRONMENTS`; nothing of SUMO is needed then.
         city_mesh: path of a 3DS city mesh below `tools/` with its placement, or "".
         polygons: path of a .poly.xml with outlines of buildings, as SUMO's polyconvert writes it, beside the scenario
             file or below `tools/`, or "". Without a city mesh, polygons and a map, houses are made up.
@@ -143,15 +143,15 @@ CONTROLS = ("no_occluder", "no_conflict", "ghost")
 
 
 class ConflictSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A scripted encounter in which the ego cannot see in time what it would collide with; see `sim.conflicts`.
+    """A scripted encounter in which the ego cannot see in time what it would collide with; see `sim.encounters`.
 
     Attributes:
-        kind: which encounter, one of `sim.conflicts.KINDS`.
+        kind: which encounter, one of `sim.encounters.KINDS`.
         parameters: name -> a value, or [low, high] of what is drawn; the others are drawn from ranges of their own.
         streets: on a network that the scenario names: role -> the lanes of its way before and after the junction.
         control: what is changed to see what it was good for: nothing, or the occluder is away (`no_occluder`), the
             conflict actor is away (`no_conflict`), or it is away and a helper claims it all the same (`ghost`).
-        draw: number of the draw of the parameters; the proof by rays advances it, see `sensors.proof`.
+        draw: number of the draw of the parameters; the proof by rays advances it, see `sensors.recording.encounter_check`.
         draws: most draws that are tried.
     """
 
@@ -260,7 +260,7 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
     if network.file and not (path.parent / network.file).is_file():
         yield "network.file", "an existing .net.xml file", network.file, ""
     if network.highway_env:
-        from sim.traffic.highway_roads import ENVIRONMENTS
+        from sim.traffic.highway.roads import ENVIRONMENTS
 
         if network.highway_env not in ENVIRONMENTS:
             hint = did_you_mean(network.highway_env, ENVIRONMENTS)
@@ -297,7 +297,7 @@ def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, ob
 
 
 def _wrong_conflict(conflict: ConflictSpec, given: str) -> Iterator[tuple[str, str, object, str]]:
-    from sim.conflicts import KINDS
+    from sim.encounters import KINDS
 
     if conflict.kind not in KINDS:
         yield "conflict.kind", "a known encounter", conflict.kind, did_you_mean(conflict.kind, KINDS)
@@ -327,7 +327,7 @@ def _wrong_conflict(conflict: ConflictSpec, given: str) -> Iterator[tuple[str, s
 def _wrong_tools_path(field: str, relative: str, elsewhere: str = "") -> Iterator[tuple[str, str, object, str]]:
     if not relative:
         return
-    from sim.networks import sumo_tools
+    from sim.roads.tools import sumo_tools
 
     target = sumo_tools() / relative
     if target.is_file() and target.resolve().is_relative_to(sumo_tools().resolve()):

@@ -94,7 +94,7 @@ def types_of(label: str) -> list[VehicleType]:
 
 def choose_model(label: str, name: str, seed: int) -> str:
     """Choose the body of the road user `name`: the same in every run with this seed, whenever it appears."""
-    from sim.world.bodies import models_for  # a leaf of the same room, imported here to keep this table light
+    from sim.bodies.choice import models_for  # a leaf of the same room, imported here to keep this table light
 
     models = models_for(label)
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])

@@ -14,7 +14,7 @@ from benchmarks.quiet import Timing, measure
 from benchmarks.street import BENCHMARK_LIDAR, FLEETS, baked, city, fleet, street_world
 from sensors.corruptions import CORRUPTIONS
 from sim.collisions import overlapping_pairs
-from sim.world.materials import MATERIALS
+from sim.mesh.materials import MATERIALS
 from tests.dsrc.data.toy import toy_frame
 
 
@@ -31,7 +31,7 @@ def test_sixty_vehicles_of_which_five_scan_keep_the_makers_of_drives_busy():
     assert (scenario.agents.vehicles, scenario.demand.max_vehicles) == (5, 60)
     clock = Clock()
     with clock.watching():
-        opv2v = import_module("dsrc.data.opv2v")
+        opv2v = import_module("dsrc.data.formats.opv2v.reader")
         opv2v.encode_pcd(toy_frame(0).agents[0].sweep)
     assert clock.seconds["encode"] > 0.0 and set(clock.seconds) == {"encode"}
     assert set(STAGES) | {"traffic", "write"} == {"traffic", "tracing", "visibility", "encode", "write"}

@@ -9,9 +9,9 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.__main__ import main
-from dsrc.data.generate import write_drive
-from dsrc.models.checkpoint import save_detector
+from dsrc.data.write import write_drive
 from dsrc.models.detector import Detector
+from dsrc.models.storage.checkpoint import save_detector
 from dsrc.training.recipes import debug
 from tests.dsrc.data.toy import SETTINGS, ToySource
 

@@ -23,7 +23,7 @@ def assert_one_line(result: subprocess.CompletedProcess[str], *words: str) -> No
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys\n"
-        "from dsrc.cli import run\n"
+        "from dsrc.cli.main import run\n"
         "try:\n    run(['--help'])\nexcept SystemExit:\n    pass\n"
         f"heavy = {HEAVY} & set(sys.modules)\n"
         "assert not heavy, heavy\n"

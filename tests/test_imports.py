@@ -13,10 +13,10 @@ DOORS = {
     "torch": ("dsrc/",),
     "lightning": ("dsrc/training/",),
     "viser": ("dsrc/review/",),
-    "libsumo": ("sim/traffic/sumo.py",),
+    "libsumo": ("sim/traffic/sumo/traffic.py",),
     "embreex": ("sensors/raycast/",),
-    "numba": ("sensors/raycast/", "dsrc/data/kernel.py", "dsrc/data/lzf.py"),
-    "highway_env": ("sim/traffic/highway",),
+    "numba": ("sensors/raycast/", "dsrc/data/kernel.py", "dsrc/data/formats/lzf.py"),
+    "highway_env": ("sim/traffic/highway/traffic",),
 }
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dsrc.data.generate import generate
+from dsrc.data.write import generate
 from sensors.deskew import deskew
 from sim.boxes import Boxes
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from dsrc.data.opv2v import PROTOCOL, frame_files
-from dsrc.data.yamlio import emit, read_yaml
+from dsrc.data.formats.opv2v.reader import PROTOCOL, frame_files
+from dsrc.data.formats.yaml import emit, read_yaml
 from sim.errors import DataError, complaint
 
 try:

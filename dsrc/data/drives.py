@@ -13,7 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data import dairv2x, opv2v
+from dsrc.data.formats.dair import reader as dairv2x
+from dsrc.data.formats.opv2v import reader as opv2v
 from sensors.frame import Frame
 from sensors.sweep import Motion
 from sim.errors import DataError, complaint

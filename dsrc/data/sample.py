@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.inside import points_in_boxes
+from dsrc.data.points_in_boxes import points_in_boxes
 from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, complaint

@@ -11,17 +11,18 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.channel import Receiver
 from dsrc.data.drives import Drive, open_drive
-from dsrc.data.sample import GridSpec, Sample, inside_range, make_sample
-from dsrc.detections import Detections
+from dsrc.data.sample import Sample, inside_range, make_sample
 from dsrc.evaluation.ap import FrameResult, Judged, join, judge, result_of
-from dsrc.evaluation.rows import CLEAN, Row, make_row, summary_rows
+from dsrc.evaluation.results import CLEAN, Row, make_row, summary_rows
+from dsrc.models.channel import Receiver
+from dsrc.ops.detections import Detections
+from dsrc.ops.grid import GridSpec
 from sensors import corruptions as registry
 from sensors.corruptions import Family, drive_seed
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
-from sim.v2x import ChannelSpec, Link
+from sim.radio import ChannelSpec, Link
 
 Progress = Callable[[int, int], None]
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.evaluation.ap import Judged
-from dsrc.evaluation.sheets import Stat
+from dsrc.evaluation.report.table import Stat
 
 RESAMPLES = 1000
 LEVEL = 0.95

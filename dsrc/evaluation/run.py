@@ -6,15 +6,15 @@ from pathlib import Path
 import msgspec
 from rich.table import Table
 
+from dsrc.data.provenance import hash_file, provenance
 from dsrc.evaluation.benchmark import PAPER_TABLE, Method, Progress, corruption_kinds, run_benchmark
-from dsrc.evaluation.plan import named
-from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
-from dsrc.evaluation.provenance import hash_file, provenance
-from dsrc.evaluation.rows import Row
-from dsrc.evaluation.tables import result_table, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
+from dsrc.evaluation.config import named
+from dsrc.evaluation.plots.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
+from dsrc.evaluation.report.files import result_table, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
+from dsrc.evaluation.results import Row
 from sensors.corruptions import Family
 from sim.errors import CheckpointError, SettingsError, complaint
-from sim.v2x import get_channel
+from sim.radio import get_channel
 
 EGO_ALONE = "ego alone"
 
@@ -49,7 +49,7 @@ def evaluate_checkpoints(
         family: of the corruptions' settings.
         channels: presets of the radio channel; every cooperative detector is evaluated through each of them. Without
             any, everything arrives at once and nothing is counted.
-        engine: how the networks run, one of `dsrc.models.deploy.ENGINES`.
+        engine: how the networks run, one of `dsrc.models.storage.deploy.ENGINES`.
 
     Returns:
         The table for the terminal.
@@ -58,7 +58,7 @@ def evaluate_checkpoints(
         UserError: a file, a corruption or a setting is wrong.
     """
     from dsrc.data.drives import list_drives
-    from dsrc.models.checkpoint import load_student
+    from dsrc.models.storage.checkpoint import load_student
 
     kinds = corruption_kinds(corruptions, family)
     files = dict(checkpoints) if isinstance(checkpoints, Mapping) else name_checkpoints(checkpoints)

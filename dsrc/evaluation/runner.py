@@ -19,17 +19,10 @@ import torch
 from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import Report, open_executor
+from dsrc.data.provenance import hash_file
 from dsrc.evaluation.ap import metric_name, result_of
-from dsrc.evaluation.benchmark import (
-    Condition,
-    Method,
-    Tally,
-    evaluate_drive,
-    joined,
-    places_of,
-    warn_of_slow_drives,
-)
-from dsrc.evaluation.cells import (
+from dsrc.evaluation.benchmark import Condition, Method, Tally, evaluate_drive, joined, places_of, warn_of_slow_drives
+from dsrc.evaluation.cache import (
     CellSettings,
     code_hash,
     described,
@@ -39,15 +32,14 @@ from dsrc.evaluation.cells import (
     relevant_versions,
     write_cell,
 )
+from dsrc.evaluation.config import Benchmark, Case, cases_of
 from dsrc.evaluation.intervals import Hits
-from dsrc.evaluation.plan import Benchmark, Case, cases_of
-from dsrc.evaluation.provenance import hash_file
-from dsrc.evaluation.rows import Row, make_row
-from dsrc.models.checkpoint import load_student, read_meta
+from dsrc.evaluation.results import Row, make_row
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
+from dsrc.models.storage.checkpoint import load_student, read_meta
 from sim.errors import SettingsError, UserError, complaint
-from sim.v2x import ChannelSpec
+from sim.radio import ChannelSpec
 
 Device = Literal["cpu", "cuda"]
 Progress = Callable[[int, int], None]
@@ -163,7 +155,7 @@ def run_plan(
     """Make the cells that are missing in `out/cells`, and rows of all.
 
     Args:
-        plan: see `dsrc.evaluation.plan.check`.
+        plan: see `dsrc.evaluation.config.check`.
         out: folder of the benchmark.
         workers: processes, of one thread each; the cells are the same for any number.
         device: of the networks.

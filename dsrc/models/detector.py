@@ -11,19 +11,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dsrc.data.batch import collate, pillars_of
 from dsrc.data.sample import Sample
-from dsrc.detections import Detections
-from dsrc.models.backbones import BACKBONES
-from dsrc.models.blocks import Compressor, Decoder, double_conv, upsample
-from dsrc.models.encoder import PillarEncoder, Pillars
+from dsrc.models.compression import as_large, reduced
 from dsrc.models.fusion import FUSIONS, Company
 from dsrc.models.fusion.late import join_detections
+from dsrc.models.inputs.batch import collate, pillars_of
+from dsrc.models.layers.backbones import BACKBONES
+from dsrc.models.layers.blocks import Compressor, Decoder, double_conv, upsample
+from dsrc.models.layers.encoder import PillarEncoder, Pillars
 from dsrc.models.pose_graph import aligned
 from dsrc.models.settings import ModelSettings
-from dsrc.models.sharing import as_large, reduced
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, headed
+from dsrc.ops.detections import Detections
 from dsrc.ops.postprocess import PostSettings, decode_detections
 
 # Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
@@ -64,7 +64,7 @@ class Detector(nn.Module):
     """
 
     precision = torch.float32
-    """Of matrix products and maps; another one is set by `dsrc.models.deploy`."""
+    """Of matrix products and maps; another one is set by `dsrc.models.storage.deploy`."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()

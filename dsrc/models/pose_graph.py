@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from dsrc.data.sample import GridSpec, Sample
-from dsrc.detections import Detections
+from dsrc.data.sample import Sample
+from dsrc.ops.detections import Detections
+from dsrc.ops.grid import GridSpec
 from sim.geometry import pose_matrix, transform_points
 
 SAME_OBJECT_M = 1.5

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from dsrc.data.sample import GridSpec
+from dsrc.ops.grid import GridSpec
 
 Fusion = Literal[
     "attention",
@@ -44,7 +44,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             detected in; it takes another run of the network on each agent's cloud by itself.
         compress: times fewer channels that are sent of each map.
         share: of the tiles of its maps that an agent sends, those in which it is surest to see something; in use only,
-            training has everything. Needs no training of its own: see `dsrc.models.sharing`.
+            training has everything. Needs no training of its own: see `dsrc.models.compression`.
         bits: of each number that is sent, in use only.
         sdd: sparse-to-dense distillation: the teacher's objects hold the points of all agents.
         pcp: point cloud painting: the teacher's points carry a fifth channel, 1 inside a labelled box.

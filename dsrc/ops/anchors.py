@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sample import GridSpec
+from dsrc.ops.grid import GridSpec
 from sim.errors import SettingsError
 
 ANCHOR_LWH = (3.9, 1.6, 1.56)

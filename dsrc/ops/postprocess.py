@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.detections import Detections
 from dsrc.ops.coding import decode
+from dsrc.ops.detections import Detections
 from dsrc.ops.nms import rotated_nms
 from sim.boxes import Boxes
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import open_drives
 from dsrc.data.sample import Sample, make_sample
-from dsrc.detections import Detections
+from dsrc.ops.detections import Detections
 from dsrc.review.agents import agent_view, links
 from dsrc.review.facts import facts_of
 from dsrc.review.matching import Counts, Matches, match
@@ -294,6 +294,6 @@ def open_model(root: Path, checkpoint: Path | None = None) -> ReviewModel:
     if checkpoint is None:
         return ReviewModel(drives)
     # Torch takes seconds to import and is not needed to look at the truth.
-    from dsrc.models.checkpoint import load_student
+    from dsrc.models.storage.checkpoint import load_student
 
     return ReviewModel(drives, load_student(Path(checkpoint)))

@@ -40,7 +40,7 @@ class StaticPart:
 @cache
 def body_shape(class_name: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Return the (V, 3) vertices and (F, 3) faces of a body of length, width and height 1, standing on z = 0."""
-    from sim.world.bodies import body_mesh, models_for, plain_models_for
+    from sim.bodies.choice import body_mesh, models_for, plain_models_for
 
     try:
         mesh = body_mesh(models_for(class_name)[0], (1.0, 1.0, 1.0))
@@ -107,7 +107,7 @@ def split_by_material(
     mesh: Any, origin: NDArray[np.float64], places: NDArray[np.float64], radius_m: float
 ) -> list[StaticPart]:
     """Cut a world mesh to the surroundings of `places` (N, 2) and split it into the parts that are drawn alike."""
-    from sim.world.materials import MATERIALS
+    from sim.mesh.materials import MATERIALS
 
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
     middle = vertices[faces].mean(axis=1)[:, :2]

@@ -62,7 +62,7 @@ class Sighting:
     Attributes:
         agent: its name for people.
         points: its LiDAR points on the object, before any corruption.
-        fraction: visible fraction, NaN where there is none, see `sensors.visibility`.
+        fraction: visible fraction, NaN where there is none, see `sensors.scan.visibility`.
     """
 
     agent: str

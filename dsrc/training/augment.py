@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sample import GridSpec, Sample, inside_range
+from dsrc.data.sample import Sample, inside_range
+from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import Augmentation
 from sim.boxes import Boxes
 from sim.geometry import wrap_angle

@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from dsrc.data.batch import Batch, collate
 from dsrc.data.sample import Sample
+from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.settings import ModelSettings
 from dsrc.training.augment import augment, source_grid
 from dsrc.training.recipes import Recipe
-from dsrc.training.store import Corruption, FrameRef, SampleStore
+from dsrc.training.samples import Corruption, FrameRef, SampleStore
 from sensors.corruptions import SEVERITIES
 
 Draw = tuple[int, int]

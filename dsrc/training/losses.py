@@ -1,7 +1,7 @@
 """The losses: detection, and the three stages of the distillation.
 
 Where the paper and its released code differ, `DistillSettings` has both: its defaults follow the paper, `released()`
-is the code. The reconstruction losses stand beside their head, in `dsrc.models.reconstruction`.
+is the code. The reconstruction losses stand beside their head, in `dsrc.models.layers.reconstruction`.
 """
 
 from typing import Annotated, Literal

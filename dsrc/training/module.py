@@ -9,11 +9,11 @@ import torch
 from torch import Tensor, distributed
 from torch.optim.lr_scheduler import LambdaLR
 
-from dsrc.data.batch import Batch
 from dsrc.evaluation.ap import FrameResult
 from dsrc.models.detector import Detector, Output
-from dsrc.models.encoder import Pillars
-from dsrc.models.reconstruction import Reconstruction, reconstruction_losses
+from dsrc.models.inputs.batch import Batch
+from dsrc.models.layers.encoder import Pillars
+from dsrc.models.layers.reconstruction import Reconstruction, reconstruction_losses
 from dsrc.training.losses import consistency_loss, detection_loss, direction_loss, distillation_losses
 from dsrc.training.recipes import Recipe
 from dsrc.training.validation import detections_of, metrics_of

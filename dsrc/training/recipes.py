@@ -7,9 +7,9 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from dsrc.data.labels import Labels, released_labels
-from dsrc.data.sample import GridSpec
+from dsrc.models.inputs.labels import Labels, released_labels
 from dsrc.models.settings import ModelSettings
+from dsrc.ops.grid import GridSpec
 from dsrc.training.losses import DistillSettings, released
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX
 from sim.errors import SettingsError, complaint

@@ -19,17 +19,17 @@ from lightning.pytorch.utilities import rank_zero_only
 from msgspec.structs import replace
 
 from dsrc.data.drives import list_drives
-from dsrc.evaluation.provenance import hash_file, hashes, provenance
-from dsrc.models.checkpoint import load_detector, save_detector, with_fusion
+from dsrc.data.provenance import hash_file, hashes, provenance
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
+from dsrc.models.storage.checkpoint import load_detector, save_detector, with_fusion
+from dsrc.training.averaging import Selection
 from dsrc.training.datamodule import DetectionData
-from dsrc.training.logs import MetricsFile, ValidateLast, note_environment, write_json
+from dsrc.training.metrics_file import MetricsFile, ValidateLast, note_environment, write_json
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import RECIPES, Recipe, Stage, of_method
 from dsrc.training.validation import best_device
 from dsrc.training.validation import validate as validate_detector
-from dsrc.training.weights import Selection
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 
 LOG = logging.getLogger(__name__)

@@ -5,10 +5,10 @@ from collections.abc import Iterable, Sequence
 
 import torch
 
-from dsrc.data.batch import Batch
 from dsrc.evaluation.ap import FrameResult, evaluate
-from dsrc.evaluation.heading import heading_share
+from dsrc.evaluation.heading_accuracy import heading_share
 from dsrc.models.detector import Detector
+from dsrc.models.inputs.batch import Batch
 
 THRESHOLDS = (0.3, 0.5, 0.7)
 

@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from dsrc.data.batch import Batch
 from dsrc.data.drives import list_drives
-from dsrc.evaluation.provenance import hash_file, hashes, versions
-from dsrc.models.checkpoint import load_detector, read_meta
+from dsrc.data.provenance import hash_file, hashes, versions
+from dsrc.models.inputs.batch import Batch
+from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.recipes import Recipe, Stage
 from dsrc.training.train import DETECTOR, RESULT, SETTINGS

@@ -1,7 +1,7 @@
 """Corruptions: what weather and faults do to a sweep.
 
 Two families of settings, never mixed: `physical`, modules of this package, one per physical cause, is the default;
-`paper`, modules of `sensors.corruptions.paper`, one per published model, computes what was published, to compare with
+`paper`, modules of `sensors.corruptions.published`, one per published model, computes what was published, to compare with
 its tables. Not every kind has a published model. Those models know no time: they draw anew for every frame.
 
 Weather is shared: all agents of a frame are in the same fog, whose strength drifts slowly over a drive (`weather`).
@@ -42,15 +42,15 @@ from sensors.corruptions import (
     spray,
     wet_ground,
 )
-from sensors.corruptions.levels import PAPER, SEVERITIES, check_severity
-from sensors.corruptions.paper import beams as paper_beams
-from sensors.corruptions.paper import fog as paper_fog
-from sensors.corruptions.paper import incomplete_echo as paper_incomplete_echo
-from sensors.corruptions.paper import points as paper_points
-from sensors.corruptions.paper import rain as paper_rain
-from sensors.corruptions.paper import snow as paper_snow
-from sensors.corruptions.paper import wet_ground as paper_wet_ground
-from sensors.corruptions.weather import strength, weather_rng
+from sensors.corruptions.physics.levels import PAPER, SEVERITIES, check_severity
+from sensors.corruptions.physics.weather import strength, weather_rng
+from sensors.corruptions.published import beams as paper_beams
+from sensors.corruptions.published import fog as paper_fog
+from sensors.corruptions.published import incomplete_echo as paper_incomplete_echo
+from sensors.corruptions.published import points as paper_points
+from sensors.corruptions.published import rain as paper_rain
+from sensors.corruptions.published import snow as paper_snow
+from sensors.corruptions.published import wet_ground as paper_wet_ground
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import ADDED, Sweep
 from sim.errors import DataError, SettingsError, complaint, did_you_mean

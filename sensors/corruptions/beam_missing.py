@@ -15,8 +15,8 @@ from typing import Self
 import msgspec
 import numpy as np
 
-from sensors.corruptions.levels import at_level, check_range, share_of
-from sensors.corruptions.rings import IDENTITIES, rings_of
+from sensors.corruptions.physics.levels import at_level, check_range, share_of
+from sensors.corruptions.physics.rings import IDENTITIES, rings_of
 from sensors.sweep import Sweep
 
 RINGS_OF_64 = (4, 8, 16, 32, 48)

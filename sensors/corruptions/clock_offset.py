@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.levels import at_level, check_range
+from sensors.corruptions.physics.levels import at_level, check_range
 from sensors.deskew import deskew
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path

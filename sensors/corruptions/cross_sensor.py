@@ -24,9 +24,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.levels import at_level, check_range, share_of
-from sensors.corruptions.receiver import UNKNOWN_RANGE_10_M, least_power, target_power
-from sensors.corruptions.rings import Rings, rings_of
+from sensors.corruptions.physics.levels import at_level, check_range, share_of
+from sensors.corruptions.physics.receiver import UNKNOWN_RANGE_10_M, least_power, target_power
+from sensors.corruptions.physics.rings import Rings, rings_of
 from sensors.presets import get_lidar
 from sensors.spec import LidarSpec
 from sensors.sweep import Sweep

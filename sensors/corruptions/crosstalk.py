@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.cross_sensor import UNKNOWN_RANGE_MAX_M
-from sensors.corruptions.levels import at_level, check_range
-from sensors.corruptions.medium import OF_NOTHING, Echo, open_echoes
-from sensors.corruptions.receiver import BLIND_M, least_power, reported_intensity, target_power
+from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.medium import OF_NOTHING, Echo, open_echoes
+from sensors.corruptions.physics.receiver import BLIND_M, least_power, reported_intensity, target_power
 from sensors.sweep import POINT_FIELDS, Sweep, make_sweep
 
 SHARE = (0.005, 0.01, 0.02, 0.04, 0.08)

@@ -14,7 +14,7 @@ from typing import Self
 import msgspec
 import numpy as np
 
-from sensors.corruptions.levels import at_level, check_range
+from sensors.corruptions.physics.levels import at_level, check_range
 from sensors.sweep import Sweep
 
 HALF_WIDTH_DEG = (105.0, 90.0, 75.0, 60.0, 45.0)

@@ -28,9 +28,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.fog_echo import MOST_EXTINCTION, fog_echo
-from sensors.corruptions.levels import at_level, check_range
-from sensors.corruptions.medium import Echo, Sight, look, report
+from sensors.corruptions.physics.fog_echo import MOST_EXTINCTION, fog_echo
+from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.medium import Echo, Sight, look, report
 from sensors.sweep import Sweep
 
 VISIBILITY_M = (400.0, 200.0, 100.0, 50.0, 25.0)

@@ -21,12 +21,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.levels import at_level, check_range
-from sensors.corruptions.receiver import target_power
+from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.receiver import target_power
 from sensors.frame import Frame
 from sensors.sweep import UNKNOWN_MATERIAL, Sweep
 from sim.boxes import CLASSES
-from sim.world.materials import material_index
+from sim.mesh.materials import material_index
 
 SHARE = (0.25, 0.50, 0.75, 0.85, 0.95)
 

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sensors.corruptions.levels import at_level, check_range
+from sensors.corruptions.physics.levels import at_level, check_range
 from sensors.frame import Frame
 from sensors.sweep import MOVED, SCATTERED, Sweep
 from sim.errors import DataError, complaint

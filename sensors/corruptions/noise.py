@@ -18,7 +18,7 @@ from typing import Literal, Self
 import msgspec
 import numpy as np
 
-from sensors.corruptions.levels import at_level, check_range
+from sensors.corruptions.physics.levels import at_level, check_range
 from sensors.sweep import MOVED, SCATTERED, Sweep
 
 SIZE_M = (0.02, 0.04, 0.06, 0.08, 0.10)

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.levels import at_level, check_range
+from sensors.corruptions.physics.levels import at_level, check_range
 from sensors.sweep import Sweep
 
 SHARE = (0.06, 0.12, 0.18, 0.24, 0.30)

@@ -30,9 +30,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.levels import at_level, check_range
-from sensors.corruptions.medium import Sight, look, report
-from sensors.corruptions.strongest import Particles, strongest_particle
+from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.medium import Sight, look, report
+from sensors.corruptions.physics.strongest import Particles, strongest_particle
 from sensors.sweep import Sweep
 
 RAIN_MM_H = (2.0, 8.0, 25.0, 60.0, 120.0)

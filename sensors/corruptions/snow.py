@@ -31,10 +31,10 @@ from typing import Self
 import msgspec
 import numpy as np
 
-from sensors.corruptions.levels import at_level, check_range
-from sensors.corruptions.medium import look, report
-from sensors.corruptions.snow_flakes import snow_particles
-from sensors.corruptions.strongest import strongest_particle
+from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.medium import look, report
+from sensors.corruptions.physics.snow_flakes import snow_particles
+from sensors.corruptions.physics.strongest import strongest_particle
 from sensors.sweep import Sweep
 
 SNOWFALL_MM_H = (0.1, 0.25, 0.5, 1.5, 5.0)

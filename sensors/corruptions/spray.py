@@ -32,11 +32,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.levels import at_level, check_range
-from sensors.corruptions.medium import Echo, Sight, look, open_axis, report
-from sensors.corruptions.plume import PERIOD_M, Plume, draw_patches, patches_at, plumes_of
+from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.medium import Echo, Sight, look, open_axis, report
+from sensors.corruptions.physics.plume import PERIOD_M, Plume, draw_patches, patches_at, plumes_of
 from sensors.frame import Frame
-from sensors.optics import LIGHT_SPEED
+from sensors.optics.reflectance import LIGHT_SPEED
 from sensors.sweep import Sweep
 from sim.geometry import invert
 

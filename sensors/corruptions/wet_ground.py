@@ -9,7 +9,7 @@ Under the film a ground of reflectivity rho returns, relative to when it was dry
 
     film(theta) = wet(rho) / rho * (T(theta) / T(0))^2 * exp(-2 k h / cos(theta_w))
 
-wet(rho) is the film's darkening (Lekner and Dorf 1988, `sensors.optics`), T Fresnel's transmission of unpolarised
+wet(rho) is the film's darkening (Lekner and Dorf 1988, `sensors.optics.reflectance`), T Fresnel's transmission of unpolarised
 light from air into water, once in and once out: 0.98 seen squarely, 0.65 at 80 degrees, 0.28 at 87; the rest is
 mirrored away. k = 6.8 per metre is the absorption of water at 905 nm (Hale and Querry 1973), theta_w the angle inside.
 Beads of lane paint do not work under water. The film covers 1 - exp(-h / 0.6 mm) of a road whose texture is 1.2 mm deep
@@ -31,12 +31,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.ground import Ground, find_ground
-from sensors.corruptions.levels import at_level, check_range
-from sensors.corruptions.receiver import UNKNOWN_REFLECTIVITY, least_power, target_power
-from sensors.optics import returned_power, wet_reflectivity
+from sensors.corruptions.physics.ground import Ground, find_ground
+from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.receiver import UNKNOWN_REFLECTIVITY, least_power, target_power
+from sensors.optics.reflectance import returned_power, wet_reflectivity
 from sensors.sweep import ATTENUATED, KEPT, UNKNOWN_MATERIAL, Sweep
-from sim.world.materials import MATERIALS
+from sim.mesh.materials import MATERIALS
 
 WATER_MM = (0.1, 0.3, 0.6, 1.2, 2.5)
 

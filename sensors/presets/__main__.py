@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sensors.beams import beams_of
+from sensors.optics.beams import beams_of
 from sensors.presets import LIDARS
 from sensors.spec import LidarSpec
 

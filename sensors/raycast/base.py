@@ -7,10 +7,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.beams import Beams
 from sensors.motion import Path
-from sensors.noise import SweepNoise
-from sensors.optics import Optics
+from sensors.optics.beams import Beams
+from sensors.optics.noise import SweepNoise
+from sensors.optics.reflectance import Optics
 from sensors.spec import LidarSpec
 
 
@@ -21,7 +21,7 @@ class Solid:
     Attributes:
         vertices: (V, 3) float32 relative to `origin`, m: Embree computes in float32, exact only near the origin.
         faces: (F, 3) int32 rows of `vertices`.
-        material: (F,) uint8 index into `sim.world.materials.MATERIALS`.
+        material: (F,) uint8 index into `sim.mesh.materials.MATERIALS`.
         origin: (3,) float64 in the solid's own frame: the world's for the static world, the body's for a body.
     """
 

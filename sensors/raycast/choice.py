@@ -45,7 +45,7 @@ def open_engine(name: str | None = None, *, robust: bool = True) -> Engine:
 
 @lru_cache(maxsize=2)
 def _public(robust: bool) -> Engine:
-    from sensors.raycast.public import PublicEngine
+    from sensors.raycast.public.engine import PublicEngine
 
     return PublicEngine(robust=robust)
 
@@ -53,8 +53,8 @@ def _public(robust: bool) -> Engine:
 @lru_cache(maxsize=2)
 def _fused(robust: bool) -> tuple[Engine | None, str]:
     try:
-        from sensors.raycast.fused import FusedEngine
-        from sensors.raycast.selftest import self_test
+        from sensors.raycast.fused.engine import FusedEngine
+        from sensors.raycast.fused.selftest import self_test
 
         engine = FusedEngine(robust=robust)
         self_test(engine, _public(robust))

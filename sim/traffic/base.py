@@ -35,7 +35,7 @@ class Actors:
         velocity: (N, 2) float64 m/s in the world, from the motion of the box centre.
         acceleration: (N, 2) float64 m/s2 in the world, the change of `velocity` since the step before; zero for who has
             just appeared.
-        model: (N,) names of body meshes, see `sim.world.bodies`.
+        model: (N,) names of body meshes, see `sim.bodies.choice`.
         name: (N,) names in the traffic simulation.
         signals: (N,) int32 bits of `SIGNALS`, as SUMO has them.
         lane: (N,) names of the lanes in the road network, "" off the road and for people who walk on none.

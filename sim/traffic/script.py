@@ -8,16 +8,16 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from sim.bodies.choice import choose_model
 from sim.boxes import Boxes
 from sim.collisions import overlapping_pairs
-from sim.conflicts import instance_of
-from sim.conflicts.instance import Actor
+from sim.encounters import instance_of
+from sim.encounters.types import Actor
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
-from sim.networks import read_network, resolve_network
+from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario
 from sim.traffic.base import SIGNALS, Actors
-from sim.vehicle_types import choose_model
 
 FIRST_ID = 1000
 """Object id of the ego; the other actors follow in the order of the encounter."""

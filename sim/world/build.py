@@ -5,18 +5,19 @@ import shapely
 import trimesh
 from numpy.typing import NDArray
 
-from sim.networks import read_network, resolve_network, resolve_polygons, sumo_tools
-from sim.parking import parked_cars
+from sim.mesh.solids import join, to_mesh
+from sim.roads.networks import read_network, resolve_network, resolve_polygons
+from sim.roads.tools import sumo_tools
 from sim.scenario import Scenario
-from sim.world.buildings import Town, blocks, city_mesh, guard_rails
-from sim.world.furniture import furniture
-from sim.world.mapped import Mapped, read_mapped
-from sim.world.markings import markings
-from sim.world.outlines import has_buildings, outlined
-from sim.world.roads import surfaces
-from sim.world.site import conflict_site
-from sim.world.solids import join, to_mesh
-from sim.world.streets import Streets, read_streets
+from sim.traffic.parking import parked_cars
+from sim.world.buildings.footprints import has_buildings, outlined
+from sim.world.buildings.houses import Town, blocks, city_mesh, guard_rails
+from sim.world.encounter_site import conflict_site
+from sim.world.furniture.kerbside import furniture
+from sim.world.furniture.map_objects import Mapped, read_mapped
+from sim.world.roads.markings import markings
+from sim.world.roads.streets import Streets, read_streets
+from sim.world.roads.surfaces import surfaces
 
 MARGIN_M = 120.0
 """How far beyond `network.area_m` the world is built: the reach of a sensor."""
@@ -32,13 +33,13 @@ def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
         seed: of houses, heights and trees that no map tells; roads and places of real buildings do not depend on it.
 
     Returns:
-        A mesh whose `face_attributes["material"]` is (F,) uint8 indices into `sim.world.materials.MATERIALS`.
+        A mesh whose `face_attributes["material"]` is (F,) uint8 indices into `sim.mesh.materials.MATERIALS`.
 
     Raises:
         ScenarioError: the network, the city mesh or the polygons are missing or cannot be read.
     """
     if scenario.network.highway_env:
-        from sim.world.highway import highway_world
+        from sim.world.roads.highway import highway_world
 
         return highway_world(scenario, seed)
     net = read_network(resolve_network(scenario, seed))

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.data.generate import generate
-from dsrc.demo import CHECKPOINTS
+from dsrc.cli.demo import CHECKPOINTS
+from dsrc.data.write import generate
 from dsrc.evaluation.benchmark import Method, run_benchmark
-from dsrc.models.checkpoint import load_detector
+from dsrc.models.storage.checkpoint import load_detector
 
 
 @pytest.mark.parametrize(("name", "switches"), [("small-dsrc", True), ("small-plain", False)])

@@ -6,12 +6,12 @@ import numpy as np
 import trimesh
 
 from sensors.presets import get_lidar
-from sensors.scene import RayScene
+from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec
 from sim.boxes import Boxes
+from sim.mesh.materials import MATERIALS
 from sim.scenario import AgentRule, DemandSpec, NetworkSpec, Scenario
 from sim.traffic.base import Actors
-from sim.world.materials import MATERIALS
 
 BRIGHT = max(range(len(MATERIALS)), key=lambda i: (MATERIALS[i].finish == "diffuse") * MATERIALS[i].reflectivity)
 CAR = (4.5, 1.8, 1.5)

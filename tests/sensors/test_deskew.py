@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensors.beams import beams_of
 from sensors.deskew import coasting, deskew, deskew_frame, deskew_objects
 from sensors.frame import AgentFrame, Frame
-from sensors.lidar import Sensor, scan_all
 from sensors.motion import Path
+from sensors.optics.beams import beams_of
+from sensors.scan.lidar import Sensor, scan_all
 from sensors.spec import LidarSpec
 from sensors.sweep import MOTIONS, POINT_FIELDS, STATIC, Sweep, make_sweep
 from sim.boxes import Boxes

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from sensors.lidar import Sensor, scan, scan_all
 from sensors.motion import Path
-from sensors.optics import COSINE_BINS, optics_of, returned_power, wet_reflectivity
+from sensors.optics.reflectance import COSINE_BINS, optics_of, returned_power, wet_reflectivity
 from sensors.presets import LIDARS, get_lidar
-from sensors.scene import RayScene
+from sensors.scan.lidar import Sensor, scan, scan_all
+from sensors.scan.scene import RayScene
 from sensors.sweep import POINT_FIELDS, STATIC
 from sim.errors import DataError, SettingsError
 from sim.geometry import pose_matrix
-from sim.world.materials import MATERIALS, material_index
+from sim.mesh.materials import MATERIALS, material_index
 from tests.sensors.fakes import BRIGHT, CAR, box, box_body, cars, ground, ideal, painted
 
 SENSOR = pose_matrix([0.0, 0.0, 1.9])

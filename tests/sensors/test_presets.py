@@ -3,14 +3,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from sim.catalog.load import list_scenarios, load_scenario
 
-from sensors.beams import beams_of
+from sensors.optics.beams import beams_of
 from sensors.presets import LIDARS, get_lidar
 from sensors.presets.__main__ import document
 from sensors.presets.tables import FOLDER, full_divergence
 from sensors.spec import LidarSpec
 from sim.errors import SettingsError
-from sim.scenario import list_scenarios, load_scenario
 
 REAL = sorted(path.stem for path in FOLDER.glob("*.csv"))
 FIRED_IN_TURN = sorted(name for name in REAL if get_lidar(name).firing_s)

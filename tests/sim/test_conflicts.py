@@ -7,15 +7,16 @@ import msgspec
 import numpy as np
 import pytest
 import shapely
+from sim.catalog.load import list_scenarios, load_scenario
 
 from sim.collisions import overlapping_pairs
-from sim.conflicts import KINDS, instance_of, laid_out
-from sim.conflicts.streets import streets_of
-from sim.conflicts.ways import Pace, Pen, Way
+from sim.encounters import KINDS, instance_of, laid_out
+from sim.encounters.lane_paths import streets_of
+from sim.encounters.paths import Pace, Pen, Way
 from sim.errors import ScenarioError
-from sim.networks import read_network, resolve_network
-from sim.scenario import AgentRule, ConflictSpec, Scenario, list_scenarios, load_scenario
-from sim.world.streets import read_streets
+from sim.roads.networks import read_network, resolve_network
+from sim.scenario import AgentRule, ConflictSpec, Scenario
+from sim.world.roads.streets import read_streets
 
 
 def encounter(kind: str, **conflict) -> Scenario:

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
+from sim.catalog.load import list_scenarios, load_scenario
 
 from sim.errors import ScenarioError
-from sim.scenario import list_scenarios, load_scenario
 
 GOOD = """
 name = "mine"

@@ -3,9 +3,9 @@
 import numpy as np
 from torch import Tensor
 
-from dsrc.detections import Detections
 from dsrc.models.fusion.base import Company, Fusion
 from dsrc.models.settings import ModelSettings
+from dsrc.ops.detections import Detections
 from dsrc.ops.nms import rotated_nms
 from sim.boxes import concatenate
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from tests.dsrc.data.test_pcd import compressed
 
 TYPES = ("Car", "truck", "Van")

@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from dsrc.data.drives import list_drives, open_drive, open_drives
-from dsrc.data.opv2v import write_frame
-from dsrc.evaluation.provenance import hashes
+from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.data.provenance import hashes
 from sim.errors import DataError
 from tests.dsrc.data import dair_tree
 from tests.dsrc.data.loaders import x_to_world

@@ -8,11 +8,11 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from sim.catalog.load import list_scenarios
 
-from dsrc.data.generate import DriveSpec, make_drive
-from dsrc.data.live import TRAFFIC_LOG, WORLD
-from dsrc.data.splits import Item, expand, find_split_file, read_dataset
-from sim.scenario import list_scenarios
+from dsrc.data.datasets.spec import Item, expand, find_split_file, read_dataset
+from dsrc.data.simulate import TRAFFIC_LOG, WORLD
+from dsrc.data.write import DriveSpec, make_drive
 from sim.traffic.log import TrafficLog
 
 ROOT = Path(__file__).parents[3]
@@ -92,7 +92,7 @@ WITHOUT_SUMO = """
 import sys
 sys.modules.update(dict.fromkeys(("libsumo", "sumo", "sumolib", "traci", "highway_env")))
 from pathlib import Path
-from dsrc.data.generate import make_drive
+from dsrc.data.write import make_drive
 from tests.dsrc.data.test_dsrc_sim import first_frames, items
 item = next(item for item in items() if item.path == sys.argv[1])
 make_drive(first_frames(item), Path(sys.argv[2]), recorded=item.recorded, threads=1)

@@ -6,13 +6,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from sim.catalog.load import load_scenario
 
-from dsrc.data.convert import convert
-from dsrc.data.generate import generate
-from dsrc.data.opv2v import DriveReader
+from dsrc.data.datasets.convert import convert
+from dsrc.data.formats.opv2v.reader import DriveReader
+from dsrc.data.write import generate
 from sim.boxes import CLASSES, VEHICLES
 from sim.geometry import pose_matrix
-from sim.scenario import load_scenario
 from tests.dsrc.data import loaders
 
 NEAR_M = 0.05

@@ -14,7 +14,7 @@ from sensors.spec import LidarSpec
 from sensors.sweep import POINT_FIELDS, UNKNOWN_MATERIAL, make_sweep
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import invert, pose_matrix, transform_points
-from sim.world.materials import MATERIALS
+from sim.mesh.materials import MATERIALS
 
 SPEC = LidarSpec(name="toy", elevation_deg=(2.0, -3.0, -10.0), columns=100, source="a toy")
 IDS = np.array([1000, 1001, 1002, 1003, 1004, 1005])

@@ -6,12 +6,12 @@ from pathlib import Path
 import torch
 from msgspec.structs import replace
 
-from dsrc.data.batch import collate
-from dsrc.data.opv2v import write_frame
+from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import make_sample
-from dsrc.evaluation.plan import Benchmark, DatasetSpec, MethodSpec
-from dsrc.models.checkpoint import save_detector
+from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec
 from dsrc.models.detector import Detector
+from dsrc.models.inputs.batch import collate
+from dsrc.models.storage.checkpoint import save_detector
 from dsrc.training.recipes import debug, of_method
 from tests.dsrc.training.drive import frame
 

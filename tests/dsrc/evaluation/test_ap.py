@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.detections import Detections
 from dsrc.evaluation.ap import (
     FrameResult,
     average_precision,
@@ -19,6 +18,7 @@ from dsrc.evaluation.ap import (
     result_of,
 )
 from dsrc.evaluation.matching import match
+from dsrc.ops.detections import Detections
 from dsrc.ops.iou import bev_iou, iou_3d
 from sim.boxes import Boxes
 

@@ -4,15 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dsrc.data.opv2v import write_frame
+from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import make_sample
-from dsrc.detections import Detections
 from dsrc.evaluation.benchmark import Method, corruption_kinds, first_agents, run_benchmark
-from dsrc.evaluation.rows import find_row
+from dsrc.evaluation.results import find_row
+from dsrc.ops.detections import Detections
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
-from sim.v2x import PRESETS
+from sim.radio import PRESETS
 from tests.dsrc.data.toy import toy_frame
 from tests.dsrc.evaluation.fakes import GRID, PointCounter, halve, write_drives
 

@@ -22,7 +22,7 @@ def world(tmp_path, monkeypatch):
     monkeypatch.setattr("sensors.corruptions.CORRUPTIONS", {"fog": None, "snow": None}, raising=False)
     monkeypatch.setattr("sensors.corruptions.corrupt_frame", halve, raising=False)
     loader = SimpleNamespace(load_student=lambda path, engine: PointCounter(need=int(Path(path).read_text())))
-    monkeypatch.setitem(sys.modules, "dsrc.models.checkpoint", loader)
+    monkeypatch.setitem(sys.modules, "dsrc.models.storage.checkpoint", loader)
     write_drives(tmp_path / "test", drives=1, frames=2)
     for name, need in (("small.pt", 2), ("plain.pt", 6)):
         (tmp_path / name).write_text(str(need))

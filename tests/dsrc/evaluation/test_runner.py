@@ -11,13 +11,13 @@ from msgspec.structs import replace
 from dsrc.data.drives import list_drives
 from dsrc.evaluation import runner
 from dsrc.evaluation.benchmark import Condition, Method, run_benchmark
-from dsrc.evaluation.cells import SOURCES, CellSettings, code_hash, described, of_channel, read_cell
-from dsrc.evaluation.plan import Sweeps
-from dsrc.evaluation.report import write_report
+from dsrc.evaluation.cache import SOURCES, CellSettings, code_hash, described, of_channel, read_cell
+from dsrc.evaluation.config import Sweeps
+from dsrc.evaluation.report.report import write_report
 from dsrc.evaluation.runner import Outcome, run_plan
-from dsrc.models.checkpoint import load_student
+from dsrc.models.storage.checkpoint import load_student
 from sim.errors import CheckpointError, DataError, SettingsError
-from sim.v2x import PRESETS
+from sim.radio import PRESETS
 from tests.dsrc.evaluation.small import make_plan, write_detector, write_drives
 
 TWO = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "alone": [("no-collaboration", 0)]}
@@ -26,7 +26,7 @@ TWO = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "alone": [("no-collaboration", 0)]}
 @pytest.fixture(scope="module", autouse=True)
 def _one_commit():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dsrc.evaluation.report.commit", lambda: "0123456789")
+        patch.setattr("dsrc.evaluation.report.report.commit", lambda: "0123456789")
         yield
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from dsrc.ops.grid import GridSpec
 from numpy.typing import NDArray
 
-from dsrc.data.sample import GridSpec
-from dsrc.models.encoder import Pillars
+from dsrc.models.layers.encoder import Pillars
 from dsrc.models.settings import ModelSettings
 
 ROOT = Path(__file__).parents[3]

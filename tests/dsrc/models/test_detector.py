@@ -7,16 +7,17 @@ from typing import get_args
 import numpy as np
 import pytest
 import torch
+from dsrc.ops.grid import GridSpec
 from msgspec.structs import replace as changed
 
-from dsrc.data.batch import collate
-from dsrc.data.sample import GridSpec, Sample, inside_range, make_sample
-from dsrc.models.backbones import BACKBONES
-from dsrc.models.checkpoint import load_detector, save_detector
+from dsrc.data.sample import Sample, inside_range, make_sample
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.fusion.max import MaxFusion
+from dsrc.models.inputs.batch import collate
+from dsrc.models.layers.backbones import BACKBONES
 from dsrc.models.settings import Backbone, Fusion
+from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import debug
 from sim.boxes import Boxes

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from tests.dsrc.models.test_deploy import AGENTS, a_detector, some_pillars
 from torch import nn
 
-from dsrc.models.backbones import plain
-from dsrc.models.blocks import upsample
 from dsrc.models.fusion import FUSIONS, Company, Fusion
 from dsrc.models.fusion.attention import AttentionFusion
 from dsrc.models.fusion.cobevt import CoBEVT
@@ -17,9 +16,10 @@ from dsrc.models.fusion.v2vnet import V2VNet
 from dsrc.models.fusion.v2xvit import V2XViT, delay_code
 from dsrc.models.fusion.warp import about_centre, in_cells, into_ego, normalised, shifted
 from dsrc.models.fusion.where2comm import Where2comm, gaussian
+from dsrc.models.layers.backbones import plain
+from dsrc.models.layers.blocks import upsample
 from dsrc.models.settings import ModelSettings
 from tests.dsrc.models.reference import golden, matching, state
-from tests.dsrc.models.test_deploy import AGENTS, a_detector, some_pillars
 from tests.dsrc.models.weights import stirred
 
 SIZES = ModelSettings(stage_channels=(16, 16, 16), shrink_channels=16, decoder_channels=16)

@@ -7,9 +7,9 @@ import pytest
 from msgspec.structs import replace as changed
 
 from dsrc.data.sample import make_sample
-from dsrc.detections import Detections
 from dsrc.models.detector import Detector
 from dsrc.models.pose_graph import aligned, corrections
+from dsrc.ops.detections import Detections
 from dsrc.training.recipes import debug
 from sim.boxes import Boxes
 from sim.geometry import invert, pose_matrix, transform_points

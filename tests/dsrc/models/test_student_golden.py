@@ -8,12 +8,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dsrc.data.batch import scene_of
 from dsrc.models.detector import Detector
-from dsrc.models.encoder import Pillars
 from dsrc.models.fusion import Company
-from dsrc.models.reconstruction import Reconstruction, Scene, reconstruction_losses
-from dsrc.models.reference_names import detector_state, reconstruction_state
+from dsrc.models.inputs.batch import scene_of
+from dsrc.models.layers.encoder import Pillars
+from dsrc.models.layers.reconstruction import Reconstruction, Scene, reconstruction_losses
+from dsrc.models.storage.reference_names import detector_state, reconstruction_state
 from dsrc.training.losses import detection_loss, distillation_losses, released
 from tests.dsrc.models.reference import close, golden, pillars, settings_of, state
 

@@ -2,11 +2,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from dsrc.ops.grid import GridSpec
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dsrc.data.sample import GridSpec
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, decode, encode
 

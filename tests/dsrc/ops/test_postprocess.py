@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from dsrc.ops.grid import GridSpec
 
-from dsrc.data.sample import GridSpec
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, encode
 from dsrc.ops.postprocess import PostSettings, candidates, decode_detections, select

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dsrc.ops.grid import GridSpec
 
-from dsrc.data.sample import GridSpec
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, decode
 from dsrc.ops.targets import assign_targets

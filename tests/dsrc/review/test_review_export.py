@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from dsrc.data.opv2v import write_frame
+from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.review import palette
-from dsrc.review.app import ReviewApp
-from dsrc.review.export import export_html, export_states
-from dsrc.review.screenshot import find_chromium, open_page, screenshot
-from dsrc.review.server import start_server
+from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.export import export_html, export_states
+from dsrc.review.page.screenshot import find_chromium, open_page, screenshot
+from dsrc.review.page.server import start_server
 from dsrc.review.state import ReviewState
 from sim.errors import DataError, SettingsError
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dsrc.data.opv2v import write_frame
-from dsrc.review.app import ReviewApp, serve
-from dsrc.review.commands import commands, next_mistake
+from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.review.model import ReviewModel
-from dsrc.review.scene import SceneWriter
-from dsrc.review.server import start_server, stop_server
+from dsrc.review.page.app import ReviewApp, serve
+from dsrc.review.page.commands import commands, next_mistake
+from dsrc.review.page.scene import SceneWriter
+from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
 from sim.errors import DataError, SettingsError
 
@@ -256,7 +256,7 @@ def test_serve_opens_a_folder_of_drives(tmp_path, frame):
 
 
 def test_bad_input_fails_before_a_server_starts(tmp_path, monkeypatch):
-    monkeypatch.setattr("dsrc.review.app.start_server", lambda *_: pytest.fail("a server was started"))
+    monkeypatch.setattr("dsrc.review.page.app.start_server", lambda *_: pytest.fail("a server was started"))
     with pytest.raises(SettingsError, match="unknown corruption 'clen'; did you mean 'clean'"):
         serve(tmp_path, corruption="clen", block=False)
     with pytest.raises(DataError):

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from dsrc.detections import Detections
-from dsrc.review.cameras import birds_eye, chase, followed, overview
+from dsrc.ops.detections import Detections
 from dsrc.review.matching import Counts, match
+from dsrc.review.page.cameras import birds_eye, chase, followed, overview
 from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
 from dsrc.review.state import ReviewState
 from dsrc.review.static import split_by_material
@@ -86,7 +86,7 @@ def test_a_following_camera_keeps_its_place_beside_the_ego(truth_model):
 def test_the_world_is_cut_to_the_surroundings_and_split_by_material():
     import trimesh
 
-    from sim.world.materials import MATERIALS
+    from sim.mesh.materials import MATERIALS
 
     names = [m.name for m in MATERIALS]
     near, far = trimesh.creation.box((2, 2, 2)), trimesh.creation.box((2, 2, 2))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dsrc.data.opv2v import write_frame
+from dsrc.data.formats.opv2v.reader import write_frame
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.spec import LidarSpec
 from sensors.sweep import make_sweep

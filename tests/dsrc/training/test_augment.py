@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as replace_setting
 
-from dsrc.data.batch import collate
 from dsrc.data.sample import Sample, inside_range, make_sample
-from dsrc.models.encoder import Pillars
+from dsrc.models.inputs.batch import collate
+from dsrc.models.layers.encoder import Pillars
 from dsrc.training.augment import augment, source_grid, thinned, with_agents
 from dsrc.training.recipes import Augmentation, debug
 from tests.dsrc.training.drive import frame

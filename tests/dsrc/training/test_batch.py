@@ -5,8 +5,8 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.data.batch import collate, scene_of
 from dsrc.data.sample import Sample, make_sample
+from dsrc.models.inputs.batch import collate, scene_of
 from dsrc.models.settings import ModelSettings
 from dsrc.training.recipes import debug
 from tests.dsrc.training.drive import frame

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from dsrc.evaluation.provenance import hash_file
-from dsrc.models.checkpoint import load_detector, read_meta
+from dsrc.data.provenance import hash_file
+from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.training.datamodule import EpochSampler
 from dsrc.training.train import train
 from sim.errors import SettingsError

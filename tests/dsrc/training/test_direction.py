@@ -8,13 +8,13 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.data.batch import collate
 from dsrc.data.sample import make_sample
-from dsrc.detections import Detections
 from dsrc.evaluation.ap import FrameResult
-from dsrc.evaluation.heading import heading_share
-from dsrc.models.checkpoint import load_detector, save_detector
+from dsrc.evaluation.heading_accuracy import heading_share
 from dsrc.models.detector import Detector, Output
+from dsrc.models.inputs.batch import collate
+from dsrc.models.storage.checkpoint import load_detector, save_detector
+from dsrc.ops.detections import Detections
 from dsrc.training.losses import direction_loss
 from sim.boxes import Boxes
 from tests.dsrc.training.drive import frame

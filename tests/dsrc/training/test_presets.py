@@ -7,14 +7,15 @@ import msgspec
 import numpy as np
 import pytest
 import torch
+from dsrc.ops.grid import GridSpec
 from msgspec.structs import replace
 
-from dsrc.data.batch import Batch, collate
-from dsrc.data.labels import Labels, cells_in_boxes
-from dsrc.data.sample import GridSpec, Sample, make_sample
-from dsrc.data.teacher import teacher_clouds
+from dsrc.data.sample import Sample, make_sample
 from dsrc.models.detector import Detector
-from dsrc.models.reference_names import detector_state, reconstruction_state
+from dsrc.models.inputs.batch import Batch, collate
+from dsrc.models.inputs.labels import Labels, cells_in_boxes
+from dsrc.models.inputs.teacher import teacher_clouds
+from dsrc.models.storage.reference_names import detector_state, reconstruction_state
 from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.training.module import DetectionModule, RateCurve
 from dsrc.training.recipes import Recipe, dsrc_code, dsrc_paper

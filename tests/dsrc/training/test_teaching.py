@@ -8,15 +8,15 @@ import pytest
 import torch
 from msgspec.structs import replace as changed
 
-from dsrc.data.batch import collate
 from dsrc.data.sample import Sample, make_sample
-from dsrc.models.checkpoint import load_detector, save_detector
 from dsrc.models.detector import Detector
-from dsrc.models.reconstruction import Reconstruction, Scene, reconstruction_losses, windowed
+from dsrc.models.inputs.batch import collate
+from dsrc.models.layers.reconstruction import Reconstruction, Scene, reconstruction_losses, windowed
+from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.training.losses import DistillSettings
 from dsrc.training.module import DetectionModule, as_teacher
 from dsrc.training.recipes import of_method
-from dsrc.training.train import start_from, _teacher
+from dsrc.training.train import _teacher, start_from
 from sim.errors import CheckpointError
 from tests.dsrc.training.drive import frame
 from tests.dsrc.training.runs import tiny

@@ -11,13 +11,13 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.data.opv2v import DriveReader
+from dsrc.data.formats.opv2v.reader import DriveReader
+from dsrc.data.provenance import hash_file
 from dsrc.data.sample import make_sample
 from dsrc.evaluation.ap import FrameResult, evaluate
-from dsrc.evaluation.provenance import hash_file
-from dsrc.models.checkpoint import load_detector, read_meta, save_detector
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
+from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
 from dsrc.training.recipes import METHODS, Augmentation, debug, of_method
 from dsrc.training.train import override, train, train_stages
 from sim.errors import CheckpointError, SettingsError
@@ -84,8 +84,8 @@ def test_a_finished_training_is_left_as_it_is(data: Path, tmp_path: Path, monkey
     recipe = tiny(epochs=1)
     path = train(recipe, data, tmp_path, "plain")
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
-    monkeypatch.setattr("dsrc.training.logs.versions", lambda: {"torch": "later"})
-    monkeypatch.setattr("dsrc.evaluation.provenance.versions", lambda: {"torch": "later"})
+    monkeypatch.setattr("dsrc.training.metrics_file.versions", lambda: {"torch": "later"})
+    monkeypatch.setattr("dsrc.data.provenance.versions", lambda: {"torch": "later"})
     assert train(replace(recipe, validate_every=1, validation_frames=1), data, tmp_path, "plain") == path
     changed = [file.name for file in tmp_path.rglob("*") if file.is_file() and file.read_bytes() != before[file]]
     assert changed == ["environment.json"]

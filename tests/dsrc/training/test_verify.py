@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from dsrc.cli import run as cli
-from dsrc.models.checkpoint import load_detector, read_meta, save_detector
+from dsrc.cli.main import run as cli
+from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
 from dsrc.training.train import train
 from dsrc.training.verify import agree, runs_in, verify
 from sim.errors import CheckpointError, DataError

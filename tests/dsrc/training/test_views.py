@@ -7,9 +7,9 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.data.batch import collate
 from dsrc.models.detector import Detector, Output
-from dsrc.models.encoder import Pillars
+from dsrc.models.inputs.batch import collate
+from dsrc.models.layers.encoder import Pillars
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.losses import consistency_loss
 from dsrc.training.module import DetectionModule

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
 from sensors.presets import get_lidar
-from sensors.record import make_frame
-from sensors.rig import place_roadside
+from sensors.recording.mounting import place_roadside
+from sensors.recording.record import make_frame
 from sensors.spec import LidarSpec
 from sensors.sweep import STATIC, UNKNOWN_MATERIAL, Sweep, make_sweep
 from sim.boxes import Boxes
 from sim.geometry import pose_matrix
+from sim.mesh.materials import MATERIALS
 from sim.scenario import RoadsideUnit
-from sim.world.materials import MATERIALS
 from tests.sensors.fakes import StraightTraffic, box, cars, ground, painted, scene_of
 
 MATERIAL = {material.name: index for index, material in enumerate(MATERIALS)}

@@ -10,7 +10,7 @@ from sensors.corruptions.clock_offset import ClockOffset, in_frame, run_on, way
 from sensors.deskew import deskew
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
-from sensors.record import make_frame
+from sensors.recording.record import make_frame
 from sensors.sweep import KEPT, MOVED, make_sweep
 from sim.boxes import Boxes
 from sim.errors import SettingsError

@@ -242,8 +242,8 @@ def test_the_six_corruptions_of_the_paper_come_first_and_are_in_both_families() 
 def test_families_are_never_mixed() -> None:
     for kind in kinds_of("paper"):
         physical, paper = (CORRUPTIONS[kind].settings_of(family).__module__ for family in ("physical", "paper"))
-        assert physical.startswith("sensors.corruptions.") and paper.startswith("sensors.corruptions.paper.")
-        assert not physical.startswith("sensors.corruptions.paper")
+        assert physical.startswith("sensors.corruptions.") and paper.startswith("sensors.corruptions.published.")
+        assert not physical.startswith("sensors.corruptions.published")
 
 
 def test_clean_returns_what_it_got() -> None:

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sensors.corruptions.crosstalk import Crosstalk, corrupt
-from sensors.corruptions.receiver import least_power
+from sensors.corruptions.physics.receiver import least_power
 from sensors.motion import Path
 from sensors.sweep import ADDED, KEPT, SCATTERED, UNKNOWN_MATERIAL, make_sweep
 from sim.errors import SettingsError

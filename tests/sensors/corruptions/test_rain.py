@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import quad
 
 from sensors.corruptions import rain
-from sensors.corruptions.medium import look
+from sensors.corruptions.physics.medium import look
+from sensors.corruptions.physics.receiver import least_power
 from sensors.corruptions.rain import Rain, rain_particles
-from sensors.corruptions.receiver import least_power
 from sensors.sweep import ATTENUATED, SCATTERED
 from sim.errors import SettingsError
 from tests.sensors.corruptions.street import on_a_ray, rows_of, same, shared, spinning, street, synth64

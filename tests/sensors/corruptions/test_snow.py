@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sensors.corruptions import snow
+from sensors.corruptions.physics.snow_flakes import flake_rate, gunn_marshall_rate, occupancy, snow_particles
 from sensors.corruptions.snow import Snow
-from sensors.corruptions.snow_flakes import flake_rate, gunn_marshall_rate, occupancy, snow_particles
 from sensors.presets import LIDARS
 from sensors.sweep import ATTENUATED, SCATTERED, Sweep
 from sim.errors import SettingsError

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sensors.corruptions import corrupt_frame, spray
-from sensors.corruptions.plume import plumes_of
+from sensors.corruptions.physics.plume import plumes_of
 from sensors.corruptions.spray import LIDAR_RATIO_SR, Spray, corrupt
 from sensors.frame import Frame
-from sensors.record import make_frame
+from sensors.recording.record import make_frame
 from sensors.sweep import ADDED, ATTENUATED, KEPT, SCATTERED, UNKNOWN_MATERIAL
 from sim.errors import SettingsError
 from sim.geometry import invert, transform_points

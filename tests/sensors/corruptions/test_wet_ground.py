@@ -10,13 +10,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sensors.corruptions.ground import find_ground
-from sensors.corruptions.receiver import least_power
+from sensors.corruptions.physics.ground import find_ground
+from sensors.corruptions.physics.receiver import least_power
 from sensors.corruptions.wet_ground import WetGround, corrupt, transmission
-from sensors.optics import wet_reflectivity
+from sensors.optics.reflectance import wet_reflectivity
 from sensors.sweep import ATTENUATED, KEPT, UNKNOWN_MATERIAL, Sweep
 from sim.errors import SettingsError
-from sim.world.materials import MATERIALS
+from sim.mesh.materials import MATERIALS
 from tests.sensors.corruptions.drives import MATERIAL, World, street_drive, worlds
 from tests.sensors.corruptions.street import FIXTURES, same, spinning, street, synth16
 

@@ -5,9 +5,9 @@ from dataclasses import fields
 
 import numpy as np
 
-from sensors.beams import BLOCK
-from sensors.noise import ACROSS, LOST_AFTER, LOST_BEFORE, RANGE, SECOND_RANGE, UP
-from sensors.optics import drop_chance
+from sensors.optics.beams import BLOCK
+from sensors.optics.noise import ACROSS, LOST_AFTER, LOST_BEFORE, RANGE, SECOND_RANGE, UP
+from sensors.optics.reflectance import drop_chance
 from sensors.raycast import Bodies, Hits, Returns, Shot, Solid
 from sensors.sweep import STATIC
 from sim.geometry import invert

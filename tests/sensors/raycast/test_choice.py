@@ -17,12 +17,14 @@ import numpy as np
 import pytest
 
 from sensors import motion
-from sensors.beams import beams_of
-from sensors.lidar import Sensor, scan, scan_all
-from sensors.optics import optics_of
+from sensors.optics.beams import beams_of
+from sensors.optics.reflectance import optics_of
 from sensors.presets import get_lidar
-from sensors.raycast import choice, embree, fused, open_engine, selftest
-from sensors.scene import RayScene
+from sensors.raycast import choice, open_engine
+from sensors.raycast.fused import embree, selftest
+from sensors.raycast.fused import engine as fused
+from sensors.scan.lidar import Sensor, scan, scan_all
+from sensors.scan.scene import RayScene
 from sim.errors import SettingsError
 from sim.geometry import pose_matrix
 from tests.sensors.fakes import box, box_body, cars, ground

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from sensors.lidar import Sensor, scan_all
 from sensors.motion import Path
 from sensors.raycast import Solid, open_engine
-from sensors.scene import RayScene
+from sensors.scan.lidar import Sensor, scan_all
+from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec, Prism
 from sensors.sweep import POINT_FIELDS, STATIC
 from sim.geometry import pose_matrix
-from sim.world.materials import material_index
+from sim.mesh.materials import material_index
 from tests.sensors.fakes import box, box_body, cars, ground
 from tests.sensors.raycast.oracle import Oracle
 

@@ -1,10 +1,11 @@
 """The shipped places: scenarios with SUMO traffic on a network, without an encounter of their own."""
 
 import pytest
+from sim.catalog.load import list_scenarios, load_scenario
 
 from sim.errors import ScenarioError
-from sim.networks import resolve_network
-from sim.scenario import Scenario, list_scenarios, load_scenario
+from sim.roads.networks import resolve_network
+from sim.scenario import Scenario
 
 SCENARIOS = {name: load_scenario(name) for name in list_scenarios()}
 PLACES = [name for name, s in SCENARIOS.items() if s.conflict is None and not s.network.highway_env]

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 import shapely
 
-from dsrc.data.generate import generate
+from dsrc.data.write import generate
 from sim.boxes import CLASSES
 from sim.collisions import overlapping_pairs
-from sim.demand import write_demand
 from sim.geometry import wrap_angle
-from sim.networks import read_network, resolve_network, resolve_polygons, resolve_trips
-from sim.parking import parked_cars
+from sim.mesh.materials import material_index
+from sim.roads.networks import read_network, resolve_network, resolve_polygons, resolve_trips
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
-from sim.traffic.sumo import SumoTraffic
+from sim.traffic.parking import parked_cars
+from sim.traffic.sumo.demand import write_demand
+from sim.traffic.sumo.traffic import SumoTraffic
 from sim.world.build import MARGIN_M, build_world
-from sim.world.materials import material_index
-from sim.world.outlines import has_buildings, outlined
-from sim.world.streets import read_streets
+from sim.world.buildings.footprints import has_buildings, outlined
+from sim.world.roads.streets import read_streets
 from tests.sim.places.places import MOTORWAYS, PLACES, at_hand, every
 
 LATERAL_M, YAW_DEGPS, DEEP_M = 0.25, 120.0, 0.15

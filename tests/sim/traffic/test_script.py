@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sim.collisions import overlapping_pairs
-from sim.conflicts import KINDS, instance_of
+from sim.encounters import KINDS, instance_of
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
 from sim.traffic.base import SIGNALS
-from sim.traffic.choose import open_traffic
+from sim.traffic.open import open_traffic
 from sim.traffic.script import FIRST_ID, ScriptedTraffic
 from tests.sim.test_conflicts import encounter
 

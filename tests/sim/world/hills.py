@@ -6,9 +6,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import shapely
+from sim.catalog.load import load_scenario
 
-from sim.networks import sumo_home
-from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit, Scenario, load_scenario
+from sim.roads.tools import sumo_home
+from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit, Scenario
 
 _NODES = {"a": (0, 0, 410), "b": (150, 0, 422), "c": (300, 40, 414), "d": (150, 160, 440), "e": (290, 170, 432)}
 _WAYS = ("ab", "bc", "bd", "de", "ce")

@@ -4,12 +4,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from sim.catalog.load import load_scenario
 
-from sensors.scene import RayScene
-from sim.scenario import load_scenario
-from sim.traffic.highway_roads import read_roads
+from sensors.scan.scene import RayScene
+from sim.mesh.materials import MATERIALS, material_index
+from sim.traffic.highway.roads import read_roads
 from sim.world.build import build_world
-from sim.world.materials import MATERIALS, material_index
 
 PLACES = ("merge", "roundabout", "intersection", "racetrack", "two_way")
 

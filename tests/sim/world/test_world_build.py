@@ -7,15 +7,17 @@ import pytest
 import shapely
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
+from sim.catalog.load import list_scenarios, load_scenario
 
-from sensors.rig import blocked_share, place_roadside
-from sensors.scene import RayScene
-from sim.conflicts import laid_out
-from sim.networks import read_network, resolve_network, sumo_home
-from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit, list_scenarios, load_scenario
+from sensors.recording.mounting import blocked_share, place_roadside
+from sensors.scan.scene import RayScene
+from sim.encounters import laid_out
+from sim.mesh.materials import MATERIALS, material_index
+from sim.roads.networks import read_network, resolve_network
+from sim.roads.tools import sumo_home
+from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit
 from sim.world.build import MARGIN_M, build_world
-from sim.world.materials import MATERIALS, material_index
-from sim.world.streets import read_streets
+from sim.world.roads.streets import read_streets
 from tests.sim.places.places import MOTORWAYS, PLACES, at_hand
 
 SOLID = ("brick", "plaster", "concrete", "roof", "glass", "metal", "dark_metal", "hedge", "bark", "leaves", "kerb")

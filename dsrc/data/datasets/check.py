@@ -1,0 +1,225 @@
+"""What is wrong with a dataset, file by file: the work behind `dsrc data check`.
+
+Every file of every drive is read. Whatever the reader refuses is listed, and what it cannot know: checksums that
+differ, points that are not finite, boxes without size, points of objects that have no box, counts that are not those of
+the points, poses that are no poses or jump.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.checksums import SUMS, sha256, wrong_files
+from dsrc.data.datasets.manifest import MANIFEST, read_manifest
+from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.executors import Report, open_executor
+from dsrc.data.formats.opv2v.record import read_agent
+from dsrc.data.formats.pcd import read_pcd
+from dsrc.data.write import Progress
+from sensors.frame import AgentFrame, Frame, count_points
+from sim.errors import DataError
+
+FASTEST_MPS = 90.0
+"""An agent that is farther away in the next frame than this speed allows has a wrong pose."""
+_ON_BODY_M = 20.0
+_RIGID = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that is wrong.
+
+    Attributes:
+        place: the file or folder.
+        text: what is wrong with it.
+    """
+
+    place: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.text}" if self.place else self.text
+
+
+def check_dataset(root: Path, workers: int | None = None, progress: Progress | None = None) -> list[Fault]:
+    """Read everything at or below a folder and return what is wrong, by drive.
+
+    Args:
+        root: a drive, a folder of drives, or of splits, of any format that is read.
+        workers: processes; None for one per core.
+        progress: called with (drives done, drives in all).
+
+    Raises:
+        SettingsError: a number of workers that cannot be.
+    """
+    root = Path(root)
+    try:
+        drives = list_drives(root)
+    except DataError as error:
+        return [*_manifest_faults(root), Fault("", str(error))]
+    found: dict[int, list[Fault]] = {}
+    with open_executor("local", min(workers, len(drives)) if workers else workers) as pool:
+        for outcome in pool.run(_check_drive, drives):
+            text = [Fault("", str(outcome.error))] if outcome.error else outcome.value
+            found[outcome.row] = text
+            if progress is not None:
+                progress(len(found), len(drives))
+    faults = [*_manifest_faults(root), *(fault for row in range(len(drives)) for fault in found[row])]
+    return list(dict.fromkeys(faults))
+
+
+def _manifest_faults(root: Path) -> list[Fault]:
+    """Compare a manifest with the drives' lists of checksums."""
+    try:
+        manifest = read_manifest(root)
+    except DataError as error:
+        return [Fault("", str(error))]
+    if manifest is None:
+        return []
+    faults = [Fault(str(root / name), f"not made: {reason}") for name, reason in manifest.failed.items()]
+    missing = manifest.drives - len(manifest.items) - len(manifest.failed)
+    if missing > 0:
+        faults.append(Fault(str(root / MANIFEST), f"{missing} of {manifest.drives} drives are not finished"))
+    for entry in manifest.items:
+        sums = root / entry.drive / SUMS
+        if not (root / entry.drive).is_dir():
+            faults.append(Fault(str(root / entry.drive), f"missing, {MANIFEST} lists it"))
+        elif not sums.is_file():
+            faults.append(Fault(str(sums), f"missing, {MANIFEST} has its checksum"))
+        elif sha256(sums) != entry.sha256:
+            faults.append(Fault(str(sums), f"differs from the checksum in {MANIFEST}"))
+    return faults
+
+
+def _check_drive(path: Path, report: Report) -> list[Fault]:
+    """Return what is wrong with one drive; runs in a worker."""
+    faults = []
+    if (path / SUMS).is_file():
+        try:
+            faults += [Fault(str(file), text) for file, text in wrong_files(path)]
+        except DataError as error:
+            faults.append(Fault("", str(error)))
+    try:
+        drive = open_drive(path)
+    except DataError as error:
+        return [*faults, Fault("", str(error)), *_files_of(path)]
+    before: Frame | None = None
+    for i in range(len(drive)):
+        try:
+            frame = drive.read(i)
+        except DataError as error:
+            faults += [Fault("", str(error)), *_files_of(path, f"{drive.frames[i]:06d}")]
+            before = None
+            continue
+        faults += [Fault(where, text) for where, text in _frame_faults(drive, i, frame, before)]
+        before = frame
+    return faults
+
+
+def _files_of(drive: Path, stem: str = "*") -> list[Fault]:
+    """Read the files of an OPV2V tree one by one, because a reader stops at the first that is wrong."""
+    faults, stems = [], set()
+    folders = [p for p in sorted(drive.glob("*")) if p.is_dir() and p.name.lstrip("-").isdecimal()]
+    for folder in folders:
+        stems |= {path.stem for path in folder.glob(f"{stem}.yaml") if path.stem.isdecimal()}
+        stems |= {path.stem for path in folder.glob(f"{stem}.pcd") if path.stem.isdecimal()}
+    for folder in folders:
+        for name in sorted(stems):
+            for ending in ("yaml", "pcd"):
+                path = folder / f"{name}.{ending}"
+                if not path.is_file():
+                    faults.append(Fault(str(path), "file is missing"))
+                    continue
+                try:
+                    read_agent(path) if ending == "yaml" else read_pcd(path, np.eye(4), 0.0)
+                except DataError as error:
+                    faults.append(Fault("", str(error)))
+    return faults
+
+
+def _frame_faults(drive: Drive, i: int, frame: Frame, before: Frame | None) -> Iterator[tuple[str, str]]:
+    """Yield (place, what is wrong) of a frame that could be read."""
+    truth, notes = frame.truth, _places(drive, i, "yaml")
+    for name, values in (("box", truth.array), ("velocity", np.nan_to_num(frame.velocity))):
+        if not np.isfinite(values).all():
+            yield notes[0], f"a {name} is not finite"
+    flat = np.flatnonzero((truth.size <= 0.0).any(axis=1))
+    if len(flat):
+        yield notes[0], f"object {truth.object_id[flat[0]]} has a box without size"
+    known, count = np.unique(truth.object_id, return_counts=True)
+    if (count > 1).any():
+        yield notes[0], f"object {known[count > 1][0]} is listed twice"
+    for row, agent in enumerate(frame.agents):
+        points = _places(drive, i, "pcd")[row]
+        yield from ((points, text) for text in _sweep_faults(agent))
+        if _is_clean(drive) and (agent.sweep.object_id >= 0).any():
+            yield from ((points, text) for text in _label_faults(frame, row))
+        yield from ((notes[row], text) for text in _pose_faults(frame, before, row))
+
+
+def _sweep_faults(agent: AgentFrame) -> Iterator[str]:
+    sweep = agent.sweep
+    bad = int((~np.isfinite(sweep.points).all(axis=1)).sum())
+    if bad:
+        yield f"{bad} of {len(sweep)} points are not finite"
+    if not np.isfinite(sweep.intensity).all():
+        yield "an intensity is not finite"
+    if len(sweep) == 0:
+        yield "no points at all"
+
+
+def _label_faults(frame: Frame, row: int) -> Iterator[str]:
+    sweep, truth = frame.agents[row].sweep, frame.truth
+    labels = np.unique(sweep.object_id[sweep.object_id >= 0])
+    # Of whom is far from every agent the truth says nothing.
+    counted = count_points(sweep, truth.object_id)
+    differ = np.flatnonzero(counted != frame.points_on[row])
+    if len(differ):
+        i = differ[0]
+        yield f"{counted[i]} points on object {truth.object_id[i]}, its label says {frame.points_on[row, i]}"
+    homeless = labels[~np.isin(labels, truth.object_id)]
+    near = [number for number in homeless if _nearest(sweep.points[sweep.object_id == number]) < 100.0]
+    if near:
+        yield f"points of object {near[0]}, which has no box"
+
+
+def _nearest(points: NDArray[np.float32]) -> float:
+    return float(np.linalg.norm(points, axis=1).min())
+
+
+def _pose_faults(frame: Frame, before: Frame | None, row: int) -> Iterator[str]:
+    agent = frame.agents[row]
+    for name, pose in (("lidar", agent.sweep.world_from_lidar), ("body", agent.world_from_body)):
+        if not np.isfinite(pose).all():
+            yield f"the pose of the {name} is not finite"
+            return
+        if np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() > _RIGID or np.linalg.det(pose[:3, :3]) < 0.0:
+            yield f"the pose of the {name} is no rotation"
+            return
+    apart = float(np.linalg.norm(agent.sweep.world_from_lidar[:3, 3] - agent.world_from_body[:3, 3]))
+    if apart > _ON_BODY_M:
+        yield f"the lidar is {apart:.0f} m from its body"
+    if before is None or row >= len(before.agents) or before.agents[row].agent_id != agent.agent_id:
+        return
+    elapsed = frame.time_s - before.time_s
+    moved = float(np.linalg.norm(agent.world_from_body[:3, 3] - before.agents[row].world_from_body[:3, 3]))
+    if elapsed <= 0.0:
+        yield f"{elapsed:g} s after the frame before it"
+    elif moved > FASTEST_MPS * elapsed:
+        yield f"{moved:.0f} m from where it was {elapsed:g} s before"
+
+
+def _is_clean(drive: Drive) -> bool:
+    own = drive.protocol.get("testbed", {})
+    return isinstance(own, dict) and "format" in own and not own.get("corruptions")
+
+
+def _places(drive: Drive, i: int, ending: str) -> Sequence[str]:
+    """Return the file of each agent; for formats with other files the drive and the number of the frame."""
+    if drive.format in ("OPV2V", "V2V4Real") and drive.drive.is_dir():
+        stem = f"{drive.frames[i]:06d}"
+        return [str(drive.drive / str(agent) / f"{stem}.{ending}") for agent in drive.agents]
+    return [f"{drive.drive}: frame {drive.frames[i]}, agent {agent}" for agent in drive.agents]

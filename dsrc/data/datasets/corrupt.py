@@ -1,0 +1,188 @@
+"""Corrupt a dataset: drives in, the same drives under one corruption out, as OPV2V trees of ours.
+
+Frames are independent of each other (`corrupt_frame`), so they are made by any number of processes in any order and
+their bytes do not depend on it; what is already there is not made again. The protocol of a corrupted drive is that of
+its source with one more entry in `testbed.corruptions`: a drive may be corrupted more than once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+
+from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
+from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.executors import Executor, Report, open_executor
+from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.data.write import Progress
+from sensors.corruptions import CLEAN, CORRUPTIONS, PAPER, Family, check_corruption, corrupt_frame, drive_seed
+from sensors.frame import Frame
+from sim.errors import DataError, SettingsError, complaint
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One drive to corrupt.
+
+    Attributes:
+        source: its folder.
+        out: folder of the corrupted drive.
+        kind: of the corruption.
+        severity: 1 to 5.
+        family: of its settings.
+        seed: of the whole run.
+    """
+
+    source: Path
+    out: Path
+    kind: str
+    severity: int
+    family: Family
+    seed: int
+
+    @property
+    def drive_seed(self) -> int:
+        """Seed of this drive's weather and faults."""
+        return drive_seed(self.seed, self.source.name)
+
+
+def corrupt_dataset(
+    data: Path,
+    out: Path,
+    kind: str,
+    severity: int = PAPER,
+    family: Family = "physical",
+    seed: int = 0,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> list[Path]:
+    """Write the drives at or below a folder under a corruption; start it again to go on after a stop.
+
+    Only what our readers read is written: sweeps, poses and ground truth. Pictures of cameras and further keys of other
+    tools' files stay behind. Ground truth and its point counts are those of the source.
+
+    Args:
+        data: a drive, or a folder of drives.
+        out: where they go, under the same names; it becomes the drive when `data` is one.
+        kind: of the corruption.
+        severity: 1 to 5.
+        family: of its settings.
+        seed: of the corruption; every drive has its own weather and faults, by the name of its folder.
+        workers: processes; more than one need a `__main__` that can be imported.
+        progress: called with frames done and frames in all.
+
+    Returns:
+        The folders of the corrupted drives.
+
+    Raises:
+        SettingsError: an unknown kind, a setting out of its range, or `out` is not apart from `data`.
+        DataError: a drive cannot be read or lacks what the corruption needs, or a folder holds a drive that was made
+            otherwise.
+    """
+    check_corruption(kind, severity, family)
+    if kind == CLEAN:
+        raise SettingsError(complaint("corrupt", "kind", f"one of {', '.join(CORRUPTIONS)}", kind))
+    if seed < 0:
+        raise SettingsError(complaint("corrupt", "seed", "at least 0", seed))
+    data, out = Path(data).resolve(), Path(out).resolve()
+    if out.is_relative_to(data) or data.is_relative_to(out):
+        raise SettingsError(complaint("corrupt", "out", f"a folder apart from {data}", str(out)))
+    jobs = [Job(drive, out / drive.relative_to(data), kind, severity, family, seed) for drive in list_drives(data)]
+    readers = [open_drive(job.source) for job in jobs]
+    total, done = sum(len(reader) for reader in readers), 0
+    report = progress or (lambda done, total: None)
+    with open_executor("local", workers) as pool:
+        for job, reader in zip(jobs, readers, strict=True):
+            for count in _corrupt_drive(job, reader, pool):
+                done += count
+                report(done, total)
+    return [job.out for job in jobs]
+
+
+def _corrupt_drive(job: Job, reader: Drive, pool: Executor) -> Iterator[int]:
+    """Write the frames of a drive that are not there yet; yields how many more are done."""
+    protocol = _protocol(job, reader)
+    with locked(job.out):
+        found = read_settings(job.out)
+        if found is not None:
+            found.pop("agents", None)
+            check_same(job.out, found, {k: v for k, v in protocol["testbed"].items() if k != "agents"})
+            missing = [i for i, index in enumerate(reader.frames) if not is_complete(job.out, reader.agents, index)]
+        else:
+            missing = list(range(len(reader)))
+        yield len(reader) - len(missing)
+        if missing and found is None:
+            # The first frame tells the sensors; a folder without a protocol holds nothing that counts.
+            frame = corrupted(job, reader, missing[0])
+            protocol["testbed"]["agents"] = _agents(frame)
+            write_protocol(job.out, protocol)
+            _write(job, reader, frame)
+            yield 1
+            missing = missing[1:]
+        for _ in _each(job, missing, pool):
+            yield 1
+        remove_leftovers(job.out)
+
+
+def corrupted(job: Job, reader: Drive, i: int) -> Frame:
+    """Return the i-th frame of a drive under its corruption."""
+    # The number in the file's name is what streams of randomness and the new name go by.
+    frame = replace(reader.read(i), index=reader.frames[i])
+    try:
+        return corrupt_frame(frame, job.kind, job.severity, job.drive_seed, job.family)
+    except DataError as error:
+        raise DataError(f"{job.source}: {error}") from None
+
+
+def _write(job: Job, reader: Drive, frame: Frame) -> None:
+    own = reader.protocol.get("testbed", {})
+    listed = own.get("connected_vehicles", True) if isinstance(own, dict) else True
+    write_frame(job.out, frame, bool(listed), reader.plans(reader.frames.index(frame.index)))
+
+
+def _protocol(job: Job, reader: Drive) -> dict:
+    """Return the protocol of the corrupted drive: its source's, and what is done to it."""
+    entry = {
+        "kind": job.kind,
+        "severity": job.severity,
+        "family": job.family,
+        "seed": job.seed,
+        "drive_seed": job.drive_seed,
+        "settings": msgspec.to_builtins(CORRUPTIONS[job.kind].settings_of(job.family).severity(job.severity)),
+        "source": {"drive": job.source.name, "sha256": reader.digest()},
+    }
+    own = reader.protocol.get("testbed")
+    if not isinstance(own, dict):
+        return {"testbed": {"frames": len(reader), "corruptions": [entry]}}
+    return {**reader.protocol, "testbed": {**own, "corruptions": [*own.get("corruptions", []), entry]}}
+
+
+def _agents(frame: Frame) -> dict:
+    return {
+        int(agent.agent_id): {
+            "kind": agent.kind,
+            "lidar": None if agent.sweep.spec is None else msgspec.to_builtins(agent.sweep.spec),
+        }
+        for agent in frame.agents
+    }
+
+
+def _each(job: Job, rows: list[int], pool: Executor) -> Iterator[None]:
+    """Make and write these frames, here or in other processes."""
+    for outcome in pool.run(_task, [(job, i) for i in rows]):
+        if outcome.error is not None:
+            raise outcome.error
+        yield
+
+
+def _task(item: tuple[Job, int], report: Report) -> None:
+    job, i = item
+    reader = _reader(job.source)
+    _write(job, reader, corrupted(job, reader, i))
+
+
+@lru_cache(maxsize=1)
+def _reader(drive: Path) -> Drive:
+    return open_drive(drive)

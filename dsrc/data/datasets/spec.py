@@ -1,0 +1,258 @@
+"""The TOML of a dataset: splits of drives, each a product of scenarios, seeds, frames, sensors and numbers of agents.
+
+    name = "crossings"
+
+    [[split.train]]
+    scenarios = ["four_way", "ingolstadt"]
+    seeds = [0, 1, 2]
+    vehicles = [2, 4]        # 2 scenarios x 3 seeds x 2 numbers of agents are 12 drives
+
+    [[split.test]]
+    scenarios = ["braunschweig"]
+    seeds = [0]
+    frames = [200]
+
+A drive is a work item, keyed by the hash of everything that decides its bytes.
+"""
+
+import hashlib
+import itertools
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+from sim.catalog.load import ROOT, load_scenario
+
+from dsrc.data.simulate import TRAFFIC_LOG
+from dsrc.data.write import DriveSpec
+from sensors.sweep import Motion
+from sim.errors import DataError, ScenarioError, SettingsError, complaint
+from sim.scenario import Scenario
+from sim.tomlfile import read_toml
+from sim.traffic.log import read_log_columns
+
+SPLIT_FILE = "split.toml"
+
+_Count = Annotated[int, Meta(ge=1)]
+_Seed = Annotated[int, Meta(ge=0, lt=2**31)]
+
+
+class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Drives of a split: one of each combination.
+
+    Attributes:
+        scenarios: names of shipped scenarios, or paths of .toml files beside this one.
+        seeds: of everything random.
+        frames: synchronised frames per drive.
+        vehicles: how many vehicles carry a LiDAR; none: as many as the scenario says.
+        lidars: presets of the vehicles; none: the scenario's.
+        roadside_lidars: presets of all roadside units; none: the scenario's.
+        roadside: whether the roadside units stand there.
+        interval_s: time between frames.
+        motion: compensation of the sensors' motion in the files.
+        connected_vehicles: list other agents' bodies among an agent's vehicles.
+        visibility: measure visible fractions.
+    """
+
+    scenarios: Annotated[tuple[str, ...], Meta(min_length=1)]
+    seeds: Annotated[tuple[_Seed, ...], Meta(min_length=1)]
+    frames: Annotated[tuple[_Count, ...], Meta(min_length=1)] = (100,)
+    vehicles: tuple[Annotated[int, Meta(ge=0)], ...] = ()
+    lidars: tuple[str, ...] = ()
+    roadside_lidars: tuple[str, ...] = ()
+    roadside: bool = True
+    interval_s: Annotated[float, Meta(gt=0.0)] = 0.1
+    motion: Motion = "middle"
+    connected_vehicles: bool = True
+    visibility: bool = True
+
+
+class Dataset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A file.
+
+    Attributes:
+        name: of the dataset.
+        description: one line.
+        recorded: folder beside the file with SPLIT/DRIVE/traffic.npz and world.npz of drives that are to be made of
+            these instead of a simulation; "" for none.
+        split: groups of drives by split.
+    """
+
+    name: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")]
+    description: str = ""
+    recorded: str = ""
+    split: Annotated[dict[Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")], tuple[Group, ...]], Meta(min_length=1)]
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One drive of a dataset.
+
+    Attributes:
+        split: its split.
+        name: its folder below that.
+        spec: what it is.
+        recorded: folder of its traffic log, None when it is simulated.
+        proof: of a recorded encounter, see `sensors.recording.encounter_check`.
+    """
+
+    split: str
+    name: str
+    spec: DriveSpec
+    recorded: Path | None = None
+    proof: dict | None = None
+
+    @property
+    def path(self) -> str:
+        """SPLIT/DRIVE."""
+        return f"{self.split}/{self.name}"
+
+    @property
+    def key(self) -> str:
+        """Hash of the settings: equal keys, equal bytes."""
+        text = msgspec.json.encode(self.spec.settings(), order="sorted")
+        return hashlib.sha256(text).hexdigest()
+
+
+def find_split_file(name_or_path: str | Path) -> Path | None:
+    """Return the file of a shipped dataset or a TOML with splits; None for what is none, such as a scenario."""
+    path = Path(name_or_path)
+    for candidate in (path / SPLIT_FILE, ROOT / str(name_or_path) / SPLIT_FILE):
+        if len(path.parts) and candidate.is_file():
+            return candidate
+    if path.suffix != ".toml" or not path.is_file():
+        return None
+    try:
+        fields = tomllib.loads(path.read_text(encoding="utf-8")).keys()
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return None
+    # Without splits it is still no scenario where nothing says how traffic comes about.
+    return path if "split" in fields or not fields & {"network", "demand", "conflict"} else None
+
+
+def list_datasets() -> dict[str, str]:
+    """Return the shipped datasets' descriptions by name."""
+    return {path.parent.name: read_dataset(path).description for path in sorted(ROOT.glob(f"*/{SPLIT_FILE}"))}
+
+
+def read_dataset(path: Path) -> Dataset:
+    """Read a file of splits.
+
+    Raises:
+        SettingsError: it is not valid; one line says what and where.
+    """
+    return read_toml(path, Dataset, SettingsError)
+
+
+def expand(dataset: Dataset, path: Path) -> list[Item]:
+    """Return the drives of a dataset, in the order of its file.
+
+    Args:
+        dataset: what `path` says.
+        path: of the file, for what lies beside it and for messages.
+
+    Raises:
+        SettingsError: a setting is out of its range, two drives have one name, or two splits share a scenario's seed.
+        ScenarioError: a scenario or a LiDAR is unknown.
+        DataError: a recorded log is damaged.
+    """
+    items: dict[str, Item] = {}
+    taken: dict[tuple[str, int], str] = {}
+    for split, groups in dataset.split.items():
+        for row, group in enumerate(groups):
+            where = f"{path}: split.{split}[{row}]"
+            for item in _drives(dataset, split, group, path, where):
+                if item.path in items:
+                    hint = "; give it another seed, or list what differs in one group"
+                    raise SettingsError(complaint(where, "seeds", "drives of different names", item.name, hint))
+                other = taken.setdefault((item.spec.scenario.name, item.spec.seed), split)
+                if other != split:
+                    found = f"{item.spec.scenario.name} with seed {item.spec.seed}, which {other} has too"
+                    raise SettingsError(complaint(where, "seeds", f"seeds that only {split} has", found))
+                items[item.path] = item
+    return list(items.values())
+
+
+def _drives(dataset: Dataset, split: str, group: Group, path: Path, where: str) -> Iterator[Item]:
+    vehicles: Sequence[int | None] = group.vehicles or (None,)
+    lidars: Sequence[str | None] = group.lidars or (None,)
+    roadside: Sequence[str | None] = group.roadside_lidars or (None,)
+    combinations = itertools.product(group.scenarios, group.seeds, group.frames, vehicles, lidars, roadside)
+    for name, seed, frames, count, lidar, roadside_lidar in combinations:
+        marks = [
+            mark
+            for axis, mark in (
+                (group.frames, f"{frames}f"),
+                (vehicles, f"{count}v"),
+                (lidars, lidar),
+                (roadside, roadside_lidar),
+            )
+            if len(axis) > 1
+        ]
+        stem = Path(name).parent.name if name.endswith("scenario.toml") else Path(name).stem
+        drive = "_".join([stem, str(seed), *map(str, marks)])
+        recorded = path.parent / dataset.recorded / split / drive if dataset.recorded else None
+        recorded = recorded if recorded is not None and (recorded / TRAFFIC_LOG).is_file() else None
+        if recorded is None:
+            beside = path.parent / name
+            try:
+                scenario, proof = load_scenario(beside if beside.is_file() else name), None
+            except ScenarioError as error:
+                raise ScenarioError(f"{where}: scenarios: {error}") from None
+        else:
+            scenario, proof = _recorded_scenario(recorded / TRAFFIC_LOG)
+        scenario = equipped(scenario, count, lidar, roadside_lidar, group.roadside)
+        spec = DriveSpec(
+            scenario,
+            seed,
+            frames,
+            group.interval_s,
+            group.connected_vehicles,
+            group.motion,
+            group.visibility,
+        )
+        spec.check(where)
+        yield Item(split, drive, spec, recorded, proof)
+
+
+def equipped(
+    scenario: Scenario,
+    vehicles: int | None = None,
+    lidar: str | None = None,
+    roadside_lidar: str | None = None,
+    roadside: bool = True,
+) -> Scenario:
+    """Return a scenario with other sensors or another number of agents; None leaves what it has."""
+    rule = scenario.agents
+    units = rule.roadside if roadside else ()
+    if roadside_lidar is not None:
+        units = tuple(msgspec.structs.replace(unit, lidar=roadside_lidar) for unit in units)
+    rule = msgspec.structs.replace(
+        rule,
+        vehicles=rule.vehicles if vehicles is None else vehicles,
+        lidar=rule.lidar if lidar is None else lidar,
+        roadside=units,
+    )
+    return msgspec.structs.replace(scenario, agents=rule)
+
+
+def about_log(path: Path) -> tuple[Scenario, dict]:
+    """Return the scenario of a traffic log and all else that it says of itself.
+
+    Raises:
+        DataError: the log is damaged or does not say what it is of.
+    """
+    about = msgspec.json.decode(str(read_log_columns(path)["about"]))
+    try:
+        return msgspec.convert(about.pop("scenario", None), Scenario), about
+    except msgspec.ValidationError as error:
+        raise DataError(f"{path}: about.scenario: not one of this version: {error}; record the drive again") from None
+
+
+def _recorded_scenario(log: Path) -> tuple[Scenario, dict | None]:
+    scenario, about = about_log(log)
+    return scenario, about.get("proof")

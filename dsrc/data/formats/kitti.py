@@ -1,0 +1,155 @@
+"""Write KITTI's object tree: what one agent sees at one instant is one frame.
+
+    OUT/training/{velodyne/N.bin, label_2/N.txt, calib/N.txt, image_2/N.png}    and OUT/testing of the test split
+    OUT/ImageSets/{train,val,trainval,test}.txt
+    OUT/frames.csv            which drive, frame and agent a number is
+
+Velodyne points are x forward, y left, z up, as ours, with intensity from 0 to 1. The camera is a nominal one: KITTI's
+intrinsics, 0.27 m before and 0.08 m below the LiDAR, looking along its x axis; the pictures are black, and there only
+because loaders ask for their size. A label has the centre of the bottom of its box in the camera's frame (x right, y
+down, z forward) and `rotation_y` about y, 0 along x.
+
+Source: the development kit of the KITTI object benchmark (readme.txt); A. Geiger et al., CVPR 2012.
+"""
+
+import struct
+import zlib
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.jsonio import write_atomic
+from dsrc.data.levelling import levelled, occlusion
+from sensors.frame import Frame
+from sim.boxes import CLASSES, Boxes
+from sim.geometry import invert, transform_points, wrap_angle
+
+View = Literal["camera", "around"]
+
+CLASS_NAMES = {
+    "car": "Car",
+    "van": "Van",
+    "truck": "Truck",
+    "bus": "Misc",
+    "motorcycle": "Misc",
+    "bicycle": "Cyclist",
+    "pedestrian": "Pedestrian",
+}
+"""Our classes -> KITTI's, which has no buses and no motorcycles."""
+
+WIDTH, HEIGHT = 1242, 375
+PROJECTION = np.array(
+    [[721.5377, 0.0, 609.5593, 0.0], [0.0, 721.5377, 172.854, 0.0], [0.0, 0.0, 1.0, 0.0]],
+)
+"""(3, 4) P2 without the offset to the left grey camera."""
+CAMERA_FROM_LIDAR = np.array(
+    [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0.27], [0.0, 0.0, 0.0, 1.0]],
+)
+_NEAR_M = 0.1
+_SETS = ("train", "val", "test")
+
+
+class KittiWriter:
+    """Writes frames into a folder; the label of a frame is its last file."""
+
+    def __init__(self, out: Path, view: View = "camera") -> None:
+        """Choose the folder, and whether labels are those in the camera's picture or all around."""
+        self.out, self.view = out, view
+
+    def done(self, number: int, split: str) -> bool:
+        """Return whether a frame is there."""
+        return self._file(split, "label_2", number, "txt").exists()
+
+    def write(self, number: int, split: str, frame: Frame, row: int) -> None:
+        """Write what the agent in a row of the frame sees; split is train, val or test."""
+        sweep = frame.agents[row].sweep
+        if frame.agents[row].kind == "roadside":
+            sweep = levelled(sweep)
+        cloud = np.concatenate([sweep.points, sweep.intensity[:, None]], axis=1)
+        seen = (frame.points_on[row] >= 1) & (frame.truth.object_id != frame.agents[row].agent_id)
+        boxes = frame.truth[seen].transform(invert(sweep.world_from_lidar))
+        write_atomic(self._file(split, "velodyne", number, "bin"), cloud.astype("<f4").tobytes())
+        write_atomic(self._file(split, "calib", number, "txt"), _calibration().encode())
+        write_atomic(self._file(split, "image_2", number, "png"), _black())
+        labels = encode_labels(boxes, self.view, occlusion(frame.visible_fraction[row, seen]))
+        write_atomic(self._file(split, "label_2", number, "txt"), labels.encode())
+
+    def finish(self, places: Sequence[tuple[int, str, str, int, int]]) -> None:
+        """Write the lists of frames; places are (number, split, drive, frame, agent)."""
+        for name in _SETS:
+            _list(self.out / "ImageSets" / f"{name}.txt", [place[0] for place in places if place[1] == name])
+        _list(self.out / "ImageSets" / "trainval.txt", [place[0] for place in places if place[1] != "test"])
+        rows = [f"{number:06d},{split},{drive},{index},{agent}\n" for number, split, drive, index, agent in places]
+        write_atomic(self.out / "frames.csv", ("number,split,drive,frame,agent\n" + "".join(rows)).encode())
+
+    def _file(self, split: str, folder: str, number: int, ending: str) -> Path:
+        return self.out / ("testing" if split == "test" else "training") / folder / f"{number:06d}.{ending}"
+
+
+def encode_labels(boxes: Boxes, view: View, hidden: NDArray[np.int64]) -> str:
+    """Return the text of a label file for boxes in the LiDAR's frame; `hidden` (N,) are degrees of occlusion.
+
+    Objects out of the picture are left out, or, all around, have no 2D box, truncation 1 and occlusion 3 (unknown).
+    """
+    lines = []
+    bottom = boxes.center - [0.0, 0.0, 0.5] * boxes.size
+    places = transform_points(CAMERA_FROM_LIDAR, bottom)
+    turns = wrap_angle(-boxes.yaw - 0.5 * np.pi)
+    for row, corners in enumerate(transform_points(CAMERA_FROM_LIDAR, boxes.corners())):
+        picture, truncated = _projected(corners)
+        if picture is None and view == "camera":
+            continue
+        x, y, z = places[row]
+        length, width, height = boxes.size[row]
+        turn = float(turns[row])
+        alpha = float(wrap_angle(turn - np.arctan2(x, z)))
+        occluded = 3 if picture is None else int(hidden[row])
+        left, top, right, under = picture or (0.0, 0.0, 0.0, 0.0)
+        lines.append(
+            f"{CLASS_NAMES[CLASSES[boxes.label[row]]]} {truncated:.2f} {occluded} {alpha:.4f}"
+            f" {left:.2f} {top:.2f} {right:.2f} {under:.2f}"
+            f" {height:.4f} {width:.4f} {length:.4f} {x:.4f} {y:.4f} {z:.4f} {turn:.6f}\n"
+        )
+    return "".join(lines)
+
+
+def _projected(corners: NDArray[np.float64]) -> tuple[tuple[float, float, float, float] | None, float]:
+    """Return the 2D box of (8, 3) corners in the camera's frame, None out of the picture, and the share that is cut."""
+    if corners[:, 2].mean() < _NEAR_M:
+        return None, 1.0
+    # What reaches behind the camera is cut at its near plane; the picture's edge cuts the rest.
+    shown = np.concatenate([np.maximum(corners, [-np.inf, -np.inf, _NEAR_M]), np.ones((8, 1))], axis=1) @ PROJECTION.T
+    pixels = shown[:, :2] / shown[:, 2:]
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    inside_low, inside_high = np.maximum(low, 0.0), np.minimum(high, [WIDTH - 1.0, HEIGHT - 1.0])
+    if not (inside_high > inside_low).all():
+        return None, 1.0
+    kept = float(np.prod(inside_high - inside_low) / np.prod(high - low))
+    return (*inside_low.tolist(), *inside_high.tolist()), round(1.0 - kept, 2)
+
+
+def _calibration() -> str:
+    """Return the text of a calibration file; all cameras are the one."""
+    rows = {f"P{camera}": PROJECTION for camera in range(4)}
+    rows |= {"R0_rect": np.eye(3), "Tr_velo_to_cam": CAMERA_FROM_LIDAR[:3], "Tr_imu_to_velo": np.eye(4)[:3]}
+    return "".join(f"{name}: {' '.join(f'{value:.12e}' for value in rows[name].ravel())}\n" for name in rows)
+
+
+@lru_cache(maxsize=1)
+def _black() -> bytes:
+    """Return a black PNG of KITTI's size."""
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    header = struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 2, 0, 0, 0)
+    pixels = zlib.compress(bytes((1 + 3 * WIDTH) * HEIGHT), 9)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+
+
+def _list(path: Path, numbers: list[int]) -> None:
+    write_atomic(path, "".join(f"{number:06d}\n" for number in numbers).encode())

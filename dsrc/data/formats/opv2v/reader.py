@@ -1,0 +1,318 @@
+"""The OPV2V tree: DRIVE/AGENT/000123.pcd + .yaml, written so that OpenCOOD loads it and read back exactly.
+
+A folder of drives is a split, a drive holds one folder per agent (the object id of a vehicle, a negative number for
+a roadside unit) and `data_protocol.yaml`. Trees that others made are read too; what they do not say is filled in:
+all objects are cars, and an agent has at least one point on everything that it has annotated.
+
+Points are written in the frame that their sweep has (`Sweep.motion`), `lidar_pose` is that frame, and the record says
+which it is together with the sensor's path, so that a reader can ask for another. Boxes are those of the frame's time
+(the middle of its sweeps) whatever the points.
+"""
+
+import hashlib
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.formats.annotation import Annotation, with_own_bodies
+from dsrc.data.formats.opv2v.record import Record, encode_agent, read_agent, read_plan
+from dsrc.data.formats.pcd import encode_pcd, read_pcd
+from dsrc.data.formats.yaml import read_yaml
+from dsrc.data.points_in_boxes import points_in_boxes
+from dsrc.data.velocity_from_tracks import Instant, tracked_velocity
+from sensors.deskew import check_motion, deskew, deskew_frame
+from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
+from sensors.sweep import Motion, Sweep
+from sim.boxes import Boxes, concatenate
+from sim.errors import DataError, complaint, did_you_mean
+
+PROTOCOL = "data_protocol.yaml"
+_AGENT = re.compile(r"-?\d+")
+_STEM = re.compile(r"\d+")
+# OpenCDA stamps its files with ticks of a simulation at 20 Hz; used when a foreign tree does not say.
+_TICK_S = 0.05
+
+
+def frame_files(drive: Path, agent_ids: Sequence[int], index: int) -> list[Path]:
+    """Return the files of one frame, points before annotations."""
+    return [drive / str(agent) / f"{index:06d}.{ending}" for agent in agent_ids for ending in ("pcd", "yaml")]
+
+
+def write_frame(
+    drive: Path,
+    frame: Frame,
+    connected_vehicles: bool = True,
+    plans: dict[int, NDArray[np.float64]] | None = None,
+    motion: Motion | None = None,
+) -> None:
+    """Write one frame of all agents; every file appears completely or not at all.
+
+    Args:
+        drive: folder of the drive, made if it is missing.
+        frame: the frame; its number becomes the file name.
+        connected_vehicles: list other agents' bodies among an agent's vehicles, as any other vehicle.
+        plans: per agent (K, 3) x, y in the world, m, and speed, m/s, of its coming way.
+        motion: how the sensors' motion is compensated in the files; None leaves the sweeps as they are.
+
+    Raises:
+        DataError: a sweep cannot be given so, because its path or its firing times are unknown.
+    """
+    frame = frame if motion is None else deskew_frame(frame, motion)
+    contents: dict[Path, bytes] = {}
+    for row, agent in enumerate(frame.agents):
+        points, notes = frame_files(drive, [agent.agent_id], frame.index)
+        contents[points] = encode_pcd(agent.sweep)
+        plan = (plans or {}).get(agent.agent_id)
+        contents[notes] = encode_agent(frame, row, connected_vehicles, plan).encode()
+    for path, content in contents.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.with_name(path.name + ".tmp").write_bytes(content)
+    for path in contents:
+        path.with_name(path.name + ".tmp").replace(path)
+
+
+def read_frame(drive: Path, index: int, motion: Motion | None = None) -> Frame:
+    """Read the frame of this number; see `DriveReader` for many."""
+    reader = DriveReader(drive, motion)
+    if index not in reader.frames:
+        span = f"{reader.frames[0]} to {reader.frames[-1]}" if reader.frames else "no frames"
+        raise DataError(complaint(drive, "frame", span, index))
+    return reader.read(reader.frames.index(index))
+
+
+class DriveReader:
+    """Random access to the frames of a drive; see `dsrc.data.drives` for drives of any format.
+
+    Attributes:
+        drive: its folder.
+        motion: how the sensors' motion is compensated in the frames; None as in the files.
+        agents: ids of the agents, in the order of their folders, roadside units last.
+        frames: numbers of the frames, ascending.
+    """
+
+    format = "OPV2V"
+
+    def __init__(self, drive: Path, motion: Motion | None = None) -> None:
+        """Look at the folder; no frame is read yet.
+
+        Raises:
+            DataError: there is no drive here, an agent's folder or a frame of an agent is missing.
+            SettingsError: there is no such motion.
+        """
+        if motion is not None:
+            check_motion(motion)
+        self.drive = Path(drive)
+        self.motion = motion
+        self.protocol = read_yaml(self.drive / PROTOCOL) if (self.drive / PROTOCOL).exists() else {}
+        self.agents = tuple(self._agents())
+        self._stems = self._timestamps()
+        self.frames = tuple(int(stem) for stem in self._stems)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def read(self, i: int) -> Frame:
+        """Read the i-th frame (a position in `frames`, not the number in a file's name).
+
+        Raises:
+            DataError: a file is missing or broken, or does not say what another motion than its own needs: files
+                written before paths were kept, and those of other tools, can only be read as they are.
+        """
+        stem = self._stems[i]
+        notes = [read_agent(self.drive / str(agent) / f"{stem}.yaml") for agent in self.agents]
+        records = [note for note in notes if isinstance(note, Record)]
+        if not records:
+            return self._foreign_frame(stem, [note for note in notes if isinstance(note, Annotation)])
+        if len(records) < len(notes):
+            row = next(i for i, note in enumerate(notes) if not isinstance(note, Record))
+            path = self.drive / str(self.agents[row]) / f"{stem}.yaml"
+            raise DataError(complaint(path, "testbed", "a record as in the other agents' files", "none"))
+        return self._own_frame(stem, records)
+
+    def plans(self, i: int) -> dict[int, NDArray[np.float64]]:
+        """Return per agent (K, 3) x, y, m, and speed, m/s, of its way after the i-th frame."""
+        return {agent: read_plan(self.drive / str(agent) / f"{self._stems[i]}.yaml") for agent in self.agents}
+
+    def digest(self) -> str:
+        """Return `data_hash` of the drive alone."""
+        return data_hash([self.drive])
+
+    def _agents(self) -> list[int]:
+        if not self.drive.is_dir():
+            siblings = [p.name for p in self.drive.parent.iterdir()] if self.drive.parent.is_dir() else []
+            raise DataError(f"{self.drive}: no such folder{did_you_mean(self.drive.name, siblings)}")
+        found = [int(p.name) for p in self.drive.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)]
+        own = self.protocol.get("testbed", {})
+        promised = own.get("agents", {}) if isinstance(own, dict) else {}
+        if not isinstance(promised, dict) or not all(_AGENT.fullmatch(str(agent)) for agent in promised):
+            raise DataError(complaint(self.drive / PROTOCOL, "testbed.agents", "a mapping of agent ids", promised))
+        for agent in promised:
+            if int(agent) not in found:
+                raise DataError(f"{self.drive / str(agent)}: agent folder is missing; {PROTOCOL} names it")
+        if not found:
+            raise DataError(complaint(self.drive, "folder", "agent folders with whole numbers as names", "none"))
+        return agent_order(found)
+
+    def _timestamps(self) -> list[str]:
+        """Return the ego's timestamps; every agent must have them, and a drive of ours all that it promises."""
+        listing = {agent: {p.name for p in (self.drive / str(agent)).iterdir()} for agent in self.agents}
+        names = (Path(n) for n in listing[self.agents[0]] if n.endswith(".yaml"))
+        stems = sorted(n.stem for n in names if _STEM.fullmatch(n.stem))
+        for agent in self.agents:
+            for stem in stems:
+                for ending in ("yaml", "pcd"):
+                    if f"{stem}.{ending}" not in listing[agent]:
+                        raise DataError(f"{self.drive / str(agent) / stem}.{ending}: file is missing")
+        own = self.protocol.get("testbed", {})
+        promised = own.get("frames") if isinstance(own, dict) else None
+        if promised is not None and promised != len(stems):
+            verb = "corrupt" if "corruptions" in own else "generate"
+            hint = f"; run dsrc {verb} again"
+            raise DataError(complaint(self.drive, "frames", f"{promised} as in {PROTOCOL}", len(stems), hint))
+        return stems
+
+    def _own_frame(self, stem: str, records: list[Record]) -> Frame:
+        first = records[0]
+        if sorted(first.agents) != sorted(self.agents):
+            missing = sorted(set(first.agents) ^ set(self.agents))
+            raise DataError(complaint(self.drive, "agent folders", str(first.agents), f"{missing} missing or extra"))
+        agents = []
+        for agent_id, record in zip(self.agents, records, strict=True):
+            path = self.drive / str(agent_id) / f"{stem}.pcd"
+            if record.index != first.index or record.object_id != first.object_id or record.box != first.box:
+                raise DataError(f"{path.with_suffix('.yaml')}: testbed: differs from agent {self.agents[0]}'s truth")
+            pose = np.array(record.world_from_lidar, np.float64)
+            sweep = read_pcd(path, pose, record.sweep_time_s, record.lidar)
+            sweep = replace(sweep, path=record.lidar_path(), motion=record.motion, lost=record.lost)
+            sweep = self._compensated(path, sweep)
+            body = np.array(record.world_from_body, np.float64)
+            agents.append(AgentFrame(agent_id, record.kind, body, record.speed_mps, sweep))
+        return Frame(
+            index=first.index,
+            time_s=first.time_s,
+            agents=tuple(agents),
+            truth=first.truth(),
+            velocity=np.array([row or (np.nan, np.nan) for row in first.velocity], np.float64).reshape(-1, 2),
+            points_on=np.array([r.points_on for r in records], np.int32).reshape(len(records), -1),
+            acceleration=np.array([row or (np.nan, np.nan) for row in first.acceleration], np.float64).reshape(-1, 2),
+            signals=np.array(first.signals, np.int32),
+            lane=tuple(first.lane),
+            visible_fraction=_fractions(records),
+            sight=_sight(records),
+        )
+
+    def _foreign_frame(self, stem: str, notes: list[Annotation]) -> Frame:
+        now, velocity = self._instant(stem, notes)
+        truth = now.boxes
+        if np.isnan(velocity).any():
+            velocity = np.where(np.isnan(velocity), tracked_velocity(now, *self._neighbours(stem)), velocity)
+        agents, points_on = [], np.zeros((len(notes), len(truth)), np.int32)
+        for row, (agent_id, note) in enumerate(zip(self.agents, notes, strict=True)):
+            path = self.drive / str(agent_id) / f"{stem}.pcd"
+            sweep = read_pcd(path, note.world_from_lidar, now.time_s, mirrored=note.mirrored)
+            sweep = self._compensated(path, sweep)
+            kind: AgentKind = "roadside" if agent_id < 0 else "vehicle"
+            agents.append(AgentFrame(agent_id, kind, note.world_from_body, note.speed, sweep))
+            listed = np.isin(truth.object_id, note.boxes.object_id)
+            _, boxes = points_in_boxes(truth[listed], sweep.points, sweep.world_from_lidar)
+            counts = np.bincount(boxes, minlength=np.count_nonzero(listed))
+            # An annotation means that a ray has hit the object, even if no point of the file lies in its box.
+            points_on[row, listed] = np.maximum(counts, 1)
+        frame = Frame(int(stem), now.time_s, tuple(agents), truth, velocity, points_on)
+        return frame if all(note.mirrored for note in notes) else with_own_bodies(frame)
+
+    def _instant(self, stem: str, notes: list[Annotation]) -> tuple[Instant, NDArray[np.float64]]:
+        """Return the objects of a frame and their (N, 2) velocities."""
+        interval_s = self._tick_s() if notes[0].interval_s is None else notes[0].interval_s
+        boxes, velocity = _union(notes)
+        return Instant(int(stem) * interval_s, boxes), velocity
+
+    def _neighbours(self, stem: str) -> list[Instant | None]:
+        """Return the objects a frame earlier and later."""
+        i = self._stems.index(stem)
+        return [self._objects(self._stems[j]) if 0 <= j < len(self._stems) else None for j in (i - 1, i + 1)]
+
+    def _objects(self, stem: str) -> Instant | None:
+        notes = [read_agent(self.drive / str(agent) / f"{stem}.yaml") for agent in self.agents]
+        foreign = [note for note in notes if isinstance(note, Annotation)]
+        return self._instant(stem, foreign)[0] if foreign else None
+
+    def _compensated(self, path: Path, sweep: Sweep) -> Sweep:
+        if self.motion is None:
+            return sweep
+        try:
+            return deskew(sweep, self.motion)
+        except DataError as error:
+            raise DataError(f"{path}: cannot be read as '{self.motion}': {error}") from None
+
+    def _tick_s(self) -> float:
+        world = self.protocol.get("world", {})
+        tick = world.get("fixed_delta_seconds", _TICK_S) if isinstance(world, dict) else _TICK_S
+        return float(tick) if isinstance(tick, int | float) and 0 < tick < math.inf else _TICK_S
+
+
+def _fractions(records: list[Record]) -> NDArray[np.float32]:
+    """Return (A, N) visible fractions; empty where an agent's file has none, as those that were written before."""
+    if any(len(r.visible_fraction) < len(r.object_id) for r in records):
+        return np.zeros((0, 0), np.float32)
+    rows = [[np.nan if share is None else share for share in r.visible_fraction] for r in records]
+    return np.array(rows, np.float32).reshape(len(records), -1)
+
+
+def _sight(records: list[Record]) -> NDArray[np.int8]:
+    """Return (A, A) what stands between the agents; empty where an agent's file does not say."""
+    if any(not r.sight for r in records):
+        return np.zeros((0, 0), np.int8)
+    # Agents are in one order in the frame and in every record.
+    return np.array([r.sight for r in records], np.int8)
+
+
+def _union(notes: list[Annotation]) -> tuple[Boxes, NDArray[np.float64]]:
+    """Return every object once, as the first agent that has annotated it says, rows sorted by id."""
+    boxes = concatenate([note.boxes for note in notes])
+    velocity = np.concatenate([np.zeros((0, 2)), *(note.velocity for note in notes)])
+    _, first = np.unique(boxes.object_id, return_index=True)
+    return boxes[first], velocity[first]
+
+
+def find_drives(root: Path) -> list[Path]:
+    """Return the drives at or below a folder (itself, its children, theirs), sorted by path.
+
+    Raises:
+        DataError: the folder is missing or holds no drive.
+    """
+    root = Path(root)
+    if not root.is_dir():
+        raise DataError(f"{root}: not a folder" if root.exists() else f"{root}: no such folder")
+    drives = drives_below(root)
+    if not drives:
+        raise DataError(complaint(root, "folder", "an OPV2V tree (drive/agent/000000.yaml)", "none"))
+    return drives
+
+
+def drives_below(root: Path) -> list[Path]:
+    """Return the drives at or below a folder, none where there is none; see `find_drives`."""
+    return sorted(folder for folder in [root, *root.glob("*/"), *root.glob("*/*/")] if _is_drive(folder))
+
+
+def _is_drive(folder: Path) -> bool:
+    agents = (p for p in folder.iterdir() if _AGENT.fullmatch(p.name) and p.is_dir())
+    # A drive may have a number for its name too; the yaml in it is no frame.
+    return any(_STEM.fullmatch(file.stem) for agent in agents for file in agent.glob("*.yaml"))
+
+
+def data_hash(drives: Sequence[Path]) -> str:
+    """Return a SHA-256 of drives' annotations and of all files' names and sizes; quick, for provenance."""
+    digest = hashlib.sha256()
+    for drive in sorted(Path(d) for d in drives):
+        for path in sorted(p for p in drive.rglob("*") if p.suffix in (".yaml", ".pcd") and p.is_file()):
+            name = f"{drive.name}/{path.relative_to(drive).as_posix()}"
+            digest.update(f"{name}\0{path.stat().st_size}\0".encode())
+            if path.suffix == ".yaml":
+                digest.update(path.read_bytes())
+    return digest.hexdigest()

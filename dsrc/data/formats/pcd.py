@@ -1,0 +1,323 @@
+"""PCD v0.7 point files: a small reader of ASCII, binary and compressed files and a writer of binary ones.
+
+The OPV2V tools keep the intensity in the red channel of `rgb`, 8 bits; we write that too and keep every column of a
+sweep beside it as a field of its own, which those tools ignore. In OPV2V's trees the points are in CARLA's left-handed
+sensor frame (y to the right); in memory, and in the files of real sensors, in ours (y to the left).
+
+Source: https://pointclouds.org/documentation/tutorials/pcd_file_format.html
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.formats.decimals import read_numbers
+from dsrc.data.formats.lzf import decompress
+from sensors.spec import LidarSpec
+from sensors.sweep import Sweep, make_sweep
+from sim.errors import DataError, complaint
+
+_HEADER = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_KINDS = {"F": "f", "U": "u", "I": "i"}
+_SIZES = {"F": (4, 8), "U": (1, 2, 4, 8), "I": (1, 2, 4, 8)}
+
+_RECORD = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("rgb", "<u4"),
+        ("intensity", "<f4"),
+        ("ring", "<i2"),
+        ("column", "<i4"),
+        ("time", "<f4"),
+        ("object_id", "<i4"),
+        ("return", "u1"),
+        ("fate", "u1"),
+        ("material", "u1"),
+        ("cosine", "<f4"),
+    ]
+)
+_COLUMNS = {
+    "intensity": "intensity",
+    "ring": "ring",
+    "column": "column",
+    "time": "time_offset",
+    "object_id": "object_id",
+    "return": "return_number",
+    "fate": "fate",
+    "material": "material",
+    "cosine": "cosine",
+}
+"""Field of the file -> column of `Sweep`; `material` counts in the order of `sim.mesh.materials.MATERIALS`."""
+
+
+SENSOR_FULL_SCALE = 256.0
+"""Intensity in DAIR-V2X's files that is 1 of ours; a power of two, so that nothing is rounded."""
+
+
+def encode_table(table: NDArray[np.void]) -> bytes:
+    """Return a binary PCD file of a one-dimensional structured array of scalars."""
+    names = table.dtype.names or ()
+    dtypes = [table.dtype[name] for name in names]
+    kinds = {kind: letter for letter, kind in _KINDS.items()}
+    lines = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        "FIELDS " + " ".join(names),
+        "SIZE " + " ".join(str(d.itemsize) for d in dtypes),
+        "TYPE " + " ".join(kinds[d.kind] for d in dtypes),
+        "COUNT " + " ".join("1" for _ in dtypes),
+        f"WIDTH {len(table)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(table)}",
+        "DATA binary",
+    ]
+    # Joined, so that the points are copied once.
+    return b"".join([("\n".join(lines) + "\n").encode("ascii"), np.ascontiguousarray(table).view(np.uint8).data])
+
+
+def read_table(path: Path) -> NDArray[np.void]:
+    """Read all fields of a PCD file: `ascii`, `binary` or `binary_compressed`.
+
+    Returns:
+        (P,) structured array, one field per FIELDS entry (of COUNT 1; wider ones are sub-arrays).
+
+    Raises:
+        DataError: the file is missing, truncated or damaged, or its header contradicts itself.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise DataError(f"{path}: file not found") from None
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from None
+    header, body = _split_header(path, content)
+    dtype, points = _record_type(path, header), _point_count(path, header)
+    form = header["DATA"][0]
+    if form == "binary":
+        expected = points * dtype.itemsize
+        if len(body) != expected:
+            raise DataError(complaint(path, "DATA", f"{expected} bytes for {points} points", f"{len(body)} bytes"))
+        return np.frombuffer(body, dtype)
+    if form == "ascii":
+        return _ascii_table(path, body, dtype, points)
+    if form == "binary_compressed":
+        return _compressed_table(path, body, dtype, points)
+    raise DataError(complaint(path, "DATA", "ascii, binary or binary_compressed", form))
+
+
+def encode_pcd(sweep: Sweep) -> bytes:
+    """Return OPV2V's PCD file of a sweep: mirrored points, red intensity and all columns exactly."""
+    table = _table(sweep, _RECORD)
+    table["y"] = -sweep.points[:, 1]
+    red = np.round(np.clip(sweep.intensity, 0.0, 1.0) * 255.0).astype(np.uint32)
+    table["rgb"] = red << 16
+    return encode_table(table)
+
+
+def encode_sensor_pcd(sweep: Sweep) -> bytes:
+    """Return the PCD file of a sweep as those of real sensors are, with all columns: not mirrored, intensity to 256."""
+    table = _table(sweep, np.dtype([(name, _RECORD[name]) for name in _RECORD.names or () if name != "rgb"]))
+    table["intensity"] *= np.float32(SENSOR_FULL_SCALE)
+    return encode_table(table)
+
+
+def _table(sweep: Sweep, dtype: np.dtype) -> NDArray[np.void]:
+    table = np.zeros(len(sweep), dtype)
+    table["x"], table["y"], table["z"] = sweep.points.T
+    for field, column in _COLUMNS.items():
+        table[field] = getattr(sweep, column)
+    return table
+
+
+def write_pcd(path: Path, sweep: Sweep) -> None:
+    """Write a sweep atomically: the file is there completely or not at all."""
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_bytes(encode_pcd(sweep))
+    temporary.replace(path)
+
+
+def read_pcd(
+    path: Path,
+    world_from_lidar: NDArray[np.float64] | None = None,
+    time_s: float = 0.0,
+    spec: LidarSpec | None = None,
+    *,
+    mirrored: bool = True,
+    full_scale: float | None = None,
+) -> Sweep:
+    """Read a sweep from our files or those of OPV2V; columns that the file lacks are those of `make_sweep`.
+
+    Args:
+        path: a PCD file with x, y, z and `intensity` or `rgb`.
+        world_from_lidar: (4, 4) pose of the sensor, not in the file.
+        time_s: reference time of the sweep, not in the file.
+        spec: the sensor, not in the file.
+        mirrored: the file is one of OPV2V's, y to the right and every point a return. Else it is a real sensor's: y to
+            the left, and a beam without return may be there as nan, which is left out.
+        full_scale: the file's `intensity` that is 1; None guesses 255 where it exceeds 1 and there is no colour.
+
+    Raises:
+        DataError: the file cannot be read, lacks a coordinate or intensity, or holds a coordinate that is no number.
+    """
+    table = read_table(path)
+    names = table.dtype.names or ()
+    for field in ("x", "y", "z"):
+        if field not in names:
+            raise DataError(complaint(path, "FIELDS", f"a field {field}", " ".join(names)))
+    for field in ("x", "y", "z", "rgb", *_COLUMNS):
+        if field in names and table.dtype[field].shape:
+            raise DataError(complaint(path, f"COUNT of {field}", "1", table.dtype[field].shape[0]))
+    if not mirrored:
+        table = table[np.isfinite(table["x"]) & np.isfinite(table["y"]) & np.isfinite(table["z"])]
+    with np.errstate(over="ignore"):
+        coordinates = {field: table[field].astype(np.float32) for field in ("x", "y", "z")}
+    for field, values in coordinates.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise DataError(complaint(path, f"{field} of point {bad[0]}", "a finite number", str(table[field][bad[0]])))
+    y = -coordinates["y"] if mirrored else coordinates["y"]
+    points = np.stack([coordinates["x"], y, coordinates["z"]], axis=1)
+    columns = {column: table[field] for field, column in _COLUMNS.items() if field in names}
+    columns["intensity"] = _intensity(path, table, full_scale)
+    return make_sweep(points, world_from_lidar, time_s, spec, **columns)
+
+
+def _intensity(path: Path, table: NDArray[np.void], full_scale: float | None) -> NDArray[np.float32]:
+    """Return (P,) intensity in [0, 1]: our own field, else red of `rgb`, else a field of 0 to 255 or `full_scale`."""
+    names = table.dtype.names or ()
+    if "intensity" in names:
+        intensity = table["intensity"].astype(np.float32)
+        bad = np.flatnonzero(~np.isfinite(intensity))
+        if len(bad):
+            raise DataError(complaint(path, f"intensity of point {bad[0]}", "a finite number", str(intensity[bad[0]])))
+        if full_scale is not None:
+            return intensity / np.float32(full_scale)
+        eight_bit = "rgb" not in names and len(intensity) > 0 and float(intensity.max()) > 1.0
+        return intensity / np.float32(255.0) if eight_bit else intensity
+    if "rgb" in names:
+        packed = table["rgb"]
+        if packed.dtype.itemsize != 4:
+            raise DataError(complaint(path, "SIZE of rgb", "4", packed.dtype.itemsize))
+        bits = np.ascontiguousarray(packed).view(np.uint32)
+        return ((bits >> 16) & 0xFF).astype(np.float32) / np.float32(255.0)
+    raise DataError(complaint(path, "FIELDS", "a field rgb or intensity", " ".join(names)))
+
+
+def _split_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], memoryview]:
+    """Return the header's entries and the bytes after its DATA line, which are not copied."""
+    header: dict[str, list[str]] = {}
+    start = 0
+    while "DATA" not in header:
+        end = content.find(b"\n", start)
+        if end < 0:
+            raise DataError(
+                complaint(path, "header", "a line DATA", "the end of the file" if header else "no PCD file")
+            )
+        words = content[start:end].decode("ascii", "replace").split()
+        start = end + 1
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] not in _HEADER:
+            raise DataError(complaint(path, "header", f"one of {' '.join(_HEADER)}", words[0]))
+        header[words[0]] = words[1:]
+    for name in ("FIELDS", "SIZE", "TYPE", "DATA"):
+        if not header.get(name):
+            raise DataError(complaint(path, "header", f"a line {name}", "none"))
+    return header, memoryview(content)[start:]
+
+
+def _record_type(path: Path, header: dict[str, list[str]]) -> np.dtype:
+    names, sizes, types = header["FIELDS"], header["SIZE"], header["TYPE"]
+    counts = header.get("COUNT", ["1"] * len(names))
+    for field, entries in (("SIZE", sizes), ("TYPE", types), ("COUNT", counts)):
+        if len(entries) != len(names):
+            raise DataError(complaint(path, field, f"{len(names)} entries as in FIELDS", f"{len(entries)}"))
+    fields = []
+    for i, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
+        if kind not in _KINDS or not size.isdigit() or int(size) not in _SIZES[kind]:
+            raise DataError(complaint(path, f"TYPE and SIZE of {name}", "F 4, U 4, I 4 or alike", f"{kind} {size}"))
+        if not count.isdigit() or int(count) < 1:
+            raise DataError(complaint(path, f"COUNT of {name}", "a positive integer", count))
+        # PCL names padding "_", possibly more than once; names of a record must differ.
+        unique = f"_{i}" if name == "_" else name
+        scalar = f"<{_KINDS[kind]}{size}"
+        fields.append((unique, scalar) if count == "1" else (unique, scalar, (int(count),)))
+    try:
+        return np.dtype(fields)
+    except ValueError as error:
+        raise DataError(f"{path}: FIELDS: {error}") from None
+
+
+def _point_count(path: Path, header: dict[str, list[str]]) -> int:
+    numbers = {}
+    for name in ("WIDTH", "HEIGHT", "POINTS"):
+        words = header.get(name)
+        if words is None:
+            continue
+        if len(words) != 1 or not words[0].isdigit():
+            raise DataError(complaint(path, name, "a whole number", " ".join(words)))
+        numbers[name] = int(words[0])
+    if "POINTS" not in numbers:
+        raise DataError(complaint(path, "header", "a line POINTS", "none"))
+    if "WIDTH" in numbers and numbers["WIDTH"] * numbers.get("HEIGHT", 1) != numbers["POINTS"]:
+        area = f"{numbers['WIDTH']} x {numbers.get('HEIGHT', 1)}"
+        raise DataError(complaint(path, "POINTS", f"WIDTH x HEIGHT = {area}", numbers["POINTS"]))
+    return numbers["POINTS"]
+
+
+def _compressed_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> NDArray[np.void]:
+    """Decode LZF: two sizes of 4 bytes, then the fields one after another, each of all points."""
+    if len(body) < 8:
+        raise DataError(complaint(path, "DATA", "two sizes of 4 bytes", f"{len(body)} bytes"))
+    packed, size = (int(n) for n in np.frombuffer(body[:8], "<u4"))
+    expected = points * dtype.itemsize
+    if size != expected:
+        raise DataError(complaint(path, "DATA", f"{expected} bytes for {points} points", f"{size} bytes"))
+    if len(body) < 8 + packed:
+        raise DataError(complaint(path, "DATA", f"{packed} compressed bytes", f"{len(body) - 8} bytes"))
+    try:
+        columns = decompress(bytes(body[8 : 8 + packed]), size)
+    except ValueError as error:
+        raise DataError(f"{path}: DATA: expected {error}") from None
+    table = np.zeros(points, dtype)
+    start = 0
+    for name in dtype.names or ():
+        field = dtype[name]
+        block = np.frombuffer(columns, field.base, points * int(np.prod(field.shape, dtype=int)), start)
+        table[name] = block.reshape(points, *field.shape)
+        start += points * field.itemsize
+    return table
+
+
+def _ascii_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> NDArray[np.void]:
+    names = dtype.names or ()
+    widths = [int(np.prod(dtype[name].shape, dtype=int)) for name in names]
+    values = _numbers(path, body, (points, sum(widths)))
+    table = np.zeros(points, dtype)
+    column = 0
+    for name, width in zip(names, widths, strict=True):
+        block = values[:, column : column + width]
+        column += width
+        if dtype[name].base.kind in "ui" and not np.isfinite(block).all():
+            raise DataError(complaint(path, name, "whole numbers", "nan or inf"))
+        table[name] = block.reshape(table[name].shape)
+    return table
+
+
+def _numbers(path: Path, body: memoryview, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the numbers of a text: compiled, else word by word, which also tells what is wrong."""
+    values = read_numbers(body, shape[0] * shape[1])
+    if values is not None:
+        return values.reshape(shape)
+    words = bytes(body).split()
+    if len(words) != shape[0] * shape[1]:
+        expected = f"{shape[0] * shape[1]} numbers for {shape[0]} points"
+        raise DataError(complaint(path, "DATA", expected, f"{len(words)} numbers"))
+    try:
+        return np.array([float(word) for word in words]).reshape(shape)
+    except ValueError as error:
+        raise DataError(complaint(path, "DATA", "numbers", str(error))) from None

@@ -1,0 +1,434 @@
+"""The TOML of a benchmark: methods x datasets x corruptions x severities x channels, and sweeps of one quantity each.
+
+    name = "small"
+    corruptions = ["paper_six"]
+    families = ["physical", "paper"]  # tables of each; default: physical
+    severities = [3]
+    channels = ["ideal"]
+    limit = 300                       # frames of each dataset, evenly spread; default: all
+
+    [[methods]]
+    name = "DSRC"
+    detectors = ["runs/dsrc_0/student/detector.pt", "runs/dsrc_1/student/detector.pt"]   # one per training
+
+    [[methods]]
+    name = "DSRC that sends a tenth"
+    detectors = ["runs/dsrc_0/student/detector.pt", "runs/dsrc_1/student/detector.pt"]
+    use = {share = 0.1}
+    start = "own, maximum"            # what its training began with, for Table 1
+
+    [[datasets]]
+    name = "dsrc-sim"
+    drives = ["data/dsrc-sim/test"]
+
+    [[differences]]                   # with intervals, by frame and by drive
+    method = "DSRC that sends a tenth"
+    baseline = "DSRC"
+
+    [[notes]]                         # marks the lines of methods in all tables
+    methods = ["DSRC that sends a tenth"]
+    text = "Never trained to send less."
+
+    [sweeps]                          # clean frames, nothing lost or late but for the one quantity
+    agents = [1, 2, 3, 4, 5]
+    pose_error = [0.1, 0.2, 0.4, 0.8]
+    delay_s = [0.1, 0.2, 0.4]
+    loss = [0.1, 0.3, 0.5]
+
+Paths are taken from the file's folder, or from the folder that one is in.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+from msgspec.structs import replace
+
+from dsrc.evaluation.benchmark import PAPER_TABLE, Condition, check_numbers, corruption_kinds
+from sensors.corruptions import Family
+from sim.errors import SettingsError, complaint, did_you_mean
+from sim.radio import IDEAL, ChannelSpec, get_channel
+from sim.tomlfile import read_toml
+
+_Texts = Annotated[tuple[str, ...], Meta(min_length=1)]
+IN_USE = ("align_poses", "share", "bits", "score_threshold", "nms_iou")
+"""Settings of a model that its weights do not depend on."""
+
+_Amounts = tuple[Annotated[float, Meta(ge=0.0)], ...]
+
+
+class MethodSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A line of the tables.
+
+    Attributes:
+        name: in tables.
+        detectors: detector files, one for each seed that the method was trained with.
+        use: changes of the model's settings that need no training of their own, of `IN_USE`: the same detectors that
+            send less, or that put poses right, are another method.
+        start: what its trainings began with, for a column of Table 1; "" says nothing.
+    """
+
+    name: str
+    detectors: _Texts
+    use: dict[str, bool | int | float] = {}
+    start: str = ""
+
+
+class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Drives that are evaluated together.
+
+    Attributes:
+        name: in tables.
+        drives: folders of drives.
+    """
+
+    name: str
+    drives: _Texts
+
+
+class DifferenceSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A difference between two methods, for the table of intervals.
+
+    Attributes:
+        method: the one whose gain is asked for.
+        baseline: the one that it is compared with.
+    """
+
+    method: str
+    baseline: str
+
+
+class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A footnote of the tables.
+
+    Attributes:
+        methods: whose lines carry its mark.
+        text: below each table that shows one of them.
+    """
+
+    methods: _Texts
+    text: Annotated[str, Meta(min_length=1)]
+
+
+class Sweeps(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Quantities that are varied one at a time, in clean frames and without a radio in between.
+
+    Attributes:
+        methods: those that are swept; none: all.
+        agents: how many take part, the ego included.
+        pose_error: standard deviation of the collaborators' positions, m, and of their headings, degrees; another one
+            in every frame.
+        delay_s: age of what arrives, s.
+        loss: share of the packets that get lost.
+    """
+
+    methods: tuple[str, ...] = ()
+    agents: tuple[Annotated[int, Meta(ge=1)], ...] = ()
+    pose_error: _Amounts = ()
+    delay_s: _Amounts = ()
+    loss: tuple[Annotated[float, Meta(ge=0.0, le=1.0)], ...] = ()
+
+
+class Pictures(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is drawn of single frames of the first dataset, Figures 6 and 8.
+
+    Attributes:
+        teacher: detector file of DSRC's teacher, for the feature maps; "" leaves it out.
+        methods: whose detections are drawn; empty: the first three and the last.
+        percentiles: of the evaluated frames by the number of true boxes that only helpers have points on, see
+            `dsrc.evaluation.plots.pictures.frames_at`; one frame is drawn for each.
+        corruption: of the frames.
+    """
+
+    teacher: str = ""
+    methods: tuple[str, ...] = ()
+    percentiles: Annotated[tuple[Annotated[int, Meta(ge=0, le=100)], ...], Meta(min_length=1)] = (25, 50, 75)
+    corruption: str = "clean"
+
+
+class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A file.
+
+    Attributes:
+        methods: lines of the tables, in their order.
+        datasets: each has tables of its own.
+        name: of the benchmark.
+        corruptions: kinds, `paper_six`, `all` or `clean`; clean frames are always there.
+        severities: of each corruption, 1 to 5; the tables show 3, the paper's, where it is among them.
+        families: of the corruptions' settings; the tables of corruptions are written once for each.
+        channels: of the radio; the tables show `ideal`, where everything arrives and bytes are counted.
+        seed: of corruptions and channels.
+        limit: evaluate at most so many frames of a dataset, evenly spread.
+        differences: pairs of methods.
+        notes: footnotes, marked in their order.
+        sweeps: what else is varied.
+        pictures: of single frames.
+    """
+
+    methods: Annotated[tuple[MethodSpec, ...], Meta(min_length=1)]
+    datasets: Annotated[tuple[DatasetSpec, ...], Meta(min_length=1)]
+    name: str = "benchmark"
+    corruptions: tuple[str, ...] = (PAPER_TABLE,)
+    severities: tuple[int, ...] = (3,)
+    families: Annotated[tuple[Family, ...], Meta(min_length=1)] = ("physical",)
+    channels: _Texts = (IDEAL,)
+    seed: int = 0
+    limit: int | None = None
+    differences: tuple[DifferenceSpec, ...] = ()
+    notes: tuple[Note, ...] = ()
+    sweeps: Sweeps = Sweeps()
+    pictures: Pictures = Pictures()
+
+    @property
+    def family(self) -> Family:
+        """First of the families, that of pictures of single frames."""
+        return self.families[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What one row of the result is of.
+
+    Attributes:
+        method: its name.
+        training: number of its detector, from 0.
+        dataset: its name.
+        condition: corruption, severity and family.
+        channel: name of the channel.
+        agents: how many take part; None for all.
+        pose_error: see `Sweeps`, like the next two.
+        delay_s: beside what the channel takes.
+        loss: beside what the channel loses.
+    """
+
+    method: str
+    training: int
+    dataset: str
+    condition: Condition
+    channel: str = IDEAL
+    agents: int | None = None
+    pose_error: float = 0.0
+    delay_s: float = 0.0
+    loss: float = 0.0
+
+    @property
+    def swept(self) -> bool:
+        """Whether it belongs to a sweep."""
+        return self.agents is not None or bool(self.pose_error or self.delay_s or self.loss)
+
+    def spec(self) -> ChannelSpec:
+        """Return the settings of the channel."""
+        spec = get_channel(self.channel)
+        if self.pose_error:
+            spec = replace(spec, position_error_m=self.pose_error, heading_error_deg=self.pose_error)
+        if self.delay_s:
+            spec = replace(spec, delay_s=self.delay_s)
+        return replace(spec, packet_loss=self.loss) if self.loss else spec
+
+
+def read_benchmark(path: Path) -> Benchmark:
+    """Read the file of a benchmark; its paths become such that can be opened from here.
+
+    Raises:
+        SettingsError: it is not valid; one line says what and where.
+    """
+    plan = read_toml(path, Benchmark, SettingsError)
+
+    def found(name: str) -> str:
+        beside = path.parent / name
+        return str(beside if beside.exists() else name)
+
+    methods = tuple(replace(m, detectors=tuple(map(found, m.detectors))) for m in plan.methods)
+    datasets = tuple(replace(d, drives=tuple(map(found, d.drives))) for d in plan.datasets)
+    teacher = plan.pictures.teacher and found(plan.pictures.teacher)
+    plan = replace(plan, methods=methods, datasets=datasets, pictures=replace(plan.pictures, teacher=teacher))
+    check(plan, str(path))
+    return plan
+
+
+def plan_of(what: Sequence[str], data: Sequence[str], flags: Mapping[str, Any], sweeps: Mapping[str, Any]) -> Benchmark:
+    """Return the benchmark that the command line describes.
+
+    Args:
+        what: a TOML file, or detector files; `name=path` gives one its name, and one name given to several files is a
+            method with several trainings.
+        data: folders of drives, a dataset each; `name=folder` names one.
+        flags: further fields of `Benchmark`, with `family` for a single one of `families`; None for what was not said.
+        sweeps: likewise of `Sweeps`.
+
+    Raises:
+        SettingsError: it is not valid, or a file and flags both describe it.
+    """
+    given = {name: value for name, value in flags.items() if value is not None}
+    swept = {name: value for name, value in sweeps.items() if value is not None}
+    if len(what) == 1 and what[0].endswith(".toml"):
+        said = [name for name, value in {"data": data, **given, **swept}.items() if value not in ((), None)]
+        if said:
+            raise SettingsError(
+                complaint("benchmark", said[0], f"nothing: {what[0]} describes the benchmark", "a value")
+            )
+        return read_benchmark(Path(what[0]))
+    methods, datasets = _grouped("detectors", what), _grouped("data", data)
+    for field, found in (("detectors", methods), ("data", datasets)):
+        if not found:
+            raise SettingsError(complaint("benchmark", field, "at least one, or a TOML file", "none"))
+    if "family" in given:
+        given["families"] = (given.pop("family"),)
+    listed: dict[str, Any] = {
+        "methods": [{"name": name, "detectors": files} for name, files in methods.items()],
+        "datasets": [{"name": name, "drives": folders} for name, folders in datasets.items()],
+        **given,
+        "sweeps": swept,
+    }
+    try:
+        plan = msgspec.convert(listed, Benchmark)
+    except msgspec.ValidationError as error:
+        raise SettingsError(f"benchmark: {error}") from None
+    check(plan, "benchmark")
+    return plan
+
+
+def _grouped(field: str, texts: Sequence[str]) -> dict[str, list[str]]:
+    """Return paths by name; only paths whose names were given share one."""
+    groups: dict[str, list[str]] = {}
+    for (name, path), text in zip(named(texts), texts, strict=True):
+        if name in groups and split_name(text)[0] != name:
+            hint = "; give names: name=path"
+            raise SettingsError(complaint("benchmark", field, "names that differ", f"{name} for {path} too", hint))
+        groups.setdefault(name, []).append(path)
+    return groups
+
+
+def named(texts: Sequence[str]) -> list[tuple[str, str]]:
+    """Return names and paths: `name=path` as it says, else the file's stem, its folder before it where stems repeat."""
+    split = [split_name(text) for text in texts]
+    stems = [Path(path).stem for name, path in split if not name]
+
+    def name_of(path: Path) -> str:
+        return path.stem if stems.count(path.stem) == 1 else f"{path.absolute().parent.name}/{path.stem}"
+
+    return [(name or name_of(Path(path)), path) for name, path in split]
+
+
+def split_name(text: str) -> tuple[str, str]:
+    """Return name and path of `name=path`, "" and the path of a path alone, whose folders may hold a `=`."""
+    name, equals, path = text.partition("=")
+    return (name, path) if equals and path and not {"/", "\\"} & set(name) else ("", text)
+
+
+def check(plan: Benchmark, where: str) -> None:
+    """Raise SettingsError where names repeat or do not exist, or numbers are out of range; `where` is for messages."""
+    names = [method.name for method in plan.methods]
+    for field, given in (
+        ("methods", names),
+        ("datasets", [dataset.name for dataset in plan.datasets]),
+        ("channels", list(plan.channels)),
+        ("severities", list(map(str, plan.severities))),
+        ("families", list(map(str, plan.families))),
+    ):
+        repeated = sorted({name for name in given if given.count(name) > 1})
+        if repeated:
+            raise SettingsError(complaint(where, field, "names that differ", repeated[0]))
+        if not all(given):
+            raise SettingsError(complaint(where, field, "names that are not empty", "''"))
+    for field, wanted in (
+        ("sweeps.methods", plan.sweeps.methods),
+        ("pictures.methods", plan.pictures.methods),
+        ("differences.method", tuple(pair.method for pair in plan.differences)),
+        ("differences.baseline", tuple(pair.baseline for pair in plan.differences)),
+        ("notes.methods", tuple(name for note in plan.notes for name in note.methods)),
+    ):
+        for name in wanted:
+            if name not in names:
+                raise SettingsError(complaint(where, field, "one of the methods", name, did_you_mean(name, names)))
+    for i, pair in enumerate(plan.differences):
+        if pair.method == pair.baseline:
+            raise SettingsError(complaint(where, f"differences[{i}].baseline", "another method", pair.baseline))
+        if pair in plan.differences[:i]:
+            found = f"{pair.method} and {pair.baseline} again"
+            raise SettingsError(complaint(where, f"differences[{i}]", "a pair that is not there yet", found))
+    for method in plan.methods:
+        for field in method.use:
+            if field not in IN_USE:
+                expected = "a setting that needs no training"
+                raise SettingsError(
+                    complaint(where, f"methods.{method.name}.use", expected, field, did_you_mean(field, IN_USE))
+                )
+    check_numbers(where, plan.severities, plan.seed, plan.limit)
+    for family in plan.families:
+        corruption_kinds((*plan.corruptions, plan.pictures.corruption), family, where)
+    try:
+        for channel in plan.channels:
+            get_channel(channel)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from None
+
+
+def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
+    """Return the benchmark of those detectors whose files are there, and the paths of the others.
+
+    Raises:
+        SettingsError: there is none.
+    """
+    absent = [path for method in plan.methods for path in method.detectors if not Path(path).is_file()]
+    kept = [(method, tuple(path for path in method.detectors if path not in absent)) for method in plan.methods]
+    methods = tuple(replace(method, detectors=paths) for method, paths in kept if paths)
+    if not methods:
+        raise SettingsError(complaint("benchmark", "methods", "at least one detector that is there", f"no {absent[0]}"))
+    names = [method.name for method in methods]
+    sweeps = replace(plan.sweeps, methods=tuple(name for name in plan.sweeps.methods if name in names))
+    if plan.sweeps.methods and not sweeps.methods:
+        sweeps = Sweeps()
+    pictures = replace(plan.pictures, methods=tuple(name for name in plan.pictures.methods if name in names))
+    if pictures.teacher and not Path(pictures.teacher).is_file():
+        absent.append(pictures.teacher)
+        pictures = replace(pictures, teacher="")
+    differences = tuple(pair for pair in plan.differences if pair.method in names and pair.baseline in names)
+    shown = ((note, tuple(name for name in note.methods if name in names)) for note in plan.notes)
+    notes = tuple(replace(note, methods=kept) for note, kept in shown if kept)
+    plan = replace(plan, methods=methods, differences=differences, notes=notes, sweeps=sweeps, pictures=pictures)
+    return plan, absent
+
+
+def conditions_of(plan: Benchmark) -> list[Condition]:
+    """Return clean, then, family by family, every corruption at every severity."""
+    return [
+        Condition(),
+        *(
+            Condition(kind, level, family)
+            for family in plan.families
+            for kind in corruption_kinds(plan.corruptions, family)
+            for level in plan.severities
+        ),
+    ]
+
+
+def cases_of(plan: Benchmark) -> list[Case]:
+    """Return the rows of the result, each once."""
+    return list(dict.fromkeys(_cases(plan)))
+
+
+def _cases(plan: Benchmark) -> Iterator[Case]:
+    trained = [(method.name, row) for method in plan.methods for row in range(len(method.detectors))]
+    for dataset in plan.datasets:
+        for channel in plan.channels:
+            for condition in conditions_of(plan):
+                for name, row in trained:
+                    yield Case(name, row, dataset.name, condition, channel)
+    sweeps = plan.sweeps
+    clean = Condition()
+    for dataset in plan.datasets:
+        for name, row in trained:
+            if sweeps.methods and name not in sweeps.methods:
+                continue
+            for agents in sweeps.agents:
+                yield Case(name, row, dataset.name, clean, agents=agents)
+            for error in sweeps.pose_error:
+                yield Case(name, row, dataset.name, clean, pose_error=error)
+            for delay in sweeps.delay_s:
+                yield Case(name, row, dataset.name, clean, delay_s=delay)
+            for loss in sweeps.loss:
+                yield Case(name, row, dataset.name, clean, loss=loss)

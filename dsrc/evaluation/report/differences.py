@@ -1,0 +1,194 @@
+"""Differences between pairs of methods with their intervals: which of them the frames and drives can resolve."""
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.evaluation.config import DifferenceSpec
+from dsrc.evaluation.intervals import (
+    IOUS,
+    LEVEL,
+    RESAMPLES,
+    Difference,
+    Interval,
+    average_precisions,
+    draw_weights,
+    percentile_interval,
+)
+from dsrc.evaluation.report.paper_tables import View, made_of
+from dsrc.evaluation.report.table import Stat, markdown_table
+from dsrc.evaluation.results import CLEAN, MCE, MEAN_CORRUPTED, condition_title
+
+SEED = 0
+"""Of the resamples: the same rows have the same intervals."""
+
+_Metrics = dict[str, NDArray[np.float64]]
+"""By condition the (S, T, R) AP, or mCE, of each of S trainings at each IoU in each resample."""
+
+_HEADS = ("Difference", "Condition", *(f"{t}{iou}" for iou in IOUS for t in ("AP@", "by frame, ", "by drive, ")))
+
+
+@dataclass(frozen=True, slots=True)
+class DifferenceTable:
+    """The differences of a dataset under one family of corruptions.
+
+    Attributes:
+        title: one line.
+        note: what a reader has to know.
+        marked: by method its name with the marks of its footnotes.
+        footnotes: of the methods.
+        differences: by pair, condition and IoU, in this order.
+    """
+
+    title: str
+    note: str
+    marked: Mapping[str, str]
+    footnotes: tuple[str, ...]
+    differences: tuple[Difference, ...]
+
+    def markdown(self) -> str:
+        """Return the title, the table with what excludes 0 in bold, what is resolved, the footnotes and the note."""
+        rows = [list(_HEADS), ["---", "---", *("---:" for _ in _HEADS[2:])]]
+        for start in range(0, len(self.differences), len(IOUS)):
+            group = self.differences[start : start + len(IOUS)]
+            cells = [text for one in group for text in _texts(one)]
+            rows.append([self._pair(group[0]), _titled(group[0].condition), *cells])
+        parts = [f"**{self.title}**", markdown_table(rows), self.claims(), *self.footnotes, self.note]
+        return "\n\n".join(parts) + "\n"
+
+    def csv(self) -> str:
+        """Return CSV with a line per difference, unscaled; unknown numbers are empty."""
+        text = io.StringIO()
+        listed = [one.listed() for one in self.differences]
+        writer = csv.DictWriter(text, list(listed[0]) if listed else [], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(listed)
+        return text.getvalue()
+
+    def claims(self) -> str:
+        """Return in a sentence which differences both intervals resolve."""
+        found: dict[str, list[str]] = {}
+        for one in self.differences:
+            if one.resolved:
+                what = f"{_titled(one.condition)} at {one.iou:g} ({_signed(one.value.mean)})"
+                found.setdefault(self._pair(one), []).append(what)
+        if not found:
+            return "No difference is resolved: of each of them at least one interval holds 0 or is unknown."
+        told = "; ".join(f"{pair}: {', '.join(several)}" for pair, several in found.items())
+        return f"Resolved, both intervals exclude 0: {told}. No other difference is."
+
+    def _pair(self, one: Difference) -> str:
+        return f"{self.marked[one.method]} − {self.marked[one.baseline]}"
+
+
+def difference_table(view: View, pairs: Sequence[DifferenceSpec], drives: Sequence[int]) -> DifferenceTable:
+    """Return the differences of pairs of methods in clean frames, under each corruption, in their mean and in mCE.
+
+    Args:
+        view: the rows, with the detections of the pairs' methods.
+        pairs: methods and their baselines.
+        drives: (D,) evaluated frames of each drive; one without any is none.
+    """
+    drives = [frames for frames in drives if frames]
+    methods = list(dict.fromkeys(name for pair in pairs for name in (pair.method, pair.baseline)))
+    by_frame = _resampled(view, methods, np.arange(sum(drives)))
+    by_drive = _resampled(view, methods, np.repeat(np.arange(len(drives)), drives))
+    found = tuple(one for pair in pairs for one in _differences(view, pair, by_frame, by_drive))
+    note = (
+        f"Method less baseline, points of average precision in bird's-eye view, sorted over all frames. {view.level} "
+        f"mCE: share of the clean AP lost, less is better. In brackets the {LEVEL:.0%} interval of {RESAMPLES} "
+        f"resamples of {sum(drives)} frames and of {len(drives)} drives (percentile bootstrap): both methods on the "
+        f"same resamples, AP computed anew in each. Bold: the interval excludes 0, as one of twenty does by chance; of "
+        f"a difference, both do. Frames of one drive are alike, so the interval by frame is too narrow for other "
+        f"drives; of few drives that by drive is, too. The trainings of a method are averaged in each resample, so "
+        f"what another training would change is in neither interval; where the seeds of both methods are the same, ± "
+        f"is the standard deviation of the difference between seeds.{made_of(view, methods, spread=False)}"
+    )
+    marked = {name: view.marked(name, name) for name in methods}
+    return DifferenceTable(f"Differences, {view.titled}", note, marked, view.footnotes(methods), found)
+
+
+def _differences(
+    view: View, pair: DifferenceSpec, by_frame: Mapping[str, _Metrics], by_drive: Mapping[str, _Metrics]
+) -> list[Difference]:
+    """Return the differences of a pair, by condition and IoU, from the metrics of its methods in all resamples."""
+    names = (pair.method, pair.baseline)
+    orders = _orders([one.seed for one in view.trained[name]] for name in names)
+    listed = []
+    for condition in by_frame[pair.method]:
+        for k, iou in enumerate(IOUS):
+            frame, drive = ([metrics[name][condition][:, k] for name in names] for metrics in (by_frame, by_drive))
+            values, values_by_drive = (a.mean(axis=0) - b.mean(axis=0) for a, b in (frame, drive))
+            spread = math.nan
+            if orders is not None:
+                each = [training[order, 0] for training, order in zip(frame, orders, strict=True)]
+                spread = Stat.of(list(each[0] - each[1])).spread
+            value = Stat(float(values[0]), spread)
+            bounds = (percentile_interval(values[1:]), percentile_interval(values_by_drive[1:]))
+            listed.append(Difference(*names, condition, iou, value, *bounds))
+    return listed
+
+
+def _orders(seeds: Iterable[list[int | None]]) -> list[NDArray[np.intp]] | None:
+    """Return for two methods the order of their trainings by seed; None where they have other seeds or unknown ones."""
+    known = [np.array([math.nan if seed is None else seed for seed in own], np.float64) for own in seeds]
+    orders = [np.argsort(own, kind="stable") for own in known]
+    ordered = [own[order] for own, order in zip(known, orders, strict=True)]
+    return orders if np.array_equal(ordered[0], ordered[1]) else None
+
+
+def _resampled(view: View, methods: Sequence[str], group: NDArray[np.int64]) -> dict[str, _Metrics]:
+    """Return the metrics of methods in the sample itself, then in its resamples.
+
+    Args:
+        view: the rows.
+        methods: names.
+        group: see `draw_weights`. A single frame or drive, drawn from itself, would always be the same: no resample of
+            it has a defined metric.
+    """
+    drawn = draw_weights(group, RESAMPLES, np.random.default_rng(SEED))
+    if len(np.unique(group)) < 2:
+        drawn = np.zeros_like(drawn)
+    weights = np.concatenate([np.ones((1, len(group)), np.float32), drawn])
+    return {method: _metrics(view, method, weights) for method in methods}
+
+
+def _metrics(view: View, method: str, weights: NDArray[np.float32]) -> _Metrics:
+    """Return the metrics of a method in resamples of (R, F) weights."""
+    found = {
+        kind: np.stack([average_precisions(e.hits, weights) for e in view.found(method, kind) if e.hits is not None])
+        for kind in (CLEAN, *view.kinds())
+    }
+    if view.kinds():
+        clean, corrupted = found[CLEAN], np.stack([found[kind] for kind in view.kinds()])
+        lost = np.divide(clean - corrupted, clean, out=np.full(corrupted.shape, math.nan), where=clean > 0)
+        found |= {MEAN_CORRUPTED: corrupted.mean(axis=0), MCE: lost.mean(axis=0)}
+    return found
+
+
+def _titled(condition: str) -> str:
+    title = condition_title(condition)
+    return title if condition == MCE else title.capitalize()
+
+
+def _signed(value: float) -> str:
+    return "-" if math.isnan(value) else f"{100 * value:+.1f}"
+
+
+def _texts(one: Difference) -> tuple[str, str, str]:
+    """Return a difference and its intervals as people read them."""
+    spread = "" if math.isnan(one.value.spread) else f" ± {100 * one.value.spread:.1f}"
+    value = f"{_signed(one.value.mean)}{spread}"
+    return f"**{value}**" if one.resolved else value, _bounds(one.by_frame), _bounds(one.by_drive)
+
+
+def _bounds(interval: Interval) -> str:
+    if math.isnan(interval.low):
+        return "-"
+    text = f"[{_signed(interval.low)}, {_signed(interval.high)}]"
+    return f"**{text}**" if interval.excludes_zero else text

@@ -1,0 +1,376 @@
+"""Batch: samples turned into the tensors that a network and its losses read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import msgspec
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dsrc.data.sample import Sample
+from dsrc.models.fusion.base import Company
+from dsrc.models.inputs.labels import Labels, cells_in_boxes
+from dsrc.models.inputs.teacher import TeacherClouds, teacher_clouds
+from dsrc.models.layers.encoder import Pillars
+from dsrc.models.layers.reconstruction import Scene
+from dsrc.models.settings import ModelSettings
+from dsrc.ops.anchors import anchor_grid
+from dsrc.ops.coding import REFERENCE_ORDER
+from dsrc.ops.grid import GridSpec
+from dsrc.ops.pillars import grid_shape, voxelise
+from dsrc.ops.targets import assign_targets
+from sim.boxes import Boxes
+from sim.geometry import invert, transform_points
+
+# Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
+
+_POSITIVE_IOU = 0.5
+"""True overlap of an anchor that is responsible for a box; about the 0.6 of the released code, whose overlap adds a
+metre to every side."""
+
+
+_LABELS = Labels()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """What the heads should say.
+
+    Attributes:
+        positive: (B, h, w, 2) bool anchors that are responsible for a box.
+        regression: (B, h, w, 14) float32 residuals of their boxes.
+    """
+
+    positive: Tensor
+    regression: Tensor
+
+    def to(self, device: torch.device | str) -> "Targets":
+        """Move to a device."""
+        return Targets(self.positive.to(device), self.regression.to(device))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """B samples with N agents in all.
+
+    Attributes:
+        keys: (B,) keys of the samples.
+        agents: (B,) number of agents of each sample; their clouds are consecutive, ego first.
+        lost: (N, h, w) bool tiles of the agents' feature maps that did not arrive; None when all did.
+        roadside: (N,) bool whether an agent is a roadside unit, which has a negative id.
+        pairwise: (B, L, L, 4, 4) `[b, i, j]` maps points of agent i's frame to agent j's, m; None when all clouds are
+            in the ego's frame.
+        grid: of all clouds.
+        boxes: (B,) ground truth.
+        student: pillars of what the sensors saw; None for a teacher's batch.
+        targets: None outside training, like all that follows.
+        teacher: pillars of the teacher's clouds, None when nothing is distilled.
+        foreground: (N, H, W) bool cells with a point on one of the agent's objects, None without teacher.
+        scene: the reconstruction's target, None when it is off.
+        objects: pillars of the agents' objects alone, for a teacher whose norms see them too; None for others.
+        view: pillars of the corrupted view of the samples; None where the student has that, or no sample has one.
+    """
+
+    keys: tuple[str, ...]
+    agents: tuple[int, ...]
+    boxes: tuple[Boxes, ...]
+    student: Pillars | None
+    lost: Tensor | None = None
+    roadside: Tensor | None = None
+    pairwise: Tensor | None = None
+    grid: GridSpec = field(default_factory=GridSpec)
+    targets: Targets | None = None
+    teacher: Pillars | None = None
+    foreground: Tensor | None = None
+    scene: Scene | None = None
+    objects: Pillars | None = None
+    view: Pillars | None = None
+
+    @property
+    def company(self) -> Company:
+        """Whose clouds they are."""
+        low, high = np.array(self.grid.range_m[:2]), np.array(self.grid.range_m[3:5])
+        extent, centre = (high - low).tolist(), ((high + low) / 2).tolist()
+        return Company(self.agents, self.lost, self.roadside, None, self.pairwise, tuple(extent), tuple(centre))
+
+    def to(self, device: torch.device | str) -> "Batch":
+        """Move the tensors to a device."""
+        if torch.device(device).type == "cpu":
+            return self
+        moved: dict[str, Any] = {
+            name: part.to(device) for name in _TENSORS if (part := getattr(self, name)) is not None
+        }
+        return replace(self, **moved)
+
+
+_TENSORS = ("student", "lost", "roadside", "pairwise", "teacher", "foreground", "targets", "scene", "objects", "view")
+
+
+def collate(
+    samples: Sequence[Sample],
+    settings: ModelSettings,
+    training: bool,
+    labels: Labels = _LABELS,
+    objects: bool = False,
+    both_views: bool = False,
+) -> Batch:
+    """Turn samples into a batch.
+
+    Args:
+        samples: each with its clouds already cropped to the grid's range.
+        settings: of the network that will read the batch. A teacher's batch has no student pillars; a student's has
+            the teacher's clouds too, in training, when its settings distil.
+        training: make targets and everything else that needs ground truth.
+        labels: how it is made of the ground truth.
+        objects: in training, the teacher's norms see the clouds of its objects too.
+        both_views: make the student's pillars of the clean clouds and `view` of the corrupted ones; else a sample's
+            corrupted clouds take the place of its clean ones.
+    """
+    if training and labels.max_pillars is not None:
+        settings = msgspec.structs.replace(settings, max_pillars=min(labels.max_pillars, settings.max_pillars))
+    whole = [(part, sample) for sample in samples for part in heard(sample, settings)]
+    samples = [part for part, _ in whole]
+    for_teacher = settings.role == "teacher"
+    clean = [cloud for sample in samples for cloud in sample.clouds]
+    corrupted = [cloud for sample in samples for cloud in sample.corrupted or sample.clouds]
+    two = both_views and not for_teacher and any(sample.corrupted for sample in samples)
+    batch = Batch(
+        keys=tuple(sample.key for sample in samples),
+        agents=tuple(len(sample.clouds) for sample in samples),
+        boxes=tuple(sample.boxes for sample in samples),
+        student=None if for_teacher else _sent(clean if both_views else corrupted, samples, settings),
+        view=_sent(corrupted, samples, settings) if two else None,
+        lost=_lost(samples),
+        pairwise=_pairwise(samples) if settings.own_frame else None,
+        grid=settings.grid,
+        roadside=torch.tensor([agent < 0 for sample in samples for agent in sample.agent_ids]),
+    )
+    if for_teacher or (training and settings.distils):
+        views = [
+            teacher_clouds(part, labels.inside, settings.sdd, settings.pcp, _unheard(part, sample, settings))
+            for part, sample in whole
+        ]
+        batch = replace(batch, teacher=_painted_pillars([c for view in views for c in view.clouds], settings))
+        if training and objects:
+            clouds = [cloud for view in views for cloud in view.object_clouds]
+            batch = replace(batch, objects=_painted_pillars(clouds, settings))
+        if not for_teacher:
+            by_points = labels.foreground == "points"
+            boxes = [own for sample in samples for own in sample.agent_boxes]
+            mask = _cells_with_points(views, settings.grid) if by_points else cells_in_boxes(boxes, settings.grid)
+            batch = replace(batch, foreground=torch.from_numpy(mask))
+    if not training:
+        return batch
+    scene = None
+    if settings.rec and not for_teacher:
+        # All agents' scene, also where the student hears few of them: its target is what they saw together.
+        merged = [np.concatenate([*part.clouds, *_unheard(part, sample, settings)]) for part, sample in whole]
+        scene = scene_of(merged, settings)
+    return replace(batch, targets=_targets(samples, settings, labels), scene=scene)
+
+
+def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
+    """Return the samples that a network of this fusion makes of one sample.
+
+    Most take up to `max_agents` agents, `none` the ego alone; `early` joins the agents' clouds into one, the ego's
+    first; and `late` makes each agent's cloud a sample of its own with the boxes that it annotated.
+    """
+    if settings.fusion == "early":
+        seen = sample.corrupted[: settings.max_agents]
+        return [
+            replace(
+                _select(sample, slice(0, 1), sample.boxes),
+                clouds=(np.concatenate(sample.clouds[: settings.max_agents]),),
+                corrupted=(np.concatenate(seen),) if seen else (),
+                agent_boxes=(sample.boxes,),
+            )
+        ]
+    if settings.fusion == "late":
+        return [
+            _select(sample, slice(row, row + 1), sample.agent_boxes[row])
+            for row in range(min(len(sample.clouds), settings.max_agents))
+        ]
+    count = 1 if settings.fusion == "none" else settings.max_agents
+    return [_select(sample, slice(0, count), sample.boxes)]
+
+
+def _unheard(part: Sample, whole: Sample, settings: ModelSettings) -> list[NDArray[np.float32]]:
+    """Return the clouds of the agents that are not in a part of a sample: a lone student's teacher has them still."""
+    joined = whole.agent_ids[: settings.max_agents] if settings.fusion == "early" else part.agent_ids
+    others = [cloud for agent, cloud in zip(whole.agent_ids, whole.clouds, strict=True) if agent not in joined]
+    return [*others, *whole.unheard]
+
+
+def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:
+    return replace(
+        sample,
+        agent_ids=sample.agent_ids[rows],
+        clouds=sample.clouds[rows],
+        ego_from_agent=sample.ego_from_agent[rows],
+        boxes=boxes,
+        agent_boxes=sample.agent_boxes[rows],
+        lost=sample.lost[rows],
+        corrupted=sample.corrupted[rows],
+    )
+
+
+def _sent(clouds: Sequence[NDArray[np.float32]], samples: Sequence[Sample], settings: ModelSettings) -> Pillars:
+    """Return the pillars of all samples' clouds, each in the frame in which its agent encodes it."""
+    if settings.own_frame:
+        poses = [pose for sample in samples for pose in sample.ego_from_agent]
+        clouds = [_moved(cloud, invert(pose), settings.grid) for cloud, pose in zip(clouds, poses, strict=True)]
+    return pillars_of(clouds, settings)
+
+
+def _moved(cloud: NDArray[np.float32], move: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
+    """Return the points of a cloud in another frame, those in range there."""
+    points = transform_points(move, cloud[:, :3])
+    low, high = np.array(grid.range_m[:3], np.float32), np.array(grid.range_m[3:], np.float32)
+    inside = ((points > low) & (points < high)).all(axis=1)
+    return np.concatenate([points, cloud[:, 3:]], axis=1)[inside].astype(np.float32)
+
+
+def _pairwise(samples: Sequence[Sample]) -> Tensor:
+    """Return (B, L, L, 4, 4) the transforms between agents' frames; the identity for absent ones."""
+    most = max(len(sample.clouds) for sample in samples)
+    between = np.tile(np.eye(4), (len(samples), most, most, 1, 1))
+    for row, sample in enumerate(samples):
+        poses = sample.ego_from_agent
+        for i, pose in enumerate(poses):
+            for j, other in enumerate(poses):
+                between[row, i, j] = invert(other) @ pose
+    return torch.from_numpy(between)
+
+
+def _lost(samples: Sequence[Sample]) -> Tensor | None:
+    """Return (N, h, w) the lost tiles of all samples' agents."""
+    shape = next((part.shape for sample in samples for part in sample.lost if part.size), None)
+    if shape is None:
+        return None
+    none = np.zeros(shape, bool)
+    parts = [part if part.size else none for s in samples for part in s.lost or (none,) * len(s.clouds)]
+    return torch.from_numpy(np.stack(parts))
+
+
+def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Pillars:
+    """Sort the points of (P, D) clouds into pillars."""
+    points, rows, coords, counts = [], [], [], []
+    start = 0
+    for number, cloud in enumerate(clouds):
+        order, cells, count = _sorted(cloud, settings)
+        points.append(cloud.take(order, axis=0))
+        rows.append(np.repeat(np.arange(start, start + len(count)), count))
+        counts.append(count)
+        coords.append(np.concatenate([np.full((len(cells), 1), number), cells], axis=1))
+        start += len(count)
+    return Pillars(
+        points=torch.from_numpy(np.concatenate(points).astype(np.float32, copy=False)),
+        pillar=torch.from_numpy(np.concatenate(rows)),
+        coords=torch.from_numpy(np.concatenate(coords).astype(np.int64, copy=False)),
+        count=torch.from_numpy(np.concatenate(counts)),
+        clouds=len(clouds),
+    )
+
+
+def _sorted(
+    cloud: NDArray[np.float32], settings: ModelSettings
+) -> tuple[NDArray[np.int64], NDArray[np.integer], NDArray[np.int64]]:
+    """Return (K,) points, pillar by pillar, and the pillars' (V, 2) rows and columns and (V,) numbers of points."""
+    grid = settings.grid
+    cell = (grid.cell_m, grid.cell_m, grid.range_m[5] - grid.range_m[2])
+    try:
+        from dsrc.data import kernel
+    except ImportError:
+        voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
+        return voxels.order, voxels.coords_zyx[:, 1:], voxels.count
+    low, size = np.array(grid.range_m[:3], np.float32), np.array(cell, np.float32)
+    shape = grid_shape(grid.range_m, cell)
+    cloud = np.asarray(cloud, np.float32)
+    order, cells, count = kernel.sort_voxels(cloud, low, size, shape, settings.max_points, settings.max_pillars)
+    return order, np.stack(np.divmod(cells, shape[0]), axis=1), count
+
+
+def _painted_pillars(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Pillars:
+    features = 5 if settings.pcp else 4
+    return pillars_of([cloud[:, :features] for cloud in clouds], settings)
+
+
+def _cells_with_points(views: list[TeacherClouds], grid: GridSpec) -> NDArray[np.bool_]:
+    """Return (N, H, W) the cells with a point on one of the agent's objects."""
+    objects = [cloud for view in views for cloud in view.object_clouds]
+    mask = np.zeros((len(objects), grid.height, grid.width), bool)
+    for row, cloud in enumerate(objects):
+        column_x, row_y, _ = _cells(cloud, grid, grid.cell_m)
+        mask[row, row_y, column_x] = True
+    return mask
+
+
+def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Scene:
+    """Voxelise B merged (M, 4) clouds: the occupied voxels and the mean of all their points."""
+    grid, cell_z = settings.grid, settings.reconstruction_cell_z_m
+    voxels, offsets = [], []
+    for number, cloud in enumerate(merged):
+        cells, count, sums = _summed(cloud, grid, cell_z)
+        zyx = np.stack(np.unravel_index(cells, (settings.reconstruction_bins, grid.height, grid.width)), axis=1)
+        size = np.array([grid.cell_m, grid.cell_m, cell_z])
+        centre = (zyx[:, ::-1] + 0.5) * size + np.array(grid.range_m[:3])
+        voxels.append(np.concatenate([np.full((len(cells), 1), number), zyx], axis=1))
+        offsets.append(sums / count[:, None] - centre)
+    return Scene(
+        torch.from_numpy(np.concatenate(voxels).astype(np.int64)),
+        torch.from_numpy(np.concatenate(offsets).astype(np.float32)),
+        len(merged),
+    )
+
+
+def _summed(
+    cloud: NDArray[np.float32], grid: GridSpec, cell_z: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return the (V,) flat cells with points, ascending, how many each has and the (V, 3) sums of these."""
+    try:
+        from dsrc.data import kernel
+    except ImportError:
+        x, y, z = _cells(cloud, grid, cell_z)
+        cells, row, count = np.unique((z * grid.height + y) * grid.width + x, return_inverse=True, return_counts=True)
+        return cells, count, np.stack([np.bincount(row, cloud[:, k], len(cells)) for k in range(3)], axis=1)
+    layers = round((grid.range_m[5] - grid.range_m[2]) / cell_z)
+    size, shape = np.array([grid.cell_m, grid.cell_m, cell_z]), np.array([grid.width, grid.height, layers])
+    return kernel.sum_cells(np.asarray(cloud, np.float32), np.array(grid.range_m[:3]), size, shape)
+
+
+def _cells(
+    cloud: NDArray[np.float32], grid: GridSpec, cell_z: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the (P,) columns, rows and layers of points in range; one on the far face stays in the last cell."""
+    size = (grid.cell_m, grid.cell_m, cell_z)
+    cells = []
+    for axis in range(3):
+        place = cloud[:, axis].astype(np.float64)
+        place -= grid.range_m[axis]
+        place /= size[axis]
+        last = round((grid.range_m[axis + 3] - grid.range_m[axis]) / size[axis]) - 1
+        # What is clipped is not negative: cutting off its fraction rounds it down.
+        cells.append(np.clip(place, 0, last, out=place).astype(np.int64))
+    return cells[0], cells[1], cells[2]
+
+
+@lru_cache(maxsize=4)
+def _anchors(grid: GridSpec) -> NDArray[np.float64]:
+    return anchor_grid(grid)
+
+
+def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: Labels) -> Targets:
+    """Assign every sample's boxes to anchors."""
+    grid = settings.grid
+    legacy = labels.targets == "released"
+    found = [assign_targets(sample.boxes.array, _anchors(grid), _POSITIVE_IOU, legacy) for sample in samples]
+    regression = np.stack([np.asarray(t.regression, np.float32) for t in found])
+    if settings.box_order == "hwl":
+        regression = regression.reshape(*regression.shape[:3], 2, 7)[..., REFERENCE_ORDER].reshape(regression.shape)
+    return Targets(
+        torch.from_numpy(np.stack([np.asarray(t.positive, bool) for t in found])), torch.from_numpy(regression)
+    )

@@ -1,0 +1,181 @@
+"""The pillar encoder: points to a dense bird's-eye feature map.
+
+It works on the real points only (P rows and the pillar that each belongs to), never on the (pillars, 32, channels)
+block of padded slots that the published implementations allocate; what those slots do to the batch norm and to the
+maximum is a closed expression (`padded_slots`).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from dsrc.models.settings import ModelSettings
+from dsrc.ops.grid import GridSpec
+
+# Legend: P points, V pillars, N clouds, D point features, C channels, H W grid.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pillars:
+    """The points of N clouds, sorted into pillars.
+
+    Attributes:
+        points: (P, D) float32 x, y, z, intensity(, paint) in the ego LiDAR's frame; only points that were kept.
+        pillar: (P,) int64 row of the point's pillar, ascending.
+        coords: (V, 3) int64 cloud, row (y) and column (x) of the pillar.
+        count: (V,) int64 points in the pillar, at least 1.
+        clouds: N, also where the last clouds are empty.
+    """
+
+    points: Tensor
+    pillar: Tensor
+    coords: Tensor
+    count: Tensor
+    clouds: int
+
+    def to(self, device: torch.device | str) -> "Pillars":
+        """Move to a device."""
+        moved = {name: getattr(self, name).to(device) for name in ("points", "pillar", "coords", "count")}
+        return replace(self, **moved)
+
+
+class SlotNorm(nn.BatchNorm1d):
+    """Batch norm of a linear layer's output, which it never looks at: the input's moments say the same.
+
+    The moments are (D,) and (D, D), D = 10 or 11, whatever the number of points, and gradients flow through them to
+    the layer's weight. Rows of zeros that stand for padded slots enter as a count.
+    """
+
+    def scale_shift(self, x: Tensor, weight: Tensor, zeros: int = 0) -> tuple[Tensor, Tensor]:
+        """Return the (C,) scale and shift that normalise `x @ weight.T`; in training, update the statistics.
+
+        Args:
+            x: (P, D) rows, without gradient.
+            weight: (C, D) of the linear layer.
+            zeros: further rows of zeros to count.
+        """
+        mean, variance = self.running_mean, self.running_var
+        if mean is None or variance is None:
+            raise ValueError("SlotNorm needs running statistics")
+        if self.training:
+            n = len(x) + zeros
+            centre, spread = _moments(x, zeros)
+            mean = weight @ centre
+            variance = ((weight @ spread) * weight).sum(1)
+            self._update(mean.detach(), variance.detach(), n)
+        scale = self.weight * torch.rsqrt(variance + self.eps)
+        return scale, self.bias - mean * scale
+
+    def _update(self, mean: Tensor, variance: Tensor, n: int) -> None:
+        momentum = float(self.momentum or 0.0)
+        self.running_mean.lerp_(mean, momentum)  # type: ignore[union-attr]
+        self.running_var.lerp_(variance * (n / max(n - 1, 1)), momentum)  # type: ignore[union-attr]
+        self.num_batches_tracked.add_(1)  # type: ignore[union-attr]
+
+
+def _moments(x: Tensor, zeros: int) -> tuple[Tensor, Tensor]:
+    """Return the (D,) mean and (D, D) covariance of rows and zero rows; centred first, so float32 is enough."""
+    n = len(x) + zeros
+    mean = x.sum(0, dtype=torch.float64) / n
+    centred = x - mean.to(x.dtype)
+    spread = (centred.T @ centred).double() + zeros * torch.outer(mean, mean)
+    return mean.to(x.dtype), (spread / n).to(x.dtype)
+
+
+def _linear_max(x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> tuple[Tensor, Tensor]:
+    """Return the (P, C) values of a linear layer and their (V, C) maximum per pillar."""
+    values = x @ weight.T
+    start = values.new_full((n_pillars, len(weight)), -torch.inf)
+    return values, start.scatter_reduce(0, pillar[:, None].expand_as(values), values, "amax", include_self=False)
+
+
+class _LinearMax(torch.autograd.Function):
+    """A linear layer and the maximum per pillar in one: the backward pass needs no (P, C) index arithmetic.
+
+    Where two points of a pillar share a maximum, both get its gradient.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> Tensor:
+        values, best = _linear_max(x, weight, pillar, n_pillars)
+        ctx.save_for_backward(x, values, best, pillar)
+        return best
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None, None]:
+        x, values, best, pillar = ctx.saved_tensors
+        passed_over = values != best.index_select(0, pillar)
+        gradient = gradients[0].index_select(0, pillar).masked_fill_(passed_over, 0.0)
+        # Ten times faster on CPUs than its transpose.
+        return None, (x.T @ gradient).T, None, None
+
+
+class PillarEncoder(nn.Module):
+    """Points to (N, C, H, W): one linear layer per point, batch norm, ReLU, maximum per pillar, scatter.
+
+    Per point it sees x, y, z, intensity(, paint), the offset to the mean of the pillar's points and the offset to the
+    pillar's centre. Source: PointPillars, arXiv 1812.05784; eps and momentum as in the released DSRC code.
+    """
+
+    def __init__(self, settings: ModelSettings) -> None:
+        super().__init__()
+        self.grid: GridSpec = settings.grid
+        self.max_points = settings.max_points
+        self.padded_slots = settings.padded_slots
+        self.linear = nn.Linear(settings.point_features + 6, settings.pillar_channels, bias=False)
+        self.norm = SlotNorm(settings.pillar_channels, eps=1e-3, momentum=settings.norm_momentum)
+
+    def forward(self, pillars: Pillars) -> Tensor:
+        """Return the (N, C, H, W) feature map; cells without points are zero."""
+        # The norm's statistics and the offsets of points need all digits, and this is no matrix work to speak of.
+        with torch.autocast(pillars.points.device.type, enabled=False):
+            return self.scatter(self.features(pillars), pillars)
+
+    def features(self, pillars: Pillars) -> Tensor:
+        """Return (V, C) features of the pillars."""
+        n_pillars = pillars.coords.shape[0]  # which an export may leave open, and `len` not
+        if n_pillars == 0:
+            return pillars.points.new_zeros((0, self.linear.out_features))
+        points = self.augment(pillars)
+        zeros = n_pillars * self.max_points - points.shape[0] if self.padded_slots else 0
+        weight = self.linear.weight
+        scale, shift = self.norm.scale_shift(points, weight, zeros)
+        # The norm grows or falls monotonically per channel: take the extreme first, normalise V rows and not P.
+        sign = torch.where(scale < 0, -1.0, 1.0).detach()
+        parts = points, weight * sign[:, None], pillars.pillar, n_pillars
+        x_vc = (_LinearMax.apply(*parts) if torch.is_grad_enabled() else _linear_max(*parts)[1]) * sign
+        x_vc = torch.addcmul(shift, x_vc, scale)
+        if self.padded_slots:
+            # Where a zero row pads the pillar, the maximum also sees the norm of zero, which is the shift.
+            padded = (pillars.count < self.max_points)[:, None]
+            x_vc = torch.where(padded, torch.maximum(x_vc, shift), x_vc)
+        return torch.relu(x_vc)
+
+    def augment(self, pillars: Pillars) -> Tensor:
+        """Return (P, D + 6): the points with their offsets to the pillar's mean and centre."""
+        xyz, rows = pillars.points[:, :3], pillars.pillar
+        total = xyz.new_zeros((pillars.coords.shape[0], 3)).index_add_(0, rows, xyz)
+        mean = total / pillars.count[:, None]
+        low, cell = self.grid.range_m, self.grid.cell_m
+        centre = torch.stack(
+            [
+                pillars.coords[:, 2] * cell + (low[0] + cell / 2),
+                pillars.coords[:, 1] * cell + (low[1] + cell / 2),
+                torch.full((mean.shape[0],), (low[2] + low[5]) / 2, device=xyz.device),
+            ],
+            dim=1,
+        ).to(xyz.dtype)
+        reference = torch.cat([mean, centre], dim=1)[rows]
+        return torch.cat([pillars.points, xyz - reference[:, :3], xyz - reference[:, 3:]], dim=1)
+
+    def scatter(self, features: Tensor, pillars: Pillars) -> Tensor:
+        """Place (V, C) features on the (N, C, H, W) grid."""
+        height, width = self.grid.height, self.grid.width
+        cloud, row, column = pillars.coords.unbind(1)
+        cell = (cloud * height + row) * width + column
+        dense = features.new_zeros((pillars.clouds * height * width, features.shape[1]))
+        dense.index_copy_(0, cell, features)
+        # (N, H, W, C) seen as (N, C, H, W): already the memory order that CPU convolutions like best.
+        return dense.view(pillars.clouds, height, width, -1).permute(0, 3, 1, 2)

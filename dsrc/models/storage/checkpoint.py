@@ -1,0 +1,143 @@
+"""Detector files: weights, settings and where they came from, loadable without running code from the file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+from msgspec.structs import replace
+
+from dsrc.models.detector import Detector
+from dsrc.models.settings import Fusion, ModelSettings
+from dsrc.models.storage.deploy import ENGINES
+from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
+
+FORMAT = "dsrc-detector-1"
+
+
+def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None = None, half: bool = True) -> None:
+    """Write a detector file, whole or not at all.
+
+    Args:
+        path: the file.
+        detector: its weights and settings are kept, nothing else.
+        meta: where the weights came from; what is not a plain value is kept as text.
+        half: store floats in half precision: half the size, and differences far below those of two trainings.
+    """
+    state = {name: _stored(tensor, half) for name, tensor in detector.state_dict().items()}
+    content = {"format": FORMAT, "settings": msgspec.to_builtins(detector.settings), "state": state}
+    content["meta"] = msgspec.to_builtins(dict(meta or {}), enc_hook=str)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    torch.save(content, temporary)
+    temporary.replace(path)
+
+
+def load_detector(path: Path, device: str = "cpu") -> Detector:
+    """Read a detector file; the detector is in evaluation mode and in full precision.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, no detector, or of another version of the network.
+    """
+    content = _content(Path(path))
+    try:
+        settings = msgspec.convert(content["settings"], ModelSettings)
+        detector = Detector(settings)
+    except (KeyError, msgspec.ValidationError, ValueError, TypeError, RuntimeError) as error:
+        raise CheckpointError(complaint(path, "settings", "those of a detector", str(error))) from None
+    state = content.get("state")
+    wanted = detector.state_dict()
+    if not isinstance(state, dict) or set(state) != set(wanted):
+        name = next(iter(sorted(set(wanted) ^ set(state if isinstance(state, dict) else {}))))
+        raise CheckpointError(complaint(path, "state", "the tensors of its settings", f"{name} missing or too many"))
+    for name, tensor in wanted.items():
+        shape = tuple(getattr(state[name], "shape", (-1,)))
+        if shape != tuple(tensor.shape):
+            raise CheckpointError(complaint(path, f"state.{name}", f"shape {tuple(tensor.shape)}", shape))
+        if tensor.is_floating_point() and not bool(torch.isfinite(state[name]).all()):
+            raise CheckpointError(complaint(path, f"state.{name}", "finite numbers", "NaN or infinity"))
+    detector.load_state_dict({name: state[name].to(tensor.dtype) for name, tensor in wanted.items()})
+    return detector.to(device).eval()
+
+
+def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Detector:
+    """Read a detector file for use without ground truth; the detector is made fast, see `dsrc.models.storage.deploy`.
+
+    Args:
+        path: the file.
+        device: where it computes.
+        engine: one of `ENGINES`.
+
+    Raises:
+        CheckpointError: as `load_detector`, or the file holds a teacher.
+        SettingsError: there is no such engine, or not on this machine.
+    """
+    if engine not in ENGINES:
+        raise SettingsError(f"engine: unknown '{engine}'{did_you_mean(engine, ENGINES)}")
+    detector = load_detector(path, device)
+    if detector.settings.role != "student":
+        hint = "; a teacher reads clouds that are made with ground truth"
+        raise CheckpointError(complaint(path, "settings.role", "student", detector.settings.role, hint))
+    return ENGINES[engine](detector)
+
+
+def with_fusion(detector: Detector, fusion: Fusion) -> Detector:
+    """Detector of the same weights that joins the agents' maps another way; the given one stays as it is.
+
+    Attention, maximum and none bring no weights: a teacher that was trained on the ego's cloud alone reads all agents'
+    clouds with either of the first two.
+
+    Args:
+        detector: a plain one, as `load_detector` gives it; `deployed` ones have weights of other names.
+        fusion: a key of `FUSIONS`.
+
+    Raises:
+        CheckpointError: the fusion has weights that the detector lacks, or the detector weights that it has no use for.
+    """
+    try:
+        other = Detector(replace(detector.settings, fusion=fusion))
+    except ValueError as error:  # the settings do not go together
+        raise CheckpointError(complaint("detector", "fusion", "one that goes with the settings", str(error))) from None
+    state = detector.state_dict()
+    shapes = {name: tuple(tensor.shape) for name, tensor in state.items()}
+    wanted = {name: tuple(tensor.shape) for name, tensor in other.state_dict().items()}
+    if shapes != wanted:
+        name = min(name for name in shapes.keys() | wanted.keys() if shapes.get(name) != wanted.get(name))
+        expected = f"one with the weights of '{detector.settings.fusion}'"
+        found = f"'{fusion}', where {name} is {wanted.get(name, 'missing')} for {shapes.get(name, 'missing')}"
+        raise CheckpointError(complaint("detector", "fusion", expected, found))
+    other.load_state_dict(state)
+    return other.to(detector.cls_head.weight.device).train(detector.training)
+
+
+def read_meta(path: Path) -> dict[str, Any]:
+    """Return where a detector file's weights came from.
+
+    Raises:
+        CheckpointError: the file is missing, damaged or no detector.
+    """
+    meta = _content(Path(path)).get("meta", {})
+    if not isinstance(meta, dict):
+        raise CheckpointError(complaint(path, "meta", "what a training has written", type(meta).__name__))
+    return meta
+
+
+def _content(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such checkpoint file")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception:  # of bytes that are no pickle, torch's reader says so by whatever error it runs into
+        raise CheckpointError(complaint(path, "file", f"a {FORMAT} checkpoint", "something else or damaged")) from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = content.get("format", "none") if isinstance(content, dict) else type(content).__name__
+        hint = "; the deployable file of a training is its detector.pt"
+        raise CheckpointError(complaint(path, "format", FORMAT, found, hint))
+    return content
+
+
+def _stored(tensor: torch.Tensor, half: bool) -> torch.Tensor:
+    tensor = tensor.detach().cpu().contiguous()
+    # Vectors stay: they are small, and a running variance can exceed what half precision holds.
+    return tensor.half() if half and tensor.is_floating_point() and tensor.ndim > 1 else tensor

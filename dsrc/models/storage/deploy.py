@@ -1,0 +1,271 @@
+"""A detector made fast for use: the same numbers up to rounding, fewer walks through memory.
+
+On CPUs a plain detector spends half its time between the convolutions. Here batch norms are part of the convolution
+before them, ReLUs and shortcuts part of the one that they follow (oneDNN's fused convolutions), the channel splits of
+Res2Net are convolutions of their own instead of slices that are copied and joined, and every map stays in channels-last
+order, which those convolutions want.
+
+These layers are not trained, and their state dict has other names than a detector's.
+"""
+
+import copy
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from dsrc.models.detector import Detector
+from dsrc.models.layers.backbones import BasicBlock
+from dsrc.models.layers.blocks import Decoder
+from dsrc.models.layers.res2net import Res2Block
+from sim.errors import SettingsError, complaint
+
+_ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
+
+
+def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Detector:
+    """Return a detector for evaluation that gives what this one gives, faster; this one stays as it is.
+
+    Args:
+        detector: the plain one.
+        precision: of matrix products and maps. `torch.bfloat16` keeps 8 bits of the numbers and is nearly three times
+            as fast again on CPUs with matrix units for it (AMX); boxes then move by a centimetre, scores by 0.005.
+    """
+    fast = copy.deepcopy(detector).eval().requires_grad_(False)
+    _fuse_children(fast)
+    for layer in fast.modules():
+        if isinstance(layer, FusedConv):
+            layer.to(precision)
+    fast.precision = precision
+    return fast
+
+
+def compiled(detector: Detector) -> Detector:
+    """Return a detector for evaluation whose convolutions PyTorch's compiler has fused; the first frames take a minute.
+
+    Raises:
+        SettingsError: there is no compiler for code of CPUs.
+    """
+    on_cpu = detector.cls_head.weight.device.type == "cpu"
+    if on_cpu and not any(shutil.which(name) for name in (os.environ.get("CXX", ""), "g++", "clang++", "cl") if name):
+        hint = "; without one, detectors are fused by dsrc.models.storage.deploy.deployed"
+        raise SettingsError(complaint("compile", "C++ compiler", "g++, clang++, cl or what CXX names", "none", hint))
+    fast = copy.deepcopy(detector).eval().requires_grad_(False)
+    for part in (fast.backbone, fast.decoder, fast.shrink):
+        part.compile()
+    return fast
+
+
+ENGINES: dict[str, Callable[[Detector], Detector]] = {
+    "fused": deployed,
+    "bf16": partial(deployed, precision=torch.bfloat16),
+    "compiled": compiled,
+    "plain": lambda detector: detector,
+}
+"""Ways to run a detector, by name."""
+
+
+def _fuse_children(module: nn.Module) -> None:
+    for name, child in module.named_children():
+        setattr(module, name, _fused(child))
+
+
+def _fused(module: nn.Module) -> nn.Module:
+    """Return what takes a layer's place: itself, with fused layers inside, where there is nothing faster."""
+    if isinstance(module, Decoder):
+        return FusedDecoder(module)
+    if isinstance(module, BasicBlock):
+        return FusedBasicBlock(module)
+    if isinstance(module, nn.Sequential):
+        layers = list(module)
+        if layers and all(isinstance(layer, Res2Block) for layer in layers):
+            return FusedStage(layers)  # type: ignore[arg-type]
+        return nn.Sequential(*_fused_layers(layers))
+    _fuse_children(module)
+    return module
+
+
+def _fused_layers(layers: Sequence[nn.Module]) -> list[nn.Module]:
+    """Return the layers of a sequence with each convolution, its batch norm and its ReLU in one."""
+    fused: list[nn.Module] = []
+    left = list(layers)
+    while left:
+        layer = left.pop(0)
+        if not _is_plain(layer):
+            fused.append(_fused(layer))
+            continue
+        norm = left.pop(0) if left and isinstance(left[0], nn.BatchNorm2d) else None
+        relu = bool(left) and isinstance(left[0], nn.ReLU)
+        if relu:
+            left.pop(0)
+        fused.append(FusedConv(*folded(layer, norm), layer.stride[0], layer.padding[0], relu))  # type: ignore[arg-type, union-attr, index]
+    return fused
+
+
+def _is_plain(layer: nn.Module) -> bool:
+    return isinstance(layer, nn.Conv2d) and layer.groups == 1 and layer.dilation == (1, 1)
+
+
+def folded(conv: nn.Conv2d | nn.ConvTranspose2d, norm: nn.BatchNorm2d | None) -> tuple[Tensor, Tensor]:
+    """Return the weight, as the layer has it, and the bias of a convolution that does its batch norm too."""
+    outputs = (-1, 1, 1, 1) if isinstance(conv, nn.Conv2d) else (1, -1, 1, 1)
+    weight, bias = conv.weight, conv.bias if conv.bias is not None else conv.weight.new_zeros(conv.out_channels)
+    if norm is None:
+        return weight.clone(), bias.clone()
+    if norm.running_mean is None or norm.running_var is None:
+        raise ValueError("a batch norm without running statistics cannot be folded")
+    scale = norm.weight * torch.rsqrt(norm.running_var + norm.eps)
+    return weight * scale.view(outputs), (bias - norm.running_mean) * scale + norm.bias
+
+
+class FusedConv(nn.Module):
+    """A convolution that ends with a ReLU or without."""
+
+    weight: Tensor
+    bias: Tensor
+
+    def __init__(self, weight: Tensor, bias: Tensor, stride: int = 1, padding: int = 0, relu: bool = True) -> None:
+        """Make a layer of an (outputs, inputs, k, k) weight and an (outputs,) bias."""
+        super().__init__()
+        self.stride, self.padding, self.relu = stride, padding, relu
+        self.register_buffer("weight", weight.detach().contiguous(memory_format=torch.channels_last))
+        self.register_buffer("bias", bias.detach().contiguous())
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (N, inputs, H, W) to (N, outputs, H', W')."""
+        x, stride, padding = x.to(self.weight.dtype), [self.stride] * 2, [self.padding] * 2
+        if _ONEDNN and x.device.type == "cpu":
+            relu = "relu" if self.relu else "none"
+            return torch.ops.mkldnn._convolution_pointwise(
+                x, self.weight, self.bias, padding, stride, [1, 1], 1, relu, [], ""
+            )
+        y = functional.conv2d(x, self.weight, self.bias, stride, padding)
+        return y.relu_() if self.relu else y
+
+    def add_to(self, out: Tensor, x: Tensor) -> Tensor:
+        """Add the convolution of x to (N, outputs, H, W) in place, and end it with the ReLU, if there is one."""
+        stride, padding = [self.stride] * 2, [self.padding] * 2
+        if _ONEDNN and x.device.type == "cpu":
+            relu = "relu" if self.relu else None
+            return torch.ops.mkldnn._convolution_pointwise_.binary(
+                out, x, self.weight, self.bias, padding, stride, [1, 1], 1, "add", 1.0, relu, [], None
+            )
+        out += functional.conv2d(x, self.weight, self.bias, stride, padding)
+        return out.relu_() if self.relu else out
+
+
+class FusedStage(nn.Module):
+    """A stage of Res2 blocks."""
+
+    def __init__(self, blocks: Sequence[Res2Block]) -> None:
+        """Fuse the blocks of a stage."""
+        super().__init__()
+        self.blocks = nn.ModuleList(FusedRes2Block(block) for block in blocks)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (N, inputs, H, W) to (N, outputs, H', W')."""
+        for block in self.blocks:
+            x = block(x)
+        return x
+
+
+class FusedRes2Block(nn.Module):
+    """A Res2 block: each split's convolutions by themselves, results added up where they meet.
+
+    The first block of a stage leaves its input as it is; the others write their result over it, which nobody but them
+    has seen.
+    """
+
+    def __init__(self, block: Res2Block) -> None:
+        """Fuse a block."""
+        super().__init__()
+        self.first = block.first
+        splits = len(block.convs) + 1
+        weight, bias = folded(block.conv1, block.bn1)
+        parts = zip(weight.chunk(splits), bias.chunk(splits), strict=True)
+        self.enter = nn.ModuleList(FusedConv(*part) for part in parts)
+        self.inner = nn.ModuleList(
+            FusedConv(*folded(conv, norm), conv.stride[0], 1)  # type: ignore[arg-type, index]
+            for conv, norm in zip(block.convs, block.bns, strict=True)
+        )
+        weight, bias = folded(block.conv3, block.bn3)
+        self.shortcut = None
+        if block.downsample is not None:
+            along, shift = folded(*block.downsample)  # type: ignore[arg-type]
+            self.shortcut = FusedConv(along, shift, relu=False)
+        # One bias for all, and one ReLU at the end.
+        nothing = torch.zeros_like(bias)
+        self.leave = nn.ModuleList(
+            FusedConv(part, bias if number == 0 else nothing, relu=number == splits - 1)
+            for number, part in enumerate(weight.chunk(splits, dim=1))
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (N, inputs, H, W) to (N, outputs, H', W')."""
+        entries = [enter(x) for enter in self.enter]
+        out = x if self.shortcut is None else self.shortcut(x[:, :, ::2, ::2])
+        results: list[Tensor] = []
+        for entry, inner in zip(entries[:-1], self.inner, strict=True):
+            results.append(inner(entry if self.first or not results else entry.add_(results[-1])))
+        results.append(functional.avg_pool2d(entries[-1], 3, 2, 1) if self.first else entries[-1])
+        for result, leave in zip(results, self.leave, strict=True):
+            out = leave.add_to(out, result)  # type: ignore[operator]
+        return out
+
+
+class FusedBasicBlock(nn.Module):
+    """A basic residual block."""
+
+    def __init__(self, block: BasicBlock) -> None:
+        """Fuse a block."""
+        super().__init__()
+        self.enter = FusedConv(*folded(block.conv1, block.bn1), block.stride, 1)
+        self.leave = FusedConv(*folded(block.conv2, block.bn2), 1, 1)
+        self.stride = block.stride
+        self.shortcut = None if block.downsample is None else FusedConv(*folded(*block.downsample), relu=False)  # type: ignore[arg-type]
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (N, inputs, H, W) to (N, outputs, H / stride, W / stride)."""
+        # A shortcut of its own is written over; the input itself belongs to others.
+        out = x.clone() if self.shortcut is None else self.shortcut(x[:, :, :: self.stride, :: self.stride])
+        return self.leave.add_to(out, self.enter(x))
+
+
+class FusedDecoder(nn.Module):
+    """The stages side by side at one resolution, each written to where it belongs.
+
+    To bring a cell to s times its resolution is a 1 x 1 convolution to s^2 times as many channels, which are the new
+    cells.
+    """
+
+    def __init__(self, decoder: Decoder) -> None:
+        """Fuse a decoder."""
+        super().__init__()
+        self.layers = nn.ModuleList()
+        self.scales: list[int] = []
+        for layer in decoder:
+            weight, bias = folded(*list(layer.children())[:2])  # type: ignore[arg-type]
+            inputs, outputs, scale, _ = weight.shape
+            cells = weight.permute(2, 3, 1, 0).reshape(scale**2 * outputs, inputs, 1, 1)
+            self.layers.append(FusedConv(cells, bias.repeat(scale**2)))
+            self.scales.append(scale)
+
+    def forward(self, stages: Sequence[Tensor]) -> Tensor:
+        """Return (N, sum of channels, h, w)."""
+        parts = []
+        for layer, scale, stage in zip(self.layers, self.scales, stages, strict=True):
+            cells = layer(stage).permute(0, 2, 3, 1).unflatten(3, (scale, scale, -1))
+            parts.append(cells.permute(0, 1, 3, 2, 4, 5))
+        rows, height, _, width = parts[0].shape[:4]
+        height, width = height * self.scales[0], width * self.scales[0]
+        out = parts[0].new_zeros((rows, height, width, sum(part.shape[-1] for part in parts)))
+        start = 0
+        for part, scale in zip(parts, self.scales, strict=True):
+            place = out.view(rows, height // scale, scale, width // scale, scale, -1)
+            place[..., start : start + part.shape[-1]] = part
+            start += part.shape[-1]
+        return out.permute(0, 3, 1, 2)

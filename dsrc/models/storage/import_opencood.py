@@ -1,0 +1,129 @@
+"""Detector files made of the state dicts that DSRC's published code writes."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from dsrc.models.detector import Detector
+from dsrc.models.settings import ModelSettings
+from dsrc.models.storage.reference_names import detector_state
+from dsrc.ops.grid import GridSpec
+from sim.errors import CheckpointError, complaint
+
+_WRAPPERS = ("state_dict", "model_state_dict", "model")
+_UNUSED = re.compile(r"backbone(_teacher)?\.resnet\.bn1\..*|pcr\..*")
+"""What never computes anything, and the reconstruction head, which no detector needs."""
+
+RELEASED_WIDTH = 26
+"""Base width of the published Res2Net; other widths are only guessed where it does not fit."""
+
+
+def import_detector(path: Path, grid: GridSpec, teacher: bool = False) -> Detector:
+    """Make a detector of a state dict that the published code has written.
+
+    The sizes are read off the tensors. What no tensor says is as released: padded slots take part in the pillars' batch
+    norm and maximum, 32 points per pillar, 70,000 pillars, a score threshold of 0.25, boxes longer than 6 m along x
+    or y dropped, and regression maps with sizes in the order height, width, length.
+
+    Args:
+        path: `net_epoch....pth` of the base model, of a student or of a teacher.
+        grid: range and cells that it was trained for.
+        teacher: take the teacher's half of a student's or a teacher's file.
+
+    Raises:
+        CheckpointError: the file is missing, damaged or none of these, or tensors are missing, too many or of shapes
+            that do not fit one another.
+    """
+    reference = _tensors(path)
+    has_teacher = any(name.partition(".")[0].endswith("_teacher") for name in reference)
+    if teacher and not has_teacher:
+        raise CheckpointError(complaint(path, "state", "a teacher's tensors (pillar_vfe_teacher...)", "none"))
+    state = detector_state(reference, teacher)
+    if not state:
+        hint = "; it is a teacher's file: ask for the teacher" if has_teacher and not teacher else ""
+        expected = "the tensors of DSRC's published code (pillar_vfe..., backbone.resnet...)"
+        raise CheckpointError(complaint(path, "state", expected, next(iter(sorted(reference)), "nothing"), hint))
+    known = detector_state(reference, True) if has_teacher else {}
+    _check_strangers(path, reference, len(state) + len(known if not teacher else detector_state(reference, False)))
+    try:
+        settings = _settings(state, grid, teacher, designed=has_teacher or any(n.startswith("pcr.") for n in reference))
+        detector = Detector(settings)
+    except KeyError as error:
+        raise CheckpointError(complaint(path, "state", f"a tensor {error.args[0]}", "none")) from None
+    except (ValueError, RuntimeError, IndexError) as error:
+        raise CheckpointError(complaint(path, "state", "tensors of one network", str(error))) from None
+    wanted = detector.state_dict()
+    for name in sorted(set(wanted) | set(state)):
+        if name not in state:
+            raise CheckpointError(complaint(path, "state", f"a tensor for {name}", "none"))
+        if name not in wanted:
+            raise CheckpointError(complaint(path, "state", "no further tensor", name))
+        if state[name].shape != wanted[name].shape:
+            shape, found = tuple(wanted[name].shape), tuple(state[name].shape)
+            raise CheckpointError(complaint(path, f"state: {name}", f"shape {shape}", str(found)))
+        if not bool(torch.isfinite(state[name].float()).all()):
+            raise CheckpointError(complaint(path, f"state: {name}", "finite numbers", "NaN or infinity"))
+    detector.load_state_dict({name: state[name].to(tensor.dtype) for name, tensor in wanted.items()})
+    return detector.eval()
+
+
+def _tensors(path: Path) -> dict[str, Tensor]:
+    """Return the tensors of a file by the published names, without running code from it."""
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such checkpoint file")
+    try:
+        content: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception:  # of bytes that are no pickle, torch's reader says so by whatever error it runs into
+        hint = "; only tensors are read, no pickled objects"
+        raise CheckpointError(complaint(path, "file", "a state dict", "something else or damaged", hint)) from None
+    for wrapper in _WRAPPERS:
+        if isinstance(content, Mapping) and isinstance(content.get(wrapper), Mapping):
+            content = content[wrapper]
+    if not isinstance(content, Mapping) or not all(isinstance(tensor, Tensor) for tensor in content.values()):
+        raise CheckpointError(complaint(path, "file", "a state dict of tensors", type(content).__name__))
+    return {str(name).removeprefix("module."): tensor for name, tensor in content.items()}
+
+
+def _check_strangers(path: Path, reference: Mapping[str, Tensor], known: int) -> None:
+    """Refuse tensors that nothing here is made of: the file is then of another network."""
+    rest = [name for name in reference if not _UNUSED.fullmatch(name)]
+    if len(rest) == known:
+        return
+    stranger = next(
+        n for n in rest if not (detector_state({n: reference[n]}) or detector_state({n: reference[n]}, True))
+    )
+    raise CheckpointError(complaint(path, "state", "tensors of DSRC's published networks", stranger))
+
+
+def _settings(state: Mapping[str, Tensor], grid: GridSpec, teacher: bool, designed: bool) -> ModelSettings:
+    """Read the sizes off a `Detector`'s tensors."""
+    channels = tuple(len(state[f"backbone.stages.{k}.0.conv3.weight"]) for k in range(3))
+    widths = [len(state[f"backbone.stages.{k}.0.conv1.weight"]) // 4 for k in range(3)]
+    fitting = [w for w in (RELEASED_WIDTH, *range(1, 257)) if [c * w // 64 for c in channels] == widths]
+    if not fitting:
+        raise ValueError(f"splits of {widths} channels in stages of {channels}")
+    blocks = tuple(
+        1 + max(int(name.split(".")[3]) for name in state if name.startswith(f"backbone.stages.{k}.")) for k in range(3)
+    )
+    linear = state["encoder.linear.weight"]
+    return ModelSettings(
+        grid=grid,
+        role="teacher" if teacher else "student",
+        box_order="hwl",
+        sdd=designed,
+        pcp=linear.shape[1] == 11 if teacher else designed,
+        rec=False,
+        padded_slots=True,
+        pillar_channels=len(linear),
+        stage_channels=channels,  # type: ignore[arg-type]
+        stage_blocks=blocks,  # type: ignore[arg-type]
+        base_width=fitting[0],
+        decoder_channels=state["decoder.0.0.weight"].shape[1],
+        shrink_channels=len(state["shrink.0.weight"]),
+        score_threshold=0.25,
+        max_extent_m=6.0,
+    )

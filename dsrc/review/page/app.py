@@ -1,0 +1,286 @@
+"""The live page: one state, one worker thread, and the latest state wins."""
+
+import logging
+import threading
+import time
+import webbrowser
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from dsrc.review.matching import Counts
+from dsrc.review.model import ReviewModel, open_model
+from dsrc.review.page import cameras
+from dsrc.review.page.cameras import Pose
+from dsrc.review.page.panels import Panels
+from dsrc.review.page.scene import SceneWriter, set_start_camera
+from dsrc.review.page.server import LOOPBACK, address, check_port, start_server, stop_server
+from dsrc.review.state import Camera, ReviewState
+from dsrc.review.view import FrameView
+from sensors.corruptions import CLEAN, Family, check_corruption
+from sim.errors import UserError
+
+log = logging.getLogger(__name__)
+
+
+class ReviewApp:
+    """A review page.
+
+    Callbacks of viser run in a pool of threads: all that they do is to replace the state. One worker thread turns
+    the newest state into a drawing, and skips those that were replaced in the meantime.
+
+    Attributes:
+        state: what the page is asked to show.
+        view: what it shows, None before the first drawing.
+        last_corruption: the corruption that was chosen last, "" for none yet.
+        url: its address.
+    """
+
+    def __init__(self, model: ReviewModel, server: viser.ViserServer, state: ReviewState | None = None) -> None:
+        """Build the page and start drawing; `close` ends it."""
+        self.model, self.server = model, server
+        self.state = state or ReviewState()
+        self.view: FrameView | None = None
+        self.url = address(server)
+        self.last_corruption = "" if self.state.corruption == CLEAN else self.state.corruption
+        self._camera: Camera = "free"
+        # The worker and the search for the next mistake use the caches of the model in turn.
+        self._using_model = threading.Lock()
+        self._playing_speed: float | None = None
+        self._changed = threading.Condition()
+        self._wanted = 1
+        self._drawn = 0
+        self._closed = False
+        self._writer = SceneWriter(server, on_object=lambda object_id: self.update(object_id=object_id))
+        self._panels = Panels(self)
+        self._threads = [
+            threading.Thread(target=self._work, name="review-worker", daemon=True),
+            threading.Thread(target=self._tick, name="review-player", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def update(self, **changes: Any) -> None:
+        """Replace fields of the state and have it drawn; does nothing when they have these values already."""
+        with self._changed:
+            state = replace(self.state, **changes)
+            if state.drive != self.state.drive:
+                state = replace(state, frame=0, ego_id=None, hidden=frozenset(), object_id=None)
+            if state == self.state:
+                return
+            if state.corruption != CLEAN:
+                self.last_corruption = state.corruption
+            self.state = state
+            self._wanted += 1
+            self._changed.notify_all()
+
+    def step(self, frames: int, wrap: bool = False) -> None:
+        """Go forward by some frames, backward if negative; stop at the ends or go around."""
+        with self._changed:
+            count = self.model.frame_count(self.state.drive)
+            frame = self.state.frame + frames
+            self.update(frame=frame % count if wrap else min(max(frame, 0), count - 1))
+
+    @property
+    def playing(self) -> bool:
+        """Whether the frames advance by themselves."""
+        return self._playing_speed is not None
+
+    def play(self, speed: float | None) -> None:
+        """Advance at a multiple of real time; None pauses."""
+        with self._changed:
+            self._playing_speed = speed
+            self._changed.notify_all()
+        self._panels.show_playing(speed is not None)
+
+    def toggle_play(self) -> None:
+        """Play, or pause."""
+        self.play(None if self.playing else self._panels.chosen_speed)
+
+    def counts(self, state: ReviewState) -> Counts | None:
+        """Return TP, FP and FN of another state, without drawing it; None without a detector."""
+        with self._using_model:
+            return self.model.counts(state)
+
+    def set_camera(self, camera: Camera) -> None:
+        """Take a camera preset; chase and bird's eye follow the ego from then on, free stays where it is."""
+        self._camera = camera
+        view = self.view
+        if view is None or camera == "free":
+            return
+        pose = cameras.chase(view) if camera == "chase" else cameras.birds_eye(view)
+        self._move_cameras(pose)
+
+    def reset_camera(self) -> None:
+        """Go back to the first look at a drive."""
+        self._camera = "free"
+        if self.view is not None:
+            self._move_cameras(cameras.overview(self.view))
+
+    def wait_drawn(self, timeout_s: float = 30.0) -> FrameView:
+        """Wait until the newest state is drawn and return it."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._drawn == self._wanted or self._closed, timeout_s):
+                raise TimeoutError("the page was not drawn in time")
+        if self.view is None:
+            raise TimeoutError("the page was closed before it was drawn")
+        return self.view
+
+    def wait(self) -> None:
+        """Serve until the page is closed or the process interrupted."""
+        with self._changed:
+            while not self._closed:
+                self._changed.wait(1.0)
+
+    def close(self) -> None:
+        """Stop the threads and the server."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for thread in self._threads:
+            thread.join(timeout=10.0)
+        stop_server(self.server)
+
+    def _work(self) -> None:
+        placed = -1
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._drawn != self._wanted or self._closed)
+                if self._closed:
+                    return
+                state, number = self.state, self._wanted
+            if state.drive != placed:
+                self._writer.clear()
+            self._draw(state)
+            if state.drive != placed:
+                # After the first picture: rebuilding a city takes longer than drawing a frame.
+                self._place_world(state.drive)
+                placed = state.drive
+            with self._changed:
+                self._drawn = number
+                self._changed.notify_all()
+
+    def _draw(self, state: ReviewState) -> None:
+        try:
+            with self._using_model:
+                view = self.model.view(state)
+        except UserError as error:
+            self._panels.complain(str(error))
+            return
+        except Exception:
+            log.exception("frame %d cannot be shown", state.frame)
+            self._panels.complain(f"frame {state.frame} cannot be shown; the log has the reason")
+            return
+        before, self.view = self.view, view
+        with self.server.atomic():
+            self._writer.write(view)
+        self._panels.show(view, state)
+        if before is None or before.drive != view.drive:
+            start = cameras.overview(view)
+            set_start_camera(self.server, start)
+            self._move_cameras(start)
+        elif self._camera != "free":
+            self._follow(before, view)
+
+    def _place_world(self, drive: int) -> None:
+        try:
+            with self._using_model:
+                parts = self.model.static_parts(drive)
+        except UserError as error:
+            self._panels.complain(str(error))
+            parts = []
+        with self.server.atomic():
+            self._writer.place_static(parts)
+
+    def _move_cameras(self, pose: Pose) -> None:
+        for client in self.server.get_clients().values():
+            with client.atomic():
+                client.camera.up_direction = pose.up
+                client.camera.position = pose.position
+                client.camera.look_at = pose.look_at
+
+    def _follow(self, before: FrameView, after: FrameView) -> None:
+        turn = self._camera == "chase"
+        for client in self.server.get_clients().values():
+            position = cameras.followed(client.camera.position, before, after, turn)
+            look_at = cameras.followed(client.camera.look_at, before, after, turn)
+            with client.atomic():
+                client.camera.position = position
+                client.camera.look_at = look_at
+
+    def _tick(self) -> None:
+        """Advance the frame while playing; a frame that takes longer than its time is waited for, not skipped."""
+        while True:
+            with self._changed:
+                ready = self._changed.wait_for(
+                    lambda: self._closed or (self.playing and self._drawn == self._wanted), timeout=1.0
+                )
+                if self._closed:
+                    return
+                speed = self._playing_speed
+            if not ready or speed is None:
+                continue
+            started = time.monotonic()
+            self.step(1, wrap=True)
+            pause = self.model.interval_s(self.state.drive) / speed - (time.monotonic() - started)
+            if pause > 0.0:
+                time.sleep(min(pause, 2.0))
+
+
+def serve(
+    drives_root: Path,
+    checkpoint: Path | None = None,
+    host: str = LOOPBACK,
+    port: int | None = None,
+    corruption: str = CLEAN,
+    severity: int = 3,
+    open_browser: bool = False,
+    block: bool = True,
+    announce: Callable[[str], None] | None = None,
+    family: Family = "physical",
+) -> ReviewApp:
+    """Open a review page on drives.
+
+    Args:
+        drives_root: folder of drives, or one drive.
+        checkpoint: a detector whose detections are drawn and judged.
+        host: address to listen on; the loopback unless somebody asks for more.
+        port: default: a free one.
+        corruption: the corruption to begin with.
+        severity: 1 to 5.
+        open_browser: open the page in the user's browser.
+        block: serve until interrupted; otherwise return the running page.
+        announce: called with the address of the page as soon as it answers.
+        family: of the corruption's settings.
+
+    Returns:
+        The page; its `url` is where it is, `close` ends it.
+
+    Raises:
+        DataError: there is no drive.
+        SettingsError: the corruption is unknown, or the port taken.
+        CheckpointError: the checkpoint cannot be loaded.
+    """
+    check_corruption(corruption, severity, family)
+    if port is not None:
+        check_port(host, port)
+    model = open_model(Path(drives_root), checkpoint)
+    state = ReviewState(corruption=corruption, severity=severity, family=family)
+    app = ReviewApp(model, start_server(host, port), state)
+    log.info("review page: %s", app.url)
+    if announce is not None:
+        announce(app.url)
+    if open_browser:
+        webbrowser.open(app.url)
+    if not block:
+        return app
+    try:
+        app.wait()
+    except KeyboardInterrupt:
+        log.info("review page closed")
+    finally:
+        app.close()
+    return app

@@ -1,0 +1,151 @@
+"""One self-contained animated page of a drive."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import viser
+
+from dsrc.review.model import ReviewModel, open_model
+from dsrc.review.page.cameras import Pose, birds_eye, chase, overview
+from dsrc.review.page.overlay import Camera, add_overlay, frame_texts
+from dsrc.review.page.scene import SceneWriter, set_start_camera
+from dsrc.review.page.server import start_server, stop_server
+from dsrc.review.state import ColorBy, ReviewState
+from sensors.corruptions import CLEAN, Family, check_corruption
+from sim.errors import SettingsError, complaint
+
+ROOT = "/drive"
+"""The frame that everything hangs below; moving it lets the camera of an exported page follow the ego."""
+
+MAX_POINTS = 44_000
+"""Points of one frame of a page: what rings and objects need to be recognised, and a laptop draws easily."""
+PAGE_POINTS = 40 * MAX_POINTS
+"""Points of a whole page: about 10 MB."""
+POINT_SIZE_M = 0.13
+"""Thinned clouds need larger points, m."""
+POINT_STEP_M = 1.0 / 32.0
+"""Points are rounded to what float16 resolves beyond 32 m; a quarter of the page is saved."""
+
+
+def export_html(
+    root: Path,
+    out: Path,
+    checkpoint: Path | None = None,
+    corruption: str = CLEAN,
+    severity: int = 3,
+    frames: slice | int = 40,
+    max_points: int | None = None,
+    drive: int = 0,
+    threshold: float = 0.3,
+    follow: bool = True,
+    color_by: ColorBy = "agent",
+    family: Family = "physical",
+) -> Path:
+    """Write one HTML file that plays a drive in any browser, without a server.
+
+    Args:
+        root: folder of drives, or one drive.
+        out: the page.
+        checkpoint: a detector whose detections are drawn and judged.
+        corruption: `clean` or a kind of corruption.
+        severity: 1 to 5.
+        frames: a slice of the drive's frames, or how many from the first.
+        max_points: points per frame, all agents together; default: so many that the page stays below 12 MB.
+        drive: row of the drive below `root`.
+        threshold: detections below this score are left out.
+        follow: keep the ego where it starts on the screen.
+        color_by: what the colour of a point means.
+        family: of the corruption's settings.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        DataError: there is no drive.
+        SettingsError: the corruption or a number is wrong.
+        CheckpointError: the checkpoint cannot be loaded.
+    """
+    check_corruption(corruption, severity, family)
+    model = open_model(root, checkpoint)
+    if not 0 <= drive < len(model.drives):
+        raise SettingsError(complaint("export", "drive", f"0 to {len(model.drives) - 1}", drive))
+    rows = _rows(model, drive, frames)
+    budget = min(MAX_POINTS, PAGE_POINTS // len(rows)) if max_points is None else max_points
+    per_agent = max(budget // len(model.first_frame(drive).agents), 1)
+    state = ReviewState(
+        drive=drive,
+        corruption=corruption,
+        severity=severity,
+        family=family,
+        threshold=threshold,
+        max_points=per_agent,
+        point_size_m=POINT_SIZE_M,
+        color_by=color_by,
+    )
+    return export_states(model, [replace(state, frame=row) for row in rows], Path(out), follow)
+
+
+def _rows(model: ReviewModel, drive: int, frames: slice | int) -> list[int]:
+    count = model.frame_count(drive)
+    if isinstance(frames, int) and frames < 1:
+        raise SettingsError(complaint("export", "frames", "at least 1", frames))
+    rows = list(range(count))[frames if isinstance(frames, slice) else slice(frames)]
+    if not rows:
+        raise SettingsError(complaint("export", "frames", f"some of the drive's {count}", str(frames)))
+    return rows
+
+
+def export_states(model: ReviewModel, states: list[ReviewState], out: Path, follow: bool = True) -> Path:
+    """Write the page of a sequence of states of one drive; see `export_html`."""
+    server = start_server()
+    try:
+        html = _record(server, model, states, follow)
+    finally:
+        stop_server(server)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    temporary = out.with_name(out.name + ".tmp")
+    temporary.write_text(html, encoding="utf-8")
+    os.replace(temporary, out)
+    return out
+
+
+def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewState], follow: bool) -> str:
+    drive, interval_s = states[0].drive, model.interval_s(states[0].drive)
+    writer = SceneWriter(server, ROOT, POINT_STEP_M)
+    root = server.scene.add_frame(ROOT, show_axes=False)
+    writer.place_static(model.static_parts(drive))
+    first = model.view(states[0])
+    set_start_camera(server, overview(first))
+    writer.write(first)
+    texts = [frame_texts(first)]
+    serializer = server.get_scene_serializer()
+    for state in states[1:]:
+        serializer.insert_sleep(interval_s)
+        view = model.view(state)
+        if follow:
+            # The camera of the page stands still, so the world moves below the ego instead.
+            root.position = first.ego.review_from_body[:3, 3] - view.ego.review_from_body[:3, 3]
+        writer.write(view)
+        texts.append(frame_texts(view))
+    serializer.insert_sleep(interval_s)
+    html = serializer.as_html(dark_mode=True)
+    poses = [("overview", "1", overview), ("chase", "2", chase), ("bird's eye", "3", birds_eye)]
+    cameras = [_button(name, key, make(first)) for name, key, make in poses]
+    return add_overlay(html, first.drive, _subtitle(model, states[0]), texts, first, interval_s, cameras)
+
+
+def _subtitle(model: ReviewModel, state: ReviewState) -> str:
+    weather = CLEAN
+    if state.corruption != CLEAN:
+        published = " as published" if state.family == "paper" else ""
+        weather = f"{state.corruption.replace('_', ' ')}{published}, level {state.severity}"
+    if not model.has_detector:
+        return f"{weather} · ground truth"
+    return f"{weather} · score ≥ {state.threshold:g} · IoU ≥ {state.iou:g}"
+
+
+def _button(name: str, key: str, pose: Pose) -> Camera:
+    x, y, z = pose.position.tolist()
+    u, v, w = pose.look_at.tolist()
+    return Camera(name, key, (x, y, z), (u, v, w))

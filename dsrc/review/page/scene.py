@@ -1,0 +1,304 @@
+"""SceneWriter: draws FrameViews into a viser scene, one named node per thing, updated in place."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from viser.transforms import SO3
+
+from dsrc.review import palette
+from dsrc.review.page.cameras import FOV_RAD, Pose
+from dsrc.review.palette import Rgb
+from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
+from dsrc.review.static import StaticPart, body_shape
+from dsrc.review.view import (
+    CHOSEN,
+    FOUND,
+    LAYERS,
+    MISSED_BOXES,
+    OTHER_BOXES,
+    RIGHT_BOXES,
+    WRONG_BOXES,
+    AgentView,
+    FrameView,
+)
+from sim.boxes import CLASSES, Boxes
+
+
+@dataclass(frozen=True, slots=True)
+class Style:
+    """How a layer of boxes is drawn: colour, line width in pixels, form, and how opaque its faces are."""
+
+    rgb: Rgb
+    thickness: float
+    form: str = "solid"
+    fill: float = 0.0
+
+
+STYLES = {
+    OTHER_BOXES: Style(palette.OTHER, 1.0),
+    FOUND: Style(palette.TRUTH, 1.5),
+    MISSED_BOXES: Style(palette.MISSED, 3.0, "dashed", 0.22),
+    RIGHT_BOXES: Style(palette.RIGHT, 2.5, "solid", 0.16),
+    WRONG_BOXES: Style(palette.WRONG, 3.0, "crossed", 0.22),
+    CHOSEN: Style(palette.CHOSEN, 4.0),
+}
+_FORMS = {"solid": edges, "dashed": dashed, "crossed": crossed}
+_NO_TURN = np.array([[1.0, 0.0, 0.0, 0.0]], np.float32)
+
+
+class SceneWriter:
+    """Owns the nodes below `root`. Not thread-safe: one worker writes."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        root: str = "",
+        point_step_m: float = 0.0,
+        on_object: Callable[[int], None] | None = None,
+    ) -> None:
+        """Prepare the light; nothing of a drive is drawn yet.
+
+        Args:
+            server: of the page.
+            root: name that everything hangs below, "" for the top.
+            point_step_m: round points to a grid of this step, which packs better; 0 keeps them.
+            on_object: called with the id of a body that is clicked.
+        """
+        self.server = server
+        self.scene = server.scene
+        self.root = root
+        self.point_step_m = point_step_m
+        self._nodes: dict[str, Any] = {}
+        # The view that each cloud shows: what did not change is not sent again.
+        self._drawn: dict[str, AgentView] = {}
+        self._on_object = on_object
+        self._body_ids: dict[str, NDArray[np.int64]] = {}
+        self._background()
+
+    def _background(self) -> None:
+        # The default environment map and tone mapping wash colours out: light the scene ourselves.
+        self.scene.configure_environment_map(None)
+        self.scene.configure_default_lights(False)
+        self.scene.add_light_ambient("/light/ambient", intensity=1.1)
+        self.scene.add_light_directional("/light/sun", intensity=1.3, position=(-0.4, 0.6, 1.0))
+        self.scene.set_background_image(_backdrop(), format="png")
+        self.scene.world_axes.visible = False
+
+    def place_static(self, parts: list[StaticPart]) -> None:
+        """Draw the static world, or a grid when there is none."""
+        self._remove("world")
+        frame = self._frame("world")
+        frame.visible = True
+        if not parts:
+            self._nodes["world/grid"] = self.scene.add_grid(
+                f"{self.root}/world/grid",
+                width=400.0,
+                height=400.0,
+                cell_size=5.0,
+                cell_color=(28, 33, 44),
+                section_size=25.0,
+                section_color=(44, 52, 68),
+                position=(0.0, 0.0, -0.05),
+                fade_distance=260.0,
+            )
+        for part in parts:
+            self._nodes[f"world/{part.name}"] = self.scene.add_mesh_simple(
+                f"{self.root}/world/{part.name}",
+                part.vertices,
+                part.faces,
+                color=part.rgb,
+                opacity=part.opacity,
+                flat_shading=True,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+
+    def clear(self) -> None:
+        """Remove every node of the drive."""
+        self._remove("")
+
+    def write(self, view: FrameView) -> None:
+        """Draw a frame; the caller groups it with `server.atomic()`."""
+        for agent in view.agents:
+            self._write_agent(agent, view)
+        self._write_bodies(view)
+        for name in LAYERS:
+            off = name.split("/")[0] in view.layers_off
+            style = STYLES[name]
+            if name == FOUND and view.counts is not None:
+                # A found object lies under its green detection: a hairline is enough.
+                style = Style(style.rgb, 1.0, style.form, 0.0)
+            self._write_boxes(name, view.layers[name], style, not off)
+        self._write_links(view)
+        if "world" in self._nodes:
+            self._nodes["world"].visible = "world" not in view.layers_off
+
+    def _write_agent(self, agent: AgentView, view: FrameView) -> None:
+        name = f"agents/{'ego ' if agent.is_ego else ''}{agent.title}".replace(" ", "_")
+        other = f"agents/{'' if agent.is_ego else 'ego '}{agent.title}".replace(" ", "_")
+        self._remove(other)
+        self._frame("agents")
+        self._frame(name)
+        lidar = self._frame(f"{name}/lidar")
+        _place(lidar, agent.review_from_lidar)
+        self._write_points(f"{name}/lidar/points", agent, view.point_size_m)
+        if f"{name}/label" not in self._nodes:
+            self._nodes[f"{name}/label"] = self.scene.add_label(
+                f"{self.root}/{name}/label", f"{'EGO ' if agent.is_ego else ''}{agent.title}", anchor="bottom-center"
+            )
+        label = self._nodes[f"{name}/label"]
+        label.position = tuple(agent.review_from_lidar[:3, 3] + [0.0, 0.0, 1.2])
+        label.visible = "labels" not in view.layers_off
+
+    def _write_points(self, name: str, agent: AgentView, point_size_m: float) -> None:
+        node = self._nodes.get(name)
+        if node is not None and self._drawn.get(name) is agent:
+            node.point_size = point_size_m
+            return
+        self._drawn[name] = agent
+        points = agent.points
+        if self.point_step_m > 0.0:
+            points = np.round(points / self.point_step_m) * np.float32(self.point_step_m)
+        if node is None:
+            node = self._nodes[name] = self.scene.add_point_cloud(
+                f"{self.root}/{name}", points, agent.colors, point_shape="circle", point_shading="flat"
+            )
+        # Handles accept arrays of any shape in silence: both come from one view, whose shapes its tests hold.
+        node.points, node.colors = points, agent.colors
+        node.point_size = point_size_m
+        node.visible = agent.visible and len(points) > 0
+
+    def _write_bodies(self, view: FrameView) -> None:
+        self._frame("bodies").visible = "bodies" not in view.layers_off
+        colors = np.full((len(view.truth), 3), (70, 78, 94), np.uint8)
+        for row, agent in enumerate(view.agents):
+            colors[view.agent_of == row] = palette.before_tone_mapping(agent.rgb)
+        base = view.truth.center - [0.0, 0.0, 0.5] * view.truth.size
+        for label, class_name in enumerate(CLASSES):
+            rows = view.truth.label == label
+            self._batch(
+                f"bodies/{class_name}",
+                body_shape(class_name),
+                (quaternions(view.truth.yaw[rows]), base[rows], view.truth.size[rows]),
+                colors[rows],
+                opacity=None,
+            )
+            self._make_clickable(f"bodies/{class_name}", view.truth.object_id[rows])
+
+    def _make_clickable(self, name: str, object_id: NDArray[np.int64]) -> None:
+        if self._on_object is None or name not in self._nodes:
+            return
+        known = name in self._body_ids
+        self._body_ids[name] = object_id
+        if known:
+            return
+
+        @self._nodes[name].on_click
+        def _(event: Any) -> None:
+            ids = self._body_ids.get(name, np.zeros(0, np.int64))
+            if self._on_object is not None and event.instance_index is not None and event.instance_index < len(ids):
+                self._on_object(int(ids[event.instance_index]))
+
+    def _write_boxes(self, name: str, boxes: Boxes, style: Style, shown: bool) -> None:
+        self._frame(name.split("/")[0])
+        self._frame(name).visible = shown
+        self._lines(f"{name}/edges", _FORMS[style.form](boxes), style.rgb, style.thickness)
+        if style.fill > 0.0:
+            pose = (quaternions(boxes.yaw), boxes.center, boxes.size)
+            colors = np.tile(np.array(palette.before_tone_mapping(style.rgb), np.uint8), (len(boxes), 1))
+            self._batch(f"{name}/faces", (CUBE_VERTICES, CUBE_FACES), pose, colors, style.fill)
+
+    def _write_links(self, view: FrameView) -> None:
+        self._frame("links").visible = "links" not in view.layers_off
+        self._lines("links/heard", view.linked.astype(np.float32), view.ego.rgb, 1.5)
+
+    def _lines(self, name: str, lines: NDArray[np.float32], rgb: Rgb, thickness: float) -> None:
+        node = self._nodes.get(name)
+        if len(lines) == 0:
+            if node is not None:
+                node.visible = False
+            return
+        # One colour for all: viser shows colours per vertex too pale, as if they were linear.
+        color = np.array(palette.before_tone_mapping(rgb), np.uint8)
+        if node is None:
+            self._nodes[name] = self.scene.add_line_segments(
+                f"{self.root}/{name}", lines, color, thickness=thickness, thickness_units="screen"
+            )
+            return
+        node.points, node.colors = lines, color
+        node.thickness = thickness
+        node.visible = True
+
+    def _batch(
+        self,
+        name: str,
+        shape: tuple[NDArray[np.float32], NDArray[np.uint32]],
+        pose: tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float64]],
+        colors: NDArray[np.uint8],
+        opacity: float | None,
+    ) -> None:
+        """Draw N instances of a unit shape at (quaternions, positions, sizes)."""
+        node = self._nodes.get(name)
+        if len(colors) == 0:
+            if node is not None:
+                node.visible = False
+            return
+        wxyz, position, size = (np.asarray(part, np.float32) for part in pose)
+        if node is None:
+            self._nodes[name] = self.scene.add_batched_meshes_simple(
+                f"{self.root}/{name}",
+                *shape,
+                batched_wxyzs=wxyz,
+                batched_positions=position,
+                batched_scales=size,
+                batched_colors=colors,
+                opacity=opacity,
+                flat_shading=True,
+                lod="off",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            return
+        node.batched_wxyzs, node.batched_positions = wxyz, position
+        node.batched_scales, node.batched_colors = size, colors
+        node.visible = True
+
+    def _frame(self, name: str) -> Any:
+        if name not in self._nodes:
+            self._nodes[name] = self.scene.add_frame(f"{self.root}/{name}", show_axes=False)
+        return self._nodes[name]
+
+    def _remove(self, name: str) -> None:
+        """Remove a node and everything below it; "" removes all."""
+        below = [key for key in self._nodes if not name or key == name or key.startswith(f"{name}/")]
+        # Children first: viser warns about a handle whose parent took it away.
+        for key in sorted(below, key=len, reverse=True):
+            self._drawn.pop(key, None)
+            self._body_ids.pop(key, None)
+            self._nodes.pop(key).remove()
+
+
+def _backdrop() -> NDArray[np.uint8]:
+    """Return the picture behind the scene: a night sky, a little brighter at the horizon's height."""
+    height = np.linspace(0.0, 1.0, 256)[:, None, None]
+    glow = np.exp(-(((height - 0.22) / 0.25) ** 2))
+    rgb = np.array(palette.BACKGROUND, np.float64) + glow * np.array([12.0, 17.0, 30.0])
+    return np.repeat(np.clip(rgb, 0, 255).astype(np.uint8), 4, axis=1)
+
+
+def set_start_camera(server: viser.ViserServer, pose: Pose) -> None:
+    """Put the camera of pages that open from now on, and of exported pages, to a pose."""
+    camera = server.initial_camera
+    camera.position, camera.look_at, camera.up = tuple(pose.position), tuple(pose.look_at), tuple(pose.up)
+    camera.fov = FOV_RAD
+    camera.near, camera.far = 0.5, 2000.0
+
+
+def _place(handle: Any, parent_from_child: NDArray[np.float64]) -> None:
+    handle.wxyz = SO3.from_matrix(parent_from_child[:3, :3]).wxyz
+    handle.position = parent_from_child[:3, 3]

@@ -1,0 +1,135 @@
+"""What a training writes beside its weights: the machine, a row per epoch, its curves, and a line for the log."""
+
+import csv
+import io
+import logging
+import os
+import platform
+import time
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as pl
+import msgspec
+import torch
+
+from dsrc.data.provenance import commit, versions
+from dsrc.evaluation.plots.plots import png_bytes, training_curves
+
+LOG = logging.getLogger(__name__)
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write a JSON file, whole or not at all."""
+    _write(path, msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
+
+
+def note_environment(path: Path, devices: int) -> None:
+    """Add what a training runs on to a JSON list, unless the entry before says the same."""
+    now = {
+        "versions": versions(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "commit": commit(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "threads": torch.get_num_threads(),
+        "gpus": [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())],
+        "devices": devices,
+    }
+    try:
+        before = msgspec.json.decode(path.read_bytes(), type=list[dict[str, Any]])
+    except (FileNotFoundError, msgspec.DecodeError):
+        before = []
+    if before[-1:] != [now]:
+        write_json(path, [*before, now])
+
+
+def _processor() -> str:
+    """Return the name of the processor, which Linux alone tells in a file."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _write(path: Path, content: bytes) -> None:
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_bytes(content)
+    temporary.replace(path)
+
+
+def _title(folder: Path) -> str:
+    """Return which training a run folder holds and on what, each by the last two names of its path."""
+    path = folder / "settings.json"
+    folders = msgspec.json.decode(path.read_bytes()).get("folders", {}) if path.exists() else {}
+    named = {"": folder, "trained on ": folders.get("data"), "validated on ": folders.get("validate")}
+    return ", ".join(f"{what}{'/'.join(Path(place).parts[-2:])}" for what, place in named.items() if place)
+
+
+class MetricsFile(pl.Callback):
+    """Keeps `metrics.csv` and `curves.png` of a run folder.
+
+    The table has one row per epoch and is rewritten whole each time, so that a resumed run continues it; it is drawn
+    after each validation.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path, self.picture = folder / "metrics.csv", folder / "curves.png"
+        self._rows: list[dict[str, str]] = []
+        self._started = 0.0
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Read what an earlier run has written, up to the epoch that starts now."""
+        if self.path.exists():
+            with self.path.open(newline="", encoding="utf-8") as file:
+                self._rows = [row for row in csv.DictReader(file) if int(row["epoch"]) < trainer.current_epoch]
+
+    def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Start the clock."""
+        self._started = time.monotonic()
+
+    def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Add the epoch's row; runs after the validation of the epoch."""
+        values: dict[str, Any] = {"epoch": trainer.current_epoch, "step": trainer.global_step}
+        values["seconds"] = f"{time.monotonic() - self._started:.1f}"
+        values["lr"] = f"{trainer.optimizers[0].param_groups[0]['lr']:.3e}"
+        for name, value in sorted(trainer.callback_metrics.items()):
+            if name.startswith("val/") and not _validated(trainer):
+                continue
+            if name.startswith("val/") or name.endswith("_epoch"):
+                values[name.removesuffix("_epoch")] = f"{float(value):.5g}"
+        if not trainer.is_global_zero:
+            return
+        self._rows.append({name: str(value) for name, value in values.items()})
+        self._write()
+        if _validated(trainer):
+            _write(self.picture, png_bytes(training_curves(self._rows, _title(self.path.parent))))
+        LOG.info("%s", ", ".join(f"{name} {value}" for name, value in self._rows[-1].items()))
+
+    def _write(self) -> None:
+        names = list(dict.fromkeys(name for row in self._rows for name in row))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, names, restval="")
+        writer.writeheader()
+        writer.writerows(self._rows)
+        _write(self.path, text.getvalue().encode())
+
+
+class ValidateLast(pl.Callback):
+    """Validates after every n-th epoch and after the last."""
+
+    def __init__(self, every: int) -> None:
+        self.every = max(every, 1)
+
+    def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Decide whether this epoch ends with a validation."""
+        trainer.check_val_every_n_epoch = 1 if _validated(trainer, self.every) else trainer.current_epoch + 2
+
+
+def _validated(trainer: pl.Trainer, every: int | None = None) -> bool:
+    if every is None:
+        return bool(trainer.check_val_every_n_epoch == 1)
+    last = trainer.max_epochs is not None and trainer.current_epoch + 1 >= trainer.max_epochs
+    return last or (trainer.current_epoch + 1) % every == 0

@@ -1,0 +1,95 @@
+"""What weather needs to know of a receiver: how strong a return is, how strong it must be, how it is reported.
+
+Power is measured in units of a target of reflectivity 1, hit squarely in clear air at 1 m. A LiDAR reports the
+strongest of the returns that it detects.
+
+A simulator's sensor detects everything within its farthest range: its `LidarSpec.range_10_m` lies beyond `range_max_m`
+and is no threshold. In clear air nothing follows from that. In weather such a receiver would hear every flake and drop
+that there is, so it takes the threshold of the sensor that these simulators imitate (`UNKNOWN_RANGE_10_M`). Only
+what weather adds and takes away depends on it; clear sweeps are what they were.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.optics.reflectance import CLEAR_AIR_EXTINCTION, COSINE_BINS, optics_of
+from sensors.spec import LidarSpec
+from sensors.sweep import UNKNOWN_MATERIAL, Sweep
+
+UNKNOWN_RANGE_10_M = 50.0
+"""`LidarSpec.range_10_m` assumed where a sensor is not known or has no threshold.
+
+It is the Velodyne HDL-64E's (user manual, S2: 50 m at reflectivity 0.1, 120 m at 0.8), KITTI's sensor and the one whose
+64 beams from +2 to -25 degrees, 1.3 million points a second and 120 m OPV2V's CARLA sensor has, and for which snow was
+published (Hahner 2022).
+"""
+
+UNKNOWN_REFLECTIVITY = 0.2
+"""Assumed of a surface of which neither the material is known nor the intensity tells."""
+
+BLIND_M, SIGHT_M = 0.9, 1.0
+"""Emitted beam and receiver's view do not overlap nearer than the first range, fully beyond the second (Hahner)."""
+
+_POWER_LAW_M = 10.0
+
+
+def least_power(spec: LidarSpec | None, range_10_m: float | None = None) -> float:
+    """Return the power of the weakest return that a sensor detects in weather.
+
+    Args:
+        spec: the sensor, None when not known.
+        range_10_m: instead of the sensor's own value or what is assumed; infinity for a receiver that detects
+            everything.
+    """
+    if range_10_m is None:
+        if spec is None or spec.range_10_m > spec.range_max_m:
+            range_10_m = UNKNOWN_RANGE_10_M
+        else:
+            range_10_m = spec.range_10_m
+    if math.isinf(range_10_m):
+        return 0.0
+    return 0.1 * math.exp(-2.0 * CLEAR_AIR_EXTINCTION * range_10_m) / range_10_m**2
+
+
+def target_power(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (P,) the power that came back in clear air, as far as the sweep tells.
+
+    A calibrated intensity i at range r came with i / r^2, and received power says it itself. CARLA's intensity says
+    nothing of the surface: there the material decides, and `UNKNOWN_REFLECTIVITY` where a file has none.
+
+    Args:
+        sweep: as measured in clear air.
+        reach: (P,) range of its points, m.
+    """
+    law = "reflectivity" if sweep.spec is None else sweep.spec.intensity_law
+    if law == "power":
+        return sweep.intensity.astype(np.float64) / _POWER_LAW_M**2
+    surface = _reflectivity(sweep, reach) if law == "distance" else sweep.intensity
+    return surface / np.maximum(reach, 1e-6) ** 2
+
+
+def reported_intensity(
+    spec: LidarSpec | None, power: NDArray[np.float64], reach: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (P,) in [0, 1] the intensity that a sensor gives to returns of some power from some range, m."""
+    law = "reflectivity" if spec is None else spec.intensity_law
+    if spec is not None and law == "distance":
+        return np.exp(-spec.attenuation * reach)
+    return np.minimum(power * (_POWER_LAW_M**2 if law == "power" else reach**2), 1.0)
+
+
+def overlap(range_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the share in [0, 1] of the beam that the receiver sees at a range (Hahner 2021, xi)."""
+    return np.clip((range_m - BLIND_M) / (SIGHT_M - BLIND_M), 0.0, 1.0)
+
+
+def _reflectivity(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (P,) what the points' materials send back at their incidence, through clear air."""
+    known = sweep.material != UNKNOWN_MATERIAL
+    if sweep.spec is None or not known.any():
+        return np.full(len(sweep), UNKNOWN_REFLECTIVITY)
+    bin_ = np.rint(sweep.cosine * COSINE_BINS).astype(np.int64)
+    surface = optics_of(sweep.spec).power[np.where(known, sweep.material, 0), bin_]
+    return np.where(known, surface * np.exp(-2.0 * CLEAR_AIR_EXTINCTION * reach), UNKNOWN_REFLECTIVITY)

@@ -1,0 +1,73 @@
+"""Tables that take a moment to compute, kept as npz files in the user's cache."""
+
+import contextlib
+import logging
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.roads.cache import cache_folder
+
+log = logging.getLogger(__name__)
+
+Tables = dict[str, NDArray[np.float64]]
+
+
+def cached_tables(
+    name: str, shapes: Mapping[str, tuple[int, ...]], compute: Callable[[], Tables], folder: Path | None = None
+) -> Tables:
+    """Return tables from the cache, computing them when they are not there or the file is damaged.
+
+    The file appears at once or not at all, so processes may share it; where nothing can be written the tables are
+    computed every time.
+
+    Args:
+        name: of the file, without its ending; whatever the tables depend on is part of it.
+        shapes: of each table.
+        compute: makes the tables.
+        folder: instead of `tables` in the user's cache (see `sim.roads.cache.cache_folder`).
+    """
+    path = (cache_folder() / "tables" if folder is None else folder) / f"{name}.npz"
+    try:
+        return _read(path, shapes)
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        log.warning("%s: damaged, computed anew: %s", path, error)
+    tables = compute()
+    try:
+        _write(path, tables)
+    except OSError as error:
+        log.info("%s: not kept: %s", path, error)
+    return tables
+
+
+def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Tables:
+    # Opened here, because numpy leaves a damaged file open.
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        tables = {key: np.asarray(stored[key], np.float64) for key in shapes}
+    for key, shape in shapes.items():
+        if tables[key].shape != shape or not np.isfinite(tables[key]).all():
+            raise ValueError(f"{key}: expected {shape} finite numbers")
+    return tables
+
+
+def _write(path: Path, tables: Tables) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, Any] = dict(tables)
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.stem, suffix=".tmp", delete=False) as file:
+        temporary = Path(file.name)
+        try:
+            np.savez(file, **arrays)
+            file.close()
+            temporary.replace(path)
+        except OSError:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise

@@ -1,0 +1,188 @@
+"""Beam missing and cross sensor, as published.
+
+Beam missing: the points of some rings are deleted, the others stay as they are.
+
+| severity              | 1 | 2 | 3 (DSRC's text) | 4 (DSRC's code) | 5 (number of Robo3D heavy) |
+|-----------------------|---|---|-----------------|-----------------|----------------------------|
+| rings missing, of 64  | 4 | 8 | 16              | 32              | 48                         |
+
+Robo3D draws 16, 32 or 48 ring numbers from 4 to 58 with replacement, so that some 14.0, 24.4 and 32.2 rings are missing
+(55 (1 - (54/55)^m)); for nuScenes 8, 16 or 24 from 2 to 28, which is the same share. DSRC's code counts 64 rings on any
+sensor (`azimuth_wrap` does); by default the sensor's own rings are taken, and the same share of them.
+
+Cross sensor: rings 1, 1 + s, 1 + 2 s, ... rounded down are deleted, with s = 64 / rings deleted, cut to two decimals,
+and of the list of what remains every n-th point is kept, so that the phase slips where a ring has an odd count. After
+Wei et al. (LiDAR-Distillation), whose own method keeps whole rings, counted from the lowest, and in each of them every
+n-th point by azimuth.
+
+| severity              | 1  | 2                     | 3 (DSRC)  | 4 (Robo3D heavy) | 5  |
+|-----------------------|----|-----------------------|-----------|------------------|----|
+| rings deleted, of 64  | 16 | 32 (Wei's 32)         | 32        | 48               | 48 |
+| one point kept of     | 1  | 1                     | 2         | 2                | 4  |
+
+Robo3D's light, moderate and heavy delete 16, 32, 48 (nuScenes 8, 16, 24) and keep every second point; moderate is what
+DSRC does. Cross sensor has no randomness.
+"""
+
+from typing import Literal, Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.corruptions.physics.levels import at_level, check_range, share_of
+from sensors.corruptions.published.cloud import Cloud, Draws
+from sensors.corruptions.published.rings import RingSource, rings_from
+from sensors.sweep import Sweep
+
+MISSING_OF_64 = (4, 8, 16, 32, 48)
+DELETED_OF_64 = (16, 32, 32, 48, 48)
+KEEP_ONE_OF = (1, 1, 2, 2, 4)
+
+
+class BeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of `beam_missing`.
+
+    Attributes:
+        rings_of_64: rings drawn for a sensor of 64 rings; for others in proportion.
+        replaced: drawn with replacement, so that fewer are missing (Robo3D).
+        first_of_64, after_of_64: rings are drawn from the first of these on and before the second.
+        rings: where the points' rings come from.
+    """
+
+    rings_of_64: int = 16
+    replaced: bool = False
+    first_of_64: int = 0
+    after_of_64: int = 64
+    rings: RingSource = "sweep"
+
+    def __post_init__(self) -> None:
+        check_range("BeamMissing", "rings_of_64", self.rings_of_64, 0, 64)
+        check_range("BeamMissing", "after_of_64", self.after_of_64, 1, 64)
+        check_range("BeamMissing", "first_of_64", self.first_of_64, 0, self.after_of_64 - 1)
+
+    @classmethod
+    def severity(cls, level: int) -> Self:
+        """Return the settings of a severity, 1 to 5."""
+        return cls(rings_of_64=at_level(MISSING_OF_64, level))
+
+
+class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of `cross_sensor`.
+
+    Attributes:
+        rings_of_64: rings deleted of a sensor of 64 rings; of others in proportion.
+        keep_one_of: of so many points one is kept.
+        method: `list` deletes rings and thins the list of the rest (DSRC, Robo3D); `azimuth` keeps every n-th ring from
+            the lowest on, n the share that remains, and thins each by azimuth (LiDAR-Distillation).
+        rings: where the points' rings come from.
+    """
+
+    rings_of_64: int = 32
+    keep_one_of: int = 2
+    method: Literal["list", "azimuth"] = "list"
+    rings: RingSource = "sweep"
+
+    def __post_init__(self) -> None:
+        check_range("CrossSensor", "rings_of_64", self.rings_of_64, 0, 63)
+        check_range("CrossSensor", "keep_one_of", self.keep_one_of, 1, 1000)
+
+    @classmethod
+    def severity(cls, level: int) -> Self:
+        """Return the settings of a severity, 1 to 5."""
+        return cls(rings_of_64=at_level(DELETED_OF_64, level), keep_one_of=at_level(KEEP_ONE_OF, level))
+
+
+PUBLISHED_BEAM_MISSING: dict[str, BeamMissing] = {
+    "dsrc_text": BeamMissing(),
+    "dsrc": BeamMissing(rings_of_64=32, rings="azimuth_wrap"),
+    "robo3d_light": BeamMissing(rings_of_64=16, replaced=True, first_of_64=4, after_of_64=59),
+    "robo3d_moderate": BeamMissing(rings_of_64=32, replaced=True, first_of_64=4, after_of_64=59),
+    "robo3d_heavy": BeamMissing(rings_of_64=48, replaced=True, first_of_64=4, after_of_64=59),
+}
+"""Settings by source; Robo3D takes the rings of KITTI by azimuth wrap and those of nuScenes from its files."""
+
+PUBLISHED_CROSS_SENSOR: dict[str, CrossSensor] = {
+    "dsrc": CrossSensor(rings="azimuth_wrap"),
+    "robo3d_light": CrossSensor(rings_of_64=16),
+    "robo3d_moderate": CrossSensor(rings_of_64=32),
+    "robo3d_heavy": CrossSensor(rings_of_64=48),
+    "lidar_distillation_32": CrossSensor(rings_of_64=32, keep_one_of=1, method="azimuth", rings="k_means"),
+    "lidar_distillation_32^": CrossSensor(rings_of_64=32, keep_one_of=2, method="azimuth", rings="k_means"),
+    "lidar_distillation_16": CrossSensor(rings_of_64=48, keep_one_of=1, method="azimuth", rings="k_means"),
+    "lidar_distillation_16^": CrossSensor(rings_of_64=48, keep_one_of=2, method="azimuth", rings="k_means"),
+}
+
+
+def beam_missing(sweep: Sweep, severity: int | BeamMissing, rng: Draws) -> Sweep:
+    """Delete all points of some rings; see `missing_rings`.
+
+    Raises:
+        DataError: the sweep's own rings are asked for and cannot be known.
+    """
+    settings = severity if isinstance(severity, BeamMissing) else BeamMissing.severity(severity)
+    ring, rings = rings_from(sweep, settings.rings, "beam_missing")
+    return sweep[~np.isin(ring, missing_rings(settings, rings, rng))]
+
+
+def cross_sensor(sweep: Sweep, severity: int | CrossSensor, rng: Draws) -> Sweep:
+    """Keep what another sensor would have seen; `rng` is not used.
+
+    Raises:
+        DataError: the sweep's own rings are asked for and cannot be known.
+    """
+    settings = severity if isinstance(severity, CrossSensor) else CrossSensor.severity(severity)
+    ring, rings = rings_from(sweep, settings.rings, "cross_sensor")
+    return sweep[kept_points(sweep.points, ring, rings, settings)]
+
+
+def missing_rings(settings: BeamMissing, rings: int, rng: Draws) -> NDArray[np.int64]:
+    """Draw the rings that are missing, in the order of drawing; a legacy generator gives those of the release.
+
+    Those of a lower `rings_of_64` are the first of those of a higher one.
+    """
+    number = share_of(rings, settings.rings_of_64)
+    first, after = settings.first_of_64 * rings // 64, settings.after_of_64 * rings // 64
+    if settings.replaced:
+        return first + (rng.random(number) * (after - first)).astype(np.int64)
+    return first + rng.permutation(after - first)[:number]
+
+
+def kept_points(points: Cloud, ring: NDArray[np.integer], rings: int, settings: CrossSensor) -> NDArray[np.bool_]:
+    """Return (P,) which points the other sensor keeps.
+
+    Args:
+        points: (P, 3) or a cloud, in the order of the file.
+        ring: (P,) in [0, rings), 0 = top.
+        rings: of the sensor.
+        settings: of the other sensor.
+    """
+    if settings.method == "azimuth":
+        return _thinned_by_azimuth(points, ring, rings, settings)
+    kept = np.zeros(len(points), bool)
+    remaining = np.flatnonzero(~np.isin(ring, deleted_rings(rings, share_of(rings, settings.rings_of_64))))
+    kept[remaining[:: settings.keep_one_of]] = True
+    return kept
+
+
+def deleted_rings(rings: int, number: int) -> NDArray[np.int64]:
+    """Return which rings a cross sensor lacks."""
+    number = min(number, rings - 1)
+    if number <= 0:
+        return np.zeros(0, np.int64)
+    step = (100 * rings // number) / 100.0
+    return np.floor(1.0 + np.arange(number) * step).astype(np.int64)
+
+
+def _thinned_by_azimuth(
+    points: Cloud, ring: NDArray[np.integer], rings: int, settings: CrossSensor
+) -> NDArray[np.bool_]:
+    """Return (P,) which points LiDAR-Distillation keeps: azimuths count from +x, counter-clockwise to a full turn."""
+    every = rings // (rings - min(share_of(rings, settings.rings_of_64), rings - 1))
+    azimuth = np.mod(np.arctan2(points[:, 1], points[:, 0]), 2.0 * np.pi)
+    order = np.lexsort((azimuth, ring))
+    sorted_ring = ring[order]
+    place = np.arange(len(order)) - np.searchsorted(sorted_ring, sorted_ring)
+    kept = np.zeros(len(points), bool)
+    kept[order] = ((rings - 1 - sorted_ring) % every == 0) & (place % settings.keep_one_of == 0)
+    return kept

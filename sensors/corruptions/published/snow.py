@@ -1,0 +1,350 @@
+"""Snow as Hahner et al. (CVPR 2022) published it, and as DSRC and Robo3D use it.
+
+Every channel has a plane of its own with its own flakes (`snow_discs`), which take shares of the beams (`snow_beams`).
+In a beam with flakes all answer, the target last, on bins R of 0.1 m from ceil(10 r) to floor(10 (r + c tau)):
+
+    P(R) = C_A P0 beta0 share xi(r) / r^2 sin^2(pi (R - r) / (c tau)),   tau = 10 ns
+
+with C_A P0 beta0 of a flake 0.9 i_max, and of the target i' r^2, where i' = i - f(r) is its intensity (of 0 to 255)
+less what the HDL-64E's focus adds, f(r) = 255 slope |offset - (1 - r / 120)^2|, in [0, i_max]. The strongest bin wins:
+range d = bin / 10 - c tau / 2, intensity P + f(d), cut to an integer. If d is within 0.2 m of the target its point
+keeps its place (label 1), else it moves along its ray to d (label 2); beams without flakes have label 0. Then all
+points that did not move and whose rounded intensity is at most a noise floor, a parabola over range (`ground`), are
+removed.
+
+| severity              | 1     | 2    | 3 (DSRC, Robo3D light) | 4 (moderate) | 5 (heavy) |
+|-----------------------|-------|------|------------------------|--------------|-----------|
+| snowfall, mm/h        | 0.125 | 0.25 | 0.5                    | 1.0          | 2.5       |
+| fall speed, m/s       | 2.0   | 2.0  | 2.0                    | 1.6          | 1.6       |
+
+What grows with severity in this model is the share of moved points; it touches and removes fewer points the more it
+snows, as it has fewer and larger flakes.
+
+Quirks, as switches:
+
+* In the released code, all three, the target takes over C_A P0 of the flake before it, so that its own intensity does
+  not matter; `own_power` repairs that.
+* DSRC stops a bin earlier (`last_bin` is Hahner's and Robo3D's way), and its darkest intensity is 0, not the
+  calibration's (`darkest`).
+* Bins lie at round(k (120 + c tau) / 1229, 2) m in the pulse and at k / 10 m in d.
+* Channels are guessed by elevation (`rings`), 0 on top, and get the optics of the HDL-64E's laser of that number; i_max
+  is 255, but 230 for channels 53, 55, 56 and 58.
+* `calibration` names an npz file with the HDL-64E's focus (`read_calibration`); it is not part of this package. Without
+  one f = 0 and the darkest is 0.
+* `noise_factor` of None leaves the noise floor out. On intensities like CARLA's, exp(-0.004 r), it removes most points
+  and all nearer than 10 m, without any snow.
+* Beams across azimuth 0 (`whole_seam`), see `snow_beams`.
+
+A beam whose flakes and target are all nearer than 0.9 m has no echo at all; it is left as it is. Beyond 120 m, where
+the release fails, bins go on.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.published.cloud import Cloud, Draws, cloud_of, with_cloud
+from sensors.corruptions.published.echo import LIGHT_SPEED, overlap, pulse
+from sensors.corruptions.published.ground import Plane, fit_plane, ground_of, noise_floor, noise_line
+from sensors.corruptions.published.rings import LASERS, RingSource, rings_from
+from sensors.corruptions.published.snow_beams import Shares, shares_of
+from sensors.corruptions.published.snow_discs import DISCS, Law, disc_sample
+from sensors.sweep import ATTENUATED, KEPT, SCATTERED, Sweep
+from sim.errors import DataError, complaint
+
+SNOWFALL_MM_H = (0.125, 0.25, 0.5, 1.0, 2.5)
+FALL_SPEED_MPS = (2.0, 2.0, 2.0, 1.6, 1.6)
+
+UNTOUCHED, DIMMED, MOVED = range(3)
+"""Values of `Snowed.label`."""
+
+PULSE_S = 1e-8
+SCALE = 255.0
+"""Intensity that the model sees for one of 1 in a sweep."""
+
+_PULSE_M = LIGHT_SPEED * PULSE_S
+_REACH_M, _BINS = 120.0, 1230
+_FLAKE = 0.9
+_SAME_M = 0.2
+_WEAK_LASERS, _WEAK = (53, 55, 56, 58), 230.0
+_CELLS = 4_000_000
+
+Array = NDArray[np.float64]
+
+
+class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of `corrupt`; see above for the switches.
+
+    Attributes:
+        snowfall_mm_h: s.
+        fall_speed_mps: v.
+        law: of the flakes' sizes.
+        divergence_rad: full width of a beam.
+        own_power: the target answers with its own intensity.
+        last_bin: echoes reach to their last bin.
+        darkest: intensities are at least those of the calibration.
+        noise_factor: of the noise line; None for no noise floor.
+        whole_seam: beams across azimuth 0 are like all others.
+        calibration: npz file of the HDL-64E's focus.
+        rings: where channels come from.
+    """
+
+    snowfall_mm_h: float = 0.5
+    fall_speed_mps: float = 2.0
+    law: Law = "gunn"
+    divergence_rad: float = 0.003
+    own_power: bool = False
+    last_bin: bool = False
+    darkest: bool = False
+    noise_factor: float | None = 0.7
+    whole_seam: bool = False
+    calibration: str | None = None
+    rings: RingSource = "elevation"
+
+    def __post_init__(self) -> None:
+        check_range("Snow", "snowfall_mm_h", self.snowfall_mm_h, 0.0, 50.0)
+        check_range("Snow", "fall_speed_mps", self.fall_speed_mps, 0.1, 10.0)
+        check_range("Snow", "divergence_rad", self.divergence_rad, 1e-5, 0.1)
+        check_range("Snow", "noise_factor", self.noise_factor or 0.0, 0.0, 10.0)
+
+    @classmethod
+    def severity(cls, level: int) -> Self:
+        """Return the settings of a severity, 1 to 5."""
+        return cls(snowfall_mm_h=at_level(SNOWFALL_MM_H, level), fall_speed_mps=at_level(FALL_SPEED_MPS, level))
+
+
+PUBLISHED: dict[str, Snow] = {
+    "dsrc": Snow(),
+    "robo3d_light": Snow(last_bin=True, darkest=True),
+    "robo3d_moderate": Snow(snowfall_mm_h=1.0, fall_speed_mps=1.6, last_bin=True, darkest=True),
+    "robo3d_heavy": Snow(snowfall_mm_h=2.5, fall_speed_mps=1.6, last_bin=True, darkest=True),
+    "hahner_repaired": Snow(own_power=True, last_bin=True, darkest=True, whole_seam=True),
+}
+
+
+class Calibration(NamedTuple):
+    """Optics of 64 lasers.
+
+    Attributes:
+        slope: (64,) of the focus.
+        offset: (64,) of the focus.
+        darkest: (64,) least intensity.
+    """
+
+    slope: Array
+    offset: Array
+    darkest: Array
+
+    def focus(self, channel: NDArray[np.integer], range_m: Array) -> Array:
+        """Return (N,) what the focus adds to intensities, as a share of the largest."""
+        return self.slope[channel] * np.abs(self.offset[channel] - (1.0 - range_m / _REACH_M) ** 2)
+
+
+class Snowed(NamedTuple):
+    """A cloud in snow.
+
+    Attributes:
+        cloud: (P, 4 or more) float64, all points of the input; intensity of 0 to 255, rounded.
+        label: (P,) `UNTOUCHED`, `DIMMED` or `MOVED`.
+        kept: (P,) what is above the noise floor.
+        target_share: (P,) of the beam that the target gets.
+    """
+
+    cloud: Array
+    label: NDArray[np.int64]
+    kept: NDArray[np.bool_]
+    target_share: Array
+
+
+def corrupt(sweep: Sweep, severity: int | Snow, rng: Draws) -> Sweep:
+    """Dim, move or lose the points; what is moved is a return of a flake.
+
+    Raises:
+        DataError: the file of the calibration is missing or wrong, or rings are asked for that cannot be known.
+    """
+    settings = severity if isinstance(severity, Snow) else Snow.severity(severity)
+    if settings.snowfall_mm_h == 0.0 or len(sweep) == 0:
+        return sweep
+    channel, _ = rings_from(sweep, settings.rings, "snow")
+    order = rng.permutation(DISCS)
+    cloud = cloud_of(sweep)
+    cloud[:, 3] *= SCALE
+    snow = (settings.snowfall_mm_h, settings.fall_speed_mps, settings.law)
+    out = snowed(cloud, channel % LASERS, lambda c: disc_sample(*snow, int(order[c])), settings, rng)
+    out.cloud[:, 3] /= SCALE
+    return with_cloud(sweep, out.cloud, np.array([KEPT, ATTENUATED, SCATTERED])[out.label])[out.kept]
+
+
+def snowed(
+    cloud: Cloud,
+    channel: NDArray[np.integer],
+    discs: Callable[[int], Array] | Sequence[Array],
+    settings: Snow,
+    rng: Draws | None = None,
+    *,
+    plane: Plane | None = None,
+    floor: Array | None = None,
+) -> Snowed:
+    """Return what becomes of the points of a cloud.
+
+    Args:
+        cloud: (P, 4), intensity of 0 to 255.
+        channel: (P,) in [0, 64).
+        discs: flakes of each channel, by `discs(channel)` or as a sequence: (F, 3) x, y, radius, m.
+        settings: of the snow; its amount is in the discs.
+        rng: for the ground plane, when it is needed.
+        plane: of the ground, instead of the cloud's own.
+        floor: (3,) parabola of the noise floor, highest power first, instead of the cloud's own.
+    """
+    before = cloud.astype(np.float64)
+    reach = np.sqrt((before[:, :3] ** 2).sum(axis=1))
+    shares = _all_shares(before, reach, channel, discs, settings)
+    place, intensity = _strongest(before[:, 3], reach, channel, shares, settings)
+    heard = np.isfinite(place)
+    label = np.where(heard, np.where(np.abs(place - reach) < _SAME_M, DIMMED, MOVED), UNTOUCHED)
+    out, moved = before.copy(), label == MOVED
+    out[moved, :3] *= (place[moved] / reach[moved])[:, None]
+    out[heard, 3] = intensity[heard]
+    out[:, 3] = np.round(out[:, 3])
+    if floor is None:
+        floor = _floor(before, settings, plane, rng)
+    kept = moved | (out[:, 3] > np.polyval(floor, reach)) if floor is not None else np.ones(len(out), bool)
+    return Snowed(out, label, kept, shares.target)
+
+
+@lru_cache(maxsize=4)
+def read_calibration(path: str) -> Calibration:
+    """Read the focus of an HDL-64E.
+
+    Args:
+        path: npz file with `focal_distance_m`, `focal_slope` and `min_intensity`, (64,) each.
+
+    Raises:
+        DataError: there is no such file, or it is another one.
+    """
+    try:
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
+            distance, slope, darkest = (
+                np.asarray(data[name], np.float64) for name in ("focal_distance_m", "focal_slope", "min_intensity")
+            )
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise DataError(complaint(path, "calibration", "an npz file of an HDL-64E's focus", str(error))) from None
+    if not distance.shape == slope.shape == darkest.shape == (LASERS,):
+        raise DataError(complaint(path, "focal_slope", f"{LASERS} lasers", f"shape {slope.shape}"))
+    return Calibration(slope, (1.0 - 100.0 * distance / 13100.0) ** 2, darkest)
+
+
+def _calibration(settings: Snow) -> Calibration:
+    if settings.calibration is None:
+        return Calibration(*(np.zeros(LASERS) for _ in Calibration._fields))
+    return read_calibration(settings.calibration)
+
+
+def _all_shares(
+    cloud: Array,
+    reach: Array,
+    channel: NDArray[np.integer],
+    discs: Callable[[int], Array] | Sequence[Array],
+    settings: Snow,
+) -> Shares:
+    """Return what flakes take of all beams, each channel with its own flakes."""
+    azimuth = np.arctan2(cloud[:, 1], cloud[:, 0])
+    target = np.ones(len(cloud))
+    parts = []
+    for c in np.unique(channel).tolist():
+        rows = np.flatnonzero(channel == c)
+        flakes = discs(c) if callable(discs) else discs[c]
+        found = shares_of(azimuth[rows], reach[rows], flakes, settings.divergence_rad, whole_seam=settings.whole_seam)
+        target[rows] = found.target
+        parts.append(found._replace(beam=rows[found.beam]))
+    beam = np.concatenate([p.beam for p in parts] or [np.zeros(0, np.int64)])
+    range_m, share = (
+        np.concatenate([getattr(p, name) for p in parts] or [np.zeros(0)]) for name in ("range_m", "share")
+    )
+    return Shares(beam, range_m, share, target)
+
+
+def _strongest(
+    intensity: Array, reach: Array, channel: NDArray[np.integer], shares: Shares, settings: Snow
+) -> tuple[Array, Array]:
+    """Return (P,) range and intensity of the strongest echo in beams with flakes; NaN where there is none."""
+    optics = _calibration(settings)
+    brightest = np.where(np.isin(channel, _WEAK_LASERS), _WEAK, SCALE)
+    hit, flake = np.unique(shares.beam, return_inverse=True)
+    far = reach[hit]
+    if settings.own_power:
+        focus = SCALE * optics.focus(channel[hit], far)
+        target = np.clip(intensity[hit] - focus, 0.0, brightest[hit]) * shares.target[hit] * overlap(far)
+    else:
+        target = _FLAKE * brightest[hit] * shares.target[hit] * overlap(far) / np.maximum(far, 1e-6) ** 2
+    flakes = _FLAKE * brightest[shares.beam] * shares.share * overlap(shares.range_m) / shares.range_m**2
+    beam = np.concatenate([flake, np.arange(len(hit))])
+    power, peak_bin = _peaks(
+        beam, np.concatenate([shares.range_m, far]), np.concatenate([flakes, target]), settings.last_bin
+    )
+    heard = power > 0.0
+    row, d = hit[heard], peak_bin[heard] / 10.0 - 0.5 * _PULSE_M
+    bright = power[heard] + brightest[row] * optics.focus(channel[row], d)
+    place, level = np.full(len(reach), np.nan), np.full(len(reach), np.nan)
+    place[row] = d
+    level[row] = np.trunc(np.clip(bright, optics.darkest[channel[row]] if settings.darkest else 0.0, brightest[row]))
+    return place, level
+
+
+def _peaks(
+    beam: NDArray[np.int64], range_m: Array, amplitude: Array, last_bin: bool
+) -> tuple[Array, NDArray[np.int64]]:
+    """Return the strongest of the bins in which all echoes of a beam add up, and which it is.
+
+    Args:
+        beam: (N,) of each echo, every one of [0, H) at least once.
+        range_m: (N,) of what answers.
+        amplitude: (N,) of its echo.
+        last_bin: echoes reach to their last bin.
+
+    Returns:
+        (H,) peak and bin.
+    """
+    beams = int(beam.max()) + 1 if len(beam) else 0
+    power, peak_bin = np.zeros(beams), np.zeros(beams, np.int64)
+    first = np.ceil(10.0 * range_m).astype(np.int64)
+    after = np.floor(10.0 * (range_m + _PULSE_M)).astype(np.int64) + last_bin
+    sounding = amplitude > 0.0
+    beam, first, after = beam[sounding], first[sounding], after[sounding]
+    range_m, amplitude = range_m[sounding], amplitude[sounding]
+    longest = int((after - first).max(initial=0))
+    bins = int(after.max(initial=0)) + 1
+    bin_m = np.round(np.arange(bins) * ((_REACH_M + _PULSE_M) / (_BINS - 1)), 2)
+    order = np.argsort(beam, kind="stable")
+    edges = np.searchsorted(beam[order], np.arange(beams + 1))
+    lines = max(1, _CELLS // bins)
+    for low in range(0, beams, lines):
+        rows = order[edges[low] : edges[min(low + lines, beams)]]
+        k = first[rows, None] + np.arange(longest)
+        echo = amplitude[rows, None] * pulse(bin_m[np.minimum(k, bins - 1)] - range_m[rows, None], PULSE_S)
+        echo[k >= after[rows, None]] = 0.0
+        cell = (beam[rows, None] - low) * bins + np.minimum(k, bins - 1)
+        number = min(lines, beams - low)
+        total = np.bincount(cell.ravel(), echo.ravel(), number * bins).reshape(number, bins)
+        peak_bin[low : low + number] = total.argmax(axis=1)
+        power[low : low + number] = total.max(axis=1)
+    return power, peak_bin
+
+
+def _floor(cloud: Array, settings: Snow, plane: Plane | None, rng: Draws | None) -> Array | None:
+    """Return the parabola of the noise floor; None when there is none or too little ground for one."""
+    if settings.noise_factor is None:
+        return None
+    if plane is None:
+        if rng is None:
+            raise ValueError("snowed needs a plane, a floor or a generator to find them with")
+        plane = fit_plane(cloud, rng)
+    ground = ground_of(cloud, plane)
+    line = noise_line(ground, cloud[ground.rows, 3])
+    return None if line is None else noise_floor(ground, line, settings.noise_factor)

@@ -1,0 +1,118 @@
+"""Optics: how strong a return is and whether it is seen, as tables that any engine reads.
+
+Symbols: rho reflectivity, theta incidence, R range, alpha extinction of clear air. The power that comes back from a
+surface that fills the beam, relative to a white surface hit squarely at the same range:
+
+    diffuse  rho * cos(theta)^0.5           rough road and render fall off slower towards grazing incidence than
+                                            Lambert's exponent 1 (Oren and Nayar 1994)
+    beads    rho * cos(theta)^0.25          lane paint: half-sunk glass beads send part of the light back
+    retro    8 * rho * cos(theta)^0.1       plates, signs and rear reflectors
+    glass    max(0, 1 - 256 (1 - cos(theta)))   a mirror: 1 - (theta / 5.1 deg)^2, and nothing beyond, as the light
+                                            leaves for elsewhere; dust and what lies behind a pane return nothing
+
+A film of water darkens what takes it up, because light is reflected back into the film on its way out (Lekner and
+Dorf 1988): rho_wet = (1 - 0.02) * rho * (1 - p) / (1 - p * rho) with p = 0.47; wet beads reflect like the paint below.
+
+A return is detected while power * exp(-2 alpha R) / R^2 is at least that of a target of reflectivity 0.1 at
+`spec.range_10_m`.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.spec import LidarSpec
+from sim.mesh.materials import MATERIALS, Material
+
+CLEAR_AIR_EXTINCTION = 2e-4
+"""Extinction of clear air, 1/m: a meteorological range of 15 km."""
+
+COSINE_BINS = 1024
+RANGE_BINS = 4096
+
+LIGHT_SPEED = 299_792_458.0
+
+_RETRO_GAIN = 8.0
+_MIRROR = COSINE_BINS / 4.0
+"""The mirror of a pane ends where a bin does, so that reading the table widens it by nothing."""
+_FILM_REFLECTED, _FILM_KEPT = 0.02, 0.47
+_POWER_LAW_M = 10.0
+_LEAST_NEED = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Optics:
+    """The laws of one sensor as tables, read with linear interpolation.
+
+    Attributes:
+        power: (M, COSINE_BINS + 1) float32 returned power of each material over the cosine of incidence in [0, 1].
+        need: (RANGE_BINS + 1,) float32 least power that is detected, over the range in [0, reach_m]; positive.
+        scale: (RANGE_BINS + 1,) float32: intensity is min(1, power * scale), or scale alone without `of_material`.
+        of_material: whether intensity depends on what was hit.
+        reach_m: range at the end of the tables.
+        gate_m: echoes of one beam that are not farther apart than this are one.
+    """
+
+    power: NDArray[np.float32]
+    need: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    of_material: bool
+    reach_m: float
+    gate_m: float
+
+
+@lru_cache(maxsize=32)
+def optics_of(spec: LidarSpec, wetness: float = 0.0) -> Optics:
+    """Return the laws of a sensor over dry (0) to wet (1) surfaces."""
+    cosine = np.linspace(0.0, 1.0, COSINE_BINS + 1)
+    distance = np.linspace(0.0, spec.range_max_m, RANGE_BINS + 1)
+    clear = np.exp(-2.0 * CLEAR_AIR_EXTINCTION * distance)
+    weakest = 0.1 * np.exp(-2.0 * CLEAR_AIR_EXTINCTION * spec.range_10_m) / spec.range_10_m**2
+    need = weakest * distance**2 / clear
+    scales = {
+        "reflectivity": clear,
+        "distance": np.exp(-spec.attenuation * distance),
+        "power": clear * (_POWER_LAW_M / np.maximum(distance, 1e-3)) ** 2,
+    }
+    return Optics(
+        power=np.stack([returned_power(material, cosine, wetness) for material in MATERIALS]).astype(np.float32),
+        need=np.maximum(need, _LEAST_NEED).astype(np.float32),
+        scale=np.minimum(scales[spec.intensity_law], 1e6).astype(np.float32),
+        of_material=spec.intensity_law != "distance",
+        reach_m=spec.range_max_m,
+        gate_m=0.5 * LIGHT_SPEED * spec.pulse_s,
+    )
+
+
+def returned_power(material: Material, cosine: NDArray[np.float64], wetness: float = 0.0) -> NDArray[np.float64]:
+    """Return the power that a surface filling the beam sends back, see above; (N,) for (N,) cosines of incidence."""
+    dry = _power(material.finish, material.reflectivity, cosine)
+    if wetness == 0.0 or not material.wets:
+        return dry
+    wet = _power("diffuse", wet_reflectivity(material.reflectivity), cosine)
+    return (1.0 - wetness) * dry + wetness * wet
+
+
+def drop_chance(intensity: NDArray[np.float32], spec: LidarSpec) -> NDArray[np.float32]:
+    """Return the chance that CARLA's model loses a return: linear from zero intensity up to the limit, then none."""
+    if spec.dropoff_intensity_limit <= 0.0:
+        return np.zeros_like(intensity)
+    share = 1.0 - intensity / np.float32(spec.dropoff_intensity_limit)
+    return np.float32(spec.dropoff_zero_intensity) * np.clip(share, 0.0, 1.0)
+
+
+def wet_reflectivity(reflectivity: float) -> float:
+    """Return the reflectivity of a rough surface below a film of water."""
+    return (1.0 - _FILM_REFLECTED) * reflectivity * (1.0 - _FILM_KEPT) / (1.0 - _FILM_KEPT * reflectivity)
+
+
+def _power(finish: str, reflectivity: float, cosine: NDArray[np.float64]) -> NDArray[np.float64]:
+    if finish == "retro":
+        return _RETRO_GAIN * reflectivity * cosine**0.1
+    if finish == "beads":
+        return reflectivity * cosine**0.25
+    if finish == "glass":
+        return np.maximum(0.0, 1.0 - _MIRROR * (1.0 - cosine))
+    return reflectivity * cosine**0.5

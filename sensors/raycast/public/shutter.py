@@ -1,0 +1,176 @@
+"""Rolling shutter: where a sensor is when its beams fire, in the world and as bodies that move see it."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.motion import Path
+from sensors.optics.beams import BLOCK, Beams, Fan
+from sensors.raycast.base import Bodies, Shot
+from sim.geometry import pose_matrix
+
+_STEP_S = 1e-3
+"""Poses run straight for at most so long: a body that turns at 3 rad/s is then true to 0.05 mm at 50 m."""
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Where a sensor is when the beams of c columns fire, in some frame.
+
+    The head of a spinning sensor counts as turned to each column's azimuth: see `axes_of`.
+
+    Attributes:
+        start: (3, 4, c) float32 pose when share 0 of the column has passed.
+        step: (3, 4, c) float32 its change over the column; None where all beams fire at `start`.
+    """
+
+    start: Floats
+    step: Floats | None
+
+    def directions(self, axes: Floats, share: Floats, columns: slice = slice(None)) -> Floats:
+        """Return the (3, S, r, c) directions of rays in some columns.
+
+        Args:
+            axes: (3, S, r, c or 1) in the frame of the head.
+            share: (r,) when they fire.
+            columns: which of the motion.
+        """
+        turned = _turned(self.start[:, :3, columns], axes)
+        if self.step is not None:
+            turned += _turned(self.step[:, :3, columns], axes * share[:, None])
+        return turned
+
+    def places(self, share: Floats, columns: slice = slice(None)) -> Floats:
+        """Return (3, 1 or r, c) places of the sensor when (r,) shares of some columns have passed."""
+        start = self.start[:, 3, None, columns]
+        return start if self.step is None else start + share[:, None] * self.step[:, 3, None, columns]
+
+
+def _turned(matrix: Floats, axes: Floats) -> Floats:
+    """Return (3, S, r, c): (3, 3, c) matrices times (3, S, r, c or 1) axes."""
+    if axes.shape[3] > 1:
+        return np.einsum("ijc,jsrc->isrc", matrix, axes)
+    return (axes.reshape(3, -1).T @ matrix).reshape(3, *axes.shape[1:3], -1)
+
+
+def axes_of(beams: Beams) -> tuple[Floats, Floats]:
+    """Return the axes of the rays and of the beams in the frame of the head.
+
+    Returns:
+        (3, S, R, 1) and (3, 1, R, 1), the same for all columns; or (3, S, R, C) and (3, 1, R, C) of a rosette, whose
+        head stands still.
+    """
+    if beams.fan is not None:
+        return _axes_of_head(beams)
+    return np.moveaxis(beams.subray[..., : beams.columns], 1, 0), beams.axis[:, None, :, : beams.columns]
+
+
+@lru_cache(maxsize=8)
+def _axes_of_head(beams: Beams) -> tuple[Floats, Floats]:
+    assert beams.fan is not None
+    cosine, sine = _head(beams.fan)[:, 0]
+    both = np.concatenate([beams.subray[..., :1], beams.axis[None, ..., :1]])
+    x, y, z = np.moveaxis(both, 1, 0)
+    axes = np.stack([cosine * x + sine * y, cosine * y - sine * x, z])
+    return axes[:, :-1], axes[:, -1:]
+
+
+@lru_cache(maxsize=16)
+def _head(fan: Fan) -> Floats:
+    """Return (2, W) float32 cosine and sine of the columns' azimuths."""
+    return np.stack([np.cos(fan.azimuth), np.sin(fan.azimuth)]).astype(np.float32)
+
+
+class Shutter:
+    """The time of one sweep, in columns since its start.
+
+    Attributes:
+        border: (K,) float64 moments between which poses run straight: borders of blocks, parts of long ones, and the
+            knots of the bodies' path.
+        segment: (C,) the border before each column.
+    """
+
+    def __init__(self, shot: Shot, knots_s: NDArray[np.float64]) -> None:
+        """Prepare a sweep among bodies whose path has knots at (K,) times."""
+        share, columns, column_s = shot.beams.firing_share, shot.beams.columns, shot.spec.column_s
+        self._shot = shot
+        self._together = bool((share == share[0]).all())
+        parts = max(1, int(np.ceil(BLOCK * column_s / _STEP_S)))
+        borders = np.linspace(0.0, float(shot.beams.blocks * BLOCK), shot.beams.blocks * parts + 1)
+        if column_s > 0.0:
+            knots = (knots_s - shot.time_s) / column_s + 0.5 * columns
+            borders = np.sort(np.concatenate([borders, knots[(knots > 0.0) & (knots < borders[-1])]]))
+        fired = np.arange(columns) + (float(share[0]) if self._together else 0.0)
+        self.border = borders
+        self.segment: NDArray[np.int64] = np.searchsorted(borders, fired, "right") - 1
+        length = np.diff(borders)[self.segment]
+        self._past_border: Floats = ((fired - borders[self.segment]) / length).astype(np.float32)
+        self._per_column: Floats = (1.0 / length).astype(np.float32)
+        self._head = None if shot.beams.fan is None else _head(shot.beams.fan)
+
+    def sensor(self, column: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (N, 3, 4) world_from_lidar at (N,) moments."""
+        knots = self._shot.knots
+        block = np.clip(column // BLOCK, 0, len(knots) - 2).astype(np.int64)
+        share = (column / BLOCK - block)[:, None, None]
+        return knots[block] + share * (knots[block + 1] - knots[block])
+
+    def places(self, bodies: Bodies, rows: NDArray[np.int64], column: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (N, K, 3) places of (N,) bodies in the world at (K,) moments."""
+        knot, share = self._on_path(bodies.path, column)
+        xyz = bodies.path.xyz[rows]
+        return (1.0 - share) * xyz[:, knot] + share * xyz[:, knot + 1]
+
+    def body_from_lidar(
+        self, bodies: Bodies, rows: NDArray[np.int64], column: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return (N, 3, 4) body_from_lidar of (N,) bodies, each at its own of (N,) moments."""
+        path = bodies.path
+        knot, share = self._on_path(path, column)
+        xyz, angles = (
+            (1.0 - share) * values[rows, knot] + share * values[rows, knot + 1] for values in (path.xyz, path.angles)
+        )
+        rotation = pose_matrix(xyz, angles[:, 0], angles[:, 1], angles[:, 2])[:, :3, :3]
+        sensor = self.sensor(column)
+        sensor[:, :, 3] -= xyz
+        return np.swapaxes(rotation, 1, 2) @ sensor
+
+    def _on_path(self, path: Path, column: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return (N,) knots of a path before moments and (N, 1) shares of the way to the next."""
+        shot = self._shot
+        time_s = shot.time_s + (column - 0.5 * shot.beams.columns) * shot.spec.column_s
+        knot = np.clip(np.searchsorted(path.time_s, time_s, side="right") - 1, 0, len(path.time_s) - 2)
+        start, end = path.time_s[knot], path.time_s[knot + 1]
+        return knot, np.clip((time_s - start) / (end - start), 0.0, 1.0)[:, None]
+
+    def motion(
+        self, poses: NDArray[np.float64], row: NDArray[np.int64], columns: NDArray[np.int64] | slice = slice(None)
+    ) -> Motion:
+        """Return the motion over c columns.
+
+        Args:
+            poses: (N, 3, 4) at borders.
+            row: (c,) row in `poses` of the border before each column; that of the border after it is the next.
+            columns: which.
+        """
+        table = np.ascontiguousarray(poses.transpose(1, 2, 0), dtype=np.float32)
+        start, change = table.take(row, axis=2), np.diff(table).take(row, axis=2)
+        start += self._past_border[columns] * change
+        self._turn_head(start, columns)
+        if self._together:
+            return Motion(start, None)
+        change *= self._per_column[columns]
+        self._turn_head(change, columns)
+        return Motion(start, change)
+
+    def _turn_head(self, pose: Floats, columns: NDArray[np.int64] | slice) -> None:
+        """Turn (3, 4, c) poses of the sensor into those of its head."""
+        if self._head is not None:
+            cosine, sine = self._head[:, columns if isinstance(columns, np.ndarray) else slice(pose.shape[2])]
+            forward = cosine * pose[:, 0] + sine * pose[:, 1]
+            pose[:, 1] = cosine * pose[:, 1] - sine * pose[:, 0]
+            pose[:, 0] = forward

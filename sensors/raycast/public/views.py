@@ -1,0 +1,164 @@
+"""Views: which rays of a sweep may meet which body, and the sensor's motion as that body sees it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.optics.beams import Fan, halo
+from sensors.raycast.base import Bodies, Shot
+from sensors.raycast.public.culling import Arcs, arcs_of, windows_of
+from sensors.raycast.public.shutter import Motion, Shutter
+
+_GROW_M = 0.05
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
+_CONE_MARGIN_RAD = np.radians(0.3)
+_MOMENTS = np.array([0.0, 0.5, 1.0])
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Rays that may meet a body.
+
+    Attributes:
+        body: its row.
+        near: it is at least so far away, m.
+        top, bottom: first ring of the rays, and the one after the last.
+        columns: of the rays.
+        span: where these columns are in the motion that belongs to the views.
+    """
+
+    body: int
+    near: float
+    top: int
+    bottom: int
+    columns: slice | Ints
+    span: slice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """V views in rows.
+
+    Attributes:
+        body, near, top, bottom: (V,) see `View`.
+        count: (V,) columns of each.
+        column: (c,) those of all, one view after another.
+    """
+
+    body: Ints
+    near: NDArray[np.float64]
+    top: Ints
+    bottom: Ints
+    count: Ints
+    column: Ints
+
+
+def views_of(shot: Shot, shutter: Shutter, bodies: Bodies) -> tuple[list[View], Motion]:
+    """Return the views of bodies, nearest first, and the sensor's motion in the frames of their bodies."""
+    rows = _near(shot, shutter, bodies)
+    fan = shot.beams.fan
+    table = _by_cone(shot, shutter, bodies, rows) if fan is None else _by_fan(fan, shot, shutter, bodies, rows)
+    end = np.cumsum(table.count)
+    start = end - table.count
+    motion = _motion(shutter, bodies, table, start)
+    columns: list[slice | Ints] = [table.column[a:b] for a, b in zip(start, end, strict=True)]
+    if fan is not None:
+        columns = [slice(int(table.column[a]), int(table.column[b - 1]) + 1) for a, b in zip(start, end, strict=True)]
+    spans = map(slice, start.tolist(), end.tolist())
+    numbers = (values.tolist() for values in (table.body, table.near, table.top, table.bottom))
+    return list(map(View, *numbers, columns, spans)), motion
+
+
+def _motion(shutter: Shutter, bodies: Bodies, table: _Table, start: Ints) -> Motion:
+    """Return the sensor's motion over the columns of all views, each in the frame of its body."""
+    segment = shutter.segment[table.column]
+    if not len(segment):
+        return shutter.motion(np.zeros((1, 3, 4)), segment, table.column)
+    # The poses at the borders around the columns of each view, one view after another.
+    first = np.minimum.reduceat(segment, start)
+    borders = np.maximum.reduceat(segment, start) - first + 2
+    shift = np.cumsum(borders) - borders - first
+    border = shutter.border[np.arange(borders.sum()) - np.repeat(shift, borders)]
+    poses = shutter.body_from_lidar(bodies, np.repeat(table.body, borders), border)
+    return shutter.motion(poses, segment + np.repeat(shift, table.count), table.column)
+
+
+def _near(shot: Shot, shutter: Shutter, bodies: Bodies) -> Ints:
+    """Return the rows of the bodies that may come within reach and are not hidden."""
+    middle = shutter.sensor(np.array([0.5 * shot.beams.columns]))[0, :2, 3]
+    offset = bodies.path.xyz[:, :, :2] - middle
+    distance = np.sqrt((offset * offset).sum(axis=2).min(axis=1))
+    # A quarter more than the reach covers any motion within the time of a path.
+    seen = distance - 0.5 * bodies.size[:, :2].sum(axis=1) <= 1.25 * float(shot.beams.reach[:, 1].max())
+    if shot.hidden_id is not None:
+        seen &= bodies.object_id != shot.hidden_id
+    return np.flatnonzero(seen)
+
+
+def _by_fan(fan: Fan, shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
+    """Return the views of a spinning sensor, nearest first."""
+    azimuth = fan.azimuth[: shot.beams.columns]
+    of, first, after = _anywhere(shot, shutter, bodies, rows).columns(azimuth, fan.spread)
+    # Only these columns can see it; so it matters only where it is while they fire.
+    moments = first[:, None] + (after - first)[:, None] * _MOMENTS
+    tight = windows_of(_corners(shutter, bodies, rows[of], moments))
+    top, bottom = tight.rings(fan.elevation, fan.spread)
+    again, start, end = tight.arcs.columns(azimuth, fan.spread)
+    start, end = np.maximum(start, first[again]), np.minimum(end, after[again])
+    seen = np.flatnonzero((end > start) & (bottom > top)[again])
+    seen = seen[np.argsort(tight.near[again[seen]], kind="stable")]
+    again, start, count = again[seen], start[seen], end[seen] - start[seen]
+    column = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - start, count)
+    return _Table(rows[of[again]], tight.near[again], top[again], bottom[again], count, column)
+
+
+def _by_cone(shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
+    """Return the views of a sensor whose beams go anywhere, nearest first: all rings of the columns within a cone."""
+    beams = shot.beams
+    corners = _corners(shutter, bodies, rows, np.tile(beams.columns * _MOMENTS, (len(rows), 1)))
+    near = windows_of(corners).near
+    direction = corners / np.linalg.norm(corners, axis=2, keepdims=True)
+    middle = direction.sum(axis=1)
+    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
+    angle = np.arccos(np.clip(np.einsum("nki,ni->nk", direction, middle), -1.0, 1.0)).max(axis=1)
+    angle += _CONE_MARGIN_RAD + halo(shot.spec)
+    found: list[tuple[int, float, Ints]] = []
+    for row in np.argsort(near, kind="stable"):
+        seen = np.arange(beams.columns)
+        if angle[row] < 0.5 * np.pi and near[row] > 0.0:
+            along = np.einsum("i,irc->rc", middle[row].astype(np.float32), beams.axis[:, :, : beams.columns])
+            seen = np.flatnonzero((along >= np.float32(np.cos(angle[row]))).any(axis=0))
+        if len(seen):
+            found.append((int(rows[row]), float(near[row]), seen))
+    count = np.array([len(seen) for _, _, seen in found], np.int64)
+    return _Table(
+        body=np.array([body for body, _, _ in found], np.int64),
+        near=np.array([distance for _, distance, _ in found]),
+        top=np.zeros(len(found), np.int64),
+        bottom=np.full(len(found), beams.rings),
+        count=count,
+        column=np.concatenate([np.zeros(0, np.int64), *(seen for _, _, seen in found)]),
+    )
+
+
+def _anywhere(shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) -> Arcs:
+    """Return arcs that hold the bodies all the time."""
+    moments = shot.beams.columns * _MOMENTS
+    place, sensor = shutter.places(bodies, rows, moments), shutter.sensor(moments)
+    centre = np.einsum("kji,nkj->nki", sensor[:, :, :3], place - sensor[:, :, 3])
+    # A sphere around the middle of the footprint that holds the box however it leans.
+    radius = np.sqrt(0.25 * (bodies.size[rows, :2] ** 2).sum(axis=1) + bodies.size[rows, 2] ** 2) + _GROW_M
+    return arcs_of(centre[..., 0], centre[..., 1], radius[:, None])
+
+
+def _corners(shutter: Shutter, bodies: Bodies, rows: Ints, moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, 8 K, 3) corners of N bodies' boxes in the sensor frame at (N, K) moments in columns."""
+    count = moments.shape[1]
+    body_from_lidar = shutter.body_from_lidar(bodies, np.repeat(rows, count), moments.reshape(-1))
+    rotation, place = body_from_lidar[:, :, :3], body_from_lidar[:, :, 3]
+    local = _CORNERS * (bodies.size[rows, None] + _GROW_M) - np.array([0.0, 0.0, 0.5 * _GROW_M])
+    corners = (np.repeat(local, count, axis=0) - place[:, None]) @ rotation
+    return corners.reshape(len(rows), count * len(_CORNERS), 3)

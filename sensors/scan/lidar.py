@@ -1,0 +1,165 @@
+"""scan: sweeps of LiDARs through a scene.
+
+Time: a sweep is centred on its reference time `time_s`; beam r of column c fires at `time_s + spec.time_offset[r, c]`,
+within half a sweep of it. Every ray starts at the sensor's pose at its firing and meets every body where that body is
+then (rolling shutter of both). Points are given in the sensor frame at `time_s`: the sensor's own motion is
+compensated, as drivers do with odometry, so a still world is sharp; what moves is smeared by its motion, and its
+ground-truth box at `time_s` sits in the middle of the smear. `sensors.deskew` gives the other conventions.
+
+What a beam measures is defined in `sensors.raycast.Engine`, how strongly surfaces return in `sensors.optics.reflectance`.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.motion import Path
+from sensors.optics.beams import BLOCK, Beams, beams_of
+from sensors.optics.noise import draw_noise
+from sensors.optics.reflectance import optics_of
+from sensors.raycast import Returns, Shot
+from sensors.scan.scene import RayScene
+from sensors.spec import LidarSpec
+from sensors.sweep import KEPT, Sweep
+from sim.errors import DataError, SettingsError, complaint
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensor:
+    """One LiDAR during one sweep.
+
+    Attributes:
+        spec: what it is.
+        path: world_from_lidar over at least the sweep.
+        time_s: reference time, s.
+        rng: its random numbers; they are the same whatever the scene, so a ray keeps its noise.
+        rides_on: object that carries it, not seen unless `spec.own_body`.
+    """
+
+    spec: LidarSpec
+    path: Path
+    time_s: float
+    rng: np.random.Generator
+    rides_on: int | None = None
+
+
+def scan_all(
+    scene: RayScene, sensors: Sequence[Sensor], *, wetness: float = 0.0, threads: int | None = None
+) -> list[Sweep]:
+    """Scan one instant of a scene by several sensors at once.
+
+    Args:
+        scene: static world and the bodies around the sensors' times.
+        sensors: who scans.
+        wetness: of the surfaces, 0 dry to 1 covered by a film of water.
+        threads: at most so many; one per core when left out. It changes no byte.
+
+    Returns:
+        One sweep per sensor, in the sensor frame at its `time_s`, ring by ring from the top, columns ascending.
+
+    Raises:
+        SettingsError: a wetness that is none, or a sweep outside the time of the scene's bodies.
+        DataError: a path that is not finite.
+    """
+    if not 0.0 <= wetness <= 1.0:
+        raise SettingsError(complaint("scan", "wetness", "0 to 1", wetness))
+    shots = [shot_of(sensor, wetness) for sensor in sensors]
+    made = scene.sweep(shots, threads or _cores())
+    return [_sweep(sensor, shot, returns) for sensor, shot, returns in zip(sensors, shots, made, strict=True)]
+
+
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def scan(
+    scene: RayScene,
+    spec: LidarSpec,
+    world_from_lidar_start: NDArray[np.float64],
+    world_from_lidar_end: NDArray[np.float64],
+    time_s: float,
+    rng: np.random.Generator,
+    exclude_id: int | None = None,
+    *,
+    world_from_lidar: NDArray[np.float64] | None = None,
+    wetness: float = 0.0,
+) -> Sweep:
+    """Scan a scene once by one sensor.
+
+    Args:
+        scene: static world and the bodies around `time_s`.
+        spec: the sensor.
+        world_from_lidar_start: (4, 4) pose half a rotation before `time_s`.
+        world_from_lidar_end: (4, 4) pose half a rotation after.
+        time_s: reference time, s.
+        rng: noise and drop-off.
+        exclude_id: object that the sensor rides on and cannot see.
+        world_from_lidar: (4, 4) pose at `time_s`; half-way between start and end when left out.
+        wetness: see `scan_all`.
+    """
+    half = 0.5 * spec.period_s
+    if world_from_lidar is None:
+        poses, times = [world_from_lidar_start, world_from_lidar_end], [-half, half]
+    else:
+        poses, times = [world_from_lidar_start, world_from_lidar, world_from_lidar_end], [-half, 0.0, half]
+    path = Path.through(time_s + np.array(times), np.stack(poses))
+    return scan_all(scene, [Sensor(spec, path, time_s, rng, exclude_id)], wetness=wetness)[0]
+
+
+def shot_of(sensor: Sensor, wetness: float = 0.0) -> Shot:
+    """Return what a ray-casting engine is asked for one sweep; it draws the noise from the sensor's generator.
+
+    Raises:
+        DataError: a path that is not finite.
+    """
+    spec = sensor.spec
+    beams = beams_of(spec, sensor.time_s)
+    knots, pose = _poses(spec, beams, sensor.path, sensor.time_s)
+    if not np.isfinite(knots).all():
+        raise DataError(complaint(f"sensor '{spec.name}'", "path", "finite poses", "NaN or infinity"))
+    return Shot(
+        spec=spec,
+        beams=beams,
+        optics=optics_of(spec, wetness),
+        noise=draw_noise(beams, sensor.rng),
+        knots=knots,
+        pose=pose,
+        time_s=sensor.time_s,
+        hidden_id=None if spec.own_body else sensor.rides_on,
+    )
+
+
+def _poses(spec: LidarSpec, beams: Beams, path: Path, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (B + 1, 3, 4) world_from_lidar at the borders of the blocks and (4, 4) at the reference time."""
+    column = np.arange(beams.blocks + 2) * float(BLOCK)
+    # The last block may be cut short by the end of the sweep, and beyond it nobody knows the path.
+    full = BLOCK / (beams.columns - column[-3])
+    column[-2:] = beams.columns, 0.5 * beams.columns
+    times = time_s + (column - 0.5 * beams.columns) * spec.column_s
+    poses = path.at(times.astype(np.float64))
+    knots = poses[:-1, :3]
+    knots[-1] = knots[-2] + full * (knots[-1] - knots[-2])
+    return knots, poses[-1]
+
+
+def _sweep(sensor: Sensor, shot: Shot, returns: Returns) -> Sweep:
+    return Sweep(
+        points=returns.points,
+        intensity=returns.intensity,
+        ring=returns.ring,
+        column=returns.column,
+        time_offset=returns.time_offset,
+        object_id=returns.object_id,
+        return_number=returns.return_number,
+        fate=np.full(len(returns.points), KEPT, np.uint8),
+        material=returns.material,
+        cosine=returns.cosine,
+        world_from_lidar=shot.pose,
+        time_s=sensor.time_s,
+        spec=sensor.spec,
+        path=sensor.path,
+    )

@@ -1,0 +1,67 @@
+"""Line of sight between the agents' antennas: rays in the scene that the LiDARs see too."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.frame import Frame
+from sensors.scan.scene import RayScene
+from sim.boxes import Boxes
+from sim.radio import Sight
+
+_CLEAR_M = 0.3
+"""What is this close to an antenna is its own mount."""
+
+
+def antennas(frame: Frame) -> NDArray[np.float64]:
+    """Return (A, 3) places of the agents' antennas in the world: beside their LiDARs."""
+    return np.array([agent.sweep.world_from_lidar[:3, 3] for agent in frame.agents], np.float64).reshape(-1, 3)
+
+
+def lines_of_sight(scene: RayScene | None, frame: Frame) -> NDArray[np.int8]:
+    """Return (A, A) `Sight` between the agents, the same both ways; the diagonal is free.
+
+    Args:
+        scene: whose static world blocks, all of it as a building does, also a trunk or a pole; None for data of which
+            nobody knows the world, where only vehicles do.
+        frame: gives the agents and the boxes of everything that moves.
+    """
+    place = antennas(frame)
+    sight = np.zeros((len(place), len(place)), np.int8)
+    first, second = np.triu_indices(len(place), 1)
+    if len(first) == 0:
+        return sight
+    start, end = place[first], place[second]
+    ids = np.array([agent.agent_id for agent in frame.agents])
+    foreign = (frame.truth.object_id != ids[first, None]) & (frame.truth.object_id != ids[second, None])
+    found = np.where((_crossed(frame.truth, start, end) & foreign).any(axis=1), Sight.VEHICLE, Sight.FREE)
+    if scene is not None:
+        found[_walled(scene, start, end)] = Sight.BUILDING
+    sight[first, second] = sight[second, first] = found
+    return sight
+
+
+def _walled(scene: RayScene, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return (P,) whether the static world is between P pairs of places."""
+    length = np.linalg.norm(end - start, axis=1)
+    way = (end - start) / np.maximum(length, 1e-9)[:, None]
+    hits = scene.cast(start + _CLEAR_M * way, way, float(length.max()))
+    return (hits.face >= 0) & (hits.distance < length - 2.0 * _CLEAR_M)
+
+
+def _crossed(boxes: Boxes, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return (P, N) whether the way from P places to P others goes through each box.
+
+    By the slabs of the box in its own frame (Kay, Kajiya 1986).
+    """
+    cos, sin = np.cos(boxes.yaw), np.sin(boxes.yaw)
+    zero, one = np.zeros_like(cos), np.ones_like(cos)
+    turn = np.stack(
+        [np.stack([cos, sin, zero], -1), np.stack([-sin, cos, zero], -1), np.stack([zero, zero, one], -1)], 1
+    )
+    origin = np.einsum("nij,pnj->pni", turn, start[:, None] - boxes.center)
+    step = np.einsum("nij,pj->pni", turn, end - start)
+    step = np.where(np.abs(step) < 1e-12, 1e-12, step)
+    near, far = (-0.5 * boxes.size - origin) / step, (0.5 * boxes.size - origin) / step
+    enter = np.minimum(near, far).max(axis=2)
+    leave = np.maximum(near, far).min(axis=2)
+    return (enter <= leave) & (leave >= 0.0) & (enter <= 1.0)

@@ -1,0 +1,97 @@
+"""Bodies of road users: which models a class has, and a mesh of any model at any size.
+
+Body frame: x forward, y left, z up, the origin in the middle of the footprint at road level. The extents of a mesh
+are exactly the box of its road user.
+"""
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from sim.errors import SettingsError, did_you_mean
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from sim.mesh.solids import Piece
+
+_PAINTS = ("silver", "white", "black", "blue", "red")
+_CLOTHES = ("light", "dark")
+
+MODELS: dict[str, tuple[str, ...]] = {
+    "car": tuple(f"car-normal-citrus:{paint}" for paint in _PAINTS),
+    "van": tuple(f"{van}:{paint}" for van in ("car-microcargo-citrus", "car-minibus-citrus") for paint in _PAINTS),
+    "truck": ("truck:white", "truck:silver", "truck:blue", "truck:red"),
+    "bus": ("bus:yellow", "bus:white", "bus:red"),
+    "motorcycle": ("motorcycle:black", "motorcycle:red", "motorcycle:blue"),
+    "bicycle": tuple(f"bicycle:{cloth}" for cloth in _CLOTHES),
+    "pedestrian": tuple(f"pedestrian-{pose}:{cloth}" for pose in ("walking", "standing") for cloth in _CLOTHES),
+}
+"""Names of the models by class: the shape and, after a colon, its paint or clothes."""
+
+_PLAIN: dict[str, tuple[str, ...]] = {
+    "car": tuple(f"{shape}:{paint}" for shape in ("saloon", "hatchback") for paint in _PAINTS),
+    "van": tuple(f"panel_van:{paint}" for paint in _PAINTS),
+}
+
+
+def models_for(class_name: str) -> tuple[str, ...]:
+    """Return the models of a class.
+
+    Raises:
+        SettingsError: there is no such class.
+    """
+    if class_name not in MODELS:
+        raise SettingsError(f"unknown class '{class_name}'{did_you_mean(class_name, MODELS)}")
+    return MODELS[class_name]
+
+
+def plain_models_for(class_name: str) -> tuple[str, ...]:
+    """Return models of a class that need no file of SUMO's; raises as `models_for`."""
+    return _PLAIN.get(class_name) or models_for(class_name)
+
+
+@lru_cache(maxsize=1024)
+def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trimesh":
+    """Return the mesh of a model scaled to a size; it is shared, so do not change it.
+
+    Args:
+        model: a name of `MODELS`, or a plain one.
+        size_lwh: length along x, width and height, m.
+
+    Returns:
+        A mesh with x and y centred on 0 and z in [0, h], `face_attributes["material"]` as in the static world.
+
+    Raises:
+        SettingsError: the model is unknown or the size is not positive.
+    """
+    known = [name for models in (MODELS, _PLAIN) for names in models.values() for name in names]
+    if model not in known:
+        raise SettingsError(f"unknown model '{model}'{did_you_mean(model, known)}")
+    if len(size_lwh) != 3 or not all(0.0 < value < 100.0 for value in size_lwh):
+        raise SettingsError(f"size of {model}: expected three lengths in (0, 100) m, found {tuple(size_lwh)}")
+    from sim.mesh.solids import fit, to_mesh
+
+    return to_mesh(fit(_shape(model), size_lwh))
+
+
+@lru_cache(maxsize=64)
+def _shape(model: str) -> "Piece":
+    """Return the piece of a model in its own proportions, in the body frame."""
+    from sim.bodies import generic as plain
+    from sim.bodies import people
+    from sim.bodies import trucks as heavy
+
+    shape, _, variant = model.partition(":")
+    if shape.startswith("car-"):
+        from sim.bodies.cars import sumo_car
+
+        return sumo_car(shape, f"paint_{variant}")
+    if shape in ("saloon", "hatchback", "panel_van"):
+        return getattr(plain, shape)(f"paint_{variant}")
+    if shape.startswith("pedestrian-"):
+        return people.pedestrian(f"cloth_{variant}", walking=shape.endswith("walking"))
+    if shape == "bicycle":
+        return people.bicycle(f"cloth_{variant}")
+    if shape == "motorcycle":
+        return people.motorcycle(f"paint_{variant}")
+    return heavy.truck(f"paint_{variant}") if shape == "truck" else heavy.bus(f"paint_{variant}")

@@ -1,0 +1,177 @@
+"""A user's map as a SUMO network and a file of polygons: what netconvert and polyconvert of eclipse-sumo make of it."""
+
+import bz2
+import gzip
+import hashlib
+import shutil
+import tempfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from sim.errors import ScenarioError, complaint
+from sim.roads import kerbside, rounding
+from sim.roads.pbf import pbf_to_xml
+from sim.roads.tools import Option, drop_header, run_tool, sumo_home
+
+KINDS = (".net.xml", ".net.xml.gz", ".osm", ".osm.xml", ".osm.gz", ".osm.bz2", ".osm.pbf", ".pbf", ".xodr")
+"""Endings of files that can be converted."""
+
+ROUND: dict[str, Option] = {
+    "junctions.internal-link-detail": 20,
+    "junctions.limit-turn-speed": 3.5,
+    "junctions.limit-turn-speed.min-angle": 5,
+    "offset.disable-normalization": True,
+    "no-warnings": True,
+}
+"""How the junctions of a network are built: smooth lanes, on which nobody feels more than 3.5 m/s2."""
+
+_FROM_OSM: dict[str, Option] = ROUND | {
+    "offset.disable-normalization": False,
+    "geometry.remove": True,
+    "geometry.min-radius.fix": True,
+    "ramps.guess": True,
+    "roundabouts.guess": True,
+    "junctions.join": True,
+    "junctions.corner-detail": 5,
+    "tls.discard-simple": True,
+    "tls.guess-signals": True,
+    "tls.join": True,
+    "keep-edges.by-vclass": "passenger",
+    "remove-edges.isolated": True,
+    # Quiet streets keep the place beside them for parked cars.
+    "sidewalks.guess": True,
+    "sidewalks.guess.min-speed": 8.5,
+    "crossings.guess": True,
+    "output.street-names": True,
+}
+_FROM_OPENDRIVE: dict[str, Option] = ROUND | {"opendrive.import-all-lanes": True}
+_OSM_TYPES = ("osmNetconvert", "osmNetconvertUrbanDe", "osmNetconvertPedestrians", "osmNetconvertBicycle")
+_OPENDRIVE_TYPES = ("opendriveNetconvert", "opendriveNetconvertPedestrians", "opendriveNetconvertBicycle")
+
+_THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.street_lamp", "man_made.utility_pole")
+"""What is taken from a map beside its roads, by key or by key and value of its tags."""
+
+_CODE = (__file__, rounding.__file__, kerbside.__file__)
+CONVERSION = hashlib.sha256(b"".join(Path(file).read_bytes() for file in _CODE)).hexdigest()
+"""Changes with the code that converts, so that files which it made otherwise are not taken from the cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConvertedMap:
+    """Files of a converted map.
+
+    Attributes:
+        net: the .net.xml.
+        polygons: the .poly.xml with buildings and what else stands there; None when the map has none.
+    """
+
+    net: Path
+    polygons: Path | None
+
+    @classmethod
+    def of(cls, folder: Path) -> Self:
+        """Return what `convert_map` wrote into a folder."""
+        polygons = folder / "map.poly.xml"
+        return cls(folder / "map.net.xml", polygons if polygons.is_file() else None)
+
+
+def map_kind(path: Path) -> str:
+    """Return which of `KINDS` a file is by its name.
+
+    Raises:
+        ScenarioError: it is none of them.
+    """
+    found = [kind for kind in KINDS if path.name.lower().endswith(kind)]
+    if not found:
+        raise ScenarioError(complaint(path, "map", f"a name that ends in {', '.join(KINDS)}", path.name))
+    return max(found, key=len)
+
+
+def is_network(path: Path) -> bool:
+    """Whether a file is a SUMO network by its name."""
+    return map_kind(path).startswith(".net.xml")
+
+
+def convert_map(source: Path, folder: Path) -> ConvertedMap:
+    """Convert a map into `map.net.xml` and, where it knows what stands beside the roads, `map.poly.xml`.
+
+    Args:
+        source: a SUMO network, an OpenStreetMap extract or an OpenDRIVE file.
+        folder: where to write.
+
+    Raises:
+        ScenarioError: the file is missing, of no known kind, or netconvert refuses it.
+    """
+    kind = map_kind(source)
+    if not source.is_file():
+        raise ScenarioError(complaint(source, "map", "an existing file", "no such file"))
+    net = folder / "map.net.xml"
+    options: dict[str, Option]
+    with tempfile.TemporaryDirectory(dir=folder) as work:
+        if is_network(source):
+            options = ROUND | {"sumo-net-file": str(source)}
+        elif kind == ".xodr":
+            options = _FROM_OPENDRIVE | {"opendrive-files": str(source), "type-files": _type_maps(*_OPENDRIVE_TYPES)}
+        else:
+            osm = _plain_osm(source, kind, Path(work))
+            maps = _type_maps(*_OSM_TYPES)
+            options = _FROM_OSM | {"osm-files": str(osm), "type-files": maps, "osm.elevation": _has_heights(osm)}
+        run_tool("netconvert", options | {"output-file": str(net)}, net, str(source))
+        if "osm-files" in options:
+            _polygons(source, Path(str(options["osm-files"])), folder, Path(work))
+    drop_header(net)
+    made = ConvertedMap.of(folder)
+    text = rounding.rounded_network(net.read_text(encoding="utf-8"))
+    text = kerbside.with_room_to_park(text, kerbside.houses_of(made.polygons))
+    net.write_text(text, encoding="utf-8")
+    return made
+
+
+def _type_maps(*names: str) -> str:
+    """Return the files of SUMO that tell what a kind of road or lane is for."""
+    return ",".join(str(sumo_home() / "data" / "typemap" / f"{name}.typ.xml") for name in names)
+
+
+def _plain_osm(source: Path, kind: str, work: Path) -> Path:
+    """Return an extract as plain XML, the only form that SUMO's programs read."""
+    if kind in (".osm", ".osm.xml"):
+        return source
+    target = work / "map.osm"
+    if kind.endswith(".pbf"):
+        pbf_to_xml(source, target)
+        return target
+    try:
+        with (gzip if kind.endswith(".gz") else bz2).open(source) as packed, target.open("wb") as plain:
+            shutil.copyfileobj(packed, plain)
+    except (OSError, EOFError, zlib.error) as error:
+        raise ScenarioError(f"{source}: not a readable {kind} file: {' '.join(str(error).split())}") from None
+    return target
+
+
+def _has_heights(osm: Path) -> bool:
+    """Whether most nodes have a height: where few have one, roads would jump up to it and down again."""
+    text = osm.read_bytes()
+    return text.count(b'k="ele"') > 0.5 * text.count(b"<node ") > 0
+
+
+def _polygons(source: Path, osm: Path, folder: Path, work: Path) -> None:
+    types, target = work / "things.typ.xml", folder / "map.poly.xml"
+    rows = "".join(f'<polygonType id="{name}" name="{name}" color="gray" layer="0"/>' for name in _THINGS)
+    types.write_text(f"<polygonTypes>{rows}</polygonTypes>", encoding="utf-8")
+    options: dict[str, Option] = {
+        "net-file": str(folder / "map.net.xml"),
+        "osm-files": str(osm),
+        "type-file": str(types),
+        "discard": True,
+        "osm.keep-full-type": True,
+        "all-attributes": True,
+        "output-file": str(target),
+        "no-warnings": True,
+    }
+    run_tool("polyconvert", options, target, str(source))
+    drop_header(target)
+    text = target.read_text(encoding="utf-8")
+    if "<poly " not in text and "<poi " not in text:
+        target.unlink()

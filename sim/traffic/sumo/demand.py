@@ -1,0 +1,176 @@
+"""Seeded trips: who drives, rides or walks from where to where, when, in a vehicle of which type."""
+
+import gzip
+import os
+import xml.etree.ElementTree as ET
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.errors import ScenarioError, complaint
+from sim.roads.networks import resolve_trips
+from sim.scenario import Scenario
+from sim.traffic.sumo.routes import Routes, candidate_routes, walkable_edges
+from sim.vehicle_types import TYPES, VehicleType, types_of
+
+AFTER_S = 1800.0
+"""Trips go on for so long after the nominal end, since a run may be continued."""
+
+
+def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
+    """Write vTypes, vehicles, bicycles and persons of a scenario, sorted by departure.
+
+    One random stream per kind: adding bicycles leaves the cars as they were.
+
+    Args:
+        scenario: gives rates, mix, area and duration.
+        net: `sumolib.net.Net` of the scenario.
+        seed: equal seeds write equal bytes.
+        path: the .rou.xml to write; it appears in one piece.
+
+    Raises:
+        ScenarioError: a class that the scenario asks for has no route in the network.
+    """
+    streams = np.random.default_rng([seed, 0xDE]).spawn(3)
+    end_s = scenario.warmup_s + scenario.duration_s + AFTER_S
+    motor = _recorded if scenario.demand.trips else _vehicles
+    trips = [
+        *motor(scenario, net, streams[0], end_s),
+        *_bicycles(scenario, net, streams[1], end_s),
+        *_persons(scenario, net, streams[2], end_s),
+    ]
+    trips.sort()
+    body = [kind.xml() for kind in TYPES.values()] + [text for _, _, text in trips]
+    partial = path.with_name(path.name + ".part")
+    partial.write_text("<routes>\n  " + "\n  ".join(body) + "\n</routes>\n", encoding="utf-8")
+    os.replace(partial, path)
+    return path
+
+
+def _vehicles(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
+    labels = sorted(name for name, weight in scenario.demand.type_mix.items() if weight > 0)
+    weights = np.array([scenario.demand.type_mix[name] for name in labels])
+    routes: dict[str, Routes] = {}
+    for index, depart_s in enumerate(_departures(scenario.demand.vehicles_per_hour, rng, end_s)):
+        kind = _choose_type(labels[int(rng.choice(len(labels), p=weights / weights.sum()))], rng)
+        if kind.vclass not in routes:
+            routes[kind.vclass] = _require(scenario, net, kind.vclass)
+        yield _vehicle(f"v{index}", kind, routes[kind.vclass], depart_s, rng)
+
+
+def _recorded(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
+    """Yield the recorded trips from a time on that the seed draws, in bodies of our own types."""
+    demand = scenario.demand
+    labels = sorted(name for name, weight in demand.type_mix.items() if weight > 0)
+    weights = np.array([demand.type_mix[name] for name in labels])
+    first_s, last_s = demand.trips_s
+    begin_s = rng.uniform(first_s, max(first_s, last_s - scenario.warmup_s - scenario.duration_s))
+    known = {edge.getID() for edge in net.getEdges(withInternal=False)}
+    for index, (depart_s, edges, is_route) in enumerate(_read_trips(resolve_trips(scenario))):
+        kind = _choose_type(labels[int(rng.choice(len(labels), p=weights / weights.sum()))], rng)
+        after_s = depart_s - begin_s
+        if not 0.0 <= after_s < end_s or not known.issuperset(edges):
+            continue
+        start = f'id="v{index}" type="{kind.name}" depart="{after_s:.2f}" departLane="best" departSpeed="max"'
+        if is_route:
+            text = f'<vehicle {start}><route edges="{" ".join(edges)}"/></vehicle>'
+        else:
+            text = f'<trip {start} from="{edges[0]}" to="{edges[-1]}"/>'
+        yield round(after_s, 2), f"v{index}", text
+
+
+def _read_trips(path: Path) -> list[tuple[float, list[str], bool]]:
+    """Return (departure in s, edges, whether these are all edges of the way) of the trips of a .rou.xml(.gz) file.
+
+    Raises:
+        ScenarioError: the file is not of this kind, or holds no trips.
+    """
+    try:
+        raw = path.read_bytes()
+        root = ET.fromstring(gzip.decompress(raw) if path.suffix == ".gz" else raw)
+        found = []
+        for element in root:
+            depart = element.get("depart", "")
+            route = element.find("route") if element.tag == "vehicle" else None
+            if route is not None:
+                found.append((float(depart), route.get("edges", "").split(), True))
+            elif element.tag == "trip" and element.get("from") and element.get("to"):
+                found.append((float(depart), [element.get("from", ""), element.get("to", "")], False))
+    except (OSError, EOFError, ET.ParseError, ValueError, zlib.error) as error:
+        raise ScenarioError(f"{path}: not a readable .rou.xml file: {' '.join(str(error).split())}") from None
+    if not found:
+        raise ScenarioError(complaint(path, "demand.trips", "vehicles with routes, or trips with from and to", "none"))
+    return sorted(found)
+
+
+def _bicycles(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
+    if scenario.demand.bicycles_per_hour == 0:
+        return
+    routes = _require(scenario, net, "bicycle")
+    for index, depart_s in enumerate(_departures(scenario.demand.bicycles_per_hour, rng, end_s)):
+        yield _vehicle(f"b{index}", _choose_type("bicycle", rng), routes, depart_s, rng)
+
+
+def _vehicle(
+    name: str, kind: VehicleType, routes: Routes, depart_s: float, rng: np.random.Generator
+) -> tuple[float, str, str]:
+    edges = routes.edges[int(rng.choice(len(routes.edges), p=routes.probability))]
+    text = (
+        f'<vehicle id="{name}" type="{kind.name}" depart="{depart_s:.2f}" departLane="best" departSpeed="max">'
+        f'<route edges="{" ".join(edges)}"/></vehicle>'
+    )
+    return round(depart_s, 2), name, text
+
+
+def _persons(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
+    """Walk between two random points of one stretch of connected sidewalks and footways."""
+    if scenario.demand.persons_per_hour == 0:
+        return
+    stretches = walkable_edges(net, scenario.network.area_m)
+    if not stretches:
+        message = complaint(scenario.name, "demand.persons_per_hour", "sidewalks or footways in the area", "none")
+        raise ScenarioError(message)
+    lengths = np.array([sum(edge.getLength() for edge in stretch) for stretch in stretches])
+    for index, depart_s in enumerate(_departures(scenario.demand.persons_per_hour, rng, end_s)):
+        kind = _choose_type("pedestrian", rng)
+        stretch = stretches[int(rng.choice(len(stretches), p=lengths / lengths.sum()))]
+        start, goal = (stretch[int(row)] for row in rng.integers(len(stretch), size=2))
+        at_m, to_m = (rng.uniform(0.05, 0.95) * edge.getLength() for edge in (start, goal))
+        text = (
+            f'<person id="p{index}" type="{kind.name}" depart="{depart_s:.2f}" departPos="{at_m:.2f}">'
+            f'<walk from="{start.getID()}" to="{goal.getID()}" arrivalPos="{to_m:.2f}"/></person>'
+        )
+        yield round(depart_s, 2), f"p{index}", text
+
+
+def _require(scenario: Scenario, net: Any, vclass: str) -> Routes:
+    network, demand = scenario.network, scenario.demand
+    area = network.area_m if demand.through_area else None
+    focus = demand.focus_m
+    if focus is None and network.area_m:
+        x_min, y_min, x_max, y_max = network.area_m
+        focus = (0.5 * (x_min + x_max), 0.5 * (y_min + y_max))
+    routes = candidate_routes(net, vclass, area, focus)
+    if not routes.edges:
+        expected = f"a network with a route for class '{vclass}' through the area"
+        raise ScenarioError(complaint(scenario.name, "demand", expected, "no route"))
+    return routes
+
+
+def _departures(per_hour: float, rng: np.random.Generator, end_s: float) -> Iterator[float]:
+    """Yield the times of a Poisson process: a longer run begins with the same trips."""
+    now_s = 0.0
+    while per_hour > 0:
+        now_s += rng.exponential(3600.0 / per_hour)
+        if now_s >= end_s:
+            return
+        yield now_s
+
+
+def _choose_type(label: str, rng: np.random.Generator) -> VehicleType:
+    kinds = types_of(label)
+    weights = np.array([kind.weight for kind in kinds])
+    return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]

@@ -1,0 +1,332 @@
+"""Traffic by SUMO, in this process: the only module that knows libsumo."""
+
+import tempfile
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.bodies.choice import choose_model
+from sim.boxes import Boxes
+from sim.errors import TrafficError
+from sim.geometry import center_from_sumo
+from sim.roads.networks import read_network, resolve_network
+from sim.scenario import Scenario
+from sim.traffic.base import PARKED, Actors
+from sim.traffic.parking import parked_cars
+from sim.traffic.sumo.demand import write_demand
+from sim.traffic.sumo.input import check_signals, signals_xml, sumo_options
+from sim.traffic.sumo.lane_path import lane_path
+from sim.traffic.sumo.red_light import red_light_speed
+from sim.vehicle_types import TYPES, VehicleType
+
+FIRST_ID = 1000
+"""Object id of the first road user that appears."""
+
+# Bits of SUMO's speed mode: keep the limits of acceleration (2) and braking (4), ignore who has the right of way also
+# inside a junction (32); without the safe speed (1) and the right of way (8) what the driver did not perceive has
+# consequences. SUMO's stop at red lights (16) is left out too: without the safe speed it brakes at 14 m/s2.
+_OWN_SPEED_MODE = 2 | 4 | 32
+_SUMO_SPEED_MODE = 31
+
+# A body turns as if its hind wheels, so far behind its front bumper, followed it without slipping: SUMO itself turns it
+# with the corners of its lane. The middle of the box would turn fastest, the rear axle would let the front swing out.
+_TRAIL, _LEAST_TRAIL_M = 0.65, 1.8
+
+_running = threading.Lock()
+
+
+@dataclass(slots=True)
+class _RoadUser:
+    """What stays the same for one road user, and where it was a step ago."""
+
+    object_id: int
+    name: str
+    kind: VehicleType
+    model: str
+    is_person: bool
+    trail: NDArray[np.float64] | None = None
+    last_xy: NDArray[np.float64] | None = None
+    last_velocity: NDArray[np.float64] | None = None
+
+
+class SumoTraffic:
+    """A running SUMO simulation of a scenario: `with SumoTraffic(scenario, seed) as traffic: traffic.step()`.
+
+    libsumo holds one simulation per process and would silently replace it by a second; here a second is an error.
+
+    Args:
+        scenario: what to simulate; the warm-up has passed when the object exists.
+        seed: of the trips, the drivers and the looks; equal seeds give equal actors in every process.
+
+    Raises:
+        ScenarioError: network or demand cannot be made.
+        TrafficError: a simulation already runs in this process, or SUMO refuses the input.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self.step_s = scenario.step_s
+        self._seed = seed
+        self._users: dict[str, _RoadUser] = {}
+        self._commanded: dict[str, float] = {}
+        self._actors: Actors | None = None
+        self._open = False
+        network = resolve_network(scenario, seed)
+        if not _running.acquire(blocking=False):
+            raise TrafficError(
+                "a SUMO simulation already runs in this process and libsumo holds only one: close it first, or use "
+                "another process"
+            )
+        self._open = True
+        try:
+            self._start(scenario, network)
+            self._warm_up(round(scenario.warmup_s / scenario.step_s))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def actors(self) -> Actors:
+        """The actors at the current time."""
+        if self._actors is None:
+            raise TrafficError("this SUMO simulation is closed")
+        return self._actors
+
+    def step(self) -> Actors:
+        """Advance by `step_s` and return the actors then."""
+        self._advance()
+        self._actors = self._read()
+        return self._actors
+
+    def close(self) -> None:
+        """End the simulation; a new one may start in this process afterwards."""
+        if not self._open:
+            return
+        self._open = False
+        self._actors = None
+        try:
+            self._sumo.close()
+        finally:
+            _running.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def command_speed(self, object_id: int, speed_mps: float | None) -> None:
+        """Drive a vehicle at this speed from the next step on, as far as its acceleration limits allow.
+
+        The vehicle keeps its route and its lanes and stops at red lights, but it does not keep its distance and gives
+        way to nobody: that is for the caller.
+
+        Args:
+            object_id: a vehicle on the road.
+            speed_mps: m/s >= 0; None gives the vehicle back to SUMO's driver.
+        """
+        name = self._vehicle(object_id)
+        if speed_mps is None:
+            self._sumo.vehicle.setSpeedMode(name, _SUMO_SPEED_MODE)
+            self._sumo.vehicle.setSpeed(name, -1.0)
+            self._commanded.pop(name, None)
+            return
+        if not (np.isfinite(speed_mps) and speed_mps >= 0.0):
+            raise ValueError(f"speed_mps must be finite and >= 0, got {speed_mps}")
+        if name not in self._commanded:
+            self._sumo.vehicle.setSpeedMode(name, _OWN_SPEED_MODE)
+        self._commanded[name] = float(speed_mps)
+
+    def route(self, object_id: int, ahead_m: float) -> NDArray[np.float64]:
+        """Return the (K, 2) world polyline that a vehicle will follow, from its centre over the next `ahead_m` m."""
+        name = self._vehicle(object_id)
+        centre = self.actors.boxes.center[self.actors.row(object_id), :2]
+        return lane_path(self._sumo, name, centre, ahead_m)
+
+    def speed(self, object_id: int) -> float:
+        """Return a vehicle's speed along its lane, m/s: what its own odometer shows."""
+        return float(self._sumo.vehicle.getSpeed(self._vehicle(object_id)))
+
+    def allowed_speed(self, object_id: int) -> float:
+        """Return the speed that a vehicle may drive where it is, m/s."""
+        return float(self._sumo.vehicle.getAllowedSpeed(self._vehicle(object_id)))
+
+    def _vehicle(self, object_id: int) -> str:
+        row = self.actors.row(object_id)
+        name = self.actors.name[row]
+        if self._users[name].is_person:
+            raise TrafficError(f"object {object_id} is a pedestrian, which has no lane and takes no speed")
+        if name in self._parked.name:
+            raise TrafficError(f"object {object_id} is parked and takes no speed")
+        return name
+
+    def _start(self, scenario: Scenario, network: Path) -> None:
+        import libsumo
+
+        self._sumo: Any = libsumo
+        with tempfile.TemporaryDirectory(prefix="dsrc-traffic-") as folder:
+            net = read_network(network)
+            check_signals(scenario, net)
+            self._park(scenario, net)
+            routes = write_demand(scenario, net, self._seed, Path(folder) / "demand.rou.xml")
+            command = [
+                "sumo",
+                "--net-file",
+                str(network),
+                "--route-files",
+                str(routes),
+                *sumo_options(scenario, self._seed),
+            ]
+            if scenario.network.signals:
+                extra = Path(folder) / "signals.add.xml"
+                extra.write_text(signals_xml(scenario.network.signals), encoding="utf-8")
+                command += ["--additional-files", str(extra)]
+            try:
+                libsumo.start(command)
+            except Exception as error:  # libsumo's own classes differ between versions
+                text = " ".join(str(error).split())
+                raise TrafficError(f"{scenario.name}: SUMO does not start: {text}") from None
+
+    def _park(self, scenario: Scenario, net: Any) -> None:
+        """Give the parked cars the first ids; SUMO knows nothing of them."""
+        cars = parked_cars(scenario, net, self._seed)
+        users: list[_RoadUser] = []
+        for kind in cars.kind:
+            name = f"{PARKED}{len(users)}"
+            model = choose_model(kind.label, name, self._seed)
+            users.append(_RoadUser(FIRST_ID + len(users), name, kind, model, is_person=False))
+        self._users |= {user.name: user for user in users}
+        size = np.array([user.kind.size for user in users], dtype=np.float64).reshape(-1, 3)
+        none, zero = np.zeros(len(users)), np.zeros((len(users), 2))
+        self._parked = Actors(
+            time_s=0.0,
+            boxes=Boxes(
+                center=cars.base + np.array([0.0, 0.0, 0.5]) * size,
+                size=size,
+                yaw=cars.yaw,
+                label=np.array([user.kind.label_index for user in users], dtype=np.int64),
+                object_id=np.array([user.object_id for user in users], dtype=np.int64),
+            ),
+            pitch=none,
+            velocity=zero,
+            acceleration=zero,
+            model=tuple(user.model for user in users),
+            name=tuple(user.name for user in users),
+            signals=none.astype(np.int32),
+            lane=("",) * len(users),
+        )
+
+    def _warm_up(self, steps: int) -> None:
+        for remaining in reversed(range(steps)):
+            if remaining < 2:
+                self._read()  # so that the first velocities and accelerations are differences of positions too
+            self._advance()
+        self._actors = self._read()
+
+    def _advance(self) -> None:
+        if not self._open:
+            raise TrafficError("this SUMO simulation is closed")
+        for name, speed_mps in self._commanded.items():
+            limit_mps = red_light_speed(self._sumo, name, self._users[name].kind.accel_mps2[1], self.step_s)
+            self._sumo.vehicle.setSpeed(name, min(speed_mps, limit_mps))
+        try:
+            self._sumo.simulationStep()
+        except Exception as error:  # see _start
+            raise TrafficError(f"SUMO stopped: {' '.join(str(error).split())}") from None
+        for name in self._sumo.simulation.getDepartedIDList():
+            self._welcome(name, self._sumo.vehicle.getTypeID(name), is_person=False)
+        for name in self._sumo.simulation.getDepartedPersonIDList():
+            self._welcome(name, self._sumo.person.getTypeID(name), is_person=True)
+        for name in self._sumo.simulation.getArrivedIDList():
+            self._commanded.pop(name, None)
+
+    def _welcome(self, name: str, type_id: str, *, is_person: bool) -> None:
+        kind = TYPES[type_id]
+        model = choose_model(kind.label, name, self._seed)
+        self._users[name] = _RoadUser(FIRST_ID + len(self._users), name, kind, model, is_person)
+
+    def _read(self) -> Actors:
+        """Read all positions with plain getters: in process they are faster than subscriptions."""
+        vehicle, person = self._sumo.vehicle, self._sumo.person
+        users = [self._users[name] for name in (*vehicle.getIDList(), *person.getIDList())]
+        users.sort(key=lambda user: user.object_id)
+        rows, lanes = [], []
+        for user in users:
+            domain = person if user.is_person else vehicle
+            x, y, z = domain.getPosition3D(user.name)
+            signals = 0 if user.is_person else vehicle.getSignals(user.name)
+            angle = _follow(user, np.array([x, y]), domain.getAngle(user.name))
+            rows.append((x, y, z, angle, domain.getSlope(user.name), signals))
+            lanes.append(domain.getLaneID(user.name))
+        table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+        size = np.array([user.kind.size for user in users], dtype=np.float64).reshape(-1, 3)
+        # SUMO's reference is the front bumper of a vehicle but the middle of a person.
+        reference = np.array([0.0 if user.is_person else user.kind.size[0] for user in users], dtype=np.float64)
+        base, yaw, pitch = center_from_sumo(table[:, :3], table[:, 3], table[:, 4], reference)
+        velocity = self._velocities(users, base, yaw)
+        acceleration = self._accelerations(users, velocity)
+        center = base + np.array([0.0, 0.0, 0.5]) * size
+        moving = Actors(
+            time_s=round(self._sumo.simulation.getTime(), 6),
+            boxes=Boxes(
+                center=center,
+                size=size,
+                yaw=yaw,
+                label=np.array([user.kind.label_index for user in users], dtype=np.int64),
+                object_id=np.array([user.object_id for user in users], dtype=np.int64),
+            ),
+            pitch=pitch,
+            velocity=velocity,
+            acceleration=acceleration,
+            model=tuple(user.model for user in users),
+            name=tuple(user.name for user in users),
+            signals=table[:, 5].astype(np.int32),
+            lane=tuple(lanes),
+        )
+        return self._parked.joined(moving) if len(self._parked) else moving
+
+    def _velocities(
+        self, users: list[_RoadUser], base: NDArray[np.float64], yaw: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return (N, 2) m/s from the last step's centres; newcomers move at their speed along their heading."""
+        velocity = np.zeros((len(users), 2))
+        for row, user in enumerate(users):
+            if user.last_xy is not None:
+                velocity[row] = (base[row, :2] - user.last_xy) / self.step_s
+            else:
+                domain = self._sumo.person if user.is_person else self._sumo.vehicle
+                velocity[row] = domain.getSpeed(user.name) * np.array([np.cos(yaw[row]), np.sin(yaw[row])])
+            user.last_xy = base[row, :2].copy()
+        return velocity
+
+    def _accelerations(self, users: list[_RoadUser], velocity: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (N, 2) m/s2 from the last step's velocities; zero for newcomers."""
+        acceleration = np.zeros_like(velocity)
+        for row, user in enumerate(users):
+            if user.last_velocity is not None:
+                acceleration[row] = (velocity[row] - user.last_velocity) / self.step_s
+            user.last_velocity = velocity[row].copy()
+        return acceleration
+
+
+def _follow(user: _RoadUser, front: NDArray[np.float64], angle_deg: float) -> float:
+    """Draw the hind wheels of a vehicle after its front and return its heading, both angles as SUMO has them.
+
+    Args:
+        user: whose `trail` moves along.
+        front: (2,) front bumper, m.
+        angle_deg: SUMO's heading, which a newcomer has.
+    """
+    if user.is_person:
+        return angle_deg
+    reach = max(_TRAIL * user.kind.size[0], _LEAST_TRAIL_M)
+    if user.trail is None:
+        yaw = np.radians(90.0 - angle_deg)
+        along = np.array([np.cos(yaw), np.sin(yaw)])
+    else:
+        along = (front - user.trail) / np.linalg.norm(front - user.trail)
+    user.trail = front - reach * along
+    return float(90.0 - np.degrees(np.arctan2(along[1], along[0])))

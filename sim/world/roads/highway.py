@@ -1,0 +1,149 @@
+"""The static world along the roads of highway-env: their lanes and lines, and what stands beside streets elsewhere."""
+
+import numpy as np
+import shapely
+import trimesh
+
+from sim.mesh.solids import Array, Piece, join, strip, to_mesh
+from sim.scenario import Scenario
+from sim.traffic.highway.roads import RoadLane, Roads, read_roads
+from sim.world.buildings.houses import blocks, guard_rails
+from sim.world.furniture.kerbside import furniture
+from sim.world.roads.markings import LIFT_M, cut_line, dashes, offset
+from sim.world.roads.streets import Lane, Streets
+from sim.world.roads.surfaces import surfaces
+from sim.world.roads.terrain import level_land
+
+_MARGIN_M = 120.0
+_ON_M = 300.0
+"""Roads go on so far beyond the lanes of the environment: nobody drives there, but a road does not end in a field."""
+
+_MOTORWAY_MPS = 30.0
+_LINE_M = 0.12
+_DASH_M, _GAP_M = 3.0, 6.0
+_ISLAND_M2 = 3000.0
+_BLOCKS, _FURNITURE = 1, 2
+
+
+def highway_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
+    """Build everything that does not move along the roads of an environment; needs nothing of SUMO.
+
+    Args:
+        scenario: names the environment.
+        seed: of houses and trees.
+
+    Returns:
+        As `sim.world.build.build_world`.
+
+    Raises:
+        ScenarioError: there is no such environment, or highway-env is not installed.
+    """
+    roads = read_roads(scenario.network.highway_env)
+    streets = highway_streets(roads, scenario.network.area_m)
+    units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
+    town = blocks(streets, units, np.random.default_rng([seed, _BLOCKS]), _islands(streets))
+    things = furniture(streets, town.footprint, units, np.random.default_rng([seed, _FURNITURE]))
+    return to_mesh(join([*surfaces(streets), *_paint(roads, streets), *town.pieces, guard_rails(streets), *things]))
+
+
+def highway_streets(roads: Roads, area: tuple[float, float, float, float] | None) -> Streets:
+    """Return the lanes of an environment and the ground that they cover, on level land."""
+    lanes = (*roads.lanes, *roads.unused)
+    points = np.concatenate([lane.line for lane in lanes])
+    low, high = (np.array(area[:2]), np.array(area[2:])) if area else (points.min(axis=0), points.max(axis=0))
+    window = (*(low - _MARGIN_M).tolist(), *(high + _MARGIN_M).tolist())
+    frame = shapely.box(*window)
+    strips = [_strip(line, lane.width) for lane in lanes for line in [_drawn(number_of(roads, lane), lane, roads)]]
+    gaps = [
+        shapely.LineString([lane.line[-1], roads.lanes[after].line[0]]).buffer(0.5 * lane.width)
+        for lane in roads.lanes
+        for after in lane.after
+        if np.hypot(*(lane.line[-1] - roads.lanes[after].line[0])) > 0.1
+    ]
+    road = shapely.unary_union([*strips, *gaps])
+    road = (road.buffer(0.4, join_style="mitre").buffer(-0.4, join_style="mitre").simplify(0.03).buffer(0)) & frame
+    nothing = shapely.Polygon()
+    drawn = tuple(_lane(number, lane, roads) for number, lane in enumerate(roads.lanes))
+    area = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    return Streets(area, window, drawn, road, nothing, nothing, level_land(window, 0.0))
+
+
+def number_of(roads: Roads, lane: RoadLane) -> int | None:
+    """Return the number of a lane, None for an unused one."""
+    return roads.number(lane.index)
+
+
+def _drawn(number: int | None, lane: RoadLane, roads: Roads) -> Array:
+    """Return the line of a lane, gone on straight where the roads begin and end."""
+    line = lane.line
+    if number is None or number in roads.entries:
+        line = np.concatenate([[line[0] - _ON_M * _unit(line[1] - line[0])], line])
+    if number is None or number in roads.exits:
+        line = np.concatenate([line, [line[-1] + _ON_M * _unit(line[-1] - line[-2])]])
+    return line
+
+
+def _lane(number: int, lane: RoadLane, roads: Roads) -> Lane:
+    line = _drawn(number, lane, roads)
+    middle = len(lane.line) // 2
+    left = offset(lane.line, 0.5 * lane.width + 1.0)[middle]
+    return Lane(
+        kind="road",
+        line=line,
+        width=lane.width,
+        edge=lane.edge,
+        index=lane.count - 1 - lane.index[2],
+        count=lane.count,
+        verge=0.0,
+        internal=lane.through_junction,
+        speed=max(lane.limit, _MOTORWAY_MPS) if roads.motorway else lane.limit,
+        stop="",
+        opposite=any(_holds(other, left) for other in roads.lanes if other.edge != lane.edge),
+        beside_road=not lane.through_junction,
+    )
+
+
+def _holds(lane: RoadLane, xy: Array) -> bool:
+    return bool(np.hypot(*(lane.line - xy).T).min() < 0.5 * lane.width)
+
+
+def _unit(way: Array) -> Array:
+    return way / max(float(np.hypot(*way)), 1e-9)
+
+
+def _strip(line: Array, width: float) -> shapely.Geometry:
+    return shapely.LineString(line).buffer(0.5 * width, cap_style="flat")
+
+
+def _islands(streets: Streets) -> shapely.Geometry:
+    """Return the small pieces of land that roads enclose: grass and trees, no house."""
+    rings = [ring for part in shapely.get_parts(streets.road) for ring in getattr(part, "interiors", ())]
+    return shapely.unary_union([shapely.Polygon(ring) for ring in rings if shapely.Polygon(ring).area < _ISLAND_M2])
+
+
+def _paint(roads: Roads, streets: Streets) -> list[Piece]:
+    """Return the lines of all lanes as highway-env draws them, but none across another lane."""
+    frame = shapely.box(*streets.window).buffer(-1.0)
+    lanes = [(number_of(roads, lane), lane) for lane in (*roads.lanes, *roads.unused)]
+    lines = [_drawn(number, lane, roads) for number, lane in lanes]
+    inner = [
+        shapely.LineString(line).buffer(0.5 * lane.width - 0.3) for line, (_, lane) in zip(lines, lanes, strict=True)
+    ]
+    pieces = []
+    for row, (line, (_, lane)) in enumerate(zip(lines, lanes, strict=True)):
+        others = shapely.unary_union([shape for other, shape in enumerate(inner) if other != row])
+        for kind, side in zip(lane.borders, (1.0, -1.0), strict=True):
+            border = shapely.LineString(offset(line, side * (0.5 * lane.width - 0.5 * _LINE_M)))
+            for part in shapely.get_parts((border & frame) - others):
+                if part.geom_type == "LineString" and part.length > 1.0:
+                    pieces += _bands(np.asarray(part.coords), kind, streets)
+    return pieces
+
+
+def _bands(line: Array, kind: str, streets: Streets) -> list[Piece]:
+    length = float(np.hypot(*np.diff(line, axis=0).T).sum())
+    cuts = {"none": [], "solid": [cut_line(line, 0.0, length)], "dashed": dashes(line, _DASH_M, _GAP_M)}[kind]
+    return [
+        strip(offset(cut, 0.5 * _LINE_M), offset(cut, -0.5 * _LINE_M), streets.height, LIFT_M, "marking")
+        for cut in cuts
+    ]

@@ -1,0 +1,199 @@
+"""What the world is built upon: the lanes and junctions of a network near an area, as lines and polygons."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+
+from sim.mesh.solids import Array
+from sim.world.roads.terrain import Terrain, land
+
+Area = tuple[float, float, float, float]
+
+_ROAD_CLASSES = ("passenger", "delivery", "bus", "truck", "motorcycle", "taxi", "coach", "trailer")
+_WALK_WIDTH_M = 2.6
+
+NOTHING = shapely.Polygon()
+"""A shape without an area."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane:
+    """One lane near the area.
+
+    Attributes:
+        kind: "road", "bicycle" (part of a carriageway), "walk", "rail" or "crossing".
+        line: (K, 2) centre line, m.
+        width: m.
+        edge: id of the edge it belongs to.
+        index: from the right among the lanes of its kind, 0 first.
+        count: lanes of its kind on the edge.
+        verge: width of the lanes of other kinds on its right, sidewalks and the like, m.
+        internal: it leads through a junction.
+        speed: limit, m/s.
+        stop: how it ends: "signal", "yield" or "".
+        opposite: the edge has a partner in the other direction along its left side.
+        beside_road: the edge has lanes for motor vehicles.
+    """
+
+    kind: str
+    line: Array
+    width: float
+    edge: str
+    index: int
+    count: int
+    verge: float
+    internal: bool
+    speed: float
+    stop: str
+    opposite: bool
+    beside_road: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Streets:
+    """Lanes near an area and the ground they cover.
+
+    Attributes:
+        area: (x_min, y_min, x_max, y_max) the part that carries agents, m.
+        window: the wider part that is meshed.
+        lanes: all lanes that touch the window.
+        road: polygon of the carriageways and of the junctions between them.
+        walk: polygon of footways and crossings, where they do not lie on the road.
+        rail: polygon of tracks off the road.
+        terrain: the land and the heights of all that stands on it.
+        bays: where cars may park beside the lanes, a part of the road.
+    """
+
+    area: Area
+    window: Area
+    lanes: tuple[Lane, ...]
+    road: shapely.Geometry
+    walk: shapely.Geometry
+    rail: shapely.Geometry
+    terrain: Terrain
+    bays: shapely.Geometry = NOTHING
+
+    def height(self, xy: Array) -> Array:
+        """Return (N,) height of the road, or of the land between roads, at (N, 2) places."""
+        return self.terrain.height(xy)
+
+
+def read_streets(net: Any, area: Area | None, margin_m: float, bays: shapely.Geometry = NOTHING) -> Streets:
+    """Collect what lies within `margin_m` of an area (of the whole network without one) from a sumolib network.
+
+    Args:
+        net: `sumolib.net.Net`.
+        area: x_min, y_min, x_max, y_max, m.
+        margin_m: around it.
+        bays: where cars may park beside the lanes, which is part of the road.
+    """
+    low_x, low_y, high_x, high_y = area or net.getBoundary()
+    area = (float(low_x), float(low_y), float(high_x), float(high_y))
+    window = (area[0] - margin_m, area[1] - margin_m, area[2] + margin_m, area[3] + margin_m)
+    frame = shapely.box(*window)
+    edges = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() != "walkingarea"]
+    lanes = []
+    lines: list[Array] = []
+    for edge in sorted(edges, key=lambda edge: edge.getID()):
+        opposite = _has_opposite(edge)
+        kinds = [_kind(edge, lane) for lane in edge.getLanes()]
+        for lane in edge.getLanes():
+            line = np.array(lane.getShape3D(), np.float64)
+            if len(line) < 2 or not frame.intersects(shapely.LineString(line[:, :2])):
+                continue
+            lines.append(line)
+            lanes.append(_lane(edge, lane, kinds, _without_repeats(line[:, :2]), opposite))
+    road = _close(_cover(lanes, ("road", "bicycle")) | _junctions(net, frame) | bays) & frame
+    areas = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() == "walkingarea"]
+    walk = _cover(lanes, ("walk",)) | _walking_areas(areas, frame)
+    walk = _close(walk & frame) - road
+    rail = (_cover(lanes, ("rail",)) & frame) - road - walk
+    terrain = land(window, lines, shapely.union_all([road, walk, rail]))
+    return Streets(area, window, tuple(lanes), road, walk, rail, terrain, bays)
+
+
+def _kind(edge: Any, lane: Any) -> str:
+    if edge.getFunction() == "crossing":
+        return "crossing"
+    if any(lane.allows(name) for name in _ROAD_CLASSES):
+        return "road"
+    if lane.allows("bicycle"):
+        return "bicycle" if not lane.allows("pedestrian") else "walk"
+    return "walk" if lane.allows("pedestrian") else "rail"
+
+
+def _lane(edge: Any, lane: Any, kinds: list[str], line: Array, opposite: bool) -> Lane:
+    own = lane.getIndex()
+    kind = kinds[own]
+    # A cycle lane beside a carriageway is part of it.
+    if kind == "bicycle" and "road" not in kinds and edge.getFunction() == "":
+        kind = "walk"
+    internal = edge.getFunction() != ""
+    others = [other.getWidth() for other, of in zip(edge.getLanes()[:own], kinds, strict=False) if of != kinds[own]]
+    return Lane(
+        kind=kind,
+        line=line,
+        width=min(lane.getWidth(), _WALK_WIDTH_M) if kind == "walk" and "road" not in kinds else lane.getWidth(),
+        edge=edge.getID(),
+        index=kinds[:own].count(kinds[own]),
+        count=kinds.count(kinds[own]),
+        verge=float(sum(others)),
+        internal=internal,
+        speed=edge.getSpeed(),
+        stop="" if internal else _stop(edge, lane),
+        opposite=opposite,
+        beside_road="road" in kinds and not internal,
+    )
+
+
+def _stop(edge: Any, lane: Any) -> str:
+    """Tell how a lane ends at its junction."""
+    if edge.getToNode().getType().startswith("traffic_light"):
+        return "signal"
+    states = {link.getState() for link in lane.getOutgoing() if hasattr(link, "getState")}
+    return "yield" if states and states <= {"m", "s", "w"} and len(edge.getToNode().getIncoming()) > 2 else ""
+
+
+def _has_opposite(edge: Any) -> bool:
+    if edge.getFunction() != "":
+        return False
+    back = [other for other in edge.getToNode().getOutgoing() if other.getToNode() is edge.getFromNode()]
+    left = np.array(edge.getLanes()[-1].getShape()[:1]) if back else np.zeros((1, 2))
+    reach = 1.25 * edge.getLanes()[-1].getWidth()
+    return any(np.hypot(*(np.array(other.getLanes()[-1].getShape()[-1:]) - left)[0]) < reach for other in back)
+
+
+def _without_repeats(line: Array) -> Array:
+    keep = np.concatenate([[True], np.hypot(*np.diff(line, axis=0).T) > 1e-3])
+    return line[keep] if keep.sum() > 1 else line + np.array([[0.0, 0.0]] * (len(line) - 1) + [[1e-2, 0.0]])
+
+
+def _cover(lanes: list[Lane], kinds: tuple[str, ...]) -> shapely.Geometry:
+    chosen = [lane for lane in lanes if lane.kind in kinds]
+    strips = [shapely.LineString(lane.line).buffer(0.5 * lane.width, cap_style="flat") for lane in chosen]
+    return shapely.unary_union(strips)
+
+
+def _junctions(net: Any, frame: shapely.Geometry) -> shapely.Geometry:
+    """Return the polygons of the junctions that motor vehicles enter."""
+    shapes = []
+    for node in net.getNodes():
+        drivable = any(lane.allows(c) for e in node.getIncoming() for lane in e.getLanes() for c in _ROAD_CLASSES)
+        if drivable and len(node.getShape()) > 2:
+            shape = shapely.Polygon([point[:2] for point in node.getShape()]).buffer(0)
+            if shape.intersects(frame):
+                shapes.append(shape)
+    return shapely.unary_union(shapes)
+
+
+def _walking_areas(edges: list[Any], frame: shapely.Geometry) -> shapely.Geometry:
+    lines = [np.array(edge.getLanes()[0].getShape())[:, :2] for edge in edges]
+    shapes = [shapely.Polygon(line).buffer(0) for line in lines if len(line) > 2]
+    return shapely.unary_union([shape for shape in shapes if shape.intersects(frame)])
+
+
+def _close(shape: shapely.Geometry, gap_m: float = 0.4) -> shapely.Geometry:
+    """Close gaps between lanes that belong together and drop corners that nobody would see."""
+    return shape.buffer(gap_m, join_style="mitre").buffer(-gap_m, join_style="mitre").simplify(0.03).buffer(0)

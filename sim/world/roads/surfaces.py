@@ -1,0 +1,81 @@
+"""Surfaces to drive and walk on: carriageway, pavement, kerb, track and the ground around them."""
+
+import shapely
+
+from sim.mesh.solids import Piece, carpet, piece, slab
+from sim.world.roads.streets import Streets
+
+GROUND_BELOW_M = 0.05
+"""How far the ground lies below the road."""
+
+TOWN_SPEED_MPS = 21.0
+"""Roads up to this limit have kerbs and pavements; faster ones have guard rails."""
+
+_PAVEMENT_WIDTH_M = 2.5
+_KERB_WIDTH_M = 0.15
+_KERB_HEIGHT_M = 0.10
+_GAUGE_M = 1.435
+
+
+def surfaces(streets: Streets) -> list[Piece]:
+    """Return carriageways, pavements with kerbs, tracks and the ground."""
+    height = streets.height
+    walk, cut = pavement(streets), streets.terrain.cut
+    return [
+        carpet(cut(streets.road), height, 0.0, "asphalt"),
+        carpet(cut(walk), height, 0.0, "pavement"),
+        carpet(cut(streets.rail - walk), height, -0.01, "gravel"),
+        slab(streets.terrain.follow(_kerbs(streets)), height, _KERB_HEIGHT_M, "kerb", "kerb", GROUND_BELOW_M),
+        *_tracks(streets),
+        ground(streets),
+    ]
+
+
+def pavement(streets: Streets) -> shapely.Geometry:
+    """Return the polygon of footways and of a strip along the carriageways of a town."""
+    strips = [
+        shapely.LineString(lane.line).buffer(-0.5 * lane.width - _PAVEMENT_WIDTH_M, single_sided=True)
+        for lane in streets.lanes
+        if lane.kind == "road" and not lane.internal and lane.index == 0 and _in_town(lane.speed)
+    ]
+    strips.append(streets.bays.buffer(_PAVEMENT_WIDTH_M, join_style="mitre"))
+    around = shapely.unary_union(strips).buffer(0.2).buffer(-0.2) & shapely.box(*streets.window)
+    return ((around | streets.walk) - streets.road - streets.rail).simplify(0.05).buffer(0)
+
+
+def _in_town(speed: float) -> bool:
+    # A footpath has a walking pace and a service road none of its own pavement.
+    return 8.5 <= speed <= TOWN_SPEED_MPS
+
+
+def _kerbs(streets: Streets) -> shapely.Geometry:
+    """Return the stones along the carriageways of a town; none where somebody walks or drives across."""
+    town = [lane for lane in streets.lanes if lane.kind == "road" and _in_town(lane.speed)]
+    reach = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width + 1.0) for lane in town])
+    outline = streets.road.buffer(_KERB_WIDTH_M, join_style="mitre") - streets.road
+    ways = [lane for lane in streets.lanes if lane.kind in ("walk", "crossing", "rail") and not lane.beside_road]
+    openings = [shapely.LineString(lane.line).buffer(0.5 * lane.width) for lane in ways]
+    # The end of a lane in the network is not the end of the street.
+    openings += [
+        shapely.LineString(lane.line).buffer(0.5 * lane.width - 0.05, cap_style="square")
+        for lane in streets.lanes
+        if lane.kind in ("road", "bicycle")
+    ]
+    return (outline & reach & shapely.box(*streets.window)) - shapely.unary_union(openings)
+
+
+def _tracks(streets: Streets) -> list[Piece]:
+    """Return the two rails of each track off the road."""
+    lines = [shapely.LineString(lane.line) for lane in streets.lanes if lane.kind == "rail" and not lane.internal]
+    rails = [
+        rail.buffer(0.04, cap_style="flat")
+        for line in lines
+        for rail in (line.offset_curve(0.5 * _GAUGE_M), line.offset_curve(-0.5 * _GAUGE_M))
+    ]
+    bars = streets.terrain.follow((shapely.unary_union(rails) & streets.rail) - streets.road.buffer(0.2))
+    return [slab(bars, streets.height, 0.12, "metal", "metal", 0.02)] if not bars.is_empty else []
+
+
+def ground(streets: Streets) -> Piece:
+    """Return the land below everything."""
+    return piece(streets.terrain.nodes - [0.0, 0.0, GROUND_BELOW_M], streets.terrain.faces, "ground")

@@ -1,0 +1,117 @@
+"""The lie of the land: one surface of triangles that carries roads, paint, kerbs, houses and trees."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import Delaunay
+
+from sim.mesh.solids import Array, rings_of
+
+BEYOND_M = 250.0
+"""How far the land goes on beyond the window that is built upon."""
+
+CELL_M = 4.0
+"""Distance of the nodes on and beside roads where the land is not flat."""
+
+_BESIDE_M = 8.0
+_RIM_M = 50.0
+_MOST_NODES = 40_000
+_FLAT_M = 0.05
+
+Window = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terrain:
+    """A surface over the plane, the height of the road wherever there is one.
+
+    Attributes:
+        nodes: (N, 3) m, the corner of least x and y first, that of greatest last.
+        faces: (F, 3) rows of `nodes`, counter-clockwise seen from above.
+        slopes: heights between the nodes; None where all lie on one level.
+    """
+
+    nodes: Array
+    faces: NDArray[np.int64]
+    slopes: LinearNDInterpolator | None
+
+    @property
+    def flat(self) -> bool:
+        """Whether all of it lies on one level."""
+        return self.slopes is None
+
+    def height(self, xy: Array) -> Array:
+        """Return (N,) height at (N, 2) places; beyond the land that of its rim."""
+        if self.slopes is None:
+            return np.full(len(xy), self.nodes[0, 2])
+        return self.slopes(np.clip(xy, self.nodes[0, :2], self.nodes[-1, :2]))
+
+    def cut(self, shape: shapely.Geometry) -> shapely.Geometry:
+        """Return polygons cut where the land bends, so that each part of them lies on one triangle."""
+        if self.slopes is None or shape.is_empty:
+            return shape
+        whole = shapely.make_valid(np.array(rings_of(shape)))
+        triangles = shapely.polygons(self.nodes[self.faces, :2])
+        shapely.prepare(whole)
+        of, face = shapely.STRtree(triangles).query(whole, predicate="intersects")
+        parts, inside = triangles[face], shapely.contains(whole[of], triangles[face])
+        parts[~inside] = shapely.intersection(whole[of][~inside], parts[~inside])
+        return shapely.multipolygons([ring for part in parts for ring in rings_of(part)])
+
+    def follow(self, shape: shapely.Geometry) -> shapely.Geometry:
+        """Return a shape with corners so close to one another that its outline follows the land."""
+        return shape if self.slopes is None else shapely.segmentize(shape, CELL_M)
+
+
+def level_land(window: Window, height_m: float) -> Terrain:
+    """Return flat land around a window: two triangles."""
+    low, high = _corners(window)
+    nodes = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
+    return Terrain(np.column_stack([nodes, np.full(4, height_m)]), np.array([[0, 2, 3], [0, 3, 1]]), None)
+
+
+def land(window: Window, lines: list[Array], covered: shapely.Geometry) -> Terrain:
+    """Return the land around a window with the heights of the lanes.
+
+    On and beside the roads its nodes lie `CELL_M` apart, farther where there would be too many, and have the height of
+    the nearest point of a lane. Away from them it goes straight from road to road and to the rim.
+
+    Args:
+        window: x_min, y_min, x_max, y_max of what is built, m.
+        lines: (K, 3) centre lines of lanes.
+        covered: what lanes and footways cover.
+    """
+    heights = np.concatenate([line[:, 2] for line in lines]) if lines else np.zeros(1)
+    if np.ptp(heights) < _FLAT_M:
+        return level_land(window, float(heights[0]))
+    near = covered.buffer(_BESIDE_M)
+    shapely.prepare(near)
+    cell_m = max(CELL_M, float(np.sqrt(near.area / _MOST_NODES)))
+    low, high = _corners(window)
+    grid, rim = _grid(low, high, cell_m), _grid(low, high, _RIM_M)
+    rim = rim[((rim == low) | (rim == high)).any(axis=1)]
+    flat = np.unique(np.concatenate([grid[shapely.contains_xy(near, *grid.T)], rim]), axis=0)
+    mesh, level = Delaunay(flat), _lane_heights(lines, flat)
+    faces = mesh.simplices.astype(np.int64)
+    return Terrain(np.column_stack([flat, level]), faces, LinearNDInterpolator(mesh, level))
+
+
+def _corners(window: Window) -> tuple[Array, Array]:
+    return np.array(window[:2]) - BEYOND_M, np.array(window[2:]) + BEYOND_M
+
+
+def _grid(low: Array, high: Array, cell_m: float) -> Array:
+    """Return (N, 2) places between two corners, at most `cell_m` apart along x and y, both corners among them."""
+    count = np.ceil((high - low) / cell_m).astype(int) + 1
+    x, y = np.linspace(low[0], high[0], count[0]), np.linspace(low[1], high[1], count[1])
+    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _lane_heights(lines: list[Array], xy: Array) -> Array:
+    """Return (N,) height of the point of a lane that is nearest to each of (N, 2) places."""
+    lanes, places = np.array([shapely.LineString(line) for line in lines]), shapely.points(xy)
+    nearest = lanes[shapely.STRtree(lanes).nearest(places)]
+    return shapely.get_z(shapely.line_interpolate_point(nearest, shapely.line_locate_point(nearest, places)))

@@ -1,0 +1,143 @@
+"""The world of a drive in one small file: what does not move, and the bodies that are made of files of eclipse-sumo.
+
+Whole millimetres, packed: it travels to a machine without the maps, meshes and programs that built it.
+"""
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from sim.bodies.choice import body_mesh
+from sim.errors import DataError, complaint
+from sim.mesh.materials import MATERIALS, material_index
+from sim.mesh.solids import Piece, fit, to_mesh
+from sim.packed import packed, read_arrays, unpacked, write_arrays
+from sim.traffic.base import from_steps, in_steps
+
+VERSION = 1
+GRID_M = 1e-3
+"""Vertices are rounded to this; markings lie a centimetre above their road."""
+_UNIT_GRID = 1e-5
+"""Vertices of bodies, whose box is a unit cube, are rounded to this: a twentieth of a millimetre of a car."""
+
+_STATIC = "static"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """What a file holds.
+
+    Attributes:
+        static: what does not move, with `face_attributes["material"]`.
+        shapes: shape of a body -> its piece in a unit box, painted with the paint of `sim.mesh.materials` that any
+            model of it replaces.
+    """
+
+    static: trimesh.Trimesh
+    shapes: Mapping[str, Piece]
+
+    def body_mesh(self, model: str, size_lwh: tuple[float, float, float]) -> trimesh.Trimesh:
+        """Return the mesh of a body, of a kept shape if there is one; see `sim.bodies.choice.body_mesh`."""
+        shape, _, paint = model.partition(":")
+        if shape not in self.shapes:
+            return body_mesh(model, size_lwh)
+        piece = self.shapes[shape]
+        painted = piece.material == material_index(_any_paint())
+        material = np.where(painted, np.uint8(material_index(f"paint_{paint}")), piece.material)
+        return to_mesh(fit(Piece(piece.vertices, piece.faces, material), size_lwh))
+
+
+def shapes_of(models: Iterable[str]) -> dict[str, Piece]:
+    """Return the shapes among those of some models that only a file of eclipse-sumo can tell."""
+    shapes = sorted({model.partition(":")[0] for model in models})
+    return {shape: _sumo_shape(shape) for shape in shapes if shape.startswith("car-")}
+
+
+def save_world(static: trimesh.Trimesh, shapes: Mapping[str, Piece], path: Path) -> Path:
+    """Write a world in one piece; equal worlds give equal bytes.
+
+    Args:
+        static: triangles with `face_attributes["material"]`.
+        shapes: see `shapes_of`.
+        path: the .npz to write.
+    """
+    material = np.asarray(static.face_attributes["material"])
+    parts = {_STATIC: Piece(np.asarray(static.vertices, np.float64), np.asarray(static.faces), material), **shapes}
+    columns: dict[str, NDArray] = {"version": np.array(VERSION), "part": np.array(list(parts), dtype=np.str_)}
+    for name, piece in parts.items():
+        columns |= {f"{name}/{key}": values for key, values in _columns(piece, _grid(name)).items()}
+    partial = path.with_name(path.name + ".part")
+    write_arrays(partial, columns)
+    os.replace(partial, path)
+    return path
+
+
+def load_world(path: Path) -> World:
+    """Read a world.
+
+    Raises:
+        DataError: the file is missing, damaged or no world.
+    """
+    columns = read_arrays(path, "static world")
+    if int(columns.get("version", np.array(-1))) != VERSION:
+        raise DataError(
+            complaint(path, "version", f"a world of version {VERSION}", str(columns.get("version", "none")))
+        )
+    names = [str(name) for name in np.atleast_1d(columns.get("part", np.array([], np.str_)))]
+    if _STATIC not in names:
+        raise DataError(complaint(path, "part", f"'{_STATIC}' among the parts", names))
+    parts = {name: _piece(path, columns, name) for name in names}
+    return World(to_mesh(parts.pop(_STATIC)), parts)
+
+
+def _any_paint() -> str:
+    return next(material.name for material in MATERIALS if material.name.startswith("paint_"))
+
+
+@lru_cache(maxsize=8)
+def _sumo_shape(shape: str) -> Piece:
+    from sim.bodies.cars import sumo_car
+
+    return sumo_car(shape, _any_paint())
+
+
+def _grid(name: str) -> float:
+    return GRID_M if name == _STATIC else _UNIT_GRID
+
+
+def _columns(piece: Piece, grid: float) -> dict[str, NDArray]:
+    vertices = in_steps(np.asarray(piece.vertices, np.float64), grid)
+    used = np.unique(piece.material)
+    return {
+        "materials": np.array([MATERIALS[index].name for index in used.tolist()], dtype=np.str_),
+        "material": np.searchsorted(used, piece.material).astype(np.uint8),
+        "corner": packed(np.diff(np.asarray(piece.faces, np.int64).ravel(), prepend=0)),
+        **{axis: packed(np.diff(vertices[:, row], prepend=0)) for row, axis in enumerate("xyz")},
+    }
+
+
+def _piece(path: Path, columns: dict[str, NDArray], name: str) -> Piece:
+    kinds = {"materials": ("U", 1), "material": ("u", 1), **dict.fromkeys(("x", "y", "z", "corner"), ("u", 2))}
+    for key, (kind, axes) in kinds.items():
+        array = columns.get(f"{name}/{key}")
+        if array is None or array.dtype.kind != kind or array.ndim != axes:
+            raise DataError(complaint(path, f"{name}/{key}", f"an array of {axes} axes and kind {kind}", "none"))
+    x, y, z, corner = (np.cumsum(unpacked(columns[f"{name}/{key}"])) for key in ("x", "y", "z", "corner"))
+    material, used = columns[f"{name}/material"], columns[f"{name}/materials"].tolist()
+    if not len(x) == len(y) == len(z) or len(corner) != 3 * len(material):
+        raise DataError(complaint(path, name, "three axes per vertex, three corners and a material per face", "others"))
+    if len(corner) and not 0 <= corner.min() <= corner.max() < len(x):
+        raise DataError(complaint(path, f"{name}/corner", f"rows of {len(x)} vertices", "others"))
+    known = [one.name for one in MATERIALS]
+    unknown = [one for one in used if one not in known]
+    if unknown or (len(material) and int(material.max()) >= len(used)):
+        found = unknown[0] if unknown else f"row {material.max()}"
+        raise DataError(complaint(path, f"{name}/materials", "names of materials", found))
+    index = np.array([known.index(one) for one in used], np.uint8)
+    return Piece(from_steps(np.stack([x, y, z], axis=1), _grid(name)), corner.reshape(-1, 3), index[material])

@@ -1,0 +1,171 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.data.datasets import convert as module
+from dsrc.data.datasets.convert import convert, names_of
+from dsrc.data.datasets.corrupt import corrupt_dataset
+from dsrc.data.drives import list_drives, open_drives
+from dsrc.data.formats.opv2v.reader import DriveReader, write_frame
+from dsrc.data.formats.yaml import read_yaml
+from dsrc.data.write import write_drive
+from sensors.deskew import deskew_frame
+from sim.errors import DataError, SettingsError
+from tests.dsrc.data import dair_tree, goldens
+from tests.dsrc.data.toy import SETTINGS, ToySource, same_frames, toy_frame
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """Two drives of two frames, one of them to validate on."""
+    for name in ("train/one", "validate/two"):
+        for index in range(2):
+            write_frame(tmp_path / "data" / name, toy_frame(index, seed=len(name)))
+    return tmp_path / "data"
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.mark.parametrize("to", ["opv2v", "dair", "kitti"])
+def test_a_conversion_that_was_stopped_goes_on_to_the_same_bytes(
+    data: Path, tmp_path: Path, to: module.Format, monkeypatch: pytest.MonkeyPatch
+):
+    whole = tree(convert(data, tmp_path / "whole", to))
+    reads = []
+    read = DriveReader.read
+
+    def failing(self: DriveReader, i: int):
+        reads.append(i)
+        if len(reads) == 3:
+            raise KeyboardInterrupt
+        return read(self, i)
+
+    monkeypatch.setattr(DriveReader, "read", failing)
+    with pytest.raises(KeyboardInterrupt):
+        convert(data, tmp_path / "parts", to)
+    reads.extend([-1, -1])
+    progress = []
+    convert(data, tmp_path / "parts", to, progress=lambda done, total: progress.append((done, total)))
+    assert len(reads) == 3 + 2 + 2  # the two frames that were there are not read again
+    assert progress[0] == (0, 4) and progress[-1] == (4, 4)
+    assert tree(tmp_path / "parts") == whole
+    convert(data, tmp_path / "parts", to)
+    assert len(reads) == 7 and tree(tmp_path / "parts") == whole
+
+
+def test_a_folder_that_holds_something_else_is_refused(data: Path, tmp_path: Path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("years of work")
+    with pytest.raises(DataError, match=r"full: folder: expected a new or empty one, found 'thesis.tex' in it"):
+        convert(data, tmp_path / "full", "kitti")
+    assert [p.name for p in (tmp_path / "full").iterdir()] == ["thesis.tex"]
+    convert(data, tmp_path / "out", "kitti")
+    before = tree(tmp_path / "out")
+    with pytest.raises(DataError, match=r"conversion.json: to: expected 'dair' as asked for now, found kitti"):
+        convert(data, tmp_path / "out", "dair")
+    with pytest.raises(DataError, match=r"conversion.json: view: expected 'around'"):
+        convert(data, tmp_path / "out", "kitti", view="around")
+    with pytest.raises(DataError, match=r"conversion.json: drives: expected the drives asked for now"):
+        convert(data / "train", tmp_path / "out", "kitti")
+    assert tree(tmp_path / "out") == before
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"to": "kity"}, "to: expected a format, found kity; did you mean 'kitti'"),
+        ({"to": "opv2v", "agent": "3"}, "agent: expected none with --to opv2v"),
+        ({"to": "dair", "agent": "all"}, "agent: expected ego or the id of a vehicle"),
+        ({"to": "kitti", "agent": "me"}, "agent: expected ego, all or the id of an agent, found me"),
+        ({"to": "dair", "view": "around"}, "view: expected camera, or --to kitti"),
+    ],
+)
+def test_an_option_that_a_format_has_not_is_named(data: Path, tmp_path: Path, options: dict, message: str):
+    with pytest.raises(SettingsError) as caught:
+        convert(data, tmp_path / "out", **options)
+    assert message in str(caught.value) and not (tmp_path / "out").exists()
+
+
+def test_the_source_is_not_overwritten(data: Path):
+    for out in (data, data / "new", data.parent):
+        with pytest.raises(SettingsError, match="out: expected a folder apart from"):
+            convert(data, out, "kitti")
+
+
+def test_opv2v_to_opv2v_loses_nothing(tmp_path: Path):
+    write_drive(tmp_path / "data" / "d", SETTINGS | {"motion": "raw"}, ToySource().open)
+    convert(tmp_path / "data", tmp_path / "out", "opv2v")
+    assert tree(tmp_path / "out" / "d") == tree(tmp_path / "data" / "d")
+
+
+def test_other_peoples_drives_become_whole_drives_of_ours(tmp_path: Path):
+    mini = goldens.unpack_opv2v_mini(tmp_path)
+    convert(mini, tmp_path / "out", "opv2v")
+    for before, after in zip(open_drives(mini), open_drives(tmp_path / "out"), strict=True):
+        assert before.frames == after.frames and before.agents == after.agents
+        assert all(same_frames(before.read(i), after.read(i)) for i in range(len(before)))
+        assert after.protocol["testbed"]["converted"]["sha256"] == before.digest()
+
+
+def test_dair_becomes_opv2v_with_unknown_velocities_as_unknown(tmp_path: Path):
+    root = dair_tree.make(tmp_path / "download")
+    convert(root / "val", tmp_path / "out", "opv2v")
+    after = open_drives(tmp_path / "out")
+    assert [drive.drive for drive in after] == [tmp_path / "out" / "val" / name for name in ("12", "3")]
+    frame = after[0].read(0)
+    assert np.allclose(frame.truth.array, dair_tree.boxes("015345"), atol=1e-6)
+    assert np.isnan(frame.velocity).all() and (frame.points_on == 60).all()
+    notes = read_yaml(tmp_path / "out" / "val" / "12" / "-1" / "015345.yaml")
+    assert len(notes["vehicles"]) == 3 and "speed" not in notes["vehicles"][1]
+
+
+def test_dair_can_be_corrupted(tmp_path: Path):
+    root = dair_tree.make(tmp_path / "download")
+    (first, second) = corrupt_dataset(root, tmp_path / "out", "motion_blur")
+    assert [drive.name for drive in (first, second)] == ["3", "12"]
+    before, after = (drive.read(0) for drive in (open_drives(root)[1], open_drives(tmp_path / "out" / "12")[0]))
+    assert np.array_equal(before.truth.array, after.truth.array)
+    assert not np.array_equal(before.agents[0].sweep.points, after.agents[0].sweep.points)
+
+
+def test_dair_to_dair_keeps_boxes_and_places(tmp_path: Path):
+    root = dair_tree.make(tmp_path / "download", tracks=True)
+    convert(root, tmp_path / "out", "dair")
+    for before, after in zip(open_drives(root), open_drives(tmp_path / "out"), strict=True):
+        for i in range(len(before)):
+            one, two = before.read(i), after.read(i)
+            assert np.allclose(one.truth.array, two.truth.array, atol=2e-6)
+            assert np.array_equal(one.truth.object_id, two.truth.object_id)
+            for a, b in zip(one.agents, two.agents, strict=True):
+                assert np.allclose(a.sweep.world_points, b.sweep.world_points, atol=1e-5)
+                assert a.sweep.time_s == pytest.approx(b.sweep.time_s, abs=1e-6)
+
+
+def test_splits_stay_splits(data: Path, tmp_path: Path):
+    convert(data, tmp_path / "dair", "dair")
+    root = tmp_path / "dair" / "cooperative-vehicle-infrastructure"
+    assert json.loads((root / "train.json").read_text()) == ["000000", "000001"]
+    assert json.loads((root / "val.json").read_text()) == ["000002", "000003"]
+    assert [drive.frames for drive in open_drives(tmp_path / "dair" / "val")] == [(2, 3)]
+    convert(data, tmp_path / "opv2v", "opv2v")
+    assert list_drives(tmp_path / "opv2v" / "validate") == [tmp_path / "opv2v" / "validate" / "two"]
+
+
+def test_names_that_repeat_get_those_of_their_folders(tmp_path: Path):
+    paths = [Path(name) for name in ("a/x/1", "a/y/1", "a/x/2", "a/test_culvercity/3", "a/testing/4")]
+    assert names_of(paths) == ["x/1", "y/1", "2", "test_culvercity/3", "4"]
+    with pytest.raises(DataError, match="names that differ"):
+        names_of([Path("a/x/1"), Path("b/x/1")])
+
+
+def test_raw_points_are_compensated_for_those_who_know_nothing_of_them(tmp_path: Path):
+    raw = deskew_frame(toy_frame(1), "raw")
+    write_frame(tmp_path / "data" / "toy", raw)
+    convert(tmp_path / "data", tmp_path / "out", "dair")
+    sweep = open_drives(tmp_path / "out")[0].read(0).agents[0].sweep
+    assert sweep.motion == "middle"
+    assert np.allclose(sweep.points, deskew_frame(raw, "middle").agents[0].sweep.points, atol=1e-5)

@@ -1,0 +1,222 @@
+"""Corrupted datasets: the same bytes however they are made, and nothing but the sweeps changed."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.data.datasets.corrupt import corrupt_dataset
+from dsrc.data.drive_folder import LOCK, locked
+from dsrc.data.formats.opv2v.reader import DriveReader, find_drives
+from dsrc.data.formats.opv2v.record import read_plan
+from dsrc.data.write import write_drive
+from sensors.corruptions import corrupt_frame, drive_seed
+from sim.errors import DataError, SettingsError
+from tests.dsrc.data.toy import SETTINGS, ToySource, same_frames
+
+ROOT = Path(__file__).parents[3]
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """A split of two drives."""
+    for name in ("one", "two"):
+        write_drive(tmp_path / "data" / name, SETTINGS, ToySource().open)
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def foreign(data: Path) -> Path:
+    """The same as another tool would have written it: no record, no protocol."""
+    for path in data.rglob("*.yaml"):
+        text = path.read_text()
+        path.write_text(text.partition("\n")[2]) if text.startswith("testbed") else path.unlink()
+    return data
+
+
+def test_every_frame_is_that_of_corrupt_frame_with_the_seed_of_its_drive(data: Path, tmp_path: Path) -> None:
+    drives = corrupt_dataset(data, tmp_path / "out", "motion_blur", 4, seed=5)
+    assert drives == [tmp_path / "out" / "one", tmp_path / "out" / "two"] == find_drives(tmp_path / "out")
+    for drive in drives:
+        source, out = DriveReader(data / drive.name), DriveReader(drive)
+        seed = drive_seed(5, drive.name)
+        for i in range(5):
+            assert same_frames(out.read(i), corrupt_frame(source.read(i), "motion_blur", 4, seed))
+
+
+def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path) -> None:
+    for workers in (1, 2, 3):
+        corrupt_dataset(data, tmp_path / str(workers), "fog", workers=workers)
+    assert tree(tmp_path / "1") == tree(tmp_path / "2") == tree(tmp_path / "3")
+
+
+def test_lost_points_are_stored(data: Path, tmp_path: Path) -> None:
+    (drive, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing", 5)
+    for before, after in zip(DriveReader(data / "one").read(2).agents, DriveReader(drive).read(2).agents, strict=True):
+        assert after.sweep.lost == len(before.sweep) - len(after.sweep) > 0
+
+
+def test_the_protocol_says_what_was_done_to_what(data: Path, tmp_path: Path) -> None:
+    (drive, _) = corrupt_dataset(data, tmp_path / "out", "crosstalk", 2, seed=9)
+    (again, _) = corrupt_dataset(tmp_path / "out", tmp_path / "both", "beam_missing", 1)
+    own = DriveReader(again).protocol["testbed"]
+    first, second = own["corruptions"]
+    assert (first["kind"], first["severity"], first["family"], first["seed"]) == ("crosstalk", 2, "physical", 9)
+    assert first["settings"] and first["source"]["drive"] == "one" and len(first["source"]["sha256"]) == 64
+    assert second["kind"] == "beam_missing"
+    assert {k: v for k, v in own.items() if k in SETTINGS} == SETTINGS and sorted(own["agents"]) == [-1, 1000, 1002]
+    assert len(DriveReader(drive).protocol["testbed"]["corruptions"]) == 1
+
+
+def test_truth_plans_and_the_list_of_vehicles_stay(data: Path, tmp_path: Path) -> None:
+    (drive, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing", 5)
+    before, after = (DriveReader(d).read(3) for d in (data / "one", drive))
+    np.testing.assert_array_equal(before.truth.array, after.truth.array)
+    np.testing.assert_array_equal(before.points_on, after.points_on)
+    old, new = ((d / "1000" / "000003.yaml") for d in (data / "one", drive))
+    np.testing.assert_allclose(read_plan(new), [[1.0, 2.0, 6.0]])
+    assert old.read_text().partition("vehicles:")[2] == new.read_text().partition("vehicles:")[2]
+
+
+def test_one_drive_becomes_one_drive(data: Path, tmp_path: Path) -> None:
+    assert corrupt_dataset(data / "two", tmp_path / "foggy", "beam_missing") == [tmp_path / "foggy"]
+    corrupt_dataset(data, tmp_path / "all", "beam_missing")
+    assert tree(tmp_path / "foggy") == tree(tmp_path / "all" / "two")
+
+
+def test_trees_of_other_tools_are_taken(foreign: Path, tmp_path: Path) -> None:
+    (drive, _) = corrupt_dataset(foreign, tmp_path / "out", "motion_blur")
+    before, after = (DriveReader(d).read(1) for d in (foreign / "one", drive))
+    assert [a.agent_id for a in after.agents] == [1000, 1002, -1]
+    np.testing.assert_allclose(before.truth.array, after.truth.array)
+    assert after.agents[0].sweep.fate.all() and before.time_s == after.time_s
+    assert DriveReader(drive).protocol["testbed"]["frames"] == 5
+
+
+def test_a_finished_run_is_left_alone_and_only_missing_frames_are_made(data: Path, tmp_path: Path) -> None:
+    out, seen = tmp_path / "out", []
+    (drive, _) = corrupt_dataset(data, out, "beam_missing")
+    before, times = tree(out), {p: p.stat().st_mtime_ns for p in out.rglob("*.pcd")}
+    (drive / "1002" / "000003.yaml").unlink()
+    (drive / "1000" / "000004.pcd.tmp").write_bytes(b"half")
+    corrupt_dataset(data, out, "beam_missing", progress=lambda done, total: seen.append((done, total)))
+    assert tree(out) == before
+    changed = sorted(p.relative_to(drive).as_posix() for p, t in times.items() if p.stat().st_mtime_ns != t)
+    assert changed == ["-1/000003.pcd", "1000/000003.pcd", "1002/000003.pcd"]
+    assert seen == [(4, 10), (5, 10), (10, 10)]
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [({"severity": 4}, "severity"), ({"seed": 1}, "seed"), ({"kind": "crosstalk"}, "kind")],
+)
+def test_a_folder_made_otherwise_is_refused_by_name(data: Path, tmp_path: Path, change: dict, field: str) -> None:
+    settings = {"kind": "beam_missing", "severity": 3, "seed": 0}
+    corrupt_dataset(data, tmp_path / "out", **settings)
+    with pytest.raises(DataError, match=rf"data_protocol.yaml: corruptions\[0\].{field}: expected"):
+        corrupt_dataset(data, tmp_path / "out", **{**settings, **change})
+
+
+def test_another_source_under_the_same_name_is_refused(data: Path, tmp_path: Path) -> None:
+    corrupt_dataset(data, tmp_path / "out", "beam_missing")
+    write_drive(tmp_path / "other" / "one", {**SETTINGS, "seed": 4}, ToySource().open)
+    with pytest.raises(DataError, match=r"data_protocol.yaml: "):
+        corrupt_dataset(tmp_path / "other", tmp_path / "out", "beam_missing")
+
+
+def test_a_clean_drive_is_not_written_into_a_corrupted_one(data: Path, tmp_path: Path) -> None:
+    (drive, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing")
+    with pytest.raises(DataError, match=r"corruptions\[0\]"):
+        write_drive(drive, SETTINGS, ToySource().open)
+
+
+def test_an_unfinished_drive_says_how_to_go_on(data: Path, tmp_path: Path) -> None:
+    (drive, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing")
+    for path in drive.glob("*/000004.*"):
+        path.unlink()
+    with pytest.raises(DataError, match=r"found 4; run dsrc corrupt again"):
+        DriveReader(drive)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"kind": "fogg"}, "did you mean 'fog'"),
+        ({"kind": "clean"}, "kind"),
+        ({"severity": 6}, "1 to 5"),
+        ({"family": "papers"}, "did you mean 'paper'"),
+        ({"seed": -1}, "seed"),
+        ({"workers": 0}, "workers"),
+    ],
+)
+def test_a_wrong_setting_is_told_before_anything_is_written(
+    data: Path, tmp_path: Path, wrong: dict, message: str
+) -> None:
+    with pytest.raises(SettingsError, match=message):
+        corrupt_dataset(data, tmp_path / "out", **{"kind": "fog", **wrong})
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("out", ["data", "data/one", "data/foggy", "."])
+def test_a_dataset_is_not_written_into_itself(data: Path, tmp_path: Path, out: str) -> None:
+    before = tree(data)
+    with pytest.raises(SettingsError, match="a folder apart from"):
+        corrupt_dataset(data, tmp_path / out, "fog")
+    assert tree(data) == before
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_sweep_that_cannot_be_corrupted_is_named(foreign: Path, tmp_path: Path, workers: int) -> None:
+    for path in foreign.rglob("*.pcd"):
+        head, _, body = path.read_bytes().partition(b"DATA binary\n")
+        path.write_bytes(head.replace(b"ring", b"line") + b"DATA binary\n" + body)
+    with pytest.raises(DataError, match=r"data/one: frame 0: agent 1000: "):
+        corrupt_dataset(foreign, tmp_path / "out", "beam_missing", workers=workers)
+
+
+def test_a_folder_in_use_is_refused(data: Path, tmp_path: Path) -> None:
+    with locked(tmp_path / "out" / "one"), pytest.raises(DataError, match=f"process {os.getpid()} is writing"):
+        corrupt_dataset(data, tmp_path / "out", "beam_missing")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_killed_run_goes_on_to_the_same_bytes_and_leaves_no_worker(tmp_path: Path, workers: int) -> None:
+    write_drive(tmp_path / "data" / "long", {**SETTINGS, "frames": 60}, ToySource().open)
+    corrupt_dataset(tmp_path / "data", tmp_path / "whole", "beam_missing")
+    code = (
+        "import sys; from pathlib import Path; from dsrc.data.datasets.corrupt import corrupt_dataset;"
+        "corrupt_dataset(Path(sys.argv[1]), Path(sys.argv[2]), 'beam_missing', workers=int(sys.argv[3]))"
+    )
+    out = tmp_path / "killed"
+    command = [sys.executable, "-c", code, str(tmp_path / "data"), str(out), str(workers)]
+    process = subprocess.Popen(command, cwd=ROOT, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while not (out / "long" / "1000" / "000002.yaml").exists() and time.monotonic() < deadline:
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert (out / "long" / LOCK).exists()
+    while _alive(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not _alive(process.pid)
+    assert len(tree(out)) < len(tree(tmp_path / "whole"))
+    corrupt_dataset(tmp_path / "data", out, "beam_missing", workers=workers)
+    assert tree(out) == tree(tmp_path / "whole")
+
+
+def _alive(group: int) -> bool:
+    """Whether a process of this group is left."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True

@@ -1,0 +1,175 @@
+import json
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from PIL import Image
+
+from dsrc.evaluation.ap import FrameResult, evaluate
+from dsrc.evaluation.plots.plots import (
+    COLORS,
+    apart,
+    bars_of_sheet,
+    corruption_bars,
+    lines_of_sheet,
+    looks_of,
+    map_of_sheet,
+    mean_bars,
+    png_bytes,
+    precision_recall_curves,
+    robustness_scatter,
+    traffic_scatter,
+    training_curves,
+)
+from dsrc.evaluation.report.table import Column, Line, Sheet, Stat
+from dsrc.evaluation.results import Row, make_row, summary_rows
+from dsrc.ops.detections import Detections
+from sim.boxes import Boxes
+
+
+def some_rows(methods=("dsrc", "plain", "ego alone")):
+    rows = []
+    for c, condition in enumerate(("clean", "fog", "snow")):
+        for m, method in enumerate(methods):
+            ap = 0.9 - 0.1 * c - 0.05 * m
+            rows.append(Row(method, condition, 3, 10, 40, 35, {"ap_bev_50": ap, "ap_bev_70": ap - 0.2}))
+    return [*rows, *summary_rows(rows)]
+
+
+def some_sheet(labels=("dsrc", "plain", "ego alone"), columns=("clean", "fog", "snow")):
+    values = [[(Stat(0.9 - 0.1 * c - 0.05 * m), Stat(0.7 - 0.1 * c)) for c in range(len(columns))] for m in range(9)]
+    lines = tuple(Line(label, tuple(cells)) for label, cells in zip(labels, values, strict=False))
+    return Sheet("x", "A title", "", "Method", tuple(map(Column, columns)), lines)
+
+
+def test_a_bar_per_method_condition_and_iou():
+    for axes, heights in zip(corruption_bars(some_rows()).axes, ([90, 80, 70], [70, 60, 50]), strict=True):
+        assert len(axes.patches) == 3 * 3
+        first = [p.get_height() for p in axes.patches if to_hex(p.get_facecolor()) == COLORS[0].lower()]
+        assert first == pytest.approx(heights)
+        assert [t.get_text() for t in axes.get_xticklabels()] == ["clean", "fog", "snow"]
+        assert len(axes.texts) == 3 * 3 and {f"{height:.1f}" for height in heights} < {t.get_text() for t in axes.texts}
+
+
+def test_a_method_has_one_look_in_all_figures_whoever_else_is_in_them():
+    methods = [f"method {i}" for i in range(22)]
+    looks = looks_of(methods)
+    assert len(set(looks.values())) == 22
+    assert len({(look.color, look.marker) for look in looks.values()}) == 22
+    some = methods[15:18]
+    figures = [
+        corruption_bars(some_rows(some), looks=looks),
+        robustness_scatter(some_rows(some), looks=looks),
+        lines_of_sheet(some_sheet(some), "x", [0, 1, 2], looks),
+        traffic_scatter({name: (10.0, 0.8, 0.6) for name in reversed(some)}, looks),
+    ]
+    for figure in figures[:2] + figures[3:]:
+        for axes in figure.axes:
+            for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
+                color = handle.patches[0].get_facecolor() if hasattr(handle, "patches") else handle.get_color()
+                assert to_hex(color) == to_hex(looks[name].color)
+    for axes in figures[2].axes:
+        for container in axes.containers:
+            look, line = looks[container.get_label()], container.lines[0]
+            assert (line.get_color(), line.get_marker(), line.get_linestyle()) == look[:3]
+
+
+def test_a_map_holds_every_number_with_the_best_in_bold():
+    first, second = map_of_sheet(some_sheet()).axes[:2]
+    assert [t.get_text() for t in first.texts] == "90.0 85.0 80.0 80.0 75.0 70.0 70.0 65.0 60.0".split()
+    assert [t.get_text() for t in first.texts if t.get_fontweight() == "bold"] == ["90.0", "80.0", "70.0"]
+    assert len(second.texts) == 9 and first.get_title(loc="left") == "IoU 0.5"
+    assert [t.get_text() for t in first.get_yticklabels()] == ["dsrc", "plain", "ego alone"]
+    lacking = Sheet("x", "", "", "", (Column("clean"), Column("ms", ("",))), (Line("a", ((Stat(np.nan),) * 2, ())),))
+    assert [t.get_text() for t in map_of_sheet(lacking).axes[0].texts] == ["-"]
+    # Bars of many methods could not be told apart: they are numbers too.
+    many = corruption_bars(some_rows(tuple("abcdefghij"))).axes[0]
+    assert len(many.texts) == 30
+
+
+def test_bars_of_a_sheet_stand_in_groups_of_its_lines():
+    sheet = some_sheet(("none", "SDD", "SDD + PCP"))
+    for axes in bars_of_sheet(sheet).axes:
+        assert [t.get_text() for t in axes.get_xticklabels()] == ["none", "SDD", "SDD + PCP"]
+        assert len(axes.containers) == 3  # one for each column
+    (axes,) = mean_bars(some_rows()).axes
+    assert [bar.get_height() for bar in axes.containers[0]] == pytest.approx([85, 75, 65])
+    assert len({round(t.get_position()[0], 3) for t in axes.texts}) == len(axes.texts) == 6
+
+
+def test_names_at_the_ends_of_lines_keep_their_distance_and_their_order():
+    assert apart([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
+    np.testing.assert_allclose(apart([0.5, 0.5, 0.52, 0.9], 0.1), [0.4067, 0.5067, 0.6067, 0.9], atol=1e-3)
+    np.testing.assert_allclose(apart([0.99, 1.0], 0.1), [0.9, 1.0])
+    crowd = np.array(apart(sorted(np.random.default_rng(0).uniform(0.4, 0.6, 15)), 0.06))
+    assert (np.diff(crowd) > 0.06 - 1e-9).all() and crowd.min() >= 0 and crowd.max() <= 1
+    figure = lines_of_sheet(some_sheet(), "s", [0, 1, 2])
+    for axes in figure.axes:
+        assert {t.get_text() for t in axes.texts} == {"dsrc", "plain", "ego alone"}
+
+
+def test_a_point_per_method_and_iou():
+    lines = robustness_scatter(some_rows()).axes[0].lines
+    assert len(lines) == 3
+    np.testing.assert_allclose(lines[0].get_xydata(), [[100 * 0.15 / 0.9, 80.0]])
+
+
+def test_curves_are_drawn_where_they_are_known():
+    truth = Boxes.from_array([[0, 0, 0, 4, 2, 1.5, 0], [9, 0, 0, 4, 2, 1.5, 0]])
+    result = evaluate([FrameResult(Detections(truth, np.array([0.9, 0.8], np.float32)), truth)])
+    panels = precision_recall_curves([make_row("dsrc", "clean", 0, result), *some_rows(("plain",))]).axes
+    assert [len(axes.lines) for axes in panels] == [2, 2]
+
+
+@pytest.mark.parametrize("figure", [corruption_bars, robustness_scatter, precision_recall_curves])
+@pytest.mark.parametrize("rows", [[], some_rows(("one",)), some_rows(tuple("abcdefghij"))])
+def test_every_figure_can_be_saved_and_leaves_no_trace(figure, rows, tmp_path):
+    before = dict(mpl.rcParams)
+    path = tmp_path / "figure.png"
+    path.write_bytes(png_bytes(figure(rows), {"seed": 5}, dpi=40))
+    assert dict(mpl.rcParams) == before
+    with Image.open(path) as image:
+        assert json.loads(image.text["Description"]) == {"seed": 5}
+        assert np.ptp(np.asarray(image.convert("L"))) > 100
+
+
+def test_the_same_rows_give_the_same_bytes():
+    first, second = (png_bytes(corruption_bars(some_rows()), dpi=40) for _ in range(2))
+    assert first == second
+
+
+def test_a_training_is_drawn_with_gaps_where_it_was_not_validated():
+    rows = [
+        {"epoch": "0", "lr": "1e-4", "train/cls": "2.0", "train/loss": "2.5", "train/reg": "0.5"},
+        {
+            "epoch": "1",
+            "lr": "2e-4",
+            "train/cls": "1.0",
+            "train/loss": "1.2",
+            "train/reg": "0.2",
+            "val/ap_bev_50": ".6",
+        },
+    ]
+    losses, precisions, rates = training_curves(rows).axes
+    assert [line.get_label() for line in losses.lines] == ["cls", "reg"]
+    np.testing.assert_allclose(precisions.lines[0].get_xydata(), [[2, 60]])
+    np.testing.assert_allclose(rates.lines[0].get_xydata(), [[1, 1e-4], [2, 2e-4]])
+    figure = training_curves(rows[:1], "a run")
+    png_bytes(figure, dpi=40)
+    for axes in figure.axes:
+        assert all(float(tick).is_integer() for tick in axes.get_xticks())
+    assert figure.get_suptitle() == "a run"
+
+
+def test_curves_are_drawn_where_their_values_are_and_one_training_has_no_spread():
+    lines = (
+        Line("one", tuple((Stat(0.5), Stat(0.4)) for _ in range(3))),
+        Line("three", tuple((Stat(0.6, 0.1), Stat(0.3, 0.1)) for _ in range(3))),
+    )
+    sheet = Sheet("loss", "Loss", "", "Method", tuple(map(Column, ("0", "0.1", "0.5"))), lines)
+    for axes in lines_of_sheet(sheet, "share", [0, 0.1, 0.5]).axes:
+        assert list(axes.get_xticks()) == [0, 0.1, 0.5]
+        one, three = axes.containers
+        assert list(one.lines[0].get_xdata()) == [0, 0.1, 0.5]
+        assert (one.has_yerr, three.has_yerr) == (False, True)

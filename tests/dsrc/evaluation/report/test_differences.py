@@ -1,0 +1,186 @@
+"""The table of differences: what the rows say, with what the frames and the drives can resolve of it."""
+
+import csv
+import io
+import json
+import math
+import re
+from dataclasses import replace as changed
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from tests.dsrc.evaluation.test_paper_tables import outcome_of
+
+from dsrc.evaluation.ap import result_of
+from dsrc.evaluation.config import DifferenceSpec, Note, Sweeps
+from dsrc.evaluation.intervals import Hits
+from dsrc.evaluation.plots.plots import difference_dots
+from dsrc.evaluation.report.differences import DifferenceTable, difference_table
+from dsrc.evaluation.report.paper_tables import View
+from dsrc.evaluation.report.report import write_report
+from dsrc.evaluation.robustness import mce
+from dsrc.evaluation.runner import Outcome, run_plan
+from tests.dsrc.evaluation.small import make_plan, write_drives
+from tests.dsrc.evaluation.test_intervals import judged_of
+
+SKILL = {"dsrc": 0.8, "attfuse": 0.6, "late": 0.6}
+LOSS = {"clean": 0.0, "fog": 0.1, "snow": 0.4}
+PAIRS = (DifferenceSpec(method="dsrc", baseline="attfuse"), DifferenceSpec(method="late", baseline="attfuse"))
+
+
+def found_in(frames: tuple[int, ...], trainings: int = 1, **settings: object) -> Outcome:
+    """Return detections, ten boxes a frame, whose AP under a corruption is worse; and rows that say the same."""
+    outcome = outcome_of(dict.fromkeys(SKILL, trainings), corruptions=("fog", "snow"), differences=PAIRS, **settings)
+    entries = []
+    for entry in outcome.entries:
+        case = entry.case
+        seed = 100 * case.training + 10 * list(SKILL).index(case.method) + list(LOSS).index(case.condition.kind)
+        judged = judged_of(sum(frames), SKILL[case.method] - LOSS[case.condition.kind], seed)
+        curves = result_of(judged).curves
+        metrics = {**entry.row.metrics, "ap_bev_50": curves["bev", 0.5].ap, "ap_bev_70": curves["bev", 0.7].ap}
+        entries.append(changed(entry, row=changed(entry.row, metrics=metrics), hits=Hits.of(judged)))
+    return changed(outcome, entries=entries, frames={"made up": frames})
+
+
+def table_of(outcome: Outcome) -> DifferenceTable:
+    return difference_table(View.of(outcome, "made up"), outcome.plan.differences, outcome.frames["made up"])
+
+
+@pytest.fixture(scope="module")
+def outcome() -> Outcome:
+    return found_in((20, 15, 15, 10), trainings=2)
+
+
+@pytest.fixture(scope="module")
+def table(outcome) -> DifferenceTable:
+    return table_of(outcome)
+
+
+def test_the_differences_are_those_of_the_rows(outcome, table):
+    view = View.of(outcome, "made up")
+    own = {(one.method, one.condition, one.iou): one for one in table.differences}
+    assert len(own) == len(table.differences) == 2 * 5 * 2
+
+    def ap(method: str, kind: str) -> float:
+        return float(np.mean([row.metrics["ap_bev_50"] for row in view.rows(method, kind)]))
+
+    for method in ("dsrc", "late"):
+        for kind in LOSS:
+            assert own[method, kind, 0.5].value.mean == pytest.approx(ap(method, kind) - ap("attfuse", kind), abs=1e-12)
+        mean = np.mean([ap(method, kind) - ap("attfuse", kind) for kind in ("fog", "snow")])
+        assert own[method, "mean_corrupted", 0.5].value.mean == pytest.approx(mean, abs=1e-12)
+        errors = [view.summary(name, mce)[0].mean for name in (method, "attfuse")]
+        assert own[method, "mce", 0.5].value.mean == pytest.approx(errors[0] - errors[1], abs=1e-12)
+    clean = own["dsrc", "clean", 0.5]
+    each = [
+        a.metrics["ap_bev_50"] - b.metrics["ap_bev_50"]
+        for a, b in zip(view.rows("dsrc"), view.rows("attfuse"), strict=True)
+    ]
+    assert clean.value.spread == pytest.approx(np.std(each, ddof=1))
+    for one in table.differences:
+        for low, high in (one.by_frame, one.by_drive):
+            assert low < high
+            assert low - 0.01 < one.value.mean < high + 0.01
+
+
+def test_what_differs_is_resolved_and_what_does_not_is_not_claimed(table):
+    by_pair = {name: [one for one in table.differences if one.method == name] for name in ("dsrc", "late")}
+    assert all(one.resolved for one in by_pair["dsrc"] if one.condition in ("clean", "fog", "snow", "mean_corrupted"))
+    assert not any(one.resolved for one in by_pair["late"] if one.condition == "mean_corrupted")
+    claims = table.claims()
+    claimed = set(re.findall(r"([A-Z][a-z ]+|mCE) at (0\.\d)", claims.split("late − attfuse")[0]))
+    resolved = [one for one in by_pair["dsrc"] if one.resolved]
+    assert {iou for _, iou in claimed} == {"0.5", "0.7"} and len(claimed) == len(resolved)
+    none = changed(table, differences=tuple(one for one in by_pair["late"] if not one.resolved))
+    assert none.claims().startswith("No difference is resolved")
+
+
+def test_bold_is_what_excludes_0(table):
+    lines = [line for line in table.markdown().splitlines() if line.startswith("| dsrc") or line.startswith("| late")]
+    assert len(lines) == 10
+    for line, start in zip(lines, range(0, 20, 2), strict=True):
+        cells = [cell.strip() for cell in line.strip("|").split("|")][2:]
+        for one, group in zip(table.differences[start : start + 2], (cells[:3], cells[3:]), strict=True):
+            wanted = [one.resolved, one.by_frame.excludes_zero, one.by_drive.excludes_zero]
+            assert [cell.startswith("**") for cell in group] == wanted
+            assert f"{100 * one.value.mean:+.1f}" in group[0] and f"{100 * one.by_drive.low:+.1f}" in group[2]
+
+
+def test_the_same_rows_have_the_same_intervals_whatever_else_is_asked_for(outcome, table):
+    alone = changed(outcome, plan=replace(outcome.plan, differences=PAIRS[1:]))
+    assert table_of(alone).differences == table.differences[10:]
+
+
+def test_a_drive_without_a_frame_is_none(outcome, table):
+    assert table_of(changed(outcome, frames={"made up": (20, 0, 15, 15, 10)})) == table
+
+
+def test_of_a_single_drive_nothing_is_known_by_drive():
+    table = table_of(found_in((30,)))
+    assert all(math.isnan(one.by_drive.low) and not math.isnan(one.by_frame.low) for one in table.differences)
+    assert not any(one.resolved for one in table.differences)
+    assert all(math.isnan(one.value.spread) for one in table.differences)  # one training
+    assert "| - |" in table.markdown() and table.claims().startswith("No difference")
+    assert next(csv.DictReader(io.StringIO(table.csv())))["by_drive_low"] == ""
+
+
+def test_trainings_are_paired_by_their_seeds_or_not_at_all(outcome, table):
+    swapped = {**outcome.trained, "dsrc": [changed(one, seed=1 - i) for i, one in enumerate(outcome.trained["dsrc"])]}
+    crossed = table_of(changed(outcome, trained=swapped)).differences[0]
+    a, b = (
+        [entry.row.metrics["ap_bev_50"] for entry in View.of(outcome, "made up").found(name)]
+        for name in ("dsrc", "attfuse")
+    )
+    assert crossed.value.mean == table.differences[0].value.mean
+    assert crossed.value.spread == pytest.approx(np.std([a[1] - b[0], a[0] - b[1]], ddof=1))
+    for seeds in ((0, 7), (None, None)):
+        others = [changed(one, seed=seed) for one, seed in zip(outcome.trained["dsrc"], seeds, strict=True)]
+        unpaired = table_of(changed(outcome, trained={**outcome.trained, "dsrc": others})).differences[0]
+        assert math.isnan(unpaired.value.spread)
+
+
+def test_footnotes_and_provenance_are_below_the_table(outcome):
+    note = Note(methods=("dsrc",), text="To be made anew.")
+    text = table_of(changed(outcome, plan=replace(outcome.plan, notes=(note,)))).markdown()
+    assert "| dsrc † − attfuse | Clean |" in text and "\n† To be made anew.\n" in text
+    assert "60 frames and of 4 drives" in text and "1000 resamples" in text
+
+
+def test_dots_stand_at_the_differences_full_where_resolved(table):
+    axes = difference_dots(table.differences, "Differences").axes
+    assert len(axes) == 4
+    for k, panel in enumerate(axes):
+        shown = [one for one in table.differences if one.iou == (0.5, 0.7)[k % 2]][5 * (k // 2) :][:5]
+        dots = [line for line in panel.lines if line.get_marker() == "o"]
+        assert [dot.get_xdata()[0] for dot in dots] == pytest.approx([100 * one.value.mean for one in shown])
+        assert [dot.get_markerfacecolor() != "white" for dot in dots] == [one.resolved for one in shown]
+    assert [t.get_text() for t in axes[0].get_yticklabels()][-2:] == ["mean of the corruptions", "mCE"]
+
+
+def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path):
+    write_drives(tmp_path / "test")
+    pair = DifferenceSpec(method="DSRC", baseline="plain")
+    settings = {"corruptions": ("beam_missing",), "differences": (pair,), "families": ("physical", "paper")}
+    methods = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "plain": [("attfuse", 0)], "alone": [("no-collaboration", 0)]}
+    outcome = run_plan(make_plan(tmp_path, methods, sweeps=Sweeps(loss=(0.5,)), **settings), tmp_path / "out")
+    assert outcome.frames == {"made up": (2, 2)}
+    kept = [entry for entry in outcome.entries if entry.hits is not None]
+    assert {(entry.case.method, entry.case.loss) for entry in kept} == {("DSRC", 0.0), ("plain", 0.0)}
+    names = {block.name for block in write_report(outcome, tmp_path / "out")}
+    wanted = {"differences", "table_1", "table_1_opencood", "figure_5"}
+    assert names >= {f"made-up/{name}{suffix}" for name in wanted for suffix in ("", "_paper")}
+    assert {"made-up/visibility", "made-up/loss"} <= names and "made-up/loss_paper" not in names
+    folder = tmp_path / "out" / "made-up"
+    assert all((folder / f"differences{end}").is_file() for end in (".md", ".csv", ".png", "_paper.md", "_paper.png"))
+    listed = json.loads((tmp_path / "out" / "results.json").read_text())["differences"]
+    assert len(listed) == 2 * 2 * 4  # families x IoU x (clean, beam missing, their mean, mCE)
+    for family in ("physical", "paper"):
+        rows = {
+            (e.case.method, e.case.training): e.row.metrics["ap_bev_50"]
+            for e in outcome.entries
+            if (e.case.condition.kind, e.case.condition.family, e.case.loss) == ("beam_missing", family, 0.0)
+        }
+        one = next(d for d in listed if (d["family"], d["condition"], d["iou"]) == (family, "beam_missing", 0.5))
+        difference = (rows["DSRC", 0] + rows["DSRC", 1]) / 2 - rows["plain", 0]
+        assert one["difference"] == pytest.approx(difference, abs=1e-12)

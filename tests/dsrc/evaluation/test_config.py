@@ -1,0 +1,232 @@
+"""The file of a benchmark: what it says is what is run, and a mistake in it is one line."""
+
+from pathlib import Path
+
+import pytest
+
+from dsrc.evaluation.benchmark import Condition
+from dsrc.evaluation.config import available, cases_of, plan_of, read_benchmark
+from dsrc.training.recipes import METHODS
+from sim.errors import SettingsError
+
+SHIPPED = Path(__file__).parents[3] / "docs" / "results" / "dsrc-sim-small" / "benchmark.toml"
+
+GOOD = """
+name = "small"
+corruptions = ["fog", "snow"]
+severities = [1, 3]
+channels = ["ideal", "its-g5-6"]
+limit = 10
+
+[[methods]]
+name = "DSRC"
+detectors = ["a.pt", "b.pt"]
+
+[[methods]]
+name = "Late"
+detectors = ["c.pt"]
+
+[[datasets]]
+name = "test"
+drives = ["data"]
+
+[sweeps]
+methods = ["DSRC"]
+agents = [1, 2]
+pose_error = [0.0, 0.2]
+"""
+
+
+def written(tmp_path, text=GOOD):
+    path = tmp_path / "benchmark.toml"
+    path.write_text(text)
+    return path
+
+
+def test_rows_are_the_product_and_the_sweeps(tmp_path):
+    cases = cases_of(read_benchmark(written(tmp_path)))
+    assert len(set(cases)) == len(cases)
+    # 3 detectors x (clean + 2 corruptions x 2 severities) x 2 channels; 2 detectors x (2 numbers of agents + 1 error).
+    assert len(cases) == 3 * 5 * 2 + 2 * 3
+    assert {case.condition for case in cases if case.method == "Late"} == {
+        Condition(),
+        *(Condition(kind, level) for kind in ("fog", "snow") for level in (1, 3)),
+    }
+    swept = [case for case in cases if case.pose_error]
+    assert [(case.method, case.training, case.pose_error) for case in swept] == [("DSRC", 0, 0.2), ("DSRC", 1, 0.2)]
+    spec = swept[0].spec()
+    assert (spec.position_error_m, spec.heading_error_deg, spec.medium) == (0.2, 0.2, "perfect")
+
+
+def test_paths_are_taken_from_the_files_folder_first(tmp_path):
+    (tmp_path / "a.pt").write_bytes(b"")
+    plan = read_benchmark(written(tmp_path))
+    assert plan.methods[0].detectors == (str(tmp_path / "a.pt"), "b.pt")
+
+
+PAIR = """
+[[differences]]
+method = "DSRC"
+baseline = "Late"
+
+[[notes]]
+methods = ["Late", "DSRC"]
+text = "Old."
+
+[sweeps]"""
+
+
+def test_both_families_are_run_and_clean_frames_once(tmp_path):
+    text = GOOD.replace('name = "small"', 'name = "small"\nfamilies = ["physical", "paper"]')
+    plan = read_benchmark(written(tmp_path, text))
+    conditions = {case.condition for case in cases_of(plan) if case.method == "Late"}
+    corrupted = {
+        Condition(kind, level, family)
+        for kind in ("fog", "snow")
+        for level in (1, 3)
+        for family in ("physical", "paper")
+    }
+    assert conditions == {Condition(), *corrupted} and plan.family == "physical"
+    lacking = text.replace('"snow"]', '"spray"]')
+    with pytest.raises(SettingsError, match=r"corruptions: .*spray"):
+        read_benchmark(written(tmp_path, lacking))
+    assert plan_of(("c.pt",), ("data",), {"family": "paper"}, {}).families == ("paper",)
+    with pytest.raises(SettingsError, match="family: expected nothing"):
+        plan_of((str(written(tmp_path)),), (), {"family": "paper"}, {})
+
+
+def test_differences_and_notes_of_methods_that_are_not_there_are_left_out(tmp_path):
+    plan = read_benchmark(written(tmp_path, GOOD.replace("[sweeps]", PAIR)))
+    assert (plan.differences[0].method, plan.differences[0].baseline) == ("DSRC", "Late")
+    (tmp_path / "a.pt").write_bytes(b"")
+    part, _ = available(read_benchmark(tmp_path / "benchmark.toml"))
+    assert part.differences == () and [note.methods for note in part.notes] == [("DSRC",)]
+    (tmp_path / "c.pt").write_bytes(b"")
+    part, _ = available(read_benchmark(tmp_path / "benchmark.toml"))
+    assert part.differences == plan.differences and part.notes == plan.notes
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[sweeps]", PAIR.replace('baseline = "Late"', 'baseline = "Lat"'), ["differences.baseline", "Lat", "'Late'"]),
+        ("[sweeps]", PAIR.replace('baseline = "Late"', 'baseline = "DSRC"'), ["differences[0].baseline", "another"]),
+        ("[sweeps]", PAIR.partition("[[notes]]")[0] + PAIR, ["differences[1]", "DSRC and Late again"]),
+        ("[sweeps]", PAIR.replace('"Late", "DSRC"]', '"Lte"]'), ["notes.methods", "Lte", "did you mean 'Late'"]),
+        ("limit = 10", 'families = ["paper", "paper"]', ["families", "names that differ", "paper"]),
+        ('"snow"]', '"snwo"]', ["corruptions", "snwo", "did you mean 'snow'"]),
+        ("severities = [1, 3]", "severities = [6]", ["severity", "1 to 5", "6"]),
+        ("severities = [1, 3]", "severities = [3, 3]", ["severities", "names that differ", "3"]),
+        ('"its-g5-6"]', '"its-g5-7"]', ["channel", "its-g5-7", "did you mean"]),
+        ('name = "Late"', 'name = "DSRC"', ["methods", "names that differ", "DSRC"]),
+        ('name = "Late"', 'nam = "Late"', ["methods[1]", "nam", "did you mean 'name'"]),
+        ('["c.pt"]', "[]", ["methods[1].detectors"]),
+        ('["c.pt"]', '["c.pt"]\nuse = {shar = 0.1}', ["methods.Late.use", "shar", "did you mean 'share'"]),
+        ("limit = 10", "limit = 0", ["limit", "at least 1 frame"]),
+        ("limit = 10", 'limit = "ten"', ["limit", "int", "ten"]),
+        ("limit = 10", "seed = -1", ["seed", "at least 0"]),
+        ('methods = ["DSRC"]', 'methods = ["DSCR"]', ["sweeps.methods", "DSCR", "did you mean 'DSRC'"]),
+        ("agents = [1, 2]", "agents = [0]", ["sweeps.agents[0]", ">= 1"]),
+        ("agents = [1, 2]", "loss = [1.5]", ["sweeps.loss[0]", "<= 1"]),
+        ("[sweeps]", "[sweep]", ["sweep", "did you mean 'sweeps'"]),
+        ("[[datasets]]", "[[data]]", ["data", "did you mean 'datasets'"]),
+        ('name = "small"', 'name = "small', ["not a readable TOML file"]),
+        ('name = "small"', 'families = ["papers"]', ["families[0]", "papers"]),
+        ('"snow"]', '"snwo"]', ["toml: corruptions: expected a corruption"]),
+    ],
+)
+def test_a_mistake_is_one_line_with_its_place(tmp_path, old, new, words):
+    assert old in GOOD
+    path = written(tmp_path, GOOD.replace(old, new))
+    with pytest.raises(SettingsError) as caught:
+        read_benchmark(path)
+    text = str(caught.value)
+    assert "\n" not in text and str(path) in text
+    assert all(word in text for word in words), text
+
+
+def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path):
+    with pytest.raises(SettingsError, match=r"none\.toml: expected a TOML file, found no such file or directory$"):
+        read_benchmark(tmp_path / "none.toml")
+
+
+def test_flags_say_the_same_as_a_file(tmp_path):
+    flags = {"corruptions": ("fog", "snow"), "severities": (1, 3), "channels": ("ideal", "its-g5-6"), "limit": 10}
+    sweeps = {"agents": (1, 2), "pose_error": (0.0, 0.2), "loss": None}
+    plan = plan_of(("DSRC=a.pt", "DSRC=b.pt", "Late=c.pt"), ("test=data",), {**flags, "seed": None}, sweeps)
+    assert plan.methods == read_benchmark(written(tmp_path)).methods
+    assert len(cases_of(plan)) == 3 * 5 * 2 + 3 * 3
+    assert plan_of((str(written(tmp_path)),), (), {"seed": None}, {}) == read_benchmark(written(tmp_path))
+    unnamed = plan_of(("runs/c.pt",), ("data/test",), {}, {})
+    assert (unnamed.methods[0].name, unnamed.datasets[0].name) == ("c", "test")
+
+
+def test_only_files_that_were_given_one_name_are_trainings_of_one_method():
+    plan = plan_of(("runs/a/detector.pt", "runs/b/detector.pt"), ("one/test", "two/test"), {}, {})
+    assert {m.name: m.detectors for m in plan.methods} == {
+        "a/detector": ("runs/a/detector.pt",),
+        "b/detector": ("runs/b/detector.pt",),
+    }
+    assert [d.name for d in plan.datasets] == ["one/test", "two/test"]
+    pooled = plan_of(("x=runs/a/detector.pt", "x=runs/b/detector.pt"), ("test",), {}, {})
+    assert len(pooled.methods) == 1 and len(pooled.methods[0].detectors) == 2
+    for pair in (("a/student/d.pt", "b/student/d.pt"), ("d=a.pt", "b/d.pt")):
+        with pytest.raises(SettingsError, match=r"detectors: expected names that differ.*name=path"):
+            plan_of(pair, ("test",), {}, {})
+
+
+def test_a_folder_with_an_equals_sign_is_no_name():
+    plan = plan_of(("runs/lr=0.1/c.pt", "slow=runs/lr=0.01/c.pt"), ("data/n=3/test",), {}, {})
+    assert [(m.name, m.detectors[0]) for m in plan.methods] == [
+        ("c", "runs/lr=0.1/c.pt"),
+        ("slow", "runs/lr=0.01/c.pt"),
+    ]
+    assert (plan.datasets[0].name, plan.datasets[0].drives) == ("test", ("data/n=3/test",))
+
+
+def test_a_file_and_flags_do_not_both_describe_it(tmp_path):
+    path = str(written(tmp_path))
+    with pytest.raises(SettingsError, match=r"limit: expected nothing: .* describes the benchmark"):
+        plan_of((path,), (), {"limit": 5}, {})
+    with pytest.raises(SettingsError, match="data: expected nothing"):
+        plan_of((path,), ("data",), {}, {})
+    with pytest.raises(SettingsError, match="detectors: expected at least one"):
+        plan_of((), ("data",), {}, {})
+    with pytest.raises(SettingsError, match="data: expected at least one"):
+        plan_of(("a.pt",), (), {}, {})
+    with pytest.raises(SettingsError, match="agents"):
+        plan_of(("a.pt",), ("data",), {}, {"agents": (0,)})
+
+
+def test_detectors_that_are_not_there_yet_can_be_left_out(tmp_path):
+    (tmp_path / "b.pt").write_bytes(b"")
+    plan = read_benchmark(written(tmp_path, GOOD.replace("[sweeps]", '[pictures]\nteacher = "t.pt"\n\n[sweeps]')))
+    part, absent = available(plan)
+    assert [(method.name, method.detectors) for method in part.methods] == [("DSRC", (str(tmp_path / "b.pt"),))]
+    assert absent == ["a.pt", "c.pt", "t.pt"] and part.pictures.teacher == ""
+    assert part.sweeps == plan.sweeps
+    (tmp_path / "b.pt").rename(tmp_path / "c.pt")
+    other, _ = available(read_benchmark(written(tmp_path)))
+    # Only DSRC was to be swept: without it nothing is, rather than everything.
+    assert [case for case in cases_of(other) if case.agents or case.pose_error] == []
+    (tmp_path / "c.pt").unlink()
+    with pytest.raises(SettingsError, match="at least one detector that is there"):
+        available(read_benchmark(written(tmp_path)))
+
+
+def test_the_projects_own_benchmark_has_all_that_the_papers_tables_need():
+    plan = read_benchmark(SHIPPED)
+    runs = [Path(path).parts[1].rpartition("_s") for method in plan.methods for path in method.detectors]
+    starts = {"max-map"}  # trained for others to begin with
+    assert set(METHODS) - starts <= {name for name, _, _ in runs}
+    parts, otherwise = {"sdd", "pcp", "sdd-pcp"}, {"dsrc-thinned", "dsrc-corrupted"}
+    assert {name for name, _, _ in runs} - set(METHODS) == parts | otherwise
+    trainings = {method.name: len(method.detectors) for method in plan.methods}
+    assert trainings["DSRC"] == trainings["AttFuse (plain student)"] == trainings["Where2comm"] == 3
+    # The document has a place for every block, so that what people write stays where it is.
+    text = (SHIPPED.parents[2] / "results.md").read_text(encoding="utf-8")
+    sweeps = [field for field in ("agents", "pose_error", "delay_s", "loss") if getattr(plan.sweeps, field)]
+    tables = ["table_1", "table_1_opencood", "table_2", "table_3", "table_4", "visibility", *sweeps]
+    for name in (*tables, "figure_4", "figure_5", "figure_6", "figure_8", "traffic"):
+        for word in ("begin", "end"):
+            assert text.count(f"<!-- {word} {plan.name}/{plan.datasets[0].name}/{name} -->") == 1

@@ -1,0 +1,71 @@
+import sys
+
+import numpy as np
+import pytest
+from dsrc.ops.grid import GridSpec
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from msgspec.structs import replace
+
+import dsrc.data
+from dsrc.models.inputs.batch import pillars_of, scene_of
+from dsrc.models.settings import ModelSettings
+from dsrc.ops.pillars import voxelise
+
+SETTINGS = ModelSettings(grid=GridSpec(range_m=(-3.2, -1.6, -3.0, 3.2, 1.6, 1.0)))
+
+# Multiples of half a cell lie on borders of cells, some points lie beyond the range, some are no place at all.
+clouds = arrays(
+    np.float32,
+    st.tuples(st.integers(0, 60), st.just(4)),
+    elements=st.one_of(st.integers(-18, 18).map(lambda n: 0.2 * n), st.floats(-4.0, 4.0, width=32), st.just(np.nan)),
+)
+cropped = arrays(np.float32, st.tuples(st.integers(0, 60), st.just(4)), elements=st.floats(-3.5, 3.5, width=32))
+
+
+@given(clouds, clouds, st.integers(1, 4), st.integers(1, 40))
+def test_pillars_are_the_voxelisers(first, second, max_points: int, max_pillars: int):
+    settings = replace(SETTINGS, max_points=max_points, max_pillars=max_pillars)
+    found = pillars_of([first, second], settings)
+    voxels = [
+        voxelise(cloud, settings.grid.range_m, (0.4, 0.4, 4.0), max_points, max_pillars) for cloud in (first, second)
+    ]
+    expected = [cloud[v.order] for cloud, v in zip((first, second), voxels, strict=True)]
+    assert np.array_equal(found.points.numpy(), np.concatenate(expected), equal_nan=True)
+    assert found.count.tolist() == [n for v in voxels for n in v.count]
+    coords = [[number, y, x] for number, v in enumerate(voxels) for _, y, x in v.coords_zyx.tolist()]
+    assert found.coords.tolist() == coords
+    assert found.pillar.tolist() == np.repeat(np.arange(len(coords)), found.count.numpy()).tolist()
+
+
+def bits_of(parts) -> list[bytes]:
+    return [part.numpy().tobytes() for part in parts]
+
+
+@given(st.lists(cropped, min_size=1, max_size=2), st.sampled_from([0.4, 0.5, 4.0]))
+def test_a_batch_is_the_same_with_and_without_a_compiler(merged, cell_z: float):
+    settings = replace(SETTINGS, reconstruction_cell_z_m=cell_z)
+
+    def made() -> list[bytes]:
+        pillars, scene = pillars_of(merged, settings), scene_of(merged, settings)
+        return bits_of((pillars.points, pillars.pillar, pillars.coords, pillars.count, scene.voxel, scene.offset))
+
+    compiled = made()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delattr(dsrc.data, "kernel", raising=False)
+        patch.setitem(sys.modules, "dsrc.data.kernel", None)
+        assert made() == compiled
+
+
+def test_a_voxels_offset_is_that_of_the_mean_of_its_points():
+    cloud = np.array([[0.1, 0.1, 0.1, 1.0], [0.3, 0.1, 0.15, 1.0], [-1.0, -1.0, -1.0, 1.0]], np.float32)
+    scene = scene_of([cloud], SETTINGS)
+    assert scene.voxel.tolist() == [[0, 5, 1, 5], [0, 7, 4, 8]]
+    np.testing.assert_allclose(scene.offset[1].numpy(), [0.0, -0.1, 0.125], atol=1e-6)
+
+
+@given(clouds)
+def test_a_point_that_is_nowhere_is_in_no_cell_beyond_the_grid(cloud):
+    z, y, x = scene_of([cloud], SETTINGS).voxel[:, 1:].numpy().T
+    assert all(((0 <= at) & (at < size)).all() for at, size in ((z, 10), (y, 8), (x, 16)))

@@ -1,0 +1,108 @@
+"""A detector made fast for use says what the plain one says."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import torch
+from msgspec.structs import replace
+from torch import nn
+
+from dsrc.models.detector import Detector
+from dsrc.models.fusion import FUSIONS, Company
+from dsrc.models.inputs.batch import pillars_of
+from dsrc.models.storage.deploy import ENGINES, FusedConv, deployed
+from dsrc.training.recipes import debug
+from sim.errors import SettingsError
+
+AGENTS = (2, 1)
+
+
+def a_detector(**changes):
+    """A small detector whose batch norms have seen something."""
+    torch.manual_seed(0)
+    detector = Detector(replace(debug().model, stage_blocks=(2, 1, 2), sdd=False, pcp=False, rec=False, **changes))
+    generator = torch.Generator().manual_seed(1)
+    for module in detector.modules():
+        if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d | nn.BatchNorm3d):
+            for tensor, low, high in (
+                (module.running_mean, -0.2, 0.2),
+                (module.running_var, 0.5, 2.0),
+                (module.weight, 0.5, 1.5),
+                (module.bias, -0.2, 0.2),
+            ):
+                tensor.data.uniform_(low, high, generator=generator)
+    return detector.eval()
+
+
+def some_pillars(detector):
+    rng = np.random.default_rng(0)
+    low, high = np.array(detector.settings.grid.range_m[:3]), np.array(detector.settings.grid.range_m[3:])
+    clouds = [
+        np.concatenate([rng.uniform(low, high, (3000, 3)), rng.random((3000, 1))], axis=1).astype(np.float32)
+        for _ in range(sum(AGENTS))
+    ]
+    return pillars_of(clouds, detector.settings)
+
+
+def assert_same(found, expected, atol=2e-5, rtol=1e-5):
+    for field in fields(expected):
+        value, wanted = getattr(found, field.name), getattr(expected, field.name)
+        for a, b in zip(value, wanted, strict=True) if isinstance(wanted, tuple) else ((value, wanted),):
+            torch.testing.assert_close(a, b, atol=atol, rtol=rtol)
+
+
+@pytest.mark.parametrize("method", FUSIONS)
+def test_it_gives_the_same_maps_for_every_method(method):
+    detector = a_detector(fusion=method)
+    before = {name: value.clone() for name, value in detector.state_dict().items()}
+    fast, pillars = deployed(detector), some_pillars(detector)
+    company = Company((1, 1, 1)) if method in ("none", "early", "late") else Company(AGENTS)
+    with torch.inference_mode():
+        expected = detector(pillars, company)
+        assert_same(fast(pillars, company), expected)
+        # A network's last bits may change from run to run, with how its threads share the work; its weights may not.
+        assert_same(detector(pillars, company), expected)
+    assert all(torch.equal(value, before[name]) for name, value in detector.state_dict().items())
+    assert any(isinstance(module, FusedConv) for module in fast.modules())
+
+
+@pytest.mark.parametrize("backbone", ["res2net", "resnet", "plain"])
+def test_it_gives_the_same_maps_for_every_backbone(backbone, monkeypatch):
+    detector = a_detector(backbone=backbone, compress=4)
+    fast, pillars = deployed(detector), some_pillars(detector)
+    assert not any(isinstance(module, nn.BatchNorm2d) for module in fast.modules())
+    with torch.inference_mode():
+        expected = detector(pillars, Company(AGENTS))
+        assert_same(fast(pillars, Company(AGENTS)), expected)
+        # Where there is no oneDNN.
+        monkeypatch.setattr("dsrc.models.storage.deploy._ONEDNN", False)
+        assert_same(fast(pillars, Company(AGENTS)), expected)
+
+
+@pytest.mark.parametrize("method", FUSIONS)
+def test_half_the_digits_give_nearly_the_same_scores(method):
+    detector = a_detector(fusion=method)
+    coarse, pillars = deployed(detector, torch.bfloat16), some_pillars(detector)
+    company = Company((1, 1, 1)) if method in ("none", "early", "late") else Company(AGENTS)
+    with torch.inference_mode():
+        expected, found = detector(pillars, company), coarse(pillars, company)
+    assert found.cls.dtype == torch.float32
+    difference = (found.cls.sigmoid() - expected.cls.sigmoid()).abs().max()
+    assert 0 < difference < 0.005
+
+
+@pytest.mark.slow
+def test_compiled_it_gives_the_same_maps():
+    detector = a_detector()
+    pillars = some_pillars(detector)
+    fast = ENGINES["compiled"](detector)
+    with torch.inference_mode():
+        assert_same(fast(pillars, Company(AGENTS)), detector(pillars, Company(AGENTS)))
+
+
+def test_without_a_compiler_it_says_so(monkeypatch):
+    monkeypatch.setattr("dsrc.models.storage.deploy.shutil.which", lambda name: None)
+    with pytest.raises(SettingsError, match="C\\+\\+ compiler") as caught:
+        ENGINES["compiled"](a_detector())
+    assert "\n" not in str(caught.value)
