@@ -19,7 +19,6 @@ from unittest import mock
 
 import msgspec
 import tyro
-from sim.catalog.load import load_scenario
 
 from benchmarks.quiet import others_s
 from benchmarks.street import BENCHMARK_LIDAR
@@ -29,6 +28,7 @@ from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, Live, open_live
 from dsrc.data.write import DriveSpec
 from sensors.presets import LIDARS
+from sim.catalog.load import load_scenario
 from sim.scenario import Scenario
 
 AGENTS, VEHICLES = 5, 60

@@ -18,12 +18,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
-from sim.catalog.load import load_scenario
 
 from sensors.corruptions import CORRUPTIONS, FAMILIES, PAPER, SEVERITIES, Family, corrupt_frame, kinds_of
 from sensors.frame import Frame
 from sensors.recording.record import record
 from sensors.sweep import ADDED, ATTENUATED, KEPT, MOVED, SCATTERED, Sweep
+from sim.catalog.load import load_scenario
 from sim.geometry import invert, transform_points
 from sim.traffic.sumo.traffic import SumoTraffic
 from sim.world.build import build_world

@@ -15,7 +15,6 @@ from matplotlib.colors import Colormap, LogNorm, Normalize, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
-from sim.catalog.load import load_scenario
 
 from sensors.frame import Frame
 from sensors.presets import LIDARS, get_lidar
@@ -23,6 +22,7 @@ from sensors.recording.mounting import place_roadside
 from sensors.recording.record import Recording, make_frame, record
 from sensors.spec import LidarSpec
 from sensors.sweep import STATIC, Sweep
+from sim.catalog.load import load_scenario
 from sim.geometry import invert, transform_points
 from sim.scenario import RoadsideUnit
 from sim.traffic.sumo.traffic import SumoTraffic

@@ -17,7 +17,6 @@ from look import COLORS, FAINT, INK, new_figure, save, style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from sim.catalog.load import load_scenario
 
 from sensors.frame import AgentFrame, Frame
 from sensors.presets import get_lidar
@@ -28,6 +27,7 @@ from sensors.spec import LidarSpec
 from sensors.sweep import STATIC
 from sim.bodies.choice import models_for
 from sim.boxes import CLASSES, Boxes
+from sim.catalog.load import load_scenario
 from sim.geometry import pose_matrix
 from sim.mesh.materials import material_index
 from sim.traffic.base import Actors

@@ -15,12 +15,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from PIL import Image
-from sim.catalog.load import list_scenarios, load_scenario
 
 from sensors.recording.agent_selection import CARRIERS
 from sensors.scan.scene import RayScene
 from sim.bodies.choice import body_mesh
 from sim.boxes import CLASSES
+from sim.catalog.load import list_scenarios, load_scenario
 from sim.errors import ScenarioError
 from sim.mesh.materials import MATERIALS
 from sim.scenario import Scenario

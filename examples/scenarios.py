@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from places import SIZE, Stage, picture
 from places import _everything as everything
-from sim.catalog.load import list_scenarios, load_scenario
 
 from sensors.recording.encounter_check import Proof, settle
 from sim.boxes import Boxes
+from sim.catalog.load import list_scenarios, load_scenario
 from sim.encounters import KINDS, instance_of
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario

@@ -1,25 +1,16 @@
-"""Scenario: what a drive is made of, as frozen validated values, and the loader of `scenario.toml` files."""
+"""Scenario: roads, demand, agents and encounter of a drive, as frozen validated values; `sim.catalog` loads them."""
 
-import math
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
 from sim.boxes import CLASSES
-from sim.errors import ScenarioError, complaint, did_you_mean
-from sim.roads.wheels import wheel_folders
-from sim.tomlfile import dotted, read_toml
 
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Positive = Annotated[float, Meta(gt=0.0)]
 Angle = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Area = tuple[float, float, float, float]
-
-ROOT = Path(__file__).resolve().parents[1] / "scenarios"
-"""Folder of the shipped scenarios."""
 
 MOTOR_CLASSES = tuple(name for name in CLASSES if name not in ("bicycle", "pedestrian"))
 
@@ -180,176 +171,3 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     step_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
     seed: Annotated[int, Meta(ge=0, lt=2**31)] = 0
     attribution: str = ""
-
-
-def list_scenarios() -> list[str]:
-    """Return the names of the shipped scenarios."""
-    return sorted(path.parent.name for path in ROOT.glob("*/scenario.toml"))
-
-
-def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Load a shipped scenario by name, or any scenario by the path of its .toml (or of the folder that holds it).
-
-    A control of a conflict is asked for as `NAME:CONTROL`, such as `ima_building:no_occluder`.
-
-    Raises:
-        ScenarioError: the scenario is unknown, or its file is not valid; one line says what and where.
-    """
-    if isinstance(name_or_path, str) and ":" in name_or_path and not Path(name_or_path).exists():
-        return _controlled(name_or_path)
-    path = _locate(name_or_path)
-    scenario = read_toml(path, Scenario, ScenarioError)
-    for field, expected, found, hint in _wrong_values(scenario, path):
-        raise ScenarioError(complaint(path, field, expected, found, hint))
-    network = _beside(scenario.network, ("file", "polygons"), path.parent)
-    return msgspec.structs.replace(scenario, network=network, demand=_beside(scenario.demand, ("trips",), path.parent))
-
-
-def _controlled(name: str) -> Scenario:
-    """Return the control NAME:CONTROL of a scenario with a conflict, under a name of its own.
-
-    Raises:
-        ScenarioError: there is no such scenario or control.
-    """
-    base, _, control = name.rpartition(":")
-    scenario = load_scenario(base)
-    if scenario.conflict is None:
-        raise ScenarioError(complaint(name, "scenario", "a control of a conflict", f"'{base}', which has none"))
-    if control not in CONTROLS:
-        raise ScenarioError(
-            complaint(name, "control", "a known control", f"'{control}'", did_you_mean(control, CONTROLS))
-        )
-    conflict = msgspec.structs.replace(scenario.conflict, control=control)
-    return msgspec.structs.replace(scenario, name=f"{scenario.name}-{control}", conflict=conflict)
-
-
-def _beside(table: Any, names: tuple[str, ...], folder: Path) -> Any:
-    """Replace the names of files that lie beside the scenario file by their full paths."""
-    named = {name: getattr(table, name) for name in names}
-    found = {name: str((folder / value).resolve()) for name, value in named.items() if (folder / value).is_file()}
-    return msgspec.structs.replace(table, **found)
-
-
-def _locate(name_or_path: str | Path) -> Path:
-    path = Path(name_or_path)
-    if path.is_dir() and (path / "scenario.toml").is_file():
-        return path / "scenario.toml"
-    if path.suffix == ".toml" or len(path.parts) > 1:
-        if not path.is_file():
-            raise ScenarioError(complaint(path, "scenario", "an existing .toml file", "no such file"))
-        return path
-    shipped = ROOT / str(name_or_path) / "scenario.toml"
-    if str(name_or_path) in ("", ".", "..") or not shipped.is_file():
-        hint = did_you_mean(str(name_or_path), list_scenarios())
-        raise ScenarioError(f"unknown scenario '{name_or_path}'{hint}")
-    return shipped
-
-
-def _wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, object, str]]:
-    """Yield (field, expected, found, hint) for values that types and ranges cannot exclude."""
-    network, demand = scenario.network, scenario.demand
-    for field, value in _floats(msgspec.to_builtins(scenario), ()):
-        if not math.isfinite(value):
-            yield field, "a finite number", value, ""
-    sources = ("shipped", "generate", "file", "wheel", "highway_env")
-    given = [name for name in sources if getattr(network, name)]
-    if len(given) != 1 and not (scenario.conflict and not given):
-        yield "network", f"exactly one of {', '.join(sources)}", ", ".join(given) or "none of them", ""
-    if network.area_m and not (network.area_m[0] < network.area_m[2] and network.area_m[1] < network.area_m[3]):
-        yield "network.area_m", "x_min < x_max and y_min < y_max", list(network.area_m), ""
-    if network.file and not (path.parent / network.file).is_file():
-        yield "network.file", "an existing .net.xml file", network.file, ""
-    if network.highway_env:
-        from sim.traffic.highway.roads import ENVIRONMENTS
-
-        if network.highway_env not in ENVIRONMENTS:
-            hint = did_you_mean(network.highway_env, ENVIRONMENTS)
-            yield "network.highway_env", "an environment of highway-env", network.highway_env, hint
-    yield from _wrong_tools_path("network.shipped", network.shipped)
-    yield from _wrong_tools_path("network.city_mesh", network.city_mesh)
-    if not (path.parent / network.polygons).is_file():
-        yield from _wrong_tools_path("network.polygons", network.polygons, "beside the scenario or ")
-    if network.city_mesh and network.polygons:
-        yield "network", "at most one of city_mesh, polygons", "both", ""
-    yield from _wrong_member("network.wheel", network.wheel)
-    if demand.trips and not (path.parent / demand.trips).is_file() and not demand.trips.startswith(wheel_folders()):
-        yield from _wrong_tools_path("demand.trips", demand.trips, "beside the scenario, inside a wheel or ")
-    if demand.trips and demand.trips_s[1] - demand.trips_s[0] < scenario.warmup_s + scenario.duration_s:
-        expected = f"at least warmup_s + duration_s = {scenario.warmup_s + scenario.duration_s:g} s from begin to end"
-        yield "demand.trips_s", expected, list(demand.trips_s), ""
-    for index, program in enumerate(network.signals):
-        if len({len(state) for _, state in program.phases}) != 1:
-            yield f"network.signals[{index}].phases", "states of one length", "different lengths or none", ""
-        for _, state in program.phases:
-            if not state or set(state) - set(SIGNAL_LETTERS):
-                expected = f"states of the letters {SIGNAL_LETTERS}"
-                yield f"network.signals[{index}].phases", expected, f"'{state}'", ""
-    for name in demand.type_mix:
-        if name not in MOTOR_CLASSES:
-            yield "demand.type_mix", "classes of motor vehicles", f"'{name}'", did_you_mean(name, MOTOR_CLASSES)
-    if demand.vehicles_per_hour > 0 and sum(demand.type_mix.values()) <= 0:
-        yield "demand.type_mix", "a positive weight", dict(demand.type_mix), ""
-    if scenario.conflict is not None:
-        yield from _wrong_conflict(scenario.conflict, ", ".join(given))
-    for index, unit in enumerate(scenario.agents.roadside):
-        if unit.xyz_m[2] <= 0:
-            yield f"agents.roadside[{index}].xyz_m", "a height above the ground > 0", list(unit.xyz_m), ""
-
-
-def _wrong_conflict(conflict: ConflictSpec, given: str) -> Iterator[tuple[str, str, object, str]]:
-    from sim.encounters import KINDS
-
-    if conflict.kind not in KINDS:
-        yield "conflict.kind", "a known encounter", conflict.kind, did_you_mean(conflict.kind, KINDS)
-        return
-    roles = KINDS[conflict.kind].roles
-    if given and not roles:
-        mapped = ", ".join(name for name, kind in KINDS.items() if kind.roles)
-        yield "network", f"none for {conflict.kind}; on a map there are {mapped}", given, ""
-    elif set(conflict.streets) != (set(roles) if given else set()):
-        expected = f"the lanes of {', '.join(roles)}" if given else "none without a network"
-        yield "conflict.streets", expected, ", ".join(conflict.streets) or "none", ""
-    known = {parameter.name: parameter for parameter in KINDS[conflict.kind].parameters}
-    for name, value in conflict.parameters.items():
-        field = f"conflict.parameters.{name}"
-        if name not in known:
-            yield "conflict.parameters", f"parameters of {conflict.kind}", f"'{name}'", did_you_mean(name, known)
-            continue
-        low, high = value if isinstance(value, tuple) else (value, value)
-        parameter = known[name]
-        if not parameter.low <= low <= high <= parameter.high:
-            expected = f"{parameter.low:g} to {parameter.high:g}, or [low, high] of them"
-            yield field, expected, list(value) if isinstance(value, tuple) else value, ""
-        elif parameter.whole and not (low == round(low) and high == round(high)):
-            yield field, "whole numbers", list(value) if isinstance(value, tuple) else value, ""
-
-
-def _wrong_tools_path(field: str, relative: str, elsewhere: str = "") -> Iterator[tuple[str, str, object, str]]:
-    if not relative:
-        return
-    from sim.roads.tools import sumo_tools
-
-    target = sumo_tools() / relative
-    if target.is_file() and target.resolve().is_relative_to(sumo_tools().resolve()):
-        return
-    inside = target.parent.resolve().is_relative_to(sumo_tools().resolve())
-    siblings = [str(Path(relative).parent / p.name) for p in target.parent.glob("*.*")] if inside else []
-    expected = f"a file {elsewhere}below tools/ of eclipse-sumo"
-    yield field, expected, relative, did_you_mean(relative, siblings) if siblings else ""
-
-
-def _wrong_member(field: str, member: str) -> Iterator[tuple[str, str, object, str]]:
-    if member and not member.startswith(wheel_folders()):
-        hint = did_you_mean(member.split("/")[0], [folder.split("/")[0] for folder in wheel_folders()])
-        yield field, f"a path that begins with {' or '.join(wheel_folders())}", member, hint
-
-
-def _floats(value: object, where: tuple[str | int, ...]) -> Iterator[tuple[str, float]]:
-    if isinstance(value, float):
-        yield dotted(where), value
-    elif isinstance(value, dict):
-        for key, item in value.items():
-            yield from _floats(item, (*where, key))
-    elif isinstance(value, list | tuple):
-        for index, item in enumerate(value):
-            yield from _floats(item, (*where, index))

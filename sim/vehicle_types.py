@@ -1,9 +1,6 @@
 """The types of road users: SUMO class, label, size and driving style of each, so that no two streets look alike."""
 
-import zlib
 from dataclasses import dataclass
-
-import numpy as np
 
 from sim.boxes import CLASSES
 
@@ -90,12 +87,3 @@ TYPES: dict[str, VehicleType] = {
 def types_of(label: str) -> list[VehicleType]:
     """Return the types of one label, in the order of the table."""
     return [kind for kind in TYPES.values() if kind.label == label]
-
-
-def choose_model(label: str, name: str, seed: int) -> str:
-    """Choose the body of the road user `name`: the same in every run with this seed, whenever it appears."""
-    from sim.bodies.choice import models_for  # a leaf of the same room, imported here to keep this table light
-
-    models = models_for(label)
-    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    return models[int(rng.integers(len(models)))]

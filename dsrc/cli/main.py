@@ -185,9 +185,8 @@ def generate(
             raise SettingsError(complaint("generate", next(iter(single)), "nothing", next(iter(single.values())), hint))
         _generate_dataset(dataset, out, splits, workers, executor, address, cards, record)
         return
-    from sim.catalog.load import load_scenario
-
     from dsrc.data.write import generate as make_drive
+    from sim.catalog.load import load_scenario
 
     if out is None or splits or executor != "local" or address or record or workers is not None:
         raise SettingsError(complaint("generate", "source", "a TOML of splits for these options", source))

@@ -7,7 +7,6 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from sim.catalog.load import load_scenario
 
 from dsrc.closed_loop.corridor import FREE, Obstacle, nearest_obstacle
 from dsrc.closed_loop.idm import IdmSettings
@@ -16,6 +15,7 @@ from dsrc.closed_loop.perception import Perception, TruthPerception
 from dsrc.closed_loop.tracker import Tracker
 from sensors.recording.encounter_check import settled
 from sim.boxes import CLASSES, Boxes, concatenate
+from sim.catalog.load import load_scenario
 from sim.collisions import collide
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle

@@ -15,7 +15,6 @@ from typing import Protocol
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from sim.catalog.load import load_scenario
 
 from dsrc.data.checksums import SUMS, write_sums
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
@@ -25,6 +24,7 @@ from sensors.deskew import check_motion
 from sensors.frame import Frame
 from sensors.presets import scenario_lidars
 from sensors.sweep import Motion
+from sim.catalog.load import load_scenario
 from sim.errors import SettingsError, complaint
 from sim.mesh.materials import MATERIALS
 from sim.scenario import Scenario

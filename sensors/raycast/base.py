@@ -14,6 +14,10 @@ from sensors.optics.reflectance import Optics
 from sensors.spec import LidarSpec
 
 
+class EngineUnavailable(Exception):
+    """This machine cannot run an engine; the message says why."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Solid:
     """Triangles that move as one. Engines build their hierarchy once per solid and know it again by identity.

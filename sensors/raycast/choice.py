@@ -14,10 +14,6 @@ VARIABLE = "DSRC_LIDAR_ENGINE"
 log = logging.getLogger(__name__)
 
 
-class EngineUnavailable(Exception):
-    """This machine cannot run an engine; the message says why."""
-
-
 def open_engine(name: str | None = None, *, robust: bool = True) -> Engine:
     """Return an engine, one per process and kind.
 

@@ -4,8 +4,11 @@ Body frame: x forward, y left, z up, the origin in the middle of the footprint a
 are exactly the box of its road user.
 """
 
+import zlib
 from functools import lru_cache
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from sim.errors import SettingsError, did_you_mean
 
@@ -43,6 +46,13 @@ def models_for(class_name: str) -> tuple[str, ...]:
     if class_name not in MODELS:
         raise SettingsError(f"unknown class '{class_name}'{did_you_mean(class_name, MODELS)}")
     return MODELS[class_name]
+
+
+def choose_model(class_name: str, name: str, seed: int) -> str:
+    """Choose the body of the road user `name`: the same in every run with this seed, whenever it appears."""
+    models = models_for(class_name)
+    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+    return models[int(rng.integers(len(models)))]
 
 
 def plain_models_for(class_name: str) -> tuple[str, ...]:

@@ -54,7 +54,7 @@ def _as_name(stem: str) -> str:
 def _scenario(source: Path, kind: str, name: str, found: ConvertedMap) -> str:
     """Return the text of a scenario.toml."""
     from sim.roads.networks import read_network
-    from sim.world.buildings.footprints import has_buildings
+    from sim.roads.polygons import has_buildings
 
     focus = None
     if "<edge " in found.net.read_text(encoding="utf-8"):

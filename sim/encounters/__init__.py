@@ -9,6 +9,7 @@ seed that keeps its promise.
 import zlib
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -16,9 +17,10 @@ import numpy as np
 from sim.encounters import crossing, following, turning, walking
 from sim.encounters import on_map as mapped
 from sim.encounters.lane_paths import streets_of
+from sim.encounters.networks import write_roads
 from sim.encounters.types import Ghost, Instance, Kind, Parameter, without
 from sim.errors import ScenarioError, complaint
-from sim.roads.networks import read_network, resolve_network
+from sim.roads.networks import names_network, read_network, resolve_network
 from sim.scenario import AgentRule, Scenario
 
 KINDS: dict[str, Kind] = {**crossing.KINDS, **turning.KINDS, **following.KINDS, **walking.KINDS}
@@ -75,6 +77,20 @@ def _draw(parameter: Parameter, given: float | tuple[float, float], seed: int, d
     return round(float(rng.uniform(low, high)), 3)
 
 
+def network_of(scenario: Scenario, seed: int) -> Path:
+    """Return the .net.xml(.gz) file of a scenario: the roads that its encounter brings where it names none itself.
+
+    Raises:
+        ScenarioError: see `sim.roads.networks.resolve_network`.
+    """
+    if scenario.conflict is None or names_network(scenario):
+        return resolve_network(scenario, seed)
+    roads = instance_of(scenario, seed).layout.roads
+    if roads is None:
+        raise ScenarioError(complaint(scenario.name, "network", "one of shipped, generate, file", "none of them"))
+    return write_roads(scenario.name, roads)
+
+
 def laid_out(scenario: Scenario, seed: int) -> Scenario:
     """Return a scenario whose area and agents are those of its encounter; any other as it is.
 
@@ -95,4 +111,4 @@ def laid_out(scenario: Scenario, seed: int) -> Scenario:
     return msgspec.structs.replace(scenario, agents=agents, network=network)
 
 
-__all__ = ["KINDS", "Instance", "instance_of", "laid_out"]
+__all__ = ["KINDS", "Instance", "instance_of", "laid_out", "network_of"]

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from sim.roads.polygons import has_buildings, read_outlines
 from sim.roads.rounding import Array, line_of, text_of
 
 ROOM_M = 2.5
@@ -82,8 +83,6 @@ def _aside(lanes: list[dict[str, str]]) -> Array | None:
 
 def houses_of(polygons: Path | None) -> list[shapely.Geometry]:
     """Return the outlines of the buildings of a .poly.xml file; none without one."""
-    from sim.world.buildings.footprints import has_buildings, read_outlines  # the world is built upon networks
-
     if polygons is None or not has_buildings(polygons):
         return []
     return [outline.shape for outline in read_outlines(polygons)]

@@ -7,27 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from sim.errors import ScenarioError, complaint
-from sim.roads.cache import cache_folder, cached
+from sim.roads.cache import cached
 from sim.roads.convert import CONVERSION, ConvertedMap, convert_map, is_network
-from sim.roads.tools import Option, drop_header, run_tool, sumo_home
+from sim.roads.tools import Option, drop_header, run_tool, sumo_tools
 from sim.roads.wheels import wheel_file, wheel_folders
 from sim.scenario import Scenario
 
-__all__ = [
-    "cache_folder",
-    "cached",
-    "read_network",
-    "resolve_network",
-    "resolve_polygons",
-    "resolve_trips",
-    "sumo_home",
-    "sumo_tools",
-]
 
-
-def sumo_tools() -> Path:
-    """Return the `tools` folder of eclipse-sumo, which holds real networks and a city mesh."""
-    return sumo_home() / "tools"
+def names_network(scenario: Scenario) -> bool:
+    """Return whether a scenario names a network of SUMO's; an encounter may bring roads of its own instead."""
+    network = scenario.network
+    return bool(network.shipped or network.generate or network.file or network.wheel)
 
 
 def resolve_network(scenario: Scenario, seed: int) -> Path:
@@ -38,11 +28,11 @@ def resolve_network(scenario: Scenario, seed: int) -> Path:
         seed: for the random options of netgenerate; real networks do not depend on it.
 
     Raises:
-        ScenarioError: the file is missing, or netgenerate or netconvert refuses it.
+        ScenarioError: the scenario names no network, its file is missing, or netgenerate or netconvert refuses it.
     """
     network = scenario.network
-    if scenario.conflict is not None and not (network.shipped or network.generate or network.file or network.wheel):
-        return _of_conflict(scenario, seed)
+    if not names_network(scenario):
+        raise ScenarioError(complaint(scenario.name, "network", "one of shipped, generate, file", "none of them"))
     if network.generate:
         return _generate(scenario.name, network.generate, seed)
     if network.wheel:
@@ -67,16 +57,6 @@ def resolve_polygons(scenario: Scenario) -> Path | None:
     if network.wheel and not is_network(Path(network.wheel)):
         return _converted(wheel_file(network.wheel)).polygons
     return None
-
-
-def _of_conflict(scenario: Scenario, seed: int) -> Path:
-    from sim.encounters import instance_of  # its modules read networks themselves
-    from sim.encounters.networks import write_roads
-
-    roads = instance_of(scenario, seed).layout.roads
-    if roads is None:
-        raise ScenarioError(complaint(scenario.name, "network", "one of shipped, generate, file", "none of them"))
-    return write_roads(scenario.name, roads)
 
 
 def read_network(path: Path | str) -> Any:

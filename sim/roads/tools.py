@@ -26,6 +26,11 @@ def sumo_home() -> Path:
     return Path(next(iter(spec.submodule_search_locations)))
 
 
+def sumo_tools() -> Path:
+    """Return the `tools` folder of eclipse-sumo, which holds real networks and a city mesh."""
+    return sumo_home() / "tools"
+
+
 def run_tool(name: str, options: Mapping[str, Option], made: Path, what: str) -> None:
     """Run netconvert, netgenerate or polyconvert.
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from sim.bodies.choice import choose_model
 from sim.boxes import Boxes
 from sim.collisions import overlapping_pairs
-from sim.encounters import instance_of
+from sim.encounters import instance_of, network_of
 from sim.encounters.types import Actor
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
-from sim.roads.networks import read_network, resolve_network
+from sim.roads.networks import read_network
 from sim.scenario import Scenario
 from sim.traffic.base import SIGNALS, Actors
 
@@ -316,7 +316,7 @@ class _Lanes:
     """Finds the lanes below ways."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
-        net = read_network(resolve_network(scenario, seed))
+        net = read_network(network_of(scenario, seed))
         lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
         lanes = [lane for lane in lanes if len(lane.getShape()) > 1]
         self._names = [lane.getID() for lane in lanes]

@@ -5,12 +5,14 @@ import shapely
 import trimesh
 from numpy.typing import NDArray
 
+from sim.encounters import network_of
 from sim.mesh.solids import join, to_mesh
-from sim.roads.networks import read_network, resolve_network, resolve_polygons
+from sim.roads.networks import read_network, resolve_polygons
+from sim.roads.polygons import has_buildings
 from sim.roads.tools import sumo_tools
 from sim.scenario import Scenario
 from sim.traffic.parking import parked_cars
-from sim.world.buildings.footprints import has_buildings, outlined
+from sim.world.buildings.footprints import outlined
 from sim.world.buildings.houses import Town, blocks, city_mesh, guard_rails
 from sim.world.encounter_site import conflict_site
 from sim.world.furniture.kerbside import furniture
@@ -39,10 +41,10 @@ def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
         ScenarioError: the network, the city mesh or the polygons are missing or cannot be read.
     """
     if scenario.network.highway_env:
-        from sim.world.roads.highway import highway_world
+        from sim.world.highway import highway_world
 
         return highway_world(scenario, seed)
-    net = read_network(resolve_network(scenario, seed))
+    net = read_network(network_of(scenario, seed))
     bays = parked_cars(scenario, net, seed).bays
     streets = read_streets(net, scenario.network.area_m, MARGIN_M, bays)
     units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)

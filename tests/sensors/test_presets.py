@@ -3,13 +3,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from sim.catalog.load import list_scenarios, load_scenario
 
 from sensors.optics.beams import beams_of
 from sensors.presets import LIDARS, get_lidar
 from sensors.presets.__main__ import document
 from sensors.presets.tables import FOLDER, full_divergence
 from sensors.spec import LidarSpec
+from sim.catalog.load import list_scenarios, load_scenario
 from sim.errors import SettingsError
 
 REAL = sorted(path.stem for path in FOLDER.glob("*.csv"))

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 import shapely
-from sim.catalog.load import list_scenarios, load_scenario
 
+from sim.catalog.load import list_scenarios, load_scenario
 from sim.collisions import overlapping_pairs
 from sim.encounters import KINDS, instance_of, laid_out
 from sim.encounters.lane_paths import streets_of

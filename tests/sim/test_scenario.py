@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
-from sim.catalog.load import list_scenarios, load_scenario
 
+from sim.catalog.load import list_scenarios, load_scenario
 from sim.errors import ScenarioError
 
 GOOD = """

@@ -25,11 +25,11 @@ from typing import Annotated
 
 import msgspec
 from msgspec import Meta
-from sim.catalog.load import ROOT, load_scenario
 
 from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec
 from sensors.sweep import Motion
+from sim.catalog.load import ROOT, load_scenario
 from sim.errors import DataError, ScenarioError, SettingsError, complaint
 from sim.scenario import Scenario
 from sim.tomlfile import read_toml

@@ -3,13 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
+from dsrc.review.page.protocol import Page
 from dsrc.review.state import COLOR_BY
 from sensors.corruptions import CLEAN, CORRUPTIONS
-
-if TYPE_CHECKING:
-    from dsrc.review.page.app import ReviewApp
 
 STEP = 10
 _AGENT_KEYS = 7
@@ -30,7 +27,7 @@ class Command:
         return f"{'Shift-' if self.shift else ''}{self.key.capitalize()}"
 
 
-def commands(app: "ReviewApp") -> list[Command]:
+def commands(app: Page) -> list[Command]:
     """Return everything that a key does on a page."""
     listed = [
         Command("Play or pause", "space", app.toggle_play),
@@ -57,7 +54,7 @@ def commands(app: "ReviewApp") -> list[Command]:
     return listed
 
 
-def flip_corruption(app: "ReviewApp") -> None:
+def flip_corruption(app: Page) -> None:
     """Change between clean and the corruption that was chosen last."""
     if app.state.corruption == CLEAN:
         app.update(corruption=app.last_corruption or next(iter(CORRUPTIONS)))
@@ -65,12 +62,12 @@ def flip_corruption(app: "ReviewApp") -> None:
         app.update(corruption=CLEAN)
 
 
-def next_color(app: "ReviewApp") -> None:
+def next_color(app: Page) -> None:
     """Colour the points by the next meaning."""
     app.update(color_by=COLOR_BY[(COLOR_BY.index(app.state.color_by) + 1) % len(COLOR_BY)])
 
 
-def only_agent(app: "ReviewApp", row: int | None) -> None:
+def only_agent(app: Page, row: int | None) -> None:
     """Show the points of the agent in this row alone, or of all."""
     view = app.view
     if view is None or (row is not None and row >= len(view.agents)):
@@ -79,7 +76,7 @@ def only_agent(app: "ReviewApp", row: int | None) -> None:
     app.update(hidden=frozenset() if row is None else frozenset(ids) - {ids[row]})
 
 
-def next_mistake(app: "ReviewApp", direction: int) -> None:
+def next_mistake(app: Page, direction: int) -> None:
     """Go to the nearest frame in a direction where something is wrong or missed; stay when there is none."""
     state = app.state
     count = app.model.frame_count(state.drive)

@@ -2,17 +2,15 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dsrc.review.page.commands import commands
+from dsrc.review.page.protocol import Page
 from dsrc.review.report import keys_table, legend, object_report, report
 from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS, Camera, ReviewState
 from dsrc.review.view import FrameView
 from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
 from sim.boxes import CLASSES
-
-if TYPE_CHECKING:
-    from dsrc.review.page.app import ReviewApp
 
 SPEEDS = {"0.25×": 0.25, "0.5×": 0.5, "1×": 1.0, "2×": 2.0, "4×": 4.0}
 
@@ -22,9 +20,9 @@ CAMERAS: dict[str, Camera] = {"Chase": "chase", "BEV": "bev", "Free": "free"}
 
 
 class Panels:
-    """The controls of one page. A control calls `ReviewApp.update` or its like, and draws nothing itself."""
+    """The controls of one page. A control calls `Page.update` or its like, and draws nothing itself."""
 
-    def __init__(self, app: "ReviewApp") -> None:
+    def __init__(self, app: Page) -> None:
         """Build the controls in the page of `app`."""
         self.app = app
         self.gui = app.server.gui

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.raycast.base import Solid
-from sensors.raycast.choice import EngineUnavailable
+from sensors.raycast.base import EngineUnavailable, Solid
 
 ANY_RAY = 0xFFFFFFFF
 """Mask of a geometry that all rays see."""

@@ -8,8 +8,7 @@ from sensors.motion import Path
 from sensors.optics.beams import beams_of
 from sensors.optics.noise import draw_noise
 from sensors.optics.reflectance import optics_of
-from sensors.raycast.base import Bodies, Engine, Returns, Shot, Solid
-from sensors.raycast.choice import EngineUnavailable
+from sensors.raycast.base import Bodies, Engine, EngineUnavailable, Returns, Shot, Solid
 from sensors.spec import LidarSpec, Prism
 from sim.geometry import pose_matrix
 

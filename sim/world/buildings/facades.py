@@ -5,8 +5,8 @@ import shapely
 from numpy.typing import NDArray
 
 from sim.mesh.solids import Array, Piece, join, piece
+from sim.roads.polygons import STOREY_M
 
-STOREY_M = 3.0
 WALLS = ("brick", "plaster", "concrete")
 """Materials of walls."""
 

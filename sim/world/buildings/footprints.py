@@ -1,42 +1,22 @@
 """Buildings from outlines: the polygons that SUMO's polyconvert takes from OpenStreetMap, pulled up to solids."""
 
-import math
-import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
-from sim.errors import ScenarioError, complaint
 from sim.mesh.solids import Piece, rings_of
-from sim.world.buildings.facades import STOREY_M, WALLS
+from sim.roads.polygons import read_outlines
+from sim.world.buildings.facades import WALLS
 from sim.world.buildings.houses import Town, walled
 from sim.world.roads.streets import Streets
 
 _LOWEST_M, _HIGHEST_M = 9.0, 18.0
 """Heights of buildings that the file does not tell."""
 
-_BELIEVED_M = (2.0, 400.0)
-"""Heights outside of these are mistakes of the map."""
-
 _FROM_LANE_M = 0.5
 _NARROW_M = 1.0
 """What is left of a building beside a lane and is narrower than this is dropped."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outline:
-    """One building of a .poly.xml file.
-
-    Attributes:
-        shape: valid polygon or polygons in the coordinates of the network, m.
-        height_m: as the file tells it, m; None when it does not.
-    """
-
-    shape: shapely.Geometry
-    height_m: float | None
 
 
 def outlined(path: Path, streets: Streets, rng: np.random.Generator) -> Town:
@@ -71,78 +51,3 @@ def _without_slivers(shape: shapely.Geometry) -> shapely.Geometry:
     half = 0.5 * _NARROW_M
     core = shape.buffer(-half, join_style="mitre")
     return (core.buffer(half, join_style="mitre") & shape).simplify(0.02).buffer(0)
-
-
-def has_buildings(path: Path) -> bool:
-    """Whether a .poly.xml file has any building; a map may have only trees.
-
-    Raises:
-        ScenarioError: the file is missing or not text.
-    """
-    try:
-        return ' type="building' in path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: not a readable .poly.xml file: {' '.join(str(error).split())}") from None
-
-
-def read_outlines(path: Path) -> list[Outline]:
-    """Read the buildings of a .poly.xml file: polygons whose type begins with `building`.
-
-    Roofs on posts (`building.roof`) have no walls and are left out, as are polygons without an area. Crossing outlines
-    are repaired.
-
-    Raises:
-        ScenarioError: the file is missing, not of this kind or holds no building.
-    """
-    try:
-        root = ET.fromstring(path.read_bytes())
-    except (OSError, ET.ParseError, ValueError, LookupError) as error:
-        raise ScenarioError(f"{path}: not a readable .poly.xml file: {' '.join(str(error).split())}") from None
-    outlines = []
-    for poly in root.iter("poly"):
-        kind = poly.get("type", "")
-        # A part stands within the outline of its building.
-        if not kind.startswith("building") or kind == "building.roof" or kind.startswith("building:part"):
-            continue
-        if poly.get("geo", "false").lower() in ("1", "true", "yes"):
-            expected = "coordinates of the network (polyconvert without --proj.plain-geo)"
-            raise ScenarioError(complaint(path, f"poly '{poly.get('id')}': geo", expected, "degrees"))
-        shape = _valid(_corners(path, poly))
-        if not shape.is_empty:
-            outlines.append(Outline(shape, _height(poly)))
-    if not outlines:
-        raise ScenarioError(complaint(path, "poly", "at least one with a type that begins with 'building'", "none"))
-    return outlines
-
-
-def _corners(path: Path, poly: ET.Element) -> NDArray[np.float64]:
-    """Return (K, 2) corners of a polygon."""
-    text = poly.get("shape", "")
-    try:
-        corners = np.array([[float(value) for value in place.split(",")[:2]] for place in text.split()], np.float64)
-        corners = corners.reshape(-1, 2)
-    except ValueError:
-        corners = np.full((1, 2), np.nan)
-    if not np.isfinite(corners).all():
-        raise ScenarioError(complaint(path, f"poly '{poly.get('id')}': shape", "finite numbers as x,y x,y ...", text))
-    return corners
-
-
-def _valid(corners: NDArray[np.float64]) -> shapely.Geometry:
-    """Return the area within (K, 2) corners as valid polygons; empty when there is none."""
-    if len(corners) < 3:
-        return shapely.Polygon()
-    return shapely.union_all(rings_of(shapely.make_valid(shapely.Polygon(corners))))
-
-
-def _height(poly: ET.Element) -> float | None:
-    """Return the height of a building from its parameters, m; None when they do not tell a likely one."""
-    given = {param.get("key", ""): param.get("value", "") for param in poly.iter("param")}
-    for key, unit_m in (("height", 1.0), ("building:levels", STOREY_M)):
-        try:
-            height = unit_m * float(given[key].removesuffix("m").replace(",", "."))
-        except (KeyError, ValueError):
-            continue
-        if math.isfinite(height) and _BELIEVED_M[0] <= height <= _BELIEVED_M[1]:
-            return height
-    return None

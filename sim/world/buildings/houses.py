@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from sim.mesh.meshfiles import read_3ds
 from sim.mesh.solids import Array, Piece, join, piece, slab
-from sim.world.buildings.facades import STOREY_M, WALLS, colours, wall_rectangles, windows
+from sim.roads.polygons import STOREY_M
+from sim.world.buildings.facades import WALLS, colours, wall_rectangles, windows
 from sim.world.roads.markings import cut_line, offset
 from sim.world.roads.streets import Streets
 from sim.world.roads.surfaces import TOWN_SPEED_MPS

@@ -5,13 +5,13 @@ from dataclasses import replace as changed
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from sim.catalog.load import load_scenario
 
 from dsrc.closed_loop.env import choose_ego
 from dsrc.closed_loop.episodes import make_perception
 from dsrc.closed_loop.perception import DetectorPerception
 from dsrc.data.sample import Sample
 from sim.boxes import Boxes
+from sim.catalog.load import load_scenario
 from sim.errors import SettingsError
 from sim.radio import PRESETS
 from sim.traffic.base import Actors

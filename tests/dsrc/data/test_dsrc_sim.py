@@ -8,11 +8,11 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from sim.catalog.load import list_scenarios
 
 from dsrc.data.datasets.spec import Item, expand, find_split_file, read_dataset
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD
 from dsrc.data.write import DriveSpec, make_drive
+from sim.catalog.load import list_scenarios
 from sim.traffic.log import TrafficLog
 
 ROOT = Path(__file__).parents[3]

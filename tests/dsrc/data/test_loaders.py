@@ -6,12 +6,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from sim.catalog.load import load_scenario
 
 from dsrc.data.datasets.convert import convert
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.write import generate
 from sim.boxes import CLASSES, VEHICLES
+from sim.catalog.load import load_scenario
 from sim.geometry import pose_matrix
 from tests.dsrc.data import loaders
 

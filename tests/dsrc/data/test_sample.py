@@ -3,10 +3,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dsrc.ops.grid import GridSpec
 
 from dsrc.data.formats.opv2v.reader import DriveReader, find_drives
 from dsrc.data.sample import inside_range, make_sample
+from dsrc.ops.grid import GridSpec
 from sensors.frame import count_points
 from sim.errors import DataError
 from sim.geometry import invert, transform_points

@@ -9,8 +9,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from dsrc.ops.grid import GridSpec
-from sim.catalog.load import load_scenario
 
 from dsrc.data.checksums import wrong_files
 from dsrc.data.datasets.spec import about_log
@@ -18,7 +16,9 @@ from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.sample import make_sample
 from dsrc.data.write import generate
+from dsrc.ops.grid import GridSpec
 from sensors.recording.record import record
+from sim.catalog.load import load_scenario
 from sim.errors import DataError, SettingsError
 from sim.scenario import Scenario
 from sim.traffic.log import TrafficLog

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from sim.catalog.load import load_scenario
 
 from dsrc.closed_loop.env import LOOK_AHEAD, CoopDrivingEnv
 from dsrc.closed_loop.episodes import idm_policy
 from sensors.recording.encounter_check import LATENCY_S, settle
 from sim.boxes import Boxes
+from sim.catalog.load import load_scenario
 from sim.encounters import KINDS
 from sim.traffic.script import FIRST_ID
 

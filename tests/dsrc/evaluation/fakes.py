@@ -3,10 +3,10 @@
 from types import SimpleNamespace
 
 import numpy as np
-from dsrc.ops.grid import GridSpec
 
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.ops.detections import Detections
+from dsrc.ops.grid import GridSpec
 from tests.dsrc.data.toy import toy_frame
 
 GRID = GridSpec(range_m=(-51.2, -25.6, -3, 51.2, 25.6, 3))

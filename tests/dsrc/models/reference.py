@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dsrc.ops.grid import GridSpec
 from numpy.typing import NDArray
 
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.settings import ModelSettings
+from dsrc.ops.grid import GridSpec
 
 ROOT = Path(__file__).parents[3]
 FIXTURES = ROOT / "tests/fixtures/goldens/models"

@@ -5,13 +5,13 @@ from dataclasses import replace as changed
 import numpy as np
 import pytest
 import torch
-from dsrc.ops.grid import GridSpec
 from msgspec.structs import replace
 
 from dsrc.data.sample import make_sample
 from dsrc.models.channel import Receiver, instant_of, payload_of
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
+from dsrc.ops.grid import GridSpec
 from sim.geometry import invert
 from sim.radio import PRESETS, Sight
 from tests.dsrc.data.toy import toy_frame

@@ -7,7 +7,6 @@ from typing import get_args
 import numpy as np
 import pytest
 import torch
-from dsrc.ops.grid import GridSpec
 from msgspec.structs import replace as changed
 
 from dsrc.data.sample import Sample, inside_range, make_sample
@@ -18,6 +17,7 @@ from dsrc.models.inputs.batch import collate
 from dsrc.models.layers.backbones import BACKBONES
 from dsrc.models.settings import Backbone, Fusion
 from dsrc.models.storage.checkpoint import load_detector, save_detector
+from dsrc.ops.grid import GridSpec
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import debug
 from sim.boxes import Boxes

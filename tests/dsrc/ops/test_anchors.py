@@ -2,10 +2,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dsrc.ops.grid import GridSpec
 
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER
+from dsrc.ops.grid import GridSpec
 from sim.errors import SettingsError
 
 GOLDEN = Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "anchors.npz"

@@ -2,13 +2,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from dsrc.ops.grid import GridSpec
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, decode, encode
+from dsrc.ops.grid import GridSpec
 
 GOLDEN = Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "targets.npz"
 ANCHORS = anchor_grid(GridSpec(range_m=(-25.6, -12.8, -3, 25.6, 12.8, 1)))

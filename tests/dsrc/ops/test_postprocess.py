@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dsrc.ops.grid import GridSpec
 
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, encode
+from dsrc.ops.grid import GridSpec
 from dsrc.ops.postprocess import PostSettings, candidates, decode_detections, select
 from sim.boxes import Boxes, concatenate
 

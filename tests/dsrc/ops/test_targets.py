@@ -2,10 +2,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dsrc.ops.grid import GridSpec
 
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, decode
+from dsrc.ops.grid import GridSpec
 from dsrc.ops.targets import assign_targets
 
 GOLDEN = np.load(Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "targets.npz")

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from dsrc.ops.grid import GridSpec
 
 from dsrc.data.sample import Sample
 from dsrc.ops.detections import Detections
+from dsrc.ops.grid import GridSpec
 from dsrc.review.model import ReviewModel
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import STATIC, make_sweep

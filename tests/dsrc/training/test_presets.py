@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from dsrc.ops.grid import GridSpec
 from msgspec.structs import replace
 
 from dsrc.data.sample import Sample, make_sample
@@ -17,6 +16,7 @@ from dsrc.models.inputs.labels import Labels, cells_in_boxes
 from dsrc.models.inputs.teacher import teacher_clouds
 from dsrc.models.storage.reference_names import detector_state, reconstruction_state
 from dsrc.ops.coding import REFERENCE_ORDER
+from dsrc.ops.grid import GridSpec
 from dsrc.training.module import DetectionModule, RateCurve
 from dsrc.training.recipes import Recipe, dsrc_code, dsrc_paper
 from dsrc.training.train import train

@@ -2,7 +2,6 @@
 
 import msgspec
 import pytest
-from sim.catalog.load import load_scenario
 
 from sensors.recording.encounter_check import (
     AHEAD_S,
@@ -15,6 +14,7 @@ from sensors.recording.encounter_check import (
     settled,
 )
 from sensors.recording.record import record
+from sim.catalog.load import load_scenario
 from sim.encounters import KINDS
 from sim.errors import ScenarioError
 from sim.scenario import ConflictSpec

@@ -11,19 +11,19 @@ import msgspec
 import numpy as np
 import pytest
 import shapely
-from sim.catalog.load import load_scenario
 
 from dsrc.__main__ import main
 from dsrc.data.write import generate
 from sim.catalog.import_map import import_map
+from sim.catalog.load import load_scenario
 from sim.errors import ScenarioError
 from sim.mesh.materials import material_index
 from sim.roads.networks import read_network, resolve_network
 from sim.roads.pbf import pbf_to_xml
+from sim.roads.polygons import read_outlines
 from sim.roads.tools import sumo_home
 from sim.traffic.sumo.traffic import SumoTraffic
 from sim.world.build import build_world
-from sim.world.buildings.footprints import read_outlines
 from sim.world.furniture.map_objects import read_mapped
 from tests.sim.world.hills import hilly_scenario
 

@@ -1,8 +1,8 @@
 """The shipped places: scenarios with SUMO traffic on a network, without an encounter of their own."""
 
 import pytest
-from sim.catalog.load import list_scenarios, load_scenario
 
+from sim.catalog.load import list_scenarios, load_scenario
 from sim.errors import ScenarioError
 from sim.roads.networks import resolve_network
 from sim.scenario import Scenario

@@ -15,13 +15,14 @@ from sim.collisions import overlapping_pairs
 from sim.geometry import wrap_angle
 from sim.mesh.materials import material_index
 from sim.roads.networks import read_network, resolve_network, resolve_polygons, resolve_trips
+from sim.roads.polygons import has_buildings
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.parking import parked_cars
 from sim.traffic.sumo.demand import write_demand
 from sim.traffic.sumo.traffic import SumoTraffic
 from sim.world.build import MARGIN_M, build_world
-from sim.world.buildings.footprints import has_buildings, outlined
+from sim.world.buildings.footprints import outlined
 from sim.world.roads.streets import read_streets
 from tests.sim.places.places import MOTORWAYS, PLACES, at_hand, every
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import msgspec
 import pytest
 from shapely.geometry import LineString, Point
-from sim.catalog.load import load_scenario
 
+from sim.catalog.load import load_scenario
 from sim.errors import ScenarioError
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import NetworkSpec, Scenario

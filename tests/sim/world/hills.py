@@ -6,8 +6,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import shapely
-from sim.catalog.load import load_scenario
 
+from sim.catalog.load import load_scenario
 from sim.roads.tools import sumo_home
 from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit, Scenario
 

@@ -4,9 +4,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from sim.catalog.load import load_scenario
 
 from sensors.scan.scene import RayScene
+from sim.catalog.load import load_scenario
 from sim.mesh.materials import MATERIALS, material_index
 from sim.traffic.highway.roads import read_roads
 from sim.world.build import build_world

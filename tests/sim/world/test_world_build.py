@@ -7,10 +7,10 @@ import pytest
 import shapely
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
-from sim.catalog.load import list_scenarios, load_scenario
 
 from sensors.recording.mounting import blocked_share, place_roadside
 from sensors.scan.scene import RayScene
+from sim.catalog.load import list_scenarios, load_scenario
 from sim.encounters import laid_out
 from sim.mesh.materials import MATERIALS, material_index
 from sim.roads.networks import read_network, resolve_network

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sim.catalog.load import load_scenario
 
 from sim.bodies.choice import body_mesh, models_for
+from sim.catalog.load import load_scenario
 from sim.errors import DataError
 from sim.world.build import build_world
 from sim.world.world_file import load_world, save_world, shapes_of

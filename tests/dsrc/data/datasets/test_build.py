@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from sim.catalog.load import ROOT as SCENARIOS
 
 from dsrc.data.checksums import SUMS, sha256
 from dsrc.data.datasets.build import generate_dataset
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
 from dsrc.data.datasets.spec import expand, find_split_file, read_dataset
 from dsrc.data.drive_folder import locked
+from sim.catalog.load import ROOT as SCENARIOS
 from sim.errors import DataError, ScenarioError, SettingsError, UserError
 
 ROOT = Path(__file__).parents[3]

@@ -8,11 +8,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from sim.catalog.load import load_scenario
 
 from dsrc.data.datasets.render import Changes, render
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.write import DriveSpec, make_drive
+from sim.catalog.load import load_scenario
 from sim.errors import DataError, ScenarioError, SettingsError
 from sim.scenario import Scenario
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from dsrc.ops.grid import GridSpec
 
 from dsrc.data.drives import open_drives
 from dsrc.data.formats.pcd import encode_table
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.sample import make_sample
+from dsrc.ops.grid import GridSpec
 from sim.boxes import CLASSES
 from sim.errors import DataError
 from tests.dsrc.data.dair_tree import pose, turn

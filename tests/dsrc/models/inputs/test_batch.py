@@ -2,7 +2,6 @@ import sys
 
 import numpy as np
 import pytest
-from dsrc.ops.grid import GridSpec
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -11,6 +10,7 @@ from msgspec.structs import replace
 import dsrc.data
 from dsrc.models.inputs.batch import pillars_of, scene_of
 from dsrc.models.settings import ModelSettings
+from dsrc.ops.grid import GridSpec
 from dsrc.ops.pillars import voxelise
 
 SETTINGS = ModelSettings(grid=GridSpec(range_m=(-3.2, -1.6, -3.0, 3.2, 1.6, 1.0)))

@@ -2,11 +2,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dsrc.ops.grid import GridSpec
 
 from dsrc.data.formats.opv2v.reader import DriveReader, find_drives
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.inputs.teacher import teacher_clouds
+from dsrc.ops.grid import GridSpec
 from sim.boxes import Boxes
 from tests.dsrc.data import goldens
 from tests.dsrc.data.toy import toy_frame

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dsrc.ops.grid import GridSpec
 
 from dsrc.__main__ import main
 from dsrc.data.sample import Sample
@@ -14,6 +13,7 @@ from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.storage.checkpoint import load_detector
 from dsrc.models.storage.import_opencood import import_detector
 from dsrc.ops.coding import REFERENCE_ORDER, decode
+from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import RECIPES
 from sim.boxes import Boxes
 from sim.errors import CheckpointError

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 import shapely
-from sim.catalog.load import load_scenario
 
+from sim.catalog.load import load_scenario
 from sim.collisions import overlapping_pairs
 from sim.errors import ScenarioError, TrafficError
 from sim.geometry import wrap_angle

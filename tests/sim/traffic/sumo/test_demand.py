@@ -7,10 +7,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from sim.catalog.load import load_scenario
 
 from sim.bodies.choice import choose_model
 from sim.boxes import CLASSES
+from sim.catalog.load import load_scenario
 from sim.errors import ScenarioError
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario

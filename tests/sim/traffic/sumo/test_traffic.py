@@ -10,9 +10,9 @@ import msgspec
 import numpy as np
 import pytest
 import shapely
-from sim.catalog.load import load_scenario
 
 from sim.boxes import CLASSES
+from sim.catalog.load import load_scenario
 from sim.collisions import overlapping_pairs
 from sim.errors import ScenarioError, TrafficError
 from sim.geometry import wrap_angle

@@ -7,17 +7,18 @@ import numpy as np
 import pytest
 import shapely
 import sumolib
-from sim.catalog.load import load_scenario
 
+from sim.catalog.load import load_scenario
 from sim.errors import ScenarioError
 from sim.mesh.materials import material_index
 from sim.mesh.solids import join, to_mesh
 from sim.roads.networks import read_network, resolve_network
+from sim.roads.polygons import read_outlines
 from sim.roads.tools import sumo_tools
 from sim.scenario import Scenario
 from sim.world.build import MARGIN_M, build_world
 from sim.world.buildings.facades import WALLS
-from sim.world.buildings.footprints import outlined, read_outlines
+from sim.world.buildings.footprints import outlined
 from sim.world.roads.streets import Streets, read_streets
 from sim.world.roads.terrain import level_land
 

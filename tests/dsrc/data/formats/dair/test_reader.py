@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dsrc.ops.grid import GridSpec
 
 from dsrc.data.datasets.convert import convert
 from dsrc.data.drives import list_drives, open_drive, open_drives
@@ -13,6 +12,7 @@ from dsrc.data.formats.dair.reader import DairReader
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.levelling import occlusion
 from dsrc.data.sample import make_sample
+from dsrc.ops.grid import GridSpec
 from sensors.sweep import POINT_FIELDS
 from sim.boxes import CLASSES
 from sim.errors import DataError
