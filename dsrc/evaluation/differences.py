@@ -75,7 +75,7 @@ class DifferenceTable:
         found: dict[str, list[str]] = {}
         for one in self.differences:
             if one.resolved:
-                what = f"{_titled(one.condition)} at {one.iou:g} ({_signed(one.value.mean)})"
+                what = f"{condition_title(one.condition)} at {one.iou:g} ({_signed(one.value.mean)})"
                 found.setdefault(self._pair(one), []).append(what)
         if not found:
             return "No difference is resolved: of each of them at least one interval holds 0 or is unknown."
