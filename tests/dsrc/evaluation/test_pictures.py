@@ -113,6 +113,16 @@ def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path):
         assert ids.isdisjoint(one.sample.boxes.object_id[only_helpers_see(one.sample)])
 
 
+def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_other(tmp_path):
+    for index in range(2):
+        write_frame(tmp_path / "test" / "alone", frame(index, **POINTS).of_agents([0]))
+    everywhere = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=Pictures(percentiles=(0, 50, 100)))
+    assert [position for _, _, position in frames_at(everywhere, GRID)] == [0, 0, 1]
+    assert not any(only_helpers_see(one.sample).any() for one in take_shots(everywhere, GRID))
+    write_frame(tmp_path / "test" / "together", frame(0, **POINTS))
+    assert {reader.drive.name for _, reader, _ in frames_at(everywhere, GRID)} == {"together"}
+
+
 def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan):
     (first, *_, last) = frames_at(replace(plan, limit=2, pictures=Pictures(percentiles=(1, 100))), GRID)
     assert {(reader.drive.name, position) for _, reader, position in (first, last)} == {("drive_0", 0), ("drive_1", 2)}
