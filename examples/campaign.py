@@ -156,12 +156,11 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
                 ),
             )
         ),
-        # In the shape of the methods that fuse one map; with stages of its own width; with a backbone of its own.
+        # In the shape of the methods that fuse one map; with CoAlign's backbone. Others have all layers of their start.
         Training(MAP_START, 5, "max-map", "single_s0", settings=(*SLOW, "max_agents=1")),
-        Training("mrcnet-start", 5, "mrcnet-style", "single_s0", settings=(*SLOW, "max_agents=1")),
-        Training("coalign-start", 5, "coalign", TEACHER, 0, LONG, (*long, "max_agents=1")),
+        Training("coalign-start", 5, "no-collaboration", TEACHER, 0, LONG, (*long, "backbone=resnet")),
         *(Training(f"{m}_s0", 5, m, MAP_START) for m in ("v2vnet", "v2x-vit", "cobevt", "ermvp")),
-        Training("mrcnet-style_s0", 5, "mrcnet-style", "mrcnet-start"),
+        Training("mrcnet-style_s0", 5, "mrcnet-style", "single_s0"),
         Training("coalign_s0", 5, "coalign", "coalign-start"),
         *(
             student(f"dsrc-{name}_s{seed}", 6, "dsrc", seed, *settings)

@@ -138,8 +138,8 @@ class Pictures(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     Attributes:
         teacher: detector file of DSRC's teacher, for the feature maps; "" leaves it out.
         methods: whose detections are drawn; empty: the first three and the last.
-        percentiles: of the evaluated frames by the number of true boxes that only helpers have points on, see
-            `dsrc.evaluation.plots.pictures.frames_at`; one frame is drawn for each.
+        percentiles: of frames by the number of true boxes that only helpers have points on, one frame for each, see
+            `dsrc.evaluation.plots.pictures.frames_at`.
         corruption: of the frames.
     """
 

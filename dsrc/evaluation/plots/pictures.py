@@ -1,15 +1,18 @@
-"""Pictures of one frame: feature maps as in the paper's Figure 6, detections as in its Figure 8."""
+"""Pictures of single frames: evidence in feature maps as in the paper's Figure 6, detections as in its Figure 8."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import PowerNorm, to_rgba
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -24,27 +27,37 @@ from dsrc.evaluation.plots.plots import COLORS, panels, png_bytes, styled
 from dsrc.evaluation.report.files import write_atomic
 from dsrc.evaluation.report.paper_tables import PAPER_SEVERITY, View
 from dsrc.evaluation.report.report import Block, provenance_of, slug
+from dsrc.evaluation.report.table import Column, Line, Sheet, Stat
 from dsrc.evaluation.runner import Outcome, Trained, load_used
-from dsrc.models.detector import Detector
+from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import collate
-from dsrc.models.storage.checkpoint import load_detector
+from dsrc.models.inputs.labels import cells_in_boxes
+from dsrc.models.settings import Fusion
+from dsrc.models.storage.checkpoint import load_detector, with_fusion
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.iou import bev_iou
 from sensors.corruptions import CLEAN, drive_seed
 from sim.boxes import Boxes
-from sim.errors import SettingsError, complaint
+from sim.errors import CheckpointError, SettingsError, complaint
 from sim.geometry import invert
 
-TRUTH, FOUND, AGENT, POINT = COLORS[0], COLORS[1], "#000000", "#7B848E"
-"""Blue and orange: told apart with any colour vision. In grey it is the filling that tells true boxes."""
+TRUTH, HELPED, FOUND, AGENT, POINT = COLORS[0], COLORS[2], COLORS[1], "#000000", "#7B848E"
+"""Blue, green and orange: told apart with any colour vision. In grey it is the filling that tells true boxes."""
 HIT_IOU = 0.5
 
-_SHOWN_POINTS = 25_000
+_FUSION: Fusion = "attention"
+"""Of the networks of Figure 6, as in the paper."""
+_COUNTED_FRAMES = 24
+_TOP = 0.998
+_SHOWN_POINTS = 12_000
 _GRID_M = 20.0
 _RING = np.array([(0, 1), (1, 2), (2, 3), (3, 0)])
 _EDGES = np.concatenate([_RING, _RING + 4, [(corner, corner + 4) for corner in range(4)]])
 """Pairs of corners of a box, in the order of `Boxes.corners`."""
+
+EvidenceMap = Callable[[Sample], NDArray[np.float32]]
+"""What a network sees in a sample, (h, w), see `evidence`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,51 +76,125 @@ class Shot:
     percentile: int
     ego: Boxes = field(default_factory=Boxes.zeros)
 
+    @property
+    def helped(self) -> str:
+        """How many of the true boxes only helpers see, in words."""
+        return f"{only_helpers_see(self.sample).sum()} of {len(self.sample.boxes)} true boxes seen by helpers alone"
+
+    @property
+    def heading(self) -> str:
+        """What stands above a column of pictures."""
+        return f"Percentile {self.percentile}\n{self.title}\n{self.helped}"
+
 
 def write_pictures(outcome: Outcome, out: Path) -> list[Block]:
-    """Write Figures 6 and 8 of a benchmark into the folder of its first dataset; return their blocks.
+    """Blocks of Figures 6 and 8 of a benchmark, written into the folder of its first dataset.
 
-    Figure 6 is of the first plain method with attention, of the teacher where one is named, and of the first DSRC.
+    Figure 6 is of the first plain method with attention, of the teacher where one is named, and of the first DSRC; a
+    table counts the channels of these networks that never fire.
 
     Raises:
-        UserError: the frame that is asked for does not exist, or the teacher's file is wrong.
+        UserError: the dataset has no frame, or the teacher's file is wrong.
     """
     plan, made_by = outcome.plan, provenance_of(outcome)
     folder = slug(plan.datasets[0].name)
     view = View.of(outcome, plan.datasets[0].name)
-    first = {name: several[0] for name, several in outcome.trained.items()}
-    blocks = []
-    baseline, student = view.plain("attention"), view.whole("attention")
+    shots_in = cache(partial(take_shots, plan))
+    blocks = [*_figure_6(plan, view, shots_in, out / folder, made_by)]
+    blocks.append(_figure_8(plan, view, shots_in, out / folder, made_by))
+    return [block.below(folder) for block in blocks]
+
+
+def _figure_6(
+    plan: Benchmark, view: View, shots_in: Callable[[GridSpec], list[Shot]], folder: Path, made_by: Mapping[str, Any]
+) -> Iterator[Block]:
+    """Yield the blocks of Figure 6 and of the channels, or of the line that says what is missing."""
+    baseline, student = view.plain(_FUSION), view.whole(_FUSION)
     if baseline is None or student is None:
         lacking = "a plain method with attention (attfuse)" if baseline is None else "DSRC with attention (dsrc)"
-        blocks.append(Block("figure_6", f"Figure 6 is left out: it needs {lacking}.\n"))
-    else:
-        detectors = {f"baseline: {baseline}": _load(first[baseline])}
-        if plan.pictures.teacher:
-            detectors["teacher"] = load_detector(Path(plan.pictures.teacher))
-        detectors[f"student: {student}"] = _load(first[student])
-        shot = take_shots(plan, view.settings[student].grid)[0]
-        write_atomic(out / folder / "figure_6.png", png_bytes(feature_figure(shot, detectors), made_by))
-        blocks.append(Block("figure_6", picture="figure_6.png", about=f"Figure 6. Fused features, {shot.title}"))
-    names = list(plan.pictures.methods or (first if len(first) <= 4 else [*list(first)[:3], list(first)[-1]]))
+        yield Block("figure_6", f"Figure 6 is left out: it needs {lacking}.\n")
+        return
+    learner, taught = _load(view.trained[student][0]), ""
+    networks = {f"baseline: {baseline}": _load(view.trained[baseline][0]), f"student: {student}": learner}
+    maps: dict[str, EvidenceMap] = {"student, before fusion: the ego alone": partial(evidence, learner, fused=False)}
+    if plan.pictures.teacher:
+        teacher = load_detector(Path(plan.pictures.teacher))
+        networks["teacher"] = with_fusion(teacher, _FUSION)
+        taught = _about_teacher(teacher)
+    maps |= {name: partial(evidence, network) for name, network in networks.items()}
+    grid = learner.settings.grid
+    shots = shots_in(grid)
+    write_atomic(folder / "figure_6.png", png_bytes(feature_figure(shots, maps, grid), made_by))
+    title = f"Figure 6. Evidence for a vehicle, {view.dataset}"
+    text = (
+        f"**{title}**\n\nEvidence in a cell: the sum over the channels c of relu(w_c f_c), in logits, with f the "
+        "feature after the shrink convolutions and w the weights of the class head; of the cell's two anchors the one "
+        "with more. The bias and what speaks against a vehicle are left out. All panels have one linear scale, from 0 "
+        f"to the {100 * _TOP:g}th percentile of all their cells. Above a panel: the mean over the cells in true boxes, "
+        f"and over all others. {taught}{_rule(shots)}\n"
+    )
+    yield Block("figure_6", text, "figure_6.png", title)
+    sheet = _channel_sheet(networks, spread_samples(plan, grid), view.dataset)
+    tables = {f"{sheet.name}.md": sheet.markdown(), f"{sheet.name}.csv": sheet.csv()}
+    for name, content in tables.items():
+        write_atomic(folder / name, content)
+    yield Block(sheet.name, sheet.markdown(), tables=tuple(tables))
+
+
+def _figure_8(
+    plan: Benchmark, view: View, shots_in: Callable[[GridSpec], list[Shot]], folder: Path, made_by: Mapping[str, Any]
+) -> Block:
+    """Write Figure 8; return its block."""
+    methods = list(view.trained)
+    names = plan.pictures.methods or (methods if len(methods) <= 4 else [*methods[:3], methods[-1]])
     grid = view.settings[names[-1]].grid
-    shot = take_shots(plan, grid)[0]
-    found = {name: _load(first[name]).detect(shot.sample) for name in names}
-    write_atomic(out / folder / "figure_8.png", png_bytes(detection_figure(shot, found, grid), made_by))
-    blocks.append(Block("figure_8", picture="figure_8.png", about=f"Figure 8. Detections, {shot.title}"))
-    return [block.below(folder) for block in blocks]
+    shots = shots_in(grid)
+    detectors = {name: _load(view.trained[name][0]) for name in names}
+    found = {name: [detector.detect(shot.sample) for shot in shots] for name, detector in detectors.items()}
+    write_atomic(folder / "figure_8.png", png_bytes(detection_figure(shots, found, grid), made_by))
+    title = f"Figure 8. Detections, {view.dataset}"
+    text = f"**{title}**\n\nHits are at IoU {HIT_IOU} in bird's-eye view, of the first training. {_rule(shots)}\n"
+    return Block("figure_8", text, "figure_8.png", title)
+
+
+def _rule(shots: Sequence[Shot]) -> str:
+    """Return how the frames were chosen, and which they are."""
+    listed = "; ".join(f"{shot.percentile}: {shot.title}, {shot.helped}" for shot in shots)
+    if any(only_helpers_see(shot.sample).any() for shot in shots):
+        which = "evaluated frames with true boxes that only helpers have points on are sorted by their number"
+    else:
+        which = "no evaluated frame has a true box that only helpers have points on, and all are sorted"
+    return (
+        f"The frames are computed: {which}, those of the same number by drive and frame, and the ones at these "
+        f"percentiles (nearest rank) are drawn. {listed}."
+    )
+
+
+def _about_teacher(teacher: Detector) -> str:
+    """Return what a teacher reads in Figure 6, and what it read in its training."""
+    settings = teacher.settings
+    trained = "" if settings.fusion == _FUSION else f", though it was trained with the fusion '{settings.fusion}'"
+    clouds = " and ".join(word for word, on in (("dense", settings.sdd), ("painted", settings.pcp)) if on) or "plain"
+    return (
+        f"The teacher reads the clouds of all agents, which ground truth has made {clouds}, with the student's fusion"
+        f"{trained}. "
+    )
 
 
 def check_pictures(plan: Benchmark) -> None:
     """Look, before the work, whether the pictures of a benchmark can be drawn after it.
 
     Raises:
-        UserError: the frame that is asked for does not exist, or the teacher's file is missing, damaged or a student's.
+        UserError: the teacher's file is missing, damaged, a student's, or of a fusion with weights of its own.
     """
     if plan.pictures.teacher:
-        role = load_detector(Path(plan.pictures.teacher)).settings.role
-        if role != "teacher":
-            raise SettingsError(complaint(plan.pictures.teacher, "settings.role", "teacher", role))
+        teacher = load_detector(Path(plan.pictures.teacher))
+        if teacher.settings.role != "teacher":
+            raise SettingsError(complaint(plan.pictures.teacher, "settings.role", "teacher", teacher.settings.role))
+        try:
+            with_fusion(teacher, _FUSION)
+        except CheckpointError as error:
+            raise CheckpointError(f"{plan.pictures.teacher}: {error}") from None
 
 
 def _load(one: Trained) -> Detector:
@@ -122,15 +209,15 @@ def only_helpers_see(sample: Sample) -> NDArray[np.bool_]:
 def frames_at(plan: Benchmark, grid: GridSpec) -> list[tuple[int, Drive, int]]:
     """Percentile, drive and position of the frames that are drawn: nobody chooses them.
 
-    The evaluated frames of the first dataset are sorted by the number of true boxes in the grid's range that only
-    helpers have points on, frames of the same number by the names of their drives and their own numbers. The frame at
-    percentile p of n is number ceil(p / 100 * n) of them, at least the first: nearest rank, definition 1 of Hyndman and
-    Fan, Sample Quantiles in Statistical Packages, 1996.
+    Those evaluated frames of the first dataset that have true boxes in the grid's range with points from helpers alone
+    are sorted by the number of such boxes, frames of the same number by drive and frame; where no frame has any, all
+    are. The frame at percentile p of n is number ceil(p / 100 * n) of them, at least the first: nearest rank,
+    definition 1 of Hyndman and Fan, Sample Quantiles in Statistical Packages, 1996.
 
     Raises:
         DataError: the dataset has no frame.
     """
-    readers = [open_drive(drive) for folder in plan.datasets[0].drives for drive in list_drives(Path(folder))]
+    readers = _readers(plan)
     places = places_of(readers, plan.limit)
     ranked = []
     for row, (reader, positions) in enumerate(zip(readers, places, strict=True)):
@@ -139,6 +226,7 @@ def frames_at(plan: Benchmark, grid: GridSpec) -> list[tuple[int, Drive, int]]:
             count, number = int(only_helpers_see(seen).sum()), reader.frames[position]
             ranked.append((count, reader.drive.name, number, row, position))
     ranked.sort()
+    ranked = [one for one in ranked if one[0]] or ranked
     chosen = []
     for percentile in plan.pictures.percentiles:
         *_, row, position = ranked[max(1, math.ceil(percentile * len(ranked) / 100)) - 1]
@@ -165,75 +253,181 @@ def take_shots(plan: Benchmark, grid: GridSpec) -> list[Shot]:
     return shots
 
 
-@torch.inference_mode()
-def feature_map(detector: Detector, sample: Sample) -> NDArray[np.float32]:
-    """Return (h, w) the mean size of the fused feature over its channels; a teacher reads its own clouds."""
+def spread_samples(plan: Benchmark, grid: GridSpec) -> list[Sample]:
+    """Samples of clean frames, evenly spread over the first dataset, that channels are counted in."""
+    readers = _readers(plan)
+    places = places_of(readers, min(_COUNTED_FRAMES, plan.limit or _COUNTED_FRAMES))
+    return [
+        make_sample(reader.read(position), None, grid)
+        for reader, positions in zip(readers, places, strict=True)
+        for position in positions
+    ]
+
+
+def _readers(plan: Benchmark) -> list[Drive]:
+    return [open_drive(drive) for folder in plan.datasets[0].drives for drive in list_drives(Path(folder))]
+
+
+def _output(detector: Detector, sample: Sample) -> Output:
+    """Return what a network computes of a sample; a teacher reads clouds made with ground truth."""
     batch = collate([sample], detector.settings, training=False)
     pillars = batch.teacher if detector.settings.role == "teacher" else batch.student
     if pillars is None:
         raise ValueError("a batch has the clouds that its network reads")
     device = detector.cls_head.weight.device
-    return detector(pillars.to(device), batch.company.to(device)).fused[0].abs().mean(0).float().cpu().numpy()
+    return detector(pillars.to(device), batch.company.to(device))
 
 
-def feature_figure(shot: Shot, detectors: Mapping[str, Detector]) -> Figure:
-    """Draw the points of all agents and the fused feature of each detector, with the true boxes, as Figure 6."""
-    grid = next(iter(detectors.values())).settings.grid
+@torch.inference_mode()
+def evidence(detector: Detector, sample: Sample, *, fused: bool = True) -> NDArray[np.float32]:
+    """(h, w) evidence for a vehicle in each cell, logits, at least 0.
+
+    It is the sum over the channels c of relu(w_c f_c), f being the feature after the shrink convolutions and w the
+    class head's weights, of that one of the cell's two anchors that has more of it. The logit is this, less what speaks
+    against a vehicle, plus the bias. The mean of |f| is no evidence: it can be largest where the head is surest that a
+    cell is empty.
+
+    Args:
+        detector: one that fuses stages, in evaluation mode.
+        sample: what it sees.
+        fused: of the fused maps; else of the ego's own, before fusion.
+    """
+    output = _output(detector, sample)
+    if not fused:
+        output = detector.read(output.stages, [own[:1] for own in detector.maps(output.stages)])
+    weight = detector.cls_head.weight[:, :, 0, 0]
+    by_anchor = (weight[:, :, None, None] * output.fused[:1]).relu().sum(1)
+    return by_anchor.amax(0).float().cpu().numpy()
+
+
+@torch.inference_mode()
+def firing_channels(detector: Detector, samples: Iterable[Sample]) -> NDArray[np.bool_]:
+    """(C,) whether a channel after the shrink convolutions is above 0 in any cell of any sample."""
+    fired = np.zeros(detector.cls_head.in_channels, bool)
+    for sample in samples:
+        fired |= (_output(detector, sample).fused > 0).any(3).any(2).any(0).cpu().numpy()
+    return fired
+
+
+def _channel_sheet(networks: Mapping[str, Detector], samples: Sequence[Sample], dataset: str) -> Sheet:
+    """Return how many channels each network has after the shrink convolutions, and how many of them never fire."""
+    columns = tuple(Column(title, ("",), better="", scale=1, digits=0) for title in ("Channels", "Never fire"))
+    lines = []
+    for name, network in networks.items():
+        fired = firing_channels(network, samples)
+        lines.append(Line(name, ((Stat(len(fired)),), (Stat(int((~fired).sum())),))))
+    note = (
+        "Channels after the shrink convolutions, fused, and those that are above 0 in no cell of "
+        f"{len(samples)} clean frames, evenly spread over the drives. The first training of each."
+    )
+    return Sheet("channels", f"Channels that never fire, {dataset}", note, "Network", columns, tuple(lines))
+
+
+def feature_figure(shots: Sequence[Shot], maps: Mapping[str, EvidenceMap], grid: GridSpec) -> Figure:
+    """Figure 6: the points of all agents and each network's evidence, a line each, a column for each frame.
+
+    Args:
+        shots: the frames.
+        maps: by the line's name, see `evidence`; all have one scale.
+        grid: the range that all of them see.
+    """
     x0, y0, _, x1, y1, _ = grid.range_m
-    rows = (2 + len(detectors)) // 2
+    values = [[seen(shot.sample) for shot in shots] for seen in maps.values()]
+    high = float(np.quantile(np.array(values), _TOP)) or 1.0
     with styled():
-        size = 9.0, 0.8 + rows * (0.6 + 3.4 * (y1 - y0) / (x1 - x0))
-        figure, axes = panels(*size, rows, 2, f"Fused features: {shot.title}")
-        for panel in axes[1 + len(detectors) :]:
-            panel.set_axis_off()
-        axes = axes[: 1 + len(detectors)]
-        _points_above(axes[0], shot.sample)
-        axes[0].set_title("LiDAR points of all agents")
-        for panel, (name, detector) in zip(axes[1:], detectors.items(), strict=True):
-            values = feature_map(detector, shot.sample)
-            high = float(np.quantile(values, 0.998))
-            scale = PowerNorm(0.5, 0.0, high or 1.0)  # a few cells are so strong that all others would look alike
-            image = panel.imshow(values, origin="lower", extent=(x0, x1, y0, y1), cmap="YlOrBr", norm=scale)
-            bar = figure.colorbar(image, ax=panel, extend="max", fraction=0.03, pad=0.02)
-            bar.set_label("mean |feature|")
-            panel.set_title(name)
-        for panel in axes:
-            _boxes_above(panel, shot.sample.boxes, TRUTH, 0.9, filled=panel is axes[0])
-            _frame_above(panel, grid)
-            _agents(panel, shot.sample, grid)
-        figure.legend(handles=_handles()[:1] + _handles()[2:], loc="outside lower center", ncols=4)
+        heights = [(y1 - y0) / (x1 - x0)] * (1 + len(maps))
+        figure, axes = _columns(shots, heights, "Evidence for a vehicle in feature maps")
+        for column, shot in enumerate(shots):
+            points = axes[0, column]
+            _points_above(points, shot.sample)
+            points.set_title(shot.heading, fontsize=8.5)
+            inside = cells_in_boxes([shot.sample.boxes], grid)[0]
+            for line, of_network in enumerate(values):
+                panel, seen = axes[1 + line, column], of_network[column]
+                image = panel.imshow(seen, "YlOrBr", origin="lower", extent=(x0, x1, y0, y1), vmin=0.0, vmax=high)
+                panel.set_title(_contrast(seen, inside), fontsize=8, fontweight="normal")
+            for panel in axes[:, column]:
+                _truth_above(panel, shot.sample, 0.9, filled=panel is points)
+                _frame_above(panel, grid)
+                _agents(panel, shot.sample, grid)
+        _name_lines(axes, ["LiDAR points of all agents", *maps])
+        bar = figure.colorbar(image, ax=axes[1:].ravel().tolist(), extend="max", fraction=0.02, pad=0.01, aspect=40)
+        bar.set_label(f"evidence for a vehicle, logits; up to the {100 * _TOP:g}th percentile of all panels' cells")
+        axes[-1, len(shots) // 2].set_xlabel("x ahead of the ego, y to its left, m", fontsize=8)
+        figure.legend(handles=_handles(), loc="outside lower center", ncols=5)
     return figure
 
 
-def detection_figure(shot: Shot, found: Mapping[str, Detections], grid: GridSpec) -> Figure:
-    """Draw each method's detections and the truth in 3D (left) and from above (right), a line each, as Figure 8.
+def _contrast(seen: NDArray[np.float32], inside: NDArray[np.bool_]) -> str:
+    """Return the mean of an (h, w) map in true boxes and elsewhere; `inside` is (H, W) of the input's smaller cells."""
+    height, width = seen.shape
+    cells = inside.reshape(height, inside.shape[0] // height, width, inside.shape[1] // width).any(axis=(1, 3))
+    within = f"{seen[cells].mean():.2f}" if cells.any() else "-"
+    return f"mean in true boxes {within}, elsewhere {seen[~cells].mean():.2f}"
+
+
+def detection_figure(shots: Sequence[Shot], found: Mapping[str, Sequence[Detections]], grid: GridSpec) -> Figure:
+    """Figure 8: each method's detections and the truth in 3D and below it from above, a column for each frame.
 
     The others have points on the ego, so that some detectors find it. Its own body is no object of the truth and AP
     takes such a detection for a false one; here it has the ego's colour and is counted apart.
+
+    Args:
+        shots: the frames.
+        found: by method the detections in each of them.
+        grid: the range that all methods see.
     """
     with styled():
+        title = f"Detections; hits at IoU {HIT_IOU} in bird's-eye view"
         x0, y0, _, x1, y1, _ = grid.range_m
-        size = 9.0, 0.9 + len(found) * (0.55 + 4.1 * (y1 - y0) / (x1 - x0))
-        title = f"Detections: {shot.title}; hits at IoU {HIT_IOU} in bird's-eye view"
-        figure, axes = panels(*size, len(found), 2, title)
-        for line, (name, detections) in enumerate(found.items()):
-            scene, above = axes[2 * line : 2 * line + 2]
-            own = bev_iou(detections.boxes.array, shot.ego.array).max(axis=1, initial=0.0) >= HIT_IOU
-            others = detections[~own]
-            drawn = (
-                (shot.sample.boxes, TRUTH, 1.0, True), (others.boxes, FOUND, 1.1, False),
-                (shot.ego, AGENT, 1.0, True), (detections.boxes[own], AGENT, 1.1, False),
-            )  # fmt: skip
-            _scene(scene, shot.sample, drawn, grid)
-            found_itself = ", and the ego itself" if own.any() else ""
-            scene.set_title(f"{name}: {counted(others, shot.sample.boxes)}{found_itself}")
-            _points_above(above, shot.sample)
-            for boxes, color, width, filled in drawn:
-                _boxes_above(above, boxes, color, width, filled=filled)
-            _frame_above(above, grid)
-            _agents(above, shot.sample, grid)
-        figure.legend(handles=_handles(), loc="outside lower center", ncols=5)
+        _, (left, low, right, high) = _camera(grid)
+        heights = [(high - low) / (right - left), (y1 - y0) / (x1 - x0)] * len(found)
+        figure, axes = _columns(shots, heights, title)
+        for row, of_method in enumerate(found.values()):
+            for column, (shot, detections) in enumerate(zip(shots, of_method, strict=True)):
+                scene, above = axes[2 * row, column], axes[2 * row + 1, column]
+                own = bev_iou(detections.boxes.array, shot.ego.array).max(axis=1, initial=0.0) >= HIT_IOU
+                others, helped = detections[~own], only_helpers_see(shot.sample)
+                drawn = (
+                    (shot.sample.boxes[~helped], TRUTH, 1.0, True), (shot.sample.boxes[helped], HELPED, 1.0, True),
+                    (others.boxes, FOUND, 1.1, False),
+                    (shot.ego, AGENT, 1.0, True), (detections.boxes[own], AGENT, 1.1, False),
+                )  # fmt: skip
+                _scene(scene, shot.sample, drawn, grid)
+                found_itself = ", and the ego itself" if own.any() else ""
+                heading = f"{shot.heading}\n" if row == 0 else ""
+                scene.set_title(f"{heading}{counted(others, shot.sample.boxes)}{found_itself}", fontsize=8.5)
+                _points_above(above, shot.sample)
+                for boxes, color, width, filled in drawn:
+                    _boxes_above(above, boxes, color, width, filled=filled)
+                _frame_above(above, grid)
+                _agents(above, shot.sample, grid)
+        _name_lines(axes, [label for name in found for label in (name, f"{name}, from above")])
+        about = f"3D: from the right of the ego and above, lines on the ground every {_GRID_M:g} m. "
+        about += "From above: x ahead of the ego, y to its left, m"
+        axes[-1, len(shots) // 2].set_xlabel(about, fontsize=8)
+        figure.legend(
+            handles=[*_handles(), Line2D([], [], color=FOUND, label="detection")], loc="outside lower center", ncols=6
+        )
     return figure
+
+
+def _columns(shots: Sequence[Shot], heights: Sequence[float], title: str) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure and its (rows, frames) panels; `heights` are those of the rows over a panel's width."""
+    width = max(3.8, 8.0 / len(shots))
+    total = 1.4 + sum(0.18 + width * height for height in heights)
+    figure, axes = panels(0.8 + width * len(shots), total, len(heights), len(shots), title)
+    spec = axes[0].get_gridspec()
+    if spec is not None:
+        spec.set_height_ratios(heights)
+    figure.set_layout_engine("compressed")  # panels of fixed proportions, without the room that these leave
+    return figure, np.array(axes).reshape(len(heights), len(shots))
+
+
+def _name_lines(axes: NDArray[Any], names: Sequence[str]) -> None:
+    """Write the names of the lines at their left."""
+    for panel, name in zip(axes[:, 0], names, strict=True):
+        panel.set_ylabel(textwrap.fill(name, 16), fontsize=8, fontweight="bold")
 
 
 def counted(detections: Detections, truth: Boxes) -> str:
@@ -243,14 +437,14 @@ def counted(detections: Detections, truth: Boxes) -> str:
 
 
 def _handles() -> list[Patch | Line2D]:
-    """Return what the colours and signs of the pictures mean."""
+    """Return what the colours and signs of both figures mean."""
     agents = [
         Line2D([], [], color=AGENT, linestyle="", marker=marker, markerfacecolor=face, label=label)
         for marker, face, label in ((">", AGENT, "ego"), ("D", "white", "other agents"))
     ]
     return [
-        Patch(edgecolor=TRUTH, facecolor=to_rgba(TRUTH, 0.3), label="true box"),
-        Line2D([], [], color=FOUND, label="detection"),
+        Patch(edgecolor=TRUTH, facecolor=to_rgba(TRUTH, 0.3), label="true box with points from the ego"),
+        Patch(edgecolor=HELPED, facecolor=to_rgba(HELPED, 0.3), label="true box that only helpers have points on"),
         *agents,
         Line2D([], [], color=POINT, linestyle="", marker=".", label="LiDAR points"),
     ]
@@ -272,14 +466,12 @@ def project(points: NDArray[np.floating], eye: NDArray[np.float64], aim: NDArray
     return np.concatenate([seen[:, :2] / depth, seen[:, 2:]], axis=1)
 
 
-def _scene(axes: Axes, sample: Sample, drawn: Iterable[tuple[Boxes, str, float, bool]], grid: GridSpec) -> None:
-    """Draw points and boxes as seen from the right of the ego and above, the whole range in sight.
+def _camera(
+    grid: GridSpec,
+) -> tuple[Callable[[NDArray[np.floating]], NDArray[np.float64]], tuple[float, float, float, float]]:
+    """Return what maps (..., 3) points to (..., 2) right and up in 3D pictures, and the range's left, low, right, high.
 
-    Args:
-        axes: to draw on.
-        sample: whose points and agents.
-        drawn: boxes, their colour, width of their edges and whether their floor is filled.
-        grid: the range.
+    The camera stands at the right of the ego and above, with the whole range in sight.
     """
     x0, y0, z0, x1, y1, z1 = grid.range_m
     aim = np.array([(x0 + x1) / 2, (y0 + y1) / 2, z0])
@@ -288,6 +480,22 @@ def _scene(axes: Axes, sample: Sample, drawn: Iterable[tuple[Boxes, str, float, 
     def seen(points: NDArray[np.floating]) -> NDArray[np.float64]:
         return project(points.reshape(-1, 3), eye, aim)[:, :2].reshape(*points.shape[:-1], 2)
 
+    ends = seen(np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)]))
+    (left, low), (right, high) = ends.min(axis=0), ends.max(axis=0)
+    return seen, (left, low, right, high)
+
+
+def _scene(axes: Axes, sample: Sample, drawn: Iterable[tuple[Boxes, str, float, bool]], grid: GridSpec) -> None:
+    """Draw points and boxes in 3D, see `_camera`.
+
+    Args:
+        axes: to draw on.
+        sample: whose points and agents.
+        drawn: boxes, their colour, width of their edges and whether their floor is filled.
+        grid: the range.
+    """
+    x0, y0, z0, x1, y1, _ = grid.range_m
+    seen, (left, low, right, high) = _camera(grid)
     ground = [((x, y0, z0), (x, y1, z0)) for x in _ticks(x0, x1)] + [((x0, y, z0), (x1, y, z0)) for y in _ticks(y0, y1)]
     axes.add_collection(LineCollection(list(seen(np.array(ground))), colors="#D5D9DE", linewidths=0.6, zorder=0))
     points = seen(_shown(sample))
@@ -299,10 +507,7 @@ def _scene(axes: Axes, sample: Sample, drawn: Iterable[tuple[Boxes, str, float, 
         edges = corners[:, _EDGES].reshape(-1, 2, 2)
         axes.add_collection(LineCollection(list(edges), colors=color, linewidths=width))
     _agents(axes, sample, grid, seen)
-    ends = seen(np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)]))
-    (left, low), (right, high) = ends.min(axis=0), ends.max(axis=0)
     axes.set(xlim=(left, right), ylim=(low, high), xticks=[], yticks=[], aspect="equal")
-    axes.set_xlabel(f"from the right and above; lines on the ground every {_GRID_M:g} m", fontsize=8)
     axes.spines[:].set_visible(False)
     axes.grid(visible=False)
 
@@ -341,6 +546,13 @@ def _points_above(axes: Axes, sample: Sample) -> None:
     axes.scatter(points[:, 0], points[:, 1], s=0.7, color=POINT, linewidth=0, rasterized=True)
 
 
+def _truth_above(axes: Axes, sample: Sample, width: float, *, filled: bool) -> None:
+    """Draw the true boxes, those that only helpers see in their own colour."""
+    helped = only_helpers_see(sample)
+    for boxes, color in ((sample.boxes[~helped], TRUTH), (sample.boxes[helped], HELPED)):
+        _boxes_above(axes, boxes, color, width, filled=filled)
+
+
 def _boxes_above(axes: Axes, boxes: Boxes, color: str, width: float, *, filled: bool = False) -> None:
     """Draw outlines, and a line from the centre to the front."""
     corners = boxes.bev_polygons()
@@ -354,7 +566,5 @@ def _boxes_above(axes: Axes, boxes: Boxes, color: str, width: float, *, filled: 
 def _frame_above(axes: Axes, grid: GridSpec) -> None:
     x0, y0, _, x1, y1, _ = grid.range_m
     axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
-    axes.set_xlabel("x, m, ahead of the ego", fontsize=8)
-    axes.set_ylabel("y, m, to its left", fontsize=8)
     axes.grid(visible=False)
     axes.tick_params(labelsize=7)

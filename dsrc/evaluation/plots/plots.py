@@ -334,7 +334,7 @@ def difference_dots(differences: Sequence[Difference], title: str = "") -> Figur
             first = iou == IOUS[0]
             axes.set_yticks(range(len(shown)), [condition_title(one.condition) if first else "" for one in shown])
             axes.set(ylim=(len(conditions) - 0.5, -0.5))
-            axes.set_title(f"{pair[0]} less\n{pair[1]}, IoU {iou}")
+            axes.set_title(f"{pair[0]} minus\n{pair[1]}, IoU {iou}")
             axes.grid(visible=False, axis="y")
         for axes in parts[-len(IOUS) :]:
             axes.set_xlabel("difference, points of AP (mCE: less is better)")

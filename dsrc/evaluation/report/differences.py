@@ -75,7 +75,7 @@ class DifferenceTable:
         found: dict[str, list[str]] = {}
         for one in self.differences:
             if one.resolved:
-                what = f"{_titled(one.condition)} at {one.iou:g} ({_signed(one.value.mean)})"
+                what = f"{condition_title(one.condition)} at {one.iou:g} ({_signed(one.value.mean)})"
                 found.setdefault(self._pair(one), []).append(what)
         if not found:
             return "No difference is resolved: of each of them at least one interval holds 0 or is unknown."
@@ -98,25 +98,38 @@ def difference_table(view: View, pairs: Sequence[DifferenceSpec], drives: Sequen
     methods = list(dict.fromkeys(name for pair in pairs for name in (pair.method, pair.baseline)))
     by_frame = _resampled(view, methods, np.arange(sum(drives)))
     by_drive = _resampled(view, methods, np.repeat(np.arange(len(drives)), drives))
-    found = tuple(one for pair in pairs for one in _differences(view, pair, by_frame, by_drive))
+    units = sum(drives), len(drives)
+    found = tuple(one for pair in pairs for one in _differences(view, pair, by_frame, by_drive, units))
     note = (
         f"Method less baseline, points of average precision in bird's-eye view, sorted over all frames. {view.level} "
         f"mCE: share of the clean AP lost, less is better. In brackets the {LEVEL:.0%} interval of {RESAMPLES} "
-        f"resamples of {sum(drives)} frames and of {len(drives)} drives (percentile bootstrap): both methods on the "
-        f"same resamples, AP computed anew in each. Bold: the interval excludes 0, as one of twenty does by chance; of "
-        f"a difference, both do. Frames of one drive are alike, so the interval by frame is too narrow for other "
-        f"drives; of few drives that by drive is, too. The trainings of a method are averaged in each resample, so "
-        f"what another training would change is in neither interval; where the seeds of both methods are the same, ± "
-        f"is the standard deviation of the difference between seeds.{made_of(view, methods, spread=False)}"
+        f"resamples of {sum(drives)} frames and of {len(drives)} drives (expanded percentile bootstrap): both methods "
+        "on the same resamples, AP computed anew in each. Bold: the interval excludes 0, as one of twenty does by "
+        "chance; of a difference, both do. Frames of one drive are alike, so the interval by frame is too narrow for "
+        "other drives. The trainings of a method are averaged in each resample, so what another training would change "
+        "is in neither interval; where the seeds of both methods are the same, ± is the standard deviation of the "
+        f"difference between seeds.{made_of(view, methods, spread=False)}"
     )
     marked = {name: view.marked(name, name) for name in methods}
     return DifferenceTable(f"Differences, {view.titled}", note, marked, view.footnotes(methods), found)
 
 
 def _differences(
-    view: View, pair: DifferenceSpec, by_frame: Mapping[str, _Metrics], by_drive: Mapping[str, _Metrics]
+    view: View,
+    pair: DifferenceSpec,
+    by_frame: Mapping[str, _Metrics],
+    by_drive: Mapping[str, _Metrics],
+    units: tuple[int, int],
 ) -> list[Difference]:
-    """Return the differences of a pair, by condition and IoU, from the metrics of its methods in all resamples."""
+    """Return the differences of a pair, by condition and IoU.
+
+    Args:
+        view: the rows.
+        pair: its methods.
+        by_frame: metrics of methods in the sample, then in resamples of its frames.
+        by_drive: likewise, of its drives.
+        units: numbers of frames and drives.
+    """
     names = (pair.method, pair.baseline)
     orders = _orders([one.seed for one in view.trained[name]] for name in names)
     listed = []
@@ -129,7 +142,8 @@ def _differences(
                 each = [training[order, 0] for training, order in zip(frame, orders, strict=True)]
                 spread = Stat.of(list(each[0] - each[1])).spread
             value = Stat(float(values[0]), spread)
-            bounds = (percentile_interval(values[1:]), percentile_interval(values_by_drive[1:]))
+            resampled = zip((values[1:], values_by_drive[1:]), units, strict=True)
+            bounds = (percentile_interval(of_unit, number) for of_unit, number in resampled)
             listed.append(Difference(*names, condition, iou, value, *bounds))
     return listed
 
@@ -148,12 +162,9 @@ def _resampled(view: View, methods: Sequence[str], group: NDArray[np.int64]) -> 
     Args:
         view: the rows.
         methods: names.
-        group: see `draw_weights`. A single frame or drive, drawn from itself, would always be the same: no resample of
-            it has a defined metric.
+        group: see `draw_weights`.
     """
     drawn = draw_weights(group, RESAMPLES, np.random.default_rng(SEED))
-    if len(np.unique(group)) < 2:
-        drawn = np.zeros_like(drawn)
     weights = np.concatenate([np.ones((1, len(group)), np.float32), drawn])
     return {method: _metrics(view, method, weights) for method in methods}
 

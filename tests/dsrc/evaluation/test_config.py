@@ -227,6 +227,6 @@ def test_the_projects_own_benchmark_has_all_that_the_papers_tables_need():
     text = (SHIPPED.parents[2] / "results.md").read_text(encoding="utf-8")
     sweeps = [field for field in ("agents", "pose_error", "delay_s", "loss") if getattr(plan.sweeps, field)]
     tables = ["table_1", "table_1_opencood", "table_2", "table_3", "table_4", "visibility", *sweeps]
-    for name in (*tables, "figure_4", "figure_5", "figure_6", "figure_8", "traffic"):
+    for name in (*tables, "differences", "figure_4", "figure_5", "figure_6", "figure_8", "traffic"):
         for word in ("begin", "end"):
             assert text.count(f"<!-- {word} {plan.name}/{plan.datasets[0].name}/{name} -->") == 1

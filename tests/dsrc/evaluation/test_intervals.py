@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from dsrc.evaluation.ap import Judged, join, judge, result_of
 from dsrc.evaluation.intervals import Hits, Interval, average_precisions, draw_weights, percentile_interval
@@ -13,7 +14,8 @@ from tests.dsrc.evaluation.test_ap import random_frames
 def difference(a: Hits, b: Hits, group, seed=0, count=400) -> Interval:
     """Return the interval of the difference in AP@0.5."""
     weights = draw_weights(np.asarray(group), count, np.random.default_rng(seed))
-    return percentile_interval((average_precisions(a, weights) - average_precisions(b, weights))[0])
+    values = (average_precisions(a, weights) - average_precisions(b, weights))[0]
+    return percentile_interval(values, len(np.unique(group)))
 
 
 def judged_of(frames: int, skill: float, seed: int) -> Judged:
@@ -102,6 +104,16 @@ def test_an_interval_holds_the_truth_as_often_as_it_says():
     assert difference(made_up(100, 0.8, 0), made_up(100, 0.5, 1), np.arange(100)).excludes_zero
 
 
+@pytest.mark.parametrize("units", [5, 7, 40])
+def test_of_a_mean_of_few_normal_values_the_interval_is_students(units):
+    sample = stats.norm.ppf((np.arange(units) + 0.5) / units)
+    # Resampled means of such a sample are normal, with its deviation over n, not over n - 1.
+    means = sample.std() / np.sqrt(units) * stats.norm.ppf((np.arange(20_000) + 0.5) / 20_000)
+    low, high = percentile_interval(means, units)
+    wanted = stats.t.ppf(0.975, units - 1) * sample.std(ddof=1) / np.sqrt(units)
+    assert (-low, high) == pytest.approx((wanted, wanted), rel=5e-3)
+
+
 def test_frames_of_a_drive_that_are_alike_widen_the_interval_by_drive():
     def alike(skills: list[float], seed: int) -> Hits:
         return Hits.of(join([judged_of(20, skill, seed + k) for k, skill in enumerate(skills)]))
@@ -116,8 +128,9 @@ def test_where_nothing_is_found_it_is_0_and_where_nothing_is_there_unknown():
     nowhere = {("bev", iou): np.zeros(0, np.int64) for iou in (0.5, 0.7)}
     hits = Hits.of(Judged(np.array([3, 0]), np.array([0, 0]), nothing, nowhere))
     np.testing.assert_array_equal(average_precisions(hits, np.array([[1, 1], [0, 2]], np.float32))[0], [0.0, math.nan])
-    assert percentile_interval(np.array([math.nan, 1.0, 3.0]), 1.0) == (1.0, 3.0)
-    unknown = percentile_interval(np.array([math.nan]))
-    assert math.isnan(unknown.low) and not unknown.excludes_zero
+    assert percentile_interval(np.array([math.nan, 1.0, 3.0]), 9, 1.0) == (1.0, 3.0)
+    for values, units in (([math.nan], 9), ([1.0, 1.0], 1)):
+        unknown = percentile_interval(np.array(values), units)
+        assert math.isnan(unknown.low) and not unknown.excludes_zero
     empty = Hits.of(join([judge([])]))
     assert np.isnan(average_precisions(empty, draw_weights(np.zeros(0, np.int64), 2, np.random.default_rng(0)))).all()

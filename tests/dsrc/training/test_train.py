@@ -248,8 +248,7 @@ def test_methods_differ_in_their_fusion_and_designs_alone() -> None:
         changed = of_method(debug(), name)
         settings = replace(changed.model, **{k: getattr(debug().model, k) for k in ("fusion", "sdd", "pcp", "rec")})
         assert replace(changed, model=settings) == debug(), name
-    # A maximum of single maps is no method of the comparison: what fuses such maps starts from it.
-    assert {METHODS[name]["fusion"] for name in METHODS} == set(FUSIONS) - {"max_map"}
+    assert {METHODS[name]["fusion"] for name in METHODS} == set(FUSIONS)
 
 
 def test_a_rival_is_trained_without_a_teacher(data: Path, tmp_path: Path) -> None:

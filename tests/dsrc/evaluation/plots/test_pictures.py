@@ -1,11 +1,14 @@
 """Pictures of a frame hold the boxes, points and features that they are of."""
 
+import copy
 import dataclasses
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 from msgspec.structs import replace
@@ -17,21 +20,28 @@ from dsrc.evaluation.config import Pictures
 from dsrc.evaluation.plots.pictures import (
     AGENT,
     FOUND,
+    HELPED,
     TRUTH,
     check_pictures,
+    counted,
     detection_figure,
+    evidence,
     feature_figure,
-    feature_map,
+    firing_channels,
     frames_at,
     only_helpers_see,
     project,
+    spread_samples,
     take_shots,
     write_pictures,
 )
 from dsrc.evaluation.plots.plots import png_bytes
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
+from dsrc.models.inputs.batch import collate
+from dsrc.models.storage.checkpoint import save_detector, with_fusion
 from dsrc.ops.detections import Detections
+from dsrc.ops.iou import bev_iou
 from sim.boxes import Boxes
 from sim.errors import UserError
 from tests.dsrc.evaluation.small import POINTS, make_detector, make_plan, write_drives
@@ -48,8 +58,25 @@ def plan(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def shot(plan):
-    return take_shots(plan, GRID)[1]
+def shots(plan):
+    return take_shots(plan, GRID)
+
+
+@pytest.fixture(scope="module")
+def shot(shots):
+    return shots[1]
+
+
+@pytest.fixture(scope="module")
+def teacher(plan, tmp_path_factory):
+    """Return the file of a teacher that was trained on the ego alone."""
+    return teacher_of("none", tmp_path_factory.mktemp("teacher"))
+
+
+def teacher_of(fusion, folder):
+    settings = replace(make_detector("dsrc").settings, role="teacher", fusion=fusion, rec=False)
+    save_detector(folder / f"{fusion}.pt", Detector(settings))
+    return str(folder / f"{fusion}.pt")
 
 
 def lines_of(axes, color):
@@ -76,7 +103,7 @@ def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path):
             write_frame(tmp_path / "test" / name, hidden_from_the_ego(frame(index, **POINTS), count))
     plan = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=Pictures(percentiles=(0, 20, 40, 60, 80, 81, 100)))
     places = [(reader.drive.name, position) for _, reader, position in frames_at(plan, GRID)]
-    # In order: none in the first of a and the second of b, one in two frames of a, two in the first of b.
+    # In order: none lost in the first of a and the second of b, one in two frames of a, two in the first of b.
     assert places == [("a", 0), ("a", 0), ("b", 1), ("a", 1), ("a", 2), ("b", 0), ("b", 0)]
     shots = take_shots(plan, GRID)
     helped = [int(only_helpers_see(one.sample).sum()) for one in shots]
@@ -84,6 +111,16 @@ def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path):
     ego_ids = [set(one.sample.agent_boxes[0].object_id) for one in shots]
     for one, ids in zip(shots, ego_ids, strict=True):
         assert ids.isdisjoint(one.sample.boxes.object_id[only_helpers_see(one.sample)])
+
+
+def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_other(tmp_path):
+    for index in range(2):
+        write_frame(tmp_path / "test" / "alone", frame(index, **POINTS).of_agents([0]))
+    everywhere = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=Pictures(percentiles=(0, 50, 100)))
+    assert [position for _, _, position in frames_at(everywhere, GRID)] == [0, 0, 1]
+    assert not any(only_helpers_see(one.sample).any() for one in take_shots(everywhere, GRID))
+    write_frame(tmp_path / "test" / "together", frame(0, **POINTS))
+    assert {reader.drive.name for _, reader, _ in frames_at(everywhere, GRID)} == {"together"}
 
 
 def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan):
@@ -96,12 +133,16 @@ def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan)
     np.testing.assert_array_equal(only_helpers_see(foggy.sample), only_helpers_see(clean.sample))
 
 
-def test_what_cannot_be_drawn_is_told_before_the_work(plan, tmp_path):
-    check_pictures(plan)
+def test_what_cannot_be_drawn_is_told_before_the_work(plan, teacher, tmp_path):
+    check_pictures(replace(plan, pictures=Pictures(teacher=teacher)))
     student = plan.methods[0].detectors[0]
     for pictures, words in (
         (Pictures(teacher="none.pt"), "none.pt: no such"),
         (Pictures(teacher=student), "settings.role: expected teacher"),
+        (
+            Pictures(teacher=teacher_of("v2vnet", tmp_path)),
+            "v2vnet.pt: detector: fusion: expected .* found 'attention'",
+        ),
     ):
         with pytest.raises(UserError, match=words):
             check_pictures(replace(plan, pictures=pictures))
@@ -123,22 +164,30 @@ def test_what_lies_where_a_camera_looks_is_in_the_middle_and_higher_is_up():
     assert seen[3, 2] == -10.0  # behind
 
 
-def test_every_box_is_drawn_in_both_views_of_every_method(shot):
-    found = {name: make_detector(name).detect(shot.sample) for name in ("dsrc", "attfuse")}
-    assert all(len(detections) for detections in found.values())
-    figure = detection_figure(shot, found, make_detector("dsrc").settings.grid)
-    assert len(figure.axes) == 4
-    for column, detections in enumerate(found.values()):
-        scene, above = figure.axes[2 * column], figure.axes[2 * column + 1]
-        for boxes, color in ((shot.sample.boxes, TRUTH), (detections.boxes, FOUND)):
-            assert len(lines_of(scene, color)) == 12 * len(boxes)
-            outlines = lines_of(above, color)[: len(boxes)]
-            np.testing.assert_allclose([outline[0] for outline in outlines], boxes.corners()[:, 0, :2])
-        x0, y0, _, x1, y1, _ = make_detector("dsrc").settings.grid.range_m
-        assert (above.get_xlim(), above.get_ylim()) == ((x0, x1), (y0, y1))
-        low, high = np.array([scene.get_xlim(), scene.get_ylim()]).T
-        seen = np.concatenate(lines_of(scene, TRUTH))
-        assert (seen >= low).all() and (seen <= high).all()  # nothing is cut off
+def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(shots):
+    found = {name: [make_detector(name).detect(shot.sample) for shot in shots] for name in ("dsrc", "attfuse")}
+    figure = detection_figure(shots, found, GRID)
+    panels = np.array(figure.axes).reshape(2, 2, len(shots))
+    x0, y0, _, x1, y1, _ = GRID.range_m
+    for row, of_method in enumerate(found.values()):
+        for column, (shot, detections) in enumerate(zip(shots, of_method, strict=True)):
+            detections = detections[bev_iou(detections.boxes.array, shot.ego.array).max(axis=1) < 0.5]
+            assert len(detections)
+            scene, above = panels[row, :, column]
+            helped = only_helpers_see(shot.sample)
+            boxes = shot.sample.boxes
+            for drawn, color in ((boxes[~helped], TRUTH), (boxes[helped], HELPED), (detections.boxes, FOUND)):
+                assert len(lines_of(scene, color)) == 12 * len(drawn)
+                outlines = lines_of(above, color)[: len(drawn)]
+                np.testing.assert_allclose([line[0] for line in outlines], drawn.corners()[:, 0, :2])
+            assert (above.get_xlim(), above.get_ylim()) == ((x0, x1), (y0, y1))
+            low, high = np.array([scene.get_xlim(), scene.get_ylim()]).T
+            seen = np.concatenate(lines_of(scene, TRUTH))
+            assert (seen >= low).all() and (seen <= high).all()  # nothing is cut off
+            assert counted(detections, boxes) in scene.get_title(loc="left")
+    assert [panel.get_ylabel() for panel in panels[:, 0, 0]] == ["dsrc", "attfuse"]
+    for shot, panel in zip(shots, panels[0, 0], strict=True):
+        assert panel.get_title(loc="left").startswith(f"Percentile {shot.percentile}\n{shot.title}\n")
     assert len(png_bytes(figure, dpi=40)) > 5000
 
 
@@ -149,40 +198,118 @@ def test_a_detection_of_the_ego_itself_is_neither_a_hit_nor_false(shot):
     far = Boxes.from_array([[30, 20, -1, 4, 2, 1.5, 0]])
     boxes = Boxes.from_array(np.concatenate([truth.array[1:], ego.array, far.array]))
     found = Detections(boxes, np.linspace(0.9, 0.5, len(boxes), dtype=np.float32))
-    figure = detection_figure(shot, {"some": found}, make_detector("dsrc").settings.grid)
-    title = figure.axes[0].get_title(loc="left")
-    assert title == f"some: {len(truth) - 1} hit, 1 missed, 1 false, and the ego itself"
+    figure = detection_figure([shot], {"some": [found]}, GRID)
+    title = figure.axes[0].get_title(loc="left").splitlines()[-1]
+    assert title == f"{len(truth) - 1} hit, 1 missed, 1 false, and the ego itself"
     for axes, edges in zip(figure.axes, (12, 2), strict=True):
         assert len(lines_of(axes, FOUND)) == edges * len(truth)
         assert len(lines_of(axes, AGENT)) == edges * 2  # its body, and the detection of it
 
 
-def test_feature_maps_are_of_the_grid_and_of_what_each_network_reads(shot):
+def logits_of(detector, sample):
+    """Return the (2, h, w) logits of a student."""
+    batch = collate([sample], detector.settings, training=False)
+    with torch.inference_mode():
+        return detector(batch.student, batch.company).cls[0].numpy()
+
+
+def with_head(detector, change):
+    """Return a detector whose class head's weights are changed."""
+    other = copy.deepcopy(detector)
+    with torch.no_grad():
+        other.cls_head.weight.copy_(change(other.cls_head.weight))
+    return other
+
+
+def test_evidence_is_what_speaks_for_a_vehicle_and_nothing_else(shot):
+    detector = make_detector("dsrc")
+    bias = detector.cls_head.bias.detach().numpy()[:, None, None]
+    seen = evidence(detector, shot.sample)
+    assert seen.shape == (GRID.height // 2, GRID.width // 2) and seen.min() >= 0 and seen.max() > 0
+    assert (seen >= (logits_of(detector, shot.sample) - bias).max(axis=0) - 1e-4).all()
+    # Where nothing speaks against a vehicle, it is all of the logit but the bias, of the anchor with more of it.
+    willing = with_head(detector, torch.abs)
+    np.testing.assert_allclose(
+        evidence(willing, shot.sample), (logits_of(willing, shot.sample) - bias).max(axis=0), rtol=1e-3, atol=1e-3
+    )
+    # However large the features are: a head that takes all of them for background has no evidence.
+    assert not evidence(with_head(detector, lambda weight: -weight.abs()), shot.sample).any()
+
+
+def test_evidence_before_fusion_is_the_egos_own(shot):
+    detector = make_detector("dsrc")
+    alone = evidence(detector, shot.sample, fused=False)
+    np.testing.assert_allclose(alone, evidence(with_fusion(detector, "none"), shot.sample), rtol=1e-4, atol=1e-5)
+    assert not np.allclose(alone, evidence(detector, shot.sample), rtol=0.01)
+
+
+def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(shot):
+    settings = replace(make_detector("dsrc").settings, role="teacher", fusion="none", rec=False)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        teacher = Detector(settings).eval()
+    without = dataclasses.replace(
+        shot.sample, **{name: getattr(shot.sample, name)[:1] for name in ("clouds", "agent_boxes", "agent_ids")}
+    )
+    np.testing.assert_array_equal(
+        evidence(teacher, without) > 0, evidence(with_fusion(teacher, "attention"), without) > 0
+    )
+    assert not np.allclose(
+        evidence(with_fusion(teacher, "attention"), without), evidence(with_fusion(teacher, "attention"), shot.sample)
+    )
+
+
+def test_channels_that_never_fire_are_counted_over_all_frames(shots):
+    detector = copy.deepcopy(make_detector("dsrc"))
+    samples = [shot.sample for shot in shots]
+    last = [layer for layer in detector.shrink if getattr(layer, "bias", None) is not None][-1]
+    each = [firing_channels(detector, [sample]) for sample in samples]
+    np.testing.assert_array_equal(firing_channels(detector, samples), np.logical_or.reduce(each))
+    with torch.no_grad():
+        last.weight[3:5], last.bias[3:5] = 0.0, torch.tensor([-1.0, 1.0])
+    fired = firing_channels(detector, samples)
+    assert not fired[3] and fired[4]
+
+
+def test_all_maps_have_one_scale_and_one_colour_bar(shots):
     student = make_detector("dsrc")
-    grid = student.settings.grid
-    teacher = Detector(replace(student.settings, role="teacher", rec=False)).eval()
-    values = feature_map(student, shot.sample)
-    assert values.shape == (grid.height // 2, grid.width // 2) and values.max() > 0
-    figure = feature_figure(shot, {"student": student, "teacher": teacher})
-    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
-    assert titles == ["LiDAR points of all agents", "student", "teacher"]
-    assert [axes.get_ylabel() for axes in figure.axes].count("mean |feature|") == 2  # colour bars
-    for axes, detector in zip(figure.axes[1:3], (student, teacher), strict=True):
-        (image,) = axes.get_images()
-        np.testing.assert_allclose(image.get_array(), feature_map(detector, shot.sample))
-        # Columns go along x: the picture has the grid's extent with its first row at the bottom.
-        assert tuple(image.get_extent()) == (grid.range_m[0], grid.range_m[3], grid.range_m[1], grid.range_m[4])
-        assert image.origin == "lower"
-        assert len(lines_of(axes, TRUTH)) == 2 * len(shot.sample.boxes)
+    maps = {"student": partial(evidence, student), "twice": lambda sample: 2 * evidence(student, sample)}
+    figure = feature_figure(shots, maps, GRID)
+    panels = np.array(figure.axes[: 3 * len(shots)]).reshape(3, len(shots))
+    (bar,) = figure.axes[3 * len(shots) :]
+    assert "logits" in bar.get_ylabel() and "99.8th percentile" in bar.get_ylabel()
+    values = [[seen(shot.sample) for shot in shots] for seen in maps.values()]
+    for row, of_network in enumerate(values):
+        for shot, panel, seen in zip(shots, panels[1 + row], of_network, strict=True):
+            (image,) = panel.get_images()
+            np.testing.assert_allclose(image.get_array(), seen)
+            assert image.get_clim() == pytest.approx((0.0, np.quantile(values, 0.998)))
+            # Columns go along x: the picture has the grid's extent with its first row at the bottom.
+            assert tuple(image.get_extent()) == (GRID.range_m[0], GRID.range_m[3], GRID.range_m[1], GRID.range_m[4])
+            assert image.origin == "lower"
+            helped = only_helpers_see(shot.sample)
+            assert len(lines_of(panel, TRUTH)) == 2 * (~helped).sum()
+            assert len(lines_of(panel, HELPED)) == 2 * helped.sum()
+    assert [panel.get_ylabel() for panel in panels[:, 0]] == ["LiDAR points of\nall agents", "student", "twice"]
 
 
-def test_figures_6_and_8_are_written_with_what_made_them(plan, tmp_path):
-    outcome = run_plan(replace(plan, corruptions=("clean",), limit=1), tmp_path)
-    blocks = write_pictures(outcome, tmp_path)
-    assert [block.name for block in blocks] == ["made-up/figure_6", "made-up/figure_8"]
-    for block in blocks:
+def test_figures_6_and_8_are_written_with_what_made_them(plan, teacher, tmp_path):
+    drawn = replace(plan, corruptions=("clean",), limit=2, pictures=Pictures(teacher=teacher, percentiles=(50,)))
+    outcome = run_plan(drawn, tmp_path)
+    figure_6, channels, figure_8 = blocks = write_pictures(outcome, tmp_path)
+    assert [block.name for block in blocks] == [f"made-up/{name}" for name in ("figure_6", "channels", "figure_8")]
+    for block in (figure_6, figure_8):
         with Image.open(tmp_path / block.picture) as image:
             assert json.loads(image.text["Description"])["settings"]["datasets"] == outcome.drives
+        assert "evaluated frames with true boxes that only helpers have points on" in block.text
+        assert take_shots(drawn, GRID)[0].title in block.text
+    assert "trained with the fusion 'none'" in figure_6.text
+    width = make_detector("dsrc").cls_head.in_channels
+    for name, method in (("baseline: plain", "attfuse"), ("student: DSRC", "dsrc")):
+        count = (~firing_channels(make_detector(method), spread_samples(drawn, GRID))).sum()
+        assert f"| {name} | {width} | {count} |" in channels.text
+    assert "| teacher |" in channels.text
+    assert all((tmp_path / table).is_file() for table in channels.tables)
     alone = make_plan(Path(plan.datasets[0].drives[0]).parent, {"late": [("late", 0)]}, corruptions=("clean",), limit=1)
     text = write_pictures(run_plan(alone, tmp_path / "alone"), tmp_path / "alone")[0].text
     assert text == "Figure 6 is left out: it needs a plain method with attention (attfuse).\n"

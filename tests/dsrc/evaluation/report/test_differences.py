@@ -89,7 +89,7 @@ def test_what_differs_is_resolved_and_what_does_not_is_not_claimed(table):
     assert all(one.resolved for one in by_pair["dsrc"] if one.condition in ("clean", "fog", "snow", "mean_corrupted"))
     assert not any(one.resolved for one in by_pair["late"] if one.condition == "mean_corrupted")
     claims = table.claims()
-    claimed = set(re.findall(r"([A-Z][a-z ]+|mCE) at (0\.\d)", claims.split("late − attfuse")[0]))
+    claimed = set(re.findall(r"[,:] (mCE|[a-z ]+) at (0\.\d)", claims.split("late − attfuse")[0]))
     resolved = [one for one in by_pair["dsrc"] if one.resolved]
     assert {iou for _, iou in claimed} == {"0.5", "0.7"} and len(claimed) == len(resolved)
     none = changed(table, differences=tuple(one for one in by_pair["late"] if not one.resolved))
