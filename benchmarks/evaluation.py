@@ -23,7 +23,7 @@ from shapely.geometry import Polygon
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from dsrc.evaluation.ap import SPACES, THRESHOLDS, FrameResult, average_precision, evaluate, metric_name
+from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, FrameResult, average_precision, evaluate, metric_name
 from dsrc.ops.detections import Detections
 from sim.boxes import Boxes
 

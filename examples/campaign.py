@@ -34,7 +34,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from dsrc.data.provenance import hash_file
-from dsrc.evaluation.report.files import write_atomic
+from dsrc.evaluation.files import write_atomic
 from dsrc.training.recipes import RECIPES, of_method
 
 FIRST, TEACHER, MAP_START = "first", "teacher", "map-start"

@@ -20,7 +20,7 @@ from scipy import stats
 from dsrc.data.drives import list_drives
 from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample
-from dsrc.evaluation.report.files import write_atomic
+from dsrc.evaluation.files import write_atomic
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate
 from dsrc.models.storage.checkpoint import load_detector, with_fusion

@@ -168,7 +168,7 @@ def test_every_stage_of_every_method_is_timed_and_counted_once(monkeypatch):
 
 def test_the_loop_over_polygons_finds_the_same_precisions():
     from benchmarks.evaluation import make_frames, shapely_metrics
-    from dsrc.evaluation.ap import evaluate
+    from dsrc.evaluation.metrics.ap import evaluate
 
     frames = make_frames(12)
     result = evaluate(frames)

@@ -14,6 +14,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import save_detector
 from dsrc.training.recipes import debug
 from tests.dsrc.data.toy import SETTINGS, ToySource
+from tests.paths import ROOT
 
 
 @pytest.fixture
@@ -118,7 +119,7 @@ def test_a_folder_that_cannot_be_is_told_without_an_empty_bar(capsys: pytest.Cap
 
 
 def test_a_scenario_with_a_typo_is_named_with_the_right_word(tmp_path: Path, refused: Callable[..., str]) -> None:
-    source = Path(__file__).parents[1] / "scenarios" / "four_way" / "scenario.toml"
+    source = ROOT / "scenarios" / "four_way" / "scenario.toml"
     path = tmp_path / "scenario.toml"
     path.write_text(source.read_text().replace("warmup_s", "warmpu_s"))
     line = refused("generate", path, "--out", tmp_path / "out")
@@ -131,7 +132,7 @@ def test_a_scenario_with_a_typo_is_named_with_the_right_word(tmp_path: Path, ref
 def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
     tmp_path: Path, refused: Callable[..., str]
 ) -> None:
-    source = Path(__file__).parents[1] / "scenarios" / "braunschweig" / "scenario.toml"
+    source = ROOT / "scenarios" / "braunschweig" / "scenario.toml"
     path = tmp_path / "scenario.toml"
     path.write_text(source.read_text().replace("opv2v-64", "opv2v-46"))
     for verb in (("scenarios", "show", path), ("generate", path, "--out", tmp_path / "out")):

@@ -12,8 +12,8 @@ import pytest
 
 from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != "look.py")
 SMALL = {
     "channel.py": (),

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.paths import ROOT
+
 ROOMS = ("sim", "sensors", "dsrc")
 MODULES = {
     path.relative_to(ROOT).with_suffix("").as_posix().removesuffix("/__init__").replace("/", "."): path
@@ -35,6 +36,7 @@ DOORS = {
 }
 FULL = {
     "sensors/corruptions": "one file per kind of corruption",
+    "sensors/corruptions/published": "one file per published model",
     "dsrc/models/fusion": "one file per method",
 }
 """Folders of more than a dozen modules, and why."""

@@ -1,15 +1,14 @@
 """The Python of the README runs, and what its comments say is true."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 
 from dsrc.data.write import generate
 from sensors.deskew import deskew
 from sim.boxes import Boxes
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 SIMULATED, SCANNED = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
 
 

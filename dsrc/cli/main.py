@@ -613,9 +613,9 @@ def benchmark(
         device: of the networks.
     """
     from dsrc.evaluation.config import available, plan_of
-    from dsrc.evaluation.plots.pictures import check_pictures, write_pictures
-    from dsrc.evaluation.report.files import write_atomic
+    from dsrc.evaluation.files import write_atomic
     from dsrc.evaluation.report.paper_tables import View, table_1
+    from dsrc.evaluation.report.pictures import check_pictures, write_pictures
     from dsrc.evaluation.report.report import publish, write_report
     from dsrc.evaluation.runner import run_plan
 

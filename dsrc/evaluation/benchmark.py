@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, open_drive
 from dsrc.data.sample import Sample, inside_range, make_sample
-from dsrc.evaluation.ap import FrameResult, Judged, join, judge, result_of
+from dsrc.evaluation.metrics.ap import FrameResult, Judged, join, judge, result_of
 from dsrc.evaluation.results import CLEAN, Row, make_row, summary_rows
 from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 
 from dsrc.data.provenance import hash_file, versions
-from dsrc.evaluation.ap import SPACES, THRESHOLDS, Judged
 from dsrc.evaluation.benchmark import Condition, Tally
-from dsrc.evaluation.report.files import write_atomic
+from dsrc.evaluation.files import write_atomic
+from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, Judged
 from sensors import corruptions as registry
 from sensors.corruptions import CLEAN
 from sim.errors import DataError, complaint
@@ -35,9 +35,9 @@ SOURCES = (
     "dsrc/models/channel.py",
     "sim/radio.py",
     "sim/radio_trace.py",
-    "dsrc/evaluation/ap.py",
+    "dsrc/evaluation/metrics/ap.py",
     "dsrc/evaluation/benchmark.py",
-    "dsrc/evaluation/matching.py",
+    "dsrc/evaluation/metrics/matching.py",
 )
 """Code that decides numbers: where it changes, cells are made anew."""
 

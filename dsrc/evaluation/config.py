@@ -139,7 +139,7 @@ class Pictures(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         teacher: detector file of DSRC's teacher, for the feature maps; "" leaves it out.
         methods: whose detections are drawn; empty: the first three and the last.
         percentiles: of frames by the number of true boxes that only helpers have points on, one frame for each, see
-            `dsrc.evaluation.plots.pictures.frames_at`.
+            `dsrc.evaluation.report.pictures.frames_at`.
         corruption: of the frames.
     """
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.evaluation.ap import EvalResult
-from dsrc.evaluation.robustness import mce, mean_ap
+from dsrc.evaluation.metrics.ap import EvalResult
+from dsrc.evaluation.metrics.robustness import mce, mean_ap
 
 CLEAN = "clean"
 MEAN_AP = "mean_ap"

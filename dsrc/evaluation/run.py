@@ -9,8 +9,8 @@ from rich.table import Table
 from dsrc.data.provenance import hash_file, provenance
 from dsrc.evaluation.benchmark import PAPER_TABLE, Method, Progress, corruption_kinds, run_benchmark
 from dsrc.evaluation.config import named
-from dsrc.evaluation.plots.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
-from dsrc.evaluation.report.files import result_table, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
+from dsrc.evaluation.files import result_table, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
+from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
 from dsrc.evaluation.results import Row
 from sensors.corruptions import Family
 from sim.errors import CheckpointError, SettingsError, complaint

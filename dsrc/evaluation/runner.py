@@ -20,7 +20,6 @@ from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import Report, open_executor
 from dsrc.data.provenance import hash_file
-from dsrc.evaluation.ap import metric_name, result_of
 from dsrc.evaluation.benchmark import Condition, Method, Tally, evaluate_drive, joined, places_of, warn_of_slow_drives
 from dsrc.evaluation.cache import (
     CellSettings,
@@ -33,7 +32,8 @@ from dsrc.evaluation.cache import (
     write_cell,
 )
 from dsrc.evaluation.config import Benchmark, Case, cases_of
-from dsrc.evaluation.intervals import Hits
+from dsrc.evaluation.metrics.ap import metric_name, result_of
+from dsrc.evaluation.metrics.intervals import Hits
 from dsrc.evaluation.results import Row, make_row
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings

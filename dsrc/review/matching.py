@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.evaluation.matching import match as match_by_score
+from dsrc.evaluation.metrics.matching import match as match_by_score
 from dsrc.ops.detections import Detections
 from dsrc.ops.iou import bev_iou
 from sim.boxes import Boxes

@@ -14,7 +14,7 @@ import msgspec
 import torch
 
 from dsrc.data.provenance import commit, versions
-from dsrc.evaluation.plots.plots import png_bytes, training_curves
+from dsrc.evaluation.plots import png_bytes, training_curves
 
 LOG = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, distributed
 from torch.optim.lr_scheduler import LambdaLR
 
-from dsrc.evaluation.ap import FrameResult
+from dsrc.evaluation.metrics.ap import FrameResult
 from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.layers.encoder import Pillars

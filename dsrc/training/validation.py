@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 
 import torch
 
-from dsrc.evaluation.ap import FrameResult, evaluate
-from dsrc.evaluation.heading_accuracy import heading_share
+from dsrc.evaluation.metrics.ap import FrameResult, evaluate
+from dsrc.evaluation.metrics.heading_accuracy import heading_share
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import Batch
 

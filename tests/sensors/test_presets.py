@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
@@ -11,6 +9,7 @@ from sensors.presets.tables import FOLDER, full_divergence
 from sensors.spec import LidarSpec
 from sim.catalog.load import list_scenarios, load_scenario
 from sim.errors import SettingsError
+from tests.paths import ROOT
 
 REAL = sorted(path.stem for path in FOLDER.glob("*.csv"))
 FIRED_IN_TURN = sorted(name for name in REAL if get_lidar(name).firing_s)
@@ -204,7 +203,7 @@ def test_a_typo_in_a_preset_name_gets_the_nearest_name():
 
 
 def test_the_table_in_the_documentation_is_of_today():
-    path = Path(__file__).parents[2] / "docs" / "lidar_presets.md"
+    path = ROOT / "docs" / "lidar_presets.md"
     assert path.read_text() == document(), "python -m sensors.presets > docs/lidar_presets.md"
 
 

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,8 +7,8 @@ from shapely.geometry import Polygon
 
 from sim.boxes import CLASSES, Boxes, concatenate
 from sim.geometry import carla_matrix, invert, pose_angles, pose_matrix, transform_points
+from tests.paths import GOLDENS
 
-GOLDENS = Path(__file__).parents[1] / "fixtures" / "goldens"
 HWL = [0, 1, 2, 5, 4, 3, 6]
 """Columns of a reference box (h, w, l) in our order."""
 

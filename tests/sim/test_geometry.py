@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,8 +16,9 @@ from sim.geometry import (
     transform_points,
     wrap_angle,
 )
+from tests.paths import GOLDENS
 
-GOLDEN = np.load(Path(__file__).parents[1] / "fixtures" / "goldens" / "coords.npz")
+GOLDEN = np.load(GOLDENS / "coords.npz")
 
 angle = st.floats(-10, 10)
 place = st.tuples(st.floats(-1000, 1000), st.floats(-1000, 1000), st.floats(-50, 50))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.evaluation.config import DifferenceSpec
-from dsrc.evaluation.intervals import (
+from dsrc.evaluation.metrics.intervals import (
     IOUS,
     LEVEL,
     RESAMPLES,
@@ -21,8 +21,8 @@ from dsrc.evaluation.intervals import (
     percentile_interval,
 )
 from dsrc.evaluation.report.paper_tables import View, made_of
-from dsrc.evaluation.report.table import Stat, markdown_table
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_CORRUPTED, condition_title
+from dsrc.evaluation.table import Stat, markdown_table
 
 SEED = 0
 """Of the resamples: the same rows have the same intervals."""

@@ -12,12 +12,12 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from dsrc.evaluation.ap import metric_name
 from dsrc.evaluation.config import Case, Note
-from dsrc.evaluation.report.table import Column, Line, Sheet, Stat
+from dsrc.evaluation.metrics.ap import metric_name
+from dsrc.evaluation.metrics.robustness import mce, mean_ap
 from dsrc.evaluation.results import CLEAN, Row, condition_title
-from dsrc.evaluation.robustness import mce, mean_ap
 from dsrc.evaluation.runner import VISIBILITY, Entry, Outcome, Trained
+from dsrc.evaluation.table import Column, Line, Sheet, Stat
 from dsrc.models.settings import ModelSettings
 from sensors.corruptions import Family
 from sim.radio import IDEAL

@@ -5,9 +5,9 @@ say in issue 2 of their repository. mCE is computed here from its numbers by its
 clean and corrupted frames.
 """
 
-from dsrc.evaluation.report.table import Column, Line, Sheet, Stat
+from dsrc.evaluation.metrics.robustness import mce, mean_ap
 from dsrc.evaluation.results import condition_title
-from dsrc.evaluation.robustness import mce, mean_ap
+from dsrc.evaluation.table import Column, Line, Sheet, Stat
 from sensors.corruptions import PAPER_SIX
 
 _TABLE_1 = """

@@ -14,7 +14,9 @@ import msgspec
 from matplotlib.figure import Figure
 
 from dsrc.data.provenance import commit, versions
-from dsrc.evaluation.plots.plots import (
+from dsrc.evaluation.files import write_atomic
+from dsrc.evaluation.metrics.robustness import mce, mean_ap
+from dsrc.evaluation.plots import (
     Look,
     bars_of_sheet,
     corruption_bars,
@@ -28,7 +30,6 @@ from dsrc.evaluation.plots.plots import (
     traffic_scatter,
 )
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
-from dsrc.evaluation.report.files import write_atomic
 from dsrc.evaluation.report.paper_tables import (
     NAMES,
     View,
@@ -39,10 +40,9 @@ from dsrc.evaluation.report.paper_tables import (
     corruption_sheets,
 )
 from dsrc.evaluation.report.published import paper_sheets
-from dsrc.evaluation.report.table import Sheet, Stat
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row
-from dsrc.evaluation.robustness import mce, mean_ap
 from dsrc.evaluation.runner import Entry, Outcome
+from dsrc.evaluation.table import Sheet, Stat
 from sensors.corruptions import Family
 from sim.errors import DataError, complaint
 

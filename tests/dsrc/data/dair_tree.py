@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.dsrc.data.test_pcd import compressed
+
+from tests.dsrc.data.formats.test_pcd import compressed
 
 TYPES = ("Car", "truck", "Van")
 SIZES = np.array([[4.5, 1.8, 1.5], [8.0, 2.5, 3.2], [5.0, 2.0, 2.2]])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
-GOLDENS = Path(__file__).parents[2] / "fixtures" / "goldens"
+from tests.paths import GOLDENS
 
 
 def load(name: str) -> NpzFile:

@@ -14,8 +14,8 @@ from dsrc.data.simulate import TRAFFIC_LOG, WORLD
 from dsrc.data.write import DriveSpec, make_drive
 from sim.catalog.load import list_scenarios
 from sim.traffic.log import TrafficLog
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parents[3]
 SAME_SITE = {"research_junction": "braunschweig", "motorway_a10": "koenigs_wusterhausen"}
 """Places that are parts of one town or one junction."""
 

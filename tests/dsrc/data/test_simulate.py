@@ -25,10 +25,10 @@ from sim.traffic.log import TrafficLog
 from sim.traffic.open import open_traffic
 from sim.world.world_file import load_world
 from tests.dsrc.data.toy import same_frames
+from tests.paths import ROOT
 
 pytest.importorskip("sim.world.build")
 pytest.importorskip("sim.bodies.choice")
-ROOT = Path(__file__).parents[3]
 FRAMES = 3
 
 

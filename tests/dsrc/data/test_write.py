@@ -13,8 +13,7 @@ from dsrc.data.write import write_drive
 from sensors.deskew import deskew_frame
 from sim.errors import DataError
 from tests.dsrc.data.toy import SETTINGS, ToySource, same_frames, toy_frame
-
-ROOT = Path(__file__).parents[3]
+from tests.paths import ROOT
 
 
 def tree(folder: Path) -> dict[str, bytes]:

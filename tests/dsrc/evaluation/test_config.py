@@ -8,8 +8,9 @@ from dsrc.evaluation.benchmark import Condition
 from dsrc.evaluation.config import available, cases_of, plan_of, read_benchmark
 from dsrc.training.recipes import METHODS
 from sim.errors import SettingsError
+from tests.paths import ROOT
 
-SHIPPED = Path(__file__).parents[3] / "docs" / "results" / "dsrc-sim-small" / "benchmark.toml"
+SHIPPED = ROOT / "docs" / "results" / "dsrc-sim-small" / "benchmark.toml"
 
 GOOD = """
 name = "small"

@@ -19,6 +19,7 @@ from dsrc.models.storage.checkpoint import load_student
 from sim.errors import CheckpointError, DataError, SettingsError
 from sim.radio import PRESETS
 from tests.dsrc.evaluation.small import make_plan, write_detector, write_drives
+from tests.paths import ROOT
 
 TWO = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "alone": [("no-collaboration", 0)]}
 
@@ -236,7 +237,7 @@ def test_cells_that_are_damaged_are_made_anew_to_the_same_bytes(done, plan, root
 
 
 def test_code_that_changes_has_cells_of_its_own(tmp_path):
-    assert all((Path(__file__).parents[3] / source).exists() for source in SOURCES)
+    assert all((ROOT / source).exists() for source in SOURCES)
     code = {source if source.endswith(".py") else f"{source}/a/b.py" for source in SOURCES}
     for path in code:
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)

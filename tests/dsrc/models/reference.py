@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,8 @@ from numpy.typing import NDArray
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parents[3]
 FIXTURES = ROOT / "tests/fixtures/goldens/models"
 GOLDENS = ROOT.parent / "shared/goldens/models"
 

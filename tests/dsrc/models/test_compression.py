@@ -3,7 +3,6 @@
 import pytest
 import torch
 from msgspec.structs import replace
-from tests.dsrc.models.test_deploy import AGENTS, a_detector, some_pillars
 
 from dsrc.models.channel import payload_of
 from dsrc.models.compression import best_tiles, rounded, tiles, tiles_sent
@@ -11,6 +10,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, Company
 from dsrc.training.recipes import debug
 from sim.radio import PRESETS
+from tests.dsrc.models.storage.test_deploy import AGENTS, a_detector, some_pillars
 
 SENDING = sorted(set(FUSIONS) - {"none", "early", "late", "mrcnet"})
 

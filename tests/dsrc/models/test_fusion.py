@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from tests.dsrc.models.test_deploy import AGENTS, a_detector, some_pillars
 from torch import nn
 
 from dsrc.models.fusion import FUSIONS, Company, Fusion
@@ -20,6 +19,7 @@ from dsrc.models.layers.backbones import plain
 from dsrc.models.layers.blocks import upsample
 from dsrc.models.settings import ModelSettings
 from tests.dsrc.models.reference import golden, matching, state
+from tests.dsrc.models.storage.test_deploy import AGENTS, a_detector, some_pillars
 from tests.dsrc.models.weights import stirred
 
 SIZES = ModelSettings(stage_channels=(16, 16, 16), shrink_channels=16, decoder_channels=16)

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -7,8 +5,9 @@ from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.grid import GridSpec
 from sim.errors import SettingsError
+from tests.paths import GOLDENS
 
-GOLDEN = Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "anchors.npz"
+GOLDEN = GOLDENS / "models" / "anchors.npz"
 GRIDS = {
     "full_stride2": (GridSpec(), 2),
     "small_stride2": (GridSpec(range_m=(-25.6, -12.8, -3, 25.6, 12.8, 1)), 2),

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import torch
 from hypothesis import given
@@ -9,8 +7,9 @@ from hypothesis.extra.numpy import arrays
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, decode, encode
 from dsrc.ops.grid import GridSpec
+from tests.paths import GOLDENS
 
-GOLDEN = Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "targets.npz"
+GOLDEN = GOLDENS / "models" / "targets.npz"
 ANCHORS = anchor_grid(GridSpec(range_m=(-25.6, -12.8, -3, 25.6, 12.8, 1)))
 
 boxes = arrays(np.float64, (5, 7), elements=st.floats(0.1, 50.0))

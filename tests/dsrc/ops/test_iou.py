@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,8 +6,9 @@ from shapely.geometry import Polygon
 
 from dsrc.ops.iou import bev_iou, iou_3d
 from sim.boxes import Boxes
+from tests.paths import GOLDENS
 
-GOLDEN = np.load(Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "rotated_iou.npz")
+GOLDEN = np.load(GOLDENS / "models" / "rotated_iou.npz")
 
 box = st.tuples(
     st.floats(-5, 5), st.floats(-5, 5), st.floats(-1, 1),

@@ -1,12 +1,12 @@
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dsrc.ops.pillars import dense_voxels, voxelise
+from tests.paths import GOLDENS
 
-GOLDEN = Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "voxeliser.npz"
+GOLDEN = GOLDENS / "models" / "voxeliser.npz"
 SMALL = (-8, -4.8, -3, 8, 4.8, 1)
 CASES = {
     "plain": (SMALL, (0.4, 0.4, 4), 32, 32000),

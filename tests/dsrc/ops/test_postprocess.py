@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -9,8 +7,9 @@ from dsrc.ops.coding import REFERENCE_ORDER, encode
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.postprocess import PostSettings, candidates, decode_detections, select
 from sim.boxes import Boxes, concatenate
+from tests.paths import GOLDENS
 
-GOLDEN = np.load(Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "postprocess.npz")
+GOLDEN = np.load(GOLDENS / "models" / "postprocess.npz")
 ANCHORS = anchor_grid(GridSpec(range_m=(-25.6, -12.8, -3, 25.6, 12.8, 1)))
 RELEASED = PostSettings(range_m=(-140, -40, -3, 140, 40, 1), max_extent_m=6.0)
 

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -7,8 +5,9 @@ from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, decode
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.targets import assign_targets
+from tests.paths import GOLDENS
 
-GOLDEN = np.load(Path(__file__).parents[2] / "fixtures" / "goldens" / "models" / "targets.npz")
+GOLDEN = np.load(GOLDENS / "models" / "targets.npz")
 ANCHORS = anchor_grid(GridSpec(range_m=(-25.6, -12.8, -3, 25.6, 12.8, 1)))
 
 

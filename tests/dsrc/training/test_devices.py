@@ -17,8 +17,7 @@ from sim.errors import SettingsError
 from tests.dsrc.training.drive import write_drive
 from tests.dsrc.training.runs import StillNorms, tiny
 from tests.dsrc.training.shared_batch import RECIPE
-
-ROOT = Path(__file__).parents[3]
+from tests.paths import ROOT
 
 
 def test_two_devices_share_the_batches_of_one() -> None:

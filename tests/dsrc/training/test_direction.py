@@ -9,8 +9,8 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.data.sample import make_sample
-from dsrc.evaluation.ap import FrameResult
-from dsrc.evaluation.heading_accuracy import heading_share
+from dsrc.evaluation.metrics.ap import FrameResult
+from dsrc.evaluation.metrics.heading_accuracy import heading_share
 from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import collate
 from dsrc.models.storage.checkpoint import load_detector, save_detector

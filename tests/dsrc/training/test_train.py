@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.provenance import hash_file
 from dsrc.data.sample import make_sample
-from dsrc.evaluation.ap import FrameResult, evaluate
+from dsrc.evaluation.metrics.ap import FrameResult, evaluate
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector

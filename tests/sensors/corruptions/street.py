@@ -7,9 +7,10 @@ import pytest
 
 from sensors.spec import LidarSpec
 from sensors.sweep import POINT_FIELDS, Sweep, make_sweep
+from tests.paths import GOLDENS, ROOT
 
-FIXTURES = Path(__file__).parents[2] / "fixtures" / "goldens" / "corruptions"
-SHARED = Path(__file__).parents[4] / "shared" / "goldens" / "corruptions"
+FIXTURES = GOLDENS / "corruptions"
+SHARED = ROOT.parent / "shared" / "goldens" / "corruptions"
 
 
 def spinning(rings: int = 64, columns: int = 360, **changes: object) -> LidarSpec:

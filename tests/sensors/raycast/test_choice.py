@@ -10,7 +10,6 @@ import threading
 import time
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -27,9 +26,9 @@ from sensors.scan.lidar import Sensor, scan, scan_all
 from sensors.scan.scene import RayScene
 from sim.errors import SettingsError
 from sim.geometry import pose_matrix
+from tests.paths import ROOT
 from tests.sensors.fakes import box, box_body, cars, ground
 
-ROOT = Path(__file__).parents[3]
 SENSOR = pose_matrix([0.0, 0.0, 1.9])
 
 

@@ -20,7 +20,7 @@ from sim.errors import ScenarioError
 from sim.scenario import ConflictSpec
 from sim.traffic.open import open_traffic
 from sim.world.build import build_world
-from tests.sim.test_conflicts import encounter
+from tests.sim.encounters.test_encounters import encounter
 
 SEEDS = (1, 2, 3)
 

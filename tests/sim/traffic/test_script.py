@@ -12,7 +12,7 @@ from sim.geometry import wrap_angle
 from sim.traffic.base import SIGNALS
 from sim.traffic.open import open_traffic
 from sim.traffic.script import FIRST_ID, ScriptedTraffic
-from tests.sim.test_conflicts import encounter
+from tests.sim.encounters.test_encounters import encounter
 
 EGO, CONFLICT = FIRST_ID, FIRST_ID + 1
 SEED, STEP = 2, 0.1

@@ -18,7 +18,7 @@ from sim.roads.tools import sumo_home
 from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit
 from sim.world.build import MARGIN_M, build_world
 from sim.world.roads.streets import read_streets
-from tests.sim.places.places import MOTORWAYS, PLACES, at_hand
+from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand
 
 SOLID = ("brick", "plaster", "concrete", "roof", "glass", "metal", "dark_metal", "hedge", "bark", "leaves", "kerb")
 OF_SUMO = [name for name in list_scenarios() if not load_scenario(name).network.highway_env]

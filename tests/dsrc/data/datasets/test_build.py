@@ -18,8 +18,8 @@ from dsrc.data.datasets.spec import expand, find_split_file, read_dataset
 from dsrc.data.drive_folder import locked
 from sim.catalog.load import ROOT as SCENARIOS
 from sim.errors import DataError, ScenarioError, SettingsError, UserError
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parents[3]
 SMALL = """
 name = "small"
 [[split.train]]

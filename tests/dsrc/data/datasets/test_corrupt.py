@@ -18,8 +18,7 @@ from dsrc.data.write import write_drive
 from sensors.corruptions import corrupt_frame, drive_seed
 from sim.errors import DataError, SettingsError
 from tests.dsrc.data.toy import SETTINGS, ToySource, same_frames
-
-ROOT = Path(__file__).parents[3]
+from tests.paths import ROOT
 
 
 def tree(folder: Path) -> dict[str, bytes]:

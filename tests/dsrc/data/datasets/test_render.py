@@ -15,8 +15,7 @@ from dsrc.data.write import DriveSpec, make_drive
 from sim.catalog.load import load_scenario
 from sim.errors import DataError, ScenarioError, SettingsError
 from sim.scenario import Scenario
-
-ROOT = Path(__file__).parents[3]
+from tests.paths import ROOT
 
 
 def quick() -> Scenario:

@@ -10,19 +10,19 @@ from dataclasses import replace as changed
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from tests.dsrc.evaluation.test_paper_tables import outcome_of
 
-from dsrc.evaluation.ap import result_of
 from dsrc.evaluation.config import DifferenceSpec, Note, Sweeps
-from dsrc.evaluation.intervals import Hits
-from dsrc.evaluation.plots.plots import difference_dots
+from dsrc.evaluation.metrics.ap import result_of
+from dsrc.evaluation.metrics.intervals import Hits
+from dsrc.evaluation.metrics.robustness import mce
+from dsrc.evaluation.plots import difference_dots
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
 from dsrc.evaluation.report.paper_tables import View
 from dsrc.evaluation.report.report import write_report
-from dsrc.evaluation.robustness import mce
 from dsrc.evaluation.runner import Outcome, run_plan
+from tests.dsrc.evaluation.metrics.test_intervals import judged_of
+from tests.dsrc.evaluation.report.test_paper_tables import outcome_of
 from tests.dsrc.evaluation.small import make_plan, write_drives
-from tests.dsrc.evaluation.test_intervals import judged_of
 
 SKILL = {"dsrc": 0.8, "attfuse": 0.6, "late": 0.6}
 LOSS = {"clean": 0.0, "fog": 0.1, "snow": 0.4}

@@ -26,9 +26,9 @@ from dsrc.evaluation.report.paper_tables import (
     table_4,
 )
 from dsrc.evaluation.report.report import publish, write_report
-from dsrc.evaluation.report.table import Stat
 from dsrc.evaluation.results import Row
 from dsrc.evaluation.runner import Entry, Outcome, Trained
+from dsrc.evaluation.table import Stat
 from dsrc.training.recipes import METHODS, debug, of_method
 
 # Table 1 of the paper, OPV2V, AP at IoU 0.5 and 0.7 in percent: clean and the six.

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
-from tests.dsrc.models.test_deploy import a_detector
 
 from dsrc.models.fusion import Company
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.storage.export import INPUTS, export_onnx
 from sim.errors import SettingsError
+from tests.dsrc.models.storage.test_deploy import a_detector
 
 
 def pillars_with(detector, agents, points):

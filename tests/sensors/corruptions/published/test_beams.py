@@ -18,7 +18,7 @@ from sensors.corruptions.published.beams import (
     missing_rings,
 )
 from sim.errors import SettingsError
-from tests.sensors.corruptions.paper.goldens import agrees, arrays, by_range, cloud, mask, table
+from tests.sensors.corruptions.published.goldens import agrees, arrays, by_range, cloud, mask, table
 from tests.sensors.corruptions.street import same, spinning, street
 
 SEEDS = range(20)

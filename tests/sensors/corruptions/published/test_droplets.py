@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sensors.corruptions.published.droplets import ICE, WATER, efficiency, extinction, sizes_of
-from tests.sensors.corruptions.paper.goldens import arrays
+from tests.sensors.corruptions.published.goldens import arrays
 
 
 @pytest.mark.parametrize(("law", "name"), [("marshall_palmer", "rain"), ("gunn_marshall", "snow")])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sensors.corruptions.published.echo import APERTURE, PEAK_W, TARGET_BACKSCATTER, hard_power, overlap, soft_integral
-from tests.sensors.corruptions.paper.goldens import arrays, table
+from tests.sensors.corruptions.published.goldens import arrays, table
 
 
 def test_the_constants_are_the_published_ones() -> None:

@@ -26,7 +26,7 @@ from sensors.corruptions.published.fog import (
 )
 from sensors.sweep import ADDED, ATTENUATED, POINT_FIELDS, SCATTERED
 from sim.errors import SettingsError
-from tests.sensors.corruptions.paper.goldens import agrees, arrays, cloud, mask, table
+from tests.sensors.corruptions.published.goldens import agrees, arrays, cloud, mask, table
 from tests.sensors.corruptions.street import on_a_ray, same, spinning, street
 
 # alpha -> range of the peak (m) and integral (1e-9 s/m^2) beyond 4.8 m, as read from the published tables.

@@ -13,7 +13,7 @@ from sensors.corruptions.published.ground import (
     noise_floor,
     noise_line,
 )
-from tests.sensors.corruptions.paper.goldens import arrays, cloud, table
+from tests.sensors.corruptions.published.goldens import arrays, cloud, table
 
 CLOUDS = ("synth16", "synth64", "synth64_carla_intensity")
 

@@ -9,7 +9,7 @@ import pytest
 from sensors.corruptions.physics.levels import PAPER, SEVERITIES
 from sensors.corruptions.published import incomplete_echo
 from sensors.corruptions.published.incomplete_echo import PUBLISHED, SEMANTIC_KITTI, IncompleteEcho, remaining
-from tests.sensors.corruptions.paper.goldens import agrees, arrays, by_range, table
+from tests.sensors.corruptions.published.goldens import agrees, arrays, by_range, table
 from tests.sensors.corruptions.street import same, spinning, street
 
 

@@ -24,7 +24,7 @@ from sensors.corruptions.published.points import (
     shaken,
 )
 from sensors.sweep import ADDED, KEPT, MOVED, POINT_FIELDS, SCATTERED, UNKNOWN_MATERIAL, Sweep
-from tests.sensors.corruptions.paper.goldens import agrees, arrays, by_range, cloud, equals, table
+from tests.sensors.corruptions.published.goldens import agrees, arrays, by_range, cloud, equals, table
 from tests.sensors.corruptions.street import same, spinning, street
 
 SEEDS, OTHER_SEEDS = range(20), range(100, 120)

@@ -7,7 +7,7 @@ from sensors.corruptions.physics.levels import PAPER, SEVERITIES
 from sensors.corruptions.published.rain import DROP, LOST, PUBLISHED, TARGET, Rain, Rained, corrupt, rained
 from sensors.sweep import ADDED, ATTENUATED, POINT_FIELDS, SCATTERED
 from sim.errors import SettingsError
-from tests.sensors.corruptions.paper.goldens import agrees, arrays, cloud, table
+from tests.sensors.corruptions.published.goldens import agrees, arrays, cloud, table
 from tests.sensors.corruptions.street import on_a_ray, rows_of, same, spinning, street
 
 EDGES_M = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)

@@ -6,7 +6,7 @@ import pytest
 from sensors.corruptions.published.rings import RING_SOURCES, azimuth_wrap, elevation_bin, k_means, rings_from
 from sensors.sweep import make_sweep
 from sim.errors import DataError
-from tests.sensors.corruptions.paper.goldens import arrays, cloud
+from tests.sensors.corruptions.published.goldens import arrays, cloud
 from tests.sensors.corruptions.street import spinning, street
 
 

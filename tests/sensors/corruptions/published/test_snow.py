@@ -24,7 +24,7 @@ from sensors.corruptions.published.snow import (
 from sensors.corruptions.published.snow_discs import disc_sample
 from sensors.sweep import ADDED, ATTENUATED, KEPT, POINT_FIELDS, SCATTERED
 from sim.errors import DataError, SettingsError
-from tests.sensors.corruptions.paper.goldens import cloud, table
+from tests.sensors.corruptions.published.goldens import cloud, table
 from tests.sensors.corruptions.street import on_a_ray, rows_of, same, shared, spinning, street
 
 SNOWS = {"light": (0.5, 2.0), "moderate": (1.0, 1.6), "heavy": (2.5, 1.6)}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sensors.corruptions.published.snow_beams import Shares, shares_of
-from tests.sensors.corruptions.paper.goldens import arrays
+from tests.sensors.corruptions.published.goldens import arrays
 
 
 def one(discs: list[tuple[float, float, float]], azimuth: float = 1.0, target: float = 50.0, **how: bool) -> Shares:

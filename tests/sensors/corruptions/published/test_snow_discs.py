@@ -12,7 +12,7 @@ from sensors.corruptions.published.snow_discs import (
     sample_discs,
     size_rate,
 )
-from tests.sensors.corruptions.paper.goldens import arrays, table
+from tests.sensors.corruptions.published.goldens import arrays, table
 
 SNOWS = {"light": (0.5, 2.0), "moderate": (1.0, 1.6), "heavy": (2.5, 1.6)}
 

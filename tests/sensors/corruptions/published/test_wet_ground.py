@@ -10,7 +10,7 @@ from sensors.corruptions.published.ground import Ground, Plane, fit_plane, groun
 from sensors.corruptions.published.wet_ground import AIR, PUBLISHED, WATER, WetGround, corrupt, film, fresnel, wetted
 from sensors.sweep import ATTENUATED, KEPT, POINT_FIELDS
 from sim.errors import SettingsError
-from tests.sensors.corruptions.paper.goldens import arrays, by_range, cloud, mask, table
+from tests.sensors.corruptions.published.goldens import arrays, by_range, cloud, mask, table
 from tests.sensors.corruptions.street import rows_of, same, spinning, street
 
 GROUND_LABELS = (40, 44, 48, 49)

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.evaluation.matching import first_come
+from dsrc.evaluation.metrics.matching import first_come
 from dsrc.ops.detections import Detections
 from dsrc.ops.iou import bev_iou, paired_volume_iou
 from sim.boxes import Boxes

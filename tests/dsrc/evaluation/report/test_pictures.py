@@ -17,7 +17,8 @@ from PIL import Image
 from dsrc.__main__ import main
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.config import Pictures
-from dsrc.evaluation.plots.pictures import (
+from dsrc.evaluation.plots import png_bytes
+from dsrc.evaluation.report.pictures import (
     AGENT,
     FOUND,
     HELPED,
@@ -35,7 +36,6 @@ from dsrc.evaluation.plots.pictures import (
     take_shots,
     write_pictures,
 )
-from dsrc.evaluation.plots.plots import png_bytes
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate

@@ -6,14 +6,7 @@ import math
 import pytest
 from rich.console import Console
 
-from dsrc.evaluation.report.files import (
-    result_table,
-    rows_from_json,
-    rows_to_csv,
-    rows_to_json,
-    timings_to_csv,
-    write_atomic,
-)
+from dsrc.evaluation.files import result_table, rows_from_json, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
 from dsrc.evaluation.results import MCE, Row, conditions_of, find_row, methods_of, summary_rows
 
 MADE_BY = {"seed": 3, "settings": {"severity": 3}, "versions": {"numpy": "2"}}

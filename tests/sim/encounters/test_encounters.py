@@ -1,7 +1,6 @@
 """Encounters: every kind is laid out on its lanes, draws are reproducible, controls take away what they say."""
 
 import math
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -17,6 +16,7 @@ from sim.errors import ScenarioError
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import AgentRule, ConflictSpec, Scenario
 from sim.world.roads.streets import read_streets
+from tests.paths import ROOT
 
 
 def encounter(kind: str, **conflict) -> Scenario:
@@ -79,7 +79,7 @@ def test_motor_vehicles_stay_on_the_road_and_nothing_stands_in_their_way(kind: s
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_documents_tell_its_parameters_and_show_it(kind: str) -> None:
-    docs = Path(__file__).parents[2] / "docs"
+    docs = ROOT / "docs"
     text = (docs / "scenarios.md").read_text()
     section = text.split(f"### `{kind}`")[1].split("### `")[0]
     for parameter in KINDS[kind].parameters:

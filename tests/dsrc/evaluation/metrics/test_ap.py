@@ -1,12 +1,11 @@
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dsrc.evaluation.ap import (
+from dsrc.evaluation.metrics.ap import (
     FrameResult,
     average_precision,
     envelope,
@@ -17,12 +16,13 @@ from dsrc.evaluation.ap import (
     precision_recall,
     result_of,
 )
-from dsrc.evaluation.matching import match
+from dsrc.evaluation.metrics.matching import match
 from dsrc.ops.detections import Detections
 from dsrc.ops.iou import bev_iou, iou_3d
 from sim.boxes import Boxes
+from tests.paths import GOLDENS as ALL_GOLDENS
 
-GOLDENS = Path(__file__).parents[2] / "fixtures" / "goldens" / "models"
+GOLDENS = ALL_GOLDENS / "models"
 
 
 def boxes_from_corners(corners):

@@ -24,7 +24,7 @@ from sim.traffic.sumo.traffic import SumoTraffic
 from sim.world.build import MARGIN_M, build_world
 from sim.world.buildings.footprints import outlined
 from sim.world.roads.streets import read_streets
-from tests.sim.places.places import MOTORWAYS, PLACES, at_hand, every
+from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand, every
 
 LATERAL_M, YAW_DEGPS, DEEP_M = 0.25, 120.0, 0.15
 TOUCHING = 0.1

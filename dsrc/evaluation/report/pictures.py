@@ -22,13 +22,13 @@ from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.sample import Sample, make_sample
 from dsrc.evaluation.benchmark import Condition, corrupted, places_of
 from dsrc.evaluation.config import Benchmark
-from dsrc.evaluation.matching import match
-from dsrc.evaluation.plots.plots import COLORS, panels, png_bytes, styled
-from dsrc.evaluation.report.files import write_atomic
+from dsrc.evaluation.files import write_atomic
+from dsrc.evaluation.metrics.matching import match
+from dsrc.evaluation.plots import COLORS, panels, png_bytes, styled
 from dsrc.evaluation.report.paper_tables import PAPER_SEVERITY, View
 from dsrc.evaluation.report.report import Block, provenance_of, slug
-from dsrc.evaluation.report.table import Column, Line, Sheet, Stat
 from dsrc.evaluation.runner import Outcome, Trained, load_used
+from dsrc.evaluation.table import Column, Line, Sheet, Stat
 from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import collate
 from dsrc.models.inputs.labels import cells_in_boxes

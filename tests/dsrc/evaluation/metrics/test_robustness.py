@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from dsrc.evaluation.robustness import corruption_errors, mce, mean_ap
+from dsrc.evaluation.metrics.robustness import corruption_errors, mce, mean_ap
 
 KINDS = ("beam_missing", "motion_blur", "fog", "snow", "crosstalk", "cross_sensor")
 # Table 1 of the paper, OPV2V: clean and the six corruptions, AP at IoU 0.5 and 0.7 in percent.

@@ -6,8 +6,8 @@ import pytest
 from matplotlib.colors import to_hex
 from PIL import Image
 
-from dsrc.evaluation.ap import FrameResult, evaluate
-from dsrc.evaluation.plots.plots import (
+from dsrc.evaluation.metrics.ap import FrameResult, evaluate
+from dsrc.evaluation.plots import (
     COLORS,
     apart,
     bars_of_sheet,
@@ -22,8 +22,8 @@ from dsrc.evaluation.plots.plots import (
     traffic_scatter,
     training_curves,
 )
-from dsrc.evaluation.report.table import Column, Line, Sheet, Stat
 from dsrc.evaluation.results import Row, make_row, summary_rows
+from dsrc.evaluation.table import Column, Line, Sheet, Stat
 from dsrc.ops.detections import Detections
 from sim.boxes import Boxes
 

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from dsrc.evaluation.report.table import Column, Line, Sheet, Stat
+from dsrc.evaluation.table import Column, Line, Sheet, Stat
 
 
 def printed(sheet: Sheet, columns: int) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from dsrc.evaluation.ap import metric_name
+from dsrc.evaluation.metrics.ap import metric_name
 from dsrc.evaluation.results import MCE, MEAN_AP, Row, condition_title, conditions_of, find_row, methods_of
 
 _COLUMNS = (

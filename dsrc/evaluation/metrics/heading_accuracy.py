@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dsrc.evaluation.ap import FrameResult, judge
+from dsrc.evaluation.metrics.ap import FrameResult, judge
 
 RIGHT_RAD = np.pi / 4
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from dsrc.evaluation.matching import match
+from dsrc.evaluation.metrics.matching import match
 
 
 def test_the_more_confident_detection_takes_the_truth():

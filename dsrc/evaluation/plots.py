@@ -21,10 +21,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from dsrc.evaluation.ap import Space, envelope, metric_name
-from dsrc.evaluation.intervals import IOUS, Difference
-from dsrc.evaluation.report.table import Sheet, Stat
+from dsrc.evaluation.metrics.ap import Space, envelope, metric_name
+from dsrc.evaluation.metrics.intervals import IOUS, Difference
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row, condition_title, conditions_of, find_row, methods_of
+from dsrc.evaluation.table import Sheet, Stat
 
 COLORS = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#6B6B6B",

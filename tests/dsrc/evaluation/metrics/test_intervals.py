@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dsrc.evaluation.ap import Judged, join, judge, result_of
-from dsrc.evaluation.intervals import Hits, Interval, average_precisions, draw_weights, percentile_interval
-from tests.dsrc.evaluation.test_ap import random_frames
+from dsrc.evaluation.metrics.ap import Judged, join, judge, result_of
+from dsrc.evaluation.metrics.intervals import Hits, Interval, average_precisions, draw_weights, percentile_interval
+from tests.dsrc.evaluation.metrics.test_ap import random_frames
 
 
 def difference(a: Hits, b: Hits, group, seed=0, count=400) -> Interval:

@@ -7,7 +7,7 @@ of all frames in the order of falling confidence, in frame f(k), hit (h_k = 1) o
     TP_k = sum over j <= k of w_f(j) h_j        n_k = sum over j <= k of w_f(j)
     AP = sum over k of w_f(k) h_k (max over j >= k of TP_j / n_j) / sum over f of w_f N_f
 
-This is the area under the envelope of `dsrc.evaluation.ap`, of each frame copied w_f times; only hits need be looked
+This is the area under the envelope of `dsrc.evaluation.metrics.ap`, of each frame copied w_f times; only hits need be looked
 at, for precision falls from one to the next. The interval of a difference lies between two quantiles of its values
 over the resamples, and both methods are evaluated on the same resamples.
 
@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from dsrc.evaluation.ap import Judged
-from dsrc.evaluation.report.table import Stat
+from dsrc.evaluation.metrics.ap import Judged
+from dsrc.evaluation.table import Stat
 
 RESAMPLES = 1000
 _CHUNK = 64  # resamples whose arrays stay in a core's cache
