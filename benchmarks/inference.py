@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.quiet import measure
 from dsrc.models.detector import Detector
-from dsrc.models.fusion import FUSIONS, Company
+from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.deploy import deployed
@@ -108,8 +108,8 @@ class Bench:
         clouds = self.clouds[: 1 if method == "none" else agents]
         if method == "early":
             clouds = [np.concatenate(clouds)]
-        company = Company((1,) * len(clouds)) if method == "late" else Company((len(clouds),))
-        rows = str(len(company.agents))
+        layout = AgentLayout((1,) * len(clouds)) if method == "late" else AgentLayout((len(clouds),))
+        rows = str(len(layout.agents))
         source = f"{len(clouds)} x {max(len(c) for c in clouds)} points"
         size = str(len(clouds))
         keys: dict[str, Key] = {"pillars": ("pillars", source), "encoder": ("encoder", source)}
@@ -121,7 +121,7 @@ class Bench:
         keys["maps"] = ("maps", place, size)
         maps = self.per_cloud(keys["maps"], lambda: detector.maps(stages))
         keys["join"] = ("join", method, size)
-        joined = self.once(keys["join"], lambda: detector.join(maps, company))
+        joined = self.once(keys["join"], lambda: detector.join(maps, layout))
         widths = str([part.shape[1] for part in joined])
         keys["read"] = ("read", place, widths, rows)
         output = self.per_cloud(keys["read"], lambda: detector.read(stages, joined))

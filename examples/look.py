@@ -1,4 +1,4 @@
-"""How the pictures of the examples look: one dark style, and PNG files small enough for a repository."""
+"""How the pictures and tables of the examples look: one dark style, PNG files small enough for a repository."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,6 +14,8 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_r
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
+
+from sim.errors import DataError, complaint
 
 PAGE, PANEL, EMPTY, GRID, FAINT, INK = "#11151B", "#171C24", "#0A0D11", "#2B333F", "#8D99A8", "#E4E9EF"
 COLORS = ("#4FB3FF", "#FFB454", "#5EDC9A", "#FF7B8A", "#C7A0FF", "#F2E96B", "#9FB0C3")
@@ -101,3 +103,21 @@ def save(figure: Figure, path: Path, colors: int | None = None, keep: Sequence[s
     path.parent.mkdir(parents=True, exist_ok=True)
     image.save(path, optimize=True)
     return path
+
+
+def put_table(document: Path | None, name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a Markdown table, or put it into a document between its lines `<!-- begin NAME -->` and `<!-- end ...`.
+
+    Raises:
+        DataError: the document has no such lines.
+    """
+    text = "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows))
+    if document is None:
+        print(text)
+        return
+    begin, end = (f"<!-- {word} {name} -->" for word in ("begin", "end"))
+    before, begun, rest = document.read_text(encoding="utf-8").partition(begin)
+    _, ended, after = rest.partition(end)
+    if not (begun and ended):
+        raise DataError(complaint(str(document), name, f"the lines {begin} and {end}", "one or none of them"))
+    document.write_text(f"{before}{begin}\n{text}\n{end}{after}", encoding="utf-8")

@@ -160,3 +160,17 @@ def test_the_campaign_halves_the_distillation_once_after_a_first_gate_that_did_n
     assert "dsrc-single-halved_s0" in halved["dsrc_s0"].needs()
     assert "distill.dap=0.25" in halved["dsrc_s0"].settings
     assert not any("distill" in setting for setting in halved["attfuse_s0"].settings)
+
+
+def test_the_table_of_weather_takes_the_place_of_the_one_before(tmp_path: Path) -> None:
+    document = tmp_path / "weather.md"
+    document.write_text("before\n<!-- begin weather_shares -->\nold\n<!-- end weather_shares -->\nafter\n")
+    script = ROOT / "examples" / "weather_shares.py"
+    run(script, "--scenario", "four_way", "--lidar", "debug-16", "--docs", str(document))
+    before, *table, after = (line for line in document.read_text().splitlines() if not line.startswith("<!--"))
+    assert (before, after) == ("before", "after")
+    cells = {row[1]: row[2:] for row in ([cell.strip() for cell in line.split("|")[:-1]] for line in table)}
+    scattered = [float(cell.split(" / ")[0]) for cell in cells["**snow**"]]
+    assert len(scattered) == 5
+    assert scattered == sorted(scattered)
+    assert scattered[-1] > 1.5 * scattered[0] > 0.0

@@ -27,7 +27,7 @@ class Sample:
         agent_boxes: per agent the vehicles that it has annotated itself (a subset of the same rule).
         lost: per agent (h, w) bool the tiles of its feature map that did not arrive, (0, 0) when all did; empty when
             all of everybody did.
-        unheard: (P, 4) clouds of agents in range that take no part: no detector hears them, but a teacher's objects
+        other_clouds: (P, 4) clouds of agents in range that take no part: no detector hears them, but a teacher's objects
             have their points.
         corrupted: per agent the cloud that it has in place of that in `clouds`, where a training sample was corrupted;
             empty else.
@@ -40,7 +40,7 @@ class Sample:
     boxes: Boxes
     agent_boxes: tuple[Boxes, ...]
     lost: tuple[NDArray[np.bool_], ...] = ()
-    unheard: tuple[NDArray[np.float32], ...] = ()
+    other_clouds: tuple[NDArray[np.float32], ...] = ()
     corrupted: tuple[NDArray[np.float32], ...] = ()
 
 

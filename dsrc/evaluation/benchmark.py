@@ -365,7 +365,7 @@ def places_of(readers: Sequence[Drive], limit: int | None) -> list[list[int]]:
 def _sample(
     frame: Frame, method: Method, samples: dict[tuple[GridSpec, int, int | None], Sample], drive: str
 ) -> Sample:
-    """Return what a method sees; methods with one grid and one company share it."""
+    """Return what a method sees; methods with one grid and one layout share it."""
     settings = method.detector.settings
     key = (settings.grid, getattr(settings, "max_agents", 5), method.agents)
     if key not in samples:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from dsrc.data.sample import Sample
 from dsrc.models.compression import as_large, reduced
-from dsrc.models.fusion import FUSIONS, Company
+from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.fusion.late import join_detections
 from dsrc.models.inputs.batch import collate, pillars_of
 from dsrc.models.layers.backbones import BACKBONES
@@ -95,21 +95,21 @@ class Detector(nn.Module):
         # Measured on CPUs: 30 % faster.
         self.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def forward(self, pillars: Pillars, company: Company) -> Output:
+    def forward(self, pillars: Pillars, layout: AgentLayout) -> Output:
         """Detect in B samples.
 
         Args:
             pillars: clouds of all samples' agents, those of a sample consecutive and ego first.
-            company: whose clouds they are; zeros take the place of what of their maps did not arrive.
+            layout: whose clouds they are; zeros take the place of what of their maps did not arrive.
         """
         if self.precision == torch.float32:
-            return self._forward(pillars, company)
+            return self._forward(pillars, layout)
         with torch.autocast(pillars.points.device.type, self.precision):
-            return self._forward(pillars, company).float()
+            return self._forward(pillars, layout).float()
 
-    def _forward(self, pillars: Pillars, company: Company) -> Output:
+    def _forward(self, pillars: Pillars, layout: AgentLayout) -> Output:
         stages = self.backbone(self.encoder(pillars))
-        return self.read(stages, self.join(self.maps(stages), company))
+        return self.read(stages, self.join(self.maps(stages), layout))
 
     def maps(self, stages: Sequence[Tensor]) -> list[Tensor]:
         """Return what the agents make of their stages before they send: three scales or one map, N rows each."""
@@ -119,19 +119,19 @@ class Detector(nn.Module):
                 maps[scale] = ends(maps[scale])
         return maps
 
-    def join(self, maps: Sequence[Tensor], company: Company) -> list[Tensor]:
+    def join(self, maps: Sequence[Tensor], layout: AgentLayout) -> list[Tensor]:
         """Return what becomes of the agents' maps: three scales or one map, B rows each."""
-        sent = self.fusion.send(maps, company, self)
+        sent = self.fusion.send(maps, layout, self)
         if not self.training and (self.settings.share < 1 or self.settings.bits < 32):
-            sent = self._reduced(sent, maps, company)
-        if company.lost is not None:
-            sent = [part.masked_fill(as_large(company.lost, part), 0.0) for part in sent]
-        return self.fusion(sent, company, self)
+            sent = self._reduced(sent, maps, layout)
+        if layout.lost is not None:
+            sent = [part.masked_fill(as_large(layout.lost, part), 0.0) for part in sent]
+        return self.fusion(sent, layout, self)
 
-    def _reduced(self, sent: Sequence[Tensor], maps: Sequence[Tensor], company: Company) -> list[Tensor]:
+    def _reduced(self, sent: Sequence[Tensor], maps: Sequence[Tensor], layout: AgentLayout) -> list[Tensor]:
         """Return what arrives of the collaborators' maps; an ego keeps all of its own."""
-        egos = set(accumulate((0, *company.agents)))
-        others = [row for row in range(sum(company.agents)) if row not in egos]
+        egos = set(accumulate((0, *layout.agents)))
+        others = [row for row in range(sum(layout.agents)) if row not in egos]
         if not others:
             return list(sent)
         confidence = None
@@ -185,7 +185,7 @@ class Detector(nn.Module):
         if batch.student is None:
             raise ValueError("a teacher reads clouds that are made with ground truth: it cannot detect in a sample")
         device = self.cls_head.weight.device
-        parts = self.decode(self(batch.student.to(device), batch.company.to(device)))
+        parts = self.decode(self(batch.student.to(device), batch.layout.to(device)))
         self.train(was_training)
         return join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
 
@@ -193,4 +193,4 @@ class Detector(nn.Module):
         """Return what is detected in each agent's cloud by itself."""
         clouds = sample.clouds[: 1 if self.settings.fusion == "none" else self.settings.max_agents]
         pillars = pillars_of(clouds, self.settings).to(self.cls_head.weight.device)
-        return self.decode(self(pillars, Company((1,) * len(clouds))))
+        return self.decode(self(pillars, AgentLayout((1,) * len(clouds))))

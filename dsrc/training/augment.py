@@ -57,7 +57,7 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     moved = replace(
         sample,
         clouds=tuple(_cloud(cloud, plane, grid) for cloud in sample.clouds),
-        unheard=tuple(_cloud(cloud, plane, grid) for cloud in sample.unheard),
+        other_clouds=tuple(_cloud(cloud, plane, grid) for cloud in sample.other_clouds),
         corrupted=tuple(_cloud(cloud, plane, grid) for cloud in sample.corrupted),
         boxes=_boxes(sample.boxes, plane, scale, grid),
         agent_boxes=tuple(_boxes(boxes, plane, scale, grid) for boxes in sample.agent_boxes),
@@ -79,7 +79,7 @@ def thinned(sample: Sample, rng: np.random.Generator) -> Sample:
 def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
     """Keep some agents only, the ego first, and of the ground truth what these have annotated.
 
-    The others' clouds go to `unheard`: without them, the teacher of a student that hears few would not be dense.
+    The others' clouds go to `other_clouds`: without them, the teacher of a student that hears few would not be dense.
     """
     dropped = tuple(cloud for row, cloud in enumerate(sample.clouds) if row not in rows)
     agent_boxes = tuple(sample.agent_boxes[row] for row in rows)
@@ -91,7 +91,7 @@ def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
         ego_from_agent=sample.ego_from_agent[list(rows)],
         boxes=sample.boxes[known],
         agent_boxes=agent_boxes,
-        unheard=(*sample.unheard, *dropped),
+        other_clouds=(*sample.other_clouds, *dropped),
         corrupted=tuple(sample.corrupted[row] for row in rows if sample.corrupted),
     )
 

@@ -54,7 +54,7 @@ class DetectionModule(pl.LightningModule):
                 return as_teacher(self.detector, batch).float()
             if batch.student is None:
                 raise ValueError("the batch was collated for another network")
-            return self.detector(batch.student, batch.company).float()
+            return self.detector(batch.student, batch.layout).float()
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.bfloat16)
@@ -100,7 +100,7 @@ class DetectionModule(pl.LightningModule):
         if batch.view is None or batch.targets is None:
             return clean.cls.new_zeros(())
         with self._autocast():
-            view = self.detector(batch.view, batch.company).float()
+            view = self.detector(batch.view, batch.layout).float()
         return consistency_loss(view, clean, batch.targets.positive)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
@@ -186,11 +186,11 @@ def as_teacher(teacher: Detector, batch: Batch) -> Output:
     if pillars is None:
         raise ValueError("the batch was collated for another network")
     if batch.objects is None or not teacher.training:
-        return teacher(pillars, batch.company)
+        return teacher(pillars, batch.layout)
     encoder = teacher.encoder
     features = encoder.features(joined(pillars, batch.objects))[: len(pillars.coords)]
     stages = teacher.backbone(encoder.scatter(features, pillars))
-    return teacher.read(stages, teacher.join(teacher.maps(stages), batch.company))
+    return teacher.read(stages, teacher.join(teacher.maps(stages), batch.layout))
 
 
 def joined(first: Pillars, second: Pillars) -> Pillars:

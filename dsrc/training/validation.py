@@ -26,7 +26,7 @@ def detections_of(detector: Detector, batch: Batch) -> list[FrameResult]:
     pillars = batch.teacher if detector.settings.role == "teacher" else batch.student
     if pillars is None:
         raise ValueError("the batch was collated for another network")
-    found = detector.decode(detector(pillars, batch.company))
+    found = detector.decode(detector(pillars, batch.layout))
     return [FrameResult(f, truth) for f, truth in zip(found, batch.boxes, strict=True)]
 
 

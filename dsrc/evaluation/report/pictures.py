@@ -275,7 +275,7 @@ def _output(detector: Detector, sample: Sample) -> Output:
     if pillars is None:
         raise ValueError("a batch has the clouds that its network reads")
     device = detector.cls_head.weight.device
-    return detector(pillars.to(device), batch.company.to(device))
+    return detector(pillars.to(device), batch.layout.to(device))
 
 
 @torch.inference_mode()

@@ -1,7 +1,7 @@
 """How the agents' feature maps become one: one file per method, each a `Fusion`."""
 
 from dsrc.models.fusion.attention import AttentionFusion
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import AgentLayout, Fusion
 from dsrc.models.fusion.coalign import CoAlign
 from dsrc.models.fusion.cobevt import CoBEVT
 from dsrc.models.fusion.early import EarlyFusion
@@ -14,7 +14,7 @@ from dsrc.models.fusion.v2vnet import V2VNet
 from dsrc.models.fusion.v2xvit import V2XViT
 from dsrc.models.fusion.where2comm import Where2comm
 
-__all__ = ["FUSIONS", "Company", "Fusion"]
+__all__ = ["FUSIONS", "AgentLayout", "Fusion"]
 
 FUSIONS: dict[str, type[Fusion]] = {
     "none": NoFusion,

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from dsrc.models.fusion.base import Company, Fusion, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked
 from dsrc.models.fusion.warp import into_ego
 
 
@@ -16,9 +16,9 @@ class AttentionFusion(Fusion):
     Released: the same for all agents' rows, of which only the ego's is kept; here only that one is computed.
     """
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse one scale."""
-        return stacked([ego_row(into_ego(g, company, b)) for b, g in enumerate(company.split(features))])
+        return stacked([ego_row(into_ego(g, layout, b)) for b, g in enumerate(layout.split(features))])
 
 
 def ego_row(group: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ Layer = TypeVar("Layer", bound=nn.Module)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Company:
+class AgentLayout:
     """Who stands in the rows of a batch of features, and what of them arrived.
 
     Attributes:
@@ -42,7 +42,7 @@ class Company:
         """Return the rows of each sample."""
         return x.split(list(self.agents))
 
-    def to(self, device: torch.device | str) -> "Company":
+    def to(self, device: torch.device | str) -> "AgentLayout":
         """Move the tensors to a device."""
         moved: dict[str, Any] = {
             name: part.to(device)
@@ -89,23 +89,23 @@ class Fusion(nn.Module):
         """Return how many channels the maps that an agent sends have together."""
         return settings.shrink_channels if cls.place == "map" else sum(settings.stage_channels[: cls.scales_sent])
 
-    def send(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+    def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
         """Return what the agents send of their maps, cells that are not sent being zero; arguments as of `forward`."""
         return list(maps)
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse one scale's (N, C, H, W) maps into (B, C, H, W)."""
         raise NotImplementedError
 
-    def forward(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+    def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
         """Fuse what the agents sent.
 
         Args:
             maps: what they sent, (N, C, H, W) each.
-            company: whose they are.
+            layout: whose they are.
             network: the detector, for a method that lets parts of it run again.
         """
-        return [self.fuse(features, company) for features in maps]
+        return [self.fuse(features, layout) for features in maps]
 
 
 def silent(layer: Layer) -> Layer:

@@ -5,7 +5,7 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-from dsrc.models.fusion.base import Company, Fusion, silent, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, silent, stacked
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import AgentWindows, FeedForward, Residual, padded
 from dsrc.models.settings import ModelSettings
@@ -77,9 +77,9 @@ class CoBEVT(Fusion):
         """Return the fusion for a detector of these settings."""
         return cls(settings.shrink_channels, settings.max_agents, released=settings.released)
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse the maps."""
-        groups = [into_ego(group, company, b) for b, group in enumerate(company.split(features))]
+        groups = [into_ego(group, layout, b) for b, group in enumerate(layout.split(features))]
         learned = torch.stack([self.head(self.attend(group)) for group in groups])
         return self.keep[:, None, None] * stacked([group.amax(0) for group in groups]) + learned
 

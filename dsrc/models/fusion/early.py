@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import AgentLayout, Fusion
 from dsrc.models.settings import ModelSettings
 
 
@@ -21,6 +21,6 @@ class EarlyFusion(Fusion):
         """Return 0: clouds are sent, not maps."""
         return 0
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Return the maps as they are."""
         return features

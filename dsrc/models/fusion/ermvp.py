@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import Company, Fusion, silent, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, silent, stacked
 from dsrc.models.fusion.cobevt import filled_up
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import (
@@ -106,18 +106,18 @@ class ERMVP(Fusion):
         sampled = int(settings.grid.width * settings.grid.height // 16 * 0.2)
         return math.ceil(sampled * 0.2) * settings.shrink_channels + 2 * sampled
 
-    def send(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+    def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
         """Return each ego's map as it is, and of the others' the cells that they sample, merged."""
         if self.released:
             return list(maps)
-        groups = company.split(maps[0])
+        groups = layout.split(maps[0])
         sparse = [torch.cat([g[:1], self.sampler(g[1:])]) if len(g) > 1 else g for g in groups]
         return [torch.cat(sparse)]
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse the maps."""
-        groups = company.split(features)
-        learned = [self.head(self.attend(into_ego(group, company, b))) for b, group in enumerate(groups)]
+        groups = layout.split(features)
+        learned = [self.head(self.attend(into_ego(group, layout, b))) for b, group in enumerate(groups)]
         return self.keep[:, None, None] * stacked([group[0] for group in groups]) + torch.stack(learned)
 
     def attend(self, group: Tensor) -> Tensor:

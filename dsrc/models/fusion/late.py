@@ -3,7 +3,7 @@
 import numpy as np
 from torch import Tensor
 
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import AgentLayout, Fusion
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.detections import Detections
 from dsrc.ops.nms import rotated_nms
@@ -26,7 +26,7 @@ class LateFusion(Fusion):
         """Return 0: boxes are sent, not maps."""
         return 0
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Return the maps as they are: each cloud stands alone."""
         return features
 

@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from dsrc.models.fusion.base import Company, Fusion, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked
 from dsrc.models.fusion.warp import into_ego
 
 
@@ -15,10 +15,10 @@ class MaxFusion(Fusion):
     each by itself, as in DSRC's own comparison (Table 3, Maximum) and CoAlign's `MaxFusion`.
     """
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse one scale."""
-        groups = company.split(features)
-        return stacked([into_ego(group, company, b).amax(0) for b, group in enumerate(groups)])
+        groups = layout.split(features)
+        return stacked([into_ego(group, layout, b).amax(0) for b, group in enumerate(groups)])
 
 
 class MaxMapFusion(MaxFusion):

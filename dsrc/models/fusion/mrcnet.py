@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import Company, Fusion, silent, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, silent, stacked
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.settings import ModelSettings
 
@@ -67,22 +67,22 @@ class MRCNetStyle(Fusion):
         """Return the fusion for a detector of these settings."""
         return cls(settings.stage_channels, settings.decoder_channels)
 
-    def forward(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+    def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
         """Fuse the scales."""
-        alike = [company.split(layer(scale)) for layer, scale in zip(self.project, maps, strict=True)]
+        alike = [layout.split(layer(scale)) for layer, scale in zip(self.project, maps, strict=True)]
         joined = [
-            self._joined([into_ego(group, company, b) for group in groups])
+            self._joined([into_ego(group, layout, b) for group in groups])
             for b, groups in enumerate(zip(*alike, strict=True))
         ]
         return [
-            stacked([group[0] for group in company.split(scale)]) + layer(torch.stack(parts))
+            stacked([group[0] for group in layout.split(scale)]) + layer(torch.stack(parts))
             for layer, scale, parts in zip(self.restore, maps, zip(*joined, strict=True), strict=True)
         ]
 
     def _joined(self, scales: list[Tensor]) -> list[Tensor]:
         """Return three (D, H_k, W_k), what all agents' (A, D, H_k, W_k) add to the ego's map."""
-        company = [torch.cat([own[:1], part]) for own, part in zip(scales, self._enhanced(scales), strict=True)]
-        both = [torch.stack([part.amax(0), part.mean(0)]) for part in company]
+        layout = [torch.cat([own[:1], part]) for own, part in zip(scales, self._enhanced(scales), strict=True)]
+        both = [torch.stack([part.amax(0), part.mean(0)]) for part in layout]
         return [torch.relu(_over_channels(join, pair)) for join, pair in zip(self.join, both, strict=True)]  # type: ignore[arg-type]
 
     def _enhanced(self, scales: list[Tensor]) -> list[Tensor]:

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from dsrc.models.fusion.base import Company, Fusion
+from dsrc.models.fusion.base import AgentLayout, Fusion
 from dsrc.models.settings import ModelSettings
 
 
@@ -19,6 +19,6 @@ class NoFusion(Fusion):
         """Return 0."""
         return 0
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Keep the first row of each sample."""
-        return torch.stack([group[0] for group in company.split(features)])
+        return torch.stack([group[0] for group in layout.split(features)])

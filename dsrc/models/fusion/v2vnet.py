@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import Company, Fusion, silent
+from dsrc.models.fusion.base import AgentLayout, Fusion, silent
 from dsrc.models.fusion.warp import about_centre, in_cells, shifted
 from dsrc.models.settings import ModelSettings
 
@@ -63,19 +63,19 @@ class V2VNet(Fusion):
         """Return the fusion for a detector of these settings."""
         return cls(settings.shrink_channels, released=settings.released)
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse the maps."""
-        rows = [self._talk(group, company, b) for b, group in enumerate(company.split(features))]
+        rows = [self._talk(group, layout, b) for b, group in enumerate(layout.split(features))]
         fused = torch.stack(rows)
         return functional.conv2d(fused, self.out.weight[:, :, None, None], self.out.bias)
 
-    def _talk(self, group: Tensor, company: Company, sample: int) -> Tensor:
+    def _talk(self, group: Tensor, layout: AgentLayout, sample: int) -> Tensor:
         """Return the ego's (C, H, W) after all rounds of (A, C, H, W)."""
         agents, size = len(group), group.shape[2:]
         motion = mask = None
-        if company.pairwise is not None:
+        if layout.pairwise is not None:
             # [j, i]: from agent j to agent i.
-            cells = in_cells(company.pairwise[sample, :agents, :agents].double(), company, (size[0], size[1]))
+            cells = in_cells(layout.pairwise[sample, :agents, :agents].double(), layout, (size[0], size[1]))
             motion = about_centre(cells, (size[0], size[1]))
             mask = self.seen(cells if self.released else motion, group)
         for turn in range(self.rounds):

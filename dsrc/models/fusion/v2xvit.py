@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import Company, Fusion, silent
+from dsrc.models.fusion.base import AgentLayout, Fusion, silent
 from dsrc.models.fusion.warp import about_centre, in_cells, shifted
 from dsrc.models.fusion.windows import FeedForward, Residual, cut, padded, paste
 from dsrc.models.settings import ModelSettings
@@ -78,21 +78,21 @@ class V2XViT(Fusion):
         """Return the fusion for a detector of these settings."""
         return cls(settings.shrink_channels)
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse the maps."""
         start, rows = 0, []
-        for sample, group in enumerate(company.split(features)):
-            rows.append(self._ego(group, company, sample, slice(start, start + len(group))))
+        for sample, group in enumerate(layout.split(features)):
+            rows.append(self._ego(group, layout, sample, slice(start, start + len(group))))
             start += len(group)
         return torch.stack(rows)
 
-    def _ego(self, group: Tensor, company: Company, sample: int, rows: slice) -> Tensor:
+    def _ego(self, group: Tensor, layout: AgentLayout, sample: int, rows: slice) -> Tensor:
         """Return the ego's (C, H, W) of one sample's (A, C, H, W)."""
         nobody = torch.zeros(len(group), dtype=torch.long, device=group.device)
-        delay = nobody if company.delay is None else company.delay[rows]
-        kind = nobody if company.roadside is None else company.roadside[rows].long()
+        delay = nobody if layout.delay is None else layout.delay[rows]
+        kind = nobody if layout.roadside is None else layout.roadside[rows].long()
         x = group + self.delay(delay_code(delay, group.shape[1]).to(group.dtype))[:, :, None, None]
-        x, seen = self.moved(x, company, sample)
+        x, seen = self.moved(x, layout, sample)
         x = x.permute(0, 2, 3, 1)
         for number, block in enumerate(self.blocks, start=1):
             layers: nn.ModuleDict = block  # type: ignore[assignment]
@@ -101,12 +101,12 @@ class V2XViT(Fusion):
             x = layers["feed"](layers["windows"](x))
         return x[0].permute(2, 0, 1)
 
-    def moved(self, x: Tensor, company: Company, sample: int) -> tuple[Tensor, Tensor | None]:
+    def moved(self, x: Tensor, layout: AgentLayout, sample: int) -> tuple[Tensor, Tensor | None]:
         """Return (A, C, H, W) in the ego's frame and (A, H, W) bool which of its cells each agent's map covers."""
-        if company.pairwise is None:
+        if layout.pairwise is None:
             return x, None
         size = (x.shape[-2], x.shape[-1])
-        motion = about_centre(in_cells(company.pairwise[sample, : len(x), 0].double(), company, size), size)
+        motion = about_centre(in_cells(layout.pairwise[sample, : len(x), 0].double(), layout, size), size)
         seen = shifted(torch.ones_like(x[:, :1]), motion, "nearest")[:, 0] > 0
         return torch.cat([x[:1], shifted(x[1:], motion[1:])]) if len(x) > 1 else x, seen
 

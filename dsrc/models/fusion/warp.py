@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from dsrc.models.fusion.base import Company
+from dsrc.models.fusion.base import AgentLayout
 
 
 def planar(matrix: Tensor, centre_m: tuple[float, float]) -> Tensor:
@@ -27,23 +27,23 @@ def normalised(matrix: Tensor, extent_m: tuple[float, float], centre_m: tuple[fl
     return torch.cat([motion[..., :2] * half / half[:, None], motion[..., 2:] / half[:, None]], dim=-1)
 
 
-def into_ego(group: Tensor, company: Company, sample: int) -> Tensor:
+def into_ego(group: Tensor, layout: AgentLayout, sample: int) -> Tensor:
     """Return one sample's (A, C, H, W) maps in its ego's frame; cells that nobody has are zero."""
-    if company.pairwise is None:
+    if layout.pairwise is None:
         return group
     agents = len(group)
     # For a cell of the ego's map: where it lies in each agent's.
-    agent_from_ego = company.pairwise[sample, 0, :agents].double()
-    theta = normalised(agent_from_ego, company.extent_m, company.centre_m).to(group.dtype)
+    agent_from_ego = layout.pairwise[sample, 0, :agents].double()
+    theta = normalised(agent_from_ego, layout.extent_m, layout.centre_m).to(group.dtype)
     grid = functional.affine_grid(theta, list(group.shape), align_corners=False)
     return functional.grid_sample(group, grid, align_corners=False)
 
 
-def in_cells(matrix: Tensor, company: Company, size: tuple[int, int]) -> Tensor:
+def in_cells(matrix: Tensor, layout: AgentLayout, size: tuple[int, int]) -> Tensor:
     """Return (..., 2, 3) motions in cells of (H, W) maps, from (..., 4, 4) in metres."""
     height, width = size
-    motion = planar(matrix, company.centre_m)
-    cell = motion.new_tensor([company.extent_m[0] / width, company.extent_m[1] / height])
+    motion = planar(matrix, layout.centre_m)
+    cell = motion.new_tensor([layout.extent_m[0] / width, layout.extent_m[1] / height])
     return torch.cat([motion[..., :2], motion[..., 2:] / cell[:, None]], dim=-1)
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from dsrc.models.fusion.attention import ego_row
-from dsrc.models.fusion.base import Company, Fusion, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.settings import ModelSettings
 
@@ -48,31 +48,31 @@ class Where2comm(Fusion):
         """Return the fusion for a detector of these settings."""
         return cls(released=settings.released)
 
-    def send(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+    def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
         """Return the first scale with zeros in the cells that are not sent."""
         if self.training:
             confidence = self.smoothed(network.logits(maps))
-            return [maps[0] * self.as_large(self.mask(confidence, company), maps[0])]
+            return [maps[0] * self.as_large(self.mask(confidence, layout), maps[0])]
         # An ego keeps its own whatever it thinks of it: only the others look at theirs.
-        starts = set(accumulate((0, *company.agents)))
+        starts = set(accumulate((0, *layout.agents)))
         others = [row for row in range(len(maps[0])) if row not in starts]
         if not others:
             return list(maps)
         found = self.smoothed(network.logits([scale[others] for scale in maps]))
         confidence = found.new_zeros((len(maps[0]), *found.shape[1:]))
         confidence[others] = found
-        return [maps[0] * self.as_large(self.mask(confidence, company), maps[0])]
+        return [maps[0] * self.as_large(self.mask(confidence, layout), maps[0])]
 
-    def forward(self, maps: Sequence[Tensor], company: Company, network: Any = None) -> list[Tensor]:
+    def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
         """Fuse the first scale and what the network's later stages make of it."""
         scales = list(maps)
         for stage in network.backbone.stages[len(scales) :]:
             scales.append(stage(scales[-1]))
-        return [self.fuse(scale, company) for scale in scales]
+        return [self.fuse(scale, layout) for scale in scales]
 
-    def fuse(self, features: Tensor, company: Company) -> Tensor:
+    def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse one scale."""
-        groups = [into_ego(group, company, b) for b, group in enumerate(company.split(features))]
+        groups = [into_ego(group, layout, b) for b, group in enumerate(layout.split(features))]
         if self.agg == "max":
             return stacked([group.amax(0) for group in groups])
         return stacked([ego_row(group) for group in groups])
@@ -89,12 +89,12 @@ class Where2comm(Fusion):
             return mask
         return functional.interpolate(mask, size, mode="bilinear", align_corners=False)
 
-    def mask(self, confidence: Tensor, company: Company) -> Tensor:
+    def mask(self, confidence: Tensor, layout: AgentLayout) -> Tensor:
         """Return (N, 1, h, w) 1 where a cell is sent or the ego's own."""
         if self.training:
-            parts = [_best(group) for group in company.split(confidence)]
+            parts = [_best(group) for group in layout.split(confidence)]
         else:
-            parts = [(group > self.threshold).to(confidence.dtype) for group in company.split(confidence)]
+            parts = [(group > self.threshold).to(confidence.dtype) for group in layout.split(confidence)]
         for part in parts:
             part[:: 2 if self.released else len(part)] = 1.0
         return torch.cat(parts)

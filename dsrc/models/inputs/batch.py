@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dsrc.data.sample import Sample
-from dsrc.models.fusion.base import Company
+from dsrc.models.fusion.base import AgentLayout
 from dsrc.models.inputs.labels import Labels, cells_in_boxes
 from dsrc.models.inputs.teacher import TeacherClouds, teacher_clouds
 from dsrc.models.layers.encoder import Pillars
@@ -91,11 +91,11 @@ class Batch:
     view: Pillars | None = None
 
     @property
-    def company(self) -> Company:
+    def layout(self) -> AgentLayout:
         """Whose clouds they are."""
         low, high = np.array(self.grid.range_m[:2]), np.array(self.grid.range_m[3:5])
         extent, centre = (high - low).tolist(), ((high + low) / 2).tolist()
-        return Company(self.agents, self.lost, self.roadside, None, self.pairwise, tuple(extent), tuple(centre))
+        return AgentLayout(self.agents, self.lost, self.roadside, None, self.pairwise, tuple(extent), tuple(centre))
 
     def to(self, device: torch.device | str) -> "Batch":
         """Move the tensors to a device."""
@@ -202,7 +202,7 @@ def _unheard(part: Sample, whole: Sample, settings: ModelSettings) -> list[NDArr
     """Return the clouds of the agents that are not in a part of a sample: a lone student's teacher has them still."""
     joined = whole.agent_ids[: settings.max_agents] if settings.fusion == "early" else part.agent_ids
     others = [cloud for agent, cloud in zip(whole.agent_ids, whole.clouds, strict=True) if agent not in joined]
-    return [*others, *whole.unheard]
+    return [*others, *whole.other_clouds]
 
 
 def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:

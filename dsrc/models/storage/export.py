@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from dsrc.models.detector import Detector
-from dsrc.models.fusion import Company
+from dsrc.models.fusion import AgentLayout
 from dsrc.models.layers.encoder import Pillars
 from sim.errors import SettingsError, complaint
 
@@ -49,8 +49,8 @@ class _Network(nn.Module):
         self, points: Tensor, pillar: Tensor, coords: Tensor, count: Tensor, roadside: Tensor
     ) -> tuple[Tensor, ...]:
         agents = roadside.shape[0]
-        company = Company((agents,), roadside=roadside)
-        output = self.detector(Pillars(points, pillar, coords, count, agents), company)
+        layout = AgentLayout((agents,), roadside=roadside)
+        output = self.detector(Pillars(points, pillar, coords, count, agents), layout)
         return tuple(part for part in (output.cls, output.reg, output.direction) if part is not None)
 
 

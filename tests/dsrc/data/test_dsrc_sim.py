@@ -1,23 +1,37 @@
 """dsrc-sim, the project's own benchmark: its recordings are those of today's scenarios, and its sets share nothing."""
 
+import re
 import subprocess
 import sys
 from collections import Counter
 from dataclasses import replace
+from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from dsrc.data.datasets.spec import Item, expand, find_split_file, read_dataset
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD
 from dsrc.data.write import DriveSpec, make_drive
+from dsrc.evaluation.benchmark import places_of
 from sim.catalog.load import list_scenarios
 from sim.traffic.log import TrafficLog
 from tests.paths import ROOT
 
-SAME_SITE = {"research_junction": "braunschweig", "motorway_a10": "koenigs_wusterhausen"}
+SAME_SITE = {
+    "research_junction": "braunschweig",
+    "braunschweig_lta_truck": "braunschweig",
+    "braunschweig_red_light_runner": "braunschweig",
+    "motorway_a10": "koenigs_wusterhausen",
+    "resco_ingolstadt1": "ingolstadt",
+    "resco_ingolstadt21": "ingolstadt",
+    "rilsa_walk": "rilsa_1",
+}
 """Places that are parts of one town or one junction."""
+LEAST_BOXES = 3.0
+"""Boxes a frame of a test drive, on average."""
 
 
 @cache
@@ -40,6 +54,48 @@ def test_it_is_as_large_as_it_says_and_every_drive_is_recorded() -> None:
     assert set(frames) == {"train", "validation", "test"}
     folder = find_split_file("dsrc-sim").parent  # type: ignore[union-attr]
     assert sum(path.stat().st_size for path in folder.rglob("*.npz")) < 8e6
+
+
+def test_its_test_drives_are_many_short_and_at_ten_hertz() -> None:
+    """At 10 Hz a message of the sweep of delays is as old as it says."""
+    drives = of_split("test")
+    assert len(drives) >= 20 and sum(item.spec.frames for item in drives) >= 920
+    assert {(item.spec.frames, item.spec.interval_s) for item in drives} == {(60, 0.1)}
+
+
+@pytest.mark.parametrize(("limit", "each"), [(184, {8}), (92, {4}), (56, {2, 3})])
+def test_a_limited_evaluation_takes_as_many_frames_of_every_test_drive(limit: int, each: set[int]) -> None:
+    drives = [SimpleNamespace(frames=range(item.spec.frames)) for item in of_split("test")]
+    assert {len(frames) for frames in places_of(drives, limit)} == each  # type: ignore[arg-type]
+
+
+def test_its_document_has_a_row_for_every_test_drive_with_boxes_that_only_helpers_see() -> None:
+    text = (ROOT / "docs" / "datasets.md").read_text(encoding="utf-8")
+    block = text.partition("<!-- begin dsrc-sim/drives -->")[2].partition("<!-- end dsrc-sim/drives -->")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in block.strip().splitlines()[2:-1]]
+    drives = sorted(of_split("test"), key=lambda item: item.name)
+    assert [row[:3] for row in rows] == [[f"`{item.name}`", f"{item.spec.frames}", company(item)] for item in drives]
+    for drive, _, _, boxes, per_frame, unseen, _ in rows:
+        assert float(per_frame) >= LEAST_BOXES, drive
+        assert 0 < int(unseen.replace(",", "").split()[0]) < int(boxes.replace(",", "")), drive
+
+
+def company(item: Item) -> str:
+    """Say how many agents a drive has, as the table does."""
+    rule = item.spec.scenario.agents
+    vehicles, roadside = len(rule.named) or rule.vehicles, len(rule.roadside)
+    return f"{vehicles} + {roadside} roadside" if roadside else f"{vehicles}"
+
+
+def test_its_notice_names_every_map_and_none_of_them_forbids_commerce() -> None:
+    notice = (ROOT / "scenarios" / "dsrc-sim" / "NOTICE.md").read_text(encoding="utf-8")
+    names = re.findall(r"`([a-z0-9_*]+)`", notice)
+    for item in items():
+        network = item.spec.scenario.network
+        # TAPAS Cologne, of which RESCO's Cologne is a part, is CC BY-NC-SA 3.0.
+        assert not network.wheel.startswith("sumo_rl/"), item.path
+        if network.shipped or network.wheel or network.highway_env:
+            assert any(fnmatch(item.spec.scenario.name, name) for name in names), item.path
 
 
 def test_its_sets_share_no_place_and_no_seed() -> None:

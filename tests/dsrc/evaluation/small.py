@@ -35,7 +35,7 @@ def make_detector(method: str, seed: int = 0) -> Detector:
         detector = Detector(model).eval()
         plain = replace(model, sdd=False, pcp=False, rec=False)
         batch = collate([make_sample(frame(i, **POINTS), None, model.grid) for i in (0, 10)], plain, training=True)
-        features = detector(batch.student, batch.company).fused.permute(0, 2, 3, 1).flatten(0, 2).double()
+        features = detector(batch.student, batch.layout).fused.permute(0, 2, 3, 1).flatten(0, 2).double()
         positive = batch.targets.positive.flatten(0, 2)
         x = torch.cat([features, torch.ones(len(features), 1)], dim=1)
         _fit(detector.cls_head, x, positive.double() * 2 - 1, torch.where(positive.any(1), 30.0, 1.0))

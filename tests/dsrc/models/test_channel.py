@@ -111,7 +111,7 @@ def test_lost_packets_are_holes_in_the_features():
         from dsrc.models.inputs.batch import collate
 
         batch = collate([part], SMALL, training=False)
-        return detector(batch.student, batch.company)
+        return detector(batch.student, batch.layout)
 
     with torch.inference_mode():
         whole = stages(sample)

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from dsrc.models.channel import payload_of
 from dsrc.models.compression import best_tiles, rounded, tiles, tiles_sent
 from dsrc.models.detector import Detector
-from dsrc.models.fusion import FUSIONS, Company
+from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.training.recipes import debug
 from sim.radio import PRESETS
 from tests.dsrc.models.storage.test_deploy import AGENTS, a_detector, some_pillars
@@ -20,9 +20,9 @@ def set_to(detector, **changes):
     return detector
 
 
-def run(detector, pillars, company=Company(AGENTS)):  # noqa: B008 - it is not changed
+def run(detector, pillars, layout=AgentLayout(AGENTS)):  # noqa: B008 - it is not changed
     with torch.inference_mode():
-        return detector(pillars, company)
+        return detector(pillars, layout)
 
 
 def arrived(detector, pillars):
@@ -58,7 +58,7 @@ def test_the_tiles_that_arrive_are_those_of_which_the_sender_is_surest():
 def test_who_hears_nothing_is_alone():
     detector = a_detector(fusion="max")
     pillars = some_pillars(detector)
-    alone = run(detector, pillars, Company((1, 1, 1)))
+    alone = run(detector, pillars, AgentLayout((1, 1, 1)))
     deaf = run(set_to(detector, share=0.0), pillars)
     # Maps end with a ReLU: nothing is less than what is not sent.
     torch.testing.assert_close(deaf.cls, alone.cls[[0, 2]], atol=1e-5, rtol=0)

@@ -50,7 +50,7 @@ def logits(detector: Detector, sample: Sample) -> torch.Tensor:
     """What the detector thinks of each anchor."""
     batch = collate([sample], detector.settings, training=False)
     with torch.inference_mode():
-        return detector(batch.student, batch.company).cls
+        return detector(batch.student, batch.layout).cls
 
 
 @pytest.mark.parametrize("fusion", FUSIONS)
@@ -137,7 +137,7 @@ def test_as_many_numbers_are_sent_as_are_said_to_be(sample: Sample, fusion: str)
     batch = collate([sample], detector.settings, training=False)
     with torch.inference_mode():
         maps = detector.maps(detector.backbone(detector.encoder(batch.student)))
-        sent = detector.fusion.send(maps, batch.company, detector)
+        sent = detector.fusion.send(maps, batch.layout, detector)
     assert sum(part[0].numel() for part in sent) == detector.fusion.values_sent(detector.settings)
 
 
@@ -169,7 +169,7 @@ def test_a_map_that_is_warped_is_nearly_the_map_of_a_cloud_that_was_moved() -> N
     for chosen in (settings, own):
         batch = collate([sample], chosen, training=False)
         dense = Detector(chosen).encoder.eval().scatter(batch.student.count[:, None].float(), batch.student)
-        maps.append(MaxFusion().fuse(dense, batch.company)[0, 0])
+        maps.append(MaxFusion().fuse(dense, batch.layout)[0, 0])
     inner = maps[0][:, 8:-8] - maps[1][:, 8:-8]
     assert (inner.abs() > 0.1).float().mean() < 0.02
     assert maps[0][:, 8:-8].sum() > 500

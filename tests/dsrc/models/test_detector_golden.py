@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dsrc.models.detector import Detector
-from dsrc.models.fusion import Company
+from dsrc.models.fusion import AgentLayout
 from dsrc.models.storage.reference_names import detector_state
 from tests.dsrc.models.reference import close, golden, pillars, settings_of, state
 
@@ -17,10 +17,10 @@ def test_student_equals_the_reference_layer_by_layer(agents: tuple[int, ...], pr
     clouds = pillars(*(arrays[f"voxel/voxel_{k}"] for k in ("features", "coords", "num_points")), 3)
     with torch.inference_mode():
         close(detector.encoder.features(clouds), arrays["out/pillar_features"])
-        output = detector(clouds, Company(agents))
+        output = detector(clouds, AgentLayout(agents))
     for k, stage in enumerate(output.stages, start=1):
         close(stage, arrays[f"out/stage{k}"])
-        close(detector.fusion.fuse(stage, Company(agents)), arrays[f"{prefix}/fused{k}"])
+        close(detector.fusion.fuse(stage, AgentLayout(agents)), arrays[f"{prefix}/fused{k}"])
     close(output.fused, arrays[f"{prefix}/shrunk"])
     close(output.cls, arrays[f"{prefix}/psm"])
     close(output.reg, arrays[f"{prefix}/rm"])
@@ -38,7 +38,7 @@ def test_teacher_equals_the_reference_on_painted_clouds() -> None:
         kept = torch.isin(torch.from_numpy(coords[:, 0]), torch.tensor(rows)).numpy()
         coords = coords[kept]
         coords[:, 0] = [rows.index(row) for row in coords[:, 0]]
-        output = detector(pillars(features[kept], coords, count[kept], 3), Company((2, 1)))
+        output = detector(pillars(features[kept], coords, count[kept], 3), AgentLayout((2, 1)))
     close(output.stages[2], arrays["out/stage3"])
     close(output.fused, arrays["out/shrunk"])
     close(output.cls, arrays["out/psm"])

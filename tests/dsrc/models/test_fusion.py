@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import nn
 
-from dsrc.models.fusion import FUSIONS, Company, Fusion
+from dsrc.models.fusion import FUSIONS, AgentLayout, Fusion
 from dsrc.models.fusion.attention import AttentionFusion
 from dsrc.models.fusion.cobevt import CoBEVT
 from dsrc.models.fusion.ermvp import ERMVP, density_clusters
@@ -42,10 +42,10 @@ def near(found: torch.Tensor, expected: np.ndarray, tolerance: float) -> None:
 
 def test_attention_and_max_equal_the_reference() -> None:
     arrays, notes = golden("fuse_att_max")
-    company, x = Company(tuple(notes["record_len"])), torch.from_numpy(arrays["x"])
-    near(AttentionFusion().fuse(x, company), arrays["att"], 1e-5)
-    near(AttentionFusion().fuse(x * 3, company), arrays["att_x3"], 1e-5)
-    np.testing.assert_array_equal(MaxFusion().fuse(x, company).numpy(), arrays["max"])
+    layout, x = AgentLayout(tuple(notes["record_len"])), torch.from_numpy(arrays["x"])
+    near(AttentionFusion().fuse(x, layout), arrays["att"], 1e-5)
+    near(AttentionFusion().fuse(x * 3, layout), arrays["att_x3"], 1e-5)
+    np.testing.assert_array_equal(MaxFusion().fuse(x, layout).numpy(), arrays["max"])
 
 
 def test_attention_and_maximum_of_warped_maps_equal_coaligns() -> None:
@@ -55,8 +55,8 @@ def test_attention_and_maximum_of_warped_maps_equal_coaligns() -> None:
     there = [(b, j) for b, n in enumerate(notes["record_len"]) for j in range(n)]
     for b, j in there:
         near(normalised(pairwise[b, 0, j], extent), arrays["affine"][b, 0, j], 1e-6)
-    warped = Company(tuple(notes["record_len"]), pairwise=pairwise, extent_m=extent)
-    still = Company(warped.agents)
+    warped = AgentLayout(tuple(notes["record_len"]), pairwise=pairwise, extent_m=extent)
+    still = AgentLayout(warped.agents)
     for k in (1, 2, 3):
         x = torch.from_numpy(arrays[f"x{k}"])
         near(AttentionFusion().fuse(x, warped), arrays[f"out_warp{k}"], 2e-5)
@@ -87,13 +87,13 @@ def test_v2vnet_equals_the_reference(agg: str, gated: bool, name: str) -> None:
     fusion.load_state_dict(weights)
     agents, cell = tuple(notes["record_len"]), config["voxel"] * config["downsample_rate"]
     pairwise = torch.from_numpy(arrays["pairwise"])
-    there = Company(agents, pairwise=pairwise, extent_m=(cell * width, cell * height))
+    there = AgentLayout(agents, pairwise=pairwise, extent_m=(cell * width, cell * height))
     motion = in_cells(pairwise, there, (height, width))
     near(motion[0, :3, :3], arrays["discretised"][0, :3, :3], 1e-5)
     seen = fusion.seen(motion[0, :3, :3], x[:3])
     assert (seen.numpy() != arrays["roi_mask"][0, :3, :3]).mean() < 1e-2
     near(shifted(x[:3], about_centre(motion[0, :3, 0], (height, width))), arrays["warp_feature"], 1e-4)
-    near(fusion.fuse(x, Company(agents)), arrays[f"out_identity_{name}"], 2e-5)
+    near(fusion.fuse(x, AgentLayout(agents)), arrays[f"out_identity_{name}"], 2e-5)
     near(fusion.fuse(x, there), arrays[f"out_warp_{name}"], 1e-4)
 
 
@@ -128,12 +128,12 @@ def test_cobevt_equals_the_reference() -> None:
     place = arrays["state/layers.0.window_attention.fn.relative_position_index"]
     np.testing.assert_array_equal(fusion.blocks[0]["near"].inner.place, place)
     near(fusion.attend(x[:3])[:3].permute(0, 3, 1, 2), arrays["inter/after_block1_b0"], 5e-5)
-    near(fusion.fuse(x, Company(tuple(notes["record_len"]))), arrays["out_masked"], 5e-5)
+    near(fusion.fuse(x, AgentLayout(tuple(notes["record_len"]))), arrays["out_masked"], 5e-5)
     full = torch.from_numpy(arrays["x_full"])[0]
-    near(fusion.fuse(full, Company((5,))), arrays["out_full"], 5e-5)
+    near(fusion.fuse(full, AgentLayout((5,))), arrays["out_full"], 5e-5)
     # With all agents there, nobody is filled up.
     fusion.released = False
-    near(fusion.fuse(full, Company((5,))), arrays["out_full"], 5e-5)
+    near(fusion.fuse(full, AgentLayout((5,))), arrays["out_full"], 5e-5)
 
 
 ERMVP_NAMES = (
@@ -164,8 +164,8 @@ def test_ermvp_equals_the_reference() -> None:
     sizes = {"depth": config["depth"], "heads": heads, "window": config["window_size"], "hidden": config["mlp_dim"]}
     fusion = ERMVP(config["input_dim"], config["agent_size"], **sizes, released=True).eval()
     fusion.load_state_dict(matching(state(arrays), ERMVP_NAMES) | {"keep": torch.zeros(config["input_dim"])})
-    company = Company(tuple(notes["record_len"]))
-    near(fusion.fuse(fusion.send([x], company)[0], company), arrays["out_fusion"], 1e-4)
+    layout = AgentLayout(tuple(notes["record_len"]))
+    near(fusion.fuse(fusion.send([x], layout)[0], layout), arrays["out_fusion"], 1e-4)
     sampler = fusion.sampler
     tokens, cells, score = sampler.tokens(x)
     np.testing.assert_array_equal(cells, arrays["sampler/topk_index"])
@@ -182,11 +182,11 @@ def test_ermvp_equals_the_reference() -> None:
 def test_what_ermvp_samples_is_what_is_fused() -> None:
     fusion = made("ermvp")
     x = torch.randn(3, 16, 16, 16, generator=torch.Generator().manual_seed(5))
-    sent = fusion.send([x], Company((3,)))[0]
+    sent = fusion.send([x], AgentLayout((3,)))[0]
     assert torch.equal(sent[0], x[0])
     assert (sent[1:].abs().amax(1) > 0).flatten(1).sum(1).tolist() == [int(0.2 * 256)] * 2
     fusion.released = True
-    assert torch.equal(fusion.send([x], Company((3,)))[0], x)
+    assert torch.equal(fusion.send([x], AgentLayout((3,)))[0], x)
 
 
 V2XVIT = (
@@ -236,20 +236,20 @@ def test_v2xvit_equals_the_reference() -> None:
     prior = torch.cat([torch.from_numpy(row[:n]) for row, n in zip(arrays["prior"], agents, strict=True)])
     roadside = prior[:, 2] > 0
     # The reference warps even where nothing moves, and rounds: with its rounding the difference is 8e-6.
-    near(fusion.fuse(x, Company(agents, roadside=roadside)), arrays["out_nodelay_identity"], 2e-4)
+    near(fusion.fuse(x, AgentLayout(agents, roadside=roadside)), arrays["out_nodelay_identity"], 2e-4)
     cell = config["sttf"]["voxel_size"][0] * config["sttf"]["downsample_rate"]
     pairwise = torch.zeros(2, 5, 5, 4, 4)
     pairwise[:, :, 0] = torch.from_numpy(arrays["spatial_correction"])
-    company = Company(
+    layout = AgentLayout(
         agents,
         roadside=roadside,
         delay=prior[:, 1].long(),
         pairwise=pairwise,
         extent_m=(cell * x.shape[3], cell * x.shape[2]),
     )
-    _, seen = fusion.moved(x[:3], company, 0)
+    _, seen = fusion.moved(x[:3], layout, 0)
     np.testing.assert_array_equal(seen.permute(1, 2, 0), arrays["inter/com_mask"][0, ..., :3])
-    near(fusion.fuse(x, company), arrays["out_delay_warp"], 2e-4)
+    near(fusion.fuse(x, layout), arrays["out_delay_warp"], 2e-4)
     near(delay_code(torch.arange(8), x.shape[1]), arrays["state/encoder.rte.emb.emb.weight"][::2], 1e-6)
 
 
@@ -270,8 +270,8 @@ class Network(nn.Module):
     def logits(self, stages: list[torch.Tensor]) -> torch.Tensor:
         return self.given[[1, 2, 4]]  # of the others: agents are (3, 2)
 
-    def run(self, fusion: Where2comm, x: torch.Tensor, company: Company) -> torch.Tensor:
-        scales = fusion(fusion.send(self.backbone(x), company, self), company, self)
+    def run(self, fusion: Where2comm, x: torch.Tensor, layout: AgentLayout) -> torch.Tensor:
+        scales = fusion(fusion.send(self.backbone(x), layout, self), layout, self)
         return torch.cat([up(scale) for up, scale in zip(self.deblocks, scales, strict=True)], dim=1)
 
 
@@ -281,26 +281,26 @@ PLAIN = (r"(?:backbone|base)/blocks\.(\d)\.(\d+)\.(.*)", lambda m: f"stages.{m[1
 @pytest.mark.parametrize("stride", [2, 4])
 def test_where2comm_equals_the_port(stride: int) -> None:
     arrays, notes = golden("fuse_where2comm_opencood")
-    x, company = torch.from_numpy(arrays["x"]), Company(tuple(notes["record_len"]))
+    x, layout = torch.from_numpy(arrays["x"]), AgentLayout(tuple(notes["record_len"]))
     logits = torch.from_numpy(arrays[f"psm_stride{stride}"])
     fusion = Where2comm(notes["config"]["communication"]["threshold"]).eval()
     near(gaussian(5, 1.0)[0, 0], arrays["gaussian_kernel"], 1e-6)
     near(fusion.smoothed(logits), arrays[f"smoothed_stride{stride}"], 1e-6)
-    mask = fusion.mask(fusion.smoothed(logits), company)
+    mask = fusion.mask(fusion.smoothed(logits), layout)
     np.testing.assert_array_equal(mask, arrays[f"mask_stride{stride}"])
     network = Network(notes["config"], state(arrays), logits)
     with torch.inference_mode():
-        near(network.run(fusion, x, company), arrays[f"out_multi_stride{stride}"], 3e-5)
+        near(network.run(fusion, x, layout), arrays[f"out_multi_stride{stride}"], 3e-5)
         fusion.threshold = -1.0
-        near(network.run(fusion, x, company), arrays["out_fully"], 3e-5)
+        near(network.run(fusion, x, layout), arrays["out_fully"], 3e-5)
 
 
 def test_where2comm_equals_the_authors_release() -> None:
     arrays, notes = golden("fuse_where2comm_official")
     x, logits = torch.from_numpy(arrays["x"]), torch.from_numpy(arrays["psm"])
     pairwise, agents = torch.from_numpy(arrays["pairwise"]), tuple(notes["record_len"])
-    still = Company(agents)
-    warped = Company(agents, pairwise=pairwise, extent_m=(0.4 * x.shape[3], 0.4 * x.shape[2]))
+    still = AgentLayout(agents)
+    warped = AgentLayout(agents, pairwise=pairwise, extent_m=(0.4 * x.shape[3], 0.4 * x.shape[2]))
     network = Network(notes["config"], state(arrays), logits)
     for agg, name in (("attention", "ATTEN"), ("max", "MAX")):
         fusion = Where2comm(notes["config"]["communication"]["thre"], released=True, agg=agg).eval()
@@ -313,7 +313,7 @@ def test_where2comm_equals_the_authors_release() -> None:
 def test_the_ego_keeps_all_of_its_own_and_the_released_form_the_third_agents_too() -> None:
     confidence = torch.zeros(3, 1, 4, 4)
     for released, whole in ((False, [True, False, False]), (True, [True, False, True])):
-        mask = Where2comm(released=released).eval().mask(confidence, Company((3,)))
+        mask = Where2comm(released=released).eval().mask(confidence, AgentLayout((3,)))
         assert [bool(part.all()) for part in mask] == whole
 
 
@@ -324,7 +324,7 @@ def some_maps(fusion: Fusion, agents: int) -> list[torch.Tensor]:
 
 
 def moved(agents: int) -> torch.Tensor:
-    """Poses of agents that stand 2 m apart, as a `Company` has them for one sample."""
+    """Poses of agents that stand 2 m apart, as a `AgentLayout` has them for one sample."""
     along = torch.arange(agents, dtype=torch.float64)
     pairwise = torch.eye(4, dtype=torch.float64).expand(1, agents, agents, 4, 4).clone()
     pairwise[0, :, :, 0, 3] = 2.0 * (along[:, None] - along)
@@ -342,17 +342,17 @@ def test_untrained_it_gives_the_egos_maps_or_the_maximum(name: str, warped: bool
     fusion = untrained(name).train(training)
     maps = some_maps(fusion, 3)
     places = {"pairwise": moved(3), "extent_m": (36.0, 20.0)} if warped else {}
-    company = Company((3,), roadside=torch.tensor([False, True, False]), delay=torch.tensor([0, 1, 2]), **places)
-    fused = fusion(fusion.send(maps, company), company)
+    layout = AgentLayout((3,), roadside=torch.tensor([False, True, False]), delay=torch.tensor([0, 1, 2]), **places)
+    fused = fusion(fusion.send(maps, layout), layout)
     for found, own in zip(fused, maps, strict=True):
-        assert torch.equal(found, own[:1] if fusion.start == "identity" else MaxFusion().fuse(own, company))
+        assert torch.equal(found, own[:1] if fusion.start == "identity" else MaxFusion().fuse(own, layout))
 
 
 @pytest.mark.parametrize("name", LEARNED)
 def test_every_weight_of_a_fusion_has_moved_after_three_steps(name: str) -> None:
     fusion = untrained(name).train()
     before = {key: weight.detach().clone() for key, weight in fusion.named_parameters()}
-    company = Company(
+    layout = AgentLayout(
         (3, 2),
         roadside=torch.tensor([False, True, False, True, False]),
         delay=torch.tensor([0, 1, 2, 0, 1]),
@@ -361,7 +361,7 @@ def test_every_weight_of_a_fusion_has_moved_after_three_steps(name: str) -> None
     optimizer = torch.optim.AdamW(fusion.parameters(), lr=1e-3, weight_decay=0.0)
     for _ in range(3):
         optimizer.zero_grad()
-        fused = fusion(fusion.send(maps, company), company)
+        fused = fusion(fusion.send(maps, layout), layout)
         off = [(part - torch.randn(part.shape, generator=generator)).square().mean() for part in fused]
         torch.stack(off).sum().backward()
         optimizer.step()
@@ -375,19 +375,19 @@ def test_all_other_weights_of_a_single_cloud_detector_fit_and_say_the_same(name:
     own = detector.state_dict()
     assert {key for key in own if not key.startswith("fusion.")} == set(start.state_dict())
     detector.load_state_dict(own | start.state_dict())
-    pillars, company = some_pillars(start), Company(AGENTS)
+    pillars, layout = some_pillars(start), AgentLayout(AGENTS)
     with torch.inference_mode():
         if detector.fusion.start == "identity":
-            expected = start(pillars, Company((1,) * sum(AGENTS))).cls[[0, AGENTS[0]]]
+            expected = start(pillars, AgentLayout((1,) * sum(AGENTS))).cls[[0, AGENTS[0]]]
         else:
-            expected = start(pillars, company).cls
-        torch.testing.assert_close(detector(pillars, company).cls, expected, rtol=1e-5, atol=1e-6)
+            expected = start(pillars, layout).cls
+        torch.testing.assert_close(detector(pillars, layout).cls, expected, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["attention", "max", "none", "coalign"])
 def test_an_ego_without_company_keeps_its_features(name: str) -> None:
     x = torch.randn(2, 4, 3, 3, generator=torch.Generator().manual_seed(1))
-    torch.testing.assert_close(made(name).fuse(x, Company((1, 1))), x)
+    torch.testing.assert_close(made(name).fuse(x, AgentLayout((1, 1))), x)
 
 
 @pytest.mark.parametrize("name", ["attention", "max", "v2vnet", "v2xvit", "mrcnet"])
@@ -396,7 +396,7 @@ def test_the_order_of_the_collaborators_does_not_matter(name: str) -> None:
     maps = [x, x[..., ::2, ::2], x[..., ::4, ::4]] if made(name).place == "stages" else [x]
     turned = [part[[0, 3, 1, 2]] for part in maps]
     with torch.inference_mode():
-        for one, other in zip(made(name)(maps, Company((4,))), made(name)(turned, Company((4,))), strict=True):
+        for one, other in zip(made(name)(maps, AgentLayout((4,))), made(name)(turned, AgentLayout((4,))), strict=True):
             torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
 
 
@@ -404,9 +404,9 @@ def test_the_order_of_the_collaborators_does_not_matter(name: str) -> None:
 def test_samples_of_a_batch_do_not_meet(name: str) -> None:
     fusion, x = made(name), torch.randn(3, 16, 16, 16, generator=torch.Generator().manual_seed(3))
     with torch.inference_mode():
-        both = fusion([x], Company((2, 1)))[0]
-        torch.testing.assert_close(both[:1], fusion([x[:2]], Company((2,)))[0], rtol=1e-4, atol=1e-5)
-        torch.testing.assert_close(both[1:], fusion([x[2:]], Company((1,)))[0], rtol=1e-4, atol=1e-5)
+        both = fusion([x], AgentLayout((2, 1)))[0]
+        torch.testing.assert_close(both[:1], fusion([x[:2]], AgentLayout((2,)))[0], rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(both[1:], fusion([x[2:]], AgentLayout((1,)))[0], rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["v2xvit", "cobevt", "ermvp"])
@@ -415,7 +415,7 @@ def test_maps_that_windows_do_not_divide_are_fused_whole(name: str, released: bo
     fusion, x = made(name), torch.randn(2, 16, 10, 18, generator=torch.Generator().manual_seed(4))
     fusion.released = released
     with torch.inference_mode():
-        fused = fusion.fuse(x, Company((2,)))
+        fused = fusion.fuse(x, AgentLayout((2,)))
     assert fused.shape == (1, 16, 10, 18)
     assert torch.isfinite(fused).all()
 
@@ -428,7 +428,7 @@ def test_the_flat_form_of_mrcnets_convolution_is_the_convolution() -> None:
 def test_late_and_early_fusion_leave_every_map_alone() -> None:
     x = torch.randn(3, 4, 2, 2, generator=torch.Generator().manual_seed(3))
     for name in ("late", "early"):
-        assert made(name).fuse(x, Company((1, 1, 1))) is x
+        assert made(name).fuse(x, AgentLayout((1, 1, 1))) is x
 
 
 def bump(x: float, y: float, size: int = 48, cell: float = 0.5) -> torch.Tensor:
@@ -445,13 +445,13 @@ def test_what_an_agent_saw_is_put_where_it_is_for_the_ego() -> None:
     pairwise = torch.eye(4, dtype=torch.float64).expand(1, 2, 2, 4, 4).clone()
     pairwise[0, 1, 0], pairwise[0, 0, 1] = ego_from_agent, torch.linalg.inv(ego_from_agent)
     for centre in ((0.0, 0.0), (2.0, -1.0)):
-        company = Company((2,), pairwise=pairwise, extent_m=(24.0, 24.0), centre_m=centre)
+        layout = AgentLayout((2,), pairwise=pairwise, extent_m=(24.0, 24.0), centre_m=centre)
         own = torch.tensor([4.0, 1.0, 0.0, 1.0], dtype=torch.float64)
         seen = ego_from_agent @ own
         group = torch.stack([bump(0, 0), bump(float(own[0]) - centre[0], float(own[1]) - centre[1])])
         expected = bump(float(seen[0]) - centre[0], float(seen[1]) - centre[1])
-        torch.testing.assert_close(into_ego(group, company, 0)[1], expected, rtol=0, atol=0.02)
-        motion = about_centre(in_cells(pairwise[0, :, 0], company, (48, 48)), (48, 48))
+        torch.testing.assert_close(into_ego(group, layout, 0)[1], expected, rtol=0, atol=0.02)
+        motion = about_centre(in_cells(pairwise[0, :, 0], layout, (48, 48)), (48, 48))
         moved = shifted(group, motion)[1]
         assert abs(int(moved.argmax()) // 48 - int(expected.argmax()) // 48) <= 1
         assert abs(int(moved.argmax()) % 48 - int(expected.argmax()) % 48) <= 1

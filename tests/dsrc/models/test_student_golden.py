@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from dsrc.models.detector import Detector
-from dsrc.models.fusion import Company
+from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import scene_of
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.reconstruction import Reconstruction, Scene, reconstruction_losses
@@ -34,7 +34,7 @@ class Step:
     regression: Tensor
 
     def losses(self) -> dict[str, Tensor]:
-        student = self.nets["student"](self.own, Company(AGENTS))
+        student = self.nets["student"](self.own, AgentLayout(AGENTS))
         with torch.no_grad():
             teacher = self._teacher_output()
         cls, reg = detection_loss(student.cls, student.reg, self.positive, self.regression)
@@ -49,7 +49,7 @@ class Step:
         own = torch.isin(self.objects_with_teacher.coords[:, 0], torch.tensor([0, 1, 4]))
         dense = net.encoder.scatter(features[own], self.teacher)
         net.encoder.forward = lambda _: dense
-        output = net(self.teacher, Company(AGENTS))
+        output = net(self.teacher, AgentLayout(AGENTS))
         del net.encoder.forward
         return output
 
@@ -116,7 +116,7 @@ def test_losses_and_maps_equal_the_reference_in_eval_mode(step) -> None:
     world.nets.eval()
     _compare(world.losses(), notes["losses"]["eval"], 2e-5)
     with torch.inference_mode():
-        output = world.nets["student"](world.own, Company(AGENTS))
+        output = world.nets["student"](world.own, AgentLayout(AGENTS))
         logits, volume = world.nets["pcr"](output.fused)
         offset = world.nets["pcr"].offset(volume)
     close(output.fused, arrays["eval/fused_feature"])

@@ -74,9 +74,9 @@ def test_a_student_can_begin_as_its_teacher_without_the_paint(sample: Sample, te
     unpainted = collate([sample], bare, training=True)
     painted = torch.cat([unpainted.teacher.points, torch.zeros(len(unpainted.teacher.points), 1)], dim=1)
     with torch.no_grad():
-        found = student(unpainted.teacher, batch.company).cls
+        found = student(unpainted.teacher, batch.layout).cls
         teacher = _teacher(teacher_file, settings)
-        expected = teacher(replace(unpainted.teacher, points=painted), batch.company).cls
+        expected = teacher(replace(unpainted.teacher, points=painted), batch.layout).cls
     torch.testing.assert_close(found, expected)
 
 

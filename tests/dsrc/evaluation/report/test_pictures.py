@@ -210,7 +210,7 @@ def logits_of(detector, sample):
     """Return the (2, h, w) logits of a student."""
     batch = collate([sample], detector.settings, training=False)
     with torch.inference_mode():
-        return detector(batch.student, batch.company).cls[0].numpy()
+        return detector(batch.student, batch.layout).cls[0].numpy()
 
 
 def with_head(detector, change):

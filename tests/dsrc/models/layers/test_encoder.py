@@ -1,4 +1,4 @@
-"""The pillar encoder against the plain computation on padded pillars, and in company of empty clouds."""
+"""The pillar encoder against the plain computation on padded pillars, and in layout of empty clouds."""
 
 import numpy as np
 import pytest

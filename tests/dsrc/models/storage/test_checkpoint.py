@@ -130,7 +130,7 @@ def output_of(teacher: Detector, agents: int) -> Output:
     batch = collate([sample], teacher.settings, training=False)
     assert batch.teacher is not None
     with torch.inference_mode():
-        return teacher(batch.teacher, batch.company)
+        return teacher(batch.teacher, batch.layout)
 
 
 def test_a_teacher_of_the_ego_alone_reads_all_agents_with_a_fusion_without_weights() -> None:

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from torch import nn
 
 from dsrc.models.detector import Detector
-from dsrc.models.fusion import FUSIONS, Company
+from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.storage.deploy import ENGINES, FusedConv, deployed
 from dsrc.training.recipes import debug
@@ -57,12 +57,12 @@ def test_it_gives_the_same_maps_for_every_method(method):
     detector = a_detector(fusion=method)
     before = {name: value.clone() for name, value in detector.state_dict().items()}
     fast, pillars = deployed(detector), some_pillars(detector)
-    company = Company((1, 1, 1)) if method in ("none", "early", "late") else Company(AGENTS)
+    layout = AgentLayout((1, 1, 1)) if method in ("none", "early", "late") else AgentLayout(AGENTS)
     with torch.inference_mode():
-        expected = detector(pillars, company)
-        assert_same(fast(pillars, company), expected)
+        expected = detector(pillars, layout)
+        assert_same(fast(pillars, layout), expected)
         # A network's last bits may change from run to run, with how its threads share the work; its weights may not.
-        assert_same(detector(pillars, company), expected)
+        assert_same(detector(pillars, layout), expected)
     assert all(torch.equal(value, before[name]) for name, value in detector.state_dict().items())
     assert any(isinstance(module, FusedConv) for module in fast.modules())
 
@@ -73,20 +73,20 @@ def test_it_gives_the_same_maps_for_every_backbone(backbone, monkeypatch):
     fast, pillars = deployed(detector), some_pillars(detector)
     assert not any(isinstance(module, nn.BatchNorm2d) for module in fast.modules())
     with torch.inference_mode():
-        expected = detector(pillars, Company(AGENTS))
-        assert_same(fast(pillars, Company(AGENTS)), expected)
+        expected = detector(pillars, AgentLayout(AGENTS))
+        assert_same(fast(pillars, AgentLayout(AGENTS)), expected)
         # Where there is no oneDNN.
         monkeypatch.setattr("dsrc.models.storage.deploy._ONEDNN", False)
-        assert_same(fast(pillars, Company(AGENTS)), expected)
+        assert_same(fast(pillars, AgentLayout(AGENTS)), expected)
 
 
 @pytest.mark.parametrize("method", FUSIONS)
 def test_half_the_digits_give_nearly_the_same_scores(method):
     detector = a_detector(fusion=method)
     coarse, pillars = deployed(detector, torch.bfloat16), some_pillars(detector)
-    company = Company((1, 1, 1)) if method in ("none", "early", "late") else Company(AGENTS)
+    layout = AgentLayout((1, 1, 1)) if method in ("none", "early", "late") else AgentLayout(AGENTS)
     with torch.inference_mode():
-        expected, found = detector(pillars, company), coarse(pillars, company)
+        expected, found = detector(pillars, layout), coarse(pillars, layout)
     assert found.cls.dtype == torch.float32
     difference = (found.cls.sigmoid() - expected.cls.sigmoid()).abs().max()
     assert 0 < difference < 0.005
@@ -98,7 +98,7 @@ def test_compiled_it_gives_the_same_maps():
     pillars = some_pillars(detector)
     fast = ENGINES["compiled"](detector)
     with torch.inference_mode():
-        assert_same(fast(pillars, Company(AGENTS)), detector(pillars, Company(AGENTS)))
+        assert_same(fast(pillars, AgentLayout(AGENTS)), detector(pillars, AgentLayout(AGENTS)))
 
 
 def test_without_a_compiler_it_says_so(monkeypatch):

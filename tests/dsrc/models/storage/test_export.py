@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dsrc.models.fusion import Company
+from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.storage.export import INPUTS, export_onnx
 from sim.errors import SettingsError
@@ -29,7 +29,7 @@ def assert_same_as_torch(detector, path, agents, points):
     wanted = {i.name for i in session.get_inputs()}
     cls, reg = session.run(["cls", "reg"], {n: t.numpy() for n, t in zip(INPUTS, tensors, strict=True) if n in wanted})
     with torch.inference_mode():
-        expected = detector(pillars, Company((agents,)))
+        expected = detector(pillars, AgentLayout((agents,)))
     np.testing.assert_allclose(cls, expected.cls.numpy(), atol=1e-4, rtol=0)
     np.testing.assert_allclose(reg, expected.reg.numpy(), atol=1e-4, rtol=0)
 

@@ -8,7 +8,7 @@ import torch
 
 from dsrc.__main__ import main
 from dsrc.data.sample import Sample
-from dsrc.models.fusion import Company
+from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.storage.checkpoint import load_detector
 from dsrc.models.storage.import_opencood import import_detector
@@ -51,7 +51,7 @@ def test_an_imported_detector_says_the_same_of_the_same_points(tmp_path: Path) -
         assert getattr(detector.settings, field) == getattr(released, field), field
     clouds = clouds_of(arrays, grid)
     with torch.inference_mode():
-        output = detector(pillars_of(clouds, detector.settings), Company((len(clouds),)))
+        output = detector(pillars_of(clouds, detector.settings), AgentLayout((len(clouds),)))
     for found, name in ((output.cls, "psm"), (output.reg, "rm")):
         np.testing.assert_allclose(found.numpy(), arrays[f"out/{name}"], rtol=0, atol=1e-4)
 
@@ -83,7 +83,7 @@ def test_both_halves_of_a_students_file_are_imported(tmp_path: Path, teacher: bo
     clouds = clouds_of(arrays, grid, "clouds_paint" if teacher else "points")
     clouds = [clouds[i] for i in (0, 1, 4)] if teacher else clouds
     with torch.inference_mode():
-        output = detector(pillars_of(clouds, detector.settings), Company((2, 1)))
+        output = detector(pillars_of(clouds, detector.settings), AgentLayout((2, 1)))
     end = "_teacher" if teacher else ""
     np.testing.assert_allclose(output.cls.numpy(), arrays[f"eval/psm{end}"], rtol=0, atol=1e-4)
     np.testing.assert_allclose(output.reg.numpy(), arrays[f"eval/rm{end}"], rtol=0, atol=1e-4)

@@ -1,0 +1,130 @@
+"""The drives of a split, one row each: what a detector is judged by, as it is counted in an evaluation.
+
+    python -m dsrc.data.datasets.drive_table data/dsrc-sim/test --docs docs/datasets.md --name dsrc-sim
+
+writes the table between `<!-- begin NAME/drives -->` and `<!-- end NAME/drives -->`; without `--docs` it is printed.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dsrc.data.drives import Drive, open_drives
+from dsrc.data.jsonio import write_atomic
+from dsrc.data.sample import make_sample
+from dsrc.ops.grid import GridSpec
+from sim.errors import DataError, UserError, complaint
+
+_HEAD = ("drive", "frames", "agents", "boxes", "boxes a frame", "without a point from the ego", "way of the ego, m")
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One drive.
+
+    Attributes:
+        drive: its name.
+        frames: how many.
+        vehicles: agents that drive, the ego among them.
+        roadside: agents that stand beside the road.
+        boxes: ground truth of an evaluation, summed over the frames: vehicles in range that any agent in communication
+            range has a point on.
+        unseen: of these the ones that the ego has no point on.
+        way_m: length of the ego's way from the first frame to the last, m.
+    """
+
+    drive: str
+    frames: int
+    vehicles: int
+    roadside: int
+    boxes: int
+    unseen: int
+    way_m: float
+
+
+def count(drive: Drive, grid: GridSpec) -> Row:
+    """Count a drive; the ego and the boxes are those of `make_sample`.
+
+    Args:
+        drive: at least one frame.
+        grid: the range, in the ego LiDAR's frame.
+    """
+    boxes, unseen, places = 0, 0, []
+    for i in range(len(drive)):
+        frame = drive.read(i)
+        sample = make_sample(frame, None, grid)
+        boxes += len(sample.boxes)
+        unseen += len(sample.boxes) - len(sample.agent_boxes[0])
+        places.append(frame.agent(sample.agent_ids[0]).sweep.world_from_lidar[:2, 3])
+    kinds = [agent.kind for agent in frame.agents]
+    return Row(
+        drive=drive.drive.name,
+        frames=len(drive),
+        vehicles=kinds.count("vehicle"),
+        roadside=kinds.count("roadside"),
+        boxes=boxes,
+        unseen=unseen,
+        way_m=float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()),
+    )
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows as Markdown, their sum below them."""
+    lines = [_HEAD, ("---", *("---:",) * (len(_HEAD) - 1))]
+    for row in rows:
+        agents = f"{row.vehicles} + {row.roadside} roadside" if row.roadside else f"{row.vehicles}"
+        lines.append((f"`{row.drive}`", f"{row.frames}", agents, *_boxes([row]), f"{row.way_m:.0f}"))
+    lines.append((f"{len(rows)} drives", f"{sum(row.frames for row in rows):,}", "", *_boxes(rows), ""))
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _boxes(rows: Sequence[Row]) -> tuple[str, str, str]:
+    frames, boxes, unseen = (sum(getattr(row, name) for row in rows) for name in ("frames", "boxes", "unseen"))
+    return f"{boxes:,}", f"{boxes / frames:.1f}", f"{unseen:,} ({unseen / max(boxes, 1):.0%})"
+
+
+def put(document: Path, name: str, content: str) -> None:
+    """Put a block between its markers in a document.
+
+    Raises:
+        DataError: the document has no such markers.
+    """
+    begin, end = (f"<!-- {word} {name} -->" for word in ("begin", "end"))
+    if not document.is_file():
+        raise DataError(f"{document}: no such file")
+    text = document.read_text(encoding="utf-8")
+    before, begun, rest = text.partition(begin)
+    _, ended, after = rest.partition(end)
+    if not (begun and ended):
+        raise DataError(complaint(document, name, f"the lines {begin} and {end}", "one or none of them"))
+    write_atomic(document, f"{before}{begin}\n{content}\n{end}{after}".encode())
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command of the module's first lines; a user's mistake is one line and exit code 2."""
+    from dsrc.training.recipes import small
+
+    parser = argparse.ArgumentParser(
+        prog="python -m dsrc.data.datasets.drive_table", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("folder", type=Path, help="drives of any format that is read")
+    parser.add_argument("--docs", type=Path, help="document that the table goes into; printed when left out")
+    parser.add_argument("--name", default="dsrc-sim", help="of the dataset, in the document's markers")
+    options = parser.parse_args(arguments)
+    try:
+        text = table([count(drive, small().model.grid) for drive in open_drives(options.folder)])
+        if options.docs is None:
+            sys.stdout.write(f"{text}\n")
+        else:
+            put(options.docs, f"{options.name}/drives", text)
+    except UserError as error:
+        sys.stderr.write(f"drive_table: {error}\n")
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()
