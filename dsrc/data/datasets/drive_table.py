@@ -21,6 +21,9 @@ from sim.errors import DataError, UserError, complaint
 
 _HEAD = ("drive", "frames", "agents", "boxes", "boxes a frame", "without a point from the ego", "way of the ego, m")
 
+GRID = GridSpec(range_m=(-51.2, -25.6, -3.0, 51.2, 25.6, 2.6))
+"""Range of the recipe `small`, in which boxes are counted."""
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -106,8 +109,6 @@ def put(document: Path, name: str, content: str) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's first lines; a user's mistake is one line and exit code 2."""
-    from dsrc.training.recipes import small
-
     parser = argparse.ArgumentParser(
         prog="python -m dsrc.data.datasets.drive_table", description=(__doc__ or "").split("\n")[0]
     )
@@ -116,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--name", default="dsrc-sim", help="of the dataset, in the document's markers")
     options = parser.parse_args(arguments)
     try:
-        text = table([count(drive, small().model.grid) for drive in open_drives(options.folder)])
+        text = table([count(drive, GRID) for drive in open_drives(options.folder)])
         if options.docs is None:
             sys.stdout.write(f"{text}\n")
         else:

@@ -5,14 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.data.datasets.drive_table import count, main, put, table
+from dsrc.data.datasets.drive_table import GRID, count, main, put, table
 from dsrc.data.drives import open_drive
 from dsrc.data.write import write_drive
 from dsrc.ops.grid import GridSpec
+from dsrc.training.recipes import small
 from sim.errors import DataError
 from tests.dsrc.data.toy import PLACES, SETTINGS, ToySource, truth_at
-
-GRID = GridSpec(range_m=(-51.2, -25.6, -3.0, 51.2, 25.6, 2.6))
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +80,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(tmp_path: Path, capsys: pytest.Ca
         main([str(tmp_path / "nowhere")])
     assert caught.value.code == 2
     assert capsys.readouterr().err == f"drive_table: {tmp_path / 'nowhere'}: no such folder\n"
+
+
+def test_boxes_are_counted_in_the_range_of_the_recipe_of_the_tables() -> None:
+    assert small().model.grid == GRID
