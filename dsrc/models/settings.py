@@ -1,82 +1,69 @@
-"""ModelSettings: everything that fixes the shape and the meaning of a detector's weights."""
+"""Settings of a detector: shape and meaning of its weights."""
 
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
+from dsrc.models.registry import FUSIONS
 from dsrc.ops.grid import GridSpec
+from sim.errors import did_you_mean
 
-Fusion = Literal[
-    "attention",
-    "max",
-    "max_map",
-    "none",
-    "late",
-    "early",
-    "v2vnet",
-    "v2xvit",
-    "cobevt",
-    "where2comm",
-    "coalign",
-    "ermvp",
-    "mrcnet",
-]
 Backbone = Literal["res2net", "resnet", "plain"]
 Count = Annotated[int, Meta(ge=1)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Sizes and switches of a detector; saved in every checkpoint.
+    """Settings of a detector, saved in every checkpoint.
 
     The defaults are the paper's (Implementation Details): 0.4 m pillars and Res2Net blocks 3, 5, 8.
 
     Attributes:
         grid: bird's-eye grid in the ego LiDAR's frame.
-        role: a teacher reads clouds that were built with ground truth, a student what the sensors saw.
-        fusion: how the agents' features are joined, a key of `FUSIONS`.
-        backbone: a key of `BACKBONES`; None is the method's own: CoAlign's residual blocks, Res2Net for all others.
-        released: let the method do as its published code does where that is a mistake, as its class says.
-        own_frame: encode each agent's cloud in its own frame, as one does that sends features without knowing who hears
-            them; the receiver warps the maps. Else clouds are brought to the ego's frame first.
-        align_poses: put the collaborators' poses right by a graph of agents and objects before a sample is
-            detected in; it takes another run of the network on each agent's cloud by itself.
-        compress: times fewer channels that are sent of each map.
-        share: of the tiles of its maps that an agent sends, those in which it is surest to see something; in use only,
-            training has everything. Needs no training of its own: see `dsrc.models.compression`.
-        bits: of each number that is sent, in use only.
+        role: input clouds: a teacher's are built with ground truth, a student's are the sensors'.
+        fusion: key of `dsrc.models.fusion.FUSIONS`.
+        backbone: key of `BACKBONES`; None is the method's own: CoAlign's residual blocks, Res2Net for all others.
+        released: mistakes of the method's published code are reproduced, see its class.
+        own_frame: each agent's cloud is encoded in its own frame, as by an agent that broadcasts its features; the
+            receiver warps the maps. Else clouds are brought to the ego's frame first.
+        align_poses: poses of the collaborators are corrected by an agent-object pose graph before detection, which
+            takes another run of the network on each agent's cloud alone.
+        compress: ratio by which the channels of a sent map are reduced, see `Compressor`.
+        share: share of its tiles that an agent sends, the most confident ones; inference only and without training,
+            see `dsrc.models.compression`.
+        bits: bits per sent number, inference only.
         sdd: sparse-to-dense distillation: the teacher's objects hold the points of all agents.
         pcp: point cloud painting: the teacher's points carry a fifth channel, 1 inside a labelled box.
         rec: point cloud reconstruction supervises the fused feature (training only).
-        box_order: in which the regression maps have the sizes: `lwh`, or `hwl` as the released models have.
+        box_order: order of the sizes in regression maps: `lwh`, or `hwl` as in the released models.
         max_points: points kept per pillar, first come.
         max_pillars: pillars kept per cloud, first come.
-        padded_slots: whether the zero rows that pad a pillar to `max_points` take part in batch norm and in the
-            maximum, as in the released code. Without them, statistics and maximum are of real points only.
+        padded_slots: zero rows that pad a pillar to `max_points` take part in batch norm and maximum, as in the
+            released code. Else statistics and maximum are of real points only.
         pillar_channels: width of the pillar encoder.
         stage_channels: widths of the three backbone stages, each at half the resolution of the one before.
         stage_blocks: residual blocks of the stages.
         base_width: width of a Res2Net split at 64 channels; the split is `channels * base_width // 64`.
-        decoder_channels: width of each scale after it was brought back to half the grid's resolution.
+        decoder_channels: width of each scale after upsampling to half the grid's resolution.
         shrink_channels: width of the two 3 x 3 convolutions before the heads.
         shrink_norm: batch norms in these two convolutions. The published networks have none; ours then lost nearly half
             of the channels, which were negative in every cell.
-        norm_momentum: of the batch norms of the encoder, the decoder and the shrink convolutions.
-        direction: a third head says which way along its anchor a box heads; without it, front and back are guessed.
-        score_prior: confidence that an untrained head gives, None for the framework's own start.
+        norm_momentum: momentum of the batch norms of the encoder, the decoder and the shrink convolutions.
+        direction: a third head classifies the box's direction along its anchor; without it, front and back are guessed.
+        score_prior: confidence of an untrained head, None for PyTorch's initialisation.
         reconstruction_channels: widths of the reconstruction head, per vertical bin and after reduction.
         reconstruction_cell_z_m: height of a reconstruction voxel; the released code's is the whole range.
-        max_agents: agents that one ego listens to, itself included.
-        score_threshold: detections below this confidence are dropped.
-        nms_iou: of two detections that overlap more than this, the less confident is dropped.
-        max_extent_m: detections longer than this along x or y are dropped, buses among them, as in the released code,
-            which has 6 m; None keeps all.
+        max_agents: number of agents that are fused, the ego included.
+        score_threshold: confidence below which detections are dropped.
+        nms_iou: overlap above which the less confident of two detections is dropped.
+        max_extent_m: extent along x or y above which detections are dropped, buses among them; 6 m in the released
+            code, None keeps all.
     """
 
     grid: GridSpec = GridSpec()
     role: Literal["student", "teacher"] = "student"
-    fusion: Fusion = "attention"
+    fusion: str = "attention"
     backbone: Backbone | None = None
     released: bool = False
     own_frame: bool = False
@@ -109,6 +96,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_extent_m: Annotated[float, Meta(gt=0)] | None = None
 
     def __post_init__(self) -> None:
+        if self.fusion not in FUSIONS:
+            raise ValueError(f"fusion: unknown '{self.fusion}'{did_you_mean(str(self.fusion), FUSIONS)}")
         if self.grid.width % 8 or self.grid.height % 8:
             raise ValueError(f"grid: expected multiples of 8 cells, found {self.grid.width} x {self.grid.height}")
         if min(self.stage_channels) * self.base_width < 64:
@@ -140,12 +129,12 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def point_features(self) -> int:
-        """Channels of a point in a cloud: x, y, z, intensity and, for a painted teacher, the paint."""
+        """Channels of a point: x, y, z, intensity and, for a painted teacher, the paint."""
         return 5 if self.role == "teacher" and self.pcp else 4
 
     @property
     def distils(self) -> bool:
-        """Whether a student of these settings learns from a teacher."""
+        """Distillation is on: a student of these settings needs a teacher."""
         return self.sdd or self.pcp
 
     @property

@@ -28,7 +28,7 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         scale: resize by up to this fraction.
         random_ego: look through any of the frame's vehicles, not always the first.
         dropout: probability that only some agents (one to all, evenly) take part; the ground truth is then what these
-            have seen. One network so learns to be good alone and in layout.
+            have seen. One network so learns to be good alone and with collaborators.
         thinning: probability that a student sees but a random share of each agent's points. Ground truth, the teacher's
             clouds and what is reconstructed have all of them: sparse to dense by more than one view differs from many.
         corruption: probability that the sensors of a sample are corrupted, by any of `kinds` in any severity. Ground

@@ -1,4 +1,6 @@
-"""How the agents' feature maps become one: one file per method, each a `Fusion`."""
+"""Fusion methods: feature maps of several agents to one; one file per method, each a `Fusion`."""
+
+from collections.abc import Mapping
 
 from dsrc.models.fusion.attention import AttentionFusion
 from dsrc.models.fusion.base import AgentLayout, Fusion
@@ -13,10 +15,15 @@ from dsrc.models.fusion.none import NoFusion
 from dsrc.models.fusion.v2vnet import V2VNet
 from dsrc.models.fusion.v2xvit import V2XViT
 from dsrc.models.fusion.where2comm import Where2comm
+from dsrc.models.registry import FUSIONS as _ALL
+from dsrc.models.registry import register_fusion
 
-__all__ = ["FUSIONS", "AgentLayout", "Fusion"]
+__all__ = ["FUSIONS", "AgentLayout", "Fusion", "register_fusion"]
 
-FUSIONS: dict[str, type[Fusion]] = {
+FUSIONS: Mapping[str, type[Fusion]] = _ALL
+"""Fusion classes by name, built in and registered."""
+
+for _name, _fusion in {
     "none": NoFusion,
     "early": EarlyFusion,
     "late": LateFusion,
@@ -30,4 +37,5 @@ FUSIONS: dict[str, type[Fusion]] = {
     "coalign": CoAlign,
     "ermvp": ERMVP,
     "mrcnet": MRCNetStyle,
-}
+}.items():
+    register_fusion(_name, _fusion)

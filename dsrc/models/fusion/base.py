@@ -1,4 +1,4 @@
-"""What all fusion methods have in common: whose features they get, and how they are called."""
+"""Base class of the fusion methods, and the layout of agents in a batch that they read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,17 +16,17 @@ Layer = TypeVar("Layer", bound=nn.Module)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentLayout:
-    """Who stands in the rows of a batch of features, and what of them arrived.
+    """Layout of agents in a batch: agents per sample, lost tiles, kinds, delays, poses.
 
     Attributes:
         agents: (B,) number of agents of each sample; their rows are consecutive, ego first.
-        lost: (N, H / 8, W / 8) bool tiles of the agents' maps that did not arrive; None when all did.
-        roadside: (N,) bool whether an agent is a roadside unit; None when all are vehicles.
-        delay: (N,) int64 age of the features in frames; None when all are of now.
+        lost: (N, H / 8, W / 8) bool lost tiles of the agents' maps; None when all arrived.
+        roadside: (N,) bool, True for roadside units; None when all are vehicles.
+        delay: (N,) int64 age of the features in frames; None when all are current.
         pairwise: (B, L, L, 4, 4) `[b, i, j]` maps points of agent i's frame to agent j's, m; rows of absent agents are
             not read. None when all features are in the ego's frame already, as they are when clouds are projected
             before they are encoded.
-        extent_m: width (x) and height (y) of the maps, m; needed with `pairwise` alone, like the next.
+        extent_m: width (x) and height (y) of the maps, m; read with `pairwise` alone, like the next.
         centre_m: x and y of the maps' centre in their agents' frames, m.
     """
 
@@ -39,7 +39,7 @@ class AgentLayout:
     centre_m: tuple[float, float] = (0.0, 0.0)
 
     def split(self, x: Tensor) -> tuple[Tensor, ...]:
-        """Return the rows of each sample."""
+        """Split (N, ...) rows by sample."""
         return x.split(list(self.agents))
 
     def to(self, device: torch.device | str) -> "AgentLayout":
@@ -53,31 +53,34 @@ class AgentLayout:
 
 
 class Fusion(nn.Module):
-    """A way to make one feature map of several agents' maps.
+    """Fusion method: feature maps of several agents to one map per sample.
+
+    A method overrides `fuse`, or `forward` where scales depend on each other, and `of` where it has weights. Contract:
+    `dsrc.models.fusion_check.check_fusion`.
 
     Attributes:
-        place: which maps the agents send: `stages`, the three scales of the backbone, each fused by itself before the
-            decoder; or `map`, one map of `shrink_channels` at a quarter of the grid's resolution, after decoder and
-            shrink convolutions.
-        scales_sent: how many of the stages go through the air.
-        start: what a method with weights of its own gives before they are trained: `identity`, the ego's maps, or
-            `maximum`, the largest of all agents' values per channel and cell. It is exact, so that a network whose
-            other weights come from a detector of single clouds starts with all that this one knows. Empty for methods
-            without weights.
+        place: maps that are fused: `stages`, the three scales of the backbone, each before the decoder; or `map`, one
+            map of `shrink_channels` at a quarter of the grid's resolution, after decoder and shrink convolutions.
+        scales_sent: number of stages that are transmitted.
+        start: output of an untrained method with weights: `identity`, the ego's maps, or `maximum`, the largest value
+            of all agents per channel and cell. It is exact, so that a network whose other weights come from a detector
+            of single clouds starts with all that this one knows. Empty for methods without weights.
+        ordered: the order of the collaborators matters, as with an embedding of an agent's place in the list.
     """
 
     place: ClassVar[Literal["stages", "map"]] = "stages"
     scales_sent: ClassVar[int] = 3
     start: ClassVar[Literal["", "identity", "maximum"]] = ""
+    ordered: ClassVar[bool] = False
 
     @classmethod
     def of(cls, settings: ModelSettings) -> Self:
-        """Return the fusion for a detector of these settings."""
+        """Make the fusion of a detector with these settings."""
         return cls()
 
     @classmethod
     def values_sent(cls, settings: ModelSettings) -> int:
-        """Return how many numbers an agent sends of one frame, at most."""
+        """Return the numbers that an agent sends per frame, at most."""
         cells = settings.grid.width * settings.grid.height
         if cls.place == "map":
             return settings.shrink_channels * cells // 16
@@ -86,11 +89,11 @@ class Fusion(nn.Module):
 
     @classmethod
     def channels_sent(cls, settings: ModelSettings) -> int:
-        """Return how many channels the maps that an agent sends have together."""
+        """Return the channels of all maps that an agent sends."""
         return settings.shrink_channels if cls.place == "map" else sum(settings.stage_channels[: cls.scales_sent])
 
     def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
-        """Return what the agents send of their maps, cells that are not sent being zero; arguments as of `forward`."""
+        """Return the transmitted part of the agents' maps, zeros elsewhere; arguments as of `forward`."""
         return list(maps)
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
@@ -98,23 +101,26 @@ class Fusion(nn.Module):
         raise NotImplementedError
 
     def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
-        """Fuse what the agents sent.
+        """Fuse transmitted maps.
 
         Args:
-            maps: what they sent, (N, C, H, W) each.
-            layout: whose they are.
-            network: the detector, for a method that lets parts of it run again.
+            maps: (N, C, H, W) each, as of `send`.
+            layout: agents of the rows.
+            network: the detector, for a method that runs parts of it again.
+
+        Returns:
+            (B, C, H, W) each.
         """
         return [self.fuse(features, layout) for features in maps]
 
 
-def silent(layer: Layer) -> Layer:
-    """Return a layer with weights of zero, so that what it adds to a map is learned from nothing."""
+def zeroed(layer: Layer) -> Layer:
+    """Set a layer's weights to zero, so that it adds nothing to a map before training."""
     for weight in layer.parameters():
         nn.init.zeros_(weight)
     return layer
 
 
 def stacked(rows: Sequence[Tensor]) -> Tensor:
-    """Return (B, C, H, W) of B (C, H, W) maps in the order that they have in memory, as `torch.stack` does not."""
+    """Stack B (C, H, W) maps to (B, C, H, W) in their memory order, which `torch.stack` changes."""
     return rows[0][None] if len(rows) == 1 else torch.cat([row[None] for row in rows])

@@ -5,7 +5,7 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, silent, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked, zeroed
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import AgentWindows, FeedForward, Residual, padded
 from dsrc.models.settings import ModelSettings
@@ -29,6 +29,7 @@ class CoBEVT(Fusion):
 
     place = "map"
     start = "maximum"
+    ordered = True
 
     def __init__(
         self,
@@ -69,7 +70,7 @@ class CoBEVT(Fusion):
             for _ in range(depth)
         )
         self.norm = nn.LayerNorm(channels)
-        self.out = silent(nn.Linear(channels, channels))
+        self.out = zeroed(nn.Linear(channels, channels))
         self.keep = nn.Parameter(torch.ones(channels))
 
     @classmethod

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, silent, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked, zeroed
 from dsrc.models.fusion.cobevt import filled_up
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import (
@@ -47,6 +47,7 @@ class ERMVP(Fusion):
 
     place = "map"
     start = "identity"
+    ordered = True
 
     def __init__(
         self,
@@ -90,7 +91,7 @@ class ERMVP(Fusion):
             for _ in range(depth)
         )
         self.norm = nn.LayerNorm(channels)
-        self.out = silent(nn.Linear(channels, channels))
+        self.out = zeroed(nn.Linear(channels, channels))
         self.keep = nn.Parameter(torch.ones(channels))
 
     @classmethod

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, silent, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked, zeroed
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.settings import ModelSettings
 
@@ -46,7 +46,7 @@ class MRCNetStyle(Fusion):
         third = max(width // 3, 1)
         # Without bias, so that cells of which nothing arrived stay zero.
         project = [nn.Conv2d(c, width, 1, bias=False) for c in channels]
-        join = [silent(nn.Conv3d(2, 1, 3, padding=1)) for _ in channels]
+        join = [zeroed(nn.Conv3d(2, 1, 3, padding=1)) for _ in channels]
         for brought, maximum in zip(project, join, strict=True):
             nn.init.dirac_(brought.weight)
             maximum.weight.data[0, 0, 1, 1, 1] = 1.0
@@ -59,8 +59,8 @@ class MRCNetStyle(Fusion):
                 for b in range(a)
             }
         )
-        self.gather = nn.ModuleList(silent(nn.Conv2d(3 * third, width, 3, padding=1)) for _ in range(3))
-        self.restore = nn.ModuleList(silent(nn.Conv2d(width, c, 1)) for c in channels)
+        self.gather = nn.ModuleList(zeroed(nn.Conv2d(3 * third, width, 3, padding=1)) for _ in range(3))
+        self.restore = nn.ModuleList(zeroed(nn.Conv2d(width, c, 1)) for c in channels)
 
     @classmethod
     def of(cls, settings: ModelSettings) -> Self:
@@ -81,8 +81,8 @@ class MRCNetStyle(Fusion):
 
     def _joined(self, scales: list[Tensor]) -> list[Tensor]:
         """Return three (D, H_k, W_k), what all agents' (A, D, H_k, W_k) add to the ego's map."""
-        layout = [torch.cat([own[:1], part]) for own, part in zip(scales, self._enhanced(scales), strict=True)]
-        both = [torch.stack([part.amax(0), part.mean(0)]) for part in layout]
+        alongside = [torch.cat([own[:1], part]) for own, part in zip(scales, self._enhanced(scales), strict=True)]
+        both = [torch.stack([part.amax(0), part.mean(0)]) for part in alongside]
         return [torch.relu(_over_channels(join, pair)) for join, pair in zip(self.join, both, strict=True)]  # type: ignore[arg-type]
 
     def _enhanced(self, scales: list[Tensor]) -> list[Tensor]:

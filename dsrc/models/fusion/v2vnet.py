@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, silent
+from dsrc.models.fusion.base import AgentLayout, Fusion, zeroed
 from dsrc.models.fusion.warp import about_centre, in_cells, shifted
 from dsrc.models.settings import ModelSettings
 
@@ -52,7 +52,7 @@ class V2VNet(Fusion):
         self.message = nn.Conv2d(2 * channels, channels, 3, padding=1)
         self.update = nn.Conv2d(2 * channels, channels, 3, padding=1)
         self.candidate = nn.Conv2d(2 * channels, channels, 3, padding=1)
-        silent(self.candidate if gated else self.message)
+        zeroed(self.candidate if gated else self.message)
         self.keep = nn.Parameter(torch.ones(channels))
         self.out = nn.Linear(channels, channels)
         nn.init.eye_(self.out.weight)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, silent
+from dsrc.models.fusion.base import AgentLayout, Fusion, zeroed
 from dsrc.models.fusion.warp import about_centre, in_cells, shifted
 from dsrc.models.fusion.windows import FeedForward, Residual, cut, padded, paste
 from dsrc.models.settings import ModelSettings
@@ -56,7 +56,7 @@ class V2XViT(Fusion):
             dropout: while training.
         """
         super().__init__()
-        self.delay = silent(nn.Linear(channels, channels))
+        self.delay = zeroed(nn.Linear(channels, channels))
         self.blocks = nn.ModuleList(
             nn.ModuleDict(
                 {
@@ -69,9 +69,9 @@ class V2XViT(Fusion):
         )
         for module in self.blocks.modules():
             if isinstance(module, AgentAttention | Windows):
-                silent(module.out)
+                zeroed(module.out)
             elif isinstance(module, FeedForward):
-                silent(module[-2])
+                zeroed(module[-2])
 
     @classmethod
     def of(cls, settings: ModelSettings) -> Self:

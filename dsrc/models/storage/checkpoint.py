@@ -9,9 +9,10 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.models.detector import Detector
-from dsrc.models.settings import Fusion, ModelSettings
+from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.deploy import ENGINES
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
+from sim.files import replacing
 
 FORMAT = "dsrc-detector-1"
 
@@ -28,10 +29,9 @@ def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None
     state = {name: _stored(tensor, half) for name, tensor in detector.state_dict().items()}
     content = {"format": FORMAT, "settings": msgspec.to_builtins(detector.settings), "state": state}
     content["meta"] = msgspec.to_builtins(dict(meta or {}), enc_hook=str)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    torch.save(content, temporary)
-    temporary.replace(path)
+    # By way of an open file: PyTorch keeps the name of a path in the archive.
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        torch.save(content, file)
 
 
 def load_detector(path: Path, device: str = "cpu") -> Detector:
@@ -82,7 +82,7 @@ def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Dete
     return ENGINES[engine](detector)
 
 
-def with_fusion(detector: Detector, fusion: Fusion) -> Detector:
+def with_fusion(detector: Detector, fusion: str) -> Detector:
     """Detector of the same weights that joins the agents' maps another way; the given one stays as it is.
 
     Attention, maximum and none bring no weights: a teacher that was trained on the ego's cloud alone reads all agents'

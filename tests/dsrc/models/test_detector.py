@@ -15,7 +15,7 @@ from dsrc.models.fusion import FUSIONS
 from dsrc.models.fusion.max import MaxFusion
 from dsrc.models.inputs.batch import collate
 from dsrc.models.layers.backbones import BACKBONES
-from dsrc.models.settings import Backbone, Fusion
+from dsrc.models.settings import Backbone
 from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.ops.grid import GridSpec
 from dsrc.training.module import DetectionModule
@@ -176,7 +176,6 @@ def test_a_map_that_is_warped_is_nearly_the_map_of_a_cloud_that_was_moved() -> N
 
 
 def test_settings_name_what_there_is() -> None:
-    assert set(get_args(Fusion)) == set(FUSIONS)
     assert set(get_args(Backbone)) == set(BACKBONES)
     with pytest.raises(ValueError, match="own_frame: expected a fusion of maps"):
         changed(debug().model, own_frame=True)

@@ -78,12 +78,12 @@ def test_the_teacher_has_the_same_clouds_of_those_who_are_kept_whether_others_ar
     sample: Sample, seed: int
 ) -> None:
     settings = replace_setting(debug().model, max_points=10_000, rec=False)
-    layout, few = (augment(sample, GRID, replace_dropout(p), np.random.default_rng(seed)) for p in (0.0, 1.0))
-    whole, part = (collate([s], settings, training=True) for s in (layout, few))
-    assert len(few.clouds) + len(few.other_clouds) == len(layout.clouds) == 3
+    all_agents, few = (augment(sample, GRID, replace_dropout(p), np.random.default_rng(seed)) for p in (0.0, 1.0))
+    whole, part = (collate([s], settings, training=True) for s in (all_agents, few))
+    assert len(few.clouds) + len(few.other_clouds) == len(all_agents.clouds) == 3
     assert part.teacher.clouds == part.student.clouds == len(few.clouds)
     for row, agent in enumerate(few.agent_ids):
-        expected = points_of(whole.teacher, layout.agent_ids.index(agent))
+        expected = points_of(whole.teacher, all_agents.agent_ids.index(agent))
         np.testing.assert_array_equal(in_order(points_of(part.teacher, row)), in_order(expected))
 
 

@@ -1,4 +1,4 @@
-"""The pillar encoder against the plain computation on padded pillars, and in layout of empty clouds."""
+"""The pillar encoder equals the plain computation on padded pillars; empty clouds change nothing."""
 
 import numpy as np
 import pytest
