@@ -23,7 +23,7 @@ import tyro
 from benchmarks.quiet import others_s
 from benchmarks.street import BENCHMARK_LIDAR
 from dsrc.data.checksums import write_sums
-from dsrc.data.executors import ProcessExecutor, Report
+from dsrc.data.executors import ProcessExecutor, Progress
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, Live, open_live
 from dsrc.data.write import DriveSpec
@@ -33,8 +33,8 @@ from sim.scenario import Scenario
 
 AGENTS, VEHICLES = 5, 60
 STAGES: dict[str, tuple[str, ...]] = {
-    "tracing": ("sensors.recording.record.scan_all", "sensors.recording.record.RayScene.with_bodies"),
-    "visibility": ("sensors.recording.record.visible_fraction", "sensors.recording.record.lines_of_sight"),
+    "tracing": ("sensors.recording.rig.scan_all", "sensors.recording.rig.RayScene.with_bodies"),
+    "visibility": ("sensors.recording.rig.visible_fraction", "sensors.recording.rig.lines_of_sight"),
     "encode": (
         "dsrc.data.formats.opv2v.reader.deskew_frame",
         "dsrc.data.formats.opv2v.reader.encode_pcd",
@@ -107,7 +107,7 @@ class Share:
     workers: int
 
 
-def work(share: Share, report: Report) -> tuple[float, float, float]:
+def work(share: Share, report: Progress) -> tuple[float, float, float]:
     """Make a drive in a worker; return when its second frame began, when its last was done, and CPU seconds between."""
     LIDARS.setdefault(BENCHMARK_LIDAR.name, BENCHMARK_LIDAR)
     spec = DriveSpec(busy_scenario(), 1, share.frames)

@@ -33,9 +33,8 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from dsrc.data.provenance import hash_file
-from dsrc.evaluation.files import write_atomic
 from dsrc.training.recipes import RECIPES, of_method
+from sim.files import file_sha256, write_file
 
 FIRST, TEACHER, MAP_START = "first", "teacher", "map-start"
 SEEDS = 5
@@ -243,7 +242,7 @@ def main() -> None:
     if options.kept:
         restore(options.kept, options.out)
     told = Campaign(options).run()
-    write_atomic(options.out / "trainings.csv", record(campaign(options.seeds, factor(options.out)), options.out))
+    write_file(options.out / "trainings.csv", record(campaign(options.seeds, factor(options.out)), options.out))
     if told:
         sys.exit(told)
     print(f"now measure: dsrc benchmark {TOML}, with the folders that it names made yours")
@@ -394,7 +393,7 @@ def restore(kept: Path, out: Path) -> None:
 def record(planned: Sequence[Training], out: Path) -> str:
     """Return the trainings that are done as CSV: what their run folders say of how they began and ended."""
     done = [t for t in planned if t.detector(out).exists() and (t.folder(out) / "metrics.csv").exists()]
-    names = {hash_file(t.detector(out)): t.name for t in done}
+    names = {file_sha256(t.detector(out)): t.name for t in done}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     columns = (

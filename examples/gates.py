@@ -20,16 +20,16 @@ from scipy import stats
 from dsrc.data.drives import list_drives
 from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample
-from dsrc.evaluation.files import write_atomic
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate
 from dsrc.models.storage.checkpoint import load_detector, with_fusion
 from dsrc.ops.targets import assign_targets
 from dsrc.training.datamodule import DetectionData
+from dsrc.training.initialise import initialise_from
 from dsrc.training.module import DetectionModule, as_teacher
 from dsrc.training.recipes import RECIPES, Recipe, of_method
 from dsrc.training.samples import FrameRef, SampleStore
-from dsrc.training.train import start_from
+from sim.files import write_file
 
 FILE = "gates.json"
 AP = ("val/ap_bev_50", "val/ap_bev_70")
@@ -75,7 +75,7 @@ def teacher_gate(teacher: Path, data: Path, recipe: Recipe, frames: int = 140, b
     ap = json.loads((teacher / "result.json").read_text(encoding="utf-8"))["metrics"][AP[0]]
     scores = hidden_scores(detector, list_drives(data / "validation"), recipe, frames)
     student = Detector(recipe.settings("student"))
-    start_from(teacher / "detector.pt", student)
+    initialise_from(teacher / "detector.pt", student)
     module = DetectionModule(recipe, student, detector).train()
     loader = DetectionData(recipe, student.settings, list_drives(data / "train"), None, seed=0).train_dataloader()
     sums: dict[str, float] = {}
@@ -176,7 +176,7 @@ def recorded(runs: Path) -> dict[str, Gate]:
 def record(runs: Path, measured: Gate) -> None:
     """Add a gate to the record, in the place of an earlier one of its name."""
     gates = recorded(runs) | {measured.name: measured}
-    write_atomic(runs / FILE, json.dumps([asdict(gates[name]) for name in sorted(gates)], indent=2) + "\n")
+    write_file(runs / FILE, json.dumps([asdict(gates[name]) for name in sorted(gates)], indent=2) + "\n")
 
 
 def main() -> None:

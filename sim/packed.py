@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import DataError, complaint
+from sim.files import replacing
 
 
 def packed(values: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -35,8 +36,8 @@ def unpacked(planes: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 
 def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
-    """Write a .npz whose bytes depend on the arrays only."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
+    """Write a .npz atomically; its bytes depend on the arrays only."""
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_LZMA) as archive:
         for name, array in arrays.items():
             content = io.BytesIO()
             np.lib.format.write_array(content, np.asarray(array), allow_pickle=False)

@@ -3,7 +3,6 @@
 import csv
 import io
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,8 +15,9 @@ from rich.table import Table
 from dsrc.closed_loop.env import LOOK_AHEAD, CoopDrivingEnv, Observation
 from dsrc.closed_loop.idm import IdmSettings, idm_acceleration
 from dsrc.closed_loop.perception import DetectorPerception, Perception, TruthPerception
-from sensors.corruptions import CLEAN, PAPER, Family, check_corruption
+from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family, require_corruption
 from sim.errors import SettingsError
+from sim.files import write_file
 from sim.radio import IDEAL, get_channel
 
 PerceptionKind = Literal["truth", "ego", "dsrc"]
@@ -85,7 +85,7 @@ def drive_episodes(
     perception: PerceptionKind = "truth",
     checkpoint: Path | None = None,
     corruption: str = CLEAN,
-    severity: int = PAPER,
+    severity: int = DEFAULT_SEVERITY,
     family: Family = "physical",
     seeds: Sequence[int] = (0,),
     duration_s: float = 20.0,
@@ -158,7 +158,7 @@ def make_perception(
     kind: PerceptionKind,
     checkpoint: Path | None,
     corruption: str = CLEAN,
-    severity: int = PAPER,
+    severity: int = DEFAULT_SEVERITY,
     family: Family = "physical",
     channel: str = IDEAL,
 ) -> Perception:
@@ -169,7 +169,7 @@ def make_perception(
         DataError: the trace of a channel cannot be read.
         CheckpointError: the checkpoint is missing or wrong.
     """
-    check_corruption(corruption, severity, family)
+    require_corruption(corruption, severity, family)
     spec = get_channel(channel)
     if kind != "dsrc" and channel != IDEAL:
         raise SettingsError(
@@ -196,9 +196,7 @@ def _write_csv(path: Path, rows: list[Episode]) -> None:
     writer = csv.DictWriter(text, fieldnames=list(asdict(rows[0])), lineterminator="\n")
     writer.writeheader()
     writer.writerows(asdict(row) for row in rows)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    partial.write_text(text.getvalue(), encoding="utf-8")
-    os.replace(partial, path)
+    write_file(path, text.getvalue())
 
 
 def _table(rows: list[Episode]) -> Table:

@@ -1,29 +1,20 @@
 """Checksums of a drive: `SHA256SUMS` beside its protocol, in the form that `sha256sum --check` reads."""
 
-import hashlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from sim.errors import DataError, complaint
+from sim.files import file_sha256, write_file
 
 SUMS = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
-_PASSING = (".tmp", ".part")
-
-
-def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_sums(folder: Path) -> Path:
     """Write the checksums of all files below a folder, atomically, sorted by name."""
-    lines = [f"{sha256(path)}  {path.relative_to(folder).as_posix()}\n" for path in _files(folder)]
-    temporary = folder / f"{SUMS}.tmp"
-    temporary.write_text("".join(lines), encoding="utf-8")
-    temporary.replace(folder / SUMS)
+    lines = [f"{file_sha256(path)}  {path.relative_to(folder).as_posix()}\n" for path in _files(folder)]
+    write_file(folder / SUMS, "".join(lines))
     return folder / SUMS
 
 
@@ -54,7 +45,7 @@ def wrong_files(folder: Path) -> Iterator[tuple[Path, str]]:
     for name, expected in sums.items():
         if name not in present:
             yield folder / name, f"missing, {SUMS} lists it"
-        elif sha256(present[name]) != expected:
+        elif file_sha256(present[name]) != expected:
             yield folder / name, f"changed since {SUMS} was written"
     for name in sorted(present.keys() - sums.keys()):
         yield folder / name, f"not listed in {SUMS}"
@@ -63,4 +54,4 @@ def wrong_files(folder: Path) -> Iterator[tuple[Path, str]]:
 def _files(folder: Path) -> list[Path]:
     """Return the files that count: no locks, nothing that is being written, no checksums."""
     found = (path for path in folder.rglob("*") if path.is_file())
-    return sorted(p for p in found if p.suffix not in _PASSING and p.name != SUMS and not p.name.startswith("."))
+    return sorted(p for p in found if p.name != SUMS and not p.name.startswith("."))

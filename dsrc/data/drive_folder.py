@@ -10,6 +10,7 @@ from typing import TextIO
 from dsrc.data.formats.opv2v.reader import PROTOCOL, frame_files
 from dsrc.data.formats.yaml import emit, read_yaml
 from sim.errors import DataError, complaint
+from sim.files import write_file
 
 try:
     import fcntl
@@ -67,10 +68,7 @@ def _opened(path: Path) -> TextIO:
 
 def write_protocol(drive: Path, protocol: dict) -> None:
     """Write `data_protocol.yaml` atomically."""
-    path = drive / PROTOCOL
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(emit(protocol), encoding="utf-8")
-    temporary.replace(path)
+    write_file(drive / PROTOCOL, emit(protocol))
 
 
 def read_settings(drive: Path) -> dict | None:
@@ -103,12 +101,6 @@ def check_same(drive: Path, found: dict, wanted: dict) -> None:
 def is_complete(drive: Path, agent_ids: Sequence[int], index: int) -> bool:
     """Return whether all files of a frame are there; each appears whole or not at all."""
     return all(path.exists() for path in frame_files(drive, agent_ids, index))
-
-
-def remove_leftovers(drive: Path) -> None:
-    """Remove temporary files of a run that was killed."""
-    for path in [*drive.glob("*.tmp"), *drive.glob("*.part"), *drive.glob("*/*.tmp")]:
-        path.unlink(missing_ok=True)
 
 
 def _leaves(value: object, where: str) -> Iterator[tuple[str, object]]:

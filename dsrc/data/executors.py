@@ -1,8 +1,8 @@
-"""Executors: who makes the work items of a dataset, here, in processes of this machine or on a cluster.
+"""Executors: run work items in this process, in processes of this machine or on a Ray cluster.
 
-An item is made by a function of a module (it travels by name) from a value that can be pickled, in any order; results
-come as they are ready. A user's error ends its item, the others go on. A worker that dies is replaced and its item made
-again, a bounded number of times: items are to be made so that a second try goes on where the first was cut.
+A task is a function of a module (it travels by name), an item a value that can be pickled. Items run in any order, and
+results come as they are ready. A user's error ends its item only. A worker that dies is replaced and its item run
+again, a bounded number of times: tasks are written so that a second try resumes the first.
 """
 
 import multiprocessing
@@ -15,31 +15,34 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Literal, Protocol, Self
+
+import msgspec
 
 from sim.errors import DataError, SettingsError, UserError, complaint, did_you_mean
+from sim.machine import core_count
 
-Report = Callable[[int, int], None]
-"""Called by a task with (done, wanted) of its item."""
+Progress = Callable[[int, int], None]
+"""Progress callback: (steps done, steps in all)."""
 
-Task = Callable[[Any, Report], Any]
-"""A function of a module: (item, report) -> result."""
+Task = Callable[[Any, Progress], Any]
+"""Task: (item, progress) -> value; a function of a module."""
 
-Progress = Callable[[int, int, int], None]
-"""Called with (row of the item, done, wanted)."""
+ItemProgress = Callable[[int, int, int], None]
+"""Progress callback of many items: (row of the item, its steps done, its steps in all)."""
 
 RETRIES = 2
-"""How often an item is tried again after its worker has died."""
+"""Further tries of an item whose worker has died."""
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of one item.
+class TaskResult:
+    """Result of one item.
 
     Attributes:
         row: of the item.
-        value: what the task returned.
-        error: of the user, or the death of its workers; None when all went well.
+        value: returned by the task.
+        error: a user's error or the death of its workers; None for a success.
     """
 
     row: int
@@ -48,13 +51,19 @@ class Outcome:
 
 
 class Executor(Protocol):
-    """Makes items; a context manager that holds its workers."""
+    """Runner of tasks; a context manager that holds its workers.
 
-    def run(self, task: Task, items: Sequence[Any], progress: Progress | None = None) -> Iterator[Outcome]:
-        """Make all items and yield what became of each, as they are ready.
+    Attributes:
+        threads: threads that a task may use; None for one per core.
+    """
+
+    threads: int | None
+
+    def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
+        """Run a task for all items and yield the results as they are ready.
 
         Raises:
-            RuntimeError: a task has failed by a bug; the message holds its stack trace.
+            RuntimeError: a bug in a task; the message holds its stack trace.
         """
         ...
 
@@ -66,12 +75,14 @@ class Executor(Protocol):
 
 
 class SerialExecutor:
-    """Makes one item after the other in this process."""
+    """One item after the other in this process."""
 
-    def run(self, task: Task, items: Sequence[Any], progress: Progress | None = None) -> Iterator[Outcome]:
+    threads: int | None = None
+
+    def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
         """See `Executor`."""
         for row, item in enumerate(items):
-            yield _outcome(row, task, item, _reporter(row, progress))
+            yield _result_of(row, task, item, _reporter(row, progress))
 
     def __enter__(self) -> Self:
         return self
@@ -81,18 +92,20 @@ class SerialExecutor:
 
 
 class ProcessExecutor:
-    """Fresh processes of this machine, which end with this one however it ends.
+    """Spawned processes of this machine, which end with this one however it ends.
 
     Args:
-        workers: how many.
+        workers: number of processes.
         retries: see `RETRIES`.
     """
+
+    threads: int | None = 1
 
     def __init__(self, workers: int, retries: int = RETRIES) -> None:
         self._count, self._retries = workers, retries
         self._workers: list[_Worker] = []
 
-    def run(self, task: Task, items: Sequence[Any], progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
         """See `Executor`."""
         waiting, deaths = deque(range(len(items))), [0] * len(items)
         while waiting or any(worker.row is not None for worker in self._workers):
@@ -115,9 +128,9 @@ class ProcessExecutor:
                     if deaths[row] <= self._retries:
                         waiting.append(row)
                     else:
-                        yield Outcome(row, error=_died(deaths[row]))
+                        yield TaskResult(row, error=_died(deaths[row]))
                     continue
-                if isinstance(message, Outcome):
+                if isinstance(message, TaskResult):
                     worker.row = None
                     yield message
                 elif isinstance(message, str):
@@ -135,26 +148,28 @@ class ProcessExecutor:
 
 
 class RayExecutor:
-    """A Ray cluster, or Ray's workers on this machine; what tasks write must be on disks that all machines share.
+    """Ray cluster, or Ray on this machine; tasks write to disks that all machines share.
 
     Args:
-        workers: processors of this machine to use, when there is no cluster.
+        workers: processors of this machine to use when there is no cluster.
         address: of a cluster, as `ray start` prints it, or `auto`; "" starts Ray here.
         retries: see `RETRIES`.
     """
+
+    threads: int | None = 1
 
     def __init__(self, workers: int, address: str = "", retries: int = RETRIES) -> None:
         try:
             import ray
         except ImportError:
             hint = "; run: pip install 'dsrc-testbed[ray]'"
-            raise SettingsError(complaint("executor", "ray", "the package ray", "none", hint)) from None
+            raise SettingsError(complaint("pool", "executor ray", "the package ray", "none", hint)) from None
         self._ray, self._workers, self._address, self._retries = ray, workers, address, retries
         self._started = False
 
-    def run(self, task: Task, items: Sequence[Any], progress: Progress | None = None) -> Iterator[Outcome]:
-        """See `Executor`; progress is told when an item is done."""
-        # Fresh processes for every item, as libsumo wants it; Ray makes an item again whose process has died.
+    def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
+        """See `Executor`; progress is reported per item."""
+        # A fresh process for every item, as libsumo wants it; Ray runs an item again whose process has died.
         remote = self._ray.remote(num_cpus=1, max_retries=self._retries, max_calls=1)(_ray_task)
         rows = {remote.remote(row, task, item): row for row, item in enumerate(items)}
         left = list(rows)
@@ -162,14 +177,14 @@ class RayExecutor:
             done, left = self._ray.wait(left, num_returns=1)
             for one in done:
                 try:
-                    outcome = self._ray.get(one)
+                    result = self._ray.get(one)
                 except self._ray.exceptions.RayTaskError as error:
                     raise RuntimeError(f"in a worker of Ray:\n{error}") from None
                 except self._ray.exceptions.RayError:
-                    outcome = Outcome(rows[one], error=_died(self._retries + 1))
-                if progress is not None and outcome.error is None:
-                    progress(outcome.row, 1, 1)
-                yield outcome
+                    result = TaskResult(rows[one], error=_died(self._retries + 1))
+                if progress is not None and result.error is None:
+                    progress(result.row, 1, 1)
+                yield result
 
     def __enter__(self) -> Self:
         if not self._ray.is_initialized():
@@ -179,7 +194,7 @@ class RayExecutor:
                 self._ray.init(**quiet, **({"address": self._address} if self._address else here))
             except (ConnectionError, RuntimeError, ValueError) as error:
                 text = f"{self._address}: {' '.join(str(error).split())}"
-                raise SettingsError(complaint("executor", "address", "a Ray cluster", text)) from None
+                raise SettingsError(complaint("pool", "address", "a Ray cluster", text)) from None
             self._started = True
         return self
 
@@ -190,59 +205,70 @@ class RayExecutor:
 
 def _local(workers: int, address: str) -> Executor:
     if address:
-        raise SettingsError(complaint("executor", "address", "none without --executor ray", address))
+        raise SettingsError(complaint("pool", "address", "none without --executor ray", address))
     return SerialExecutor() if workers == 1 else ProcessExecutor(workers)
 
 
 EXECUTORS: dict[str, Callable[[int, str], Executor]] = {"local": _local, "ray": RayExecutor}
-"""By name: (workers, address) -> executor; `local` with one worker is this process."""
+"""Executors by name: (workers, address) -> executor; `local` with one worker is this process."""
 
 
-def open_executor(name: str, workers: int | None = None, address: str = "") -> Executor:
-    """Return an executor by its name.
+class Pool(msgspec.Struct, frozen=True):
+    """Worker pool of a command; the results are the same bytes for any.
 
-    Args:
-        name: one of `EXECUTORS`.
-        workers: how many; None for one per core.
-        address: of a cluster.
-
-    Raises:
-        SettingsError: there is no such executor, its package is missing or a setting is out of its range.
+    Attributes:
+        workers: processes, or processors of Ray; default: one per core.
+        executor: local, or ray for a cluster whose machines share the folder of the results.
+        address: of a Ray cluster, as `ray start` prints it, or auto; default: Ray on this machine.
     """
-    if name not in EXECUTORS:
-        raise SettingsError(complaint("executor", "name", "an executor", name, did_you_mean(name, EXECUTORS)))
-    workers = cores() if workers is None else workers
-    if workers < 1:
-        raise SettingsError(complaint("executor", "workers", "at least 1", workers))
-    return EXECUTORS[name](workers, address)
+
+    workers: int | None = None
+    executor: Literal["local", "ray"] = "local"
+    address: str = ""
+
+    def open(self, items: int | None = None) -> Executor:
+        """Return the executor, a context manager that holds the workers.
+
+        Args:
+            items: work items; no more workers than these are started.
+
+        Raises:
+            SettingsError: the executor is unknown, its package is missing or a setting is out of its range.
+        """
+        if self.executor not in EXECUTORS:
+            hint = did_you_mean(self.executor, EXECUTORS)
+            raise SettingsError(complaint("pool", "executor", "an executor", self.executor, hint))
+        workers = core_count() if self.workers is None else self.workers
+        if workers < 1:
+            raise SettingsError(complaint("pool", "workers", "at least 1", workers))
+        return EXECUTORS[self.executor](workers if items is None else max(1, min(workers, items)), self.address)
 
 
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+SERIAL = Pool(workers=1)
+"""This process alone."""
 
 
 def _died(times: int) -> DataError:
-    return DataError(f"its worker process has died {times} times, of memory perhaps; start again to go on")
+    return DataError(f"its worker process has died {times} times, of memory perhaps; start again to resume")
 
 
-def _reporter(row: int, progress: Progress | None) -> Report:
+def _reporter(row: int, progress: ItemProgress | None) -> Progress:
     return lambda done, wanted: progress(row, done, wanted) if progress is not None else None
 
 
-def _outcome(row: int, task: Task, item: Any, report: Report) -> Outcome:
+def _result_of(row: int, task: Task, item: Any, report: Progress) -> TaskResult:
     try:
-        return Outcome(row, task(item, report))
+        return TaskResult(row, task(item, report))
     except UserError as error:
-        return Outcome(row, error=error)
+        return TaskResult(row, error=error)
 
 
-def _ray_task(row: int, task: Task, item: Any) -> Outcome:
-    return _outcome(row, task, item, lambda done, wanted: None)
+def _ray_task(row: int, task: Task, item: Any) -> TaskResult:
+    return _result_of(row, task, item, lambda done, wanted: None)
 
 
 class _Worker:
-    """A process and the row of the item that it is making."""
+    """Worker process and the row of its item."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
@@ -257,7 +283,7 @@ class _Worker:
         try:
             self.pipe.send((row, task, item))
         except ConnectionError:
-            pass  # it has died while it was idle, which its pipe tells when it is read
+            pass  # died while idle: noticed when its pipe is read
 
     def end(self) -> None:
         self.pipe.close()
@@ -266,7 +292,7 @@ class _Worker:
 
 
 def _serve(pipe: Connection) -> None:
-    """Make items until the pipe ends; leave interrupts to the parent, and end with it however it ends."""
+    """Run items until the pipe closes; interrupts are left to the parent, whose end is the worker's too."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
     while True:
@@ -275,11 +301,11 @@ def _serve(pipe: Connection) -> None:
         except EOFError:
             return
         try:
-            outcome = _outcome(row, task, item, lambda done, wanted: pipe.send((done, wanted)))
-        except Exception:  # a bug, told with its stack trace where people look
+            result = _result_of(row, task, item, lambda done, wanted: pipe.send((done, wanted)))
+        except Exception:  # a bug: the parent shows its stack trace
             pipe.send(traceback.format_exc())
             return
-        pipe.send(outcome)
+        pipe.send(result)
 
 
 def _follow_parent() -> None:

@@ -67,11 +67,3 @@ def _has_nan(value: object) -> bool:
     if isinstance(value, list | tuple):
         return any(_has_nan(item) for item in value)
     return isinstance(value, float) and value - value != 0.0
-
-
-def write_atomic(path: Path, content: bytes) -> None:
-    """Write a file that is there completely or not at all; its folder is made if it is missing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(content)
-    temporary.replace(path)

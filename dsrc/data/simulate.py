@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sensors.frame import Frame
 from sensors.recording.record import Recording, record
 from sim.errors import DataError, complaint
+from sim.files import replacing
 from sim.scenario import Area, Scenario
 from sim.traffic.log import TrafficLog
 from sim.traffic.replay import ReplayTraffic
@@ -129,8 +130,8 @@ def _copy(recorded: Path, folder: Path, log_name: str) -> None:
         raise DataError(complaint(recorded, TRAFFIC_LOG, "an existing traffic log", "no such file"))
     for source, name in ((recorded / TRAFFIC_LOG, log_name), (recorded / WORLD, WORLD)):
         if source.is_file() and not (folder / name).exists():
-            shutil.copyfile(source, folder / f"{name}.part")
-            (folder / f"{name}.part").replace(folder / name)
+            with replacing(folder / name) as temporary:
+                shutil.copyfile(source, temporary)
 
 
 def _build_world(scenario: Scenario, seed: int, log: TrafficLog, path: Path) -> None:

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.checksums import SUMS, write_sums
-from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
+from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
+from dsrc.data.executors import Progress
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_live
 from sensors.deskew import check_motion
@@ -26,14 +27,12 @@ from sensors.presets import scenario_lidars
 from sensors.sweep import Motion
 from sim.catalog.load import load_scenario
 from sim.errors import SettingsError, complaint
+from sim.files import remove_leftovers
 from sim.mesh.materials import MATERIALS
 from sim.scenario import Scenario
 
 FORMAT = 4
 _log = logging.getLogger(__name__)
-
-Progress = Callable[[int, int], None]
-"""Called with (frames done, frames wanted)."""
 
 
 class FrameSource(Protocol):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, open_drive
+from dsrc.data.executors import Progress
 from dsrc.data.sample import Sample, inside_range, make_sample
 from dsrc.evaluation.metrics.ap import FrameResult, Judged, join, judge, result_of
 from dsrc.evaluation.results import CLEAN, Row, make_row, summary_rows
@@ -23,8 +24,6 @@ from sensors.corruptions import Family, drive_seed
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.radio import ChannelSpec, Link
-
-Progress = Callable[[int, int], None]
 
 _SENSOR_S = 0.1
 _log = logging.getLogger(__name__)
@@ -266,7 +265,7 @@ def corruption_kinds(names: Sequence[str], family: Family = "physical", where: s
             raise SettingsError(complaint(where, "corruptions", "a corruption", name, hint))
         if name not in groups:
             try:
-                registry.check_corruption(name, family=family)
+                registry.require_corruption(name, family=family)
             except SettingsError as error:
                 raise SettingsError(f"{where}: corruptions: {error}") from None
     wanted = {kind for name in names for kind in groups.get(name, (name,))}
@@ -365,7 +364,7 @@ def places_of(readers: Sequence[Drive], limit: int | None) -> list[list[int]]:
 def _sample(
     frame: Frame, method: Method, samples: dict[tuple[GridSpec, int, int | None], Sample], drive: str
 ) -> Sample:
-    """Return what a method sees; methods with one grid and one layout share it."""
+    """Return what a method sees; methods with one grid and number of agents share it."""
     settings = method.detector.settings
     key = (settings.grid, getattr(settings, "max_agents", 5), method.agents)
     if key not in samples:

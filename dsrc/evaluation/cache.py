@@ -16,13 +16,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dsrc.data.provenance import hash_file, versions
+from dsrc.data.provenance import versions
 from dsrc.evaluation.benchmark import Condition, Tally
-from dsrc.evaluation.files import write_atomic
 from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, Judged
 from sensors import corruptions as registry
 from sensors.corruptions import CLEAN
 from sim.errors import DataError, complaint
+from sim.files import file_sha256, write_file
 from sim.radio import ChannelSpec
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -95,7 +95,7 @@ def of_channel(spec: ChannelSpec) -> dict[str, Any]:
     """Return the settings of a channel; of a trace the hash of its file."""
     settings = msgspec.to_builtins(spec)
     del settings["name"]
-    return {**settings, "trace": hash_file(Path(spec.trace))} if spec.trace else settings
+    return {**settings, "trace": file_sha256(Path(spec.trace))} if spec.trace else settings
 
 
 @cache
@@ -112,7 +112,7 @@ def code_hash(root: Path = _ROOT) -> str:
     for source in SOURCES:
         place = root / source
         for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
-            total.update(f"{path.relative_to(root).as_posix()} {hash_file(path)}\n".encode())
+            total.update(f"{path.relative_to(root).as_posix()} {file_sha256(path)}\n".encode())
     return total.hexdigest()
 
 
@@ -141,8 +141,8 @@ def write_cell(folder: Path, settings: CellSettings, tally: Tally) -> None:
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
-    write_atomic(folder / f"{settings.key}.seconds", "".join(f"{value:.6f}\n" for value in tally.seconds))
-    write_atomic(folder / f"{settings.key}.npz", buffer.getvalue())
+    write_file(folder / f"{settings.key}.seconds", "".join(f"{value:.6f}\n" for value in tally.seconds))
+    write_file(folder / f"{settings.key}.npz", buffer.getvalue())
 
 
 def read_cell(folder: Path, key: str) -> Tally:

@@ -121,11 +121,3 @@ def timings_to_csv(rows: Sequence[Row]) -> str:
         if row.seconds_per_frame is not None:
             writer.writerow([row.method, row.condition, row.frames, f"{row.seconds_per_frame:.6f}"])
     return text.getvalue()
-
-
-def write_atomic(path: Path, content: str | bytes) -> None:
-    """Write a file so that it appears completely or not at all; makes its folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(content.encode() if isinstance(content, str) else content)
-    temporary.replace(path)

@@ -6,14 +6,16 @@ from pathlib import Path
 import msgspec
 from rich.table import Table
 
-from dsrc.data.provenance import hash_file, provenance
-from dsrc.evaluation.benchmark import PAPER_TABLE, Method, Progress, corruption_kinds, run_benchmark
+from dsrc.data.executors import Progress
+from dsrc.data.provenance import provenance
+from dsrc.evaluation.benchmark import PAPER_TABLE, Method, corruption_kinds, run_benchmark
 from dsrc.evaluation.config import named
-from dsrc.evaluation.files import result_table, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
+from dsrc.evaluation.files import result_table, rows_to_csv, rows_to_json, timings_to_csv
 from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
 from dsrc.evaluation.results import Row
 from sensors.corruptions import Family
 from sim.errors import CheckpointError, SettingsError, complaint
+from sim.files import file_sha256, write_file
 from sim.radio import get_channel
 
 EGO_ALONE = "ego alone"
@@ -76,7 +78,7 @@ def evaluate_checkpoints(
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be is told before the work, not after
     rows = run_benchmark(methods, drives, kinds or ("clean",), severity, seed, limit, progress, family)
     settings = {
-        "checkpoints": {name: {"file": path.name, "sha256": hash_file(path)} for name, path in files.items()},
+        "checkpoints": {name: {"file": path.name, "sha256": file_sha256(path)} for name, path in files.items()},
         "conditions": ["clean", *kinds],
         "severity": severity,
         "family": family,
@@ -110,13 +112,13 @@ def write_results(out: Path, rows: Sequence[Row], made_by: Mapping[str, object])
     `results.csv`, `results.json` and the plots are the same for the same run; times, which are not, have their own
     file.
     """
-    write_atomic(out / "results.json", rows_to_json(rows, made_by))
-    write_atomic(out / "results.csv", rows_to_csv(rows, made_by))
-    write_atomic(out / "timings.csv", timings_to_csv(rows))
+    write_file(out / "results.json", rows_to_json(rows, made_by))
+    write_file(out / "results.csv", rows_to_csv(rows, made_by))
+    write_file(out / "timings.csv", timings_to_csv(rows))
     figures = {
         "ap_per_corruption": corruption_bars(rows),
         "mce_map": robustness_scatter(rows),
         "precision_recall": precision_recall_curves(rows),
     }
     for name, figure in figures.items():
-        write_atomic(out / f"{name}.png", png_bytes(figure, made_by))
+        write_file(out / f"{name}.png", png_bytes(figure, made_by))

@@ -5,7 +5,7 @@ frames of a drive under one condition: each frame is read and corrupted once for
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -18,8 +18,7 @@ import torch
 
 from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.executors import Report, open_executor
-from dsrc.data.provenance import hash_file
+from dsrc.data.executors import Pool, Progress
 from dsrc.evaluation.benchmark import Condition, Method, Tally, evaluate_drive, joined, places_of, warn_of_slow_drives
 from dsrc.evaluation.cache import (
     CellSettings,
@@ -39,10 +38,10 @@ from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import load_student, read_meta
 from sim.errors import SettingsError, UserError, complaint
+from sim.files import file_sha256
 from sim.radio import ChannelSpec
 
 Device = Literal["cpu", "cuda"]
-Progress = Callable[[int, int], None]
 
 CHUNK = 50
 """Frames of a unit of work: so many are lost at most when a process is killed."""
@@ -200,7 +199,7 @@ def _trained(path: Path, use: dict[str, bool | int | float]) -> Trained:
     for name in ("recipe", "name"):
         recipe = recipe.get(name) if isinstance(recipe, Mapping) else None
     seed, recipe = seed if isinstance(seed, int) else None, recipe if isinstance(recipe, str) else ""
-    return Trained(path, hash_file(path), settings, seed, use, recipe)
+    return Trained(path, file_sha256(path), settings, seed, use, recipe)
 
 
 def load_used(path: Path, use: Mapping[str, bool | int | float]) -> Detector:
@@ -291,15 +290,15 @@ def _make(units: Sequence[Unit], workers: int, progress: Progress | None) -> Non
     if progress is not None:
         progress(0, total)
     errors: list[UserError] = []
-    with open_executor("local", workers) as pool:
-        for outcome in pool.run(make_unit, units, tell):
-            if outcome.error is not None:
-                errors.append(outcome.error)
+    with Pool(workers).open() as executor:
+        for result in executor.run(make_unit, units, tell):
+            if result.error is not None:
+                errors.append(result.error)
     if errors:
         raise errors[0]
 
 
-def make_unit(unit: Unit, report: Report) -> None:
+def make_unit(unit: Unit, report: Progress) -> None:
     """Make the cells of a unit: a task of an executor."""
     methods = [Method(job.settings.key, _detector(job, unit.device), job.agents, job.channel) for job in unit.jobs]
     frames = 0

@@ -1,63 +1,19 @@
-"""What a training writes beside its weights: the machine, a row per epoch, its curves, and a line for the log."""
+"""Metrics of a training: `metrics.csv` and `curves.png` of its run folder, and the epochs that are validated."""
 
 import csv
 import io
 import logging
-import os
-import platform
 import time
 from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
 import msgspec
-import torch
 
-from dsrc.data.provenance import commit, versions
 from dsrc.evaluation.plots import png_bytes, training_curves
+from sim.files import write_file
 
 LOG = logging.getLogger(__name__)
-
-
-def write_json(path: Path, content: object) -> None:
-    """Write a JSON file, whole or not at all."""
-    _write(path, msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
-
-
-def note_environment(path: Path, devices: int) -> None:
-    """Add what a training runs on to a JSON list, unless the entry before says the same."""
-    now = {
-        "versions": versions(),
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "commit": commit(),
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": torch.get_num_threads(),
-        "gpus": [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())],
-        "devices": devices,
-    }
-    try:
-        before = msgspec.json.decode(path.read_bytes(), type=list[dict[str, Any]])
-    except (FileNotFoundError, msgspec.DecodeError):
-        before = []
-    if before[-1:] != [now]:
-        write_json(path, [*before, now])
-
-
-def _processor() -> str:
-    """Return the name of the processor, which Linux alone tells in a file."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
-
-
-def _write(path: Path, content: bytes) -> None:
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(content)
-    temporary.replace(path)
 
 
 def _title(folder: Path) -> str:
@@ -105,7 +61,7 @@ class MetricsFile(pl.Callback):
         self._rows.append({name: str(value) for name, value in values.items()})
         self._write()
         if _validated(trainer):
-            _write(self.picture, png_bytes(training_curves(self._rows, _title(self.path.parent))))
+            write_file(self.picture, png_bytes(training_curves(self._rows, _title(self.path.parent))))
         LOG.info("%s", ", ".join(f"{name} {value}" for name, value in self._rows[-1].items()))
 
     def _write(self) -> None:
@@ -114,10 +70,10 @@ class MetricsFile(pl.Callback):
         writer = csv.DictWriter(text, names, restval="")
         writer.writeheader()
         writer.writerows(self._rows)
-        _write(self.path, text.getvalue().encode())
+        write_file(self.path, text.getvalue())
 
 
-class ValidateLast(pl.Callback):
+class ValidationSchedule(pl.Callback):
     """Validates after every n-th epoch and after the last."""
 
     def __init__(self, every: int) -> None:

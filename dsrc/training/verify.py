@@ -8,14 +8,15 @@ from typing import Any, TypeVar
 import msgspec
 
 from dsrc.data.drives import list_drives
-from dsrc.data.provenance import hash_file, hashes, versions
+from dsrc.data.provenance import hashes, versions
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.recipes import Recipe, Stage
-from dsrc.training.train import DETECTOR, RESULT, SETTINGS
+from dsrc.training.run_folder import DETECTOR, RESULT, SETTINGS
 from dsrc.training.validation import best_device, validate
 from sim.errors import CheckpointError, DataError, complaint
+from sim.files import file_sha256
 
 AP_TOLERANCE = 0.002
 """Other processors and versions sum in another order: a detection near a threshold is then in or out."""
@@ -123,7 +124,7 @@ def verify(
         held = _drives(run, "validate", validation, record.folders.get("validate"))
     loaders = DetectionData(recipe, settings, drives, held, record.seed)
     checks = [
-        _same("detector.pt, SHA-256", result.detector, hash_file(run / DETECTOR)),
+        _same("detector.pt, SHA-256", result.detector, file_sha256(run / DETECTOR)),
         *_fields("model", _plain(settings), _plain(detector.settings)),
         *_fields("recipe", record.settings.recipe, meta.settings.recipe if meta.settings else {}),
         _same("seed", record.seed, meta.seed),

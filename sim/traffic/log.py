@@ -5,7 +5,6 @@ the numbers before it let expect: a position that its speed stays, a velocity wh
 what the velocities give. What is left is small, and compresses to a few bytes per actor and step.
 """
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -25,7 +24,6 @@ from sim.traffic.base import (
     TIME_S,
     VELOCITY_MPS,
     Actors,
-    Traffic,
     from_steps,
     in_steps,
 )
@@ -86,9 +84,7 @@ class TrafficLog:
     def save(self, path: Path | str) -> Path:
         """Write the log as a .npz in one piece; equal logs give equal bytes."""
         path = Path(path)
-        partial = path.with_name(path.name + ".part")
-        write_arrays(partial, self._columns())
-        os.replace(partial, path)
+        write_arrays(path, self._columns())
         return path
 
     @classmethod
@@ -150,51 +146,6 @@ class TrafficLog:
             "run/length": length.astype(np.int64),
             **_folded(rows, length, self.step_s),
         }
-
-
-class RecordingTraffic:
-    """Traffic that keeps a log of what passes through it and writes it when it is closed.
-
-    Args:
-        inner: the traffic to record; this object closes it.
-        path: the .npz to write.
-    """
-
-    def __init__(self, inner: Traffic, path: Path | str) -> None:
-        self.inner = inner
-        self.path = Path(path)
-        self.log = TrafficLog(inner.step_s)
-        self.log.append(inner.actors)
-        self._open = True
-
-    @property
-    def step_s(self) -> float:
-        """Time between two steps, s."""
-        return self.inner.step_s
-
-    @property
-    def actors(self) -> Actors:
-        """The actors at the current time, as the log has them."""
-        return self.log[len(self.log) - 1]
-
-    def step(self) -> Actors:
-        """Advance the inner traffic and record its actors."""
-        self.log.append(self.inner.step())
-        return self.actors
-
-    def close(self) -> None:
-        """Close the inner traffic and write the log."""
-        if not self._open:
-            return
-        self._open = False
-        self.inner.close()
-        self.log.save(self.path)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 def _stack(parts: list[NDArray], shape: tuple[int, ...]) -> NDArray:

@@ -3,7 +3,6 @@
 Whole millimetres, packed: it travels to a machine without the maps, meshes and programs that built it.
 """
 
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from sim.bodies.choice import body_mesh
 from sim.errors import DataError, complaint
 from sim.mesh.materials import MATERIALS, material_index
-from sim.mesh.solids import Piece, fit, to_mesh
+from sim.mesh.solids import MeshPart, fit, to_mesh
 from sim.packed import packed, read_arrays, unpacked, write_arrays
 from sim.traffic.base import from_steps, in_steps
 
@@ -40,26 +39,26 @@ class World:
     """
 
     static: trimesh.Trimesh
-    shapes: Mapping[str, Piece]
+    shapes: Mapping[str, MeshPart]
 
     def body_mesh(self, model: str, size_lwh: tuple[float, float, float]) -> trimesh.Trimesh:
         """Return the mesh of a body, of a kept shape if there is one; see `sim.bodies.choice.body_mesh`."""
         shape, _, paint = model.partition(":")
         if shape not in self.shapes:
             return body_mesh(model, size_lwh)
-        piece = self.shapes[shape]
-        painted = piece.material == material_index(_any_paint())
-        material = np.where(painted, np.uint8(material_index(f"paint_{paint}")), piece.material)
-        return to_mesh(fit(Piece(piece.vertices, piece.faces, material), size_lwh))
+        part = self.shapes[shape]
+        painted = part.material == material_index(_any_paint())
+        material = np.where(painted, np.uint8(material_index(f"paint_{paint}")), part.material)
+        return to_mesh(fit(MeshPart(part.vertices, part.faces, material), size_lwh))
 
 
-def shapes_of(models: Iterable[str]) -> dict[str, Piece]:
+def shapes_of(models: Iterable[str]) -> dict[str, MeshPart]:
     """Return the shapes among those of some models that only a file of eclipse-sumo can tell."""
     shapes = sorted({model.partition(":")[0] for model in models})
     return {shape: _sumo_shape(shape) for shape in shapes if shape.startswith("car-")}
 
 
-def save_world(static: trimesh.Trimesh, shapes: Mapping[str, Piece], path: Path) -> Path:
+def save_world(static: trimesh.Trimesh, shapes: Mapping[str, MeshPart], path: Path) -> Path:
     """Write a world in one piece; equal worlds give equal bytes.
 
     Args:
@@ -68,13 +67,11 @@ def save_world(static: trimesh.Trimesh, shapes: Mapping[str, Piece], path: Path)
         path: the .npz to write.
     """
     material = np.asarray(static.face_attributes["material"])
-    parts = {_STATIC: Piece(np.asarray(static.vertices, np.float64), np.asarray(static.faces), material), **shapes}
+    parts = {_STATIC: MeshPart(np.asarray(static.vertices, np.float64), np.asarray(static.faces), material), **shapes}
     columns: dict[str, NDArray] = {"version": np.array(VERSION), "part": np.array(list(parts), dtype=np.str_)}
-    for name, piece in parts.items():
-        columns |= {f"{name}/{key}": values for key, values in _columns(piece, _grid(name)).items()}
-    partial = path.with_name(path.name + ".part")
-    write_arrays(partial, columns)
-    os.replace(partial, path)
+    for name, part in parts.items():
+        columns |= {f"{name}/{key}": values for key, values in _columns(part, _grid(name)).items()}
+    write_arrays(path, columns)
     return path
 
 
@@ -101,7 +98,7 @@ def _any_paint() -> str:
 
 
 @lru_cache(maxsize=8)
-def _sumo_shape(shape: str) -> Piece:
+def _sumo_shape(shape: str) -> MeshPart:
     from sim.bodies.cars import sumo_car
 
     return sumo_car(shape, _any_paint())
@@ -111,18 +108,18 @@ def _grid(name: str) -> float:
     return GRID_M if name == _STATIC else _UNIT_GRID
 
 
-def _columns(piece: Piece, grid: float) -> dict[str, NDArray]:
-    vertices = in_steps(np.asarray(piece.vertices, np.float64), grid)
-    used = np.unique(piece.material)
+def _columns(part: MeshPart, grid: float) -> dict[str, NDArray]:
+    vertices = in_steps(np.asarray(part.vertices, np.float64), grid)
+    used = np.unique(part.material)
     return {
         "materials": np.array([MATERIALS[index].name for index in used.tolist()], dtype=np.str_),
-        "material": np.searchsorted(used, piece.material).astype(np.uint8),
-        "corner": packed(np.diff(np.asarray(piece.faces, np.int64).ravel(), prepend=0)),
+        "material": np.searchsorted(used, part.material).astype(np.uint8),
+        "corner": packed(np.diff(np.asarray(part.faces, np.int64).ravel(), prepend=0)),
         **{axis: packed(np.diff(vertices[:, row], prepend=0)) for row, axis in enumerate("xyz")},
     }
 
 
-def _piece(path: Path, columns: dict[str, NDArray], name: str) -> Piece:
+def _piece(path: Path, columns: dict[str, NDArray], name: str) -> MeshPart:
     kinds = {"materials": ("U", 1), "material": ("u", 1), **dict.fromkeys(("x", "y", "z", "corner"), ("u", 2))}
     for key, (kind, axes) in kinds.items():
         array = columns.get(f"{name}/{key}")
@@ -140,4 +137,4 @@ def _piece(path: Path, columns: dict[str, NDArray], name: str) -> Piece:
         found = unknown[0] if unknown else f"row {material.max()}"
         raise DataError(complaint(path, f"{name}/materials", "names of materials", found))
     index = np.array([known.index(one) for one in used], np.uint8)
-    return Piece(from_steps(np.stack([x, y, z], axis=1), _grid(name)), corner.reshape(-1, 3), index[material])
+    return MeshPart(from_steps(np.stack([x, y, z], axis=1), _grid(name)), corner.reshape(-1, 3), index[material])

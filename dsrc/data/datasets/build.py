@@ -1,7 +1,7 @@
-"""The factory of datasets: every drive of a TOML of splits, by any number of workers, with a manifest and data cards.
+"""Build of a dataset: all drives of a split file, with a manifest and data cards.
 
-A drive is a work item. What is finished is left alone, what was cut goes on, and the bytes of the whole tree are the
-same for any number of workers, any executor and any number of interruptions.
+A drive is a work item. Finished drives are skipped, interrupted ones resume, and the bytes of the tree are the same for
+any number of workers, any executor and any number of interruptions.
 """
 
 import logging
@@ -10,17 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
-from dsrc.data.checksums import SUMS, sha256
+from dsrc.data.checksums import SUMS
 from dsrc.data.datasets.manifest import MANIFEST, VERSION, Entry, Manifest, read_manifest, write_manifest
 from dsrc.data.datasets.spec import Dataset, Item, expand, find_split_file, read_dataset
 from dsrc.data.drive_folder import check_same, locked, read_settings
-from dsrc.data.executors import Executor, Report, open_executor
+from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_live
-from dsrc.data.write import Progress, make_drive, proven
+from dsrc.data.write import make_drive, proven
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.files import file_sha256
 
 _PATIENCE_S = 10.0
-"""Workers of a driver that was killed end a moment after it."""
+"""Time to wait for the lock of a drive: workers of a killed process end a moment after it."""
 _SAVE_EVERY_S = 2.0
 _log = logging.getLogger(__name__)
 
@@ -36,41 +37,37 @@ def generate_dataset(
     source: Path | str,
     out: Path,
     splits: Sequence[str] = (),
-    workers: int | None = None,
-    executor: str = "local",
-    address: str = "",
+    pool: Pool = SERIAL,
     cards: bool = True,
     progress: Progress | None = None,
 ) -> Path:
-    """Make the drives of a TOML of splits that are not there yet; start it again to go on after a stop.
+    """Generate the missing drives of a dataset; an interrupted run resumes.
 
     Args:
-        source: the TOML, or the name of a shipped dataset.
+        source: split file, or name of a shipped dataset.
         out: folder of the dataset; drives are `out/SPLIT/DRIVE`, beside them `manifest.json` and the data cards.
-        splits: make only these; none: all.
-        workers: processes; None for one per core.
-        executor: one of `dsrc.data.executors.EXECUTORS`.
-        address: of a cluster.
+        splits: only these; empty for all.
+        pool: workers.
         cards: write a data card beside each split.
-        progress: called with (frames done, frames wanted).
+        progress: called with (frames done, frames in all).
 
     Returns:
         `out`.
 
     Raises:
-        SettingsError: the TOML or a setting is wrong.
+        SettingsError: the split file or a setting is wrong.
         ScenarioError: a scenario is unknown or wrong.
-        DataError: `out` holds something else, another process is writing it, or drives could not be made; the manifest
-            says which.
+        DataError: `out` holds another dataset, another process is writing it, or drives failed, which the manifest
+            lists.
     """
     dataset, items = _plan(source, splits)
     out = Path(out).resolve()  # workers may have another current folder
     with locked(out, what="dataset"):
         _check_out(out, dataset, items)
-        with open_executor(executor, workers, address) as pool:
-            failed = _make_all(out, dataset, items, pool, executor == "local" and workers == 1, progress)
+        with pool.open() as executor:
+            failed = _make_all(out, dataset, items, executor, progress)
             if cards:
-                _write_cards(out, items, failed, pool)
+                _write_cards(out, items, failed, executor)
     if failed:
         name, reason = next(iter(failed.items()))
         others = f" ({len(failed)} of {len(items)} drives; see {MANIFEST})" if len(failed) > 1 else ""
@@ -78,12 +75,8 @@ def generate_dataset(
     return out
 
 
-def record_dataset(
-    source: Path | str,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> Path:
-    """Simulate all drives of a TOML anew and keep their traffic logs and worlds beside it, for `recorded`.
+def record_dataset(source: Path | str, pool: Pool = SERIAL, progress: Progress | None = None) -> Path:
+    """Simulate all drives of a dataset anew and keep their traffic logs and worlds in its folder `recorded`.
 
     Returns:
         The folder of the recordings.
@@ -96,10 +89,10 @@ def record_dataset(
     items = expand(Dataset(name=dataset.name, split=dataset.split), path)
     work = [_Work(item, folder / item.split / item.name, None) for item in items]
     done = 0
-    with open_executor("local", workers) as pool:
-        for outcome in pool.run(_record, work):
-            if outcome.error is not None:
-                raise outcome.error
+    with pool.open(len(work)) as executor:
+        for result in executor.run(_record, work):
+            if result.error is not None:
+                raise result.error
             done += 1
             if progress is not None:
                 progress(done, len(work))
@@ -124,7 +117,7 @@ def _locate(source: Path | str) -> Path:
 
 
 def _check_out(out: Path, dataset: Dataset, items: Sequence[Item]) -> None:
-    """Refuse a folder that holds another dataset, or drives of other settings, before anything is made."""
+    """Refuse a folder that holds another dataset or drives of other settings, before anything is written."""
     found = read_manifest(out)
     if found is not None and found.name != dataset.name:
         hint = "; choose another folder"
@@ -137,15 +130,14 @@ def _check_out(out: Path, dataset: Dataset, items: Sequence[Item]) -> None:
 
 
 def _make_all(
-    out: Path, dataset: Dataset, items: Sequence[Item], pool: Executor, alone: bool, progress: Progress | None
+    out: Path, dataset: Dataset, items: Sequence[Item], executor: Executor, progress: Progress | None
 ) -> dict[str, str]:
-    """Make the drives, keep the manifest up to date and return why drives failed."""
-    # One core per worker, but all of them for the only one.
-    work = [_Work(item, out / item.path, None if alone else 1) for item in items]
+    """Generate the drives, keep the manifest up to date and return the reason of each failed drive."""
+    work = [_Work(item, out / item.path, executor.threads) for item in items]
     total, frames = sum(item.spec.frames for item in items), [0] * len(items)
 
     def report(row: int, done: int, wanted: int) -> None:
-        # Executors that cannot look into their workers count a drive as one.
+        # Ray counts a drive as one step.
         frames[row] = items[row].spec.frames * done // wanted
         if progress is not None:
             progress(sum(frames), total)
@@ -154,12 +146,12 @@ def _make_all(
     entries: dict[str, Entry] = {}
     failed: dict[str, str] = {}
     saved = monotonic()
-    for outcome in pool.run(_make, work, report):
-        item = items[outcome.row]
-        if outcome.error is not None:
-            failed[item.path] = str(outcome.error)
+    for result in executor.run(_make, work, report):
+        item = items[result.row]
+        if result.error is not None:
+            failed[item.path] = str(result.error)
         else:
-            entries[item.path] = outcome.value
+            entries[item.path] = result.value
         if monotonic() - saved > _SAVE_EVERY_S:
             _save(out, dataset, items, others, entries, failed)
             saved = monotonic()
@@ -168,7 +160,7 @@ def _make_all(
 
 
 def _others(out: Path, items: Sequence[Item]) -> list[Entry]:
-    """Return the entries of drives that are not asked for now, such as those of other splits."""
+    """Return the manifest's entries of drives that this run leaves out, such as those of other splits."""
     found, asked = read_manifest(out), {item.path for item in items}
     return [] if found is None else [entry for entry in found.items if entry.drive not in asked]
 
@@ -201,16 +193,16 @@ def _place(order: Sequence[str], split: str) -> int:
     return order.index(split) if split in order else len(order)
 
 
-def _make(work: _Work, report: Report) -> Entry:
-    """Make one drive and return its entry; runs in a worker."""
+def _make(work: _Work, report: Progress) -> Entry:
+    """Generate one drive and return its entry; a task."""
     item = work.item
     more = {} if item.proof is None else {"proof": item.proof}
     make_drive(item.spec, work.folder, report, item.recorded, work.threads, more, _PATIENCE_S)
     return _entry(item, work.folder)
 
 
-def _record(work: _Work, report: Report) -> None:
-    """Record one drive, and see that its agents stay for all of it; runs in a worker."""
+def _record(work: _Work, report: Progress) -> None:
+    """Record one drive and check that its agents stay for all of it; a task."""
     spec, more = work.item.spec, {}
     if spec.scenario.conflict is not None:
         spec, more["proof"] = proven(spec)
@@ -236,7 +228,7 @@ def _entry(item: Item, drive: Path) -> Entry:
         agents=tuple(int(agent) for agent in agents),
         lidars=tuple(lidars),
         bytes=sum(path.stat().st_size for path in _files(drive)),
-        sha256=sha256(drive / SUMS),
+        sha256=file_sha256(drive / SUMS),
     )
 
 
@@ -244,10 +236,10 @@ def _files(drive: Path) -> Iterator[Path]:
     return (path for path in drive.rglob("*") if path.is_file() and not path.name.startswith("."))
 
 
-def _write_cards(out: Path, items: Sequence[Item], failed: dict[str, str], pool: Executor) -> None:
-    from dsrc.data.datasets.card import write_card
+def _write_cards(out: Path, items: Sequence[Item], failed: dict[str, str], executor: Executor) -> None:
+    from dsrc.data.datasets.card import describe
 
     for split in dict.fromkeys(item.split for item in items):
         if not any(item.split == split and item.path not in failed for item in items):
             continue
-        write_card(out / split, out / f"{split}.card", pool)
+        describe(out / split, out / f"{split}.card", executor)

@@ -6,7 +6,6 @@ Counts are of every drive; points, boxes and visible fractions of frames evenly 
 
 import hashlib
 from collections.abc import Sequence
-from contextlib import nullcontext
 from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from pathlib import Path
@@ -17,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import list_drives, open_drive
-from dsrc.data.executors import Executor, Report, open_executor
-from dsrc.data.jsonio import encode_json, read_json, write_atomic
+from dsrc.data.executors import SERIAL, Executor, Pool, Progress
+from dsrc.data.jsonio import encode_json, read_json
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY, Frame
 from sim.boxes import CLASSES
 from sim.errors import DataError
+from sim.files import replacing, write_file
 
 VERSION = 1
 SAMPLES = 20
@@ -104,13 +104,13 @@ class Card(msgspec.Struct, kw_only=True):
     drives: list[DriveCard]
 
 
-def write_card(split: Path, out: Path | None = None, pool: Executor | None = None) -> Path:
-    """Describe the drives at or below a folder; nothing is done when the card there is of the same drives.
+def write_card(split: Path, out: Path | None = None, pool: Pool = SERIAL) -> Path:
+    """Write the data card of the drives at or below a folder; a card of the same drives is left as it is.
 
     Args:
-        split: the folder; of any format that is read.
-        out: folder of the card; default: `SPLIT.card` beside it.
-        pool: who reads the drives; None for this process.
+        split: the folder, in any supported format.
+        out: folder of the card; None for `SPLIT.card` beside it.
+        pool: workers.
 
     Returns:
         The Markdown file.
@@ -120,16 +120,21 @@ def write_card(split: Path, out: Path | None = None, pool: Executor | None = Non
     """
     split = Path(split)
     out = split.with_name(f"{split.resolve().name}.card") if out is None else Path(out)
+    with pool.open() as executor:
+        return describe(split, out, executor)
+
+
+def describe(split: Path, out: Path, executor: Executor) -> Path:
+    """Write a data card with workers that are open already; see `write_card`."""
     drives = list_drives(split)
     digest = hashlib.sha256("".join(open_drive(drive).digest() for drive in drives).encode()).hexdigest()
     if _is_of(out, digest):
         return out / "card.md"
     cards: list[DriveCard | None] = [None] * len(drives)
-    with nullcontext(pool) if pool is not None else open_executor("local", 1) as readers:
-        for outcome in readers.run(_describe, [(split, drive) for drive in drives]):
-            if outcome.error is not None:
-                raise outcome.error
-            cards[outcome.row] = outcome.value
+    for result in executor.run(_describe, [(split, drive) for drive in drives]):
+        if result.error is not None:
+            raise result.error
+        cards[result.row] = result.value
     card = _whole(split.resolve().name, digest, [card for card in cards if card is not None])
     out.mkdir(parents=True, exist_ok=True)
     _draw(out, card)
@@ -141,9 +146,9 @@ def write_card(split: Path, out: Path | None = None, pool: Executor | None = Non
         title = f"{card.drives[row].drive}, frame {reader.frames[middle]}"
         _draw_frame(out / f"frame_{number}.png", reader.read(middle), title)
         pictures.append((f"frame_{number}.png", title))
-    write_atomic(out / "card.md", _markdown(card, pictures).encode())
+    write_file(out / "card.md", _markdown(card, pictures))
     # Last, because it tells that the card is complete.
-    write_atomic(out / "card.json", msgspec.json.format(encode_json(card), indent=1))
+    write_file(out / "card.json", msgspec.json.format(encode_json(card), indent=1))
     return out / "card.md"
 
 
@@ -155,7 +160,7 @@ def _is_of(out: Path, digest: str) -> bool:
     return (card.version, card.sha256) == (VERSION, digest)
 
 
-def _describe(place: tuple[Path, Path], report: Report) -> DriveCard:
+def _describe(place: tuple[Path, Path], report: Progress) -> DriveCard:
     """Look into one drive; runs in a worker."""
     split, path = place
     reader = open_drive(path)
@@ -385,6 +390,5 @@ def _figure(width: float, height: float, columns: int) -> tuple[Any, Any]:
 
 
 def _save(figure: Any, path: Path) -> None:
-    temporary = path.with_name(path.name + ".tmp")
-    figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
-    temporary.replace(path)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.checksums import SUMS, sha256, wrong_files
+from dsrc.data.checksums import SUMS, wrong_files
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.executors import Report, open_executor
+from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.opv2v.record import read_agent
 from dsrc.data.formats.pcd import read_pcd
-from dsrc.data.write import Progress
 from sensors.frame import AgentFrame, Frame, count_points
 from sim.errors import DataError
+from sim.files import file_sha256
 
 FASTEST_MPS = 90.0
 """An agent that is farther away in the next frame than this speed allows has a wrong pose."""
@@ -44,16 +44,16 @@ class Fault:
         return f"{self.place}: {self.text}" if self.place else self.text
 
 
-def check_dataset(root: Path, workers: int | None = None, progress: Progress | None = None) -> list[Fault]:
-    """Read everything at or below a folder and return what is wrong, by drive.
+def check_dataset(root: Path, pool: Pool = SERIAL, progress: Progress | None = None) -> list[Fault]:
+    """Read all files at or below a folder and return their faults, by drive.
 
     Args:
-        root: a drive, a folder of drives, or of splits, of any format that is read.
-        workers: processes; None for one per core.
+        root: a drive, a folder of drives or of splits, in any supported format.
+        pool: workers.
         progress: called with (drives done, drives in all).
 
     Raises:
-        SettingsError: a number of workers that cannot be.
+        SettingsError: a setting of the pool is wrong.
     """
     root = Path(root)
     try:
@@ -61,10 +61,9 @@ def check_dataset(root: Path, workers: int | None = None, progress: Progress | N
     except DataError as error:
         return [*_manifest_faults(root), Fault("", str(error))]
     found: dict[int, list[Fault]] = {}
-    with open_executor("local", min(workers, len(drives)) if workers else workers) as pool:
-        for outcome in pool.run(_check_drive, drives):
-            text = [Fault("", str(outcome.error))] if outcome.error else outcome.value
-            found[outcome.row] = text
+    with pool.open(len(drives)) as executor:
+        for result in executor.run(_check_drive, drives):
+            found[result.row] = [Fault("", str(result.error))] if result.error else result.value
             if progress is not None:
                 progress(len(found), len(drives))
     faults = [*_manifest_faults(root), *(fault for row in range(len(drives)) for fault in found[row])]
@@ -89,12 +88,12 @@ def _manifest_faults(root: Path) -> list[Fault]:
             faults.append(Fault(str(root / entry.drive), f"missing, {MANIFEST} lists it"))
         elif not sums.is_file():
             faults.append(Fault(str(sums), f"missing, {MANIFEST} has its checksum"))
-        elif sha256(sums) != entry.sha256:
+        elif file_sha256(sums) != entry.sha256:
             faults.append(Fault(str(sums), f"differs from the checksum in {MANIFEST}"))
     return faults
 
 
-def _check_drive(path: Path, report: Report) -> list[Fault]:
+def _check_drive(path: Path, report: Progress) -> list[Fault]:
     """Return what is wrong with one drive; runs in a worker."""
     faults = []
     if (path / SUMS).is_file():

@@ -1,7 +1,7 @@
-"""Convert drives of any format that is read into OPV2V, DAIR-V2X-C, KITTI or MCAP: the work behind `dsrc convert`.
+"""Conversion of drives, any supported format, to OPV2V, DAIR-V2X-C, KITTI or MCAP.
 
-Frames are made one by one, each whole or not at all; a run that was stopped goes on where it was when it is started
-again with the same settings. A folder that holds something else is refused.
+A drive is a work item, written frame by frame, each file completely or not at all; an interrupted run resumes. A folder
+that holds something else is refused.
 """
 
 import shutil
@@ -11,24 +11,23 @@ from pathlib import Path
 from typing import Literal, Protocol, get_args
 
 import msgspec
-import numpy as np
 
 from dsrc.data.checksums import SUMS, write_sums
-from dsrc.data.drive_folder import LOCK, is_complete, locked, remove_leftovers, write_protocol
-from dsrc.data.drives import Drive, open_drives
+from dsrc.data.drive_folder import LOCK, is_complete, locked, write_protocol
+from dsrc.data.drives import Drive, open_drive, open_drives
+from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.dair.write import DairWriter
 from dsrc.data.formats.kitti import KittiWriter, View
 from dsrc.data.formats.mcap import McapFile
 from dsrc.data.formats.opv2v.reader import PROTOCOL, write_frame
-from dsrc.data.jsonio import encode_json, read_json, write_atomic
+from dsrc.data.jsonio import encode_json, read_json
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.files import remove_leftovers, write_file
 
 Format = Literal["opv2v", "dair", "kitti", "mcap"]
 FORMATS: tuple[Format, ...] = get_args(Format)
-Progress = Callable[[int, int], None]
-"""Called with (frames done, frames wanted)."""
 
 MARK = "conversion.json"
 _VERSION = 1
@@ -37,38 +36,47 @@ _EGO, _ALL = "ego", "all"
 
 
 class Mark(msgspec.Struct, frozen=True):
-    """What made a folder: `conversion.json`."""
+    """Settings of a conversion: `conversion.json`."""
 
     version: int
-    to: str
+    to: Format
     agent: str
-    view: str
+    view: View
     drives: dict[str, str]
     finished: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """One frame of the work.
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Drive to convert.
 
     Attributes:
-        number: of the frame among all, in the order of the drives.
-        drive: its drive.
-        row: number of the drive.
-        name: of the drive in the new tree; drives of a split are below its folder.
-        i: position of the frame in the drive.
+        path: of the drive.
+        row: its number.
+        name: in the new tree; drives of a split are below its folder.
+        frames: numbers of its frames.
+        agents: ids of its agents.
+        first: number of its first frame in the new tree, where it has numbers.
     """
 
-    number: int
-    drive: Drive
+    path: Path
     row: int
     name: str
-    i: int
+    frames: tuple[int, ...]
+    agents: tuple[int, ...]
+    first: int
 
     @property
     def split(self) -> str:
-        """Set of the frame: train, val or test, by the folder of its drive; train where it is none of them."""
-        return _split_of(self.drive.drive.parent.name) or "train"
+        """Set of the drive, train, val or test, by its folder; train for any other folder."""
+        return _split_of(self.path.parent.name) or "train"
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    out: Path
+    mark: Mark
+    source: Source
 
 
 def convert(
@@ -78,25 +86,27 @@ def convert(
     *,
     agent: str | None = None,
     view: View = "camera",
+    pool: Pool = SERIAL,
     progress: Progress | None = None,
 ) -> Path:
-    """Write all drives at or below a folder in another format.
+    """Write the drives at or below a folder in another format; an interrupted run resumes.
 
     Args:
-        data: a drive or a folder of drives, of any format that is read.
-        out: a new or empty folder, or one that an interrupted conversion has begun.
+        data: a drive or a folder of drives, in any supported format.
+        out: a new or empty folder, or that of an interrupted conversion.
         to: `opv2v`, `dair`, `kitti` or `mcap`.
-        agent: whose eyes: `ego` (the first vehicle), `all`, or the id of an agent. DAIR-V2X-C has one ego, its
+        agent: the viewpoint: `ego` (the first vehicle), `all`, or the id of an agent. DAIR-V2X-C has one ego, its
             vehicle's side; KITTI a frame for each of them. None is the ego; OPV2V and MCAP always hold all.
         view: KITTI's labels: those in the nominal camera's picture, or all around.
-        progress: called with frames done and frames in all.
+        pool: workers.
+        progress: called with (frames done, frames in all).
 
     Returns:
         The folder.
 
     Raises:
         SettingsError: an unknown format, an option that the format does not have, or `out` is not apart from `data`.
-        DataError: a drive cannot be read or has not what the format needs, or the folder holds something else.
+        DataError: a drive cannot be read or lacks what the format needs, or the folder holds something else.
     """
     if to not in FORMATS:
         raise SettingsError(complaint("convert", "to", "a format", to, did_you_mean(to, FORMATS)))
@@ -113,29 +123,47 @@ def convert(
         view=view,
         drives={name: drive.digest() for name, drive in zip(names, drives, strict=True)},
     )
-    frames = [(row, i) for row, drive in enumerate(drives) for i in range(len(drive))]
-    places = [Place(number, drives[row], row, names[row], i) for number, (row, i) in enumerate(frames)]
-    writer = _WRITERS[to](out, wanted, drives)
-    report = progress or (lambda done, total: None)
+    writer = _WRITERS[to](out, wanted)
+    sources: list[Source] = []
+    first = 0
+    for row, (name, drive) in enumerate(zip(names, drives, strict=True)):
+        sources.append(Source(drive.drive.resolve(), row, name, drive.frames, drive.agents, first))
+        first += len(drive) * writer.views(sources[-1])
+    total, done = sum(map(len, drives)), [0] * len(drives)
+
+    def report(row: int, part: int, wanted: int) -> None:
+        done[row] = len(drives[row]) * part // max(wanted, 1)
+        if progress is not None:
+            progress(sum(done), total)
+
     _check_folder(out, wanted)
     with locked(out):
-        if _check_folder(out, wanted):
-            report(len(places), len(places))
-            return out
-        write_atomic(out / MARK, encode_json(wanted))
-        for done, place in enumerate(places):
-            report(done, len(places))
-            if not writer.done(place):
-                writer.write(place, place.drive.read(place.i))
-        writer.finish(places)
-        remove_leftovers(out)
-        write_atomic(out / MARK, encode_json(msgspec.structs.replace(wanted, finished=True)))
-        report(len(places), len(places))
+        if not _check_folder(out, wanted):
+            write_file(out / MARK, encode_json(wanted))
+            with pool.open(len(sources)) as executor:
+                for result in executor.run(_convert, [_Work(out.resolve(), wanted, s) for s in sources], report):
+                    if result.error is not None:
+                        raise result.error
+            writer.finish(sources)
+            remove_leftovers(out)
+            write_file(out / MARK, encode_json(msgspec.structs.replace(wanted, finished=True)))
+    if progress is not None:
+        progress(total, total)
     return out
 
 
+def _convert(work: _Work, progress: Progress) -> None:
+    """Write one drive; a task."""
+    writer, drive = _WRITERS[work.mark.to](work.out, work.mark), open_drive(work.source.path)
+    for i in range(len(drive)):
+        progress(i, len(drive))
+        if not writer.done(work.source, i):
+            writer.write(work.source, i, drive, drive.read(i))
+    progress(len(drive), len(drive))
+
+
 def names_of(drives: Sequence[Path]) -> list[str]:
-    """Return names for drives that differ: a drive's own, after its folder's where that is a split or names repeat."""
+    """Return different names of drives: a drive's own, after its folder's where that is a split or names repeat."""
     own = [drive.name for drive in drives]
     names = [
         f"{drive.parent.name}/{drive.name}" if own.count(drive.name) > 1 or _split_of(drive.parent.name) else drive.name
@@ -150,7 +178,7 @@ def names_of(drives: Sequence[Path]) -> list[str]:
 
 
 def _split_of(folder: str) -> str | None:
-    """Return the set that a folder's name stands for; OPV2V has a `test_culvercity` too."""
+    """Return the set of a folder by its name; OPV2V has a `test_culvercity` too."""
     return "test" if folder.startswith("test_") else _SPLITS.get(folder)
 
 
@@ -168,7 +196,7 @@ def _check_options(to: Format, agent: str | None, view: View) -> None:
 
 
 def _check_folder(out: Path, wanted: Mark) -> bool:
-    """Return whether the work in a folder is finished; DataError when it is another."""
+    """Return whether the conversion in a folder is finished; DataError for another one."""
     if not out.is_dir():
         return False
     if not (out / MARK).exists():
@@ -186,62 +214,69 @@ def _check_folder(out: Path, wanted: Mark) -> bool:
     return found.finished
 
 
-def _compensated(place: Place, frame: Frame) -> Frame:
-    """Return a frame whose points are compensated: other tools know nothing of raw ones."""
+def _compensated(source: Source, frame: Frame) -> Frame:
+    """Return a frame with compensated points: other formats have no raw ones."""
     if all(agent.sweep.motion != "raw" for agent in frame.agents):
         return frame
     try:
         return deskew_frame(frame, "middle")
     except DataError as error:
-        raise DataError(f"{place.drive.drive}: {error}") from None
+        raise DataError(f"{source.path}: {error}") from None
 
 
 class _Writer(Protocol):
-    """Writes frames in one format."""
+    """Writer of drives in one format, frame by frame in order."""
 
-    def done(self, place: Place) -> bool:
-        """Return whether the frame is there."""
+    def views(self, source: Source) -> int:
+        """Return the frames in the new tree for one of the drive."""
         ...
 
-    def write(self, place: Place, frame: Frame) -> None:
-        """Write one frame; they come in order."""
+    def done(self, source: Source, i: int) -> bool:
+        """Return whether the drive's i-th frame is there."""
         ...
 
-    def finish(self, places: Sequence[Place]) -> None:
-        """Write what is made of all frames."""
+    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
+        """Write the drive's i-th frame."""
+        ...
+
+    def finish(self, sources: Sequence[Source]) -> None:
+        """Write the indices of all drives."""
         ...
 
 
 class _Opv2v:
     """Drives of ours: everything that a frame holds."""
 
-    def __init__(self, out: Path, mark: Mark, drives: Sequence[Drive]) -> None:
+    def __init__(self, out: Path, mark: Mark) -> None:
         self.out, self.mark = out, mark
 
-    def done(self, place: Place) -> bool:
-        folder = self.out / place.name
-        return (folder / PROTOCOL).exists() and is_complete(folder, place.drive.agents, place.drive.frames[place.i])
+    def views(self, source: Source) -> int:
+        return 1
 
-    def write(self, place: Place, frame: Frame) -> None:
-        folder, own = self.out / place.name, place.drive.protocol.get("testbed")
+    def done(self, source: Source, i: int) -> bool:
+        folder = self.out / source.name
+        return (folder / PROTOCOL).exists() and is_complete(folder, source.agents, source.frames[i])
+
+    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
+        folder, own = self.out / source.name, drive.protocol.get("testbed")
         # The number in the file's name is what the source goes by.
-        frame = replace(frame, index=place.drive.frames[place.i])
+        frame = replace(frame, index=drive.frames[i])
         if not (folder / PROTOCOL).exists():
             folder.mkdir(parents=True, exist_ok=True)
-            write_protocol(folder, self._protocol(place, frame))
-            for path in _beside(place.drive.drive) if isinstance(own, dict) else ():
+            write_protocol(folder, self._protocol(source, drive, frame))
+            for path in _beside(drive.drive) if isinstance(own, dict) else ():
                 shutil.copyfile(path, folder / path.name)
         listed = own.get("connected_vehicles", True) if isinstance(own, dict) else True
-        write_frame(folder, frame, bool(listed), place.drive.plans(place.i))
+        write_frame(folder, frame, bool(listed), drive.plans(i))
 
-    def finish(self, places: Sequence[Place]) -> None:
-        for name in {place.name for place in places}:
-            remove_leftovers(self.out / name)
-            write_sums(self.out / name)
+    def finish(self, sources: Sequence[Source]) -> None:
+        for source in sources:
+            remove_leftovers(self.out / source.name)
+            write_sums(self.out / source.name)
 
-    def _protocol(self, place: Place, frame: Frame) -> dict:
-        if isinstance(place.drive.protocol.get("testbed"), dict):
-            return place.drive.protocol
+    def _protocol(self, source: Source, drive: Drive, frame: Frame) -> dict:
+        if isinstance(drive.protocol.get("testbed"), dict):
+            return drive.protocol
         agents = {
             int(agent.agent_id): {
                 "kind": agent.kind,
@@ -249,104 +284,113 @@ class _Opv2v:
             }
             for agent in frame.agents
         }
-        source = {"format": place.drive.format, "drive": place.name, "sha256": self.mark.drives[place.name]}
-        own = {"frames": len(place.drive), "agents": agents, "converted": source}
-        return {**place.drive.protocol, "testbed": own}
+        converted = {"format": drive.format, "drive": source.name, "sha256": self.mark.drives[source.name]}
+        own = {"frames": len(drive), "agents": agents, "converted": converted}
+        return {**drive.protocol, "testbed": own}
 
 
 def _beside(drive: Path) -> list[Path]:
-    """Return what a drive of ours has beside its frames and its protocol, such as the log of its traffic."""
+    """Return the files of a drive beside its frames and its protocol, such as the traffic log."""
     files = (path for path in sorted(drive.iterdir()) if path.is_file() and not path.name.startswith("."))
-    return [path for path in files if path.name not in (PROTOCOL, SUMS) and path.suffix not in (".tmp", ".part")]
+    return [path for path in files if path.name not in (PROTOCOL, SUMS)]
 
 
 class _Dair:
-    """A tree of pairs."""
+    """Tree of pairs."""
 
-    def __init__(self, out: Path, mark: Mark, drives: Sequence[Drive]) -> None:
+    def __init__(self, out: Path, mark: Mark) -> None:
         self._writer = DairWriter(out, None if mark.agent == _EGO else int(mark.agent))
 
-    def done(self, place: Place) -> bool:
-        return self._writer.done(place.number)
+    def views(self, source: Source) -> int:
+        return 1
 
-    def write(self, place: Place, frame: Frame) -> None:
+    def done(self, source: Source, i: int) -> bool:
+        return self._writer.done(source.first + i)
+
+    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
         try:
-            self._writer.write(place.number, place.row, place.name, place.split, _compensated(place, frame))
+            self._writer.write(source.first + i, source.row, source.name, source.split, _compensated(source, frame))
         except DataError as error:
-            raise DataError(f"{place.drive.drive}: {error}") from None
+            raise DataError(f"{source.path}: {error}") from None
 
-    def finish(self, places: Sequence[Place]) -> None:
-        self._writer.finish([place.number for place in places])
+    def finish(self, sources: Sequence[Source]) -> None:
+        self._writer.finish(range(sources[-1].first + len(sources[-1].frames)))
 
 
 class _Kitti:
-    """A frame for every agent that is asked for."""
+    """Frame for each chosen agent."""
 
-    def __init__(self, out: Path, mark: Mark, drives: Sequence[Drive]) -> None:
-        self._writer = KittiWriter(out, mark.view)  # type: ignore[arg-type]
-        self._agents = [_chosen(drive, mark.agent) for drive in drives]
-        self._first = np.cumsum([0, *(len(drive) * len(a) for drive, a in zip(drives, self._agents, strict=True))])
+    def __init__(self, out: Path, mark: Mark) -> None:
+        self._writer, self._agent = KittiWriter(out, mark.view), mark.agent
 
-    def _views(self, place: Place) -> list[tuple[int, int]]:
+    def views(self, source: Source) -> int:
+        return len(_chosen(source, self._agent))
+
+    def _views(self, source: Source, i: int) -> list[tuple[int, int]]:
         """Return (number in the tree, agent) of the views of a frame."""
-        agents = self._agents[place.row]
-        first = int(self._first[place.row]) + place.i * len(agents)
-        return [(first + k, agent) for k, agent in enumerate(agents)]
+        agents = _chosen(source, self._agent)
+        return [(source.first + i * len(agents) + k, agent) for k, agent in enumerate(agents)]
 
-    def done(self, place: Place) -> bool:
-        return all(self._writer.done(number, place.split) for number, _ in self._views(place))
+    def done(self, source: Source, i: int) -> bool:
+        return all(self._writer.done(number, source.split) for number, _ in self._views(source, i))
 
-    def write(self, place: Place, frame: Frame) -> None:
-        frame = _compensated(place, frame)
+    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
+        frame = _compensated(source, frame)
         ids = [agent.agent_id for agent in frame.agents]
-        for number, agent in self._views(place):
-            self._writer.write(number, place.split, frame, ids.index(agent))
+        for number, agent in self._views(source, i):
+            self._writer.write(number, source.split, frame, ids.index(agent))
 
-    def finish(self, places: Sequence[Place]) -> None:
-        rows = []
-        for place in places:
-            index = place.drive.frames[place.i]
-            rows += [(number, place.split, place.name, index, agent) for number, agent in self._views(place)]
-        self._writer.finish(rows)
+    def finish(self, sources: Sequence[Source]) -> None:
+        self._writer.finish(
+            [
+                (number, source.split, source.name, index, agent)
+                for source in sources
+                for i, index in enumerate(source.frames)
+                for number, agent in self._views(source, i)
+            ]
+        )
 
 
-def _chosen(drive: Drive, agent: str) -> tuple[int, ...]:
-    """Return the agents of a drive that are asked for; DataError when there is no such."""
+def _chosen(source: Source, agent: str) -> tuple[int, ...]:
+    """Return the chosen agents of a drive; DataError for an unknown one."""
     if agent == _ALL:
-        return drive.agents
+        return source.agents
     if agent == _EGO:
-        return drive.agents[:1]
-    if int(agent) not in drive.agents:
-        raise DataError(complaint(drive.drive, "agent", f"one of {list(drive.agents)}", int(agent)))
+        return source.agents[:1]
+    if int(agent) not in source.agents:
+        raise DataError(complaint(source.path, "agent", f"one of {list(source.agents)}", int(agent)))
     return (int(agent),)
 
 
 class _Mcap:
-    """A file for every drive."""
+    """File for each drive."""
 
-    def __init__(self, out: Path, mark: Mark, drives: Sequence[Drive]) -> None:
+    def __init__(self, out: Path, mark: Mark) -> None:
         self.out = out
         self._open: McapFile | None = None
 
-    def done(self, place: Place) -> bool:
-        return self._file(place).exists()
+    def views(self, source: Source) -> int:
+        return 1
 
-    def write(self, place: Place, frame: Frame) -> None:
+    def done(self, source: Source, i: int) -> bool:
+        return self._file(source).exists()
+
+    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
         if self._open is None:
-            self._open = McapFile(self._file(place))
-        self._open.write(_compensated(place, frame))
-        if place.i + 1 == len(place.drive):
+            self._open = McapFile(self._file(source))
+        self._open.write(_compensated(source, frame))
+        if i + 1 == len(drive):
             self._open.close()
             self._open = None
 
-    def finish(self, places: Sequence[Place]) -> None:
+    def finish(self, sources: Sequence[Source]) -> None:
         pass
 
-    def _file(self, place: Place) -> Path:
-        return self.out / f"{place.name}.mcap"
+    def _file(self, source: Source) -> Path:
+        return self.out / f"{source.name}.mcap"
 
 
-_WRITERS: dict[Format, Callable[[Path, Mark, Sequence[Drive]], _Writer]] = {
+_WRITERS: dict[Format, Callable[[Path, Mark], _Writer]] = {
     "opv2v": _Opv2v,
     "dair": _Dair,
     "kitti": _Kitti,

@@ -12,14 +12,22 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, remove_leftovers, write_protocol
+from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.executors import Executor, Report, open_executor
+from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.write import Progress
-from sensors.corruptions import CLEAN, CORRUPTIONS, PAPER, Family, check_corruption, corrupt_frame, drive_seed
+from sensors.corruptions import (
+    CLEAN,
+    CORRUPTIONS,
+    DEFAULT_SEVERITY,
+    Family,
+    corrupt_frame,
+    drive_seed,
+    require_corruption,
+)
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint
+from sim.files import remove_leftovers
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +60,13 @@ def corrupt_dataset(
     data: Path,
     out: Path,
     kind: str,
-    severity: int = PAPER,
+    severity: int = DEFAULT_SEVERITY,
     family: Family = "physical",
     seed: int = 0,
-    workers: int = 1,
+    pool: Pool = SERIAL,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Write the drives at or below a folder under a corruption; start it again to go on after a stop.
+    """Write the drives at or below a folder under a corruption; an interrupted run resumes.
 
     Only what our readers read is written: sweeps, poses and ground truth. Pictures of cameras and further keys of other
     tools' files stay behind. Ground truth and its point counts are those of the source.
@@ -70,8 +78,8 @@ def corrupt_dataset(
         severity: 1 to 5.
         family: of its settings.
         seed: of the corruption; every drive has its own weather and faults, by the name of its folder.
-        workers: processes; more than one need a `__main__` that can be imported.
-        progress: called with frames done and frames in all.
+        pool: workers; processes need a `__main__` that can be imported.
+        progress: called with (frames done, frames in all).
 
     Returns:
         The folders of the corrupted drives.
@@ -81,7 +89,7 @@ def corrupt_dataset(
         DataError: a drive cannot be read or lacks what the corruption needs, or a folder holds a drive that was made
             otherwise.
     """
-    check_corruption(kind, severity, family)
+    require_corruption(kind, severity, family)
     if kind == CLEAN:
         raise SettingsError(complaint("corrupt", "kind", f"one of {', '.join(CORRUPTIONS)}", kind))
     if seed < 0:
@@ -93,15 +101,15 @@ def corrupt_dataset(
     readers = [open_drive(job.source) for job in jobs]
     total, done = sum(len(reader) for reader in readers), 0
     report = progress or (lambda done, total: None)
-    with open_executor("local", workers) as pool:
+    with pool.open(max(map(len, readers))) as executor:
         for job, reader in zip(jobs, readers, strict=True):
-            for count in _corrupt_drive(job, reader, pool):
+            for count in _corrupt_drive(job, reader, executor):
                 done += count
                 report(done, total)
     return [job.out for job in jobs]
 
 
-def _corrupt_drive(job: Job, reader: Drive, pool: Executor) -> Iterator[int]:
+def _corrupt_drive(job: Job, reader: Drive, executor: Executor) -> Iterator[int]:
     """Write the frames of a drive that are not there yet; yields how many more are done."""
     protocol = _protocol(job, reader)
     with locked(job.out):
@@ -121,7 +129,7 @@ def _corrupt_drive(job: Job, reader: Drive, pool: Executor) -> Iterator[int]:
             _write(job, reader, frame)
             yield 1
             missing = missing[1:]
-        for _ in _each(job, missing, pool):
+        for _ in _each(job, missing, executor):
             yield 1
         remove_leftovers(job.out)
 
@@ -169,15 +177,14 @@ def _agents(frame: Frame) -> dict:
     }
 
 
-def _each(job: Job, rows: list[int], pool: Executor) -> Iterator[None]:
-    """Make and write these frames, here or in other processes."""
-    for outcome in pool.run(_task, [(job, i) for i in rows]):
-        if outcome.error is not None:
-            raise outcome.error
+def _each(job: Job, rows: list[int], executor: Executor) -> Iterator[None]:
+    for result in executor.run(_task, [(job, i) for i in rows]):
+        if result.error is not None:
+            raise result.error
         yield
 
 
-def _task(item: tuple[Job, int], report: Report) -> None:
+def _task(item: tuple[Job, int], report: Progress) -> None:
     job, i = item
     reader = _reader(job.source)
     _write(job, reader, corrupted(job, reader, i))

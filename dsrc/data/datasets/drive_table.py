@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from dsrc.data.drives import Drive, open_drives
-from dsrc.data.jsonio import write_atomic
 from dsrc.data.sample import make_sample
 from dsrc.ops.grid import GridSpec
 from sim.errors import DataError, UserError, complaint
+from sim.files import write_file
 
 _HEAD = ("drive", "frames", "agents", "boxes", "boxes a frame", "without a point from the ego", "way of the ego, m")
 
@@ -104,7 +104,7 @@ def put(document: Path, name: str, content: str) -> None:
     _, ended, after = rest.partition(end)
     if not (begun and ended):
         raise DataError(complaint(document, name, f"the lines {begin} and {end}", "one or none of them"))
-    write_atomic(document, f"{before}{begin}\n{content}\n{end}{after}".encode())
+    write_file(document, f"{before}{begin}\n{content}\n{end}{after}".encode())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

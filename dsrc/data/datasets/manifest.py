@@ -4,8 +4,9 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.data.jsonio import encode_json, read_json, write_atomic
+from dsrc.data.jsonio import encode_json, read_json
 from sim.errors import DataError, complaint
+from sim.files import write_file
 
 MANIFEST = "manifest.json"
 VERSION = 1
@@ -59,7 +60,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write it atomically."""
-    write_atomic(folder / MANIFEST, msgspec.json.format(encode_json(manifest), indent=1))
+    write_file(folder / MANIFEST, msgspec.json.format(encode_json(manifest), indent=1))
 
 
 def read_manifest(folder: Path) -> Manifest | None:

@@ -3,24 +3,25 @@
 The traffic log and the static world beside it are all that is needed; a drive made of them is a drive as any other.
 """
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
 
-from dsrc.data.checksums import sha256
 from dsrc.data.datasets.spec import about_log, equipped
 from dsrc.data.drive_folder import read_settings
+from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.opv2v.reader import PROTOCOL
 from dsrc.data.simulate import TRAFFIC_LOG
-from dsrc.data.write import DriveSpec, Progress, make_drive
+from dsrc.data.write import DriveSpec, make_drive
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.files import file_sha256
 from sim.scenario import Scenario
 from sim.traffic.log import TrafficLog
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Changes:
     """What is to be other than in the recording; None leaves it.
 
@@ -43,44 +44,71 @@ class Changes:
     frames: int | None = None
 
 
-def render(source: Path, out: Path, changes: Changes, progress: Progress | None = None) -> list[Path]:
-    """Write drives anew from their traffic logs; start it again to go on after a stop.
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """Drive to render: settings, new folder, folder of its traffic log, further entries of its protocol."""
+
+    spec: DriveSpec
+    folder: Path
+    recorded: Path
+    more: dict
+    threads: int | None = None
+
+
+def render(
+    source: Path, out: Path, changes: Changes, pool: Pool = SERIAL, progress: Progress | None = None
+) -> list[Path]:
+    """Write drives anew from their traffic logs; an interrupted run resumes.
 
     Args:
         source: a traffic log, a drive, or a folder of drives (up to two levels above them).
-        out: where they go, under the same names.
-        changes: what is to be other.
-        progress: called with (frames done, frames wanted).
+        out: folder of the new drives, which keep their names.
+        changes: differences from the recording.
+        pool: workers.
+        progress: called with (frames done, frames in all).
 
     Returns:
         The folders of the drives.
 
     Raises:
-        DataError: there is no log, or it is damaged or too short; a folder holds a drive that was made otherwise.
+        DataError: a log is missing, damaged or too short; a folder holds a drive of other settings.
         SettingsError: a setting is out of its range.
         ScenarioError: an agent leaves too early, or there is no world beside the log and it cannot be built.
     """
     logs = find_logs(source)
     specs = [spec_of(log, changes) for log in logs]
-    total, before = sum(spec.frames for spec in specs), 0
-    made = []
+    work, made = [], []
     for log, spec in zip(logs, specs, strict=True):
         name = log.parent.resolve().name
         folder = Path(out) / (name if len(logs) == 1 else log.parent.relative_to(source))
         if folder.resolve() == log.parent.resolve():
             raise SettingsError(complaint("render", "out", "another folder than the recording's", str(out)))
         _, about = about_log(log)
-        more = {"rendered": {"sha256": sha256(log)}, **({"proof": about["proof"]} if "proof" in about else {})}
-        offset = before
-
-        def report(done: int, wanted: int, offset: int = offset) -> None:
-            if progress is not None:
-                progress(offset + done, total)
-
-        make_drive(spec, folder, report, recorded=log.parent, more=more)
+        more = {
+            "rendered": {"sha256": file_sha256(log)},
+            **({"proof": about["proof"]} if "proof" in about else {}),
+        }
+        work.append(
+            _Work(spec, folder.resolve(), log.parent.resolve(), more)
+        )  # workers may have another current folder
         made.append(folder)
-        before += spec.frames
+    frames = [0] * len(work)
+
+    def report(row: int, done: int, wanted: int) -> None:
+        frames[row] = specs[row].frames * done // wanted
+        if progress is not None:
+            progress(sum(frames), sum(spec.frames for spec in specs))
+
+    with pool.open(len(work)) as executor:
+        for result in executor.run(_render, [replace(one, threads=executor.threads) for one in work], report):
+            if result.error is not None:
+                raise result.error
     return made
+
+
+def _render(work: _Work, progress: Progress) -> None:
+    """Write one drive; a task."""
+    make_drive(work.spec, work.folder, progress, work.recorded, work.threads, work.more)
 
 
 def find_logs(source: Path) -> list[Path]:

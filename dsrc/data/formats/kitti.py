@@ -22,10 +22,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.jsonio import write_atomic
 from dsrc.data.levelling import levelled, occlusion
 from sensors.frame import Frame
 from sim.boxes import CLASSES, Boxes
+from sim.files import write_file
 from sim.geometry import invert, transform_points, wrap_angle
 
 View = Literal["camera", "around"]
@@ -72,11 +72,11 @@ class KittiWriter:
         cloud = np.concatenate([sweep.points, sweep.intensity[:, None]], axis=1)
         seen = (frame.points_on[row] >= 1) & (frame.truth.object_id != frame.agents[row].agent_id)
         boxes = frame.truth[seen].transform(invert(sweep.world_from_lidar))
-        write_atomic(self._file(split, "velodyne", number, "bin"), cloud.astype("<f4").tobytes())
-        write_atomic(self._file(split, "calib", number, "txt"), _calibration().encode())
-        write_atomic(self._file(split, "image_2", number, "png"), _black())
+        write_file(self._file(split, "velodyne", number, "bin"), cloud.astype("<f4").tobytes())
+        write_file(self._file(split, "calib", number, "txt"), _calibration().encode())
+        write_file(self._file(split, "image_2", number, "png"), _black())
         labels = encode_labels(boxes, self.view, occlusion(frame.visible_fraction[row, seen]))
-        write_atomic(self._file(split, "label_2", number, "txt"), labels.encode())
+        write_file(self._file(split, "label_2", number, "txt"), labels.encode())
 
     def finish(self, places: Sequence[tuple[int, str, str, int, int]]) -> None:
         """Write the lists of frames; places are (number, split, drive, frame, agent)."""
@@ -84,7 +84,7 @@ class KittiWriter:
             _list(self.out / "ImageSets" / f"{name}.txt", [place[0] for place in places if place[1] == name])
         _list(self.out / "ImageSets" / "trainval.txt", [place[0] for place in places if place[1] != "test"])
         rows = [f"{number:06d},{split},{drive},{index},{agent}\n" for number, split, drive, index, agent in places]
-        write_atomic(self.out / "frames.csv", ("number,split,drive,frame,agent\n" + "".join(rows)).encode())
+        write_file(self.out / "frames.csv", ("number,split,drive,frame,agent\n" + "".join(rows)).encode())
 
     def _file(self, split: str, folder: str, number: int, ending: str) -> Path:
         return self.out / ("testing" if split == "test" else "training") / folder / f"{number:06d}.{ending}"
@@ -152,4 +152,4 @@ def _black() -> bytes:
 
 
 def _list(path: Path, numbers: list[int]) -> None:
-    write_atomic(path, "".join(f"{number:06d}\n" for number in numbers).encode())
+    write_file(path, "".join(f"{number:06d}\n" for number in numbers).encode())

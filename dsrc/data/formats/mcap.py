@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sensors.frame import AgentFrame, Frame
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
+from sim.files import replacing
 from sim.geometry import invert, pose_matrix
 from sim.traffic.base import lit
 
@@ -108,10 +109,9 @@ class McapFile:
             raise SettingsError(
                 "mcap: expected the package mcap, found none; pip install 'dsrc-testbed[mcap]'"
             ) from None
-        path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
-        self._temporary = path.with_name(path.name + ".tmp")
-        self._file = self._temporary.open("wb")
+        self._replacing = replacing(path)
+        self._file = self._replacing.__enter__().open("wb")
         self._writer = Writer(self._file)
         self._writer.start(profile="", library="dsrc-testbed")
         self._schemas = {
@@ -139,7 +139,7 @@ class McapFile:
         """Finish the file and put it in its place."""
         self._writer.finish()
         self._file.close()
-        self._temporary.replace(self.path)
+        self._replacing.__exit__(None, None, None)
 
     def _message(self, topic: str, schema: str, time_s: float, message: dict[str, Any]) -> None:
         if topic not in self._channels:

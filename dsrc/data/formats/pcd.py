@@ -17,6 +17,7 @@ from dsrc.data.formats.lzf import decompress
 from sensors.spec import LidarSpec
 from sensors.sweep import Sweep, make_sweep
 from sim.errors import DataError, complaint
+from sim.files import write_file
 
 _HEADER = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _KINDS = {"F": "f", "U": "u", "I": "i"}
@@ -134,10 +135,8 @@ def _table(sweep: Sweep, dtype: np.dtype) -> NDArray[np.void]:
 
 
 def write_pcd(path: Path, sweep: Sweep) -> None:
-    """Write a sweep atomically: the file is there completely or not at all."""
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(encode_pcd(sweep))
-    temporary.replace(path)
+    """Write a sweep atomically."""
+    write_file(path, encode_pcd(sweep))
 
 
 def read_pcd(

@@ -22,7 +22,6 @@ from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.sample import Sample, make_sample
 from dsrc.evaluation.benchmark import Condition, corrupted, places_of
 from dsrc.evaluation.config import Benchmark
-from dsrc.evaluation.files import write_atomic
 from dsrc.evaluation.metrics.matching import match
 from dsrc.evaluation.plots import COLORS, panels, png_bytes, styled
 from dsrc.evaluation.report.paper_tables import PAPER_SEVERITY, View
@@ -32,7 +31,6 @@ from dsrc.evaluation.table import Column, Line, Sheet, Stat
 from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import collate
 from dsrc.models.inputs.labels import cells_in_boxes
-from dsrc.models.settings import Fusion
 from dsrc.models.storage.checkpoint import load_detector, with_fusion
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
@@ -40,13 +38,14 @@ from dsrc.ops.iou import bev_iou
 from sensors.corruptions import CLEAN, drive_seed
 from sim.boxes import Boxes
 from sim.errors import CheckpointError, SettingsError, complaint
+from sim.files import write_file
 from sim.geometry import invert
 
 TRUTH, HELPED, FOUND, AGENT, POINT = COLORS[0], COLORS[2], COLORS[1], "#000000", "#7B848E"
 """Blue, green and orange: told apart with any colour vision. In grey it is the filling that tells true boxes."""
 HIT_IOU = 0.5
 
-_FUSION: Fusion = "attention"
+_FUSION = "attention"
 """Of the networks of Figure 6, as in the paper."""
 _COUNTED_FRAMES = 24
 _TOP = 0.998
@@ -124,7 +123,7 @@ def _figure_6(
     maps |= {name: partial(evidence, network) for name, network in networks.items()}
     grid = learner.settings.grid
     shots = shots_in(grid)
-    write_atomic(folder / "figure_6.png", png_bytes(feature_figure(shots, maps, grid), made_by))
+    write_file(folder / "figure_6.png", png_bytes(feature_figure(shots, maps, grid), made_by))
     title = f"Figure 6. Evidence for a vehicle, {view.dataset}"
     text = (
         f"**{title}**\n\nEvidence in a cell: the sum over the channels c of relu(w_c f_c), in logits, with f the "
@@ -137,7 +136,7 @@ def _figure_6(
     sheet = _channel_sheet(networks, spread_samples(plan, grid), view.dataset)
     tables = {f"{sheet.name}.md": sheet.markdown(), f"{sheet.name}.csv": sheet.csv()}
     for name, content in tables.items():
-        write_atomic(folder / name, content)
+        write_file(folder / name, content)
     yield Block(sheet.name, sheet.markdown(), tables=tuple(tables))
 
 
@@ -151,7 +150,7 @@ def _figure_8(
     shots = shots_in(grid)
     detectors = {name: _load(view.trained[name][0]) for name in names}
     found = {name: [detector.detect(shot.sample) for shot in shots] for name, detector in detectors.items()}
-    write_atomic(folder / "figure_8.png", png_bytes(detection_figure(shots, found, grid), made_by))
+    write_file(folder / "figure_8.png", png_bytes(detection_figure(shots, found, grid), made_by))
     title = f"Figure 8. Detections, {view.dataset}"
     text = f"**{title}**\n\nHits are at IoU {HIT_IOU} in bird's-eye view, of the first training. {_rule(shots)}\n"
     return Block("figure_8", text, "figure_8.png", title)

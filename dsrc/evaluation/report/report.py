@@ -14,7 +14,6 @@ import msgspec
 from matplotlib.figure import Figure
 
 from dsrc.data.provenance import commit, versions
-from dsrc.evaluation.files import write_atomic
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
 from dsrc.evaluation.plots import (
     Look,
@@ -45,6 +44,7 @@ from dsrc.evaluation.runner import Entry, Outcome
 from dsrc.evaluation.table import Sheet, Stat
 from sensors.corruptions import Family
 from sim.errors import DataError, complaint
+from sim.files import write_file
 
 _CASE = ("method", "training", "dataset")
 _SWEPT = ("channel", "agents", "pose_error", "delay_s", "loss")
@@ -105,9 +105,9 @@ def write_report(outcome: Outcome, out: Path) -> list[Block]:
     ]
     result = {"provenance": made_by, "rows": listed, "differences": differences}
     text = json.dumps(result, indent=1, sort_keys=True, allow_nan=False)
-    write_atomic(out / "results.json", text + "\n")
-    write_atomic(out / "results.csv", _csv(listed, made_by))
-    write_atomic(out / "timings.csv", _timings(outcome.entries))
+    write_file(out / "results.json", text + "\n")
+    write_file(out / "results.csv", _csv(listed, made_by))
+    write_file(out / "timings.csv", _timings(outcome.entries))
     blocks = []
     for dataset in outcome.drives:
         folder = slug(dataset)
@@ -258,10 +258,10 @@ class _Writer:
         """Write the files of a block, by their endings, and its plot."""
         tables = {f"{name}{ending}": content for ending, content in (files or {}).items()}
         for file, content in tables.items():
-            write_atomic(self._folder / file, content)
+            write_file(self._folder / file, content)
         picture = "" if figure is None else f"{name}.png"
         if figure is not None:
-            write_atomic(self._folder / picture, png_bytes(figure, self._made_by))
+            write_file(self._folder / picture, png_bytes(figure, self._made_by))
         self.blocks.append(Block(name, text, picture, about if picture else "", tuple(tables)))
 
 
@@ -327,7 +327,7 @@ def publish(blocks: list[Block], out: Path, document: Path, name: str) -> Path:
     """
     folder = document.parent / document.stem / slug(name)
     for file in (*_RESULTS, *(path for block in blocks for path in block.files)):
-        write_atomic(folder / file, (out / file).read_bytes())
+        write_file(folder / file, (out / file).read_bytes())
     text = document.read_text(encoding="utf-8") if document.is_file() else f"# {document.stem.capitalize()}\n"
     for block in blocks:
         begin, end = (f"<!-- {word} {slug(name)}/{block.name} -->" for word in ("begin", "end"))
@@ -340,5 +340,5 @@ def publish(blocks: list[Block], out: Path, document: Path, name: str) -> Path:
         if not ended:
             raise DataError(complaint(document, begin, f"a line {end} behind it", "none"))
         text = f"{before}{content}{after}"
-    write_atomic(document, text)
+    write_file(document, text)
     return folder

@@ -18,6 +18,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.layers.encoder import Pillars
 from sim.errors import SettingsError, complaint
+from sim.files import replacing
 
 INPUTS = {
     "points": "(P, 4) float32 x, y, z, m, in the ego LiDAR's frame, and intensity; pillar by pillar",
@@ -109,10 +110,8 @@ def export_onnx(detector: Detector, out: Path, agents: int = 2) -> str:
         raise RuntimeError("PyTorch's exporter gave nothing")
     made.model.metadata_props["settings"] = msgspec.json.encode(detector.settings).decode()
     made.model.metadata_props["agents"] = "any number" if is_open else str(agents)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    temporary = out.with_name(out.name + ".tmp")
-    made.save(temporary)
-    temporary.replace(out)
+    with replacing(out) as temporary:
+        made.save(temporary)
     return made.model.metadata_props["agents"]
 
 

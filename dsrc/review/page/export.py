@@ -1,6 +1,5 @@
 """One self-contained animated page of a drive."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +11,9 @@ from dsrc.review.page.overlay import Camera, add_overlay, frame_texts
 from dsrc.review.page.scene import SceneWriter, set_start_camera
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ColorBy, ReviewState
-from sensors.corruptions import CLEAN, Family, check_corruption
+from sensors.corruptions import CLEAN, Family, require_corruption
 from sim.errors import SettingsError, complaint
+from sim.files import write_file
 
 ROOT = "/drive"
 """The frame that everything hangs below; moving it lets the camera of an exported page follow the ego."""
@@ -66,7 +66,7 @@ def export_html(
         SettingsError: the corruption or a number is wrong.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    check_corruption(corruption, severity, family)
+    require_corruption(corruption, severity, family)
     model = open_model(root, checkpoint)
     if not 0 <= drive < len(model.drives):
         raise SettingsError(complaint("export", "drive", f"0 to {len(model.drives) - 1}", drive))
@@ -103,10 +103,7 @@ def export_states(model: ReviewModel, states: list[ReviewState], out: Path, foll
         html = _record(server, model, states, follow)
     finally:
         stop_server(server)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    temporary = out.with_name(out.name + ".tmp")
-    temporary.write_text(html, encoding="utf-8")
-    os.replace(temporary, out)
+    write_file(out, html)
     return out
 
 

@@ -2,7 +2,6 @@
 
 import base64
 import json
-import os
 import shutil
 import subprocess
 import tempfile
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sim.errors import DataError, SettingsError
+from sim.files import write_file
 
 # Software rendering by name, so that a later Chromium cannot fall back to no WebGL at all.
 _FLAGS = (
@@ -184,8 +184,5 @@ def screenshot(
         time.sleep(settle_s)
         content = page.png()
     out_png = Path(out_png)
-    out_png.parent.mkdir(parents=True, exist_ok=True)
-    temporary = out_png.with_name(out_png.name + ".tmp")
-    temporary.write_bytes(content)
-    os.replace(temporary, out_png)
+    write_file(out_png, content)
     return out_png

@@ -1,8 +1,6 @@
 """Tables that take a moment to compute, kept as npz files in the user's cache."""
 
-import contextlib
 import logging
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.files import replacing
 from sim.roads.cache import cache_folder
 
 log = logging.getLogger(__name__)
@@ -59,15 +58,6 @@ def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Tables:
 
 
 def _write(path: Path, tables: Tables) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = dict(tables)
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.stem, suffix=".tmp", delete=False) as file:
-        temporary = Path(file.name)
-        try:
-            np.savez(file, **arrays)
-            file.close()
-            temporary.replace(path)
-        except OSError:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-            raise
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)

@@ -1,7 +1,6 @@
 """Seeded trips: who drives, rides or walks from where to where, when, in a vehicle of which type."""
 
 import gzip
-import os
 import xml.etree.ElementTree as ET
 import zlib
 from collections.abc import Iterator
@@ -11,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from sim.errors import ScenarioError, complaint
+from sim.files import write_file
 from sim.roads.networks import resolve_trips
 from sim.scenario import Scenario
+from sim.streams import Stream, random_generator
 from sim.traffic.sumo.routes import Routes, candidate_routes, walkable_edges
 from sim.vehicle_types import TYPES, VehicleType, types_of
 
@@ -34,7 +35,7 @@ def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
     Raises:
         ScenarioError: a class that the scenario asks for has no route in the network.
     """
-    streams = np.random.default_rng([seed, 0xDE]).spawn(3)
+    streams = random_generator(seed, Stream.DEMAND).spawn(3)
     end_s = scenario.warmup_s + scenario.duration_s + AFTER_S
     motor = _recorded if scenario.demand.trips else _vehicles
     trips = [
@@ -44,9 +45,7 @@ def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
     ]
     trips.sort()
     body = [kind.xml() for kind in TYPES.values()] + [text for _, _, text in trips]
-    partial = path.with_name(path.name + ".part")
-    partial.write_text("<routes>\n  " + "\n  ".join(body) + "\n</routes>\n", encoding="utf-8")
-    os.replace(partial, path)
+    write_file(path, "<routes>\n  " + "\n  ".join(body) + "\n</routes>\n")
     return path
 
 

@@ -7,27 +7,27 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.data.executors import EXECUTORS, ProcessExecutor, Report, SerialExecutor, open_executor
+from dsrc.data.executors import EXECUTORS, Pool, ProcessExecutor, Progress, SerialExecutor
 from sim.errors import DataError, SettingsError
 
 
-def square(item: int, report: Report) -> int:
+def square(item: int, report: Progress) -> int:
     report(1, 2)
     report(2, 2)
     return item * item
 
 
-def picky(item: int, report: Report) -> int:
+def picky(item: int, report: Progress) -> int:
     if item == 1:
         raise DataError("item 1: no such thing")
     return item
 
 
-def buggy(item: int, report: Report) -> int:
+def buggy(item: int, report: Progress) -> int:
     return 1 // item
 
 
-def dies_once(item: tuple[Path, int], report: Report) -> int:
+def dies_once(item: tuple[Path, int], report: Progress) -> int:
     """Die without a word, the way a process does that the system kills, the first time that the item is made."""
     mark = item[0] / str(item[1])
     if item[1] % 2 == 0 and not mark.exists():
@@ -36,13 +36,13 @@ def dies_once(item: tuple[Path, int], report: Report) -> int:
     return item[1]
 
 
-def dies(item: int, report: Report) -> int:
+def dies(item: int, report: Progress) -> int:
     if item == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return item
 
 
-def process_id(item: int, report: Report) -> int:
+def process_id(item: int, report: Progress) -> int:
     time.sleep(0.3)
     return os.getpid()
 
@@ -59,7 +59,7 @@ def test_all_items_are_made_whoever_makes_them(executor: SerialExecutor | Proces
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_users_error_ends_its_item_and_no_other(workers: int) -> None:
-    with open_executor("local", workers) as pool:
+    with Pool(workers).open() as pool:
         outcomes = {outcome.row: outcome for outcome in pool.run(picky, range(4))}
     assert [outcomes[row].value for row in (0, 2, 3)] == [0, 2, 3]
     assert isinstance(outcomes[1].error, DataError) and str(outcomes[1].error) == "item 1: no such thing"
@@ -94,9 +94,14 @@ def test_workers_work_at_the_same_time_and_end_with_their_executor() -> None:
 
 def test_wrong_settings_are_told() -> None:
     assert set(EXECUTORS) == {"local", "ray"}
-    with pytest.raises(SettingsError, match="expected an executor, found rai; did you mean 'ray'"):
-        open_executor("rai")
+    with pytest.raises(SettingsError, match="pool: executor: expected an executor, found rai; did you mean 'ray'"):
+        Pool(executor="rai").open()  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="workers: expected at least 1, found 0"):
-        open_executor("local", 0)
+        Pool(0).open()
     with pytest.raises(SettingsError, match="address: expected none without --executor ray"):
-        open_executor("local", 1, "auto")
+        Pool(1, address="auto").open()
+
+
+def test_a_pool_starts_no_more_workers_than_there_are_items() -> None:
+    assert isinstance(Pool(8).open(1), SerialExecutor) and isinstance(Pool(8).open(2), ProcessExecutor)
+    assert Pool(1).open().threads is None and Pool(2).open().threads == 1

@@ -4,8 +4,9 @@ import msgspec
 import pytest
 
 from dsrc.data import jsonio
-from dsrc.data.jsonio import encode_json, read_json, write_atomic
+from dsrc.data.jsonio import encode_json, read_json
 from sim.errors import DataError
+from sim.files import write_file
 
 
 class Thing(msgspec.Struct):
@@ -14,7 +15,7 @@ class Thing(msgspec.Struct):
 
 
 def test_what_is_written_reads_back(tmp_path: Path):
-    write_atomic(tmp_path / "new" / "a.json", encode_json([Thing("a", [0.1, 2.0])]))
+    write_file(tmp_path / "new" / "a.json", encode_json([Thing("a", [0.1, 2.0])]))
     assert read_json(tmp_path / "new" / "a.json", list[Thing]) == [Thing("a", [0.1, 2.0])]
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.json"]
 

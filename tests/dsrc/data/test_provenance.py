@@ -2,7 +2,8 @@ import json
 import shutil
 import subprocess
 
-from dsrc.data.provenance import commit, hash_file, provenance
+from dsrc.data.provenance import commit, provenance
+from sim.files import file_sha256
 from tests.dsrc.evaluation.fakes import write_drives
 
 
@@ -46,4 +47,4 @@ def test_the_commit_is_known_in_a_repository_only(tmp_path):
 
 def test_a_file_has_the_hash_that_everybody_computes(tmp_path):
     (tmp_path / "x").write_bytes(b"abc")
-    assert hash_file(tmp_path / "x").startswith("ba7816bf8f01cfea")
+    assert file_sha256(tmp_path / "x").startswith("ba7816bf8f01cfea")

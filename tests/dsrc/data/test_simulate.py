@@ -100,7 +100,7 @@ def test_points_on_actors_lie_in_their_boxes(drive: Path):
 def test_a_killed_generate_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path):
     code = (
         "import sys; from pathlib import Path; from dsrc.data.write import generate;"
-        "from tests.dsrc.data.test_live import quick;"
+        "from tests.dsrc.data.test_simulate import quick;"
         "generate(quick(), Path(sys.argv[1]), 3, seed=5, interval_s=0.2)"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]

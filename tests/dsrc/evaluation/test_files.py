@@ -6,8 +6,9 @@ import math
 import pytest
 from rich.console import Console
 
-from dsrc.evaluation.files import result_table, rows_from_json, rows_to_csv, rows_to_json, timings_to_csv, write_atomic
+from dsrc.evaluation.files import result_table, rows_from_json, rows_to_csv, rows_to_json, timings_to_csv
 from dsrc.evaluation.results import MCE, Row, conditions_of, find_row, methods_of, summary_rows
+from sim.files import write_file
 
 MADE_BY = {"seed": 3, "settings": {"severity": 3}, "versions": {"numpy": "2"}}
 
@@ -33,7 +34,7 @@ def test_csv_says_what_made_it_and_reads_back():
 
 def test_json_says_what_made_it_and_reads_back(tmp_path):
     path = tmp_path / "results.json"
-    write_atomic(path, rows_to_json(some_rows(), MADE_BY))
+    write_file(path, rows_to_json(some_rows(), MADE_BY))
     assert json.loads(path.read_text())["provenance"] == MADE_BY
     back = rows_from_json(path)
     assert back[:4] == some_rows()[:4]

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from dsrc.data.provenance import hash_file
 from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.training.datamodule import EpochSampler
 from dsrc.training.train import train
 from sim.errors import SettingsError
+from sim.files import file_sha256
 from tests.dsrc.training.drive import write_drive
 from tests.dsrc.training.runs import StillNorms, tiny
 from tests.dsrc.training.shared_batch import RECIPE
@@ -56,7 +56,7 @@ def test_two_processes_end_with_the_weights_of_one_and_resume_exactly(tmp_path: 
     results = [json.loads((tmp_path / run / "result.json").read_text()) for run in ("alone", "both")]
     assert results[0]["metrics"] == pytest.approx(results[1]["metrics"], abs=0.02)
     # A student of several processes finds the file of its teacher, which one of them has written.
-    teacher = hash_file(tmp_path / "both/teacher/detector.pt")
+    teacher = file_sha256(tmp_path / "both/teacher/detector.pt")
     assert read_meta(tmp_path / "both/student/detector.pt")["teacher"] == teacher
 
     assert "power cut" in both_train(data, tmp_path / "cut", "cut").stderr

@@ -12,15 +12,15 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.data.formats.opv2v.reader import DriveReader
-from dsrc.data.provenance import hash_file
 from dsrc.data.sample import make_sample
 from dsrc.evaluation.metrics.ap import FrameResult, evaluate
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
-from dsrc.training.recipes import METHODS, Augmentation, debug, of_method
-from dsrc.training.train import override, train, train_stages
+from dsrc.training.recipes import METHODS, Augmentation, debug, of_method, override
+from dsrc.training.train import train, train_stages
 from sim.errors import CheckpointError, SettingsError
+from sim.files import file_sha256
 from tests.dsrc.training.drive import write_drive
 from tests.dsrc.training.runs import Power, tiny
 
@@ -84,7 +84,7 @@ def test_a_finished_training_is_left_as_it_is(data: Path, tmp_path: Path, monkey
     recipe = tiny(epochs=1)
     path = train(recipe, data, tmp_path, "plain")
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
-    monkeypatch.setattr("dsrc.training.metrics_file.versions", lambda: {"torch": "later"})
+    monkeypatch.setattr("dsrc.training.run_folder.versions", lambda: {"torch": "later"})
     monkeypatch.setattr("dsrc.data.provenance.versions", lambda: {"torch": "later"})
     assert train(replace(recipe, validate_every=1, validation_frames=1), data, tmp_path, "plain") == path
     changed = [file.name for file in tmp_path.rglob("*") if file.is_file() and file.read_bytes() != before[file]]
@@ -150,7 +150,7 @@ def test_a_training_starts_from_the_weights_that_fit(data: Path, tmp_path: Path)
     weights = {name for name, tensor in found.items() if tensor.is_floating_point()}
     same = {name for name in weights if found[name].shape == expected[name].shape}
     assert (start["tensors_taken"], start["tensors"]) == (len(same), len(weights))
-    assert start["sha256"] == hash_file(first)
+    assert start["sha256"] == file_sha256(first)
     with pytest.raises(SettingsError, match=r"init: expected None as asked for now, found"):
         train(wider, data, tmp_path / "second", "plain", seed=1)
 

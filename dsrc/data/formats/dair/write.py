@@ -28,12 +28,13 @@ from dsrc.data.formats.dair.tree import (
     SideRecord,
 )
 from dsrc.data.formats.pcd import encode_sensor_pcd
-from dsrc.data.jsonio import encode_json, read_json, write_atomic
+from dsrc.data.jsonio import encode_json, read_json
 from dsrc.data.levelling import levelled, occlusion
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import Sweep
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
+from sim.files import write_file
 from sim.geometry import invert, transform_points
 
 VERSION = 1
@@ -100,7 +101,7 @@ class DairWriter:
         }.items():
             content[f"{name}/{stem}.json"] = encode_json(table)
         for relative, data in content.items():
-            write_atomic(self.tree / relative, data)
+            write_file(self.tree / relative, data)
         body = invert(virtual.world_from_lidar) @ infrastructure.world_from_body
         part = {
             "split": split,
@@ -110,7 +111,7 @@ class DairWriter:
             "vehicle": _record(vehicle, vehicle.sweep, None),
             "infrastructure": _record(infrastructure, virtual, body),
         }
-        write_atomic(self._part(number), encode_json(part))
+        write_file(self._part(number), encode_json(part))
 
     def finish(self, numbers: Sequence[int]) -> None:
         """Write the indices, the splits and our record, and remove the notes that they are made of."""
@@ -125,22 +126,22 @@ class DairWriter:
             for row, side in enumerate((_VEHICLE, _INFRASTRUCTURE)):
                 index[side].append(_side_info(stem, side, part, row, f"{same[0]:06d}", f"{same[-1]:06d}"))
         for folder, entries in index.items():
-            write_atomic(self.tree / folder / "data_info.json", encode_json(entries))
+            write_file(self.tree / folder / "data_info.json", encode_json(entries))
         stems = {split: [f"{n:06d}" for n, part in parts.items() if part["split"] == split] for split in SPLITS}
         for split, names in stems.items():
             if names:
-                write_atomic(self.tree / f"{split}.json", encode_json(names))
+                write_file(self.tree / f"{split}.json", encode_json(names))
         batches = {
             split: [b for b, numbers in members.items() if parts[numbers[0]]["split"] == split] for split in SPLITS
         }
         shared = {name: stems for name in ("vehicle_split", "infrastructure_split", "cooperative_split")}
-        write_atomic(self.tree / SPLIT, encode_json({"batch_split": batches, **shared}))
+        write_file(self.tree / SPLIT, encode_json({"batch_split": batches, **shared}))
         records = {}
         for batch, numbers in members.items():
             part = parts[numbers[0]]
             sides = {side: msgspec.convert(part[side], SideRecord) for side in ("vehicle", "infrastructure")}
             records[batch] = BatchRecord(part["drive"], **sides)
-        write_atomic(self.tree / SIDECAR, encode_json(Sidecar(VERSION, records)))
+        write_file(self.tree / SIDECAR, encode_json(Sidecar(VERSION, records)))
         shutil.rmtree(self.tree / _PARTS)
 
     def _part(self, number: int) -> Path:

@@ -30,6 +30,7 @@ from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
 from sensors.sweep import Motion, Sweep
 from sim.boxes import Boxes, concatenate
 from sim.errors import DataError, complaint, did_you_mean
+from sim.files import write_file
 
 PROTOCOL = "data_protocol.yaml"
 _AGENT = re.compile(r"-?\d+")
@@ -70,10 +71,7 @@ def write_frame(
         plan = (plans or {}).get(agent.agent_id)
         contents[notes] = encode_agent(frame, row, connected_vehicles, plan).encode()
     for path, content in contents.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.with_name(path.name + ".tmp").write_bytes(content)
-    for path in contents:
-        path.with_name(path.name + ".tmp").replace(path)
+        write_file(path, content)
 
 
 def read_frame(drive: Path, index: int, motion: Motion | None = None) -> Frame:

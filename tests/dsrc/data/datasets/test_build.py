@@ -11,13 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.data.checksums import SUMS, sha256
+from dsrc.data.checksums import SUMS
 from dsrc.data.datasets.build import generate_dataset
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
 from dsrc.data.datasets.spec import expand, find_split_file, read_dataset
 from dsrc.data.drive_folder import locked
+from dsrc.data.executors import Pool
 from sim.catalog.load import ROOT as SCENARIOS
 from sim.errors import DataError, ScenarioError, SettingsError, UserError
+from sim.files import file_sha256
 from tests.paths import ROOT
 
 SMALL = """
@@ -55,7 +57,7 @@ def write(folder: Path, text: str = SMALL) -> Path:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The small dataset, made by this process."""
     folder = tmp_path_factory.mktemp("small")
-    return generate_dataset(write(folder), folder / "out", workers=1)
+    return generate_dataset(write(folder), folder / "out", pool=Pool(1))
 
 
 def test_a_dataset_has_its_splits_its_manifest_and_its_cards(made: Path) -> None:
@@ -65,14 +67,14 @@ def test_a_dataset_has_its_splits_its_manifest_and_its_cards(made: Path) -> None
     assert manifest is not None and manifest.name == "small" and manifest.drives == 3 and not manifest.failed
     assert [entry.drive.split("/")[0] for entry in manifest.items] == ["train", "train", "test"]
     for entry in manifest.items:
-        assert entry.sha256 == sha256(made / entry.drive / SUMS)
+        assert entry.sha256 == file_sha256(made / entry.drive / SUMS)
         assert len(entry.agents) == 2 and entry.lidars == ("debug-16", "debug-16")
     assert len({entry.key for entry in manifest.items}) == 3
 
 
 def test_two_workers_write_the_same_bytes_as_one(made: Path, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
-    generate_dataset(write(tmp_path), tmp_path / "out", workers=2, progress=lambda *p: seen.append(p))
+    generate_dataset(write(tmp_path), tmp_path / "out", pool=Pool(2), progress=lambda *p: seen.append(p))
     assert tree(tmp_path / "out") == tree(made)
     assert seen[-1] == (7, 7) and seen == sorted(seen)
 
@@ -82,7 +84,7 @@ def test_a_finished_dataset_is_left_alone_and_a_lost_file_is_made_again(made: Pa
     lost = next((made / "train").glob("*/*/000001.pcd"))
     when = {path: path.stat().st_mtime_ns for path in made.rglob("*.pcd")}
     lost.unlink()
-    generate_dataset(made.parent / "split.toml", made, workers=1)
+    generate_dataset(made.parent / "split.toml", made, pool=Pool(1))
     assert tree(made) == before
     again = {path: path.stat().st_mtime_ns for path in made.rglob("*.pcd")}
     assert {path for path in when if again[path] != when[path]} <= set(lost.parent.parent.glob("*/000001.pcd"))
@@ -90,10 +92,10 @@ def test_a_finished_dataset_is_left_alone_and_a_lost_file_is_made_again(made: Pa
 
 def test_one_split_alone_leaves_the_entries_of_the_others(made: Path, tmp_path: Path) -> None:
     for split in ("test", "train"):
-        generate_dataset(write(tmp_path), tmp_path / "out", splits=(split,), workers=1)
+        generate_dataset(write(tmp_path), tmp_path / "out", splits=(split,), pool=Pool(1))
     assert tree(tmp_path / "out") == tree(made)
     with pytest.raises(SettingsError, match="expected a split of small, found tost; did you mean 'test'"):
-        generate_dataset(tmp_path / "split.toml", tmp_path / "out", splits=("tost",), workers=1)
+        generate_dataset(tmp_path / "split.toml", tmp_path / "out", splits=("tost",), pool=Pool(1))
 
 
 def start(source: Path, out: Path) -> subprocess.Popen[bytes]:
@@ -120,7 +122,7 @@ def test_a_killed_driver_loses_nothing(made: Path, tmp_path: Path) -> None:
     assert process.stderr is not None
     process.stderr.close()
     assert tree(tmp_path / "out") != tree(made)
-    generate_dataset(tmp_path / "split.toml", tmp_path / "out", workers=2)
+    generate_dataset(tmp_path / "split.toml", tmp_path / "out", pool=Pool(2))
     assert tree(tmp_path / "out") == tree(made)
 
 
@@ -141,20 +143,20 @@ def test_a_killed_worker_is_replaced(made: Path, tmp_path: Path) -> None:
 def test_two_drivers_never_write_one_dataset(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with locked(tmp_path / "out"), pytest.raises(DataError, match=f"process {os.getpid()} is writing this dataset"):
-        generate_dataset(write(tmp_path), tmp_path / "out", workers=1)
+        generate_dataset(write(tmp_path), tmp_path / "out", pool=Pool(1))
 
 
 def test_other_settings_or_another_dataset_are_refused_before_anything_is_made(made: Path, tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"manifest.json: name: expected 'other' as asked for now, found small"):
-        generate_dataset(write(tmp_path, SMALL.replace('"small"', '"other"')), made, workers=1)
+        generate_dataset(write(tmp_path, SMALL.replace('"small"', '"other"')), made, pool=Pool(1))
     with pytest.raises(DataError, match=r"quick_0/data_protocol.yaml: frames: expected 4"):
-        generate_dataset(write(tmp_path, SMALL.replace("[2]\nv", "[4]\nv", 1)), made, workers=1)
+        generate_dataset(write(tmp_path, SMALL.replace("[2]\nv", "[4]\nv", 1)), made, pool=Pool(1))
 
 
 def test_a_drive_that_cannot_be_made_is_told_and_the_others_are_made(tmp_path: Path) -> None:
     wrong = SMALL.replace("vehicles = [2]", "vehicles = [300]", 1)
     with pytest.raises(DataError, match=r"train/quick_0: .*expected 300 cars.*\(2 of 3 drives"):
-        generate_dataset(write(tmp_path, wrong), tmp_path / "out", workers=2, cards=False)
+        generate_dataset(write(tmp_path, wrong), tmp_path / "out", pool=Pool(2), cards=False)
     manifest = read_manifest(tmp_path / "out")
     assert manifest is not None and list(manifest.failed) == [f"train/quick_{k}" for k in (0, 1)]
     assert [entry.drive for entry in manifest.items] == ["test/quick_2"]

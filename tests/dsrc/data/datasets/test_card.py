@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dsrc.data.datasets.card import DISTANCE_M, write_card
-from dsrc.data.executors import ProcessExecutor
+from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.write import write_drive
 from sim.boxes import CLASSES
@@ -57,8 +57,7 @@ def test_a_card_has_its_pictures_and_says_where_it_comes_from(split: Path) -> No
 
 
 def test_the_same_drives_give_the_same_card_and_others_another(split: Path) -> None:
-    with ProcessExecutor(2) as pool:
-        folder = write_card(split, pool=pool).parent
+    folder = write_card(split, pool=Pool(2)).parent
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     (folder / "frame_0.png").unlink()
     write_card(split)

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.data.checksums import SUMS, sha256, write_sums
+from dsrc.data.checksums import SUMS, write_sums
 from dsrc.data.datasets.check import check_dataset
 from dsrc.data.datasets.manifest import VERSION, Entry, Manifest, write_manifest
+from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.record import Record
 from dsrc.data.write import write_drive
+from sim.files import file_sha256
 from tests.dsrc.data.goldens import unpack_opv2v_mini
 from tests.dsrc.data.toy import SETTINGS, ToySource
 
@@ -26,7 +28,7 @@ def drive_of(data: Path) -> Path:
 
 
 def faults(data: Path) -> list[str]:
-    return [str(fault) for fault in check_dataset(data, 1)]
+    return [str(fault) for fault in check_dataset(data, Pool(1))]
 
 
 def entry(data: Path) -> Entry:
@@ -39,7 +41,7 @@ def entry(data: Path) -> Entry:
         agents=(1000, 1002, -1),
         lidars=("toy",) * 3,
         bytes=1,
-        sha256=sha256(drive_of(data) / SUMS),
+        sha256=file_sha256(drive_of(data) / SUMS),
     )
 
 
@@ -57,7 +59,7 @@ def test_any_number_of_workers_finds_the_same(data: Path) -> None:
     write_drive(data / "train" / "toy_4", SETTINGS, ToySource().open)
     for drive in ("toy_3", "toy_4"):
         (data / "train" / drive / "1002" / "000001.pcd").unlink()
-    alone, together = (check_dataset(data, workers) for workers in (1, 2))
+    alone, together = (check_dataset(data, Pool(workers)) for workers in (1, 2))
     assert alone == together and len({fault.place for fault in alone}) >= 2
 
 

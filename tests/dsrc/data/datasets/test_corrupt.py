@@ -12,6 +12,7 @@ import pytest
 
 from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.drive_folder import LOCK, locked
+from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import DriveReader, find_drives
 from dsrc.data.formats.opv2v.record import read_plan
 from dsrc.data.write import write_drive
@@ -54,7 +55,7 @@ def test_every_frame_is_that_of_corrupt_frame_with_the_seed_of_its_drive(data: P
 
 def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path) -> None:
     for workers in (1, 2, 3):
-        corrupt_dataset(data, tmp_path / str(workers), "fog", workers=workers)
+        corrupt_dataset(data, tmp_path / str(workers), "fog", pool=Pool(workers))
     assert tree(tmp_path / "1") == tree(tmp_path / "2") == tree(tmp_path / "3")
 
 
@@ -154,7 +155,7 @@ def test_an_unfinished_drive_says_how_to_go_on(data: Path, tmp_path: Path) -> No
         ({"severity": 6}, "1 to 5"),
         ({"family": "papers"}, "did you mean 'paper'"),
         ({"seed": -1}, "seed"),
-        ({"workers": 0}, "workers"),
+        ({"pool": Pool(0)}, "workers"),
     ],
 )
 def test_a_wrong_setting_is_told_before_anything_is_written(
@@ -179,7 +180,7 @@ def test_a_sweep_that_cannot_be_corrupted_is_named(foreign: Path, tmp_path: Path
         head, _, body = path.read_bytes().partition(b"DATA binary\n")
         path.write_bytes(head.replace(b"ring", b"line") + b"DATA binary\n" + body)
     with pytest.raises(DataError, match=r"data/one: frame 0: agent 1000: "):
-        corrupt_dataset(foreign, tmp_path / "out", "beam_missing", workers=workers)
+        corrupt_dataset(foreign, tmp_path / "out", "beam_missing", pool=Pool(workers))
 
 
 def test_a_folder_in_use_is_refused(data: Path, tmp_path: Path) -> None:
@@ -193,7 +194,8 @@ def test_a_killed_run_goes_on_to_the_same_bytes_and_leaves_no_worker(tmp_path: P
     corrupt_dataset(tmp_path / "data", tmp_path / "whole", "beam_missing")
     code = (
         "import sys; from pathlib import Path; from dsrc.data.datasets.corrupt import corrupt_dataset;"
-        "corrupt_dataset(Path(sys.argv[1]), Path(sys.argv[2]), 'beam_missing', workers=int(sys.argv[3]))"
+        "from dsrc.data.executors import Pool;"
+        "corrupt_dataset(Path(sys.argv[1]), Path(sys.argv[2]), 'beam_missing', pool=Pool(int(sys.argv[3])))"
     )
     out = tmp_path / "killed"
     command = [sys.executable, "-c", code, str(tmp_path / "data"), str(out), str(workers)]
@@ -208,7 +210,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes_and_leaves_no_worker(tmp_path: P
         time.sleep(0.01)
     assert not _alive(process.pid)
     assert len(tree(out)) < len(tree(tmp_path / "whole"))
-    corrupt_dataset(tmp_path / "data", out, "beam_missing", workers=workers)
+    corrupt_dataset(tmp_path / "data", out, "beam_missing", pool=Pool(workers))
     assert tree(out) == tree(tmp_path / "whole")
 
 

@@ -79,7 +79,9 @@ def test_a_folder_of_drives_keeps_its_names(drive: Path, tmp_path: Path) -> None
     for split in ("train", "test"):
         shutil.copytree(drive, source / split / "four_way_5")
     seen: list[tuple[int, int]] = []
-    made = render(source, tmp_path / "out", Changes(vehicles=1, roadside=False, frames=1), lambda *p: seen.append(p))
+    made = render(
+        source, tmp_path / "out", Changes(vehicles=1, roadside=False, frames=1), progress=lambda *p: seen.append(p)
+    )
     assert made == [tmp_path / "out" / split / "four_way_5" for split in ("test", "train")]
     assert seen[-1] == (2, 2)
 
