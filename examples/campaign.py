@@ -1,6 +1,6 @@
 """Train every detector of docs/results.md, several at a time, past the gates, then measure them: the whole campaign.
 
-It needs neither SUMO nor a network: `dsrc generate dsrc-sim --out data/dsrc-sim` renders recorded traffic. What is
+It needs neither SUMO nor a network: `dsrc dataset build dsrc-sim --out data/dsrc-sim` renders recorded traffic. What is
 done is not done again, and what was interrupted resumes. Phases: 1 the teacher; 2 students of single clouds, plain and
 distilled, from the teacher's weights without the paint; 3 the same in company; 4 the parts of DSRC; 5 rivals with
 weights of their own, after starts of their own; 6 further than the paper. After 1 and within 2, gates on the validation
@@ -56,7 +56,7 @@ class Training:
     Attributes:
         name: of the folder.
         phase: of the campaign.
-        method: see `dsrc train --method`.
+        method: see `dsrc model train --method`.
         init: the training whose detector it starts from; "" for none.
         seed: of weights, order and augmentation.
         steps: of two frames.
@@ -192,7 +192,7 @@ def command(training: Training, options: argparse.Namespace, known: dict[str, Tr
         epochs = max(steps // EPOCH, 1)
         settings.append(f"epoch_frames={steps // epochs * batch}")
     settings += ["validate_every=1", f"validation_frames={min(140, 8 * options.trial or 140)}"]
-    line = [sys.executable, "-m", "dsrc", "train", options.recipe, "--method", training.method]
+    line = [sys.executable, "-m", "dsrc", "model", "train", options.recipe, "--method", training.method]
     line += ["--stage", training.stage, "--seed", str(training.seed), "--epochs", str(epochs)]
     line += ["--data", str(data / "train"), "--validate", str(data / "validation"), "--out", str(out / training.name)]
     if training.init:

@@ -80,7 +80,7 @@ def test_a_damaged_drive_is_named(
 ) -> None:
     name = damage(data)
     page = tmp_path / "page.html"
-    assert name in refused("view", data, "--export", page)
+    assert name in refused("view", data, "--out", page)
     assert not page.exists()
     assert not Path("owned").exists()
 
@@ -88,7 +88,7 @@ def test_a_damaged_drive_is_named(
 def test_a_checkpoint_of_another_model_is_named(data: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
     path = tmp_path / "other.pt"
     torch.save({"state_dict": {"weight": torch.zeros(3)}}, path)
-    assert "other.pt" in refused("evaluate", path, "--data", data, "--out", tmp_path / "out")
+    assert "other.pt" in refused("evaluate", data, "--checkpoint", path, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -96,8 +96,8 @@ def test_a_teacher_is_no_detector_for_the_road(data: Path, tmp_path: Path, refus
     path = tmp_path / "teacher.pt"
     save_detector(path, Detector(replace(debug().model, role="teacher")))
     for verb in (
-        ("evaluate", path, "--data", data, "--out", tmp_path / "out"),
-        ("view", data, "--checkpoint", path, "--export", tmp_path / "out"),
+        ("evaluate", data, "--checkpoint", path, "--out", tmp_path / "out"),
+        ("view", data, "--checkpoint", path, "--out", tmp_path / "out"),
         ("drive", "four_way", "--perception", "ego", "--checkpoint", path),
     ):
         assert "teacher.pt: settings.role: expected student" in refused(*verb)
@@ -107,7 +107,9 @@ def test_a_teacher_is_no_detector_for_the_road(data: Path, tmp_path: Path, refus
 def test_a_file_where_a_folder_should_be_is_named(data: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
     (tmp_path / "taken").write_text("a file")
     assert "taken" in refused("generate", "four_way", "--frames", "1", "--out", tmp_path / "taken")
-    assert "taken" in refused("train", "debug", "--data", data, "--out", tmp_path / "taken", "--stage", "plain")
+    assert "taken" in refused(
+        "model", "train", "debug", "--data", data, "--out", tmp_path / "taken", "--stage", "plain"
+    )
 
 
 def test_a_folder_that_cannot_be_is_told_without_an_empty_bar(capsys: pytest.CaptureFixture[str]) -> None:
@@ -135,7 +137,7 @@ def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
     source = ROOT / "scenarios" / "braunschweig" / "scenario.toml"
     path = tmp_path / "scenario.toml"
     path.write_text(source.read_text().replace("opv2v-64", "opv2v-46"))
-    for verb in (("scenarios", "show", path), ("generate", path, "--out", tmp_path / "out")):
+    for verb in (("scenario", "show", path), ("generate", path, "--out", tmp_path / "out")):
         assert "did you mean 'opv2v-64'" in refused(*verb)
     assert not (tmp_path / "out").exists()
 
@@ -144,34 +146,33 @@ def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
     ("arguments", "word"),
     [
         (("generate", "four_way", "--frames", "0", "--out", "{out}"), "frames"),
-        (("generate", "four_way", "--interval", "0.03", "--out", "{out}"), "interval"),
+        (("generate", "four_way", "--interval-s", "0.03", "--out", "{out}"), "interval"),
         (("generate", "four_way", "--frames", "9999", "--out", "{out}"), "duration_s"),
         (("generate", "four_way", "--seed", "-1", "--out", "{out}"), "seed"),
-        (("view", "{data}", "--corruption", "frog", "--export", "{out}"), "fog"),
-        (("view", "{data}", "--corruption", "pose_error", "--family", "paper", "--export", "{out}"), "published"),
-        (("view", "{data}", "--corruption", "fog", "--severity", "9", "--export", "{out}"), "severity"),
-        (("corrupt", "{data}", "--kind", "frog", "--out", "{out}"), "fog"),
-        (("corrupt", "{data}", "--kind", "fog", "--severity", "0", "--out", "{out}"), "severity"),
-        (("corrupt", "{data}", "--kind", "pose_error", "--family", "paper", "--out", "{out}"), "published"),
-        (("corrupt", "{data}", "--kind", "fog", "--workers", "0", "--out", "{out}"), "workers"),
-        (("corrupt", "{out}", "--kind", "fog", "--out", "{out}2"), "out"),
-        (("corrupt", "{data}", "--kind", "fog", "--out", "{data}/foggy"), "apart"),
-        (("convert", "{data}", "--to", "dair", "--agent", "all", "--out", "{out}"), "agent"),
-        (("convert", "{data}", "--to", "mcap", "--view", "around", "--out", "{out}"), "view"),
-        (("convert", "{data}", "--to", "kitti", "--agent", "12", "--out", "{out}"), "1000"),
-        (("convert", "{data}", "--to", "kitti", "--out", "{data}/kitti"), "apart"),
-        (("convert", "{out}", "--to", "kitti", "--out", "{out}2"), "no such folder"),
-        (("train", "smal", "--data", "{data}", "--out", "{out}"), "small"),
-        (("train", "debug", "--data", "{out}", "--out", "{out}"), "out"),
-        (("train", "debug", "--data", "{data}", "--out", "{out}", "--seed", "-1"), "seed"),
-        (("train", "debug", "--data", "{data}", "--out", "{out}", "--set", "batch_size=0"), "batch_size"),
+        (("view", "{data}", "--corruption", "frog", "--out", "{out}"), "fog"),
+        (("view", "{data}", "--corruption", "pose_error", "--family", "paper", "--out", "{out}"), "published"),
+        (("view", "{data}", "--corruption", "fog", "--severity", "9", "--out", "{out}"), "severity"),
+        (("corrupt", "{data}", "--corruption", "frog", "--out", "{out}"), "fog"),
+        (("corrupt", "{data}", "--corruption", "fog", "--severity", "0", "--out", "{out}"), "severity"),
+        (("corrupt", "{data}", "--corruption", "pose_error", "--family", "paper", "--out", "{out}"), "published"),
+        (("corrupt", "{data}", "--corruption", "fog", "--workers", "0", "--out", "{out}"), "workers"),
+        (("corrupt", "{out}", "--corruption", "fog", "--out", "{out}2"), "out"),
+        (("corrupt", "{data}", "--corruption", "fog", "--out", "{data}/foggy"), "apart"),
+        (("dataset", "convert", "{data}", "--to", "dair", "--agent-id", "all", "--out", "{out}"), "agent"),
+        (("dataset", "convert", "{data}", "--to", "mcap", "--view", "around", "--out", "{out}"), "view"),
+        (("dataset", "convert", "{data}", "--to", "kitti", "--agent-id", "12", "--out", "{out}"), "1000"),
+        (("dataset", "convert", "{data}", "--to", "kitti", "--out", "{data}/kitti"), "apart"),
+        (("dataset", "convert", "{out}", "--to", "kitti", "--out", "{out}2"), "no such folder"),
+        (("model", "train", "smal", "--data", "{data}", "--out", "{out}"), "small"),
+        (("model", "train", "debug", "--data", "{out}", "--out", "{out}"), "out"),
+        (("model", "train", "debug", "--data", "{data}", "--out", "{out}", "--seed", "-1"), "seed"),
+        (("model", "train", "debug", "--data", "{data}", "--out", "{out}", "--set", "batch_size=0"), "batch_size"),
         (("drive", "four_way", "--corruption", "fog"), "corruption"),
-        (("drive", "four_way", "--seeds", "-1", "--out", "{out}/rows.csv"), "seeds"),
+        (("drive", "four_way", "--seed", "-1", "--out", "{out}/rows.csv"), "seed"),
         (("view", "{data}", "--picture", "{out}"), "picture"),
-        (("view", "{data}", "--export", "{out}", "--limit", "0"), "frames"),
+        (("view", "{data}", "--out", "{out}", "--frames", "0"), "frames"),
         (("view", "{data}", "--port", "99999999"), "port"),
-        (("train", "debug", "--data", "{data}", "--out", "{out}", "--epochs", "0"), "epochs"),
-        (("scenarios", "show"), "four_way"),
+        (("model", "train", "debug", "--data", "{data}", "--out", "{out}", "--epochs", "0"), "epochs"),
     ],
 )
 def test_a_wrong_option_is_named(
@@ -185,6 +186,6 @@ def test_a_wrong_option_is_named(
 def test_a_place_that_cannot_be_written_to_costs_no_work(tmp_path: Path, refused: Callable[..., str]) -> None:
     occupied = tmp_path / "file"
     occupied.write_text("mine")
-    assert str(occupied) in refused("drive", "four_way", "--duration", "1", "--out", occupied / "rows.csv")
+    assert str(occupied) in refused("drive", "four_way", "--duration-s", "1", "--out", occupied / "rows.csv")
     assert str(occupied) in refused("demo", "--out", occupied)
     assert occupied.read_text() == "mine"

@@ -1,10 +1,18 @@
 """The command line answers at once and says in one line what is wrong."""
 
+import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
-HEAVY = {"torch", "libsumo", "trimesh", "viser", "matplotlib", "scipy", "gymnasium", "embreex", "shapely"}
+import pytest
+
+from dsrc.cli import options
+from dsrc.cli.main import COMMANDS, command_class, run
+from dsrc.cli.progress import progress
+
+HEAVY = {"torch", "libsumo", "trimesh", "viser", "matplotlib", "scipy", "gymnasium", "embreex", "shapely", "numpy"}
 
 
 def dsrc(*args: str) -> subprocess.CompletedProcess[str]:
@@ -20,6 +28,24 @@ def assert_one_line(result: subprocess.CompletedProcess[str], *words: str) -> No
     assert all(word in lines[0] for word in words), lines[0]
 
 
+def commands() -> Iterator[tuple[tuple[str, ...], type]]:
+    """Yield the words of every command and the class of its options."""
+    for name, found in COMMANDS.items():
+        if isinstance(found, str):
+            yield (name,), command_class(found)
+        else:
+            for part, place in found.items():
+                yield (name, part), command_class(place)
+
+
+def said(capsys: pytest.CaptureFixture[str], *args: str) -> str:
+    """Return what a command prints before it exits with code 0."""
+    with pytest.raises(SystemExit) as leaving:
+        run(args)
+    assert leaving.value.code == 0
+    return capsys.readouterr().out
+
+
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys\n"
@@ -32,12 +58,61 @@ def test_help_imports_nothing_heavy() -> None:
     assert result.returncode == 0, result.stderr
 
 
-def test_every_verb_has_help() -> None:
-    made = ("scenarios", "generate", "render", "data", "corrupt", "convert")
-    for verb in (*made, "train", "verify", "export", "evaluate", "benchmark", "view", "drive", "demo"):
-        result = dsrc(verb, "--help")
-        assert result.returncode == 0
-        assert "usage: dsrc" in result.stdout
+def test_help_lists_every_command_and_every_option_with_its_default(capsys: pytest.CaptureFixture[str]) -> None:
+    overview = said(capsys, "--help")
+    for words, command in commands():
+        assert f"  {' '.join(words)}  " in overview and options.summary(command) in overview
+        text = said(capsys, *words, "--help")
+        assert f"usage: dsrc {' '.join(words)}" in text
+        assert "None" not in text and "default: )" not in text and "default: '')" not in text
+        for name, _, _, line in options.fields_of(command):
+            assert line.strip(), f"{words}: {name} has no help"
+    assert "build" in said(capsys, "dataset", "--help")
+
+
+def test_one_name_stands_for_one_thing() -> None:
+    names = {name for _, command in commands() for name, *_ in options.fields_of(command)}
+    assert not names & {"kind", "corruptions", "seeds", "severities", "channels", "limit", "checkpoints", "export"}
+
+
+def test_listed_choices_are_those_there_are() -> None:
+    from dsrc.training.recipes import METHODS, RECIPES
+    from sensors.corruptions import CORRUPTIONS, FAMILIES
+    from sim.radio import PRESETS
+
+    assert list(options.CORRUPTIONS) == list(CORRUPTIONS)
+    assert options.Family.__args__ == tuple(FAMILIES)
+    assert [name.removesuffix(":FILE") for name in options.CHANNELS] == list(PRESETS)
+    assert (options.METHODS, options.RECIPES) == (tuple(METHODS), tuple(RECIPES))
+
+
+def test_an_unknown_command_names_the_nearest() -> None:
+    assert_one_line(dsrc("genrate"), "found genrate", "did you mean 'generate'")
+    assert_one_line(dsrc("dataset", "biuld"), "dsrc dataset", "did you mean 'build'")
+    assert_one_line(dsrc("model"), "found nothing")
+    assert dsrc("--version").stdout.startswith("dsrc 0.")
+
+
+@pytest.mark.parametrize("words", [("scenario", "list"), ("generate", "--help")])
+def test_a_closed_pipe_ends_a_command_quietly(words: tuple[str, ...]) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as closed:
+        result = subprocess.run(
+            [sys.executable, "-m", "dsrc", *words], stdout=closed, stderr=subprocess.PIPE, text=True
+        )
+    assert (result.returncode, result.stderr) == (141, "")
+
+
+def test_progress_without_a_terminal_is_a_line_now_and_then(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seconds = iter([0.0, 1.0, 25.0, 30.0, 31.0])
+    monkeypatch.setattr("dsrc.cli.progress.monotonic", lambda: next(seconds))
+    with progress("work") as report:
+        for done in (0, 2, 3, 4):
+            report(done, 4)
+    assert capsys.readouterr().err.splitlines() == ["work: 2 of 4, 25 s", "work: 4 of 4, 31 s"]
 
 
 def test_an_unknown_scenario_names_the_nearest(tmp_path: Path) -> None:
@@ -47,23 +122,22 @@ def test_an_unknown_scenario_names_the_nearest(tmp_path: Path) -> None:
 def test_what_is_wrong_with_a_data_set_is_listed_and_costs_exit_code_2(tmp_path: Path) -> None:
     (tmp_path / "drive" / "1").mkdir(parents=True)
     (tmp_path / "drive" / "1" / "000000.yaml").write_text("vehicles: [")
-    result = dsrc("data", "check", str(tmp_path))
-    assert_one_line(result, "things are wrong")
+    result = dsrc("dataset", "check", str(tmp_path))
+    assert_one_line(result, "faults found")
     assert "000000.pcd: file is missing" in result.stdout and "000000.yaml" in result.stdout
 
 
-def test_a_data_set_takes_its_settings_from_its_toml(tmp_path: Path) -> None:
+def test_a_dataset_and_a_scenario_are_told_apart(tmp_path: Path) -> None:
     out = ("--out", str(tmp_path / "x"))
-    assert_one_line(dsrc("generate", "dsrc-sim", "--frames", "3", *out), "frames", "TOML")
-    assert_one_line(dsrc("generate", "dsrc-sim", "--splits", "tset", *out), "split", "'test'")
-    assert_one_line(dsrc("generate", "four_way", "--executor", "ray", *out), "source", "splits")
-    assert_one_line(dsrc("generate", "dsrc-sim"), "out")
-    assert_one_line(dsrc("render", str(tmp_path / "none"), *out), "traffic.npz", "no such folder")
+    assert_one_line(dsrc("generate", "dsrc-sim", *out), "scenario", "dsrc dataset build dsrc-sim")
+    assert_one_line(dsrc("dataset", "build", "dsrc-sim", "--splits", "tset", *out), "split", "'test'")
+    assert_one_line(dsrc("dataset", "build", "four_way", *out), "four_way", "split")
+    assert_one_line(dsrc("dataset", "render", str(tmp_path / "none"), *out), "traffic.npz", "no such folder")
     assert not (tmp_path / "x").exists()
 
 
 def test_an_empty_folder_is_not_a_dataset(tmp_path: Path) -> None:
-    assert_one_line(dsrc("view", str(tmp_path), "--export", str(tmp_path / "x.html")), str(tmp_path))
+    assert_one_line(dsrc("view", str(tmp_path), "--out", str(tmp_path / "x.html")), str(tmp_path))
 
 
 def test_a_checkpoint_that_is_none_is_named(tmp_path: Path) -> None:
@@ -77,7 +151,8 @@ def test_a_benchmark_says_what_is_wrong_with_its_file(tmp_path: Path) -> None:
     path.write_text('[[methods]]\nname = "DSRC"\ndetectors = ["none.pt"]\n[[datasets]]\nname = "x"\ndrives = ["y"]\n')
     out = ("--out", str(tmp_path / "out"))
     assert_one_line(dsrc("benchmark", str(path), *out), "none.pt", "no such checkpoint")
-    assert_one_line(dsrc("benchmark", str(path), *out, "--limit", "3"), "limit", "describes the benchmark")
+    assert_one_line(dsrc("benchmark", str(path), *out, "--frames", "3"), "frames", "describes the benchmark")
+    assert_one_line(dsrc("benchmark", "a.pt", *out), "plan", "--checkpoint")
     path.write_text(path.read_text().replace("detectors", "detector"))
     assert_one_line(dsrc("benchmark", str(path), *out), str(path), "did you mean 'detectors'")
     assert not (tmp_path / "out").exists()

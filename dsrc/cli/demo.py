@@ -1,66 +1,79 @@
-"""The demo: the whole walk on a real junction, from nothing to a table, plots, a page and an episode."""
+"""Command `dsrc demo`: the whole walk on a real junction, to a table, plots, a page and an episode."""
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+import msgspec
+
+from dsrc.cli.options import Folder
+from dsrc.cli.progress import progress
 
 CHECKPOINTS = Path(__file__).parents[1] / "checkpoints"
-"""The detectors that ship with the package, see `checkpoints/README.md` for the commands that made them."""
+"""Shipped detectors; `checkpoints/README.md` has the commands that made them."""
 
 SCENARIO = "braunschweig"
 TRAIN_SEED = 1
 TEST_SEED = 903
-"""No shipped detector was trained or validated on a drive of this seed."""
+"""Seed of no drive that a shipped detector was trained or validated on."""
+
+
+class Demo(msgspec.Struct, frozen=True, kw_only=True):
+    """Walk through the testbed on a real junction: generate, evaluate, review, drive.
+
+    About two minutes on two cores; an interrupted demo resumes.
+
+    Attributes:
+        out: folder of everything that the demo writes.
+        quick: a few frames only.
+    """
+
+    out: Folder = Path("demo")
+    quick: bool = False
+
+    def run(self) -> None:
+        """Run the demo."""
+        run_demo(self.out, self.quick)
 
 
 def run_demo(out: Path, quick: bool = False) -> None:
-    """Generate a train and a test drive, evaluate the shipped detectors, draw, drive one episode, say where it is.
+    """Generate a train and a test drive, evaluate the shipped detectors, plot, drive one episode, list the files.
 
     Args:
-        out: folder for everything; parts that are already there are kept.
+        out: folder of all files; finished parts are kept.
         quick: a few frames only.
 
     Raises:
-        UserError: when a part cannot be made.
+        UserError: a part failed.
     """
+    from rich.console import Console
+
     from dsrc.closed_loop.episodes import drive_episodes
     from dsrc.data.write import generate
     from dsrc.evaluation.run import evaluate_checkpoints
     from dsrc.review.page.export import export_html
     from dsrc.review.page.screenshot import find_chromium, screenshot
 
-    console = Console(highlight=False)
     start = time.perf_counter()
     train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 2.0) if quick else (20, 24, 1.5, 12.0)
-    columns = (TextColumn("{task.description:34s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-
-        def follow(task: TaskID) -> Callable[[int, int], None]:
-            return lambda done, total: progress.update(task, completed=done, total=total)
-
-        drives = {}
-        for split, seed, frames in (("train", TRAIN_SEED, train_frames), ("test", TEST_SEED, test_frames)):
-            task = progress.add_task(f"{split} drive, {SCENARIO} seed {seed}", total=frames)
+    drives = {}
+    for split, seed, frames in (("train", TRAIN_SEED, train_frames), ("test", TEST_SEED, test_frames)):
+        with progress(f"{split} drive, {SCENARIO} seed {seed}") as report:
             drives[split] = generate(
-                SCENARIO, out / split, frames=frames, seed=seed, interval_s=interval_s, progress=follow(task)
+                SCENARIO, out / split, frames=frames, seed=seed, interval_s=interval_s, progress=report
             )
-        dsrc, plain = CHECKPOINTS / "small-dsrc.pt", CHECKPOINTS / "small-plain.pt"
-        task = progress.add_task("evaluate, clean and six corruptions", total=None)
+    dsrc, plain = CHECKPOINTS / "small-dsrc.pt", CHECKPOINTS / "small-plain.pt"
+    with progress("evaluate, clean and six corruptions") as report:
         table = evaluate_checkpoints(
             {"DSRC (SDD+PCP+REC)": dsrc, "plain student": plain},
             data=out / "test",
             out=out / "results",
-            progress=follow(task),
+            progress=report,
         )
-        task = progress.add_task("review page", total=2)
+    with progress("review page") as report:
         page = export_html(out / "test", out / "review.html", checkpoint=dsrc)
-        progress.update(task, completed=1)
         picture = screenshot(page, out / "review.png") if find_chromium() else None
-        progress.update(task, completed=2)
-        task = progress.add_task("closed-loop episode", total=None)
+        report(1, 1)
+    with progress("closed-loop episode") as report:
         episodes = drive_episodes(
             SCENARIO,
             perception="dsrc",
@@ -68,8 +81,9 @@ def run_demo(out: Path, quick: bool = False) -> None:
             seeds=(TEST_SEED,),
             duration_s=seconds,
             out=out / "episode.csv",
-            progress=follow(task),
+            progress=report,
         )
+    console = Console(highlight=False)
     console.print(table)
     console.print(episodes)
     for what, where in {
@@ -79,10 +93,8 @@ def run_demo(out: Path, quick: bool = False) -> None:
         "AP per corruption": out / "results" / "ap_per_corruption.png",
         "mCE against mAP": out / "results" / "mce_map.png",
         "review page": page,
-        "picture of it": picture or "none: no Chromium here",
+        "its picture": picture or "none, Chromium is missing",
         "episode": out / "episode.csv",
     }.items():
         console.print(f"{what:18s} {where}")
-    console.print(
-        f"done in {time.perf_counter() - start:.0f} s; look around: dsrc view {out / 'test'} --checkpoint {dsrc}"
-    )
+    console.print(f"done in {time.perf_counter() - start:.0f} s; review: dsrc view {out / 'test'} --checkpoint {dsrc}")

@@ -118,7 +118,7 @@ def train(
     * `environment.json`: the machine and its libraries, one more entry for each start on another,
     * `metrics.csv`: one row per epoch, and `curves.png`, its plot; `tensorboard/` where that is installed,
     * `checkpoints/last.ckpt` to resume from and, where a recipe keeps the best weights, `checkpoints/best.pt`,
-    * `detector.pt` for use, and `result.json`: its hash and average precision, which `dsrc verify` compares.
+    * `detector.pt` for use, and `result.json`: its hash and average precision, which `dsrc model verify` compares.
 
     Several devices, or `torchrun`'s processes, share each batch and average their gradients: a step is that of one
     device, except for batch-wide statistics. Batch norms take theirs from a device's own share (the running ones,

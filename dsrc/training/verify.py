@@ -153,7 +153,7 @@ def _meta(path: Path) -> _Meta:
 
 def _read(path: Path, kind: type[File]) -> File:
     if not path.is_file():
-        raise DataError(complaint(path, "file", "that of a finished training", "none", "; `dsrc train` resumes it"))
+        raise DataError(complaint(path, "file", "that of a finished training", "none", "; `dsrc model train` resumes it"))
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except msgspec.DecodeError as error:

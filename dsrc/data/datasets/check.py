@@ -1,4 +1,4 @@
-"""What is wrong with a dataset, file by file: the work behind `dsrc data check`.
+"""What is wrong with a dataset, file by file: the work behind `dsrc dataset check`.
 
 Every file of every drive is read. Whatever the reader refuses is listed, and what it cannot know: checksums that
 differ, points that are not finite, boxes without size, points of objects that have no box, counts that are not those of

@@ -11,11 +11,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from dsrc.evaluation.benchmark import places_of
 
 from dsrc.data.datasets.spec import Item, expand, find_split_file, read_dataset
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD
 from dsrc.data.write import DriveSpec, make_drive
-from dsrc.evaluation.benchmark import places_of
 from sim.catalog.load import list_scenarios
 from sim.traffic.log import TrafficLog
 from tests.paths import ROOT
@@ -127,7 +127,7 @@ def test_a_log_is_as_long_as_its_drive_and_says_what_it_is_of(item: Item) -> Non
 
 
 def test_two_frames_of_its_log_are_those_of_a_simulation_of_today(tmp_path: Path) -> None:
-    """Where they differ, a scenario has changed: `dsrc generate dsrc-sim --record` records it anew."""
+    """Where they differ, a scenario has changed: `dsrc dataset record dsrc-sim` records it anew."""
     item = next(item for item in items() if item.name == "four_way_201")
     spec = first_frames(item)
     make_drive(spec, tmp_path / "live", threads=1)

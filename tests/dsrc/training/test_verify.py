@@ -95,11 +95,11 @@ def test_other_settings_data_and_versions_are_named(run: Path, tmp_path: Path) -
 
 
 def test_the_command_says_what_differs_and_returns_1(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cli(["verify", str(run.parent)])
+    cli(["model", "verify", str(run.parent)])
     assert "agrees   data: all 1" in capsys.readouterr().out
     change(run / "settings.json", seed=7)
     with pytest.raises(SystemExit) as stopped:
-        cli(["verify", str(run)])
+        cli(["model", "verify", str(run)])
     assert stopped.value.code == 1
     assert "differs  seed: recorded 7, found 0" in capsys.readouterr().out
 

@@ -99,7 +99,7 @@ def test_one_split_alone_leaves_the_entries_of_the_others(made: Path, tmp_path: 
 
 
 def start(source: Path, out: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "dsrc", "generate", str(source), "--out", str(out), "--workers", "2"]
+    command = [sys.executable, "-m", "dsrc", "dataset", "build", str(source), "--out", str(out), "--workers", "2"]
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
@@ -224,7 +224,7 @@ def test_the_manifest_of_a_stranger_is_no_stack_trace(tmp_path: Path) -> None:
 def test_two_workers_of_ray_write_the_same_bytes_as_one_process(made: Path, tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="the package ray is not installed: pip install 'dsrc-testbed[ray]'")
     write(tmp_path)
-    command = [sys.executable, "-m", "dsrc", "generate", "split.toml", "--out", "out", "--executor", "ray"]
+    command = [sys.executable, "-m", "dsrc", "dataset", "build", "split.toml", "--out", "out", "--executor", "ray"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run([*command, "--workers", "2"], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""dsrc data check: a clean tree passes, and every damage is found in the file that has it."""
+"""dsrc dataset check: a clean tree passes, and every damage is found in the file that has it."""
 
 import struct
 from collections.abc import Callable

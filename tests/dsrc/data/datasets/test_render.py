@@ -1,4 +1,4 @@
-"""dsrc render: the same traffic seen by others, in a process that has neither SUMO nor highway-env."""
+"""dsrc dataset render: the same traffic seen by others, in a process that has neither SUMO nor highway-env."""
 
 import shutil
 import subprocess
@@ -41,7 +41,7 @@ def test_without_changes_every_frame_is_the_same_without_sumo(drive: Path, tmp_p
         "import sys; sys.modules.update(dict.fromkeys(('libsumo', 'sumo', 'sumolib', 'traci', 'highway_env')))\n"
         "from dsrc.__main__ import main; main(sys.argv[1:])"
     )
-    command = [sys.executable, "-c", code, "render", str(drive), "--out", str(tmp_path)]
+    command = [sys.executable, "-c", code, "dataset", "render", str(drive), "--out", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert frames_of(tmp_path / "four_way_5") == frames_of(drive)

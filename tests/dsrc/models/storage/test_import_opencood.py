@@ -41,7 +41,7 @@ def test_an_imported_detector_says_the_same_of_the_same_points(tmp_path: Path) -
     path = written(tmp_path / "net_epoch1.pth", {f"module.{k}": v for k, v in state(arrays).items()})
     out = tmp_path / "detector.pt"
     ends = [str(value) for value in grid.range_m]
-    main(["import-checkpoint", str(path), "--out", str(out), "--cell", str(grid.cell_m), "--range-m", *ends])
+    main(["model", "import", str(path), "--out", str(out), "--cell-m", str(grid.cell_m), "--range-m", *ends])
     detector = load_detector(out)
     assert detector.settings.stage_blocks == tuple(notes["config"]["layer_nums"])
     assert detector.settings.base_width == 26

@@ -1,0 +1,187 @@
+"""Options of commands: structs whose fields and docstrings become the command line.
+
+A field is an option, its line under `Attributes:` the help text, a field that is a struct itself (`Pool`) adds its
+options. A line that ends with `; default: WORDS` says what None, "" or () stand for.
+"""
+
+import re
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field, make_dataclass
+from inspect import cleandoc
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+from tyro.conf import Positional, arg
+
+_METAVARS = {int: "INT", float: "FLOAT", str: "STR", Path: "PATH"}
+_ENTRY = re.compile(r"^ {4}(\w+): ", re.MULTILINE)
+_DEFAULT = re.compile(r"[;.] default: (.*)\.$", re.DOTALL)
+
+Folder = Annotated[Path, arg(metavar="FOLDER")]
+File = Annotated[Path, arg(metavar="FILE")]
+Data = Positional[Annotated[Path, arg(metavar="DATA")]]
+"""Positional argument: a drive, or a folder of drives."""
+Scenario = Positional[Annotated[str, arg(metavar="SCENARIO")]]
+Family = Literal["physical", "paper"]
+
+# Lists of choices for help texts, so that help needs no heavy import; the functions decide, tests compare.
+CORRUPTIONS = (
+    "beam_missing",
+    "motion_blur",
+    "fog",
+    "snow",
+    "crosstalk",
+    "cross_sensor",
+    "wet_ground",
+    "incomplete_echo",
+    "rain",
+    "spray",
+    "pose_error",
+    "clock_offset",
+    "point_dropping",
+    "field_of_view",
+    "noise",
+)
+CHANNELS = ("ideal", "paper", "its-g5-6", "its-g5-27", "c-v2x", "trace:FILE")
+RECIPES = ("debug", "small", "opv2v", "dsrc-paper", "dsrc-code")
+METHODS = (
+    "no-collaboration",
+    "early",
+    "late",
+    "f-cooper",
+    "attfuse",
+    "max-map",
+    "v2vnet",
+    "v2x-vit",
+    "cobevt",
+    "where2comm",
+    "coalign",
+    "ermvp",
+    "mrcnet-style",
+    "dsrc",
+    "dsrc-max",
+    "dsrc-alone",
+)
+
+
+def choice(names: Sequence[str], several: bool = False) -> Any:
+    """Return the tyro setting of an option whose choices are listed; the function that reads it names the nearest."""
+    listed = f"{{{','.join(names)}}}"
+    return arg(metavar=f"{listed} [...]" if several else listed)
+
+
+class Command(Protocol):
+    """Struct of a command's options with the work itself."""
+
+    def run(self) -> None:
+        """Do the work."""
+        ...
+
+
+class Severity(msgspec.Struct, frozen=True, kw_only=True):
+    """Severity of corruptions.
+
+    Attributes:
+        severity: severity of the corruption, 1 to 5.
+        family: models of the corruption: of physical causes, or as published in papers.
+    """
+
+    severity: int = 3
+    family: Family = "physical"
+
+
+def parse(command: type[msgspec.Struct], prog: str, args: Sequence[str]) -> Any:
+    """Return the options in `args`; prints help or a complaint and exits where there are none to return."""
+    import tyro
+
+    values = vars(tyro.cli(_flat(command), prog=prog, description=describe(command), args=list(args)))
+    return _struct(command, values)
+
+
+def summary(command: type) -> str:
+    """Return the first line of a command's help."""
+    return describe(command).partition("\n")[0]
+
+
+def describe(command: type) -> str:
+    """Return a command's help above its options."""
+    return _parts(command)[0]
+
+
+def _parts(struct: type) -> tuple[str, dict[str, str]]:
+    """Return the text of a docstring before `Attributes:` and the line of each attribute."""
+    text, _, listed = cleandoc(struct.__doc__ or "").partition("Attributes:\n")
+    pieces = _ENTRY.split(listed)
+    lines = {name: " ".join(body.split()) for name, body in zip(pieces[1::2], pieces[2::2], strict=True)}
+    return re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()), lines
+
+
+def fields_of(struct: type[msgspec.Struct]) -> Iterator[tuple[str, Any, Any, str]]:
+    """Yield name, type, default and help of every option of a struct, those of structs in it too."""
+    texts: dict[str, str] = {}
+    for base in reversed(struct.__mro__):
+        texts |= _parts(base)[1]
+    hints = get_type_hints(struct, include_extras=True)
+    for one in msgspec.structs.fields(struct):
+        if _is_struct(one.type):
+            yield from fields_of(one.type)
+        else:
+            yield one.name, hints[one.name], _default(one), texts.get(one.name, "")
+
+
+def _is_struct(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
+
+def _default(one: Any) -> Any:
+    if one.default_factory is not msgspec.NODEFAULT:
+        return one.default_factory()
+    return one.default
+
+
+def _flat(struct: type[msgspec.Struct]) -> type:
+    """Return a dataclass of all options for tyro."""
+    specs = []
+    for name, kind, default, text in fields_of(struct):
+        said = _DEFAULT.search(text)
+        text = text[: said.start()] + "." if said else text
+        settings: dict[str, Any] = {"help": text, "metavar": _metavar(kind)}
+        if said and default in (None, "", ()):
+            settings["help_behavior_hint"] = f"(default: {said[1]})"
+        elif default is None or default in ("", ()):
+            settings["help_behavior_hint"] = "(optional)"
+        settings = {key: value for key, value in settings.items() if value is not None}
+        annotated = Annotated[kind, arg(**settings)]  # type: ignore[valid-type]
+        specs.append((name, annotated) if default is msgspec.NODEFAULT else (name, annotated, field(default=default)))
+    return make_dataclass(struct.__name__, specs, kw_only=True, frozen=True)
+
+
+def _metavar(kind: Any) -> str | None:
+    """Return the metavar of an option that may be None or has one of its own, None where tyro's is right."""
+    if get_origin(kind) in (Union, types.UnionType):
+        inner = next(part for part in get_args(kind) if part is not type(None))
+        return _metavar(inner) or _plain(inner)
+    if get_origin(kind) is Annotated:
+        own = [getattr(part, "metavar", None) for part in get_args(kind)[1:]]
+        return next((metavar for metavar in own if metavar), None) or _metavar(get_args(kind)[0])
+    return None
+
+
+def _plain(kind: Any) -> str:
+    if get_origin(kind) is Literal:
+        return f"{{{','.join(map(str, get_args(kind)))}}}"
+    if get_origin(kind) is tuple:
+        parts = [_metavar(part) or _plain(part) for part in get_args(kind) if part is not Ellipsis]
+        return f"{parts[0]} [{parts[0]} ...]" if Ellipsis in get_args(kind) else " ".join(parts)
+    return _METAVARS[kind]
+
+
+def _struct(struct: type[msgspec.Struct], values: Mapping[str, Any]) -> Any:
+    return struct(
+        **{
+            one.name: _struct(one.type, values) if _is_struct(one.type) else values[one.name]
+            for one in msgspec.structs.fields(struct)
+        }
+    )

@@ -1,0 +1,66 @@
+"""Progress of a command on standard error: a bar on a terminal, else a line now and then."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import monotonic
+
+Report = Callable[[int, int], None]
+"""Called with (steps done, steps in all)."""
+
+LINE_EVERY_S = 20.0
+"""Time between two lines where there is no terminal, s."""
+
+
+@contextmanager
+def progress(label: str) -> Iterator[Report]:
+    """Show the progress of one piece of work.
+
+    Args:
+        label: the work, a few words.
+
+    Yields:
+        The function to call after every step.
+    """
+    with (_bar if sys.stderr.isatty() else _lines)(label) as report:
+        yield report
+
+
+@contextmanager
+def _lines(label: str) -> Iterator[Report]:
+    start = last = monotonic()
+
+    def report(done: int, total: int) -> None:
+        nonlocal last
+        now = monotonic()
+        if done > 0 and (done >= total or now - last >= LINE_EVERY_S):
+            sys.stderr.write(f"{label}: {done} of {total}, {now - start:.0f} s\n")
+            sys.stderr.flush()
+            last = now
+
+    yield report
+
+
+@contextmanager
+def _bar(label: str) -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    bar = Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True))
+    task = bar.add_task(label, total=None)
+    bar.start()
+    try:
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+    except BaseException:
+        bar.live.transient = not bar.tasks[0].completed  # no empty bar above a complaint
+        bar.live.stop()
+        raise
+    bar.stop()

@@ -1,0 +1,72 @@
+"""Commands `dsrc scenario`: the shipped scenarios, and new ones from maps."""
+
+import sys
+from pathlib import Path
+
+import msgspec
+from tyro.conf import Positional
+
+from dsrc.cli.options import File, Folder, Scenario
+
+
+class List(msgspec.Struct, frozen=True):
+    """List the shipped scenarios and datasets."""
+
+    def run(self) -> None:
+        """Print one line for each."""
+        from dsrc.data.datasets.spec import list_datasets
+        from sim.catalog.load import list_scenarios, load_scenario
+
+        known = {name: load_scenario(name) for name in list_scenarios()}
+        groups = {
+            "Places": {name: one.description for name, one in known.items() if one.conflict is None},
+            "Encounters": {name: one.description for name, one in known.items() if one.conflict is not None},
+            "Datasets": list_datasets(),
+        }
+        for title, members in groups.items():
+            sys.stdout.write(f"{title}:\n")
+            for name, description in members.items():
+                sys.stdout.write(f"  {name:30s} {description}\n")
+
+
+class Show(msgspec.Struct, frozen=True):
+    """Print a scenario's settings as JSON, defaults included.
+
+    Attributes:
+        scenario: shipped scenario, or path of a scenario.toml.
+    """
+
+    scenario: Scenario
+
+    def run(self) -> None:
+        """Load, check and print it."""
+        from sensors.presets import scenario_lidars
+        from sim.catalog.load import load_scenario
+
+        scenario = load_scenario(self.scenario)
+        scenario_lidars(scenario)  # unknown sensors are refused here as in `dsrc generate`
+        sys.stdout.write(f"{msgspec.json.format(msgspec.json.encode(scenario).decode(), indent=2)}\n")
+
+
+class Import(msgspec.Struct, frozen=True):
+    """Make a scenario of a SUMO network, an OpenStreetMap extract or an OpenDRIVE file.
+
+    The roads, and from OpenStreetMap the houses, trees, lamps, hedges, fences and walls, become a folder that
+    `dsrc generate` takes.
+
+    Attributes:
+        map: .net.xml, .net.xml.gz, .osm, .osm.gz, .osm.bz2, .osm.pbf or .xodr.
+        name: name of the scenario; default: the file's.
+        out: new folder; default: the scenario's name, here.
+    """
+
+    map: Positional[File]
+    name: str = ""
+    out: Folder | None = None
+
+    def run(self) -> None:
+        """Convert the map and print the new folder."""
+        from sim.catalog.import_map import import_map
+
+        folder = import_map(Path(self.map), self.name, self.out)
+        sys.stdout.write(f"{folder}\ndsrc generate {folder} --out data\n")
