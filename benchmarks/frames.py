@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.rivals import Rays
 from benchmarks.street import BENCHMARK_LIDAR, Fleet, baked, fleet, street_world
 from sensors.optics.beams import beams_of
-from sensors.raycast import Returns, Shot, Solid
+from sensors.raycast import Returns, Solid, SweepRequest
 from sensors.scan.lidar import Sensor, scan_all
 from sensors.scan.scene import RayScene
 from sensors.sweep import Sweep
@@ -111,11 +111,11 @@ class _Canned:
     def __init__(self, scene: RayScene) -> None:
         self._scene = scene
         self._returns: list[Returns] = []
-        self.shots: Sequence[Shot] = ()
+        self.requests: Sequence[SweepRequest] = ()
 
-    def sweep(self, shots: Sequence[Shot], threads: int = 1) -> list[Returns]:
+    def sweep(self, requests: Sequence[SweepRequest], threads: int = 1) -> list[Returns]:
         if not self._returns:
-            self.shots, self._returns = shots, self._scene.sweep(shots, threads)
+            self.requests, self._returns = requests, self._scene.sweep(requests, threads)
         return self._returns
 
 
@@ -142,10 +142,10 @@ def fused_parts(scene: RayScene, street: Street) -> dict[str, Callable[[], objec
 
     return {
         "python": lambda: scan_all(canned, street.sensors, threads=1),  # type: ignore[arg-type]
-        "kernel": lambda: moving.sweep(canned.shots, 1),
-        "kernel_lost": lambda: moving.sweep(lost.shots, 1),
-        "kernel_static": lambda: scene.sweep(canned.shots, 1),
-        "kernel_void": lambda: void.sweep(canned.shots, 1),
+        "kernel": lambda: moving.sweep(canned.requests, 1),
+        "kernel_lost": lambda: moving.sweep(lost.requests, 1),
+        "kernel_static": lambda: scene.sweep(canned.requests, 1),
+        "kernel_void": lambda: void.sweep(canned.requests, 1),
         "packets_static": packets(streets),
         "packets_baked": packets(everything),
     }

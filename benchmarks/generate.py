@@ -22,12 +22,12 @@ import tyro
 
 from benchmarks.quiet import others_s
 from benchmarks.street import BENCHMARK_LIDAR
-from dsrc.data.checksums import write_sums
+from dsrc.data.checksums import write_checksums
 from dsrc.data.executors import ProcessExecutor, Progress
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.simulate import TRAFFIC_LOG, WORLD, Live, open_live
+from dsrc.data.simulate import TRAFFIC_LOG, WORLD, SimulatedDrive, open_simulated
 from dsrc.data.write import DriveSpec
-from sensors.presets import LIDARS
+from sensors.presets import register_sensor
 from sim.catalog.load import load_scenario
 from sim.scenario import Scenario
 
@@ -90,7 +90,7 @@ def busy_scenario() -> Scenario:
     return msgspec.structs.replace(scenario, demand=demand, agents=agents, warmup_s=45.0)
 
 
-def make_frames(live: Live, drive: Path, first: int, last: int) -> None:
+def make_frames(live: SimulatedDrive, drive: Path, first: int, last: int) -> None:
     """Make and write some frames, as `dsrc generate` does."""
     for index in range(first, last):
         frame = live.frame(index)
@@ -109,7 +109,7 @@ class Share:
 
 def work(share: Share, report: Progress) -> tuple[float, float, float]:
     """Make a drive in a worker; return when its second frame began, when its last was done, and CPU seconds between."""
-    LIDARS.setdefault(BENCHMARK_LIDAR.name, BENCHMARK_LIDAR)
+    register_sensor(BENCHMARK_LIDAR)
     spec = DriveSpec(busy_scenario(), 1, share.frames)
     share.drive.mkdir(parents=True)
     with _opened(spec, share.drive, share.recorded) as live:
@@ -124,12 +124,12 @@ def work(share: Share, report: Progress) -> tuple[float, float, float]:
 
 def _opened(spec: DriveSpec, drive: Path, recorded: Path | None) -> Any:
     log = drive / TRAFFIC_LOG
-    return open_live(spec.scenario, spec.seed, spec.frames, spec.interval_s, log, True, recorded, threads=1)
+    return open_simulated(spec.scenario, spec.seed, spec.frames, spec.interval_s, log, True, recorded, threads=1)
 
 
 def stages(folder: Path, frames: int) -> tuple[dict[str, float], Path]:
     """Return CPU milliseconds per frame by stage, and the folder of the recording; in this process, on one thread."""
-    LIDARS.setdefault(BENCHMARK_LIDAR.name, BENCHMARK_LIDAR)
+    register_sensor(BENCHMARK_LIDAR)
     from sim.traffic.open import open_traffic
 
     spec, drive, clock = DriveSpec(busy_scenario(), 1, frames), folder / "staged", Clock()
@@ -146,7 +146,7 @@ def stages(folder: Path, frames: int) -> tuple[dict[str, float], Path]:
             make_frames(live, drive, 1, frames)
             whole_ms = 1e3 * (time.process_time() - start) / (frames - 1)
     start = time.process_time()
-    write_sums(drive)
+    write_checksums(drive)
     sums_ms = 1e3 * (time.process_time() - start) / frames
     parts = {stage: 1e3 * clock.seconds[stage] / (frames - 1) for stage in STAGES}
     rest = whole_ms - sum(parts.values())

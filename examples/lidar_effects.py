@@ -1,4 +1,4 @@
-"""Draw what the sensor model does: the shear of passing cars, echoes at an edge, intensity and detection.
+"""Pictures of the sensor model: shear of passing cars, echoes at an edge, intensity and detection.
 
 Usage:
     python examples/lidar_effects.py --out docs/pictures/lidar
@@ -53,7 +53,7 @@ CARS = np.array([[13.0, 3.5, 0.0], [0.0, 7.0, np.pi], [1.0, -7.0, 0.0], [-14.0, 
 
 
 def shear() -> Figure:
-    """Four cars at 30 m/s around a still sensor: as measured, and with every point moved back by v times t."""
+    """Four cars at 30 m/s around a sensor at rest: as measured, and deskewed."""
     spec = msgspec.structs.replace(get_lidar("opv2v-64"), dropoff_rate=0.0, dropoff_zero_intensity=0.0)
     actors = _cars()
     scene = RayScene(_sheet(60.0, "asphalt", height=0.0)).with_bodies(actors)
@@ -127,7 +127,7 @@ BEHIND_M = (14.0, 10.9)
 
 
 def edge() -> Figure:
-    """A leaf's edge before a wall: which sub-rays hit it, and which returns the receiver makes of them."""
+    """Edge of a leaf before a wall: sub-rays on it, and the returns."""
     spec = _edge_spec()
     figure = new_figure(
         11.0,

@@ -1,4 +1,4 @@
-"""Draw what every LiDAR preset sees of one and the same street: bird's eye, range image and intensity image.
+"""Pictures of every LiDAR preset over the same street: bird's eye, range image and intensity image.
 
 Usage:
     python examples/lidar_presets.py --out docs/pictures/lidar
@@ -8,6 +8,7 @@ Usage:
 import argparse
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from look import EMPTY, FAINT, GRID, HIGHLIGHT, INK, colorbar, new_figure, part_of, save, style
 from matplotlib.axes import Axes
@@ -18,8 +19,8 @@ from numpy.typing import NDArray
 
 from sensors.frame import Frame
 from sensors.presets import LIDARS, get_lidar
-from sensors.recording.mounting import place_roadside
-from sensors.recording.record import Recording, make_frame, record
+from sensors.recording.record import Recording, record
+from sensors.recording.rig import Rig
 from sensors.spec import LidarSpec
 from sensors.sweep import STATIC, Sweep
 from sim.catalog.load import load_scenario
@@ -34,7 +35,7 @@ MAST_PITCH_DEG = 12.0
 RANGE = LogNorm(2.0, 120.0), part_of("turbo_r", 0.08, 0.93)
 HEIGHT = Normalize(0.0, 8.0), part_of("viridis", 0.35, 1.0)
 INTENSITY = PowerNorm(0.5, 0.0, 1.0), part_of("inferno", 0.1, 1.0)
-"""Colour scales; the logarithm tells the near apart, the square root asphalt from nothing."""
+"""Colour scales: logarithmic for near ranges, square root for the weak intensity of asphalt."""
 
 
 def main() -> None:
@@ -58,16 +59,18 @@ def main() -> None:
 
 def frame_of(street: Recording, spec: LidarSpec, mast: RoadsideUnit | None) -> Frame:
     """Return the first frame of a drive with one agent, which carries `spec`."""
-    now, later = street.steps[0], street.steps[street.margin]
     if spec.mount_xyz_m[2] <= MAST_M or mast is None:
-        chosen = {"vehicles": street.vehicles[:1]}
+        units, agent_id = (), street.vehicles[0]
     else:
         x, y, _ = mast.xyz_m
         unit = RoadsideUnit(
             xyz_m=(x, y, spec.mount_xyz_m[2]), yaw_deg=mast.yaw_deg, pitch_deg=MAST_PITCH_DEG, lidar=spec.name
         )
-        chosen = {"vehicles": (), "roadside": place_roadside(street.scene, (unit,))}
-    return make_frame(street.scene, now, None, later, vehicle_spec=spec, seed=street.seed, index=0, **chosen)
+        units, agent_id = (unit,), -1
+    rule = msgspec.structs.replace(street.rig.scenario.agents, roadside=units)
+    scenario = msgspec.structs.replace(street.rig.scenario, agents=rule)
+    rig = Rig(scenario, street.rig.scene, street.rig.seed, vehicle_spec=spec)
+    return rig.frame(0, [agent_id], street.steps[0], after=street.steps[street.margin])
 
 
 def draw(frame: Frame, spec: LidarSpec) -> Figure:
@@ -96,7 +99,7 @@ def draw(frame: Frame, spec: LidarSpec) -> Figure:
 
 
 def birds_eye(axes: Axes, frame: Frame, spec: LidarSpec) -> None:
-    """Draw the points from above, the agent's heading upwards; what belongs to road users is orange."""
+    """Draw the points from above, the agent's heading upwards; road users are orange."""
     agent = frame.agents[0]
     body_from_world = invert(agent.world_from_body)
     points = transform_points(body_from_world, agent.sweep.world_points)
@@ -153,7 +156,7 @@ def sensor_image(
 
 
 def straightened(ring: NDArray[np.int16], column: NDArray[np.int32], spec: LidarSpec) -> NDArray[np.int64]:
-    """Return (P,) the column that points where the beam does: those of one column are up to 20 degrees apart."""
+    """Return (P,) the column of each beam's azimuth: beams of one column are up to 20 degrees apart."""
     turn = np.radians(spec.azimuth_end_deg - spec.azimuth_start_deg)
     shift = np.rint(spec.azimuth_offset / turn * spec.columns * (-1.0 if spec.clockwise else 1.0)).astype(np.int64)
     moved = column + shift[ring]

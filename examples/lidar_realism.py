@@ -1,4 +1,4 @@
-"""Measure the sweeps of real street scenes and put them beside published figures: range, returns, points per car.
+"""Realism of sweeps of real streets beside published figures: range, returns, points per car.
 
 Usage:
     python examples/lidar_realism.py --out docs/pictures/lidar
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 BINS_M = np.array([0.0, 10.0, 20.0, 40.0, 80.0, 120.0])
 CAR_M = np.array([10.0, 20.0, 30.0, 40.0, 60.0, 80.0])
 CAR_WITHIN = 0.15
-"""A car counts at a distance if it is within this share of it."""
+"""Relative tolerance of a car's distance."""
 GROUND = ("asphalt", "marking", "pavement", "kerb", "gravel", "ground")
 
 KITTI_POINTS = np.array([62_100, 31_964, 21_876, 4_328, 0])
@@ -58,7 +58,7 @@ KITTI_CARS = {
     ],
     "000009": [(24.15, -0.70, 3.20, 1.66, 1.61, -0.09, 215), (68.52, 2.19, 3.37, 1.53, 1.41, 2.96, 1)],
 }
-"""Unhidden cars of real frames by their numbers, as MMDetection3D's converter counts the points in KITTI's boxes: x and
+"""Unoccluded cars of real frames by number, with the points that MMDetection3D counts in KITTI's boxes: x and
 y from the sensor, length, width, height, yaw (m, rad), points."""
 KITTI_SENSOR_M = 1.73
 """Height of KITTI's LiDAR above the road, from its page on the set-up."""
@@ -67,7 +67,7 @@ HDL = "hdl-64e-s2"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What S sweeps of one sensor in one scene add up to.
+    """Counts of S sweeps of one sensor in one scene.
 
     Attributes:
         label: scene and sensor.
@@ -98,7 +98,7 @@ class Measured:
 
     @property
     def returned(self) -> float:
-        """Share of the beams that return."""
+        """Share of the beams with a return."""
         return float(self.answered.mean()) / self.fired
 
 
@@ -169,7 +169,7 @@ def _cars(frame: Frame, agent: AgentFrame, points_on: NDArray[np.int32]) -> Arra
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """A real car and its simulated likeness.
+    """Real car and the same car simulated.
 
     Attributes:
         distance: from the sensor, horizontal, m.
@@ -183,7 +183,7 @@ class Twin:
 
 
 def twin(car: tuple[float, ...]) -> Twin:
-    """Put a car with the box of a real one alone on a flat road, once with each paint, and count its points."""
+    """Return the points on a car of a real one's box, alone on a flat road, in each paint."""
     x, y, length, width, height, yaw, points = car
     corners = 100.0 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     road = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
@@ -260,7 +260,7 @@ def tables(all_measured: list[Measured]) -> list[str]:
 
 
 def in_full_view(spec: LidarSpec, distance: float | Array) -> float | Array:
-    """Return the beams that fall on an unhidden car, averaged over its heading, before any loss.
+    """Return the beams on an unoccluded car, averaged over its heading, before any loss.
 
     Its silhouette is height * (length |sin| + width |cos|), on average 2 / pi * height * (length + width); a beam of
     the densest rings covers one step in azimuth by one in elevation.

@@ -1,17 +1,16 @@
-"""deskew: how the sensor's own motion during a sweep is compensated, changed with the true path; nothing is lost.
+"""Deskewing: compensation of the sensor's own motion during a sweep, lossless, by the true path.
 
-A beam that fires at t measures in the sensor frame at t. Those are raw points: a still world is bent by the sensor's
-way during the sweep. A point is compensated to a reference time r by
+A beam that fires at t measures in the sensor frame at t. Those are raw points: a static world is bent by the sensor's
+motion during the sweep. A point is compensated to a reference time r by
 
     p_r = inv(world_from_lidar(r)) world_from_lidar(t) p_t
 
-with t its own firing time. Drivers of sensors do this with odometry; here the path is the true one. `Sweep.motion` says
-which r it is: the middle of the sweep (ours, ground truth boxes are of that instant), its start or its end (the header
-of a message carries one of them as a rule), or none (raw).
+with t its own firing time. Sensor drivers do this with odometry; here the path is the true one. `Sweep.motion` names
+r: the middle of the sweep (the default, the instant of the ground-truth boxes), its start or end (the usual time stamp
+of a message), or raw.
 
-Only the sensor's motion can be compensated without knowing what was hit. An object that moves with velocity v is
-sheared: its points lie v (t - r) away from where they were at r. `deskew_objects` takes that back with the objects'
-true paths.
+An object that moves with velocity v is still sheared: its points lie v (t - r) away from their places at r.
+`deskew_objects` undoes that with the objects' true paths.
 """
 
 from dataclasses import replace
@@ -36,23 +35,23 @@ def check_motion(motion: str) -> None:
 
 
 def deskew(sweep: Sweep, to: Motion) -> Sweep:
-    """Return the same measurements with the sensor's motion compensated otherwise.
+    """Return the same measurements with another compensation of the sensor's motion.
 
     Points in the world, their firing times `time_s + time_offset` and all other columns stay; start and end move
-    `time_s` and `world_from_lidar` along the path. Back and forth gives the same points but for rounding (float32).
+    `time_s` and `world_from_lidar` along the path. Back and forth gives the same points up to rounding (float32).
 
     Args:
         sweep: any sweep, compensated or raw.
         to: the motion wanted.
 
     Raises:
-        DataError: the sweep doesn't know its path, its firing times or, for start and end, the sensor's period.
-        SettingsError: there is no such motion.
+        DataError: path, firing times or, for start and end, the sensor are unknown.
+        SettingsError: unknown motion.
     """
     check_motion(to)
     if to == sweep.motion:
         return sweep
-    # Asked for here already, so that no sweep comes out whose points do not say when they were measured.
+    # Checked in all cases, so that no deskewed sweep lacks its firing times.
     path_of(sweep), firing_times(sweep)
     points = sweep.compensated_points
     shift = _reference_s(sweep, to) - _reference_s(sweep, sweep.motion)
@@ -65,11 +64,11 @@ def deskew(sweep: Sweep, to: Motion) -> Sweep:
 
 
 def deskew_frame(frame: Frame, to: Motion) -> Frame:
-    """Return the frame with all sweeps given as `to`; boxes and velocities stay those of the frame's time.
+    """Return the frame with all sweeps deskewed to `to`; boxes and velocities stay those of the frame's time.
 
     Raises:
-        DataError: an agent's sweep cannot be given so; the message names the agent.
-        SettingsError: there is no such motion.
+        DataError: an agent's sweep cannot be deskewed; the message names the agent.
+        SettingsError: unknown motion.
     """
     sweeps = []
     for agent in frame.agents:
@@ -81,11 +80,11 @@ def deskew_frame(frame: Frame, to: Motion) -> Frame:
 
 
 def deskew_objects(sweep: Sweep, object_id: NDArray[np.integer], path: Path) -> Sweep:
-    """Return the sweep with every object put together as it stood at `time_s`: the shear of moving objects undone.
+    """Return the sweep with the shear of moving objects undone: every object as it stood at `time_s`.
 
-    No sensor can do that: it takes the ground truth of who was hit and how it moved. Points of object k go rigidly with
-    it from where it was at their firing, so they are moved by -v (t - r) if it drives straight. Points on anything else
-    stay, and firing times too: applying it twice is wrong.
+    This takes ground truth (object of each point, paths) that no sensor has. Points of object k move rigidly with it
+    from its pose at their firing, by -v (t - r) if it drives straight. All other points and the firing times stay:
+    applying it twice is wrong.
 
     Args:
         sweep: any sweep; raw points stay raw.
@@ -93,8 +92,8 @@ def deskew_objects(sweep: Sweep, object_id: NDArray[np.integer], path: Path) -> 
         path: of N bodies over the sweep: `RayScene.bodies.path`, or `coasting` where only velocities are known.
 
     Raises:
-        DataError: the sweep doesn't know its firing times, a path ends before the sweep does, or the points are raw and
-            the sensor's path is unknown.
+        DataError: firing times are unknown, a path is shorter than the sweep, or the points are raw and the sensor's
+            path is unknown.
     """
     times, row = firing_times(sweep)
     world_from_reference = sweep.world_from_lidar
@@ -116,12 +115,12 @@ def deskew_objects(sweep: Sweep, object_id: NDArray[np.integer], path: Path) -> 
 def coasting(velocity: NDArray[np.floating], time_s: float, reach_s: float = 0.1) -> Path:
     """Return paths of bodies that keep their velocity and heading, for `deskew_objects`.
 
-    Where the bodies are doesn't matter as long as none turns, so their places at `time_s` are taken as zero.
+    Positions cancel as long as no body turns, so they are zero at `time_s`.
 
     Args:
         velocity: (N, 2) or (N, 3) in the world, m/s.
         time_s: an instant of the sweep, s.
-        reach_s: the paths go so far before and after it, s.
+        reach_s: length of the paths before and after it, s.
     """
     velocity = np.asarray(velocity, np.float64)
     away = reach_s * np.array([-1.0, 1.0])

@@ -17,7 +17,7 @@ BY_EGO, BY_HELPER, BY_NOBODY = range(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentFrame:
-    """What one agent knows at one instant.
+    """One agent at one instant: pose, speed and sweep.
 
     Attributes:
         agent_id: the object id of a vehicle; negative for a roadside unit.
@@ -36,7 +36,7 @@ class AgentFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """Everything at one instant: the unit of storage, training, evaluation and review.
+    """One instant of all agents with ground truth: the unit of storage, training, evaluation and review.
 
     Attributes:
         index: number of the frame in its drive.
@@ -45,16 +45,15 @@ class Frame:
         truth: N ground-truth boxes in the world frame, agents' own bodies included, rows sorted by object id.
         velocity: (N, 2) float64 ground-truth velocity in the world, m/s.
         points_on: (A, N) int32 LiDAR points that each agent has on each object.
-        acceleration: (N, 2) float64 in the world, m/s2; NaN where nobody knows.
-        signals: (N,) int32 lights, bits of `sim.traffic.base.SIGNALS`; 0 where nobody knows.
-        lane: (N,) names of lanes in the road network; "" off the road, for people who walk on none, and where nobody
-            knows.
-        visible_fraction: (A, N) float32 share of an agent's rays on an object that nothing else stops, see
-            `sensors.scan.visibility`; NaN where it was not measured, for an agent's own body, and where not even the object
-            alone would be hit.
-        sight: (A, A) int8 `sim.radio.Sight`, what stands between the agents' antennas; -1 where nobody knows.
+        acceleration: (N, 2) float64 in the world, m/s2; NaN where unknown.
+        signals: (N,) int32 lights, bits of `sim.traffic.base.SIGNALS`; 0 where unknown.
+        lane: (N,) names of lanes in the road network; "" off the lanes and where unknown.
+        visible_fraction: (A, N) float32 share of an agent's rays on an object that nothing else blocks, see
+            `sensors.scan.visibility`; NaN where not measured, for an agent's own body, and where no ray would hit even
+            the object alone.
+        sight: (A, A) int8 `sim.radio.Obstruction` between the agents' antennas; -1 where unknown.
 
-    The last five may be left out: then nobody knows.
+    The last five may be left out: unknown.
     """
 
     index: int
@@ -96,19 +95,19 @@ class Frame:
                 raise ValueError(f"Frame.{name} must have shape {shape}, got {found}")
 
     def agent(self, agent_id: int) -> AgentFrame:
-        """Return the agent of this id; KeyError when there is none."""
+        """Return the agent of this id; KeyError when missing."""
         for agent in self.agents:
             if agent.agent_id == agent_id:
                 return agent
         raise KeyError(agent_id)
 
     def seen_by(self, ego_id: int, points: int = 1) -> NDArray[np.uint8]:
-        """Return (N,) who sees each object: `BY_EGO`, `BY_HELPER` (another agent, but not the ego) or `BY_NOBODY`.
+        """Return (N,) observers of the objects: `BY_EGO`, `BY_HELPER` (another agent, not the ego) or `BY_NOBODY`.
 
         Args:
-            ego_id: one of the agents; KeyError when it is none.
-            points: who has at least so many on an object sees it. Counts are those of the sweeps as they were
-                recorded: corruptions hide nothing here.
+            ego_id: one of the agents; KeyError for any other id.
+            points: least number of points on an object for an agent to see it. Counts are those of the recorded
+                sweeps, before any corruption.
         """
         enough = self.points_on >= points
         row = self.agents.index(self.agent(ego_id))
@@ -118,7 +117,7 @@ class Frame:
         return seen
 
     def of_agents(self, rows: list[int]) -> "Frame":
-        """Return the frame of some of its agents, by their rows; all ground truth stays."""
+        """Return the frame with some of its agents, by their rows; all ground truth stays."""
         return replace(
             self,
             agents=tuple(self.agents[row] for row in rows),

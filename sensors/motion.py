@@ -1,4 +1,4 @@
-"""Path: poses over the short time of one sweep."""
+"""Path: poses of moving bodies over the time of one sweep."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -15,12 +15,12 @@ from sim.traffic.base import Actors
 class Path:
     """K poses in time, of one body or of many that share the instants.
 
-    Between the instants position and angles run straight, outside they stand still.
+    Position and angles are interpolated linearly between the instants and constant outside.
 
     Attributes:
         time_s: (K,) float64 ascending, K >= 2, s.
         xyz: (..., K, 3) float64 positions in the world, m.
-        angles: (..., K, 3) float64 yaw, pitch, roll, rad, without jumps of a full turn.
+        angles: (..., K, 3) float64 yaw, pitch, roll, rad, unwrapped.
 
     Raises:
         DataError: fewer than two times, or times that do not ascend.
@@ -65,8 +65,8 @@ class Path:
 def actor_paths(now: Actors, before: Actors | None = None, after: Actors | None = None, reach_s: float = 0.05) -> Path:
     """Return the paths of the N footprints of `now` through the instants before and after.
 
-    An actor that the neighbouring instant lacks goes on straight at its velocity, to `reach_s` away when there is
-    no neighbouring instant at all.
+    An actor that is missing in the neighbouring instant is extrapolated at constant velocity, over `reach_s` where
+    there is no neighbouring instant.
     """
     middle = _placement(now)
     times, tables = [now.time_s], [middle]
@@ -103,7 +103,7 @@ def _placement(actors: Actors) -> NDArray[np.float64]:
 
 
 def _match(now: Actors, other: Actors) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return for each row of `now` its row in `other` and whether it is there."""
+    """Return for each row of `now` its row in `other` and whether it is present."""
     ids, others = now.boxes.object_id, other.boxes.object_id
     if len(others) == 0:
         return np.zeros(len(ids), np.int64), np.zeros(len(ids), bool)

@@ -1,4 +1,4 @@
-"""LidarSpec: what a LiDAR is. The named sensors are in `sensors.presets`."""
+"""LidarSpec: settings of a LiDAR. The named sensors are in `sensors.presets`."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -129,7 +129,7 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
                 raise SettingsError(complaint(f"LidarSpec '{self.name}'", field, expected, getattr(self, field)))
 
     def _facts(self) -> list[tuple[str, str, bool]]:
-        """Return (field, what is expected of it, whether it holds); comparisons with NaN do not hold."""
+        """Return (field, expected value, whether it holds) of all checks; comparisons with NaN do not hold."""
         table, beams = self.elevation_deg, len(self.elevation_deg)
         per_beam = f"one value for each of the {beams} beams, or none"
         nearest, farthest = self.range_min_m, self.range_max_m
@@ -239,7 +239,7 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def _check_types(spec: Prism | LidarSpec, name: str) -> None:
-    """Turn the fields of a spec into the types that it declares; SettingsError where they are something else."""
+    """Convert the fields of a spec to their declared types; SettingsError where impossible."""
     for field, (expected, read) in _readers(type(spec)).items():
         found = getattr(spec, field)
         try:
@@ -251,7 +251,7 @@ def _check_types(spec: Prism | LidarSpec, name: str) -> None:
 
 @lru_cache(maxsize=2)
 def _readers(kind: type[Prism | LidarSpec]) -> dict[str, tuple[str, Callable[[Any], Any]]]:
-    """Return for each field what is expected of it, and what reads it or raises."""
+    """Return for each field the expected type in words and its converter."""
     return {field.name: _OF_TYPE[field.type] for field in msgspec.structs.fields(kind)}
 
 
@@ -279,7 +279,7 @@ def _exactly(kind: type) -> Callable[[Any], Any]:
 
 
 def _each(read: Callable[[Any], Any], length: int | None = None) -> Callable[[Any], tuple[Any, ...]]:
-    """Return what reads a table of values, of some length or of any."""
+    """Return the converter of a table of values, of a given length or any."""
 
     def read_all(value: Any) -> tuple[Any, ...]:
         rows = value.tolist() if isinstance(value, np.ndarray) else value
@@ -304,4 +304,4 @@ _OF_TYPE: dict[Any, tuple[str, Callable[[Any], Any]]] = {
     tuple[str, ...]: ("a table of texts", _each(_exactly(str))),
     tuple[Prism, ...]: ("a table of Prism", _each(_exactly(Prism))),
 }
-"""What is expected of a field of each type, and what turns a value into it or raises."""
+"""Expected type in words and converter by type of the field."""

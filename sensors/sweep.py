@@ -1,4 +1,4 @@
-"""Sweep: the points of one rotation of one LiDAR."""
+"""Sweep: points of one rotation of one LiDAR."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, Self, get_args
@@ -12,23 +12,23 @@ from sim.errors import DataError, complaint
 from sim.geometry import invert, transform_points
 
 Motion = Literal["middle", "start", "end", "raw"]
-"""How the sensor's own motion is compensated: all points in the sensor frame at the middle, the start or the end of the
-sweep; or raw, not at all: each point in the sensor frame at its own firing."""
+"""Compensation of the sensor's own motion: all points in the sensor frame at the middle, start or end of the sweep, or
+raw, not compensated: each point in the sensor frame at its own firing."""
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
 
 STATIC = -1
 """`object_id` of points on the static world."""
 ADDED = -2
-"""`object_id` of points that no surface returned: a corruption made them."""
+"""`object_id` of false points, added by a corruption."""
 
 UNKNOWN_MATERIAL = 255
-"""`material` of points that files or corruptions brought without one."""
+"""`material` of points whose file or corruption gives none."""
 
 _SLACK_S = 1e-6
-"""How far beyond its ends a path may be asked: firing times are float32."""
+"""Tolerance beyond the ends of a path: firing times are float32."""
 
 KEPT, ATTENUATED, MOVED, SCATTERED = range(4)
-"""Values of `fate`: untouched, dimmer, displaced, or a return that a corruption put there instead or in addition."""
+"""Values of `fate`: untouched, dimmer, displaced, or a false return in place of a true one or beside it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,15 +45,15 @@ class Sweep:
         time_offset: (P,) float32 firing time minus `time_s`, s.
         object_id: (P,) int32 actor hit, `STATIC` or `ADDED`.
         return_number: (P,) uint8, 1 = the nearest of those that the beam reports.
-        fate: (P,) uint8, what a corruption did to the point: `KEPT`, `ATTENUATED`, `MOVED`, `SCATTERED`.
-        material: (P,) uint8 index into `sim.mesh.materials.MATERIALS`, `UNKNOWN_MATERIAL` where nobody knows.
+        fate: (P,) uint8 effect of corruptions on the point: `KEPT`, `ATTENUATED`, `MOVED`, `SCATTERED`.
+        material: (P,) uint8 index into `sim.mesh.materials.MATERIALS`, `UNKNOWN_MATERIAL` where unknown.
         cosine: (P,) float32 |cos| of the angle between ray and surface normal, 0 where unknown.
         world_from_lidar: (4, 4) float64 pose of the sensor at `time_s`.
         time_s: reference time of the sweep, s: its middle unless `motion` says start or end.
-        spec: the sensor, None when a file does not say.
-        path: true world_from_lidar over the sweep, None when nobody knows.
-        motion: how the sensor's motion is compensated; `sensors.deskew` changes it.
-        lost: how many points of surfaces corruptions took away. It is of the whole sweep: selecting points keeps it.
+        spec: the sensor, None where unknown.
+        path: true world_from_lidar over the sweep, None where unknown.
+        motion: compensation of the sensor's motion; `sensors.deskew` changes it.
+        lost: number of surface points that corruptions removed from the whole sweep; selecting points keeps it.
     """
 
     points: NDArray[np.float32]
@@ -106,7 +106,7 @@ class Sweep:
         """(P, 3) points in the world frame, m, each where its beam hit at its firing.
 
         Raises:
-            DataError: the points are raw and nobody knows the sensor's path.
+            DataError: the points are raw and the sensor's path is unknown.
         """
         return np.asarray(transform_points(self.world_from_lidar, self.compensated_points))
 
@@ -125,12 +125,12 @@ POINT_FIELDS = tuple(f.name for f in fields(Sweep))[:10]
 
 
 def firing_poses(sweep: Sweep) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Return (T, 4, 4) reference_from_sensor at each firing time and (P,) which of them is each point's.
+    """Return (T, 4, 4) reference_from_sensor at each firing time and (P,) the row of each point.
 
     Only the relative motion is taken from the path, so it serves a pose estimate with an error as well.
 
     Raises:
-        DataError: the path is unknown or ends before the sweep does, or the firing times are no times.
+        DataError: the path is unknown or shorter than the sweep, or a firing time is not finite.
     """
     path = path_of(sweep)
     times, row = firing_times(sweep)
@@ -138,10 +138,10 @@ def firing_poses(sweep: Sweep) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
 
 
 def firing_times(sweep: Sweep) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Return (T,) different firing times, s, ascending, and (P,) which of them is each point's.
+    """Return (T,) distinct firing times, s, ascending, and (P,) the row of each point.
 
     Raises:
-        DataError: they are no numbers, or all are alike although the sensor fires one column after another.
+        DataError: firing times are not finite, or all equal although the columns fire one after another.
     """
     if not np.isfinite(sweep.time_offset).all():
         raise DataError(complaint("sweep", "time_offset", "finite firing times", "nan or inf"))
@@ -152,22 +152,20 @@ def firing_times(sweep: Sweep) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
 
 
 def _fires_at_once(sweep: Sweep) -> bool:
-    """Return whether the sensor itself says that the points are all of the reference time."""
+    """Return whether the sensor fires all points at the reference time."""
     spec = sweep.spec
     return spec is not None and not spec.time_offset[sweep.ring % spec.rings, sweep.column % spec.columns].any()
 
 
 def path_of(sweep: Sweep) -> Path:
-    """Return the sensor's path; DataError when nobody knows it."""
+    """Return the sensor's path; DataError where unknown."""
     if sweep.path is None:
-        raise DataError(
-            complaint("sweep", "path", "the sensor's poses over the sweep", "none: nobody knows its motion")
-        )
+        raise DataError(complaint("sweep", "path", "the sensor's poses over the sweep", "none"))
     return sweep.path
 
 
 def path_at(path: Path, time_s: NDArray[np.float64], whose: str = "sweep") -> NDArray[np.float64]:
-    """Return (T, 4, 4) poses as `Path.at`; DataError when the path of `whose` does not reach that far."""
+    """Return (T, 4, 4) poses as `Path.at`; DataError for times outside the path of `whose`."""
     first, last = path.time_s[[0, -1]]
     if len(time_s) and not (first - _SLACK_S <= time_s.min() and time_s.max() <= last + _SLACK_S):
         expected = f"poses from {time_s.min():.6f} to {time_s.max():.6f} s"
@@ -176,7 +174,7 @@ def path_at(path: Path, time_s: NDArray[np.float64], whose: str = "sweep") -> ND
 
 
 def moved(transform: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Map (P, 3) points by as many (P, 4, 4) transforms, each by its own."""
+    """Map (P, 3) points by (P, 4, 4) transforms, one each."""
     return np.einsum("pij,pj->pi", transform[:, :3, :3], points) + transform[:, :3, 3]
 
 

@@ -1,6 +1,7 @@
-"""What the ego perceives: the truth, or what a detector makes of the agents' sweeps."""
+"""Perception of the ego: ground truth, or a detector on the agents' sweeps."""
 
 from collections import deque
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -8,10 +9,9 @@ import numpy as np
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections
-from sensors.corruptions import CLEAN, PAPER, Family, corrupt_frame
+from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family, corrupt_frame
 from sensors.frame import Frame
-from sensors.presets import get_lidar
-from sensors.recording.record import make_frame, place_roadside
+from sensors.recording.rig import Rig
 from sensors.scan.scene import RayScene
 from sim.boxes import Boxes
 from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
@@ -20,7 +20,13 @@ from sim.traffic.base import Actors
 
 
 class Perception(Protocol):
-    """Gives the ego boxes of what is around it, in the world frame."""
+    """Gives the ego boxes of what is around it, in the world frame.
+
+    Attributes:
+        cooperative: whether it uses messages of helpers.
+    """
+
+    cooperative: bool
 
     def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Begin an episode."""
@@ -56,6 +62,8 @@ class TruthPerception:
         reach_m: how far the ego sees.
     """
 
+    cooperative = False
+
     def __init__(self, reach_m: float = 70.0) -> None:
         self.reach_m = reach_m
 
@@ -71,11 +79,11 @@ class TruthPerception:
 
 
 class DetectorPerception:
-    """Sweeps of the ego and its collaborators, corrupted if asked, through a detector.
+    """Detections in the sweeps of the ego and its collaborators, corrupted on request.
 
-    Collaborators are the connected vehicles that the scenario names, or at every instant those nearest to the ego, and
-    its roadside units.
-    The rays of one sweep fire in the half rotation before and after an instant; the future half is extrapolated.
+    Frames are those of `sensors.recording.rig`, as in a recorded drive of the same traffic, counted in traffic steps
+    since the start; the half of a sweep after an instant is extrapolated. Collaborators are chosen once, at the start
+    (`Rig.carriers`), beside the scenario's roadside units. The detector gets no ground truth.
 
     Args:
         detector: finds boxes in samples.
@@ -83,7 +91,7 @@ class DetectorPerception:
         corruption: kind or `clean`.
         severity: 1 to 5.
         family: of the corruption's settings.
-        channel: through which the collaborators are heard.
+        channel: radio channel between the collaborators and the ego.
     """
 
     def __init__(
@@ -91,7 +99,7 @@ class DetectorPerception:
         detector: SampleDetector,
         cooperative: bool = True,
         corruption: str = CLEAN,
-        severity: int = PAPER,
+        severity: int = DEFAULT_SEVERITY,
         family: Family = "physical",
         channel: ChannelSpec = PRESETS[IDEAL],
     ) -> None:
@@ -102,38 +110,34 @@ class DetectorPerception:
         self.family = family
         self.channel = channel
         self.links: tuple[Link, ...] = ()
-        self._scene: RayScene | None = None
-        self._built: tuple[Scenario, int] | None = None
+        self._rig: Rig | None = None
 
     def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Begin an episode; the static world is built once per scenario and seed."""
         from sim.world.build import build_world
 
-        if self._scene is None or self._built != (scenario, seed):
-            self._scene, self._built = RayScene(build_world(scenario, seed)), (scenario, seed)
-        self._scenario, self._ego_id, self._seed = scenario, ego_id, seed
-        self._roadside = place_roadside(self._scene, scenario.agents.roadside) if self.cooperative else ()
-        self._index = 0
+        if self._rig is None or (self._rig.scenario, self._rig.seed) != (scenario, seed):
+            self._rig = Rig(scenario, RayScene(build_world(scenario, seed)), seed, visibility=False)
+        self._ego_id, self._index = ego_id, 0
+        self._agents: tuple[int, ...] = ()
+        self._steps: deque[Actors] = deque(maxlen=self._rig.margin(scenario.step_s) + 1)
         self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
         self._receiver = Receiver(self.channel, seed, scenario.step_s, self.detector.settings)
 
     def sense(self, before: Actors, now: Actors) -> Frame:
         """Scan the instant by the ego and its collaborators and corrupt the sweeps."""
-        if self._scene is None:
+        if self._rig is None:
             raise RuntimeError("DetectorPerception.sense before reset")
-        frame = make_frame(
-            self._scene,
-            now,
-            before,
-            vehicles=[self._ego_id, *self._collaborators(now)],
-            vehicle_spec=get_lidar(self._scenario.agents.lidar),
-            roadside=self._roadside,
-            seed=self._seed,
-            index=self._index,
-            visibility=False,  # nobody asks for it while the clock runs
-        )
+        if not self._steps:
+            self._steps.append(before)
+            carriers = self._rig.carriers(before, self._ego_id)
+            self._agents = (*carriers, *self._rig.roadside) if self.cooperative else (self._ego_id,)
+        self._steps.append(now)
         self._index += 1
-        return corrupt_frame(frame, self.corruption, self.severity, self._seed, self.family, ego_id=self._ego_id)
+        oldest = self._steps[0] if len(self._steps) == self._steps.maxlen else None
+        present = [agent for agent in self._agents if agent < 0 or agent in now.boxes.object_id]
+        frame = self._rig.frame(self._index, present, now, oldest)
+        return corrupt_frame(frame, self.corruption, self.severity, self._rig.seed, self.family, ego_id=self._ego_id)
 
     def perceive(self, before: Actors, now: Actors) -> Boxes:
         """Return the detected boxes, world frame."""
@@ -142,20 +146,7 @@ class DetectorPerception:
         agents = getattr(settings, "max_agents", 5)
         sample = make_sample(frame, self._ego_id, settings.grid, max_agents=agents, cooperative=self.cooperative)
         self._past.appendleft(frame)
-        sample, self.links = self._receiver.receive(self._past, self._index - 1, sample, settings.grid)
+        sample, self.links = self._receiver.receive(self._past, self._index, sample, settings.grid)
+        unlabelled = replace(sample, boxes=Boxes.zeros(), agent_boxes=(Boxes.zeros(),) * len(sample.agent_ids))
         world_from_lidar = frame.agent(self._ego_id).sweep.world_from_lidar
-        return self.detector.detect(sample).boxes.transform(world_from_lidar)
-
-    def _collaborators(self, now: Actors) -> list[int]:
-        """Return the connected vehicles that the scenario names, else the nearest, as many as its rule gives."""
-        if not self.cooperative:
-            return []
-        if self._scenario.agents.named:
-            ids = [int(now.boxes.object_id[now.name.index(n)]) for n in self._scenario.agents.named if n in now.name]
-            return [helper for helper in ids if helper != self._ego_id]
-        ego = now.row(self._ego_id)
-        distance = np.linalg.norm(now.boxes.center[:, :2] - now.boxes.center[ego, :2], axis=1)
-        fit = now.boxes.is_vehicle & (distance <= self._scenario.agents.within_m)
-        fit[ego] = False
-        nearest = np.flatnonzero(fit)[np.argsort(distance[fit], kind="stable")]
-        return [int(i) for i in now.boxes.object_id[nearest[: max(self._scenario.agents.vehicles - 1, 0)]]]
+        return self.detector.detect(unlabelled).boxes.transform(world_from_lidar)

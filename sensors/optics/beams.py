@@ -1,4 +1,4 @@
-"""Beams: where every ray of a sweep points, in the sensor's own frame, ready for packets of columns.
+"""Beams: directions of all rays of a sweep in the sensor frame, in blocks of columns for ray packets.
 
 Columns come in blocks of `BLOCK`: the sensor's pose is known at the borders of blocks and runs straight in between
 (at 10 Hz and 1000 columns a sensor that turns at 1 rad/s is off a true arc by less than 0.04 mm at 120 m), and
@@ -20,13 +20,13 @@ BLOCK = 16
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Beams:
-    """The rays of one sweep: S sub-rays for each of R rings and W columns, W a multiple of `BLOCK`, at least C.
+    """Rays of one sweep: S sub-rays for each of R rings and W columns, W a multiple of `BLOCK`, at least C.
 
     Attributes:
-        columns: C, the columns that are fired; those beyond repeat the last.
+        columns: C, the fired columns; those beyond repeat the last.
         axis: (3, R, W) float32 unit directions of the beams in the sensor frame: where returns are reported.
         subray: (S, 3, R, W) float32 unit directions of the rays; for S = 1 they are the axis.
-        firing_share: (R,) float32 when each beam fires, as a share of its column.
+        firing_share: (R,) float32 firing time of each beam, as a share of its column.
         reach: (R, 2) float32 nearest and farthest range, m.
         fan: azimuth and elevation of columns and rings, None for a rosette, which has neither.
     """
@@ -51,12 +51,12 @@ class Beams:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fan:
-    """The grid of a spinning sensor: ray (r, c) points at `azimuth[c]` give or take `spread`, and at `elevation[r]`.
+    """Angles of a spinning sensor's grid: ray (r, c) points at `azimuth[c]` and `elevation[r]`, within `spread`.
 
     Attributes:
         azimuth: (W,) float64 rad.
         elevation: (R,) float64 rad.
-        spread: most that a ray leaves its column's azimuth or its ring's elevation, rad.
+        spread: largest angle of a ray to its column's azimuth or its ring's elevation, rad.
     """
 
     azimuth: NDArray[np.float64]
@@ -115,7 +115,7 @@ def _unit(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArr
 
 
 def _subray_offsets(spec: LidarSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (S,) angles across and up of equally strong parts of a Gaussian beam, rad.
+    """Return (S,) angles across and up of equal parts of a Gaussian beam, rad.
 
     The beam's radius at 1/e^2 is two standard deviations. Four rays at one standard deviation on both axes have its
     second moments; so have eight, four at the root mean square radius of the inner half of the energy and four at that
@@ -135,7 +135,7 @@ def _subray_offsets(spec: LidarSpec) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def halo(spec: LidarSpec) -> float:
-    """Return how far a ray may point from its beam's axis: divergence and five standard deviations of jitter, rad."""
+    """Return the largest angle of a ray to its beam's axis: divergence and five standard deviations of jitter, rad."""
     vertical = spec.divergence_rad if spec.divergence_vertical_rad is None else spec.divergence_vertical_rad
     widest = 0.5 * max(spec.divergence_rad, vertical) if spec.subrays > 1 else 0.0
     return widest + 5.0 * float(np.radians(spec.angle_noise_deg))

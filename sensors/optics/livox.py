@@ -1,7 +1,7 @@
-"""The scan pattern of a Risley scanner: a beam through rotating wedges of glass.
+"""Scan pattern of a Risley scanner (Livox): a beam through rotating wedges of glass.
 
 Each face bends the beam by Snell's law, applied to vectors: with the unit direction d, the unit normal m of the face
-against it, c = -d . m and the ratio r of the refractive indices before and behind the face, the beam goes on along
+against it, c = -d . m and the ratio r of the refractive indices before and behind the face, the beam continues along
 r d + (r c - sqrt(1 - r^2 (1 - c^2))) m (Li, Liu and Sun, Opt. Express 25, 7677, 2017, for three wedges). Only
 directions matter: the faces' distances shift the beam by millimetres.
 """

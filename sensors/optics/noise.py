@@ -1,4 +1,4 @@
-"""Random numbers of a sweep: windows into two fixed tables, placed by the sweep's own generator.
+"""Noise of a sweep: windows into two fixed tables of random numbers, placed by the sweep's generator.
 
 A sweep needs several random numbers per ray, and drawing them would cost as much as tracing the ray. The tables are
 fixed; where each ring's window starts is drawn, so that one generator state gives one sweep, whichever engine makes
@@ -21,7 +21,7 @@ RANGE, SECOND_RANGE, ACROSS, UP, LOST_BEFORE, LOST_AFTER = range(6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepNoise:
-    """Where the windows of one sweep start: number of ring r and column c is `table[start[row, r] + c]`.
+    """Random numbers of one sweep: that of ring r and column c is `table[start[row, r] + c]`.
 
     Attributes:
         start: (6, R) int64.
@@ -32,11 +32,11 @@ class SweepNoise:
     normal: NDArray[np.float32]
     uniform: NDArray[np.float32]
 
-    def grid(self, row: int, columns: int, rings: slice = slice(None)) -> NDArray[np.float32]:
-        """Return (R, columns) numbers of one row, or those of some rings."""
+    def grid(self, row: int, columns: int) -> NDArray[np.float32]:
+        """Return (R, columns) numbers of one row."""
         table = self.normal if row <= UP else self.uniform
         windows = np.lib.stride_tricks.sliding_window_view(table, columns)
-        return windows[self.start[row, rings]]
+        return windows[self.start[row]]
 
 
 def draw_noise(beams: Beams, rng: np.random.Generator) -> SweepNoise:
@@ -48,7 +48,7 @@ def draw_noise(beams: Beams, rng: np.random.Generator) -> SweepNoise:
 
 @lru_cache(maxsize=2)
 def _tables(width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the tables, long enough for a window of `width` at any start; longer ones begin like shorter ones."""
+    """Return tables long enough for a window of `width` at any start; a shorter table is a prefix of a longer one."""
     length = _STARTS + width
     normal = np.random.Generator(np.random.PCG64(1)).standard_normal(length, np.float32)
     uniform = np.random.Generator(np.random.PCG64(2)).random(length, np.float32)

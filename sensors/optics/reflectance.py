@@ -1,4 +1,4 @@
-"""Optics: how strong a return is and whether it is seen, as tables that any engine reads.
+"""Reflectance: power, detection and intensity of returns, as tables for all engines.
 
 Symbols: rho reflectivity, theta incidence, R range, alpha extinction of clear air. The power that comes back from a
 surface that fills the beam, relative to a white surface hit squarely at the same range:
@@ -44,15 +44,15 @@ _LEAST_NEED = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Optics:
-    """The laws of one sensor as tables, read with linear interpolation.
+    """Tables of one sensor, read with linear interpolation.
 
     Attributes:
         power: (M, COSINE_BINS + 1) float32 returned power of each material over the cosine of incidence in [0, 1].
         need: (RANGE_BINS + 1,) float32 least power that is detected, over the range in [0, reach_m]; positive.
         scale: (RANGE_BINS + 1,) float32: intensity is min(1, power * scale), or scale alone without `of_material`.
-        of_material: whether intensity depends on what was hit.
+        of_material: whether intensity depends on the surface.
         reach_m: range at the end of the tables.
-        gate_m: echoes of one beam that are not farther apart than this are one.
+        gate_m: largest distance between hits of one echo, m.
     """
 
     power: NDArray[np.float32]
@@ -65,7 +65,7 @@ class Optics:
 
 @lru_cache(maxsize=32)
 def optics_of(spec: LidarSpec, wetness: float = 0.0) -> Optics:
-    """Return the laws of a sensor over dry (0) to wet (1) surfaces."""
+    """Return the tables of a sensor over dry (0) to wet (1) surfaces."""
     cosine = np.linspace(0.0, 1.0, COSINE_BINS + 1)
     distance = np.linspace(0.0, spec.range_max_m, RANGE_BINS + 1)
     clear = np.exp(-2.0 * CLEAR_AIR_EXTINCTION * distance)
@@ -87,7 +87,7 @@ def optics_of(spec: LidarSpec, wetness: float = 0.0) -> Optics:
 
 
 def returned_power(material: Material, cosine: NDArray[np.float64], wetness: float = 0.0) -> NDArray[np.float64]:
-    """Return the power that a surface filling the beam sends back, see above; (N,) for (N,) cosines of incidence."""
+    """Return (N,) power from a surface that fills the beam, at (N,) cosines of incidence; see the module."""
     dry = _power(material.finish, material.reflectivity, cosine)
     if wetness == 0.0 or not material.wets:
         return dry
@@ -96,7 +96,7 @@ def returned_power(material: Material, cosine: NDArray[np.float64], wetness: flo
 
 
 def drop_chance(intensity: NDArray[np.float32], spec: LidarSpec) -> NDArray[np.float32]:
-    """Return the chance that CARLA's model loses a return: linear from zero intensity up to the limit, then none."""
+    """Return the chance of CARLA's drop-off: linear from zero intensity up to the limit, 0 beyond."""
     if spec.dropoff_intensity_limit <= 0.0:
         return np.zeros_like(intensity)
     share = 1.0 - intensity / np.float32(spec.dropoff_intensity_limit)

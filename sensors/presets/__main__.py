@@ -14,7 +14,7 @@ _HEAD = """# LiDAR presets
 Printed by `python -m sensors.presets > docs/lidar_presets.md` from `sensors/presets/`; the angles, firing times and
 ranges of single beams are in `sensors/presets/tables/`. Points per second are fired beams. Range is the nearest, that
 at which a target of reflectivity 0.1 is just detected, and the farthest. Noise is one standard deviation of the range,
-and of the angle where there is one. Divergence is the full width at 1/e^2, horizontal x vertical.
+and of the angle if the sensor has angle noise. Divergence is the full width at 1/e^2, horizontal x vertical.
 """
 
 _FIGURES = (

@@ -1,4 +1,4 @@
-"""The sensors of datasets and simulators, and one for tests."""
+"""Sensors of datasets and simulators, and one for tests."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""RoboSense."""
+"""RoboSense: a spinning head of 128 lasers."""
 
 from sensors.presets.tables import beam_table
 from sensors.spec import LidarSpec

@@ -1,6 +1,6 @@
-"""What makers' documents give and how it becomes fields of a spec.
+"""Beam tables of real sensors: CSV files from the makers' documents, as fields of a spec.
 
-The beams of a real sensor stand in a CSV file, the highest first. Its columns: `laser`, the number in the maker's
+One row per beam, the highest first. Columns: `laser`, the number in the maker's
 documents; `elevation_deg`; `azimuth_deg`, counter-clockwise whatever the maker counts; `firing_us` since the start of
 the column; `near_m`, `far_m`. Lines that start with # name the documents.
 """

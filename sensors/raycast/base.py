@@ -1,4 +1,4 @@
-"""What an engine is asked and what it answers."""
+"""Interface of the ray-casting engines: scene, request, returns and the definition of a measurement."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,12 +15,12 @@ from sensors.spec import LidarSpec
 
 
 class EngineUnavailable(Exception):
-    """This machine cannot run an engine; the message says why."""
+    """Engine that cannot run on this machine; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Solid:
-    """Triangles that move as one. Engines build their hierarchy once per solid and know it again by identity.
+    """Rigid triangle mesh. Engines build one hierarchy per solid and recognise it by identity.
 
     Attributes:
         vertices: (V, 3) float32 relative to `origin`, m: Embree computes in float32, exact only near the origin.
@@ -37,14 +37,14 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
-    """The N moving actors of one instant: who, which solid, how large and along which path.
+    """The N moving actors of one instant: ids, sizes, solids and paths.
 
     Attributes:
         object_id: (N,) int64 ascending.
         size: (N, 3) length, width and height of the box that holds the solid; it stands on the body frame's z = 0.
         solids: N solids in their body frames, their origins zero.
         path: world_from_body over the span.
-        span_s: first and last instant that sweeps ask for, s.
+        span_s: first and last instant of the sweeps, s.
     """
 
     object_id: NDArray[np.int64]
@@ -58,19 +58,19 @@ class Bodies:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
-    """One sweep to be made.
+class SweepRequest:
+    """Request of one sweep: sensor, rays, noise and poses.
 
     Attributes:
         spec: the sensor.
         beams: its rays, B blocks of columns.
-        optics: its laws.
+        optics: its tables of power, detection and intensity.
         noise: its random numbers.
-        knots: (B + 1, 3, 4) float64 world_from_lidar when the columns 0, 16, 32, ... start; poses run straight from one
-            to the next.
+        knots: (B + 1, 3, 4) float64 world_from_lidar at the start of columns 0, 16, 32, ...; poses are interpolated
+            linearly.
         pose: (4, 4) float64 world_from_lidar at the reference time: the frame of the points.
         time_s: reference time; column c of ring r fires at `time_s + spec.time_offset[r, c]`.
-        hidden_id: object that is not there for this sensor, None for none.
+        hidden_id: object that this sensor does not see, or None.
     """
 
     spec: LidarSpec
@@ -103,7 +103,7 @@ class Returns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits:
-    """What N single rays hit first.
+    """First hits of N single rays.
 
     Attributes:
         distance: (N,) float32 in units of the direction's length, m for unit directions; the reach where missed.
@@ -117,7 +117,7 @@ class Hits:
 
 
 class Engine(Protocol):
-    """Makes sweeps. All engines follow one definition of a beam's measurement and give the same points.
+    """Ray-casting engine: sweeps and single rays. All engines follow this definition and give the same points.
 
     Of beam (r, c), with the poses of its block interpolated at its firing:
 
@@ -153,7 +153,7 @@ class Engine(Protocol):
         """Cast N single rays against one solid.
 
         Args:
-            solid: what is there.
+            solid: triangles.
             origins: (N, 3) m, relative to `solid.origin`.
             directions: (N, 3) unit vectors; zero or NaN directions miss.
             reach: (N,) farthest distance, m; not changed.
@@ -168,9 +168,9 @@ class Engine(Protocol):
         directions: NDArray[np.float32],
         reach: NDArray[np.float32],
     ) -> Hits:
-        """Cast N single rays, the first `counts[0]` at the first solid alone and so on; as `cast` otherwise."""
+        """Cast N single rays at several solids, the first `counts[0]` at the first alone and so on, as `cast`."""
         ...
 
-    def sweep(self, static: Solid, bodies: Bodies, shots: Sequence[Shot], threads: int) -> list[Returns]:
-        """Make sweeps of one instant, in order, on up to `threads` threads; the number changes no byte."""
+    def sweep(self, static: Solid, bodies: Bodies, requests: Sequence[SweepRequest], threads: int) -> list[Returns]:
+        """Return the sweeps of one instant, in order; the number of threads changes no byte."""
         ...

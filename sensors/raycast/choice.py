@@ -1,4 +1,4 @@
-"""Which engine makes the sweeps."""
+"""Choice of the ray-casting engine."""
 
 import logging
 import os
@@ -9,7 +9,7 @@ from sim.errors import SettingsError, complaint, did_you_mean
 
 ENGINES = ("auto", "fused", "public")
 VARIABLE = "DSRC_LIDAR_ENGINE"
-"""Environment variable that names the engine where the caller does not."""
+"""Environment variable with the name of the default engine."""
 
 log = logging.getLogger(__name__)
 
@@ -23,18 +23,18 @@ def open_engine(name: str | None = None, *, robust: bool = True) -> Engine:
         robust: watertight at shared edges, for an eighth of the speed.
 
     Raises:
-        SettingsError: there is no such engine, or the fused one was asked for by name and cannot run.
+        SettingsError: unknown engine, or the fused one was named and cannot run.
     """
-    asked = name if name is not None else os.environ.get(VARIABLE) or "auto"
-    if asked not in ENGINES:
+    wanted = name if name is not None else os.environ.get(VARIABLE) or "auto"
+    if wanted not in ENGINES:
         what = "engine" if name is not None else VARIABLE
-        raise SettingsError(complaint("LiDAR", what, "the name of an engine", asked, did_you_mean(asked, ENGINES)))
-    if asked == "public":
+        raise SettingsError(complaint("LiDAR", what, "the name of an engine", wanted, did_you_mean(wanted, ENGINES)))
+    if wanted == "public":
         return _public(robust)
     engine, fault = _fused(robust)
     if engine is not None:
         return engine
-    if asked == "fused":
+    if wanted == "fused":
         raise SettingsError(f"LiDAR: the fused engine cannot run here: {fault}")
     return _public(robust)
 
@@ -55,7 +55,7 @@ def _fused(robust: bool) -> tuple[Engine | None, str]:
         engine = FusedEngine(robust=robust)
         self_test(engine, _public(robust))
         return engine, ""
-    # Whatever keeps a compiler or a foreign library from working here must not keep the slower engine from it.
+    # Any failure of the compiler or of the foreign library leaves the slower engine usable.
     except Exception as error:
         fault = f"{type(error).__name__}: {error}".splitlines()[0]
     log.warning("LiDAR sweeps are made by the slower public engine: %s", fault)

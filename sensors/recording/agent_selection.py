@@ -1,4 +1,4 @@
-"""Which vehicles of a drive carry a LiDAR: chosen once, with the whole drive in sight."""
+"""Agent selection: the vehicles of a drive that carry a LiDAR, chosen once."""
 
 from collections.abc import Sequence
 
@@ -20,18 +20,18 @@ _NEARLY_BEST = 0.9
 def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Generator) -> list[int]:
     """Choose the connected vehicles of a drive, ego first.
 
-    Only cars and vans that are on the road and inside the scenario's area at every instant count,
-    so that every agent has every timestamp. An ego is as good as the share of the time that its best partners spend
-    within `within_m` of it; among the egos nearly as good as the best one is drawn, those that travel far more often
-    than those that wait. Its partners are drawn among the vehicles that are near it about equally long.
+    Candidates are cars and vans on the road and inside the scenario's area at every instant, so that every agent has
+    every timestamp. The score of an ego is the share of the time that its best partners spend within `within_m` of it;
+    the ego is drawn among the best scores, weighted by its travelled distance. Its partners are drawn among the
+    vehicles that are near it about equally long.
 
     Args:
         drive: the actors at each frame, at least one.
         scenario: gives the rule, the area and the name for messages.
-        rng: the draw.
+        rng: random numbers.
 
     Raises:
-        ScenarioError: fewer vehicles than the rule asks for stay, or one of those that it names does not.
+        ScenarioError: too few vehicles stay for the whole drive, or a named one leaves.
     """
     rule = scenario.agents
     if rule.named:
@@ -50,8 +50,31 @@ def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Ge
     return [int(ids[row]) for row in (ego, *partners[ego])]
 
 
+def nearest_agents(actors: Actors, scenario: Scenario, ego_id: int) -> list[int]:
+    """Choose the connected vehicles of a drive whose future is unknown, ego first.
+
+    Those that the rule names, else the nearest cars and vans that are not parked, inside the area and within
+    `within_m` of the ego, nearest first, up to the number of the rule.
+
+    Args:
+        actors: at the start of the drive.
+        scenario: gives the rule and the area.
+        ego_id: one of the actors.
+    """
+    rule = scenario.agents
+    ids = actors.boxes.object_id
+    if rule.named:
+        helpers = [int(ids[actors.name.index(name)]) for name in rule.named if name in actors.name]
+    else:
+        distance = np.linalg.norm(actors.boxes.center[:, :2] - actors.boxes.center[actors.row(ego_id), :2], axis=1)
+        fit = np.isin(ids, _candidates(actors, scenario)) & (distance <= rule.within_m) & (ids != ego_id)
+        nearest = np.flatnonzero(fit)[np.argsort(distance[fit], kind="stable")]
+        helpers = ids[nearest[: max(rule.vehicles - 1, 0)]].tolist()
+    return [ego_id, *(helper for helper in helpers if helper != ego_id)]
+
+
 def _named(drive: Sequence[Actors], scenario: Scenario) -> list[int]:
-    """Return the vehicles that the rule names, in its order."""
+    """Return the named vehicles, in the order of the rule."""
     chosen = []
     for name in scenario.agents.named:
         if name not in drive[0].name:
@@ -67,7 +90,7 @@ def _named(drive: Sequence[Actors], scenario: Scenario) -> list[int]:
 
 
 def _staying(drive: Sequence[Actors], scenario: Scenario) -> NDArray[np.int64]:
-    """Return the ids of the vehicles that are inside the area at every instant, ascending."""
+    """Return the ids of the vehicles inside the area at every instant, ascending."""
     ids = _candidates(drive[0], scenario)
     for actors in drive[1:]:
         ids = np.intersect1d(ids, _candidates(actors, scenario), assume_unique=True)
@@ -86,13 +109,13 @@ def _candidates(actors: Actors, scenario: Scenario) -> NDArray[np.int64]:
 def _partners(
     xy: NDArray[np.float64], count: int, within_m: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return per vehicle `count` partners (V, count) and the share of the time within reach of its best ones (V,).
+    """Return `count` partners of each vehicle (V, count) and the share of the time near its best ones (V,).
 
     Args:
         xy: (T, V, 2) m.
         count: partners per vehicle.
-        within_m: how near is together.
-        rng: draws among partners whose shares agree to a tenth: not the nearest, who see what the ego sees.
+        within_m: distance that counts as near.
+        rng: draws among partners whose shares agree to a tenth, not always the nearest, which see what the ego sees.
     """
     vehicles = xy.shape[1]
     together = np.zeros((vehicles, vehicles))

@@ -1,4 +1,4 @@
-"""Where sensors sit: on the roofs of vehicles and on roadside units."""
+"""Mounting of sensors on vehicles and roadside units."""
 
 import logging
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roadside:
-    """A roadside unit: id (-1, -2, ...), place and sensor.
+    """Roadside unit: id (-1, -2, ...), place and sensor.
 
     Attributes:
         agent_id: negative.
@@ -42,7 +42,7 @@ class Roadside:
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """Where the vehicles' sensors sit.
+    """Place of the vehicles' sensors.
 
     Attributes:
         xyz_m: in the body frame; None for the preset's place, lifted clear of the roofs of tall vehicles.
@@ -57,7 +57,7 @@ ON_ROOF = Mount()
 
 
 def mount(spec: LidarSpec, height_m: float, place: Mount = ON_ROOF) -> NDArray[np.float64]:
-    """Return body_from_lidar (4, 4) on a vehicle of this height."""
+    """Return body_from_lidar (4, 4) on a vehicle of a given height."""
     x, y, z = spec.mount_xyz_m if place.xyz_m is None else place.xyz_m
     z = max(z, height_m + _ROOF_CLEARANCE_M) if place.xyz_m is None else z
     return pose_matrix(np.array([x, y, z]), 0.0, np.radians(place.pitch_deg))
@@ -66,7 +66,7 @@ def mount(spec: LidarSpec, height_m: float, place: Mount = ON_ROOF) -> NDArray[n
 def on_vehicle(
     scene: RayScene, now: Actors, agent_id: int, spec: LidarSpec, place: Mount, rng: np.random.Generator
 ) -> Sensor:
-    """Return the sensor that rides on a vehicle of a scene, which has the bodies of `now`."""
+    """Return the sensor on a vehicle of a scene with the bodies of `now`."""
     row = now.row(agent_id)
     body = scene.bodies.path[row]
     path = Path.through(body.time_s, body.at(body.time_s) @ mount(spec, now.boxes.size[row, 2], place))
@@ -74,15 +74,15 @@ def on_vehicle(
 
 
 def on_roadside(unit: Roadside, time_s: float, rng: np.random.Generator) -> Sensor:
-    """Return the sensor of a roadside unit, which stands still."""
+    """Return the sensor of a roadside unit, at rest."""
     path = Path.through(time_s + np.array([-1.0, 1.0]), np.stack([unit.world_from_lidar] * 2))
     return Sensor(unit.spec, path, time_s, rng)
 
 
 def place_roadside(scene: RayScene, units: Sequence[RoadsideUnit]) -> tuple[Roadside, ...]:
-    """Stand roadside units on the ground of the world; the first gets id -1.
+    """Place roadside units on the ground of the world; the first gets id -1.
 
-    A unit that sees hardly anything but a wall right before it is logged as a warning.
+    A unit whose view is mostly blocked within a metre is logged as a warning.
     """
     if not units:
         return ()

@@ -1,4 +1,4 @@
-"""scan: sweeps of LiDARs through a scene.
+"""LiDAR scans: sweeps of sensors through a scene.
 
 Time: a sweep is centred on its reference time `time_s`; beam r of column c fires at `time_s + spec.time_offset[r, c]`,
 within half a sweep of it. Every ray starts at the sensor's pose at its firing and meets every body where that body is
@@ -6,7 +6,7 @@ then (rolling shutter of both). Points are given in the sensor frame at `time_s`
 compensated, as drivers do with odometry, so a still world is sharp; what moves is smeared by its motion, and its
 ground-truth box at `time_s` sits in the middle of the smear. `sensors.deskew` gives the other conventions.
 
-What a beam measures is defined in `sensors.raycast.Engine`, how strongly surfaces return in `sensors.optics.reflectance`.
+`sensors.raycast.Engine` defines what a beam measures, `sensors.optics.reflectance` how strongly surfaces return.
 """
 
 import os
@@ -20,7 +20,7 @@ from sensors.motion import Path
 from sensors.optics.beams import BLOCK, Beams, beams_of
 from sensors.optics.noise import draw_noise
 from sensors.optics.reflectance import optics_of
-from sensors.raycast import Returns, Shot
+from sensors.raycast import Returns, SweepRequest
 from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec
 from sensors.sweep import KEPT, Sweep
@@ -29,14 +29,14 @@ from sim.errors import DataError, SettingsError, complaint
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensor:
-    """One LiDAR during one sweep.
+    """LiDAR during one sweep: settings, path, time and random numbers.
 
     Attributes:
-        spec: what it is.
+        spec: its settings.
         path: world_from_lidar over at least the sweep.
         time_s: reference time, s.
-        rng: its random numbers; they are the same whatever the scene, so a ray keeps its noise.
-        rides_on: object that carries it, not seen unless `spec.own_body`.
+        rng: its random numbers, independent of the scene, so that a ray keeps its noise.
+        rides_on: object that carries it, hidden unless `spec.own_body`.
     """
 
     spec: LidarSpec
@@ -53,22 +53,22 @@ def scan_all(
 
     Args:
         scene: static world and the bodies around the sensors' times.
-        sensors: who scans.
+        sensors: LiDARs.
         wetness: of the surfaces, 0 dry to 1 covered by a film of water.
-        threads: at most so many; one per core when left out. It changes no byte.
+        threads: at most; left out: one per core. The number changes no byte.
 
     Returns:
         One sweep per sensor, in the sensor frame at its `time_s`, ring by ring from the top, columns ascending.
 
     Raises:
-        SettingsError: a wetness that is none, or a sweep outside the time of the scene's bodies.
-        DataError: a path that is not finite.
+        SettingsError: wetness outside [0, 1], or a sweep outside the time of the scene's bodies.
+        DataError: NaN or infinity in a path.
     """
     if not 0.0 <= wetness <= 1.0:
         raise SettingsError(complaint("scan", "wetness", "0 to 1", wetness))
-    shots = [shot_of(sensor, wetness) for sensor in sensors]
-    made = scene.sweep(shots, threads or _cores())
-    return [_sweep(sensor, shot, returns) for sensor, shot, returns in zip(sensors, shots, made, strict=True)]
+    requests = [sweep_request(sensor, wetness) for sensor in sensors]
+    made = scene.sweep(requests, threads or _cores())
+    return [_sweep(sensor, request, returns) for sensor, request, returns in zip(sensors, requests, made, strict=True)]
 
 
 def _cores() -> int:
@@ -97,7 +97,7 @@ def scan(
         world_from_lidar_end: (4, 4) pose half a rotation after.
         time_s: reference time, s.
         rng: noise and drop-off.
-        exclude_id: object that the sensor rides on and cannot see.
+        exclude_id: object that carries the sensor, hidden.
         world_from_lidar: (4, 4) pose at `time_s`; half-way between start and end when left out.
         wetness: see `scan_all`.
     """
@@ -110,18 +110,18 @@ def scan(
     return scan_all(scene, [Sensor(spec, path, time_s, rng, exclude_id)], wetness=wetness)[0]
 
 
-def shot_of(sensor: Sensor, wetness: float = 0.0) -> Shot:
-    """Return what a ray-casting engine is asked for one sweep; it draws the noise from the sensor's generator.
+def sweep_request(sensor: Sensor, wetness: float = 0.0) -> SweepRequest:
+    """Return the request of one sweep to a ray-casting engine, with noise drawn from the sensor's generator.
 
     Raises:
-        DataError: a path that is not finite.
+        DataError: NaN or infinity in a path.
     """
     spec = sensor.spec
     beams = beams_of(spec, sensor.time_s)
     knots, pose = _poses(spec, beams, sensor.path, sensor.time_s)
     if not np.isfinite(knots).all():
         raise DataError(complaint(f"sensor '{spec.name}'", "path", "finite poses", "NaN or infinity"))
-    return Shot(
+    return SweepRequest(
         spec=spec,
         beams=beams,
         optics=optics_of(spec, wetness),
@@ -136,7 +136,7 @@ def shot_of(sensor: Sensor, wetness: float = 0.0) -> Shot:
 def _poses(spec: LidarSpec, beams: Beams, path: Path, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (B + 1, 3, 4) world_from_lidar at the borders of the blocks and (4, 4) at the reference time."""
     column = np.arange(beams.blocks + 2) * float(BLOCK)
-    # The last block may be cut short by the end of the sweep, and beyond it nobody knows the path.
+    # The end of the sweep may cut the last block short; beyond it the path is unknown.
     full = BLOCK / (beams.columns - column[-3])
     column[-2:] = beams.columns, 0.5 * beams.columns
     times = time_s + (column - 0.5 * beams.columns) * spec.column_s
@@ -146,7 +146,7 @@ def _poses(spec: LidarSpec, beams: Beams, path: Path, time_s: float) -> tuple[ND
     return knots, poses[-1]
 
 
-def _sweep(sensor: Sensor, shot: Shot, returns: Returns) -> Sweep:
+def _sweep(sensor: Sensor, request: SweepRequest, returns: Returns) -> Sweep:
     return Sweep(
         points=returns.points,
         intensity=returns.intensity,
@@ -158,7 +158,7 @@ def _sweep(sensor: Sensor, shot: Shot, returns: Returns) -> Sweep:
         fate=np.full(len(returns.points), KEPT, np.uint8),
         material=returns.material,
         cosine=returns.cosine,
-        world_from_lidar=shot.pose,
+        world_from_lidar=request.pose,
         time_s=sensor.time_s,
         spec=sensor.spec,
         path=sensor.path,

@@ -1,4 +1,4 @@
-"""Line of sight between the agents' antennas: rays in the scene that the LiDARs see too."""
+"""Line of sight between the agents' antennas, by rays through the LiDARs' scene."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,24 +6,24 @@ from numpy.typing import NDArray
 from sensors.frame import Frame
 from sensors.scan.scene import RayScene
 from sim.boxes import Boxes
-from sim.radio import Sight
+from sim.radio import Obstruction
 
 _CLEAR_M = 0.3
-"""What is this close to an antenna is its own mount."""
+"""Radius around an antenna that counts as its own mount, m."""
 
 
 def antennas(frame: Frame) -> NDArray[np.float64]:
-    """Return (A, 3) places of the agents' antennas in the world: beside their LiDARs."""
+    """Return (A, 3) places of the agents' antennas in the world, those of their LiDARs."""
     return np.array([agent.sweep.world_from_lidar[:3, 3] for agent in frame.agents], np.float64).reshape(-1, 3)
 
 
 def lines_of_sight(scene: RayScene | None, frame: Frame) -> NDArray[np.int8]:
-    """Return (A, A) `Sight` between the agents, the same both ways; the diagonal is free.
+    """Return (A, A) `Obstruction` between the agents, the same both ways; the diagonal is free.
 
     Args:
-        scene: whose static world blocks, all of it as a building does, also a trunk or a pole; None for data of which
-            nobody knows the world, where only vehicles do.
-        frame: gives the agents and the boxes of everything that moves.
+        scene: static world, whose every surface blocks as a building, also a trunk or a pole; None where the world is
+            unknown: only vehicles block.
+        frame: agents and boxes of all moving objects.
     """
     place = antennas(frame)
     sight = np.zeros((len(place), len(place)), np.int8)
@@ -33,15 +33,15 @@ def lines_of_sight(scene: RayScene | None, frame: Frame) -> NDArray[np.int8]:
     start, end = place[first], place[second]
     ids = np.array([agent.agent_id for agent in frame.agents])
     foreign = (frame.truth.object_id != ids[first, None]) & (frame.truth.object_id != ids[second, None])
-    found = np.where((_crossed(frame.truth, start, end) & foreign).any(axis=1), Sight.VEHICLE, Sight.FREE)
+    found = np.where((_crossed(frame.truth, start, end) & foreign).any(axis=1), Obstruction.VEHICLE, Obstruction.FREE)
     if scene is not None:
-        found[_walled(scene, start, end)] = Sight.BUILDING
+        found[_walled(scene, start, end)] = Obstruction.BUILDING
     sight[first, second] = sight[second, first] = found
     return sight
 
 
 def _walled(scene: RayScene, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (P,) whether the static world is between P pairs of places."""
+    """Return (P,) whether the static world blocks the line between P pairs of places."""
     length = np.linalg.norm(end - start, axis=1)
     way = (end - start) / np.maximum(length, 1e-9)[:, None]
     hits = scene.cast(start + _CLEAR_M * way, way, float(length.max()))
@@ -49,9 +49,9 @@ def _walled(scene: RayScene, start: NDArray[np.float64], end: NDArray[np.float64
 
 
 def _crossed(boxes: Boxes, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (P, N) whether the way from P places to P others goes through each box.
+    """Return (P, N) whether the segments between P pairs of places cross each box.
 
-    By the slabs of the box in its own frame (Kay, Kajiya 1986).
+    Slab method in the frame of the box (Kay, Kajiya 1986).
     """
     cos, sin = np.cos(boxes.yaw), np.sin(boxes.yaw)
     zero, one = np.zeros_like(cos), np.ones_like(cos)

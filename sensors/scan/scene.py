@@ -1,6 +1,6 @@
-"""RayScene: the static world, the bodies in it, and the engine that casts rays through both.
+"""RayScene: static world, moving bodies and the engine that casts rays through both.
 
-No triangle moves and none is rebuilt per frame: a body's triangles stay in its own frame, only its poses change.
+No hierarchy is rebuilt per frame: a body's triangles stay in its own frame, only its poses change.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from sensors.motion import Path, actor_paths
-from sensors.raycast import Bodies, Hits, Returns, Shot, Solid, open_engine
+from sensors.raycast import Bodies, Hits, Returns, Solid, SweepRequest, open_engine
 from sensors.scan.static_world import StaticWorld, together
 from sim.errors import DataError, SettingsError, complaint
 from sim.mesh.materials import MATERIALS
@@ -28,7 +28,7 @@ _NO_BODIES = Bodies(
 
 
 class RayScene:
-    """A static world and the bodies in it; see `with_bodies`."""
+    """Static world and the bodies in it; see `with_bodies`."""
 
     def __init__(
         self,
@@ -41,15 +41,15 @@ class RayScene:
         """Prepare the static world.
 
         Args:
-            static: triangles in the world frame with `face_attributes["material"]`, asphalt where it has none; None
-                for a world of bodies alone.
+            static: triangles in the world frame with `face_attributes["material"]`, asphalt where missing; None for
+                bodies alone.
             body_mesh: meshes of actors; `sim.bodies.choice.body_mesh` when left out.
             engine: see `sensors.raycast.open_engine`.
             robust: watertight at shared edges, for an eighth of the speed.
 
         Raises:
-            DataError: a mesh that is none, has no faces, or holds NaN or faces of unknown vertices or materials.
-            SettingsError: an engine that does not exist or cannot run.
+            DataError: not a mesh, no faces, NaN, or faces of unknown vertices or materials.
+            SettingsError: unknown engine, or one that cannot run.
         """
         self.engine = open_engine(engine, robust=robust)
         self.bodies: Bodies = _NO_BODIES
@@ -61,17 +61,17 @@ class RayScene:
     def with_bodies(
         self, now: Actors, before: Actors | None = None, after: Actors | None = None, reach_s: float = 0.05
     ) -> "RayScene":
-        """Return a scene with the actors of one instant, sharing everything that was built.
+        """Return the scene with the actors of one instant; it shares everything that was built.
 
         Args:
             now: the actors at the reference time of the sweeps.
-            before: the actors at least half a sweep earlier; without it they move straight.
+            before: the actors at least half a sweep earlier; left out: extrapolated at constant velocity.
             after: the actors at least half a sweep later; likewise.
-            reach_s: half the longest sweep, s; sweeps beyond it are refused.
+            reach_s: half the longest sweep, s; longer sweeps are refused.
 
         Raises:
-            DataError: actors whose ids are not in ascending order.
-            SettingsError: a time that is not positive.
+            DataError: ids not in ascending order.
+            SettingsError: `reach_s` is not positive.
         """
         if reach_s <= 0.0:
             raise SettingsError(complaint("bodies", "reach_s", "a positive time", reach_s))
@@ -88,31 +88,31 @@ class RayScene:
         )
         return scene
 
-    def sweep(self, shots: Sequence[Shot], threads: int = 1) -> list[Returns]:
-        """Make sweeps of one instant, in order; see `sensors.raycast.Engine`.
+    def sweep(self, requests: Sequence[SweepRequest], threads: int = 1) -> list[Returns]:
+        """Return the sweeps of one instant, in order; see `sensors.raycast.Engine`.
 
         Raises:
-            SettingsError: a sweep lasts longer than the bodies' motion is known, see `with_bodies`.
+            SettingsError: a sweep lasts longer than the known motion of the bodies, see `with_bodies`.
         """
-        for shot in shots:
-            self._check_time(shot)
+        for request in requests:
+            self._check_time(request)
         made: dict[int, Returns] = {}
-        for rows in together(np.array([shot.pose[:2, 3] for shot in shots]).reshape(-1, 2)):
-            some = [shots[row] for row in rows]
-            reach = max(float(shot.beams.reach[:, 1].max()) for shot in some)
-            places = np.concatenate([shot.knots[:, :2, 3] for shot in some])
+        for rows in together(np.array([request.pose[:2, 3] for request in requests]).reshape(-1, 2)):
+            some = [requests[row] for row in rows]
+            reach = max(float(request.beams.reach[:, 1].max()) for request in some)
+            places = np.concatenate([request.knots[:, :2, 3] for request in some])
             returns = self.engine.sweep(self._world.around(places, reach), self.bodies, some, threads)
             made |= dict(zip(rows.tolist(), returns, strict=True))
-        return [made[row] for row in range(len(shots))]
+        return [made[row] for row in range(len(requests))]
 
-    def around(self, shot: Shot) -> Solid:
-        """Return the static world that the rays of one sweep can reach, in a frame at its `origin`."""
-        return self._world.around(shot.knots[:, :2, 3], float(shot.beams.reach[:, 1].max()))
+    def around(self, request: SweepRequest) -> Solid:
+        """Return the static world within reach of one sweep, in a frame at its `origin`."""
+        return self._world.around(request.knots[:, :2, 3], float(request.beams.reach[:, 1].max()))
 
     def cast(self, origins: NDArray[np.float64], directions: NDArray[np.float64], reach_m: float) -> Hits:
         """Cast single rays of (N, 3) origins and unit directions in the world frame against the static world.
 
-        Where a ray hits, `Hits.face` counts the triangles around its origin: in a world of tiles not those of the mesh.
+        `Hits.face` counts the triangles around the ray's origin, in a world of tiles not those of the mesh.
         """
         origins = np.asarray(origins, np.float64).reshape(-1, 3)
         rays = np.asarray(directions, np.float32).reshape(-1, 3)
@@ -125,7 +125,7 @@ class RayScene:
         return hits
 
     def ground_height(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (N,) height of the lowest static surface at (N, 2) places in the world; 0 where there is none."""
+        """Return (N,) height of the lowest static surface at (N, 2) places in the world; 0 where missing."""
         xy = np.asarray(xy, np.float64).reshape(-1, 2)
         bottom, top = self._world.height
         # From below the first surface is the lowest one, whatever trees and roofs stand above it.
@@ -133,16 +133,16 @@ class RayScene:
         hits = self.cast(low, np.tile([0.0, 0.0, 1.0], (len(xy), 1)), top - bottom + 2.0)
         return np.where(hits.face >= 0, hits.distance + bottom - 1.0, 0.0)
 
-    def _check_time(self, shot: Shot) -> None:
-        half = 0.5 * shot.spec.period_s if shot.spec.rolling_shutter else 0.0
+    def _check_time(self, request: SweepRequest) -> None:
+        half = 0.5 * request.spec.period_s if request.spec.rolling_shutter else 0.0
         start, end = self.bodies.span_s
-        if len(self.bodies) and (shot.time_s - half < start - 1e-6 or shot.time_s + half > end + 1e-6):
+        if len(self.bodies) and (request.time_s - half < start - 1e-6 or request.time_s + half > end + 1e-6):
             expected = f"within the {start:g} to {end:g} s over which bodies move (with_bodies, reach_s)"
-            found = f"{shot.time_s - half:g} to {shot.time_s + half:g} s"
-            raise SettingsError(complaint(f"sweep of '{shot.spec.name}'", "time", expected, found))
+            found = f"{request.time_s - half:g} to {request.time_s + half:g} s"
+            raise SettingsError(complaint(f"sweep of '{request.spec.name}'", "time", expected, found))
 
     def _solids_of(self, actors: Actors) -> tuple[Solid, ...]:
-        """Return the solid of each actor; those of the last instant serve as long as the same actors are there."""
+        """Return the solid of each actor, cached while the actors stay the same."""
         model, size, solids = self._fleet
         if actors.model != model or not np.array_equal(actors.boxes.size, size):
             sizes = actors.boxes.size.round(3).tolist()
@@ -166,11 +166,11 @@ class RayScene:
 
 
 def mesh_arrays(mesh: trimesh.Trimesh, name: str) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.uint8]]:
-    """Return (V, 3) vertices, (F, 3) faces and (F,) materials of a mesh, asphalt where it does not say.
+    """Return (V, 3) vertices, (F, 3) faces and (F,) materials of a mesh, asphalt where missing.
 
     Raises:
-        DataError: no mesh, such as the scene that trimesh makes of a GLB file; no faces; coordinates that are not
-            finite; faces of unknown vertices or materials.
+        DataError: not a mesh, such as the scene that trimesh makes of a GLB file; no faces; NaN or infinity; faces of
+            unknown vertices or materials.
     """
     if not isinstance(mesh, trimesh.Trimesh):
         raise DataError(complaint(name, "mesh", "a trimesh.Trimesh", type(mesh).__name__))

@@ -1,4 +1,4 @@
-"""StaticWorld: triangles that never move, in tiles, of which only those around the sensors are given to an engine.
+"""StaticWorld: static triangles in tiles; an engine gets only those around the sensors.
 
 A city of millions of triangles is a mesh like any other:
 
@@ -9,11 +9,11 @@ A city of millions of triangles is a mesh like any other:
     scene = RayScene(mesh)
     del mesh, arrays
 
-The world keeps a copy of its own of 12 bytes per vertex and 13 per triangle, so that the mesh can go; `process=False`
+The world keeps its own copy, 12 bytes per vertex and 13 per triangle, so that the mesh can be freed; `process=False`
 keeps trimesh from merging vertices, which takes memory and time. With 5.2 million triangles over 6.1 million vertices
-the process needs 0.7 GB at most, 1.2 GB where `trimesh.load_mesh` reads them from GLB and 1.7 GB from binary PLY. STL,
-which shares no vertices, and formats of text take more than that to read. None of them brings back the materials, and
-GLB and STL hold float32: their coordinates must lie near their origin.
+the peak is 0.7 GB, 1.2 GB if `trimesh.load_mesh` reads them from GLB and 1.7 GB from binary PLY. STL, which shares no
+vertices, and text formats take more. None of these formats keeps the materials, and GLB and STL hold float32:
+coordinates must lie near their origin.
 """
 
 import numpy as np
@@ -29,8 +29,8 @@ TOGETHER_M = 500.0
 
 WHOLE_M = 2000.0
 WHOLE_FACES = 1_500_000
-"""A world of at most this extent along x and y and so many triangles is small: at 1 km from the origin float32 shifts
-99 of 100 points by less than 0.07 mm."""
+"""Largest extent along x and y, m, and number of triangles of a small world: at 1 km from the origin float32 shifts 99
+of 100 points by less than 0.07 mm."""
 
 _GRAIN_M = 2.0**-15
 _CHUNK = 1 << 19
@@ -41,15 +41,14 @@ _KEPT_FACES = 2_000_000
 class StaticWorld:
     """The static triangles of a world.
 
-    A small world is one solid. A big one is cut into square tiles; what is around the sensors is a function of where
-    they are alone, so that a frame has the same bytes whichever frames were made before it.
+    A small world is one solid. A large one is cut into square tiles; the tiles in use depend on the places of the
+    sensors alone, so that a frame has the same bytes whichever frames were made before it.
 
-    A triangle belongs to the tile that holds the middle of its bounding box, and a tile is as large as the triangles
-    that belong to it. One that is larger than a tile, such as a plain below a city, belongs to none and is looked at
-    by itself.
+    A triangle belongs to the tile that holds the middle of its bounding box, and a tile is as large as its triangles.
+    A triangle larger than a tile, such as a plain below a city, belongs to no tile and is tested by itself.
 
     Attributes:
-        height: lowest and highest z of the vertices in the world frame, m; zeros without any.
+        height: lowest and highest z of the vertices in the world frame, m; zeros for an empty world.
     """
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32], material: NDArray[np.uint8]) -> None:

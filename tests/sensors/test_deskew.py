@@ -90,7 +90,7 @@ def off_the_planes(sweep: Sweep, offset: float = 0.0) -> float:
 
 @pytest.mark.parametrize("to", ["middle", "start", "end"])
 @pytest.mark.parametrize("turn", [0.0, 1.0])
-def test_compensation_straightens_what_the_way_of_the_sensor_has_bent(to: str, turn: float):
+def test_deskewing_straightens_static_points_bent_by_the_sensors_motion(to: str, turn: float):
     raw = measured(driving(turn=turn))
     assert off_the_planes(raw) > 0.05
     assert off_the_planes(deskew(raw, to)) < 1e-4
@@ -131,12 +131,12 @@ def test_there_and_back_is_the_same_sweep(home: str, there: str):
     assert back.time_s == pytest.approx(sweep.time_s, abs=1e-12) and back.motion == home
 
 
-def test_what_is_there_already_stays_as_it_is():
+def test_deskewing_to_the_same_motion_returns_the_same_sweep():
     sweep = make_sweep(np.ones((2, 3)))
     assert deskew(sweep, "middle") is sweep
 
 
-def test_a_sensor_at_rest_measures_the_same_either_way():
+def test_raw_and_deskewed_points_of_a_sensor_at_rest_are_equal():
     still = path_through(*[pose_matrix([3.0, 1.0, 1.9], 0.4)] * 2)
     raw = measured(still)
     np.testing.assert_allclose(deskew(raw, "middle").points, raw.points, atol=1e-6)
@@ -147,7 +147,7 @@ def test_far_from_the_origin_nothing_is_lost():
     assert off_the_planes(deskew(raw, "end"), offset=5e5) < 1e-4
 
 
-def test_a_wrong_estimate_of_the_place_does_not_bend_the_world():
+def test_an_error_of_the_pose_does_not_bend_the_world():
     raw = measured(driving())
     wrong = pose_matrix([0.5, -0.3, 0.0], 0.02)
     shifted = deskew(replace(raw, world_from_lidar=raw.world_from_lidar @ wrong), "start")
@@ -157,7 +157,7 @@ def test_a_wrong_estimate_of_the_place_does_not_bend_the_world():
 
 
 @pytest.mark.parametrize("to", ["middle", "start", "end"])
-def test_a_car_that_drives_is_sheared_by_its_speed_times_column_time_and_put_back(to: str):
+def test_a_moving_car_is_sheared_by_its_speed_times_column_time_and_deskewed(to: str):
     sweep = deskew(measured(driving(turn=0.0), (ROAD, REAR)), to)
     on = sweep.object_id == 1000
     rear_x = 16.0 + CAR_MPS[0] * (sweep.time_s - NOW_S)
@@ -169,7 +169,7 @@ def test_a_car_that_drives_is_sheared_by_its_speed_times_column_time_and_put_bac
     np.testing.assert_allclose(upright.points[~on], sweep.points[~on], atol=1e-5)
 
 
-def test_raw_points_of_a_car_are_put_back_too():
+def test_raw_points_of_a_car_are_deskewed_too():
     raw = measured(driving(), (ROAD, REAR))
     ids, path = np.array([999, 1000]), coasting(np.array([[90.0, 0.0], CAR_MPS[:2]]), NOW_S)
     made = deskew_objects(raw, ids, path)
@@ -179,7 +179,7 @@ def test_raw_points_of_a_car_are_put_back_too():
     )
 
 
-def test_an_object_that_turns_is_put_together_by_its_path():
+def test_a_turning_object_is_deskewed_by_its_path():
     """Corners of a box that spins at 2 rad/s about (10, 0), each met at another time."""
     times = np.linspace(-HALF_S, HALF_S, 5)
     turning = Path.through(NOW_S + times, pose_matrix([10.0, 0.0, 0.0], 2.0 * times)[None])
@@ -200,14 +200,14 @@ def test_a_sensor_that_fires_all_at_once_has_one_frame():
         assert made.time_s == NOW_S
 
 
-def test_no_points_are_deskewed_too():
+def test_an_empty_sweep_is_deskewed():
     raw = measured(driving())[:0]
     assert deskew(raw, "start").points.shape == (0, 3)
     assert deskew(deskew(raw, "end"), "raw").time_s == pytest.approx(NOW_S)
 
 
 @pytest.mark.parametrize("to", ["start", "end", "raw"])
-def test_what_nobody_knows_is_told(to: str):
+def test_missing_paths_and_firing_times_are_reported(to: str):
     sweep = deskew(measured(driving()), "middle")
     with pytest.raises(DataError, match="sweep: path: expected the sensor's poses over the sweep, found none"):
         deskew(replace(sweep, path=None), to)
@@ -228,7 +228,7 @@ def test_raw_points_of_an_unknown_path_have_no_place_in_the_world():
         _ = replace(raw, path=None).world_points
 
 
-def test_a_motion_with_a_typo_is_named():
+def test_a_misspelt_motion_gets_the_nearest_name():
     with pytest.raises(SettingsError, match="motion: expected a compensation, found strat; did you mean 'start'"):
         deskew(measured(driving()), "strat")
 

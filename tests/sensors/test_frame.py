@@ -38,7 +38,7 @@ def test_sweeps_are_replaced_in_order():
         frame.agent(7)
 
 
-def test_an_object_is_seen_by_the_ego_by_a_helper_only_or_by_nobody():
+def test_an_object_is_seen_by_the_ego_by_a_helper_only_or_unseen():
     agents = tuple(AgentFrame(i, "vehicle", np.eye(4), 0.0, make_sweep(np.zeros((0, 3)))) for i in (1000, 1001, 1002))
     boxes = Boxes.from_array(np.ones((4, 7)), object_id=np.arange(4))
     points = np.array([[9, 0, 0, 4], [0, 7, 0, 9], [0, 0, 0, 9]], np.int32)

@@ -324,14 +324,14 @@ def test_jitter_turns_the_ray_and_not_the_point(engine):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_mesh_with_a_coordinate_that_is_no_number_is_refused(bad):
+def test_a_mesh_with_nan_or_infinity_is_refused(bad):
     mesh = ground()
     mesh.vertices = np.where(np.arange(4)[:, None] == 2, bad, mesh.vertices)
     with pytest.raises(DataError, match="static world: vertices: expected finite coordinates"):
         RayScene(mesh)
 
 
-def test_an_engine_that_does_not_exist_is_refused():
+def test_an_unknown_engine_is_refused():
     with pytest.raises(SettingsError, match="the name of an engine, found fast"):
         RayScene(ground(), engine="fast")
 
@@ -343,7 +343,7 @@ def test_tables_of_power_hold_every_material():
 
 
 @pytest.mark.parametrize("bad", [len(MATERIALS), 255])
-def test_a_material_that_does_not_exist_is_refused(bad):
+def test_an_unknown_material_is_refused(bad):
     mesh = ground()
     mesh.face_attributes["material"][1] = bad
     with pytest.raises(DataError, match=f"material: expected an index below {len(MATERIALS)}, found {bad} of face 1"):
@@ -357,7 +357,7 @@ def test_a_sweep_longer_than_its_bodies_motion_is_refused():
 
 
 @pytest.mark.parametrize("wetness", [-0.1, 1.5, np.nan])
-def test_a_wetness_that_is_none_is_refused(wetness):
+def test_a_wetness_outside_0_to_1_is_refused(wetness):
     with pytest.raises(SettingsError, match="wetness: expected 0 to 1"):
         still(scene_of("public", ground()), ideal(), wetness=wetness)
 

@@ -163,7 +163,7 @@ def test_opv2v_preset_follows_the_data_protocol():
     assert spec.intensity_law == "reflectivity"
 
 
-def test_carla_tells_the_range_twice_and_freezes_the_world():
+def test_carla_intensity_depends_on_range_alone_and_the_world_is_frozen():
     spec = get_lidar("carla-64")
     assert (spec.intensity_law, spec.attenuation) == ("distance", 0.004)
     assert (spec.dropoff_rate, spec.dropoff_intensity_limit, spec.dropoff_zero_intensity) == (0.45, 0.8, 0.4)
@@ -202,7 +202,7 @@ def test_a_typo_in_a_preset_name_gets_the_nearest_name():
         get_lidar("opv2v64")
 
 
-def test_the_table_in_the_documentation_is_of_today():
+def test_the_table_in_the_documentation_is_current():
     path = ROOT / "docs" / "lidar_presets.md"
     assert path.read_text() == document(), "python -m sensors.presets > docs/lidar_presets.md"
 

@@ -194,7 +194,7 @@ def test_firing_times_are_centred_on_the_reference_time():
     assert -0.05 < spec.time_offset[0, 0] < spec.time_offset[0, -1] < 0.05
 
 
-def test_beams_fire_in_the_middle_of_their_column_unless_told_when():
+def test_beams_fire_in_the_middle_of_their_column_by_default():
     spec = msgspec.structs.replace(get_lidar("debug-16"), elevation_deg=(1.0, 0.0), columns=100)
     assert spec.time_offset[0, 50] == pytest.approx(0.5 * 1e-3)
     told = msgspec.structs.replace(spec, firing_s=(0.0, 2e-4))
@@ -206,7 +206,7 @@ def test_without_a_rolling_shutter_everything_fires_at_once():
     assert np.abs(spec.time_offset).max() == 0.0
 
 
-def test_beams_reach_as_far_as_the_sensor_unless_told_otherwise():
+def test_beams_have_the_range_of_the_sensor_by_default():
     np.testing.assert_array_equal(get_lidar("debug-16").beam_range, [[0.5, 120.0]] * 16)
     told = msgspec.structs.replace(get_lidar("debug-16"), beam_range_m=((1.0, 50.0),) * 16)
     np.testing.assert_array_equal(told.beam_range, [[1.0, 50.0]] * 16)

@@ -7,7 +7,7 @@ from sensors.sweep import ADDED, POINT_FIELDS, STATIC, concatenate, make_sweep
 from sim.geometry import pose_matrix
 
 
-def test_columns_left_out_are_plain():
+def test_columns_left_out_have_defaults():
     sweep = make_sweep(np.ones((3, 3)))
     assert sweep.points.dtype == np.float32
     assert (sweep.object_id == STATIC).all()

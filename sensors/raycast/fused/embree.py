@@ -1,4 +1,4 @@
-"""The Embree 4 library that embreex's wheel carries, through ctypes.
+"""Embree 4 through ctypes: the library inside embreex's wheel.
 
 embreex's own interface casts single rays into one static scene. The library can do more: packets of 4, 8 or 16 rays,
 instances that move during a sweep, and masks. The names and numbers are those of Embree's public header `rtcore.h`.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sensors.raycast.base import EngineUnavailable, Solid
 
 ANY_RAY = 0xFFFFFFFF
-"""Mask of a geometry that all rays see."""
+"""Mask of a geometry visible to all rays."""
 INVALID = 0xFFFFFFFF
 FORMAT_FLOAT3X4_ROW_MAJOR = 0x9134
 
@@ -87,7 +87,7 @@ class Library:
     """
 
     def __init__(self, path: Path) -> None:
-        """Load the library; `EngineUnavailable` when it is not the one we know."""
+        """Load the library; `EngineUnavailable` when it is another version or cannot be loaded."""
         try:
             self.api = ctypes.CDLL(str(path))
             for name, (result, arguments) in _SIGNATURES.items():
@@ -114,7 +114,7 @@ class Library:
         return ctypes.cast(getattr(self.api, name), ctypes.c_void_p).value or 0
 
     def check(self) -> None:
-        """Raise RuntimeError when the device has reported an error since the last look."""
+        """Raise RuntimeError when the device has reported an error since the last check."""
         code = self.api.rtcGetDeviceError(self.device)
         if code:
             raise RuntimeError(f"Embree reports error {code}")
@@ -122,7 +122,7 @@ class Library:
 
 @lru_cache(maxsize=1)
 def library() -> Library:
-    """Return the library of embreex's wheel, loaded once; `EngineUnavailable` when it is not there."""
+    """Return the library of embreex's wheel, loaded once; `EngineUnavailable` when missing."""
     package = util.find_spec("embreex")
     if package is None or package.origin is None:
         raise EngineUnavailable("embreex is not installed")
@@ -134,7 +134,7 @@ def library() -> Library:
 
 
 class Hierarchy:
-    """The committed scene of one solid."""
+    """Committed Embree scene of one solid."""
 
     def __init__(self, solid: Solid, robust: bool) -> None:
         """Build it; the solid's arrays are copied because Embree reads 4 bytes beyond the last vertex."""
@@ -164,12 +164,12 @@ class Hierarchy:
 
 
 class InstanceScene:
-    """A scene of slots, each an instance of some hierarchy; the compiled `place_bodies` moves them.
+    """Embree scene of slots, one instance each; the compiled `place_bodies` moves them.
 
     Attributes:
         handle: of the scene.
         geometry: (N,) int64 handles of the slots.
-        steps: (N,) int64 instants of motion that each slot has, 0 before it was placed.
+        steps: (N,) int64 motion time steps of each slot, 0 before it was placed.
     """
 
     def __init__(self, robust: bool) -> None:
@@ -185,7 +185,7 @@ class InstanceScene:
         self._used = 0
 
     def show(self, hierarchies: list[Hierarchy]) -> None:
-        """Let slot i show hierarchy i, and no others be seen."""
+        """Assign hierarchy i to slot i and disable all other slots."""
         api, wanted, attached = self._lib.api, len(hierarchies), len(self._shown)
         for slot in range(self._used, min(wanted, attached)):
             api.rtcEnableGeometry(int(self.geometry[slot]))

@@ -1,7 +1,7 @@
-"""The fused engine: Embree's widest coherent packets inside one compiled loop.
+"""Fused engine: Embree's widest coherent packets inside one compiled loop.
 
 A hierarchy is built once per solid; per frame only the poses of instances change. The work of a frame is cut into
-sweeps, and the last ones into blocks of rings, which threads take in turn. A block writes its own rows, so that the
+sweeps, the last ones into blocks of rings, which threads take in turn. Each block writes its own rows, so that the
 number of threads changes no byte.
 """
 
@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.optics.beams import BLOCK, Beams
-from sensors.raycast.base import Bodies, Hits, Returns, Shot, Solid
+from sensors.raycast.base import Bodies, Hits, Returns, Solid, SweepRequest
 from sensors.raycast.fused.embree import Hierarchy, InstanceScene, library
 from sensors.raycast.fused.kernel import (
     ROOM_WORDS,
+    BodyPaths,
     Calls,
-    Columns,
-    Motion,
+    PointColumns,
     Scratch,
     Tables,
     World,
@@ -36,14 +36,14 @@ from sensors.raycast.fused.kernel import (
 )
 
 _FREE_BIT = 31
-"""Bit of the ray mask of sensors that hide no body; the bits below are for bodies that one sensor does not see."""
+"""Ray-mask bit of sensors that hide no body; each bit below hides one body from the sensor that it carries."""
 _MOST_SEGMENTS = 16
 _RETURNS = {"strongest": 0, "last": 1, "dual": 2}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fleet:
-    """The solids of all bodies, ready for rays: one hierarchy per slot, all faces' materials in one table."""
+    """Hierarchies of all bodies, one per slot, with the materials of all faces in one table."""
 
     solids: tuple[Solid, ...]
     hierarchies: list[Hierarchy]
@@ -53,7 +53,7 @@ class _Fleet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Placed:
-    """What the instance scene shows now."""
+    """State of the instance scene: bodies and their poses."""
 
     bodies: Bodies
     origin: NDArray[np.float64]
@@ -67,12 +67,12 @@ class _Placed:
 
 
 class FusedEngine:
-    """See the module; implements `sensors.raycast.Engine`."""
+    """Implementation of `sensors.raycast.Engine`, see the module."""
 
     name = "fused"
 
     def __init__(self, *, robust: bool = True) -> None:
-        """Load Embree; `EngineUnavailable` when embreex's wheel carries none that we know."""
+        """Load Embree; `EngineUnavailable` when embreex's wheel has no known version."""
         self._library = library()
         # One instance scene serves all callers of the process.
         self._lock = threading.Lock()
@@ -124,18 +124,18 @@ class FusedEngine:
         return hits
 
     def place(self, bodies: Bodies, origin: NDArray[np.float64], hidden: tuple[int, ...] = ()) -> None:
-        """Move the instances to where the bodies are, relative to an origin; `sweep` does so where it must.
+        """Move the instances to the bodies' poses relative to an origin; `sweep` calls it where needed.
 
         Args:
-            bodies: who is where.
+            bodies: ids, solids and paths.
             origin: (3,) world frame.
-            hidden: ids of bodies that some sensor does not see, at most 31.
+            hidden: ids of bodies hidden from some sensor, at most 31.
         """
         placed = self._placed
         if placed is not None and placed.shows(bodies, origin, hidden):
             return
         fleet = self._fleet(bodies.solids)
-        # Interrupted half-way, the scene shows nobody's bodies.
+        # Interrupted half-way, the scene is in no valid state.
         self._placed = None
         self._moving.show(fleet.hierarchies)
         path, count = bodies.path, len(bodies)
@@ -147,28 +147,28 @@ class FusedEngine:
             self._moving.steps[:count],
             np.array(hidden, np.int64),
             bodies.object_id,
-            Motion(np.array(bodies.span_s), path.time_s, path.xyz, path.angles, origin, bodies.size),
+            BodyPaths(np.array(bodies.span_s), path.time_s, path.xyz, path.angles, origin, bodies.size),
             steps,
             pose,
         )
         self._library.check()
         self._placed = _Placed(bodies, origin, hidden, fleet, pose, steps)
 
-    def sweep(self, static: Solid, bodies: Bodies, shots: Sequence[Shot], threads: int) -> list[Returns]:
+    def sweep(self, static: Solid, bodies: Bodies, requests: Sequence[SweepRequest], threads: int) -> list[Returns]:
         """Make sweeps; see `sensors.raycast.Engine`."""
         made: list[Returns] = []
         with self._lock:
-            for group in _groups(shots):
+            for group in _groups(requests):
                 hidden = _hidden(group)
                 self.place(bodies, static.origin, hidden)
                 world = self._world(self._hierarchy(static), self._placed)
-                jobs = [_Job(shot, static.origin, bodies, hidden) for shot in group]
+                jobs = [_SweepTask(request, static.origin, bodies, hidden) for request in group]
                 _run(jobs, world, self._library.width, threads)
                 made.extend(job.returns() for job in jobs)
         return made
 
     def _hierarchy(self, solid: Solid) -> Hierarchy:
-        """Return the hierarchy of a solid, built at first sight and kept as long as the solid."""
+        """Return the hierarchy of a solid, built at first use and kept as long as the solid."""
         known = self._hierarchies.get(solid)
         if known is None:
             known = self._hierarchies[solid] = Hierarchy(solid, self._robust)
@@ -206,20 +206,22 @@ class FusedEngine:
         )
 
 
-class _Job:
-    """One sweep being made: its tables and room for its points."""
+class _SweepTask:
+    """One sweep in progress: its tables and the rows of its points."""
 
-    def __init__(self, shot: Shot, origin: NDArray[np.float64], bodies: Bodies, hidden: tuple[int, ...]) -> None:
-        self.beams = shot.beams
-        self.tables = _tables(shot, origin, bodies.span_s, hidden)
-        self.columns = _room(shot)
+    def __init__(
+        self, request: SweepRequest, origin: NDArray[np.float64], bodies: Bodies, hidden: tuple[int, ...]
+    ) -> None:
+        self.beams = request.beams
+        self.tables = _tables(request, origin, bodies.span_s, hidden)
+        self.columns = _room(request)
         self.unseen = -1
-        if shot.hidden_id is not None and shot.hidden_id in hidden:
-            self.unseen = int(np.searchsorted(bodies.object_id, shot.hidden_id))
+        if request.hidden_id is not None and request.hidden_id in hidden:
+            self.unseen = int(np.searchsorted(bodies.object_id, request.hidden_id))
         self._rows: dict[int, int] = {}
 
     def make(self, world: World, scratch: Scratch, first: int, last: int) -> None:
-        """Make the points of rings `first` to `last` in the rows that are theirs when no point is missing."""
+        """Write the points of rings `first` to `last` from the row on that they have when no point is missing."""
         start = first * self._rows_per_ring
         visible = np.ones((last - first, self.beams.blocks), np.bool_)
         if (fan := self.beams.fan) is not None and world.moving:
@@ -255,8 +257,8 @@ class _Job:
         return np.array([0, self.beams.blocks // 2, self.beams.blocks - 1])
 
 
-def _run(jobs: Sequence[_Job], world: World, width: int, threads: int) -> None:
-    """Make all jobs: whole sweeps first, the last ones in parts so that no thread ends long before another."""
+def _run(jobs: Sequence[_SweepTask], world: World, width: int, threads: int) -> None:
+    """Run all sweeps: whole ones first, the last in parts so that all threads end together."""
     whole = max(len(jobs) - threads, 0) if threads > 1 else len(jobs)
     tasks = [(job, 0, job.beams.rings) for job in jobs[:whole]]
     for job in jobs[whole:]:
@@ -287,13 +289,13 @@ def _run(jobs: Sequence[_Job], world: World, width: int, threads: int) -> None:
         for future in futures:
             future.result()
     finally:
-        # Whatever ends the sweeps early, an impatient user too: the caller's lock guards what the workers still read.
+        # An interrupt too must wait for the workers: the caller's lock guards the scene that they still read.
         waiting = iter(())
         _join(futures)
 
 
 def _join(futures: Sequence[Future[None]]) -> None:
-    """Wait until all are done, however often the user interrupts that: the first time is raised already."""
+    """Wait until all are done, through repeated interrupts: the first one is raised already."""
     while True:
         try:
             wait(futures)
@@ -311,7 +313,7 @@ _engines: "WeakSet[FusedEngine]" = WeakSet()
 
 
 def _after_fork() -> None:
-    """Give a forked child what it lacks: its parent's threads are not there, nor who held a lock."""
+    """Renew threads and locks in a forked child, which inherits locks but no threads."""
     _pool.cache_clear()
     for engine in _engines:
         engine._lock = threading.Lock()
@@ -321,10 +323,12 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
 
-def _tables(shot: Shot, origin: NDArray[np.float64], span_s: tuple[float, float], hidden: tuple[int, ...]) -> Tables:
-    spec, beams, optics = shot.spec, shot.beams, shot.optics
+def _tables(
+    request: SweepRequest, origin: NDArray[np.float64], span_s: tuple[float, float], hidden: tuple[int, ...]
+) -> Tables:
+    spec, beams, optics = request.spec, request.beams, request.optics
     start, end = span_s
-    first_s = shot.time_s - 0.5 * beams.columns * spec.column_s
+    first_s = request.time_s - 0.5 * beams.columns * spec.column_s
     clock = ((first_s - start) / (end - start), BLOCK * spec.column_s / (end - start))
     law = (
         1.0 / optics.reach_m,
@@ -336,9 +340,9 @@ def _tables(shot: Shot, origin: NDArray[np.float64], span_s: tuple[float, float]
         spec.dropoff_rate,
     )
     packed = _packed(beams)
-    ray_pose, ray_step = _blocks(shot.knots, origin)
-    point_pose, point_step = _blocks(shot.knots, shot.pose[:3, 3], shot.pose[:3, :3].T)
-    bit = hidden.index(shot.hidden_id) if shot.hidden_id in hidden else _FREE_BIT
+    ray_pose, ray_step = _blocks(request.knots, origin)
+    point_pose, point_step = _blocks(request.knots, request.pose[:3, 3], request.pose[:3, :3].T)
+    bit = hidden.index(request.hidden_id) if request.hidden_id in hidden else _FREE_BIT
     return Tables(
         axis=packed.axis,
         subray=packed.subray,
@@ -355,9 +359,9 @@ def _tables(shot: Shot, origin: NDArray[np.float64], span_s: tuple[float, float]
         of_material=optics.of_material,
         law=np.array(law, np.float32),
         returns=_RETURNS[spec.returns],
-        start=shot.noise.start.astype(np.uint64),
-        normal=shot.noise.normal,
-        uniform=shot.noise.uniform,
+        start=request.noise.start.astype(np.uint64),
+        normal=request.noise.normal,
+        uniform=request.noise.uniform,
         share=beams.firing_share,
         column_s=np.float32(spec.column_s),
         columns=beams.columns,
@@ -367,7 +371,7 @@ def _tables(shot: Shot, origin: NDArray[np.float64], span_s: tuple[float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Packed:
-    """Directions of a sweep's rays in the order in which packets take them; see `kernel.Tables`."""
+    """Directions of a sweep's rays in packet order; see `kernel.Tables`."""
 
     axis: NDArray[np.float32]
     subray: NDArray[np.float32]
@@ -378,7 +382,7 @@ _packed_beams: WeakKeyDictionary[Beams, _Packed] = WeakKeyDictionary()
 
 
 def _packed(beams: Beams) -> _Packed:
-    """Return the packed tables of some beams, which spinning sensors use again and again."""
+    """Return the packed tables of beams, cached: spinning sensors reuse their beams."""
     known = _packed_beams.get(beams)
     if known is None:
         lane = (np.arange(BLOCK, dtype=np.float32) + beams.firing_share[:, None]) / np.float32(BLOCK)
@@ -396,7 +400,7 @@ def _by_block(directions: NDArray[np.float32]) -> NDArray[np.float32]:
 def _blocks(
     knots: NDArray[np.float64], origin: NDArray[np.float64], turn: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return (B, 3, 4) poses at the starts of the blocks, in a frame at `origin`, and what is added until the next."""
+    """Return (B, 3, 4) poses at the starts of the blocks, in a frame at `origin`, and their change until the next."""
     placed = knots.copy()
     placed[:, :, 3] -= origin
     if turn is not None:
@@ -404,11 +408,11 @@ def _blocks(
     return placed[:-1].astype(np.float32), np.diff(placed, axis=0).astype(np.float32)
 
 
-def _room(shot: Shot) -> Columns:
-    rows = shot.beams.rings * shot.beams.columns * (2 if shot.spec.returns == "dual" else 1)
+def _room(request: SweepRequest) -> PointColumns:
+    rows = request.beams.rings * request.beams.columns * (2 if request.spec.returns == "dual" else 1)
     # Zeroing the room would cost a tenth of the sweep; every row that is handed out is written before.
     room = np.empty  # noqa: TID251
-    return Columns(
+    return PointColumns(
         points=room((rows, 3), np.float32),
         intensity=room(rows, np.float32),
         ring=room(rows, np.int16),
@@ -440,15 +444,15 @@ def _scratch(width: int) -> Scratch:
     )
 
 
-def _groups(shots: Sequence[Shot]) -> list[list[Shot]]:
-    """Cut the shots into groups that hide few enough bodies for the bits of a ray mask."""
-    groups: list[list[Shot]] = [[]]
-    for shot in shots:
-        if len(_hidden([*groups[-1], shot])) > _FREE_BIT:
+def _groups(requests: Sequence[SweepRequest]) -> list[list[SweepRequest]]:
+    """Split the requests into groups whose hidden bodies fit into the bits of a ray mask."""
+    groups: list[list[SweepRequest]] = [[]]
+    for request in requests:
+        if len(_hidden([*groups[-1], request])) > _FREE_BIT:
             groups.append([])
-        groups[-1].append(shot)
+        groups[-1].append(request)
     return groups
 
 
-def _hidden(shots: Sequence[Shot]) -> tuple[int, ...]:
-    return tuple(sorted({shot.hidden_id for shot in shots if shot.hidden_id is not None}))
+def _hidden(requests: Sequence[SweepRequest]) -> tuple[int, ...]:
+    return tuple(sorted({request.hidden_id for request in requests if request.hidden_id is not None}))

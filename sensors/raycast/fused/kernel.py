@@ -1,7 +1,7 @@
-"""The compiled part of the fused engine: one loop that generates, traces, measures and packs the rays of a sweep.
+"""Kernel of the fused engine: one compiled loop that generates, traces, measures and packs the rays of a sweep.
 
-Packets hold the rays of `width` columns of one ring. A packet lives in the first-level cache: it is filled, traced
-through the moving bodies and, with what is left of its reach, through the static world, and read, before the next one.
+Packets hold the rays of `width` columns of one ring. A packet stays in the first-level cache: it is filled, traced
+through the moving bodies, then with its shortened reach through the static world, and read, before the next one.
 
 Shapes: R rings, B blocks of 16 columns, S sub-rays, N bodies, T instants of their motion, M materials.
 """
@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 def _is_cached() -> bool:
-    """Return whether numba has a folder to keep what it compiles: beside this file, or one of the user's own."""
+    """Return whether numba has a writable cache folder: beside this file, or the user's own."""
     try:
         njit(cache=True)(_is_cached)
     except RuntimeError:
@@ -38,9 +38,9 @@ def _is_cached() -> bool:
 _FAST = {"contract", "nsz", "reassoc", "arcp"}
 _OPTIONS: dict[str, Any] = {"nogil": True, "cache": _is_cached(), "error_model": "numpy", "fastmath": _FAST}
 _PART: dict[str, Any] = {**_OPTIONS, "forceinline": True}
-"""Of the parts of a loop: passing dozens of arrays by value would cost more than what they do."""
+"""Options of the parts of a loop: passing dozens of arrays by value would cost more than the work itself."""
 _WORD: dict[str, Any] = {**_OPTIONS, "inline": "always"}
-"""Of expressions: compiled on their own for each mixture of integers they would take longer than all else."""
+"""Options of expressions: separate compilation for each mixture of integers would take longer than all else."""
 
 _DIRECTION, _TIME, _REACH, _MASK = 4, 7, 8, 9
 _NORMAL, _PRIMITIVE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
@@ -72,25 +72,25 @@ ROOM_WORDS = _AXIS + 3 * BLOCK
 
 
 class Tables(NamedTuple):
-    """Everything about one sweep that the loop reads; see `sensors.raycast.base.Shot`.
+    """Inputs of the loop for one sweep; see `sensors.raycast.base.SweepRequest`.
 
     Attributes:
         axis: (R, B, 3, 16) float32 directions of the beams.
         subray: (S, R, B, 3, 16) float32 directions of the rays.
-        lane: (R, 16) float32 when each column of a block fires, as a share of the block.
+        lane: (R, 16) float32 firing time of each column of a block, as a share of the block.
         reach: (R, 2) float32.
         ray_pose, ray_step: (B, 3, 4) float32 pose in the static solid's frame at the start of a block, and its change
             until the next block.
         point_pose, point_step: the same in the frame of the points.
         clock: (2,) float32 body time at the start of the sweep and its change per block.
         power: (M * (COSINE_BINS + 1),) float32, need, scale: see `sensors.optics.reflectance.Optics`.
-        of_material: intensity depends on what was hit.
+        of_material: intensity depends on the surface.
         law: (7,) float32: 1 / reach of the tables, echo gate, range noise, angle noise, 1 / intensity limit and
             zero-intensity chance of the drop-off, general drop-off.
         returns: 0 strongest, 1 last, 2 dual.
         start: (6, R) uint64 starts in the tables of random numbers.
         normal, uniform: those tables.
-        share: (R,) float32 when a beam fires, as a share of its column.
+        share: (R,) float32 firing time of each beam, as a share of its column.
         column_s: float32 time from one column to the next, s.
         columns: C.
         mask: ray mask.
@@ -121,7 +121,7 @@ class Tables(NamedTuple):
 
 
 class World(NamedTuple):
-    """What the rays meet.
+    """Scenes that the rays are traced through, with the materials and poses of their parts.
 
     Attributes:
         intersect, arguments: addresses of Embree's packet function and its arguments.
@@ -132,7 +132,7 @@ class World(NamedTuple):
         body_id: (N,) int32 object ids.
         body_size: (N, 3) float64 boxes that hold the bodies.
         body_pose: (N, T, 3, 4) float32 poses of each slot.
-        body_steps: (N,) int64 how many of the T instants a slot has.
+        body_steps: (N,) int64 number of instants of each slot, at most T.
     """
 
     intersect: int
@@ -148,8 +148,8 @@ class World(NamedTuple):
     body_steps: NDArray[np.int64]
 
 
-class Columns(NamedTuple):
-    """Room for the points of a sweep: two rows per beam when both returns are reported, else one."""
+class PointColumns(NamedTuple):
+    """Output rows for the points of a sweep: two per beam when both returns are reported, else one."""
 
     points: NDArray[np.float32]
     intensity: NDArray[np.float32]
@@ -163,21 +163,21 @@ class Columns(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What one thread works in: the packet and what came of its rays.
+    """Working memory of one thread: ray packets and the results of their rays.
 
-    Everything of 4 bytes lies in one array, at places that are known when the loop is compiled: only then does the
-    compiler know that rows do not overlap, and turns loops over lanes into vector instructions.
+    All 4-byte values lie in one array at places known at compile time: only then does the compiler know that rows do
+    not overlap, and vectorises loops over lanes.
 
     Attributes:
         lanes: a tuple of `width` zeros: its length is part of the type, so that loops over lanes have a fixed length.
-        room: (ROOM_WORDS,) float32, 64-byte aligned as Embree asks: 16 / width packets of (21, width), then rows of 16,
+        room: (ROOM_WORDS,) float32, 64-byte aligned for Embree: 16 / width packets of (21, width), then rows of 16,
             one per sub-ray or echo: shares of the block at which columns fire, directions, distances (infinite where
             nothing was hit), cosines, powers, object ids, and for echoes measured ranges, intensities, (16, 3) points,
-            columns, and 1 for returns that are not lost. Once a block is read, the first two rows of what the rays
-            hit are those of the echoes to report.
+            columns, and 1 for returns that are not lost. After a block is read, the first two rows of the hits hold the
+            echoes to report.
         word, number: the same memory as uint32 and int32.
-        address: where it lies.
-        valid_address: where an aligned row of int32 of -1 lies: all rays of a packet are cast.
+        address: of the memory.
+        valid_address: of an aligned row of int32 of -1: all rays of a packet are cast.
         material: (8, 16) uint8 of sub-rays, then of echoes.
         owner: keeps the memory alive.
     """
@@ -213,7 +213,7 @@ call: Any = intrinsic(_typed_call)
 
 
 def _typed_bits(typing_context: Any, address: Any) -> Any:
-    """Return as 16 bits which of 16 words at an address are not zero."""
+    """Return 16 bits: which of 16 words at an address are not zero."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         row = ir.VectorType(ir.IntType(32), BLOCK)
@@ -271,7 +271,7 @@ interleave: Any = intrinsic(_typed_interleave)
 
 
 def _typed_count(typing_context: Any, bits: Any) -> Any:
-    """Return how many of 16 bits are set."""
+    """Return the number of set bits among 16."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return builder.zext(builder.ctpop(values[0]), ir.IntType(64))
@@ -283,9 +283,9 @@ count: Any = intrinsic(_typed_count)
 
 
 def _typed_squeeze(typing_context: Any, bits: Any, source: Any, target: Any, size: Any) -> Any:
-    """Copy those of 16 values at an address whose bit is set, one after another, to another address.
+    """Copy those of 16 values at an address whose bit is set, packed, to another address.
 
-    numba has no word for it and LLVM does: with AVX-512 it is one instruction instead of sixteen branches.
+    LLVM's compress-store, which numba does not expose: with AVX-512 one instruction instead of sixteen branches.
     """
     word = ir.IntType(8 * size.literal_value)
 
@@ -307,7 +307,7 @@ squeeze: Any = intrinsic(prefer_literal=True)(_typed_squeeze)
 
 @njit(**_WORD)
 def _look_up(table: Any, place: Any) -> Any:
-    """Return the value of a table over the range at a place in [0, 1], the last beyond."""
+    """Return the value of a range table at a place in [0, 1], the last value beyond."""
     at = min(place, np.float32(1.0)) * np.float32(RANGE_BINS)
     low = min(np.uint32(np.int32(at)), np.uint32(RANGE_BINS - 1))
     value = table[low]
@@ -316,7 +316,7 @@ def _look_up(table: Any, place: Any) -> Any:
 
 @njit(**_WORD)
 def _at(start: Any, row: Any, lane: Any) -> Any:
-    """Return the place of a lane of a row; unsigned, because of signed ones numba asks whether they count backwards."""
+    """Return the place of a lane of a row; unsigned, because numba tests signed indices for negative ones."""
     return np.uint64(start) + np.uint64(row) * np.uint64(BLOCK) + np.uint64(lane)
 
 
@@ -352,7 +352,7 @@ def _aim(tables: Any, scratch: Any, ring: Any, block: Any, subray: Any) -> None:
 
 @njit(**_PART)
 def _load(tables: Any, scratch: Any, ring: Any, block: Any, moving: Any) -> None:
-    """Fill the packets with the rays that were aimed, from where the sensor is when each fires."""
+    """Fill the packets with the aimed rays, from the sensor's place at each firing."""
     width = len(scratch.lanes)
     room, word = scratch.room, scratch.word
     for axis in range(3):
@@ -394,7 +394,7 @@ def _load(tables: Any, scratch: Any, ring: Any, block: Any, moving: Any) -> None
 
 @njit(**_PART)
 def _trace(world: Any, scratch: Any, moving: Any) -> None:
-    """Find what the packets hit: the bodies first, which shortens the rays for the static world."""
+    """Trace the packets: the bodies first, which shortens the rays for the static world."""
     width = len(scratch.lanes)
     for part in range(BLOCK // width):
         packet = scratch.address + part * RAY_ROWS * width * 4
@@ -420,7 +420,7 @@ def _turn_of(world: Any, slot: Any, time: Any, axis: Any) -> Any:
 
 @njit(**_PART)
 def _read(world: Any, tables: Any, scratch: Any, subray: Any) -> Any:
-    """Take what was hit out of the packets; return how many rays hit."""
+    """Read the hits of the packets; return the number of rays that hit."""
     width = len(scratch.lanes)
     room, word, number = scratch.room, scratch.word, scratch.number
     hits = np.int32(0)
@@ -438,7 +438,7 @@ def _read(world: Any, tables: Any, scratch: Any, subray: Any) -> Any:
             level = np.abs(along) / np.sqrt(length)
             room[_at(_COSINE, subray, part * width + lane)] = min(level, np.float32(1.0))
         for lane in range(width):
-            # The number that Embree writes for no geometry is not a number when read as float32; indices are.
+            # Embree's number for no geometry is NaN when read as float32; indices are not.
             geometry = room[_in_packet(width, part, _GEOMETRY, lane)]
             hit = geometry == geometry
             hits += np.int32(hit)
@@ -446,7 +446,7 @@ def _read(world: Any, tables: Any, scratch: Any, subray: Any) -> Any:
             room[_at(_DISTANCE, subray, part * width + lane)] = reached if hit else np.float32(np.inf)
         for lane in range(width):
             number[_at(_OBJECT, subray, part * width + lane)] = STATIC
-    # Neighbouring rays meet the same body, and no body turns noticeably while 16 columns fire.
+    # Neighbouring rays meet the same body, which hardly turns while 16 columns fire.
     turned = np.uint64(INVALID)
     ahead, left, up = _NO_AXIS, _NO_AXIS, _NO_AXIS
     for part in range(BLOCK // width):
@@ -503,11 +503,11 @@ def _merge(tables: Any, scratch: Any, subrays: int, order: Any, margins: Any, fo
 
     Args:
         tables: the sweep.
-        scratch: what the sub-rays hit; its echoes are written.
-        subrays: how many there are.
-        order: (8,) int64 room.
-        margins: (8,) float32 room.
-        found: (8, 4) float32 room for distance, power, margin and strongest ray of each echo.
+        scratch: hits of the sub-rays; its echoes are written.
+        subrays: number of sub-rays.
+        order: (8,) int64 buffer.
+        margins: (8,) float32 buffer.
+        found: (8, 4) float32 buffer: distance, power, margin and strongest ray of each echo.
     """
     part = np.float32(1.0) / np.float32(subrays)
     room, number = scratch.room, scratch.number
@@ -619,8 +619,8 @@ def _locate(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any, noise: 
 
 
 @njit(**_PART)
-def _judge(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any) -> None:
-    """Give the echoes of a block their intensity and decide which returns are kept."""
+def _keep_returns(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any) -> None:
+    """Compute the intensity of the echoes of a block and which returns are kept."""
     room = scratch.room
     before = np.int64(tables.start[LOST_BEFORE, ring]) + block * BLOCK
     after = np.int64(tables.start[LOST_AFTER, ring]) + block * BLOCK
@@ -647,7 +647,7 @@ def _judge(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any) -> None:
             & (measured <= far)
         )
         room[_at(_KEEP, echo, lane)] = np.float32(1.0) if kept else np.float32(0.0)
-    # The last block is filled up with beams that are not there.
+    # The last block is padded with beams beyond the last column.
     for lane in range(min(BLOCK, tables.columns - block * BLOCK), BLOCK):
         room[_at(_KEEP, echo, lane)] = np.float32(0.0)
 
@@ -698,12 +698,12 @@ def _pack_pairs(scratch: Any, columns: Any, row: Any, block: int) -> Any:
 def sweep_rings(
     tables: Any, world: Any, visible: Any, scratch: Any, columns: Any, start: int, first: int, last: int
 ) -> int:
-    """Make the points of rings `first` to `last` (exclusive) from row `start` on; return the row after.
+    """Write the points of rings `first` to `last` (exclusive) from row `start` on; return the row after.
 
     Args:
         tables: the sweep.
-        world: what the rays meet.
-        visible: (last - first, B) bool: the rays of a block may meet a body.
+        world: scenes to trace.
+        visible: (last - first, B) bool: whether the rays of a block may meet a body.
         scratch: of this thread.
         columns: written.
         start: row of the first point.
@@ -727,7 +727,7 @@ def sweep_rings(
         for block in range(tables.ray_pose.shape[0]):
             moving = world.moving != 0 and visible[ring - first, block]
             if subrays == 1:
-                # Said apart, the constant lets the compiler place every row.
+                # A branch of its own: the constant lets the compiler place every row.
                 _aim(tables, scratch, ring, block, np.int64(0))
                 _load(tables, scratch, ring, block, moving)
                 _trace(world, scratch, moving)
@@ -742,10 +742,10 @@ def sweep_rings(
                     _read(world, tables, scratch, subray)
                 _merge(tables, scratch, subrays, order, margins, found)
             _locate(tables, scratch, ring, block, np.int64(0), np.int64(RANGE))
-            _judge(tables, scratch, ring, block, np.int64(0))
+            _keep_returns(tables, scratch, ring, block, np.int64(0))
             if pairs:
                 _locate(tables, scratch, ring, block, np.int64(1), np.int64(SECOND_RANGE))
-                _judge(tables, scratch, ring, block, np.int64(1))
+                _keep_returns(tables, scratch, ring, block, np.int64(1))
                 row = _pack_pairs(scratch, columns, row, block)
             else:
                 row = _pack(scratch, columns, row, block)
@@ -768,8 +768,8 @@ class Calls(NamedTuple):
     commit_scene: int
 
 
-class Motion(NamedTuple):
-    """Where N bodies are over a span.
+class BodyPaths(NamedTuple):
+    """Paths of N bodies over a span.
 
     Attributes:
         span: (2,) float64 first and last instant, s.
@@ -790,9 +790,9 @@ class Motion(NamedTuple):
 
 @njit(**_PART)
 def _segments(motion: Any, slot: Any, most: Any) -> Any:
-    """Return how many straight pieces a body's motion needs, a power of two.
+    """Return the number of straight segments of a body's motion, a power of two.
 
-    Embree moves matrices straight from one instant to the next. A chord is off its arc by angle^2 / 8 of the radius,
+    Embree interpolates matrices linearly between instants. A chord is off its arc by angle^2 / 8 of the radius,
     here half of the body's length, and off a bend in the middle of the span by a quarter of the change of velocity
     times the span.
     """
@@ -827,10 +827,10 @@ def place_bodies(
         calls: see `Calls`.
         scene: handle.
         geometry: (N,) int64 handles of the slots.
-        shown: (N,) int64 how many instants each slot had before; written.
+        shown: (N,) int64 number of instants of each slot before; written.
         hidden: (H,) int64 ids of the bodies that rays of mask bit 0, 1, ... do not see.
         object_id: (N,) int64.
-        motion: see `Motion`.
+        motion: see `BodyPaths`.
         steps: (N,) int64, written: instants of each slot, equally spaced over the span.
         pose: (N, T, 3, 4) float32, written: the poses at those instants.
     """
@@ -877,10 +877,10 @@ def see_bodies(
         visible: (R, B) bool, written.
         azimuth: (16 B,) float64 of the columns, ascending or descending, rad.
         elevation: (R,) float64 rad.
-        spread: most that a ray leaves its column's azimuth and its ring's elevation, rad.
+        spread: largest angle of a ray to its column's azimuth and its ring's elevation, rad.
         moments: (J, 3, 4) float32 poses of the sensor at some moments from the first to the last of the sweep.
         instants: (J,) float32 those moments in body time, 0 to 1.
-        unseen: slot of the body that the sensor does not see, or -1.
+        unseen: slot of the body hidden from the sensor, or -1.
         world: the bodies.
     """
     rings, blocks = visible.shape
@@ -922,7 +922,7 @@ def see_bodies(
                 bottom, top = min(bottom, z), max(top, z)
                 angle = shift + np.arctan2(aside, ahead)
                 left, right = max(left, angle), min(right, angle)
-            # Between the moments it may come a little nearer.
+            # Between the moments the body may come a little nearer.
             near = min(near, 0.95 * closest - 0.3)
             around = around or near <= 0.0
         if around:
@@ -989,7 +989,7 @@ def cast_rays(
     face: Any,
     cosine: Any,
 ) -> None:
-    """Cast (N, 3) single rays, the first `counts[0]` at `scenes[0]` and so on, and write what they hit.
+    """Cast (N, 3) single rays, the first `counts[0]` at `scenes[0]` and so on, and write their hits.
 
     A hit lies within the ray's `distance`, which it shortens.
     """
@@ -1001,7 +1001,7 @@ def cast_rays(
         stop = start + counts[part]
         for base in range(start, stop, width):
             for lane in range(width):
-                # The last packet is filled up with its last ray.
+                # The last packet is padded with its last ray.
                 at = min(base + lane, stop - 1)
                 for axis in range(3):
                     room[_in_packet(width, 0, axis, lane)] = origins[at, axis]

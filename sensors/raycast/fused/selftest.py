@@ -1,4 +1,4 @@
-"""The self-test of an engine: small sweeps that must agree with the public engine's."""
+"""Self-test of an engine: small sweeps that must agree with the public engine's."""
 
 import msgspec
 import numpy as np
@@ -8,7 +8,7 @@ from sensors.motion import Path
 from sensors.optics.beams import beams_of
 from sensors.optics.noise import draw_noise
 from sensors.optics.reflectance import optics_of
-from sensors.raycast.base import Bodies, Engine, EngineUnavailable, Returns, Shot, Solid
+from sensors.raycast.base import Bodies, Engine, EngineUnavailable, Returns, Solid, SweepRequest
 from sensors.spec import LidarSpec, Prism
 from sim.geometry import pose_matrix
 
@@ -46,23 +46,23 @@ _SPECS = (
         returns="last",
     ),
 )
-"""One beam per direction; divided beams with two returns, jitter, and losses by power; a rosette."""
+"""Sensors: one ray per beam; divided beams with two returns, jitter and losses by power; a rosette."""
 _TOLERANCE = np.array([5e-4, 5e-4, 5e-4, 4e-3, 1e-2, 1e-6, 0.0, 0.0])
 """Of `_rows`."""
 _SILHOUETTES = 5
 
 
 def self_test(engine: Engine, other: Engine) -> None:
-    """Compare the sweeps of two engines through a room with a body that drives and turns, and a hidden one.
+    """Compare the sweeps of two engines through a room with a moving, turning body and a hidden one.
 
     Raises:
         EngineUnavailable: more than a few returns of a sweep differ, as they may at silhouettes.
     """
-    static, bodies, shots = _room(), _bodies(), [_shot(spec) for spec in _SPECS]
-    for shot, made, expected in zip(
-        shots, *(each.sweep(static, bodies, shots, 1) for each in (engine, other)), strict=True
+    static, bodies, requests = _room(), _bodies(), [_request(spec) for spec in _SPECS]
+    for request, made, expected in zip(
+        requests, *(each.sweep(static, bodies, requests, 1) for each in (engine, other)), strict=True
     ):
-        rows, others = _rows(made, shot.spec), _rows(expected, shot.spec)
+        rows, others = _rows(made, request.spec), _rows(expected, request.spec)
         both_missed = np.isnan(rows[:, 0]) & np.isnan(others[:, 0])
         agree = both_missed | (np.abs(rows - others) <= _TOLERANCE).all(axis=1)
         seen = set(np.unique(expected.object_id).tolist())
@@ -72,7 +72,7 @@ def self_test(engine: Engine, other: Engine) -> None:
 
 
 def _rows(returns: Returns, spec: LidarSpec) -> NDArray[np.float64]:
-    """Return (2 R C, 8) what each beam's two returns measured, NaN where there is none."""
+    """Return (2 R C, 8) measurements of each beam's two returns, NaN where missing."""
     grid = np.full((spec.rings, spec.columns, 2, len(_TOLERANCE)), np.nan)
     columns = returns.points, returns.intensity, returns.cosine, returns.time_offset
     measured = np.column_stack([*columns, returns.object_id, returns.material])
@@ -102,11 +102,11 @@ def _bodies() -> Bodies:
     return Bodies(np.array([1000, 1001]), size, (body, body), path, (-0.05, 0.05))
 
 
-def _shot(spec: LidarSpec) -> Shot:
+def _request(spec: LidarSpec) -> SweepRequest:
     beams = beams_of(spec, 0.0)
     times = np.linspace(-0.05, 0.05, beams.blocks + 1)
     knots = np.stack([pose_matrix([3.0 * t, 0.0, 1.9], 0.2 * t)[:3] for t in times])
-    return Shot(
+    return SweepRequest(
         spec=spec,
         beams=beams,
         optics=optics_of(spec),

@@ -1,18 +1,14 @@
-"""The public engine: embreex's own interface and numpy.
+"""Public engine: embreex's own interface and numpy, the portable fallback and the reference of the fused engine.
 
-Each solid is one committed hierarchy in its own frame, built once. Bodies never move in it: the rays that may meet one
-are brought into its frame, where it is when they fire, nearest body first. Rays reach the static world as short as the
-near bodies left them, and the far bodies as short as the static world left them.
+Each solid is one committed hierarchy in its own frame, built once. Bodies never move in it: the rays that pass through
+the sphere around one are brought into its frame, where it is when they fire.
 """
 
 import threading
-from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
-from itertools import islice, pairwise
-from operator import attrgetter
-from typing import TypeVar
+from functools import partial
+from itertools import pairwise
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -20,27 +16,20 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from sensors.optics.beams import Beams
+from sensors.optics.beams import BLOCK
 from sensors.optics.noise import ACROSS, LOST_BEFORE, UP
-from sensors.raycast.base import Bodies, Hits, Returns, Shot, Solid
-from sensors.raycast.public.measure import Aim, Met, measure
-from sensors.raycast.public.shutter import Motion, Shutter, axes_of
-from sensors.raycast.public.views import View, views_of
+from sensors.raycast.base import Bodies, Hits, Returns, Solid, SweepRequest
+from sensors.raycast.public.measure import RayHits, measure
 from sensors.sweep import STATIC
 
-_BAND_RAYS = 65_536
-"""Rays that are traced together: few enough for the cache and for threads to share a sweep, many for the same body."""
-
-_NEAR_M = 20.0
-"""Bodies nearer than this are traced before the static world, which shortens its rays, the others after it."""
+_GROW_M = 0.05
+"""Margin of the sphere around a body, m."""
 
 Floats = NDArray[np.float32]
-_T = TypeVar("_T")
-_U = TypeVar("_U")
 
 
 class PublicEngine:
-    """See the module; implements `sensors.raycast.Engine`."""
+    """Implementation of `sensors.raycast.Engine`, see the module."""
 
     name = "public"
 
@@ -53,40 +42,85 @@ class PublicEngine:
     def cast(self, solid: Solid, origins: Floats, directions: Floats, reach: Floats) -> Hits:
         """Cast single rays; see `sensors.raycast.Engine`."""
         distance = np.array(reach, np.float32)
-        face, normal = self._hierarchy(solid).trace(origins.T, directions.T, distance)
-        return Hits(distance=distance, face=face, cosine=_cosine(normal, directions.T) * (face >= 0))
+        face, normal = self._hierarchy(solid).trace(origins, directions, distance)
+        return Hits(distance=distance, face=face, cosine=_cosine(normal, directions) * (face >= 0))
 
     def cast_each(
         self, solids: Sequence[Solid], counts: Sequence[int], origins: Floats, directions: Floats, reach: Floats
     ) -> Hits:
         """Cast single rays at several solids; see `sensors.raycast.Engine`."""
-        ends = np.cumsum([0, *counts])
-        parts = [slice(start, end) for start, end in pairwise(ends.tolist())]
-        nothing = Hits(np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-        made = [nothing]
-        for solid, rows in zip(solids, parts, strict=True):
-            made.append(self.cast(solid, origins[rows], directions[rows], reach[rows]))
+        parts = [slice(start, end) for start, end in pairwise(np.cumsum([0, *counts]).tolist())]
+        hits = [Hits(np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32))]
+        hits += [self.cast(s, origins[p], directions[p], reach[p]) for s, p in zip(solids, parts, strict=True)]
         return Hits(
-            *(np.concatenate([getattr(hits, name) for hits in made]) for name in ("distance", "face", "cosine"))
+            *(np.concatenate([getattr(part, name) for part in hits]) for name in ("distance", "face", "cosine"))
         )
 
-    def sweep(self, static: Solid, bodies: Bodies, shots: Sequence[Shot], threads: int) -> list[Returns]:
-        """Make sweeps; see `sensors.raycast.Engine`."""
-        world = _World(self._hierarchy(static), [self._hierarchy(solid) for solid in bodies.solids], bodies.object_id)
+    def sweep(self, static: Solid, bodies: Bodies, requests: Sequence[SweepRequest], threads: int) -> list[Returns]:
+        """Make sweeps, one per thread at a time; see `sensors.raycast.Engine`."""
+        with ThreadPoolExecutor(max(threads, 1)) as pool:
+            return list(pool.map(partial(self._sweep, static, bodies), requests))
 
-        def plan(shot: Shot) -> _Plan:
-            return _plan(shot, bodies, static.origin)
+    def _sweep(self, static: Solid, bodies: Bodies, request: SweepRequest) -> Returns:
+        """Return the points of one sweep: S sub-rays for each of n = R C beams, ring by ring."""
+        beams, n = request.beams, request.beams.rings * request.beams.columns
+        ring, column = np.divmod(np.arange(n), beams.columns)
+        pose = _sensor_poses(request, column + beams.firing_share[ring].astype(np.float64))
+        place = pose[:, :, 3]
+        direction = np.einsum("nij,sjn->sni", pose[:, :, :3], _ray_axes(request)).astype(np.float32)
+        hits = RayHits.none(len(direction), np.repeat(beams.reach[:, 1], beams.columns))
 
-        def band(task: tuple[_Plan, slice]) -> Returns:
-            return _measure_band(*task, world)
+        rays = np.arange(direction.shape[0] * n)
+        self._trace(hits, rays, static, STATIC, place - static.origin, direction.reshape(-1, 3))
+        time_s = request.time_s + request.spec.time_offset.ravel()
+        for row, object_id in enumerate(bodies.object_id.tolist()):
+            if object_id == request.hidden_id:
+                continue
+            rays = _rays_towards(bodies, row, place, direction, hits.distance)
+            beam = rays % n
+            world_from_body = bodies.path[row].at(time_s[beam])
+            rotation = world_from_body[:, :3, :3]
+            origin = np.einsum("kji,kj->ki", rotation, place[beam] - world_from_body[:, :3, 3])
+            towards = np.einsum("kji,kj->ki", rotation, direction.reshape(-1, 3)[rays])
+            self._trace(hits, rays, bodies.solids[row], object_id, origin, towards)
 
-        with _Workers(threads) as workers:
-            bands = [_bands(shot.beams) for shot in shots]
-            tasks = (
-                (plan, rings) for plan, rows in zip(workers.map(plan, shots), bands, strict=True) for rings in rows
-            )
-            made = workers.map(band, tasks)
-            return [_joined(list(islice(made, len(rows)))) for rows in bands]
+        number = request.noise.grid(LOST_BEFORE, beams.columns).ravel()
+        hits.hit[:, number < np.float32(request.spec.dropoff_rate)] = False
+        axis = np.einsum("nij,jn->in", pose[:, :, :3], beams.axis[:, :, : beams.columns].reshape(3, n))
+        return measure(hits, axis, place.T - request.pose[:3, 3, None], request)
+
+    def _trace(
+        self,
+        hits: RayHits,
+        rays: NDArray[np.int64],
+        solid: Solid,
+        object_id: int,
+        origin: NDArray[np.floating],
+        direction: NDArray[np.floating],
+    ) -> None:
+        """Cast K rays at a solid, as short as what they have hit before, and enter what is nearer.
+
+        Args:
+            hits: of all rays, updated.
+            rays: (K,) flat rows in `hits`.
+            solid: triangles.
+            object_id: of the solid.
+            origin: (K, 3) in the solid's frame, or (n, 3) repeated for each sub-ray.
+            direction: (K, 3) in the solid's frame.
+        """
+        if len(rays) == 0:
+            return
+        start = np.tile(origin.astype(np.float32), (len(rays) // len(origin), 1))
+        towards = np.ascontiguousarray(direction, np.float32)
+        hierarchy, distance = self._hierarchy(solid), hits.distance.reshape(-1)[rays]
+        face, normal = hierarchy.trace(start, towards, distance)
+        found = np.flatnonzero(face >= 0)
+        row = rays[found]
+        hits.hit.reshape(-1)[row] = True
+        hits.distance.reshape(-1)[row] = distance[found]
+        hits.cosine.reshape(-1)[row] = _cosine(normal[found], towards[found])
+        hits.material.reshape(-1)[row] = solid.material[face[found]]
+        hits.object_id.reshape(-1)[row] = object_id
 
     def _hierarchy(self, solid: Solid) -> "_Hierarchy":
         with self._building:
@@ -95,32 +129,10 @@ class PublicEngine:
             return self._hierarchies[solid]
 
 
-class _Workers:
-    """A map over threads, or without any."""
-
-    def __init__(self, threads: int) -> None:
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
-
-    def __enter__(self) -> "_Workers":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown()
-
-    def map(self, work: Callable[[_T], _U], things: Iterable[_T]) -> Iterator[_U]:
-        return map(work, things) if self._pool is None else self._pool.map(work, things)
-
-
 class _Hierarchy:
-    """The committed scene of one solid.
-
-    Attributes:
-        material: (F + 1,) uint8; the last row, 0, is for rays that miss: their face is -1.
-    """
+    """The committed Embree scene of one solid."""
 
     def __init__(self, solid: Solid, robust: bool) -> None:
-        self.material: NDArray[np.uint8] = np.append(solid.material, np.uint8(0))
         self._scene = EmbreeScene(robust=robust)
         if len(solid.faces):
             TriangleMesh(
@@ -130,208 +142,62 @@ class _Hierarchy:
         self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32), np.ones(1, np.float32))
 
     def trace(self, origin: Floats, direction: Floats, distance: Floats) -> tuple[NDArray[np.int32], Floats]:
-        """Cast rays of (3, N) origins and directions up to their (N,) distances, which hits shorten in place.
+        """Cast rays of (N, 3) origins and directions up to their (N,) distances, which hits shorten in place.
 
         Returns:
-            (N,) face, -1 where missed, and (N, 3) normal, which is left over from the ray before where missed.
+            (N,) face, -1 where missed, and (N, 3) normal, undefined where missed.
         """
-        found = self._scene.run(origin.T, direction.T, distance, output=1)
+        found = self._scene.run(origin, direction, distance, output=1)
         return found["primID"], found["Ng"]
 
 
 def _cosine(normal: Floats, direction: Floats) -> Floats:
-    """Return (N,) |cos| between (N, 3) normals of any length and (3, N) unit directions; finite for any normals."""
+    """Return (N,) |cos| between (N, 3) normals of any length and unit directions; finite for any normals."""
     with np.errstate(all="ignore"):
-        normal = np.ascontiguousarray(normal.T)
-        product = normal * direction
-        cosine = product[0]
-        cosine += product[1]
-        cosine += product[2]
-        normal *= normal
-        length = normal[0]
-        length += normal[1]
-        length += normal[2]
-        cosine /= np.sqrt(length, out=length)
-        return np.fmin(np.abs(cosine, out=cosine), np.float32(1.0), out=cosine)
+        along = np.abs(np.einsum("ni,ni->n", normal, direction)) / np.linalg.norm(normal, axis=1)
+    return np.fmin(along, np.float32(1.0)).astype(np.float32)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _World:
-    """The static world, and the N bodies with their ids."""
-
-    static: _Hierarchy
-    bodies: Sequence[_Hierarchy]
-    object_id: NDArray[np.int64]
+def _sensor_poses(request: SweepRequest, column: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, 3, 4) world_from_lidar at (N,) moments in columns since the start of the sweep."""
+    block = np.minimum(column // BLOCK, len(request.knots) - 2).astype(np.int64)
+    share = (column / BLOCK - block)[:, None, None]
+    return request.knots[block] + share * (request.knots[block + 1] - request.knots[block])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Plan:
-    """One sweep.
-
-    Attributes:
-        shot: what is asked.
-        axes: (3, S, R, 1 or C) of the rays, see `axes_of`.
-        beam_axes: (3, 1, R, 1 or C) of the beams.
-        motion: the sensor's in the frame of the static solid.
-        home: (3,) float64 the sensor's place in that frame at the reference time.
-        views: of the bodies, nearest first.
-        view_motion: the sensor's in the frames of the views' bodies.
-    """
-
-    shot: Shot
-    axes: Floats
-    beam_axes: Floats
-    motion: Motion
-    home: NDArray[np.float64]
-    views: list[View]
-    view_motion: Motion
-
-
-def _plan(shot: Shot, bodies: Bodies, origin: NDArray[np.float64]) -> _Plan:
-    shutter = Shutter(shot, bodies.path.time_s)
-    poses = shutter.sensor(shutter.border)
-    poses[:, :, 3] -= origin
-    motion = shutter.motion(poses, shutter.segment)
-    return _Plan(shot, *axes_of(shot.beams), motion, shot.pose[:3, 3] - origin, *views_of(shot, shutter, bodies))
-
-
-def _bands(beams: Beams) -> list[slice]:
-    """Cut the rings into bands; the number of threads has no say."""
-    bands = min(beams.rings, -(-beams.rings * beams.columns * len(beams.subray) // _BAND_RAYS))
-    border = np.linspace(0, beams.rings, bands + 1).round().astype(int).tolist()
-    return [slice(first, after) for first, after in pairwise(border)]
-
-
-def _measure_band(plan: _Plan, rings: slice, world: _World) -> Returns:
-    """Return the points of some rings."""
-    shot, share = plan.shot, plan.shot.beams.firing_share[rings]
-    axes = _tilted(plan.axes[:, :, rings], shot, rings)
-    direction, place = plan.motion.directions(axes, share), plan.motion.places(share)
-    met = _untraced(shot, rings)
-    # Near bodies hide much of the world, which hides most of the far ones.
-    far = bisect_left(plan.views, _NEAR_M, key=attrgetter("near"))
-    _trace_bodies(met, plan, rings, plan.views[:far], axes, world)
-    _trace_static(met, direction, place, world.static)
-    _trace_bodies(met, plan, rings, plan.views[far:], axes, world)
-    if len(shot.beams.subray) > 1 or shot.spec.angle_noise_deg > 0.0:
-        direction = plan.motion.directions(plan.beam_axes[:, :, rings], share)
-    aim = Aim(direction.reshape(3, -1), (place - plan.home[:, None, None]).astype(np.float32))
-    return measure(met, aim, shot, rings)
-
-
-def _untraced(shot: Shot, rings: slice) -> Met:
-    """Return what the rays of some rings have met before they are cast: nothing within their reach."""
-    shape = len(shot.beams.subray), (rings.stop - rings.start) * shot.beams.columns
-    reach = np.repeat(shot.beams.reach[rings, 1], shot.beams.columns)
-    if shot.spec.dropoff_rate > 0.0:
-        # What is lost before need not be cast: Embree leaves out rays that end before they start.
-        number = shot.noise.grid(LOST_BEFORE, shot.beams.columns, rings).reshape(-1)
-        np.copysign(reach, number - np.float32(shot.spec.dropoff_rate), out=reach)
-    return Met(
-        hit=np.zeros(shape, bool),
-        distance=np.tile(reach, (shape[0], 1)),
-        cosine=np.zeros(shape, np.float32),
-        material=np.zeros(shape, np.uint8),
-        object_id=np.full(shape, STATIC, np.int32),
-    )
-
-
-def _trace_bodies(met: Met, plan: _Plan, rings: slice, views: Sequence[View], axes: Floats, world: _World) -> None:
-    """Cast the rays of some rings at bodies, nearest body first.
-
-    Args:
-        met: what they have met, updated.
-        plan: the sweep.
-        rings: which.
-        views: of the bodies.
-        axes: of the rays, see `axes_of`.
-        world: the bodies.
-    """
-    share, columns = plan.shot.beams.firing_share[rings], plan.shot.beams.columns
-    distance = met.distance.reshape(len(met.distance), -1, columns)
-    number = np.arange(distance.size).reshape(distance.shape)
-    hits: list[_BodyHits] = []
-    for view in views:
-        rows = slice(max(view.top - rings.start, 0), min(view.bottom, rings.stop) - rings.start)
-        if rows.start >= rows.stop:
-            continue
-        where = slice(None), rows, view.columns
-        reach = distance[where].copy()
-        # Rays that have already met something nearer need no second look.
-        if reach.max() <= view.near:
-            continue
-        its_axes = axes[:, :, rows] if axes.shape[3] == 1 else axes[:, :, rows, view.columns]
-        direction = plan.view_motion.directions(its_axes, share[rows], view.span).reshape(3, -1)
-        origin = _spread(plan.view_motion.places(share[rows], view.span), reach.shape)
-        solid = world.bodies[view.body]
-        face, normal = solid.trace(origin, direction, reach.reshape(-1))
-        hit = np.flatnonzero(face >= 0)
-        if len(hit):
-            distance[where] = reach
-            ray, material = number[where].reshape(-1).take(hit), solid.material.take(face.take(hit))
-            hits.append((view.body, ray, material, normal.take(hit, axis=0), direction.take(hit, axis=1)))
-    if hits:
-        _hit(met, hits, world.object_id)
-
-
-_BodyHits = tuple[int, NDArray[np.intp], NDArray[np.uint8], Floats, Floats]
-"""A body and its h hits: numbers of the rays, materials, normals (h, 3) and directions (3, h) in the body's frame."""
-
-
-def _hit(met: Met, hits: Sequence[_BodyHits], object_id: NDArray[np.int64]) -> None:
-    """Enter hits on bodies, nearer ones later: where a ray met several, what numpy assigns last stays."""
-    body, *columns = zip(*hits, strict=True)
-    ray = np.concatenate(columns[0])
-    met.hit.reshape(-1)[ray] = True
-    met.material.reshape(-1)[ray] = np.concatenate(columns[1])
-    met.cosine.reshape(-1)[ray] = _cosine(np.concatenate(columns[2]), np.concatenate(columns[3], axis=1))
-    met.object_id.reshape(-1)[ray] = np.repeat(object_id[list(body)], [len(rays) for rays in columns[0]])
-
-
-def _trace_static(met: Met, direction: Floats, place: Floats, static: _Hierarchy) -> None:
-    """Cast rays that have met near bodies at the static world too.
-
-    Args:
-        met: what they have met, updated.
-        direction: (3, S, r, C).
-        place: (3, 1 or r, C) where they start.
-        static: the static world.
-    """
-    of_body, distance, cosine, material, object_id = (getattr(met, field.name).reshape(-1) for field in fields(met))
-    shape, direction = direction.shape[1:], direction.reshape(3, -1)
-    face, normal = static.trace(_spread(place, shape), direction, distance)
-    hit = face >= 0
-    # What hides a body takes its place; elsewhere one of the two met nothing and has only zeros.
-    hidden = np.flatnonzero(hit & of_body)
-    cosine[hidden], material[hidden], object_id[hidden] = 0.0, 0, STATIC
-    cosine += _cosine(normal, direction) * hit
-    material += static.material.take(face, mode="wrap")
-    of_body |= hit
-
-
-def _spread(place: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return (3, N) origins of rays of shape (S, r, c) from (3, 1 or r, c) places."""
-    origin = np.zeros((3, *shape), np.float32)
-    origin[:] = place[:, None]
-    return origin.reshape(3, -1)
-
-
-def _tilted(axes: Floats, shot: Shot, rings: slice) -> Floats:
-    """Return the axes of the rays of some rings as they truly are, tilted at random."""
-    if shot.spec.angle_noise_deg == 0.0:
+def _ray_axes(request: SweepRequest) -> NDArray[np.float64]:
+    """Return (S, 3, n) unit directions of the rays in the sensor frame, tilted by the angle noise."""
+    beams, sigma = request.beams, np.radians(request.spec.angle_noise_deg)
+    axes = beams.subray[..., : beams.columns].reshape(len(beams.subray), 3, -1).astype(np.float64)
+    if sigma == 0.0:
         return axes
     # Across along the horizon, up along the meridian.
-    sigma = np.float32(np.radians(shot.spec.angle_noise_deg))
-    across, up = (sigma * shot.noise.grid(row, shot.beams.columns, rings) for row in (ACROSS, UP))
-    x, y, z = axes
-    level = np.maximum(np.sqrt(x * x + y * y), np.float32(1e-6))
+    across, up = (sigma * request.noise.grid(row, beams.columns).ravel() for row in (ACROSS, UP))
+    x, y, z = np.moveaxis(axes, 1, 0)
+    level = np.maximum(np.hypot(x, y), 1e-6)
     across, up = across / level, up / level
-    tilted = np.stack([x - across * y - up * x * z, y + across * x - up * y * z, z + up * level * level])
-    tilted /= np.sqrt((tilted * tilted).sum(axis=0))
-    return tilted
+    tilted = np.stack([x - across * y - up * x * z, y + across * x - up * y * z, z + up * level * level], axis=1)
+    return tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
 
 
-def _joined(parts: Sequence[Returns]) -> Returns:
-    if len(parts) == 1:
-        return parts[0]
-    return Returns(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Returns)))
+def _rays_towards(
+    bodies: Bodies, row: int, place: NDArray[np.float64], direction: Floats, distance: Floats
+) -> NDArray[np.int64]:
+    """Return flat rows of the rays that pass through the sphere around a body's box and all its path.
+
+    Args:
+        bodies: moving actors.
+        row: of the body.
+        place: (n, 3) origins of the beams, world frame.
+        direction: (S, n, 3) of the rays.
+        distance: (S, n) where they end, m.
+    """
+    length, width, height = bodies.size[row]
+    knots = bodies.path.xyz[row]
+    middle = 0.5 * (knots.min(axis=0) + knots.max(axis=0))
+    # The sphere stands on the middle of the footprint, so that it holds the box however it leans.
+    radius = np.sqrt(0.25 * (length**2 + width**2) + height**2) + np.linalg.norm(knots - middle, axis=1).max() + _GROW_M
+    offset = (middle - place).astype(np.float32)
+    along = np.einsum("sni,ni->sn", direction, offset)
+    aside = np.einsum("ni,ni->n", offset, offset) - along**2
+    return np.flatnonzero((aside <= radius**2) & (along >= -radius) & (along - radius <= distance))

@@ -43,7 +43,7 @@ def test_a_beam_looks_aside_by_its_offset():
 
 
 @pytest.mark.parametrize(("clockwise", "turn"), [(False, 0.25), (True, -0.25)])
-def test_the_head_turns_on_until_a_beam_fires(clockwise, turn):
+def test_the_head_keeps_turning_until_a_beam_fires(clockwise, turn):
     quarter = 0.25 * 0.1 / 360
     spec = spec_of(elevation_deg=(1.0, 0.0), firing_s=(0.0, quarter), columns=360, clockwise=clockwise)
     azimuth, _ = angles(beams_of(spec, 0.0).axis[:, :, :360])
@@ -51,7 +51,7 @@ def test_the_head_turns_on_until_a_beam_fires(clockwise, turn):
     np.testing.assert_allclose(beams_of(spec, 0.0).firing_share, [0.0, 0.25], atol=1e-6)
 
 
-def test_a_beam_has_one_ray_its_axis_unless_it_is_asked_for_more():
+def test_a_beam_has_one_ray_along_its_axis_by_default():
     beams = beams_of(get_lidar("vlp-16"), 0.0)
     np.testing.assert_array_equal(beams.subray[0], beams.axis)
     assert len(beams.subray) == 1

@@ -90,7 +90,7 @@ def test_a_rosette_depends_on_the_time_and_a_spinning_head_does_not():
     np.testing.assert_array_equal(beams_of(rosette, 1.0).axis, beams_of(rosette, 1.0).axis)
 
 
-def test_the_pattern_goes_on_smoothly_from_sweep_to_sweep():
+def test_the_pattern_continues_smoothly_from_sweep_to_sweep():
     first, then = (beams_of(get_lidar("livox-mid-70"), t).axis[:, 0, :10_000] for t in (3.0, 3.1))
     step = np.linalg.norm(np.diff(np.concatenate([first[:, -3:], then[:, :3]], axis=1), axis=1), axis=0)
     np.testing.assert_allclose(step, step.mean(), rtol=0.05)

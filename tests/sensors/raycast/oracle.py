@@ -1,4 +1,4 @@
-"""An engine as slow as it is plain: every ray against every triangle in float64, one beam after another."""
+"""Oracle engine: every ray against every triangle in float64, one beam after another."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -8,13 +8,13 @@ import numpy as np
 from sensors.optics.beams import BLOCK
 from sensors.optics.noise import ACROSS, LOST_AFTER, LOST_BEFORE, RANGE, SECOND_RANGE, UP
 from sensors.optics.reflectance import drop_chance
-from sensors.raycast import Bodies, Hits, Returns, Shot, Solid
+from sensors.raycast import Bodies, Hits, Returns, Solid, SweepRequest
 from sensors.sweep import STATIC
 from sim.geometry import invert
 
 
 class Oracle:
-    """Implements `sensors.raycast.Engine` by its words."""
+    """Literal implementation of the definition in `sensors.raycast.Engine`."""
 
     name = "oracle"
 
@@ -22,8 +22,8 @@ class Oracle:
         distance, face, cosine = first_hits(solid, origins.astype(float), directions.astype(float), reach.astype(float))
         return Hits(distance.astype(np.float32), face.astype(np.int32), cosine.astype(np.float32))
 
-    def sweep(self, static: Solid, bodies: Bodies, shots: Sequence[Shot], threads: int) -> list[Returns]:
-        return [_sweep(static, bodies, shot) for shot in shots]
+    def sweep(self, static: Solid, bodies: Bodies, requests: Sequence[SweepRequest], threads: int) -> list[Returns]:
+        return [_sweep(static, bodies, request) for request in requests]
 
 
 def first_hits(solid: Solid, origins, directions, reach):
@@ -43,45 +43,47 @@ def first_hits(solid: Solid, origins, directions, reach):
     return distance, face, cosine
 
 
-def _sweep(static: Solid, bodies: Bodies, shot: Shot) -> Returns:
-    spec, beams = shot.spec, shot.beams
+def _sweep(static: Solid, bodies: Bodies, request: SweepRequest) -> Returns:
+    spec, beams = request.spec, request.beams
     ring, column = (grid.ravel() for grid in np.mgrid[: beams.rings, : beams.columns])
-    pose = _sensor(shot, column + beams.firing_share[ring].astype(float))
-    time_s = shot.time_s + spec.time_offset.ravel()
-    seen = [_seen(static, bodies, shot, pose, time_s, ring, column, ray) for ray in range(len(beams.subray))]
+    pose = _sensor(request, column + beams.firing_share[ring].astype(float))
+    time_s = request.time_s + spec.time_offset.ravel()
+    seen = [_seen(static, bodies, request, pose, time_s, ring, column, ray) for ray in range(len(beams.subray))]
     rows = []
     for beam in range(len(ring)):
-        rows += _beam(shot, ring[beam], column[beam], pose[beam], [tuple(v[beam] for v in ray) for ray in seen])
+        rows += _beam(request, ring[beam], column[beam], pose[beam], [tuple(v[beam] for v in ray) for ray in seen])
     dtypes = (np.float32, np.float32, np.int16, np.int32, np.float32, np.int32, np.uint8, np.uint8, np.float32)
     columns = list(zip(*rows, strict=True)) or [np.zeros((0, 3)), *[()] * (len(dtypes) - 1)]
     return Returns(*(np.array(v, dtype) for v, dtype in zip(columns, dtypes, strict=True)))
 
 
-def _sensor(shot: Shot, column) -> np.ndarray:
-    block = np.minimum(column // BLOCK, len(shot.knots) - 2).astype(int)
+def _sensor(request: SweepRequest, column) -> np.ndarray:
+    block = np.minimum(column // BLOCK, len(request.knots) - 2).astype(int)
     share = (column / BLOCK - block)[:, None, None]
-    return (1.0 - share) * shot.knots[block] + share * shot.knots[block + 1]
+    return (1.0 - share) * request.knots[block] + share * request.knots[block + 1]
 
 
-def _seen(static, bodies, shot, pose, time_s, ring, column, ray):
+def _seen(static, bodies, request, pose, time_s, ring, column, ray):
     """Return distance (inf where nothing is), cosine, material and object of one sub-ray of all beams."""
-    axis = shot.beams.subray[ray, :, ring, column].astype(float)
+    axis = request.beams.subray[ray, :, ring, column].astype(float)
     x, y, z = axis.T
     level = np.hypot(x, y)
-    sigma = np.radians(shot.spec.angle_noise_deg)
-    across, up = (sigma * shot.noise.normal[shot.noise.start[row, ring] + column][:, None] for row in (ACROSS, UP))
+    sigma = np.radians(request.spec.angle_noise_deg)
+    across, up = (
+        sigma * request.noise.normal[request.noise.start[row, ring] + column][:, None] for row in (ACROSS, UP)
+    )
     horizon = np.stack([-y, x, 0.0 * x], axis=1) / level[:, None]
     meridian = np.stack([-x * z, -y * z, level**2], axis=1) / level[:, None]
     axis = axis + across * horizon + up * meridian
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     direction, place = np.einsum("nij,nj->ni", pose[:, :, :3], axis), pose[:, :, 3]
-    reach = shot.beams.reach[ring, 1].astype(float)
+    reach = request.beams.reach[ring, 1].astype(float)
     distance, face, cosine = first_hits(static, place - static.origin, direction, reach)
     hit = face >= 0
     material = static.material[face] if len(static.material) else np.zeros(len(face), np.uint8)
     object_id = np.full(len(face), STATIC)
     for row, solid in enumerate(bodies.solids):
-        if bodies.object_id[row] == shot.hidden_id:
+        if bodies.object_id[row] == request.hidden_id:
             continue
         body_from_world = invert(bodies.path[row].at(time_s))
         origins = np.einsum("nij,nj->ni", body_from_world[:, :3, :3], place) + body_from_world[:, :3, 3]
@@ -98,9 +100,9 @@ def _table(values, place: float) -> float:
     return float(np.interp(place * (len(values) - 1), np.arange(len(values)), values))
 
 
-def _beam(shot: Shot, ring: int, column: int, pose, rays):
+def _beam(request: SweepRequest, ring: int, column: int, pose, rays):
     """Return the rows of one beam from (distance, cosine, material, object) of its rays."""
-    spec, optics, noise = shot.spec, shot.optics, shot.noise
+    spec, optics, noise = request.spec, request.optics, request.noise
     share = 1.0 / len(rays)
     hits = []
     for distance, cosine, material, object_id in sorted((r for r in rays if np.isfinite(r[0])), key=lambda r: r[0]):
@@ -134,13 +136,13 @@ def _beam(shot: Shot, ring: int, column: int, pose, rays):
         intensity = min(1.0, power * scale if optics.of_material else scale)
         row = SECOND_RANGE if number else RANGE
         measured = distance + spec.range_noise_m * float(noise.normal[noise.start[row, ring] + column])
-        near, far = shot.beams.reach[ring]
+        near, far = request.beams.reach[ring]
         chance = float(drop_chance(np.array([intensity], np.float32), spec)[0])
         lost = noise.uniform[noise.start[LOST_AFTER, ring] + column] < chance
         if lost or distance < near or not near <= measured <= far:
             continue
-        world = pose[:, :3] @ shot.beams.axis[:, ring, column] * measured + pose[:, 3]
-        point = invert(shot.pose)[:3, :3] @ world + invert(shot.pose)[:3, 3]
+        world = pose[:, :3] @ request.beams.axis[:, ring, column] * measured + pose[:, 3]
+        point = invert(request.pose)[:3, :3] @ world + invert(request.pose)[:3, 3]
         after = spec.time_offset[ring, column]
         rows.append((point, intensity, ring, column, after, object_id, number + 1, material, cosine))
     return rows

@@ -20,6 +20,7 @@ from sensors.optics.beams import beams_of
 from sensors.optics.reflectance import optics_of
 from sensors.presets import get_lidar
 from sensors.raycast import choice, open_engine
+from sensors.raycast.base import EngineUnavailable
 from sensors.raycast.fused import embree, selftest
 from sensors.raycast.fused import engine as fused
 from sensors.scan.lidar import Sensor, scan, scan_all
@@ -111,13 +112,13 @@ class Faulty:
         self._spec = spec or {}
         self._answer = answer or (lambda returns: returns)
 
-    def sweep(self, static, bodies, shots, threads):
-        made = open_engine("public").sweep(static, bodies, [self._changed(shot) for shot in shots], threads)
+    def sweep(self, static, bodies, requests, threads):
+        made = open_engine("public").sweep(static, bodies, [self._changed(request) for request in requests], threads)
         return [self._answer(returns) for returns in made]
 
-    def _changed(self, shot):
-        spec = msgspec.structs.replace(shot.spec, **self._spec)
-        return replace(shot, spec=spec, beams=beams_of(spec, 0.0), optics=optics_of(spec))
+    def _changed(self, request):
+        spec = msgspec.structs.replace(request.spec, **self._spec)
+        return replace(request, spec=spec, beams=beams_of(spec, 0.0), optics=optics_of(spec))
 
 
 def scaled(field, by):
@@ -149,7 +150,7 @@ def scaled(field, by):
     ],
 )
 def test_an_engine_that_gets_one_thing_wrong_fails_the_self_test(fault):
-    with pytest.raises(choice.EngineUnavailable, match="self-test failed"):
+    with pytest.raises(EngineUnavailable, match="self-test failed"):
         selftest.self_test(fault, open_engine("public"))
 
 
@@ -158,11 +159,11 @@ def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp
     """A regular file in place of each folder keeps even the superuser from writing there."""
     package = shutil.copytree(ROOT / "sensors", tmp_path / "sensors", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT / "sim", tmp_path / "sim", ignore=shutil.ignore_patterns("__pycache__"))
-    (package / "raycast" / "__pycache__").write_text("")
+    (package / "raycast" / "fused" / "__pycache__").write_text("")
     folder = tmp_path / "home"
     folder.write_text("") if home == "none" else folder.mkdir()
     kept = {key: value for key, value in os.environ.items() if key not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
-    code = "from sensors.raycast import kernel; print(kernel.__file__, kernel._OPTIONS['cache'])"
+    code = "from sensors.raycast.fused import kernel; print(kernel.__file__, kernel._OPTIONS['cache'])"
     result = subprocess.run(
         [sys.executable, "-B", "-c", code],
         capture_output=True,
@@ -171,7 +172,7 @@ def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp
         env=kept | {"HOME": str(folder), "LOCALAPPDATA": str(folder), "PYTHONPATH": str(tmp_path)},
     )
     assert result.returncode == 0, result.stderr
-    assert result.stdout.split() == [str(package / "raycast" / "kernel.py"), str(home == "writable")]
+    assert result.stdout.split() == [str(package / "raycast" / "fused" / "kernel.py"), str(home == "writable")]
     assert ("each process compiles it anew" in result.stderr) == (home == "none")
 
 
@@ -195,11 +196,11 @@ def test_an_interrupted_move_of_the_bodies_is_done_anew(monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals cannot be sent to a thread here")
-def test_an_interrupted_sweep_lets_nobody_in_before_its_workers_have_stopped(monkeypatch):
+def test_an_interrupted_sweep_keeps_its_lock_until_its_workers_have_stopped(monkeypatch):
     scene = RayScene(ground(), body_mesh=box_body, engine="fused")
     path = motion.Path.through([-0.05, 0.05], [SENSOR, SENSOR])
     sensor = Sensor(get_lidar("debug-16"), path, 0.0, np.random.default_rng(0))
-    make = fused._Job.make
+    make = fused._SweepTask.make
     begun, ended = [], []
 
     def slowly(*args):
@@ -213,8 +214,8 @@ def test_an_interrupted_sweep_lets_nobody_in_before_its_workers_have_stopped(mon
             time.sleep(0.1)
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
 
-    monkeypatch.setattr(fused._Job, "make", slowly)
-    # What a shell has started in the background does not hear of interrupts by itself.
+    monkeypatch.setattr(fused._SweepTask, "make", slowly)
+    # A background job of a shell ignores interrupts by default.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     user = threading.Thread(target=impatient)
     user.start()
@@ -224,7 +225,7 @@ def test_an_interrupted_sweep_lets_nobody_in_before_its_workers_have_stopped(mon
     user.join()
     signal.signal(signal.SIGINT, before)
     assert begun and still_at_work == 0 and not locked
-    # What nobody waits for any more is not begun.
+    # No further task begins.
     assert len(begun) <= 2
     monkeypatch.undo()
     assert len(scan_all(scene, [sensor], threads=2)[0]) > 1000

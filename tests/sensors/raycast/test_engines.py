@@ -231,7 +231,7 @@ def test_rays_aimed_at_shared_edges_never_leak(engine):
     assert (hits.face >= 0).all()
 
 
-def test_reach_ends_a_ray_and_is_left_alone(engine):
+def test_reach_ends_a_ray_and_is_not_changed(engine):
     reach = np.array([4.0, 6.0], np.float32)
     directions = rays([[1, 0, 0], [1, 0, 0]])
     hits = engine.cast(solid_of(trimesh.creation.box((10.0,) * 3)), np.zeros((2, 3), np.float32), directions, reach)
@@ -241,7 +241,7 @@ def test_reach_ends_a_ray_and_is_left_alone(engine):
     assert hits.cosine[0] == 0.0
 
 
-def test_directions_of_no_length_miss(engine):
+def test_zero_and_nan_directions_miss(engine):
     directions = np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [1.0, 0.0, 0.0]], np.float32)
     reach = np.full(3, 9.0, np.float32)
     hits = engine.cast(solid_of(trimesh.creation.box((4.0,) * 3)), np.zeros((3, 3), np.float32), directions, reach)

@@ -9,15 +9,15 @@ from sensors.recording.encounter_check import (
     EGO_ID,
     LATENCY_S,
     UNSEEN_POINTS,
-    prove,
-    settle,
-    settled,
+    find_encounter,
+    prove_encounter,
+    with_proven_encounter,
 )
 from sensors.recording.record import record
 from sim.catalog.load import load_scenario
-from sim.encounters import KINDS
+from sim.encounters import ENCOUNTERS
 from sim.errors import ScenarioError
-from sim.scenario import ConflictSpec
+from sim.scenario import EncounterSpec
 from sim.traffic.open import open_traffic
 from sim.world.build import build_world
 from tests.sim.encounters.test_encounters import encounter
@@ -26,13 +26,13 @@ SEEDS = (1, 2, 3)
 
 
 def control_of(kind: str, control: str, seed: int):
-    return settle(encounter(kind, control=control), seed).control
+    return find_encounter(encounter(kind, control=control), seed).control
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_the_proof_holds_on_three_seeds(kind: str) -> None:
     for seed in SEEDS:
-        found = settle(encounter(kind), seed)
+        found = find_encounter(encounter(kind), seed)
         proof = found.proof
         assert proof.holds and proof.reason == "" and proof.hit == "conflict"
         assert proof.ego_points < UNSEEN_POINTS
@@ -43,64 +43,64 @@ def test_the_proof_holds_on_three_seeds(kind: str) -> None:
         assert found.scenario.agents.named[0] == "ego"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_without_the_occluder_the_ego_sees_it_early(kind: str) -> None:
     control = control_of(kind, "no_occluder", SEEDS[0])
     assert not control.holds and control.reason == "seen early"
-    assert control.ego_ttc_s > settle(encounter(kind), SEEDS[0]).proof.critical_ttc_s + 0.5
+    assert control.ego_ttc_s > find_encounter(encounter(kind), SEEDS[0]).proof.critical_ttc_s + 0.5
     assert control.hit == "conflict"
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_without_the_conflict_actor_nobody_collides(kind: str) -> None:
+@pytest.mark.parametrize("kind", ENCOUNTERS)
+def test_without_the_conflict_actor_there_is_no_collision(kind: str) -> None:
     control = control_of(kind, "no_conflict", SEEDS[0])
     assert not control.holds and control.reason == "no collision" and control.hit_s is None
 
 
-def test_a_ghost_is_told_with_its_track_and_nobody_collides_with_it() -> None:
-    found = settle(encounter("ped_bus_stop", control="ghost"), SEEDS[0])
+def test_a_ghost_is_listed_with_its_track_and_causes_no_collision() -> None:
+    found = find_encounter(encounter("ped_bus_stop", control="ghost"), SEEDS[0])
     assert not found.control.holds and found.control.reason == "no collision"
     (ghost,) = found.ghosts
     assert (ghost["name"], ghost["claimed_by"], ghost["class"]) == ("ghost", "bus", "pedestrian")
     crossing = [row for row in ghost["track"] if -3.5 < row[2] < 0.0]
     assert crossing and all(abs(row[1]) < 0.1 for row in crossing)
-    plain = settle(encounter("ped_bus_stop"), SEEDS[0])
+    plain = find_encounter(encounter("ped_bus_stop"), SEEDS[0])
     assert plain.ghosts == () and plain.control is None
     assert plain.parameters == found.parameters and plain.rejected == found.rejected
 
 
 def test_equal_seeds_are_proven_to_the_same_draw() -> None:
     scenario = encounter("ima_queue")
-    first = settle(scenario, 4)
-    for cache in ("_settled", "_first_that_holds"):
-        settle.__globals__[cache].cache_clear()
-    assert msgspec.json.encode(settle(scenario, 4)) == msgspec.json.encode(first)
+    first = find_encounter(scenario, 4)
+    for cache in ("_found", "_first_proven_draw"):
+        find_encounter.__globals__[cache].cache_clear()
+    assert msgspec.json.encode(find_encounter(scenario, 4)) == msgspec.json.encode(first)
 
 
-def test_values_that_cannot_hide_anything_are_refused_with_what_was_found() -> None:
+def test_values_that_hide_nothing_are_refused_with_the_reasons() -> None:
     bare = {"setback_m": 8.0, "ego_mps": 8.0, "conflict_mps": 8.0}
     with pytest.raises(ScenarioError, match=r"conflict\.parameters: expected .* of 3 draws .* found 3 x seen early"):
-        settle(encounter("ima_building", parameters=bare, draws=3), 1)
+        find_encounter(encounter("ima_building", parameters=bare, draws=3), 1)
 
 
-def test_an_instance_that_does_not_meet_is_no_conflict() -> None:
+def test_an_encounter_without_a_collision_fails() -> None:
     late = encounter("ima_building", parameters={"jitter_s": 0.5, "ego_mps": 17.0, "conflict_mps": 17.0})
-    assert prove(late, 1).reason == "no collision"
+    assert prove_encounter(late, 1).reason == "no collision"
 
 
-def test_what_is_settled_stays_and_other_scenarios_pass() -> None:
-    done = settled(encounter("ima_building"), 1)
-    assert done.agents.named and settled(done, 1) is done
+def test_a_proven_scenario_and_one_without_encounter_stay_unchanged() -> None:
+    done = with_proven_encounter(encounter("ima_building"), 1)
+    assert done.agents.named and with_proven_encounter(done, 1) is done
     plain = load_scenario("four_way")
-    assert settled(plain, 1) is plain
+    assert with_proven_encounter(plain, 1) is plain
     with pytest.raises(ScenarioError, match="conflict: expected one of an encounter, found none"):
-        settle(plain, 1)
+        find_encounter(plain, 1)
 
 
-def test_a_control_of_a_shipped_scenario_is_asked_for_by_name() -> None:
+def test_a_control_of_a_shipped_scenario_has_a_name() -> None:
     scenario = load_scenario("ima_building:no_occluder")
     assert scenario.name == "ima_building-no_occluder"
-    assert scenario.conflict == ConflictSpec(kind="ima_building", control="no_occluder")
+    assert scenario.conflict == EncounterSpec(kind="ima_building", control="no_occluder")
     with pytest.raises(ScenarioError, match="did you mean 'no_occluder'"):
         load_scenario("ima_building:no_ocluder")
     with pytest.raises(ScenarioError, match="control of a conflict"):
@@ -109,18 +109,18 @@ def test_a_control_of_a_shipped_scenario_is_asked_for_by_name() -> None:
 
 @pytest.mark.parametrize("name", ["braunschweig_lta_truck", "braunschweig_red_light_runner"])
 def test_encounters_at_a_real_junction_hold_and_their_controls_fail(name: str) -> None:
-    found = settle(load_scenario(name), SEEDS[0])
+    found = find_encounter(load_scenario(name), SEEDS[0])
     assert found.proof.holds and found.proof.helper_ttc_s >= found.proof.critical_ttc_s + AHEAD_S
     assert found.scenario.network.area_m == load_scenario(name).network.area_m
     assert len(found.scenario.agents.roadside) == 1
-    assert settle(load_scenario(f"{name}:no_occluder"), SEEDS[0]).control.reason == "seen early"
-    assert settle(load_scenario(f"{name}:no_conflict"), SEEDS[0]).control.reason == "no collision"
+    assert find_encounter(load_scenario(f"{name}:no_occluder"), SEEDS[0]).control.reason == "seen early"
+    assert find_encounter(load_scenario(f"{name}:no_conflict"), SEEDS[0]).control.reason == "no collision"
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("cut_in_merge", 7), ("ima_building", 1)])
 def test_no_frame_of_the_drive_shows_the_ego_what_the_proof_says_is_hidden(kind: str, seed: int) -> None:
     """Frames from the very first, with the noise and the losses of the drive."""
-    found = settle(encounter(kind), seed)
+    found = find_encounter(encounter(kind), seed)
     hidden = found.proof.hit_s - found.proof.critical_ttc_s
     with open_traffic(found.scenario, seed) as traffic:
         world = build_world(found.scenario, seed)

@@ -4,7 +4,8 @@ import pytest
 from sensors.presets import get_lidar
 from sensors.recording.agent_selection import choose_agents
 from sensors.recording.mounting import mount, place_roadside
-from sensors.recording.record import TRUTH_RANGE_M, record, simulate
+from sensors.recording.record import record
+from sensors.recording.rig import TRUTH_RANGE_M
 from sensors.sweep import POINT_FIELDS
 from sim.errors import ScenarioError, SettingsError
 from sim.scenario import NetworkSpec, RoadsideUnit
@@ -60,16 +61,6 @@ def test_a_frame_does_not_depend_on_the_frames_before_it():
             assert getattr(agent.sweep, name).tobytes() == getattr(again.sweep, name).tobytes()
 
 
-def test_simulating_from_a_frame_on_yields_the_frames_of_the_recording(monkeypatch):
-    monkeypatch.setattr("sim.bodies.choice.body_mesh", box_body)
-    traffic = StraightTraffic(cars(ROWS, speed=10.0))
-    frames = list(simulate(traffic, ground(1000.0), toy_scenario(roadside=(UNIT,)), 1, 3, start=1))
-    assert [frame.index for frame in frames] == [1, 2]
-    expected = recording_of(frames=3).frame(2)
-    for agent, again in zip(expected.agents, frames[-1].agents, strict=True):
-        assert agent.sweep.points.tobytes() == again.sweep.points.tobytes()
-
-
 @pytest.mark.parametrize(
     ("rule", "field"),
     [
@@ -77,7 +68,7 @@ def test_simulating_from_a_frame_on_yields_the_frames_of_the_recording(monkeypat
         ({"roadside": (UNIT, RoadsideUnit(xyz_m=(0.0, 0.0, 5.0), lidar="debug16"))}, r"agents\.roadside\[1\]\.lidar"),
     ],
 )
-def test_an_unknown_sensor_is_told_with_its_field(rule, field):
+def test_an_unknown_sensor_is_reported_with_its_field(rule, field):
     with pytest.raises(ScenarioError, match=rf"toy: {field}: expected a LiDAR preset, found debug16; .*'debug-16'"):
         recording_of(scenario=toy_scenario(**rule))
 

@@ -96,7 +96,7 @@ def test_without_rolling_shutter_a_moving_car_is_not_smeared():
     assert sweep.points[:, 1].min() == pytest.approx(17.75, abs=1e-3)
 
 
-def test_a_still_world_is_sharp_however_the_sensor_moves():
+def test_a_static_world_is_sharp_however_the_sensor_moves():
     half = np.array([15.0, 11.0, 5.0])
     start, end = pose_matrix([-1.0, 0.2, 0.0], -0.1), pose_matrix([1.0, -0.2, 0.0], 0.1)
     sweep = scan(scene_of(box(2 * half)), ideal(), start, end, 5.0, np.random.default_rng(0))

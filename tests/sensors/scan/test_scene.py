@@ -1,10 +1,8 @@
 import numpy as np
-import pytest
 import trimesh
 
 from sensors.scan.lidar import scan
 from sensors.scan.scene import RayScene, mesh_arrays
-from sim.errors import SettingsError
 from sim.geometry import pose_matrix
 from tests.sensors.fakes import box, box_body, cars, ground, ideal, scene_of
 
@@ -55,8 +53,3 @@ def test_rays_are_cast_in_the_world_frame():
 def test_a_mesh_without_materials_is_asphalt():
     mesh = trimesh.creation.box((1.0, 1.0, 1.0))
     assert mesh_arrays(mesh, "box")[2].tolist() == [0] * 12
-
-
-def test_an_engine_that_does_not_exist_is_refused():
-    with pytest.raises(SettingsError, match="publik"):
-        RayScene(None, engine="publik")

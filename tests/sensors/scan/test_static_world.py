@@ -95,7 +95,7 @@ def test_a_tiled_world_500_km_away_gives_the_same_sweep(cut_small):
     assert_same(sweep_at(far, 3.0, 1.0, offset=offset), sweep_at(near, 3.0, 1.0))
 
 
-def test_what_is_around_depends_on_the_places_alone(cut_small):
+def test_the_tiles_in_use_depend_on_the_places_alone(cut_small):
     mesh = town(houses=60)
     places = np.array([[10.0, 20.0], [480.0, -333.0]])
     fresh, used = world_of(mesh), world_of(mesh)
@@ -121,7 +121,7 @@ def test_a_small_world_is_one_solid_wherever_its_sensors_are():
     assert len(world.around(np.array([[80_000.0, 0.0]]), REACH_M).faces) == 0
 
 
-def test_solids_long_unused_are_dropped(cut_small):
+def test_unused_solids_are_dropped(cut_small):
     world = world_of(town(houses=60))
     old = weakref.ref(world.around(np.zeros((1, 2)), REACH_M))
     assert old() is not None

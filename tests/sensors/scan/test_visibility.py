@@ -143,7 +143,7 @@ def test_noise_and_lost_points_change_nothing():
         assert np.array_equal(seen, fractions(scene, sensor_at(spec=calm)))
 
 
-def test_what_no_ray_can_hit_has_no_fraction():
+def test_objects_out_of_reach_have_no_fraction():
     crowd = cars([[12.0, 0, 0], [160.0, 30.0, 0], [0, 0, 0]])
     scene = scene_of(None, crowd)
     seen = visible_fraction(scene, [sensor_at(rides_on=1002)], np.array([1000, 1001, 1002, 4711]))[0]
@@ -165,7 +165,7 @@ def test_the_engines_agree():
     np.testing.assert_allclose(*seen, atol=0.005)
 
 
-def test_a_recording_tells_it_in_the_order_of_its_agents_unless_it_is_switched_off():
+def test_a_recording_holds_fractions_in_the_order_of_its_agents_unless_switched_off():
     traffic = StraightTraffic(cars([[0, 0, 0], [12, 3.5, 0], [12, -3.5, 0], [24.0, -4.0, 0]]))
     world, scenario = ground(), toy_scenario(vehicles=2)
     frame = record(traffic, world, scenario, 1, 1, body_mesh=box_body).frame(0)

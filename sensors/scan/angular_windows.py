@@ -1,4 +1,4 @@
-"""Angular windows: which rings and columns of a sweep can meet a box at all."""
+"""Angular windows: rings and columns of a sweep that can meet a box."""
 
 from dataclasses import dataclass
 
@@ -41,8 +41,8 @@ class Arcs:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Windows:
-    """What N sets of points span as seen from the origin of the sensor frame.
+class AngularWindows:
+    """Angles spanned by N sets of points as seen from the origin of the sensor frame.
 
     Attributes:
         arcs: azimuths, all around where the sensor is above, below or within.
@@ -65,7 +65,7 @@ class Windows:
         return _between(elevation, self.low - spread, self.high + spread)
 
 
-def windows_of(points: Array) -> Windows:
+def angular_windows(points: Array) -> AngularWindows:
     """Return the windows of the convex hulls of (N, K, 3) points in the sensor frame; never too small."""
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     arcs = arcs_of(x, y, np.zeros((len(points), 1)))
@@ -76,7 +76,7 @@ def windows_of(points: Array) -> Windows:
     near = np.where(arcs.width < _TURN, np.maximum(along.min(axis=2).max(axis=1), 0.0), 0.0)
     far = np.sqrt((x * x + y * y).max(axis=1))
     bottom, top = z.min(axis=1), z.max(axis=1)
-    return Windows(
+    return AngularWindows(
         arcs=arcs,
         low=np.arctan2(bottom, np.where(bottom < 0.0, near, far)) - _MARGIN_RAD,
         high=np.arctan2(top, np.where(top > 0.0, near, far)) + _MARGIN_RAD,

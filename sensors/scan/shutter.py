@@ -1,4 +1,4 @@
-"""Rolling shutter: where a sensor is when its beams fire, in the world and as bodies that move see it."""
+"""Rolling shutter: poses of a sensor at its firings, in the world and in the frames of moving bodies."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,20 +8,20 @@ from numpy.typing import NDArray
 
 from sensors.motion import Path
 from sensors.optics.beams import BLOCK, Beams, Fan
-from sensors.raycast.base import Bodies, Shot
+from sensors.raycast.base import Bodies, SweepRequest
 from sim.geometry import pose_matrix
 
 _STEP_S = 1e-3
-"""Poses run straight for at most so long: a body that turns at 3 rad/s is then true to 0.05 mm at 50 m."""
+"""Longest linear interpolation of poses, s: 0.05 mm off at 50 m for a body that turns at 3 rad/s."""
 
 Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """Where a sensor is when the beams of c columns fire, in some frame.
+class SensorMotion:
+    """Poses of a sensor while the beams of c columns fire, in some frame.
 
-    The head of a spinning sensor counts as turned to each column's azimuth: see `axes_of`.
+    The frame of a spinning sensor is its head's, turned to each column's azimuth: see `axes_of`.
 
     Attributes:
         start: (3, 4, c) float32 pose when share 0 of the column has passed.
@@ -86,23 +86,23 @@ def _head(fan: Fan) -> Floats:
 
 
 class Shutter:
-    """The time of one sweep, in columns since its start.
+    """Timing of one sweep, in columns since its start.
 
     Attributes:
-        border: (K,) float64 moments between which poses run straight: borders of blocks, parts of long ones, and the
-            knots of the bodies' path.
+        border: (K,) float64 moments between which poses are interpolated linearly: borders of blocks, parts of long
+            ones, and the knots of the bodies' path.
         segment: (C,) the border before each column.
     """
 
-    def __init__(self, shot: Shot, knots_s: NDArray[np.float64]) -> None:
+    def __init__(self, request: SweepRequest, knots_s: NDArray[np.float64]) -> None:
         """Prepare a sweep among bodies whose path has knots at (K,) times."""
-        share, columns, column_s = shot.beams.firing_share, shot.beams.columns, shot.spec.column_s
-        self._shot = shot
+        share, columns, column_s = request.beams.firing_share, request.beams.columns, request.spec.column_s
+        self._request = request
         self._together = bool((share == share[0]).all())
         parts = max(1, int(np.ceil(BLOCK * column_s / _STEP_S)))
-        borders = np.linspace(0.0, float(shot.beams.blocks * BLOCK), shot.beams.blocks * parts + 1)
+        borders = np.linspace(0.0, float(request.beams.blocks * BLOCK), request.beams.blocks * parts + 1)
         if column_s > 0.0:
-            knots = (knots_s - shot.time_s) / column_s + 0.5 * columns
+            knots = (knots_s - request.time_s) / column_s + 0.5 * columns
             borders = np.sort(np.concatenate([borders, knots[(knots > 0.0) & (knots < borders[-1])]]))
         fired = np.arange(columns) + (float(share[0]) if self._together else 0.0)
         self.border = borders
@@ -110,11 +110,11 @@ class Shutter:
         length = np.diff(borders)[self.segment]
         self._past_border: Floats = ((fired - borders[self.segment]) / length).astype(np.float32)
         self._per_column: Floats = (1.0 / length).astype(np.float32)
-        self._head = None if shot.beams.fan is None else _head(shot.beams.fan)
+        self._head = None if request.beams.fan is None else _head(request.beams.fan)
 
     def sensor(self, column: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (N, 3, 4) world_from_lidar at (N,) moments."""
-        knots = self._shot.knots
+        knots = self._request.knots
         block = np.clip(column // BLOCK, 0, len(knots) - 2).astype(np.int64)
         share = (column / BLOCK - block)[:, None, None]
         return knots[block] + share * (knots[block + 1] - knots[block])
@@ -141,15 +141,15 @@ class Shutter:
 
     def _on_path(self, path: Path, column: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return (N,) knots of a path before moments and (N, 1) shares of the way to the next."""
-        shot = self._shot
-        time_s = shot.time_s + (column - 0.5 * shot.beams.columns) * shot.spec.column_s
+        request = self._request
+        time_s = request.time_s + (column - 0.5 * request.beams.columns) * request.spec.column_s
         knot = np.clip(np.searchsorted(path.time_s, time_s, side="right") - 1, 0, len(path.time_s) - 2)
         start, end = path.time_s[knot], path.time_s[knot + 1]
         return knot, np.clip((time_s - start) / (end - start), 0.0, 1.0)[:, None]
 
     def motion(
         self, poses: NDArray[np.float64], row: NDArray[np.int64], columns: NDArray[np.int64] | slice = slice(None)
-    ) -> Motion:
+    ) -> SensorMotion:
         """Return the motion over c columns.
 
         Args:
@@ -162,10 +162,10 @@ class Shutter:
         start += self._past_border[columns] * change
         self._turn_head(start, columns)
         if self._together:
-            return Motion(start, None)
+            return SensorMotion(start, None)
         change *= self._per_column[columns]
         self._turn_head(change, columns)
-        return Motion(start, change)
+        return SensorMotion(start, change)
 
     def _turn_head(self, pose: Floats, columns: NDArray[np.int64] | slice) -> None:
         """Turn (3, 4, c) poses of the sensor into those of its head."""

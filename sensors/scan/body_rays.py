@@ -1,4 +1,4 @@
-"""Views: which rays of a sweep may meet which body, and the sensor's motion as that body sees it."""
+"""Candidate rays: rays of a sweep that may meet a body, and the sensor's motion in the body's frame."""
 
 from dataclasses import dataclass
 
@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.optics.beams import Fan, halo
-from sensors.raycast.base import Bodies, Shot
-from sensors.raycast.public.culling import Arcs, arcs_of, windows_of
-from sensors.raycast.public.shutter import Motion, Shutter
+from sensors.raycast.base import Bodies, SweepRequest
+from sensors.scan.angular_windows import Arcs, angular_windows, arcs_of
+from sensors.scan.shutter import SensorMotion, Shutter
 
 _GROW_M = 0.05
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
@@ -19,12 +19,12 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class View:
-    """Rays that may meet a body.
+class BodyRays:
+    """Rays of a sweep that may meet a body.
 
     Attributes:
         body: its row.
-        near: it is at least so far away, m.
+        near: lower bound of its distance, m.
         top, bottom: first ring of the rays, and the one after the last.
         columns: of the rays.
         span: where these columns are in the motion that belongs to the views.
@@ -43,7 +43,7 @@ class _Table:
     """V views in rows.
 
     Attributes:
-        body, near, top, bottom: (V,) see `View`.
+        body, near, top, bottom: (V,) see `BodyRays`.
         count: (V,) columns of each.
         column: (c,) those of all, one view after another.
     """
@@ -56,11 +56,11 @@ class _Table:
     column: Ints
 
 
-def views_of(shot: Shot, shutter: Shutter, bodies: Bodies) -> tuple[list[View], Motion]:
+def body_rays(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> tuple[list[BodyRays], SensorMotion]:
     """Return the views of bodies, nearest first, and the sensor's motion in the frames of their bodies."""
-    rows = _near(shot, shutter, bodies)
-    fan = shot.beams.fan
-    table = _by_cone(shot, shutter, bodies, rows) if fan is None else _by_fan(fan, shot, shutter, bodies, rows)
+    rows = _near(request, shutter, bodies)
+    fan = request.beams.fan
+    table = _by_cone(request, shutter, bodies, rows) if fan is None else _by_fan(fan, request, shutter, bodies, rows)
     end = np.cumsum(table.count)
     start = end - table.count
     motion = _motion(shutter, bodies, table, start)
@@ -69,10 +69,10 @@ def views_of(shot: Shot, shutter: Shutter, bodies: Bodies) -> tuple[list[View], 
         columns = [slice(int(table.column[a]), int(table.column[b - 1]) + 1) for a, b in zip(start, end, strict=True)]
     spans = map(slice, start.tolist(), end.tolist())
     numbers = (values.tolist() for values in (table.body, table.near, table.top, table.bottom))
-    return list(map(View, *numbers, columns, spans)), motion
+    return list(map(BodyRays, *numbers, columns, spans)), motion
 
 
-def _motion(shutter: Shutter, bodies: Bodies, table: _Table, start: Ints) -> Motion:
+def _motion(shutter: Shutter, bodies: Bodies, table: _Table, start: Ints) -> SensorMotion:
     """Return the sensor's motion over the columns of all views, each in the frame of its body."""
     segment = shutter.segment[table.column]
     if not len(segment):
@@ -86,25 +86,25 @@ def _motion(shutter: Shutter, bodies: Bodies, table: _Table, start: Ints) -> Mot
     return shutter.motion(poses, segment + np.repeat(shift, table.count), table.column)
 
 
-def _near(shot: Shot, shutter: Shutter, bodies: Bodies) -> Ints:
+def _near(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> Ints:
     """Return the rows of the bodies that may come within reach and are not hidden."""
-    middle = shutter.sensor(np.array([0.5 * shot.beams.columns]))[0, :2, 3]
+    middle = shutter.sensor(np.array([0.5 * request.beams.columns]))[0, :2, 3]
     offset = bodies.path.xyz[:, :, :2] - middle
     distance = np.sqrt((offset * offset).sum(axis=2).min(axis=1))
     # A quarter more than the reach covers any motion within the time of a path.
-    seen = distance - 0.5 * bodies.size[:, :2].sum(axis=1) <= 1.25 * float(shot.beams.reach[:, 1].max())
-    if shot.hidden_id is not None:
-        seen &= bodies.object_id != shot.hidden_id
+    seen = distance - 0.5 * bodies.size[:, :2].sum(axis=1) <= 1.25 * float(request.beams.reach[:, 1].max())
+    if request.hidden_id is not None:
+        seen &= bodies.object_id != request.hidden_id
     return np.flatnonzero(seen)
 
 
-def _by_fan(fan: Fan, shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
+def _by_fan(fan: Fan, request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
     """Return the views of a spinning sensor, nearest first."""
-    azimuth = fan.azimuth[: shot.beams.columns]
-    of, first, after = _anywhere(shot, shutter, bodies, rows).columns(azimuth, fan.spread)
+    azimuth = fan.azimuth[: request.beams.columns]
+    of, first, after = _anywhere(request, shutter, bodies, rows).columns(azimuth, fan.spread)
     # Only these columns can see it; so it matters only where it is while they fire.
     moments = first[:, None] + (after - first)[:, None] * _MOMENTS
-    tight = windows_of(_corners(shutter, bodies, rows[of], moments))
+    tight = angular_windows(_corners(shutter, bodies, rows[of], moments))
     top, bottom = tight.rings(fan.elevation, fan.spread)
     again, start, end = tight.arcs.columns(azimuth, fan.spread)
     start, end = np.maximum(start, first[again]), np.minimum(end, after[again])
@@ -115,16 +115,16 @@ def _by_fan(fan: Fan, shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) 
     return _Table(rows[of[again]], tight.near[again], top[again], bottom[again], count, column)
 
 
-def _by_cone(shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
+def _by_cone(request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
     """Return the views of a sensor whose beams go anywhere, nearest first: all rings of the columns within a cone."""
-    beams = shot.beams
+    beams = request.beams
     corners = _corners(shutter, bodies, rows, np.tile(beams.columns * _MOMENTS, (len(rows), 1)))
-    near = windows_of(corners).near
+    near = angular_windows(corners).near
     direction = corners / np.linalg.norm(corners, axis=2, keepdims=True)
     middle = direction.sum(axis=1)
     middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
     angle = np.arccos(np.clip(np.einsum("nki,ni->nk", direction, middle), -1.0, 1.0)).max(axis=1)
-    angle += _CONE_MARGIN_RAD + halo(shot.spec)
+    angle += _CONE_MARGIN_RAD + halo(request.spec)
     found: list[tuple[int, float, Ints]] = []
     for row in np.argsort(near, kind="stable"):
         seen = np.arange(beams.columns)
@@ -144,9 +144,9 @@ def _by_cone(shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table
     )
 
 
-def _anywhere(shot: Shot, shutter: Shutter, bodies: Bodies, rows: Ints) -> Arcs:
+def _anywhere(request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> Arcs:
     """Return arcs that hold the bodies all the time."""
-    moments = shot.beams.columns * _MOMENTS
+    moments = request.beams.columns * _MOMENTS
     place, sensor = shutter.places(bodies, rows, moments), shutter.sensor(moments)
     centre = np.einsum("kji,nkj->nki", sensor[:, :, :3], place - sensor[:, :, 3])
     # A sphere around the middle of the footprint that holds the box however it leans.
