@@ -1,0 +1,145 @@
+"""Python interface of the testbed: drives, corruptions, detectors, evaluation, closed loop, own parts.
+
+Names are imported when first used: `import dsrc` takes milliseconds. Everything in `__all__` keeps its meaning between
+minor versions; modules below it may move.
+"""
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dsrc.closed_loop.env import CoopDrivingEnv
+    from dsrc.closed_loop.episodes import drive_episodes
+    from dsrc.data.drives import Drive, open_drive, open_drives
+    from dsrc.data.frames import simulate_frames
+    from dsrc.data.sample import Sample, make_sample
+    from dsrc.data.write import generate
+    from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
+    from dsrc.evaluation.report.ap_table import result_table
+    from dsrc.models.detector import Detector, detect
+    from dsrc.models.fusion import AgentLayout, Fusion, register_fusion
+    from dsrc.models.fusion_check import check_fusion
+    from dsrc.models.storage.checkpoint import load_detector
+    from dsrc.ops.detections import Detections
+    from dsrc.review.page.export import export_html
+    from sensors.corruptions import check_corruption, corrupt, corrupt_frame, kinds_of, register_corruption
+    from sensors.deskew import deskew
+    from sensors.frame import AgentFrame, Frame
+    from sensors.presets import get_lidar, register_sensor
+    from sensors.presets.check import check_sensor
+    from sensors.recording.scenario_check import check_scenario
+    from sensors.scan.lidar import scan
+    from sensors.scan.scene import RayScene
+    from sensors.spec import LidarSpec
+    from sensors.sweep import Sweep, make_sweep
+    from sim.boxes import Boxes
+    from sim.catalog.load import list_scenarios, load_scenario, register_scenario
+    from sim.errors import UserError
+    from sim.geometry import pose_matrix
+    from sim.mesh.materials import material_index
+    from sim.scenario import Scenario
+
+_MODULES = {
+    "dsrc.closed_loop.env": ("CoopDrivingEnv",),
+    "dsrc.closed_loop.episodes": ("drive_episodes",),
+    "dsrc.data.drives": ("Drive", "open_drive", "open_drives"),
+    "dsrc.data.frames": ("simulate_frames",),
+    "dsrc.data.sample": ("Sample", "make_sample"),
+    "dsrc.data.write": ("generate",),
+    "dsrc.evaluation.evaluate": ("Evaluation", "evaluate_drives"),
+    "dsrc.evaluation.report.ap_table": ("result_table",),
+    "dsrc.models.detector": ("Detector", "detect"),
+    "dsrc.models.fusion": ("AgentLayout", "Fusion", "register_fusion"),
+    "dsrc.models.fusion_check": ("check_fusion",),
+    "dsrc.models.storage.checkpoint": ("load_detector",),
+    "dsrc.ops.detections": ("Detections",),
+    "dsrc.review.page.export": ("export_html",),
+    "sensors.corruptions": ("check_corruption", "corrupt", "corrupt_frame", "kinds_of", "register_corruption"),
+    "sensors.deskew": ("deskew",),
+    "sensors.frame": ("AgentFrame", "Frame"),
+    "sensors.presets": ("get_lidar", "register_sensor"),
+    "sensors.presets.check": ("check_sensor",),
+    "sensors.recording.scenario_check": ("check_scenario",),
+    "sensors.scan.lidar": ("scan",),
+    "sensors.scan.scene": ("RayScene",),
+    "sensors.spec": ("LidarSpec",),
+    "sensors.sweep": ("Sweep", "make_sweep"),
+    "sim.boxes": ("Boxes",),
+    "sim.catalog.load": ("list_scenarios", "load_scenario", "register_scenario"),
+    "sim.errors": ("UserError",),
+    "sim.geometry": ("pose_matrix",),
+    "sim.mesh.materials": ("material_index",),
+    "sim.scenario": ("Scenario",),
+}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+__all__ = [
+    # scenarios and their frames
+    "Scenario",
+    "list_scenarios",
+    "load_scenario",
+    "simulate_frames",
+    "generate",
+    # drives
+    "Drive",
+    "open_drive",
+    "open_drives",
+    "Frame",
+    "AgentFrame",
+    "Sweep",
+    "Boxes",
+    # sensing
+    "LidarSpec",
+    "get_lidar",
+    "RayScene",
+    "scan",
+    "make_sweep",
+    "deskew",
+    "pose_matrix",
+    "material_index",
+    # corruptions
+    "kinds_of",
+    "corrupt",
+    "corrupt_frame",
+    # detection
+    "load_detector",
+    "Detector",
+    "detect",
+    "Detections",
+    "Sample",
+    "make_sample",
+    "Evaluation",
+    "evaluate_drives",
+    "result_table",
+    # closed loop and review
+    "CoopDrivingEnv",
+    "drive_episodes",
+    "export_html",
+    # parts of one's own
+    "register_scenario",
+    "check_scenario",
+    "register_sensor",
+    "check_sensor",
+    "register_corruption",
+    "check_corruption",
+    "Fusion",
+    "AgentLayout",
+    "register_fusion",
+    "check_fusion",
+    "UserError",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return version("dsrc-testbed")
+    if name not in _HOME:
+        raise AttributeError(f"module 'dsrc' has no attribute '{name}'")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})

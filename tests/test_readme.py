@@ -1,9 +1,15 @@
-"""The Python of the README runs, and what its comments say is true."""
+"""README and docs: their Python runs, their commands parse."""
 
 import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
+import pytest
 
+from dsrc.cli.main import COMMANDS, command_class
+from dsrc.cli.options import parse
 from dsrc.data.write import generate
 from sensors.deskew import deskew
 from sim.boxes import Boxes
@@ -21,6 +27,7 @@ def test_the_example_of_a_drive_detects_in_fog(tmp_path, monkeypatch):
     assert len({agent.sweep.time_s for agent in names["frame"].agents}) == 1
     assert len(names["frame"].truth) > 0
     assert isinstance(names["detections"].boxes, Boxes)
+    assert len(names["first"].agents) > 1
     raw, middle = names["raw"].agents[0].sweep, names["frame"].agents[0].sweep
     assert (raw.motion, middle.motion) == ("raw", "middle")
     np.testing.assert_allclose(deskew(raw, "middle").points, middle.points, atol=1e-3)
@@ -42,3 +49,28 @@ def test_the_example_of_a_lidar_of_one_s_own_measures_the_hall():
     # 1 m in a sweep of 0.1 s.
     expected = np.column_stack([10.0 * sweep.time_offset, np.zeros((len(sweep), 2))])
     np.testing.assert_allclose(sweep.points - bent.points, expected, atol=1e-4)
+
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("d*/*/README.md"))]
+PAGES += [ROOT / "docs/results/small/README.md"]
+
+
+def commands_of(page: Path) -> Iterator[list[str]]:
+    """Yield the words of every whole command on a page: those in blocks of code and in the README's table."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    for found in re.findall(r"(?:^|do |^\| `)dsrc ([^\n`;]*)", "\n".join(blocks), re.MULTILINE):
+        yield shlex.split(re.sub(r"\$\w+", "1", found), comments=True)
+    yield from map(shlex.split, re.findall(r"^\| `dsrc ([^`]*)`", text, re.MULTILINE))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_command_of_a_page_parses(page: Path) -> None:
+    for name, *words in commands_of(page):
+        found = COMMANDS[name]
+        if not isinstance(found, str):
+            found = found[words.pop(0)]
+        parse(command_class(found), "dsrc", words)
+    for name, part in re.findall(r"`dsrc ([a-z]+)(?: ([a-z]+))?", page.read_text(encoding="utf-8")):
+        assert name in COMMANDS, name
+        assert isinstance(COMMANDS[name], str) or part in COMMANDS[name], (name, part)

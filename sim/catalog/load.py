@@ -1,31 +1,68 @@
-"""Scenarios by name or by file."""
+"""Scenario loading, by name or by file: shipped, registered or anywhere on disk.
 
+A scenario of another package is an entry point of the group `dsrc.scenarios` that names a path,
+
+    [project.entry-points."dsrc.scenarios"]
+    my_town = "my_package:MY_TOWN"  # MY_TOWN = Path(__file__).parent / "my_town", a folder with a scenario.toml
+
+and is found by every command and worker process.
+"""
+
+import os
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from sim.catalog.check import wrong_values
-from sim.errors import ScenarioError, complaint, did_you_mean
+from sim.catalog.registry import Registry
+from sim.errors import ScenarioError, SettingsError, complaint, did_you_mean
 from sim.scenario import CONTROLS, Scenario
 from sim.tomlfile import read_toml
 
 ROOT = Path(__file__).resolve().parents[2] / "scenarios"
 """Folder of the shipped scenarios."""
 
+_REGISTERED: Registry[Path] = Registry("dsrc.scenarios", {}, lambda value: _toml(Path(os.fspath(value))))
+"""Paths of scenario files by name."""
+
 
 def list_scenarios() -> list[str]:
-    """Return the names of the shipped scenarios."""
-    return sorted(path.parent.name for path in ROOT.glob("*/scenario.toml"))
+    """Return the names of the shipped and registered scenarios, sorted."""
+    return sorted({path.parent.name for path in ROOT.glob("*/scenario.toml")} | set(_REGISTERED))
+
+
+def register_scenario(path: str | Path) -> Scenario:
+    """Add a scenario, which every function and command then takes by its name, in this process.
+
+    Worker processes find it by an entry point of the group `dsrc.scenarios`.
+    `sensors.recording.scenario_check.check_scenario` tests it.
+
+    Args:
+        path: a scenario.toml, or the folder that holds it.
+
+    Returns:
+        The scenario; its `name` is the one it is registered by.
+
+    Raises:
+        ScenarioError: the file is missing or not valid.
+        SettingsError: the name is that of another scenario.
+    """
+    file = _toml(Path(path)).resolve()
+    scenario = load_scenario(file)
+    if (ROOT / scenario.name / "scenario.toml").is_file():
+        raise SettingsError(complaint("dsrc.scenarios", "name", "a new one", f"'{scenario.name}', which is shipped"))
+    _REGISTERED.register(scenario.name, file)
+    return scenario
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Load a shipped scenario by name, or any scenario by the path of its .toml (or of the folder that holds it).
+    """Load a scenario by its name, or by the path of its .toml or of the folder that holds it.
 
-    A control of a conflict is asked for as `NAME:CONTROL`, such as `ima_building:no_occluder`.
+    `NAME:CONTROL` is an encounter under a control condition, such as `ima_building:no_occluder`.
 
     Raises:
-        ScenarioError: the scenario is unknown, or its file is not valid; one line says what and where.
+        ScenarioError: the scenario is unknown or its file invalid.
     """
     if isinstance(name_or_path, str) and ":" in name_or_path and not Path(name_or_path).exists():
         return _controlled(name_or_path)
@@ -38,10 +75,10 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def _controlled(name: str) -> Scenario:
-    """Return the control NAME:CONTROL of a scenario with a conflict, under a name of its own.
+    """Return an encounter under the control condition NAME:CONTROL, renamed accordingly.
 
     Raises:
-        ScenarioError: there is no such scenario or control.
+        ScenarioError: the scenario or control is unknown.
     """
     base, _, control = name.rpartition(":")
     scenario = load_scenario(base)
@@ -56,22 +93,27 @@ def _controlled(name: str) -> Scenario:
 
 
 def _beside(table: Any, names: tuple[str, ...], folder: Path) -> Any:
-    """Replace the names of files that lie beside the scenario file by their full paths."""
+    """Replace names of files beside the scenario file by their full paths."""
     named = {name: getattr(table, name) for name in names}
     found = {name: str((folder / value).resolve()) for name, value in named.items() if (folder / value).is_file()}
     return msgspec.structs.replace(table, **found)
 
 
 def _locate(name_or_path: str | Path) -> Path:
-    path = Path(name_or_path)
-    if path.is_dir() and (path / "scenario.toml").is_file():
-        return path / "scenario.toml"
-    if path.suffix == ".toml" or len(path.parts) > 1:
-        if not path.is_file():
-            raise ScenarioError(complaint(path, "scenario", "an existing .toml file", "no such file"))
-        return path
-    shipped = ROOT / str(name_or_path) / "scenario.toml"
-    if str(name_or_path) in ("", ".", "..") or not shipped.is_file():
-        hint = did_you_mean(str(name_or_path), list_scenarios())
-        raise ScenarioError(f"unknown scenario '{name_or_path}'{hint}")
-    return shipped
+    path, name = Path(name_or_path), str(name_or_path)
+    if (path / "scenario.toml").is_file() or path.suffix == ".toml" or len(path.parts) > 1:
+        return _toml(path)
+    shipped = ROOT / name / "scenario.toml"
+    if name not in ("", ".", "..") and shipped.is_file():
+        return shipped
+    if name not in _REGISTERED:
+        raise ScenarioError(f"unknown scenario '{name_or_path}'{did_you_mean(name, list_scenarios())}")
+    return _REGISTERED[name]
+
+
+def _toml(path: Path) -> Path:
+    """Return the scenario file at a path, or in the folder at a path."""
+    file = path / "scenario.toml" if (path / "scenario.toml").is_file() else path
+    if not file.is_file():
+        raise ScenarioError(complaint(path, "scenario", "an existing .toml file", "no such file"))
+    return file
