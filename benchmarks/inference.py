@@ -1,8 +1,8 @@
 """How long every method takes to detect at the paper's grid, which stage takes it, and the floor below.
 
 Random weights, 704 x 200 cells, 1, 2 and 5 agents with 60,000 points each; the sizes of the paper (Res2Net blocks 3, 5,
-8); detectors as they are loaded for use (`dsrc.models.storage.deploy`). The floor is the network's floating point operations
-over the rate of the same machine at multiplying matrices in the same precision, all cores.
+8); detectors as they are loaded for use (`dsrc.models.storage.deploy`). The floor is the network's floating point
+operations over the rate of the same machine at multiplying matrices in the same precision, all cores.
 
     python -m benchmarks.inference            # every stage several times, the least disturbed samples count
     python -m benchmarks.inference --quick    # every stage once; what does not fit into 38 s is left out
@@ -121,10 +121,10 @@ class Bench:
         keys["maps"] = ("maps", place, size)
         maps = self.per_cloud(keys["maps"], lambda: detector.maps(stages))
         keys["join"] = ("join", method, size)
-        joined = self.once(keys["join"], lambda: detector.join(maps, layout))
+        joined = self.once(keys["join"], lambda: detector.fuse(maps, layout))
         widths = str([part.shape[1] for part in joined])
         keys["read"] = ("read", place, widths, rows)
-        output = self.per_cloud(keys["read"], lambda: detector.read(stages, joined))
+        output = self.per_cloud(keys["read"], lambda: detector.heads(stages, joined))
         keys["boxes"] = ("boxes", rows)
         self.once(keys["boxes"], lambda: detector.decode(output))
         self.plan[method, agents] = keys

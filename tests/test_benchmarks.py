@@ -4,6 +4,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+import torch
 import tyro
 
 from benchmarks.corruptions import GOALS, POINTS, REFERENCES, goal_of, make_frame, peak_mb, variants_of
@@ -18,7 +19,7 @@ from sim.mesh.materials import MATERIALS
 from tests.dsrc.data.toy import toy_frame
 
 
-@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate", "inference", "evaluation", "reading"])
+@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate", "inference", "evaluation", "reading", "training"])
 def test_benchmark_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as stop:
         tyro.cli(import_module(f"benchmarks.{name}").main, args=["--help"])
@@ -164,6 +165,25 @@ def test_every_stage_of_every_method_is_timed_and_counted_once(monkeypatch):
     assert floor["early"]["5"] == pytest.approx(floor["none"]["1"], rel=0.1)
     for method in set(FUSIONS) - {"none", "early"}:
         assert floor[method]["1"] < floor[method]["2"] < floor[method]["5"]
+
+
+def test_the_parts_of_a_training_step_add_up_to_it(monkeypatch):
+    from benchmarks import reading, training
+    from dsrc.training.recipes import debug
+
+    monkeypatch.setattr(reading, "POINTS", 2000)
+    steps = training.make_steps(debug())
+    before = steps["dsrc"].module.detector.reg_head.weight.detach().clone()
+    for step in steps.values():
+        step()
+    assert not torch.equal(steps["dsrc"].module.detector.reg_head.weight, before)
+    timings = {name: Timing(0.2 if "dsrc" in name else 0.1, 0.1, 0.0, 1, 1) for name in steps}
+    found = training.figures_of(steps, timings)
+    assert (found["step_ms_plain"], found["step_ms_dsrc"], found["dsrc_over_plain"]) == (100.0, 100.0, 1.0)
+    for name, share in found["share"].items():
+        assert sum(share.values()) == pytest.approx(1.0, abs=0.01)
+        assert (share["teacher"] > 0) == (share["reconstruction"] > 0) == ("dsrc" in name)
+        assert min(share.values()) >= 0.0
 
 
 def test_the_loop_over_polygons_finds_the_same_precisions():

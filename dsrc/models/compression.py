@@ -1,9 +1,9 @@
-"""What of its maps an agent sends through a narrow channel: the tiles in which it is surest to see something, coarsely.
+"""Compression of transmitted maps: the most confident tiles alone, in numbers of fewer bits.
 
-Any method that fuses maps and whose heads can read one agent's alone can be used so, without further training: `share`
-of the tiles go out, those with the highest confidence of the sender's own detections, in numbers of `bits`. Choosing by
-confidence is Where2comm's idea (arXiv 2209.12836, Section 4.2); here it is by number, so that a message has the size
-that it was promised.
+It works without further training for any method that fuses maps and whose heads can read one agent's alone: `share` of
+the tiles are sent, those with the highest confidence of the sender's own detections, in numbers of `bits`. Selection by
+confidence is Where2comm's (arXiv 2209.12836, Section 4.2); here the number of tiles is fixed, and so is the message's
+size.
 """
 
 import math
@@ -20,23 +20,23 @@ TILE_CELLS = 8
 
 
 def tiles(settings: ModelSettings) -> tuple[int, int]:
-    """Return how many tiles a map has, along y and x."""
+    """Return the numbers of tiles of a map along y and x."""
     return settings.grid.height // TILE_CELLS, settings.grid.width // TILE_CELLS
 
 
 def tiles_sent(settings: ModelSettings) -> int:
-    """Return how many of them an agent sends."""
+    """Return the number of tiles that an agent sends."""
     rows, columns = tiles(settings)
     return math.ceil(settings.share * rows * columns)
 
 
 def message_bytes(settings: ModelSettings, values: int, channels: int) -> int:
-    """Return the size of an agent's message.
+    """Return the size of an agent's message, bytes.
 
     Args:
-        settings: of the detector.
+        settings: settings of the detector.
         values: numbers in its whole maps.
-        channels: of all maps together.
+        channels: channels of all maps.
     """
     rows, columns = tiles(settings)
     sent = values * settings.bits / 8 / settings.compress * tiles_sent(settings) / (rows * columns)
@@ -46,7 +46,7 @@ def message_bytes(settings: ModelSettings, values: int, channels: int) -> int:
 
 
 def reduced(maps: Sequence[Tensor], confidence: Tensor | None, settings: ModelSettings) -> list[Tensor]:
-    """Return the collaborators' maps as they arrive.
+    """Reduce the collaborators' maps to what is transmitted.
 
     Args:
         maps: (N, C, H, W) each.
@@ -61,14 +61,14 @@ def reduced(maps: Sequence[Tensor], confidence: Tensor | None, settings: ModelSe
 
 
 def best_tiles(confidence: Tensor, shape: tuple[int, int], count: int) -> Tensor:
-    """Return the (N, rows, columns) bool tiles with the highest (N, h, w) confidences, `count` of each agent."""
+    """Return the (N, rows, columns) mask of the `count` most confident tiles of each agent, from (N, h, w)."""
     best = functional.adaptive_max_pool2d(confidence[:, None], shape).flatten(1)
     chosen = torch.zeros_like(best, dtype=torch.bool)
     return chosen.scatter_(1, best.topk(count, dim=1, sorted=False).indices, True).view(-1, *shape)
 
 
 def rounded(x: Tensor, bits: int) -> Tensor:
-    """Return (N, C, H, W) as numbers of 32, 16 or 8 bits hold it, those of 8 between each channel's extremes."""
+    """Round (N, C, H, W) to 32, 16 or 8 bits, 8 of them linear between each channel's extremes."""
     if bits == 32:
         return x
     if bits == 16:
@@ -79,6 +79,6 @@ def rounded(x: Tensor, bits: int) -> Tensor:
 
 
 def as_large(tiles: Tensor, part: Tensor) -> Tensor:
-    """Return (N, rows, columns) tiles as an (N, 1, H, W) mask of a map's cells."""
+    """Enlarge (N, rows, columns) tiles to an (N, 1, H, W) mask of a map's cells."""
     factor = part.shape[-1] // tiles.shape[-1]
     return tiles.repeat_interleave(factor, 1).repeat_interleave(factor, 2)[:, None]

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dsrc.data.sample import Sample
+from dsrc.data.sample import Sample, make_sample
 from dsrc.models.compression import as_large, reduced
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.fusion.late import join_detections
@@ -25,20 +25,21 @@ from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, headed
 from dsrc.ops.detections import Detections
 from dsrc.ops.postprocess import PostSettings, decode_detections
+from sensors.frame import Frame
 
 # Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Output:
-    """What a detector computes; the middle layers are there for the distillation.
+    """Output of a detector, middle layers for the distillation included.
 
     Attributes:
         stages: per scale (N, C, H / 2^k, W / 2^k) features of each agent before fusion.
         fused: (B, C, h, w) feature after fusion, decoder and shrink convolutions.
         cls: (B, 2, h, w) logits, one per anchor.
-        reg: (B, 14, h, w) box residuals, 7 per anchor, their sizes in the order `box_order`.
-        direction: (B, 2, h, w) logits of a box that heads against its anchor; None of a detector without that head.
+        reg: (B, 14, h, w) box residuals, 7 per anchor, sizes in the order `box_order`.
+        direction: (B, 2, h, w) logits of a box that heads against its anchor; None without that head.
     """
 
     stages: tuple[Tensor, Tensor, Tensor]
@@ -48,23 +49,23 @@ class Output:
     direction: Tensor | None = None
 
     def float(self) -> "Output":
-        """Return it in single precision."""
+        """Convert to single precision."""
         stages = self.stages[0].float(), self.stages[1].float(), self.stages[2].float()
         direction = None if self.direction is None else self.direction.float()
         return Output(stages, self.fused.float(), self.cls.float(), self.reg.float(), direction)
 
 
 class Detector(nn.Module):
-    """Pillar encoder, backbone, fusion, decoder and heads: DSRC, its rivals, and whatever else fuses maps.
+    """Detector of a fusion method: pillar encoder, backbone, fusion, decoder and heads.
 
-    Source: DSRC, arXiv 2412.10739, Figure 2; the layers as in the released code. A method that fuses a single map
-    (`Fusion.place`) has every agent decode and shrink its own, to a quarter of the grid's resolution, and what is
-    fused is brought back to half of it, so that anchors, losses and thresholds are the same for all methods. (OpenCOOD
-    leaves these methods at a quarter, with a quarter of the anchors.)
+    Source: DSRC, arXiv 2412.10739, Figure 2; the layers as in the released code. With a method that fuses one map
+    (`Fusion.place`) every agent decodes and shrinks its own to a quarter of the grid's resolution, and the fused map is
+    upsampled to half of it, so that anchors, losses and thresholds are the same for all methods. (OpenCOOD leaves these
+    methods at a quarter, with a quarter of the anchors.)
     """
 
     precision = torch.float32
-    """Of matrix products and maps; another one is set by `dsrc.models.storage.deploy`."""
+    """Precision of matrix products and maps, set by `dsrc.models.storage.deploy`."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
@@ -72,7 +73,7 @@ class Detector(nn.Module):
         decoder, shrink, momentum = settings.decoder_channels, settings.shrink_channels, settings.norm_momentum
         self.encoder = PillarEncoder(settings)
         self.backbone = BACKBONES[settings.backbone_name](settings)
-        self.fusion = FUSIONS[settings.fusion].of(settings)
+        self.fusion = FUSIONS[settings.fusion].from_settings(settings)
         self.by_stage = self.fusion.place == "stages"
         self.decoder = Decoder(upsample(settings.stage_channels[k], decoder, 2**k, momentum) for k in range(3))
         self.shrink = double_conv(
@@ -90,7 +91,7 @@ class Detector(nn.Module):
         self.reg_head = nn.Conv2d(shrink, 14, 1)
         self.direction_head = nn.Conv2d(shrink, 2, 1) if settings.direction else None
         if settings.score_prior is not None:
-            # With a start of 0.5 everywhere, the loss of the empty cells drowns the objects for many epochs.
+            # From 0.5 everywhere, the loss of the empty cells outweighs the objects for many epochs.
             nn.init.constant_(self.cls_head.bias, -log((1 - settings.score_prior) / settings.score_prior))  # type: ignore[arg-type]
         # Measured on CPUs: 30 % faster.
         self.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -100,7 +101,7 @@ class Detector(nn.Module):
 
         Args:
             pillars: clouds of all samples' agents, those of a sample consecutive and ego first.
-            layout: whose clouds they are; zeros take the place of what of their maps did not arrive.
+            layout: agents of the clouds; lost tiles of their maps are zeros.
         """
         if self.precision == torch.float32:
             return self._forward(pillars, layout)
@@ -109,27 +110,29 @@ class Detector(nn.Module):
 
     def _forward(self, pillars: Pillars, layout: AgentLayout) -> Output:
         stages = self.backbone(self.encoder(pillars))
-        return self.read(stages, self.join(self.maps(stages), layout))
+        return self.heads(stages, self.fuse(self.maps(stages), layout))
 
     def maps(self, stages: Sequence[Tensor]) -> list[Tensor]:
-        """Return what the agents make of their stages before they send: three scales or one map, N rows each."""
+        """Return the agents' maps before transmission: three scales or one map, N rows each."""
         maps = list(stages) if self.by_stage else [self.shrink(self.decoder(stages))]
         if self.settings.compress > 1:
             for scale, ends in enumerate(self.compressors):
                 maps[scale] = ends(maps[scale])
         return maps
 
-    def join(self, maps: Sequence[Tensor], layout: AgentLayout) -> list[Tensor]:
-        """Return what becomes of the agents' maps: three scales or one map, B rows each."""
+    def fuse(self, maps: Sequence[Tensor], layout: AgentLayout) -> list[Tensor]:
+        """Transmit and fuse the agents' maps: three scales or one map, B rows each."""
         sent = self.fusion.send(maps, layout, self)
         if not self.training and (self.settings.share < 1 or self.settings.bits < 32):
-            sent = self._reduced(sent, maps, layout)
+            sent = self._reduced_collaborators(sent, maps, layout)
         if layout.lost is not None:
             sent = [part.masked_fill(as_large(layout.lost, part), 0.0) for part in sent]
         return self.fusion(sent, layout, self)
 
-    def _reduced(self, sent: Sequence[Tensor], maps: Sequence[Tensor], layout: AgentLayout) -> list[Tensor]:
-        """Return what arrives of the collaborators' maps; an ego keeps all of its own."""
+    def _reduced_collaborators(
+        self, sent: Sequence[Tensor], maps: Sequence[Tensor], layout: AgentLayout
+    ) -> list[Tensor]:
+        """Reduce the collaborators' maps to `share` and `bits`; an ego keeps all of its own."""
         egos = set(accumulate((0, *layout.agents)))
         others = [row for row in range(sum(layout.agents)) if row not in egos]
         if not others:
@@ -143,14 +146,14 @@ class Detector(nn.Module):
         rows = torch.tensor(others, device=sent[0].device)
         return [part.index_copy(0, rows, small.to(part.dtype)) for part, small in zip(sent, few, strict=True)]
 
-    def read(self, stages: tuple[Tensor, Tensor, Tensor], joined: Sequence[Tensor]) -> Output:
-        """Return the output of what was joined."""
-        fused = self.shrink(self.decoder(joined)) if self.by_stage else self.widen(joined[0])
+    def heads(self, stages: tuple[Tensor, Tensor, Tensor], maps: Sequence[Tensor]) -> Output:
+        """Return the output for fused maps."""
+        fused = self.shrink(self.decoder(maps)) if self.by_stage else self.widen(maps[0])
         direction = None if self.direction_head is None else self.direction_head(fused)
         return Output(stages, fused, self.cls_head(fused), self.reg_head(fused), direction)
 
     def logits(self, stages: Sequence[Tensor]) -> Tensor:
-        """Return (N, 2, h, w) what the agents' stages say before fusion, each agent's by themselves."""
+        """Return the (N, 2, h, w) classification logits of each agent alone, before fusion."""
         return self.cls_head(self.shrink(self.decoder(stages)))
 
     @cached_property
@@ -159,7 +162,7 @@ class Detector(nn.Module):
         return anchor_grid(self.settings.grid)
 
     def decode(self, output: Output) -> list[Detections]:
-        """Turn the heads' maps into detections wholly inside the grid's range, one row of the batch each."""
+        """Decode the heads' maps into detections inside the grid's range, one `Detections` per row of the batch."""
         settings = self.settings
         post = PostSettings(
             settings.score_threshold,
@@ -176,11 +179,15 @@ class Detector(nn.Module):
 
     @torch.inference_mode()
     def detect(self, sample: Sample) -> Detections:
-        """Detect vehicles in one sample, best first, in the ego LiDAR's frame; needs no labels and no teacher."""
+        """Detect vehicles in one sample, best first, in the ego LiDAR's frame.
+
+        Raises:
+            ValueError: the detector is a teacher, which reads clouds made with ground truth.
+        """
         was_training = self.training
         self.eval()
         if self.settings.align_poses:
-            sample = aligned(sample, self._each_alone(sample), self.settings.grid)
+            sample = aligned(sample, self._single_agent_detections(sample), self.settings.grid)
         batch = collate([sample], self.settings, training=False)
         if batch.student is None:
             raise ValueError("a teacher reads clouds that are made with ground truth: it cannot detect in a sample")
@@ -189,8 +196,26 @@ class Detector(nn.Module):
         self.train(was_training)
         return join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
 
-    def _each_alone(self, sample: Sample) -> list[Detections]:
-        """Return what is detected in each agent's cloud by itself."""
+    def _single_agent_detections(self, sample: Sample) -> list[Detections]:
+        """Detect in each agent's cloud alone."""
         clouds = sample.clouds[: 1 if self.settings.fusion == "none" else self.settings.max_agents]
         pillars = pillars_of(clouds, self.settings).to(self.cls_head.weight.device)
         return self.decode(self(pillars, AgentLayout((1,) * len(clouds))))
+
+
+def detect(detector: Detector, frame: Frame, ego_id: int | None = None, *, cooperative: bool = True) -> Detections:
+    """Detections of vehicles in a frame, best first, in the ego LiDAR's frame.
+
+    Args:
+        detector: its settings give range and number of agents.
+        frame: one instant of all agents.
+        ego_id: the ego; None for the first vehicle.
+        cooperative: with the clouds of the agents in communication range; else the ego's alone.
+
+    Raises:
+        DataError: the frame has no agent of this id.
+    """
+    settings = detector.settings
+    return detector.detect(
+        make_sample(frame, ego_id, settings.grid, max_agents=settings.max_agents, cooperative=cooperative)
+    )

@@ -76,7 +76,7 @@ class _Check:
             return lines
         with torch.random.fork_rng(devices=[]), _registered(self.cls) as name:
             torch.manual_seed(0)
-            lines = self._run({"of": lambda: self._make(name)})
+            lines = self._run({"from_settings": lambda: self._make(name)})
             if lines:
                 return lines
             return self._run(
@@ -125,7 +125,7 @@ class _Check:
 
     def _fused(self, maps: Sequence[Tensor], layout: AgentLayout) -> list[Tensor]:
         with torch.no_grad():
-            return self.detector.join(maps, layout)
+            return self.detector.fuse(maps, layout)
 
     def _stir(self) -> None:
         """Move all weights of the method, as training does: an untrained one may ignore the collaborators."""
@@ -222,7 +222,7 @@ class _Check:
         layout = AgentLayout(_AGENTS)
         layout = replace(layout, roadside=torch.tensor([False, True, False, True, False]))
         layout = replace(layout, delay=torch.tensor([0, 1, 2, 0, 1]))
-        sum(part.square().mean() for part in self.detector.join(maps, layout)).backward()  # type: ignore[union-attr]
+        sum(part.square().mean() for part in self.detector.fuse(maps, layout)).backward()  # type: ignore[union-attr]
         without = [name for name, weight in fusion.named_parameters() if weight.grad is None]
         _expect(not without, f"no gradient for {', '.join(without)}")
         wrong = [n for n, w in fusion.named_parameters() if w.grad is not None and not bool(w.grad.isfinite().all())]

@@ -1,4 +1,4 @@
-"""Poses of collaborators put right by the objects that several agents detect."""
+"""Agent-object pose graph: collaborators' poses corrected by objects that several agents detect."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,31 +13,31 @@ from dsrc.ops.grid import GridSpec
 from sim.geometry import pose_matrix, transform_points
 
 SAME_OBJECT_M = 1.5
-"""Boxes of two agents whose centres lie closer than this are of one object."""
+"""Distance of centres below which boxes of two agents are one object."""
 FEWEST_OBJECTS = 4
-"""With fewer objects in common, or an agent that has fewer than two of them, poses stay as they are."""
+"""Least number of shared objects; an agent with fewer than two of them keeps its pose."""
 BOX_M, BOX_RAD = 0.3, 0.06
-"""How well a detector says where a box is and how it is turned, one standard deviation."""
+"""Standard deviation of a detector's box positions and headings."""
 POSE_M, POSE_RAD = 2.0, 0.1
-"""How well agents know their poses: so little that objects decide, enough that agents without the ego's stay near."""
+"""Standard deviation of the agents' poses: wide enough for objects to decide, a prior for agents without any."""
 
 
 def corrections(detections: Sequence[Detections], place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what moves each agent's points, in the ego's frame, to where they should be.
+    """Return the pose correction of each agent, a motion of its points in the ego's frame.
 
     Source: CoAlign, arXiv 2211.07214, Section IV-A, Equation 2: agents and objects are nodes with a place and a
     heading, each detection is an edge; all are moved until the edges agree best, the ego being fixed. Headings are
-    compared modulo half a turn, which is all that a detector without a direction head knows.
+    compared modulo half a turn, as a detector without a direction head leaves it open.
 
-    Released: information from log-variances that a first detector predicts, g2o without a robust norm, no hold
-    on the poses. Here every box counts alike, by its score, under a soft L1 norm, and poses are held weakly.
+    Released: information from log-variances that a first detector predicts, g2o without a robust norm, no prior on the
+    poses. Here boxes are weighted by their scores under a soft L1 norm, with a weak prior on the poses.
 
     Args:
         detections: of each agent's cloud alone, in the ego's frame as believed; ego first.
-        place: (A, 2) where the agents believe to be, in the ego's frame, m.
+        place: (A, 2) believed positions of the agents in the ego's frame, m.
 
     Returns:
-        (A, 4, 4) float64, the identity for the ego and where too little is known.
+        (A, 4, 4) float64, the identity for the ego and for agents with too few objects.
     """
     agents = len(detections)
     still = np.tile(np.eye(4), (agents, 1, 1))
@@ -78,7 +78,7 @@ def _moved(box: NDArray[np.float64], about: NDArray[np.float64], by: NDArray[np.
 def _edges(
     detections: Sequence[Detections],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return per edge the agent, the object, the box (x, y, yaw) and the score; objects of one agent are left out."""
+    """Return agent, object, box (x, y, yaw) and score per edge; objects of a single agent are left out."""
     agent = np.concatenate([np.full(len(found), a) for a, found in enumerate(detections)])
     box = np.concatenate([np.column_stack([d.boxes.center[:, :2], d.boxes.yaw]) for d in detections]).reshape(-1, 3)
     score = np.concatenate([found.score for found in detections]).astype(np.float64)
@@ -89,7 +89,7 @@ def _edges(
             continue
         distance = np.linalg.norm(box[:, :2] - box[seed, :2], axis=1)
         near = np.flatnonzero((distance < SAME_OBJECT_M) & (landmark < 0) & (agent != agent[seed]))
-        # Of each other agent the nearest one.
+        # The nearest one of each other agent.
         members = [near[agent[near] == a][distance[near[agent[near] == a]].argmin()] for a in np.unique(agent[near])]
         if members:
             landmark[[seed, *members]] = objects
@@ -99,12 +99,12 @@ def _edges(
 
 
 def aligned(sample: Sample, detections: Sequence[Detections], grid: GridSpec) -> Sample:
-    """Return a sample whose first agents, those with detections, are where their objects say.
+    """Correct the poses of a sample's first agents, those with detections.
 
     Args:
-        sample: as believed.
-        detections: of the agents' clouds alone, in the ego's frame.
-        grid: range that moved clouds are cropped to; what believed poses had put outside does not come back.
+        sample: sample with believed poses.
+        detections: detections in each agent's cloud alone, in the ego's frame.
+        grid: range that moved clouds are cropped to; points outside it by the believed poses are lost.
     """
     moves = corrections(detections, sample.ego_from_agent[: len(detections), :2, 3])
     low, high = np.array(grid.range_m[:3]), np.array(grid.range_m[3:])

@@ -1,4 +1,4 @@
-"""Anchors: two boxes of a typical car, along and across, at every cell of the output map."""
+"""Anchors: two boxes of a typical car, along and across, in every cell of the output map."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Box coding: what the regression head predicts, relative to an anchor.
+"""Box coding: residuals of boxes relative to anchors, which the regression head predicts.
 
 A delta is (dx, dy, dz, log l, log w, log h, dyaw): offsets in the plane in units of the anchor's diagonal, in height in
 units of the anchor's height, logarithms of the size ratios, and the plain difference of the headings.
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 Array = TypeVar("Array", NDArray[np.floating], Any)
 
 REFERENCE_ORDER = (0, 1, 2, 5, 4, 3, 6)
-"""The released models' deltas and boxes have h, w, l where ours have l, w, h: index with this, either way."""
+"""Index that swaps our l, w, h and the released models' h, w, l in deltas and boxes, either way."""
 
 _LOG_LIMIT = 5.0
-"""Size ratios beyond e^5 are a network gone astray; without a limit they overflow into NaN overlaps."""
+"""Logarithm of the largest size ratio; without a limit, a diverged network's sizes overflow into NaN overlaps."""
 
 
 def _library(array: object) -> Any:
-    """Return the module whose functions take this array: numpy, or torch without importing it for numpy users."""
+    """Return the library of an array: numpy, or torch, which is imported for tensors alone."""
     if isinstance(array, np.ndarray):
         return np
     import torch
@@ -65,16 +65,16 @@ def decode(deltas: Array, anchors: Array) -> Array:
 
 
 def headed(deltas: NDArray[np.floating], against: NDArray[np.bool_]) -> NDArray[np.floating]:
-    """Return (B, 14, h, w) deltas with the boxes turned round that do not head as they should.
+    """Turn the boxes of (B, 14, h, w) deltas by half a turn where their direction along the anchor is wrong.
 
-    A box overlaps its mirror image, so that no loss of overlap or of a heading's sine tells them apart. What does is
-    which way a box heads along its anchor: 45 degrees to either side is as far as a box is from the nearest anchor, so
-    the answer is never near a boundary. (SECOND, Sensors 2018, 18, 3337, and PointPillars put the boundary of their two
-    bins at 45 degrees, where a small error of the heading flips the box.)
+    A box overlaps its mirror image, so that no loss of overlap or of a heading's sine tells them apart. The direction
+    along the anchor does: the nearest anchor is at most 45 degrees away, so that it is never near a boundary. (SECOND,
+        Sensors 2018, 18, 3337, and PointPillars put the boundary of their two bins at 45 degrees, where a small error
+        of the heading flips the box.)
 
     Args:
         deltas: headings at 6 and 13.
-        against: (B, 2, h, w) whether the box of an anchor heads against it.
+        against: (B, 2, h, w) bool, True where a box heads against its anchor.
     """
     turned = deltas.copy()
     yaw = turned[:, 6::7]

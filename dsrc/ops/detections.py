@@ -1,4 +1,4 @@
-"""Detections: what a detector says of one instant."""
+"""Detections: scored boxes of one frame."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -11,7 +11,7 @@ from sim.boxes import Boxes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """N scored boxes in one frame (the ego LiDAR's unless the variable says otherwise), best first.
+    """Detections of one frame, best first, in the ego LiDAR's coordinates unless named otherwise.
 
     Attributes:
         boxes: N boxes.
@@ -27,7 +27,7 @@ class Detections:
 
     @classmethod
     def zeros(cls) -> Self:
-        """Return no detections."""
+        """Return empty detections."""
         return cls(Boxes.zeros(), np.zeros(0, np.float32))
 
     def __len__(self) -> int:

@@ -1,14 +1,14 @@
-"""The bird's-eye grid of a detector."""
+"""Bird's-eye grid of a detector."""
 
 import msgspec
 
 
 class GridSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The bird's-eye grid of a detector, in the ego LiDAR's frame.
+    """Bird's-eye grid of a detector, in the ego LiDAR's frame.
 
     Attributes:
-        range_m: (x_min, y_min, z_min, x_max, y_max, z_max).
-        cell_m: side of a pillar.
+        range_m: (x_min, y_min, z_min, x_max, y_max, z_max), m.
+        cell_m: side of a pillar, m.
     """
 
     range_m: tuple[float, float, float, float, float, float] = (-140.8, -40.0, -3.0, 140.8, 40.0, 1.0)

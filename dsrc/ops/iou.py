@@ -4,7 +4,7 @@ import numpy as np
 import powerboxes
 from numpy.typing import ArrayLike, NDArray
 
-# powerboxes goes wrong (negative and NaN areas included) where edges of two boxes coincide exactly, as those of equal
+# powerboxes is wrong (negative and NaN areas included) where edges of two boxes coincide exactly, as those of equal
 # boxes do. Moving one set by 0.03 micrometres avoids that, in 8.4 million coincident pairs, for an error below 1e-6.
 _NUDGE = np.array([3.1e-8, 1.7e-8, 0.0, 0.0, 1.3e-6])
 
@@ -12,7 +12,7 @@ _NUDGE = np.array([3.1e-8, 1.7e-8, 0.0, 0.0, 1.3e-6])
 def bev_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """Return (n, m) float64 IoU of the footprints of boxes a (n, 7) and b (m, 7), x, y, z, l, w, h, yaw.
 
-    A box without area, or with a number that is not finite, overlaps nothing.
+    The IoU of a box without area, or with a number that is not finite, is 0.
     """
     a, b = _rows(a), _rows(b)
     out = np.zeros((len(a), len(b)))
@@ -32,7 +32,7 @@ def iou_3d(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 
 
 def volume_iou(a: ArrayLike, b: ArrayLike, footprint_iou: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `iou_3d` where the (n, m) `bev_iou` is known already."""
+    """Return (n, m) `iou_3d` from a known `bev_iou`."""
     out = np.zeros_like(footprint_iou)
     pairs = np.nonzero(footprint_iou)
     out[pairs] = paired_volume_iou(_rows(a)[pairs[0]], _rows(b)[pairs[1]], footprint_iou[pairs])

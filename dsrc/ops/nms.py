@@ -7,13 +7,13 @@ from dsrc.ops.iou import bev_iou
 
 
 def rotated_nms(boxes: ArrayLike, scores: ArrayLike, iou: float, limit: int = 1000) -> NDArray[np.int64]:
-    """Keep the best of overlapping boxes.
+    """Suppress boxes that overlap a better one.
 
     Args:
         boxes: (n, 7) x, y, z, l, w, h, yaw.
-        scores: (n,).
-        iou: a box whose footprint overlaps a better kept one by more than this is dropped.
-        limit: only this many of the best boxes are looked at.
+        scores: (n,) confidences.
+        iou: footprint overlap with a better kept box above which a box is dropped.
+        limit: number of best boxes that are considered.
 
     Returns:
         (k,) int64 rows of the kept boxes, best first; of equal scores the earlier row first.

@@ -1,4 +1,4 @@
-"""From the heads' maps to detections: threshold, decode, filter, suppress."""
+"""Post-processing of the heads' maps: threshold, decoding, filters, non-maximum suppression."""
 
 from typing import Any
 
@@ -13,16 +13,16 @@ from sim.boxes import Boxes
 
 
 class PostSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How maps become detections.
+    """Post-processing settings.
 
     Attributes:
-        score_threshold: detections must be more confident than this.
-        nms_iou: of two detections that overlap more than this, the less confident is dropped.
-        max_boxes: at most this many of the most confident candidates are looked at.
-        range_m: (x_min, y_min, z_min, x_max, y_max, z_max): keep boxes with all corners inside, faces included, as
-            the ground truth is kept; None keeps all.
-        max_extent_m: drop boxes whose axis-aligned hull is longer than this in x or y. The released code has 6.0, which
-            drops every bus, and a long car or not depending on its heading; None keeps all.
+        score_threshold: confidence that detections exceed.
+        nms_iou: overlap above which the less confident of two detections is dropped.
+        max_boxes: number of most confident candidates that are considered.
+        range_m: (x_min, y_min, z_min, x_max, y_max, z_max), m: boxes with all corners inside, faces included, are kept,
+            as of the ground truth; None keeps all.
+        max_extent_m: extent of the axis-aligned hull along x or y above which boxes are dropped. The released code has
+            6.0, which drops every bus, and a long car depending on its heading; None keeps all.
     """
 
     score_threshold: float = 0.25
@@ -38,13 +38,13 @@ def decode_detections(
     anchors: NDArray[np.float64],
     settings: PostSettings,
 ) -> Detections:
-    """Return the detections of one sample, in the frame of the anchors (the ego LiDAR's).
+    """Decode the detections of one sample, in the frame of the anchors (the ego LiDAR's).
 
     Args:
         cls_logits: (2, H, W) logits per anchor, numpy or torch.
         regression: (14, H, W) deltas, 7 per anchor.
         anchors: (H, W, 2, 7).
-        settings: thresholds.
+        settings: thresholds and filters.
     """
     boxes, scores = candidates(cls_logits, regression, anchors, settings.score_threshold)
     return select(boxes, scores, settings)
@@ -56,7 +56,7 @@ def candidates(
     anchors: NDArray[np.float64],
     score_threshold: float,
 ) -> tuple[Boxes, NDArray[np.float32]]:
-    """Decode the anchors above the threshold, and only these.
+    """Decode the anchors above the threshold.
 
     Returns:
         K boxes in the order of the anchors (row, column, anchor), and their (K,) float32 scores.
@@ -72,7 +72,7 @@ def candidates(
 
 
 def select(boxes: Boxes, scores: NDArray[np.float32], settings: PostSettings) -> Detections:
-    """Filter and suppress candidates that share one frame, from one agent or, for late fusion, from several."""
+    """Filter and suppress candidates of one frame, from one agent or, for late fusion, from several."""
     keep = _plausible(boxes, settings)
     boxes, scores = boxes[keep], np.asarray(scores, np.float32)[keep]
     kept = rotated_nms(boxes.array, scores, settings.nms_iou, settings.max_boxes)
@@ -86,7 +86,7 @@ def select(boxes: Boxes, scores: NDArray[np.float32], settings: PostSettings) ->
 
 
 def _plausible(boxes: Boxes, settings: PostSettings) -> NDArray[np.bool_]:
-    """Return (N,) whether a candidate has a volume and passes the filters that come before the suppression."""
+    """Return the (N,) mask of candidates with a volume that pass the filters before the suppression."""
     keep: NDArray[np.bool_] = np.all(boxes.size > 0, axis=1)
     half_height = 0.5 * boxes.size[:, 2]
     if settings.range_m is not None:

@@ -1,4 +1,4 @@
-"""Target assignment: which anchors answer for which ground-truth box, and what they should regress."""
+"""Target assignment: positive anchors of each ground-truth box, and their box residuals."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,13 @@ _TIE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Targets:
-    """Labels of the (H, W, 2) anchors of one sample.
+class AnchorAssignment:
+    """Assignment of the (H, W, 2) anchors of one sample to its boxes.
 
     Attributes:
-        positive: (H, W, 2) bool, anchors that answer for a box.
-        ignored: (H, W, 2) bool, anchors that overlap a box too much to be background and too little to be positive.
-        owner: (H, W, 2) int32 row of the box that a positive anchor answers for, -1 elsewhere.
+        positive: (H, W, 2) bool positive anchors.
+        ignored: (H, W, 2) bool anchors with too much overlap for background and too little for a positive.
+        owner: (H, W, 2) int32 row of a positive anchor's box, -1 elsewhere.
         regression: (H, W, 14) float32 deltas (see `coding`), anchor by anchor; zero where not positive.
     """
 
@@ -34,12 +34,12 @@ def assign_targets(
     positive_iou: float = 0.5,
     legacy_iou: bool = False,
     negative_iou: float = 0.35,
-) -> Targets:
-    """Label the anchors of one sample.
+) -> AnchorAssignment:
+    """Assign the anchors of one sample.
 
-    An anchor that overlaps a box by at least `positive_iou` answers for it (for the box it overlaps most). A box that
-    gets no anchor this way takes the ones that overlap it most: every anchor that fits inside a bus. For the overlap
-    a box is turned to the nearest axis, so that the number of its anchors does not depend on its heading.
+    An anchor with an overlap of at least `positive_iou` is positive for the box that it overlaps most. A box without
+    such an anchor takes those that overlap it most: every anchor that fits inside a bus. For the overlap a box is
+    turned to the nearest axis, so that the number of its anchors does not depend on its heading.
 
     With `legacy_iou` the labels are the released code's: overlap of axis-aligned hulls with one metre added to every
     side (a pixel convention, applied to metres), more than 0.6 positive, less than 0.45 negative, the first box wins a
@@ -50,7 +50,7 @@ def assign_targets(
         anchors: (H, W, 2, 7) of `anchor_grid`.
         positive_iou: least overlap of a positive anchor.
         legacy_iou: reproduce the released labels.
-        negative_iou: an anchor between this and `positive_iou` is `ignored`.
+        negative_iou: overlap from which an anchor that is not positive is `ignored`.
     """
     boxes = np.asarray(boxes, np.float64).reshape(-1, 7)
     if legacy_iou:
@@ -61,13 +61,13 @@ def assign_targets(
     regression = np.zeros((*owner.shape, 7), np.float32)
     if len(boxes):
         regression[positive] = encode(boxes[owner[positive]], anchors[positive])
-    return Targets(positive, ignored & ~positive, owner, regression.reshape(*owner.shape[:2], -1))
+    return AnchorAssignment(positive, ignored & ~positive, owner, regression.reshape(*owner.shape[:2], -1))
 
 
 def _assign(
     boxes: NDArray[np.float64], anchors: NDArray[np.float64], positive_iou: float, negative_iou: float
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return owner and ignored by true overlap."""
+    """Return `owner` and `ignored` by true overlap."""
     best = np.zeros(anchors.shape[:3])
     owner = np.full(anchors.shape[:3], -1, np.int32)
     overlaps = [_overlap(_nearest_axis_hull(box), anchors, 0.0) for box in boxes]
@@ -84,7 +84,7 @@ def _assign(
 def _assign_legacy(
     boxes: NDArray[np.float64], anchors: NDArray[np.float64]
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return owner and ignored by the released code's rules."""
+    """Return `owner` and `ignored` by the released code's rules."""
     owner = np.full(anchors.shape[:3], -1, np.int32)
     near = np.zeros(anchors.shape[:3], bool)
     overlaps = [_overlap(_hull(box), anchors, 1.0) for box in boxes]

@@ -14,7 +14,7 @@ from sim.geometry import wrap_angle
 
 
 def source_grid(grid: GridSpec, augmentation: Augmentation) -> GridSpec:
-    """Return the range to read, large enough that the turned and resized sample still fills the grid."""
+    """Return the range to read, large enough for the rotated and scaled sample to fill the grid."""
     x = max(abs(grid.range_m[0]), abs(grid.range_m[3]))
     y = max(abs(grid.range_m[1]), abs(grid.range_m[4]))
     # Multiples of two cells keep the enlarged range a legal grid.
@@ -30,20 +30,20 @@ def source_grid(grid: GridSpec, augmentation: Augmentation) -> GridSpec:
 
 
 def _reach(along: float, across: float, rotation_deg: float) -> float:
-    """Return how far a rectangle of these half sides reaches along the first when turned by up to an angle.
+    """Return the reach along the first axis of a rectangle of these half sides, rotated by up to an angle.
 
-    It reaches farthest when its corner lies on the axis, and the less the farther from there.
+    It is largest with a corner on the axis, and falls with the angle from there.
     """
     angle = min(np.radians(rotation_deg), np.arctan2(across, along))
     return float(along * np.cos(angle) + across * np.sin(angle))
 
 
 def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.random.Generator) -> Sample:
-    """Drop collaborators, mirror, turn and resize a sample, then crop it to the grid.
+    """Drop collaborators, flip, rotate and scale a sample, then crop it to the grid.
 
-    `ego_from_agent` is left as it was: a mirror image has no pose.
+    `ego_from_agent` is unchanged: a mirror image has no pose.
     """
-    # Every draw is made every time, so that a switch does not change the others' luck.
+    # All draws are always made, so that one setting does not change the draws of others.
     drop, mirrors, turn, grow = rng.random(), rng.random(2) < 0.5, rng.uniform(-1, 1), rng.uniform(-1, 1)
     others = rng.permutation(np.arange(1, len(sample.clouds)))[: rng.integers(len(sample.clouds))]
     if drop < augmentation.dropout:
@@ -52,7 +52,7 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     angle = float(np.radians(augmentation.rotation_deg * turn))
     scale = 1 + augmentation.scale * grow
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    # Columns: x, y turned and mirrored; z resized about the road would move it, so only the plane is resized.
+    # x and y only: scaling z would move the road.
     plane = scale * rotation @ np.diag(signs)
     moved = replace(
         sample,
@@ -66,7 +66,7 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
 
 
 def thinned(sample: Sample, rng: np.random.Generator) -> Sample:
-    """Leave the student a random share of each agent's points, from a tenth to all; nothing else of the sample changes.
+    """Thin the student's clouds to a random share of each agent's points, from a tenth to all.
 
     Shares differ between agents, as the density of a scene does between views.
     """
@@ -77,9 +77,9 @@ def thinned(sample: Sample, rng: np.random.Generator) -> Sample:
 
 
 def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
-    """Keep some agents only, the ego first, and of the ground truth what these have annotated.
+    """Select agents, the ego first, and the ground truth that they have annotated.
 
-    The others' clouds go to `other_clouds`: without them, the teacher of a student that hears few would not be dense.
+    The others' clouds go to `other_clouds`: the teacher of a student of few agents stays dense.
     """
     dropped = tuple(cloud for row, cloud in enumerate(sample.clouds) if row not in rows)
     agent_boxes = tuple(sample.agent_boxes[row] for row in rows)

@@ -1,4 +1,4 @@
-"""Which weights a training ends with: the last or the best validated, as they are or as a moving average of them."""
+"""Weight selection: the last or the best validated weights of a training, or their moving average."""
 
 import math
 from pathlib import Path
@@ -12,22 +12,22 @@ from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.training.recipes import Recipe
 
 SCORE = ("val/ap_bev_50", "val/ap_bev_70")
-"""The sum of these says which weights are the best."""
+"""Metrics whose sum ranks the weights."""
 
 
-class Selection(pl.Callback):
-    """Averages the weights over the steps, keeps the best, and ends a training that no longer gets better.
+class WeightSelection(pl.Callback):
+    """Weight selection: moving average over the steps, best validated weights, early stopping.
 
-    Its state is in every checkpoint, so that a resumed run decides as one that was not interrupted. A validation looks
-    at the average, where there is one, and that is what is kept.
+    Its state is in every checkpoint, so that a resumed run decides as an uninterrupted one. With a moving average,
+    validations and the best weights are of the average.
 
     Attributes:
-        metrics: of the validation of the weights that the training ends with; empty before the first.
-        epoch: of that validation.
+        metrics: validation metrics of the selected weights; empty before the first validation.
+        epoch: epoch of that validation.
     """
 
     def __init__(self, recipe: Recipe, best: Path) -> None:
-        """Choose as a recipe says; the best weights go to the detector file `best`."""
+        """Select by a recipe's rules; the best weights are stored in the detector file `best`."""
         self.recipe, self.best = recipe, best
         self.metrics: dict[str, float] = {}
         self.epoch = -1
@@ -36,14 +36,14 @@ class Selection(pl.Callback):
         self._average: dict[str, Tensor] = {}
 
     def apply(self, detector: Detector) -> None:
-        """Give a trained detector the weights that the training ends with."""
+        """Load the selected weights into a trained detector."""
         if self.recipe.keep == "best":
             detector.load_state_dict(load_detector(self.best).state_dict())
         elif self._average:
             detector.load_state_dict(self._average)
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Begin the average; end at once what had ended early before."""
+        """Start the average; stop a resumed run that had stopped early."""
         if self.recipe.ema and not self._average:
             self._average = {name: tensor.clone() for name, tensor in _detector(pl_module).state_dict().items()}
         self._average = {name: tensor.to(pl_module.device) for name, tensor in self._average.items()}
@@ -55,7 +55,7 @@ class Selection(pl.Callback):
         """Move the average towards the weights of this step."""
         if not self._average:
             return
-        # At first the steps are too few for the average that is asked for: it would hold the untrained weights.
+        # A shorter average at first: the full one would hold the untrained weights.
         share = max(1 - self.recipe.ema, 9 / (10 + self._steps))
         self._steps += 1
         for name, tensor in _detector(pl_module).state_dict().items():
@@ -65,11 +65,11 @@ class Selection(pl.Callback):
                 self._average[name].copy_(tensor)
 
     def on_validation_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Let the validation see the average."""
+        """Swap in the average for the validation."""
         self._swap(pl_module)
 
     def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Compare with the best so far."""
+        """Keep the weights if they are the best so far, and swap the average out."""
         metrics = {k: float(v) for k, v in trainer.callback_metrics.items() if k.startswith("val/")}
         score = sum(metrics[name] for name in SCORE)
         better = score > self._highest
@@ -82,12 +82,12 @@ class Selection(pl.Callback):
         self._stop(trainer)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that a resumed run needs to know."""
+        """Return the state for a checkpoint."""
         names = ("metrics", "epoch", "_highest", "_waited", "_steps", "_average")
         return {name: getattr(self, name) for name in names}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take over the state of a checkpoint."""
+        """Restore the state of a checkpoint."""
         for name, value in state_dict.items():
             setattr(self, name, value)
 
@@ -108,5 +108,5 @@ class Selection(pl.Callback):
 def _detector(module: pl.LightningModule) -> Detector:
     detector = module.detector
     if not isinstance(detector, Detector):
-        raise TypeError("Selection needs a DetectionModule")
+        raise TypeError("WeightSelection needs a DetectionModule")
     return detector

@@ -1,4 +1,4 @@
-"""The data of a training: which frames, through whose eyes, augmented how, and in which order."""
+"""Data module of a training: frames, egos, augmentation and their order."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,21 +13,22 @@ from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.settings import ModelSettings
 from dsrc.training.augment import augment, source_grid
 from dsrc.training.recipes import Recipe
-from dsrc.training.samples import Corruption, FrameRef, SampleStore
+from dsrc.training.samples import CorruptionDraw, FrameRef, SampleStore
 from sensors.corruptions import SEVERITIES
+from sim.streams import Stream, random_generator
 
 Draw = tuple[int, int]
-"""Epoch and number of a frame: together with the seed they fix a training sample completely."""
+"""Epoch and number of a frame, which with the seed determine a training sample."""
 
 
 class EpochSampler(Sampler[Draw]):
-    """Frames in an order that depends on the seed and the epoch alone, so that a resumed run repeats it."""
+    """Frame order of an epoch, by the seed and the epoch alone, so that a resumed run repeats it."""
 
     def __init__(self, frames: int, seed: int, limit: int | None = None, device: int = 0, devices: int = 1) -> None:
-        """Draw from so many frames, all of them or `limit` in each epoch; each of the devices takes every n-th."""
+        """Draw from `frames` frames, all or `limit` per epoch; each of the n devices takes every n-th."""
         self.frames, self.seed, self.epoch = frames, seed, 0
         self.device, self.devices = device, devices
-        # All devices get equally many, so that none waits for another; what is left over has its turn another epoch.
+        # Devices get equal numbers, so that none waits for another; the rest is drawn in another epoch.
         self.count = (frames if limit is None else min(limit, frames)) // devices
 
     def set_epoch(self, epoch: int) -> None:
@@ -35,7 +36,7 @@ class EpochSampler(Sampler[Draw]):
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[Draw]:
-        order = np.random.default_rng([self.seed, 1, self.epoch]).permutation(self.frames)
+        order = random_generator(self.seed, Stream.TRAINING_ORDER, self.epoch).permutation(self.frames)
         order = order[: self.count * self.devices][self.device :: self.devices]
         return iter([(self.epoch, int(i)) for i in order])
 
@@ -44,7 +45,7 @@ class EpochSampler(Sampler[Draw]):
 
 
 class TrainingSet(Dataset[Sample]):
-    """Augmented samples."""
+    """Training set of augmented samples."""
 
     def __init__(self, store: SampleStore, frames: list[FrameRef], recipe: Recipe, seed: int) -> None:
         self.store, self.frames, self.recipe, self.seed = store, frames, recipe, seed
@@ -54,17 +55,17 @@ class TrainingSet(Dataset[Sample]):
 
     def __getitem__(self, draw: Draw) -> Sample:
         epoch, number = draw
-        rng = np.random.default_rng([self.seed, 2, epoch, number])
+        rng = random_generator(self.seed, Stream.TRAINING_AUGMENTATION, epoch, number)
         egos = self.store.egos(self.frames[number])
         choice = int(rng.integers(len(egos)))
         ego = egos[choice if self.recipe.augmentation.random_ego else 0]
         sample = self.store.sample(self.frames[number], ego, self._corruption(epoch, number))
         return augment(sample, self.recipe.model.grid, self.recipe.augmentation, rng)
 
-    def _corruption(self, epoch: int, number: int) -> Corruption | None:
-        """Draw what befalls the sensors, if anything, beside all other draws."""
+    def _corruption(self, epoch: int, number: int) -> CorruptionDraw | None:
+        """Draw the corruption of the sensors, independently of all other draws."""
         choice = self.recipe.augmentation
-        rng = np.random.default_rng([self.seed, 3, epoch, number])
+        rng = random_generator(self.seed, Stream.TRAINING_CORRUPTION, epoch, number)
         if rng.random() >= choice.corruption:
             return None
         kind = choice.kinds[int(rng.integers(len(choice.kinds)))]
@@ -72,7 +73,7 @@ class TrainingSet(Dataset[Sample]):
 
 
 class ValidationSet(Dataset[Sample]):
-    """Samples as they are, seen by the first vehicle of each drive."""
+    """Validation set of unaugmented samples, with the first vehicle of each drive as ego."""
 
     def __init__(self, store: SampleStore, frames: list[FrameRef]) -> None:
         self.store, self.frames = store, frames
@@ -85,7 +86,7 @@ class ValidationSet(Dataset[Sample]):
 
 
 class Collate:
-    """Turns a list of samples into a batch for a network of these settings, with a recipe's labels."""
+    """Collate function: a list of samples to a batch for a network of these settings, with a recipe's labels."""
 
     def __init__(self, settings: ModelSettings, recipe: Recipe, training: bool) -> None:
         self.settings, self.labels, self.training = settings, recipe.labels, training
@@ -98,7 +99,7 @@ class Collate:
 
 
 class DetectionData(pl.LightningDataModule):
-    """Loaders of training and validation batches."""
+    """Data module: loaders of training and validation batches."""
 
     def __init__(
         self,
@@ -108,14 +109,14 @@ class DetectionData(pl.LightningDataModule):
         validation_drives: list[Path] | None,
         seed: int,
     ) -> None:
-        """Look at the drives.
+        """Open the drives.
 
         Args:
             recipe: batch size, augmentation, hold-out.
-            settings: of the network that is trained.
-            drives: to train on.
-            validation_drives: to validate on; None holds out the end of each training drive.
-            seed: of order and augmentation.
+            settings: settings of the trained network.
+            drives: training drives.
+            validation_drives: validation drives; None holds out the end of each training drive.
+            seed: seed of order and augmentation.
         """
         super().__init__()
         self.recipe, self.settings = recipe, settings
@@ -133,7 +134,7 @@ class DetectionData(pl.LightningDataModule):
         self.validates_on_unseen = validation_drives is not None or len(frames) < len(wide.frames)
 
     def train_dataloader(self) -> DataLoader:
-        """Return the training batches; a last batch that is not full is dropped unless it is the only one."""
+        """Return the training batches; an incomplete last batch is dropped unless it is the only one."""
         device, devices = self._place()
         sampler = EpochSampler(len(self.training), self.training.seed, self.recipe.epoch_frames, device, devices)
         batch_size = self.recipe.batch_size // devices
@@ -151,7 +152,7 @@ class DetectionData(pl.LightningDataModule):
         return self.validation_batches(*self._place())
 
     def validation_batches(self, device: int = 0, devices: int = 1) -> DataLoader:
-        """Return the validation batches, one sample each; of several devices each has every n-th."""
+        """Return the validation batches, one sample each; every n-th of n devices."""
         return DataLoader(
             self.validation,
             batch_size=1,
@@ -161,7 +162,7 @@ class DetectionData(pl.LightningDataModule):
         )
 
     def _place(self) -> tuple[int, int]:
-        """Return the number of this process and how many train together."""
+        """Return the rank of this process and the number of processes."""
         return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
@@ -176,7 +177,7 @@ def _workers(count: int) -> dict:
 
 
 def _is_held_out(frame: FrameRef, frames: int, share: float) -> bool:
-    """Return whether a frame lies in the last part of its drive; the first frame never does."""
+    """Return whether a frame is in the held-out end of its drive; the first frame never is."""
     return frame.position >= max(frames - max(round(frames * share), 1), 1)
 
 

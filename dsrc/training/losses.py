@@ -1,4 +1,4 @@
-"""The losses: detection, and the three stages of the distillation.
+"""Losses of detection, and of the three stages of the distillation.
 
 Where the paper and its released code differ, `DistillSettings` has both: its defaults follow the paper, `released()`
 is the code. The reconstruction losses stand beside their head, in `dsrc.models.layers.reconstruction`.
@@ -18,12 +18,12 @@ from dsrc.models.detector import Output
 
 
 class DistillSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Weights and forms of the distillation losses.
+    """Distillation settings: weights and forms of the losses.
 
     Attributes:
         dae, daf, dap: weights of the distillation after encoding, fusion and prediction (alpha, beta, gamma).
-        fade: last share of the steps, over which these weights fall to 0 in a straight line: what is left to learn then
-            is the detection itself.
+        fade: last share of the steps, over which these weights fall linearly to 0, so that the training ends with
+            detection alone.
         form: `paper`: binary masks. Squared feature differences are taken over the foreground, relative to the
             teacher's mean square there, and averaged over the scales: the sums of Equations 2 and 3 grow with the
             grid, the agents and the features, and would outweigh the detection loss tenfold. Prediction by the
@@ -35,9 +35,9 @@ class DistillSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             the two anchors and over the 14 residuals.
         daf_mask: restrict the distillation after fusion to the foreground of any agent. On by default: over the whole
             map, of which a few per cent are foreground, the mean is a distillation of the road.
-        teacher_norms: the batch norms of a teacher are `fixed` when its student is trained, or `moving` as in the
-            released code: they take the batch's statistics and go on averaging them, and in the pillar encoder, there
-            and when the teacher is trained, the objects' clouds by themselves take part.
+        teacher_norms: batch norms of the teacher while its student is trained: `fixed`, or `moving` as in the released
+            code: they use and average the batch's statistics, and those of the pillar encoder, then and when the
+            teacher is trained, include the objects' clouds.
     """
 
     dae: float = 1.0
@@ -99,10 +99,10 @@ def direction_loss(direction: Tensor, positive: Tensor, regression: Tensor) -> T
 
 
 def consistency_loss(view: Output, clean: Output, positive: Tensor) -> Tensor:
-    """Return how far the predictions in a corrupted view are from those in the clean one, which do not move.
+    """Return the consistency loss of predictions in a corrupted view with those in the clean one, without its gradient.
 
     The Kullback-Leibler divergence of every anchor's probability, and of unit normals around the residuals of positive
-    anchors; per number of positives, a mean over samples. Empty cells count: there, corruption makes ghosts.
+    anchors; per number of positives, a mean over samples. Empty cells count: corruption causes false positives there.
 
     Args:
         view: output in the corrupted view, with gradient.
@@ -113,13 +113,13 @@ def consistency_loss(view: Output, clean: Output, positive: Tensor) -> Tensor:
 
 
 def _prediction_error(student: Output, teacher: Output, positive: Tensor, where: Tensor) -> Tensor:
-    """Return how far predictions are from others, which do not move, per number of positives, a mean over samples.
+    """Return the error of predictions to a teacher's, per number of positives, a mean over samples.
 
     Args:
         student: output with gradient.
-        teacher: output to come near to.
+        teacher: target output, without gradient.
         positive: (B, h, w, 2) bool anchors whose residuals are compared.
-        where: (B, 1, h, w) 1 in the cells whose probabilities are compared.
+        where: (B, 1, h, w) mask of the cells whose probabilities are compared.
     """
     count = positive.flatten(1).sum(1).clamp(min=1)
     divergence = (_bernoulli_kl(teacher.cls.detach(), student.cls) * where).flatten(1).sum(1)
@@ -141,8 +141,8 @@ def distillation_losses(
     Args:
         student: its output, with gradient.
         teacher: its output on the teacher's clouds.
-        foreground: (N, H, W) bool, cells that hold a point on one of the agent's objects.
-        positive: (B, h, w, 2) bool anchors that are responsible for a box.
+        foreground: (N, H, W) bool cells with a point on one of the agent's objects.
+        positive: (B, h, w, 2) bool positive anchors.
         agents: number of agents of each row of the fused maps.
         settings: weights and forms.
     """
@@ -159,19 +159,19 @@ def distillation_losses(
 
 
 def _relative_error(student: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
-    """Squared difference of (N, C, h, w) maps over the cells of a (N, 1, h, w) mask, by the teacher's square there."""
+    """Return the squared difference of (N, C, h, w) maps in a (N, 1, h, w) mask, relative to the teacher's square."""
     n, row, column = mask[:, 0].nonzero(as_tuple=True)
     wanted = teacher[n, :, row, column]
     return _mean_square(student[n, :, row, column] - wanted) / (_mean_square(wanted) + 1e-6)
 
 
 def _mean_square(x: Tensor) -> Tensor:
-    """Mean of the squares; 0 of nothing."""
+    """Return the mean square; 0 of an empty tensor."""
     return x.square().sum() / max(x.numel(), 1)
 
 
 def _bernoulli_kl(teacher: Tensor, student: Tensor) -> Tensor:
-    """Return the divergence of the student's from the teacher's probability, element by element, from logits."""
+    """Return the elementwise Kullback-Leibler divergence of the student's from the teacher's logits."""
     p = torch.sigmoid(teacher)
     cross = functional.binary_cross_entropy_with_logits(student, p, reduction="none")
     return cross - functional.binary_cross_entropy_with_logits(teacher, p, reduction="none")

@@ -17,7 +17,7 @@ LOG = logging.getLogger(__name__)
 
 
 def _title(folder: Path) -> str:
-    """Return which training a run folder holds and on what, each by the last two names of its path."""
+    """Return a plot title: run folder, training data and validation data, each by the last two names of its path."""
     path = folder / "settings.json"
     folders = msgspec.json.decode(path.read_bytes()).get("folders", {}) if path.exists() else {}
     named = {"": folder, "trained on ": folders.get("data"), "validated on ": folders.get("validate")}
@@ -25,10 +25,10 @@ def _title(folder: Path) -> str:
 
 
 class MetricsFile(pl.Callback):
-    """Keeps `metrics.csv` and `curves.png` of a run folder.
+    """Writer of a run folder's `metrics.csv` and `curves.png`.
 
-    The table has one row per epoch and is rewritten whole each time, so that a resumed run continues it; it is drawn
-    after each validation.
+    The table has one row per epoch and is rewritten each time, so that a resumed run continues it; it is plotted after
+    each validation.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -37,7 +37,7 @@ class MetricsFile(pl.Callback):
         self._started = 0.0
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Read what an earlier run has written, up to the epoch that starts now."""
+        """Read the rows of an interrupted run, up to the epoch that starts now."""
         if self.path.exists():
             with self.path.open(newline="", encoding="utf-8") as file:
                 self._rows = [row for row in csv.DictReader(file) if int(row["epoch"]) < trainer.current_epoch]
@@ -74,13 +74,13 @@ class MetricsFile(pl.Callback):
 
 
 class ValidationSchedule(pl.Callback):
-    """Validates after every n-th epoch and after the last."""
+    """Validation after every n-th epoch and after the last."""
 
     def __init__(self, every: int) -> None:
         self.every = max(every, 1)
 
     def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Decide whether this epoch ends with a validation."""
+        """Schedule this epoch's validation."""
         trainer.check_val_every_n_epoch = 1 if _validated(trainer, self.every) else trainer.current_epoch + 2
 
 

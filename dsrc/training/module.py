@@ -1,4 +1,4 @@
-"""DetectionModule: one training step, one validation, and the alarms."""
+"""Lightning module of a training: step, validation and alarms."""
 
 import math
 from itertools import zip_longest
@@ -21,26 +21,26 @@ from sim.errors import UserError
 
 
 class TrainingAlarm(UserError):
-    """A training has gone wrong in a way that more epochs do not mend."""
+    """Failure of a training that more epochs cannot repair."""
 
 
 class DetectionModule(pl.LightningModule):
-    """Trains a teacher, a plain student, or a student with distillation and reconstruction."""
+    """Training of a teacher, a plain student, or a student with distillation and reconstruction."""
 
     def __init__(self, recipe: Recipe, detector: Detector, teacher: Detector | None = None, seed: int = 0) -> None:
-        """Join the networks.
+        """Set up the networks.
 
         Args:
             recipe: rates, weights and alarms.
-            detector: the network to train; its settings say what it learns from.
-            teacher: frozen; needed when the detector distils.
-            seed: of what the network itself draws while training: dropout, and which cells Where2comm sends.
+            detector: trained network; its settings choose the losses.
+            teacher: frozen teacher of a detector that distils.
+            seed: seed of draws within the network: dropout, and the cells that Where2comm sends.
         """
         super().__init__()
         self.recipe, self.detector, self.seed = recipe, detector, seed
         settings = detector.settings
         self.reconstruction = Reconstruction(settings) if settings.rec and settings.role == "student" else None
-        # In a tuple the teacher is no submodule: it is not saved with the student, nor trained.
+        # In a tuple the teacher is not a submodule: it is neither saved with the student nor trained.
         self._teacher = (teacher.eval().requires_grad_(False),) if teacher is not None else ()
         if teacher is not None and recipe.distill.teacher_norms == "moving":
             teacher.train()
@@ -48,7 +48,7 @@ class DetectionModule(pl.LightningModule):
         self._zeros_in_a_row = 0
 
     def forward(self, batch: Batch) -> Output:
-        """Detect, on the clouds that this network reads."""
+        """Run the network on its clouds: a teacher's own, or the sensors'."""
         with self._autocast():
             if self.detector.settings.role == "teacher":
                 return as_teacher(self.detector, batch).float()
@@ -60,7 +60,7 @@ class DetectionModule(pl.LightningModule):
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.bfloat16)
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the weighted losses of a training batch by name; their sum is what is minimised."""
+        """Return the weighted losses of a training batch by name; training minimises their sum."""
         output = self(batch)
         if batch.targets is None:
             raise ValueError("the batch was collated without targets")
@@ -71,13 +71,13 @@ class DetectionModule(pl.LightningModule):
             turned = direction_loss(output.direction, positive, batch.targets.regression)
             losses["direction"] = self.recipe.direction * turned
         if self.recipe.consistency and batch.student is not None:
-            losses["consistency"] = self.recipe.consistency * self._inconsistency(batch, output)
+            losses["consistency"] = self.recipe.consistency * self._consistency(batch, output)
         if self._teacher and batch.teacher is not None and batch.foreground is not None:
             with torch.no_grad(), self._autocast():
                 taught = as_teacher(self._teacher[0], batch).float()
             parts = output, taught, batch.foreground, positive, batch.agents
             distilled = distillation_losses(*parts, self.recipe.distill)
-            losses |= {name: self._distilled_share() * value for name, value in distilled.items()}
+            losses |= {name: self._distillation_factor() * value for name, value in distilled.items()}
         if self.reconstruction is not None and batch.scene is not None:
             with self._autocast():
                 mask, offset = reconstruction_losses(
@@ -87,16 +87,16 @@ class DetectionModule(pl.LightningModule):
             losses |= {"rec_mask": weight * mask, "rec_offset": weight * offset}
         return losses
 
-    def _distilled_share(self) -> float:
-        """Return the share of its weights that the distillation has at this step, see `DistillSettings.fade`."""
+    def _distillation_factor(self) -> float:
+        """Return the factor of the distillation weights at this step, see `DistillSettings.fade`."""
         fade = self.recipe.distill.fade
         if not fade:
             return 1.0
         done = self.global_step / max(int(self.trainer.estimated_stepping_batches), 1)
         return min(max((1.0 - done) / fade, 0.0), 1.0)
 
-    def _inconsistency(self, batch: Batch, clean: Output) -> Tensor:
-        """Return the loss between the two views of a batch; 0 where there is only one."""
+    def _consistency(self, batch: Batch, clean: Output) -> Tensor:
+        """Return the consistency loss between the two views of a batch; 0 with one view."""
         if batch.view is None or batch.targets is None:
             return clean.cls.new_zeros(())
         with self._autocast():
@@ -110,7 +110,7 @@ class DetectionModule(pl.LightningModule):
             TrainingAlarm: the loss is not a finite number.
         """
         with torch.random.fork_rng():
-            # By the step, not by what was drawn before: a resumed run draws the same, and each device its own.
+            # Seeded by the step: a resumed run draws the same, and each device its own.
             torch.manual_seed((self.seed << 32) + (self.global_rank << 28) + self.global_step)
             losses = self.losses(batch)
         total = torch.stack(list(losses.values())).sum()
@@ -123,14 +123,14 @@ class DetectionModule(pl.LightningModule):
         return total
 
     def validation_step(self, batch: Batch, batch_index: int) -> None:
-        """Detect in a batch and keep the result; with late fusion that of each agent by itself."""
+        """Detect in a batch and keep the result, with late fusion that of each agent."""
         self._results.append(detections_of(self.detector, batch))
 
     def on_validation_epoch_end(self) -> None:
         """Log the average precisions.
 
         Raises:
-            TrainingAlarm: they have been 0 for too long.
+            TrainingAlarm: they were 0 in `alarm_after` validations in a row.
         """
         ap = metrics_of(self._all_results())
         self._results.clear()
@@ -145,15 +145,15 @@ class DetectionModule(pl.LightningModule):
             )
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep how long the alarm has been due, so that an interruption does not put it off."""
+        """Store the count of the alarm, which an interruption does not reset."""
         checkpoint["zeros_in_a_row"] = self._zeros_in_a_row
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Go on counting; older checkpoints have no count."""
+        """Restore the count of the alarm; older checkpoints have none."""
         self._zeros_in_a_row = checkpoint.get("zeros_in_a_row", 0)
 
     def _all_results(self) -> list[FrameResult]:
-        """Return the results of all devices in the order of the frames, as one device alone would have them."""
+        """Gather the results of all devices in the order of the frames."""
         parts = [self._results]
         if self.trainer.world_size > 1:
             parts = [[] for _ in range(self.trainer.world_size)]
@@ -178,9 +178,9 @@ class DetectionModule(pl.LightningModule):
 
 
 def as_teacher(teacher: Detector, batch: Batch) -> Output:
-    """Return what a teacher says of its clouds; in training its pillar norm sees those of its objects, if there are.
+    """Run a teacher on its clouds; in training, the clouds of its objects enter its pillar norm if the batch has them.
 
-    The released code has both in one batch of the pillar encoder and goes on with the teacher's clouds alone.
+    As in the released code, which encodes both in one batch and continues with the teacher's clouds alone.
     """
     pillars = batch.teacher
     if pillars is None:
@@ -188,13 +188,13 @@ def as_teacher(teacher: Detector, batch: Batch) -> Output:
     if batch.objects is None or not teacher.training:
         return teacher(pillars, batch.layout)
     encoder = teacher.encoder
-    features = encoder.features(joined(pillars, batch.objects))[: len(pillars.coords)]
+    features = encoder.features(concatenated(pillars, batch.objects))[: len(pillars.coords)]
     stages = teacher.backbone(encoder.scatter(features, pillars))
-    return teacher.read(stages, teacher.join(teacher.maps(stages), batch.layout))
+    return teacher.heads(stages, teacher.fuse(teacher.maps(stages), batch.layout))
 
 
-def joined(first: Pillars, second: Pillars) -> Pillars:
-    """Return the pillars of two groups of clouds, those of the first first."""
+def concatenated(first: Pillars, second: Pillars) -> Pillars:
+    """Concatenate the pillars of two groups of clouds."""
     shift = torch.zeros_like(second.coords)
     shift[:, 0] = first.clouds
     return Pillars(
@@ -207,17 +207,17 @@ def joined(first: Pillars, second: Pillars) -> Pillars:
 
 
 class RateCurve:
-    """The learning rate over the steps, as a share of its peak: a rise, then half a cosine; see `Recipe.schedule`."""
+    """Learning rate over the steps, relative to its peak: warm-up, then half a cosine; see `Recipe.schedule`."""
 
     def __init__(self, recipe: Recipe, steps: int) -> None:
-        # Plain numbers alone: they are in every checkpoint.
+        # Plain numbers only: they are in every checkpoint.
         self.steps, self.epochs, self.released = steps, recipe.epochs, recipe.schedule == "released"
         self.rise_epochs = round(recipe.epochs * recipe.warmup)
         self.rise = max(round(steps * recipe.warmup), 1) if recipe.warmup else 0
         self.start, self.end = 0.04, 1e-4 if recipe.schedule == "one_cycle" else 1e-2
 
     def __call__(self, step: int) -> float:
-        """Return the share at a step."""
+        """Return the relative rate at a step."""
         if self.released:
             return self._in_epoch(step * self.epochs // self.steps)
         if step < self.rise:
@@ -226,7 +226,7 @@ class RateCurve:
         return self.end + (1 - self.end) * 0.5 * (1 + math.cos(math.pi * fall))
 
     def _in_epoch(self, epoch: int) -> float:
-        """Return the released code's share in an epoch: the cosine falls already while the rise replaces it."""
+        """Return the released code's relative rate in an epoch: the cosine runs on under the warm-up."""
         if epoch < self.rise_epochs:
             return 0.2 + 0.8 * epoch / self.rise_epochs
         return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(epoch / self.epochs, 1.0)))

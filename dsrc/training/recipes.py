@@ -1,40 +1,41 @@
-"""Recipes: functions that return everything that makes a training what it is."""
+"""Recipes: settings of a training, and the presets and methods of the comparison."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from dsrc.models.inputs.labels import Labels, released_labels
-from dsrc.models.settings import ModelSettings
+from dsrc.models.inputs.labels import LabelSettings, released_labels
+from dsrc.models.settings import Count, ModelSettings
 from dsrc.ops.grid import GridSpec
 from dsrc.training.losses import DistillSettings, released
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX
-from sim.errors import SettingsError, complaint
+from sim.errors import SettingsError, complaint, did_you_mean
 
 Stage = Literal["teacher", "student", "plain"]
-Count = Annotated[int, Meta(ge=1)]
+PARTS = ("model", "distill", "labels", "augmentation")
+"""Fields of a recipe that are structs themselves."""
 NotNegative = Annotated[float, Meta(ge=0)]
 
 
 class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Changes of a training sample, drawn anew each time; clouds, boxes and all agents move together.
+    """Augmentation of training samples, drawn anew each time; clouds, boxes and all agents move together.
 
     Attributes:
         flip: mirror left and right, and front and back, each with probability one half.
-        rotation_deg: turn about the vertical axis by up to this.
-        scale: resize by up to this fraction.
-        random_ego: look through any of the frame's vehicles, not always the first.
-        dropout: probability that only some agents (one to all, evenly) take part; the ground truth is then what these
-            have seen. One network so learns to be good alone and with collaborators.
-        thinning: probability that a student sees but a random share of each agent's points. Ground truth, the teacher's
-            clouds and what is reconstructed have all of them: sparse to dense by more than one view differs from many.
+        rotation_deg: largest rotation about the vertical axis, degrees.
+        scale: largest relative change of size in the plane.
+        random_ego: any of the frame's vehicles is the ego, not always the first.
+        dropout: probability that only some agents (one to all, evenly) take part, with the ground truth that these have
+            seen. One network so learns to detect alone and with collaborators.
+        thinning: probability that a student gets a random share of each agent's points. Ground truth, teacher clouds
+            and reconstruction target keep all of them, so that distillation is sparse to dense beyond the views.
         corruption: probability that the sensors of a sample are corrupted, by any of `kinds` in any severity. Ground
-            truth, the teacher's clouds and what is reconstructed are of the uncorrupted sample.
-        kinds: of corruption, by physical cause. Those of the paper's tables by default: results under them are then of
-            a network that has seen them, and have to say so.
+            truth, teacher clouds and reconstruction target are those of the clean sample.
+        kinds: corruptions of the physical family. The default are those of the paper's tables: results under them are
+            then of a network trained on them, and have to be declared so.
     """
 
     flip: bool = True
@@ -50,57 +51,56 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         known = [kind for kind, corruption in CORRUPTIONS.items() if not corruption.spares_ego]
         for kind in self.kinds:
             if kind not in known:
-                # Errors of pose and clock move whole clouds: that is no matter of what a sensor sees.
+                # Errors of pose and clock move whole clouds and do not corrupt a sensor.
                 raise ValueError(f"kinds: expected any of {', '.join(known)}, found '{kind}'")
         if self.corruption and not self.kinds:
             raise ValueError("kinds: expected at least one, found none")
 
 
 class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that makes a training what it is, data and seed aside.
+    """Recipe of a training: all its settings but data and seed.
 
     Attributes:
         name: key in `RECIPES`.
         model: the student's settings.
         distill: weights and forms of the distillation.
-        labels: how ground truth becomes what is learned.
+        labels: rules by which targets are made of the ground truth.
         reconstruction: weight of the reconstruction losses.
         reconstruction_window: share of the map's width and height that a step reconstructs, at a random place; 1 is all
-            of it. Half of both is a quarter of the cells, and of what is a third of a step's time.
+            of it, which takes a third of a step's time; 0.5 takes a quarter of that.
         direction: weight of the direction loss, where the model has that head; PointPillars' by default.
-        consistency: weight of the loss that ties the predictions in a corrupted view of a sample to those in the clean
-            one; the other losses then see the clean one. 0 makes no clean view where there is a corrupted one.
+        consistency: weight of the loss between the predictions in a sample's corrupted and clean view; the other losses
+            then use the clean one. With 0 there is no clean view of a corrupted sample.
         augmentation: changes of the training samples.
         epochs: passes over the data, or over draws of `epoch_frames` from it.
-        epoch_frames: an epoch is this many frames, drawn anew for each epoch and none twice in one, where there are
-            more; None takes all. Frames a tenth of a second apart are much alike.
+        epoch_frames: frames per epoch, drawn anew for each epoch without replacement; None takes all. Frames a tenth of
+            a second apart are much alike.
         batch_size: samples per step, shared among the devices.
-        learning_rate: its peak.
+        learning_rate: peak learning rate.
         optimizer: `adamw`, or `adam` with the released code's epsilon, 1e-10.
         weight_decay: of AdamW, on weights of convolutions and the linear layer only; of Adam, as a gradient of all.
         schedule: per step, after a linear warm-up: `one_cycle` and `cosine` fall along a half cosine, the first to
             almost nothing, the second to a hundredth of the peak. `released` is the released code's: once per epoch,
             from a fifth of the peak up and to a fiftieth down, on a cosine that began to fall with the training.
         warmup: share of the steps in which the rate rises.
-        clip: gradients longer than this are shortened; 0 leaves them.
-        comm_range_m: agents farther from the ego than this do not take part.
+        clip: largest gradient norm; 0 does not clip.
+        comm_range_m: communication range of the ego, m.
         validate_every: epochs between validations; the last epoch always has one.
         validation_share: without a validation set, this last part of each drive is held out.
-        validation_frames: at most this many frames are validated on, evenly spread.
+        validation_frames: maximum number of validation frames, evenly spread.
         patience: validations in a row without a better AP@0.5 + AP@0.7 that end the training; None never ends it early.
-        keep: the weights that the training ends with: the `last`, or the `best` by AP@0.5 + AP@0.7 of the validations.
-        ema: end with a moving average of the weights, in which a step counts so many times as much as the next; 0 ends
-            with the weights themselves. Validations look at the average.
+        keep: resulting weights: the `last`, or the `best` by AP@0.5 + AP@0.7 of the validations.
+        ema: decay of an exponential moving average of the weights, which validations and the result use; 0 is without.
         alarm_after: validations in a row with an average precision of 0 that end the training.
         workers: processes that prepare batches.
-        bfloat16: convolutions and matrix products of the training in it: with AMX or on a GPU about twice as fast.
-        half: ship the weights in half precision.
+        bfloat16: convolutions and matrix products in bfloat16: with AMX or on a GPU about twice as fast.
+        half: store the weights in half precision.
     """
 
     name: str
     model: ModelSettings
     distill: DistillSettings = DistillSettings()
-    labels: Labels = Labels()
+    labels: LabelSettings = LabelSettings()
     reconstruction: NotNegative = 1.0
     reconstruction_window: Annotated[float, Meta(gt=0, le=1)] = 1.0
     direction: NotNegative = 0.2
@@ -128,7 +128,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     half: bool = True
 
     def settings(self, stage: Stage) -> ModelSettings:
-        """Return the settings of the network that a stage trains."""
+        """Return the settings of a stage's network."""
         if stage == "teacher":
             return replace(self.model, role="teacher", rec=False)
         if stage == "plain":
@@ -137,7 +137,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def opv2v() -> Recipe:
-    """The paper's range, sizes and schedule (Implementation Details); wants a GPU."""
+    """Return the recipe with the paper's range, sizes and schedule (Implementation Details); needs a GPU."""
     return Recipe(name="opv2v", model=ModelSettings(), schedule="cosine", validate_every=4, workers=4)
 
 
@@ -145,19 +145,19 @@ _AS_IT_IS = Augmentation(flip=False, rotation_deg=0.0, scale=0.0, random_ego=Fal
 
 
 def dsrc_paper() -> Recipe:
-    """DSRC as its text has it, at its range; wants a GPU.
+    """Return the recipe of DSRC as in its text, at its range; needs a GPU.
 
     Of the text (arXiv 2412.10739, Implementation Details and Equations 2 to 9): Adam with a rate of 2e-3 on a cosine
     without a rise, 40 epochs of batches of 2, the epoch that is best in validation, Res2Net blocks 3, 5, 8, weights 1,
     1, 0.5, a foreground of the labelled boxes for the features before the fusion and none for those after it, points in
-    the boxes themselves, ten bins of 0.4 m. Nothing is said of augmentation, so there is none. Where it is silent
-    otherwise, it is as all our recipes; `DistillSettings` tells how we read its sums.
+    the boxes themselves, ten bins of 0.4 m. Augmentation is not mentioned and left out. All else that the text leaves
+    open is as in our recipes; `DistillSettings` explains our reading of its sums.
     """
     return Recipe(
         name="dsrc-paper",
         model=ModelSettings(),
         distill=DistillSettings(daf_mask=False),
-        labels=Labels(foreground="boxes"),
+        labels=LabelSettings(foreground="boxes"),
         augmentation=_AS_IT_IS,
         optimizer="adam",
         weight_decay=1e-4,
@@ -169,12 +169,13 @@ def dsrc_paper() -> Recipe:
 
 
 def dsrc_code() -> Recipe:
-    """DSRC as released (github.com/Terry9a/DSRC, 9a6e3d5); wants a GPU.
+    """Return the recipe of DSRC as released (github.com/Terry9a/DSRC, 9a6e3d5); needs a GPU.
 
-    Its Res2Net blocks are 3, 4, 5, its rate never reaches the 1e-3 that it is given, its reconstruction has one bin of
-    4 m of ten, its teacher's objects are axis-aligned, and its training changes the frozen teacher's norms. Not made
-    again: points are not shuffled before the first 32 of a pillar are taken, a reconstructed voxel's mean is of all its
-    points and not of the first 32, and of the features of its masks any above zero counts, not one above 0.004.
+    Its Res2Net blocks are 3, 4, 5, its rate never reaches the configured 1e-3, its reconstruction has one bin of
+    4 m of ten, its teacher's objects are axis-aligned, and its training changes the frozen teacher's norms. Not
+    reproduced: points are not shuffled before the first 32 of a pillar are taken, a reconstructed voxel's mean is of
+        all its points and not of the first 32, and of the features of its masks any above zero counts, not one above
+        0.004.
     """
     model = ModelSettings(
         stage_blocks=(3, 4, 5),
@@ -202,9 +203,9 @@ def dsrc_code() -> Recipe:
 
 
 def small() -> Recipe:
-    """102.4 m x 51.2 m and half the channels: trains on two CPU cores in under an hour per stage."""
+    """Return the recipe of 102.4 m x 51.2 m and half the channels, an hour per stage on two CPU cores."""
     model = ModelSettings(
-        # The paper's ceiling of 1 m above the LiDAR would leave buses and trucks, which no planner may overlook, out.
+        # The paper's ceiling of 1 m above the LiDAR would leave out buses and trucks.
         grid=GridSpec(range_m=(-51.2, -25.6, -3.0, 51.2, 25.6, 2.6)),
         pillar_channels=32,
         stage_channels=(32, 64, 128),
@@ -221,7 +222,7 @@ def small() -> Recipe:
 
 
 def debug() -> Recipe:
-    """A network that learns four frames by heart in about a minute."""
+    """Return the recipe of a network that overfits four frames in about a minute."""
     model = replace(
         small().model,
         grid=GridSpec(range_m=(-25.6, -12.8, -3.0, 25.6, 12.8, 1.0)),
@@ -264,15 +265,15 @@ METHODS: dict[str, dict[str, object]] = {
     "dsrc-max": {"fusion": "max"},
     "dsrc-alone": {"fusion": "none"},
 }
-"""What of a recipe's model each method of the comparison changes: range, anchors, widths, thresholds, detection loss
-and schedule are the recipe's for all of them."""
+"""Methods of the comparison, as changes of a recipe's model: range, anchors, widths, thresholds, detection loss and
+schedule are the recipe's for all of them."""
 
 
 def of_method(recipe: Recipe, method: str) -> Recipe:
-    """Return the recipe for one of `METHODS`.
+    """Change a recipe's model to one of `METHODS`.
 
     Raises:
-        SettingsError: no such method.
+        SettingsError: the method is unknown.
     """
     if method not in METHODS:
         raise SettingsError(complaint("train", "method", f"one of {', '.join(METHODS)}", method))
@@ -286,3 +287,32 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
     "dsrc-paper": dsrc_paper,
     "dsrc-code": dsrc_code,
 }
+
+
+def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
+    """Change a recipe by `field=value` of its model, of itself, or of a part (`augmentation.dropout=0`).
+
+    Raises:
+        SettingsError: the field is unknown, or the value has another type.
+    """
+    parts = {part: getattr(recipe, part).__struct_fields__ for part in PARTS}
+    for text in overrides:
+        name, _, value = text.partition("=")
+        part, _, field = name.rpartition(".")
+        if name in parts["model"]:
+            part = "model"
+        if field not in parts.get(part, Recipe.__struct_fields__ if not part else ()):
+            dotted = [f"{part}.{field}" for part, fields in parts.items() if part != "model" for field in fields]
+            known = [*parts["model"], *Recipe.__struct_fields__, *dotted]
+            raise SettingsError(f"--set {name}: no such setting{did_you_mean(name, known)}")
+        try:
+            parsed = msgspec.json.decode(value)
+        except msgspec.DecodeError:
+            parsed = value
+        plain = msgspec.to_builtins(recipe)
+        (plain[part] if part else plain)[field] = parsed
+        try:
+            recipe = msgspec.convert(plain, Recipe, strict=False)
+        except msgspec.ValidationError as error:
+            raise SettingsError(f"--set {text}: {error}") from None
+    return recipe

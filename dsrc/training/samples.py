@@ -1,7 +1,7 @@
-"""SampleStore: samples of drives by frame and ego.
+"""Sample store: samples of drives by frame and ego.
 
-Nothing is kept between epochs: reading a frame of four agents (10 ms) and moving it into the ego's frame (25 ms) costs
-about what reading a prepared sample would, and prepared samples of all egos would fill gigabytes.
+Nothing is cached: reading a frame of four agents (10 ms) and moving it into the ego's frame (25 ms) costs about as much
+as reading a prepared sample, and prepared samples of all egos would fill gigabytes.
 """
 
 from collections.abc import Sequence
@@ -15,20 +15,20 @@ from sensors.corruptions import corrupt_frame
 from sensors.frame import Frame
 from sim.errors import DataError, complaint
 
-Corruption = tuple[str, int, int]
+CorruptionDraw = tuple[str, int, int]
 """Kind, severity and seed of a corruption."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameRef:
-    """One frame: the number of its drive in the store and its position there."""
+    """Reference to a frame: the number of its drive in the store and its position there."""
 
     drive: int
     position: int
 
 
 class SampleStore:
-    """Makes the samples of drives.
+    """Samples of drives, made on access.
 
     Attributes:
         drives: their readers.
@@ -43,17 +43,17 @@ class SampleStore:
         max_agents: int,
         keep_ego_box: bool = False,
     ) -> None:
-        """Look at the drives.
+        """Open the drives.
 
         Args:
             drives: their folders.
             grid: range to which the samples are cropped.
-            comm_range_m: agents farther from the ego do not take part.
-            max_agents: at most this many agents per sample.
+            comm_range_m: communication range of the ego, m.
+            max_agents: maximum number of agents per sample.
             keep_ego_box: count the ego's own body as an object where a collaborator has seen it.
 
         Raises:
-            DataError: there is not a single frame.
+            DataError: the drives have no frames.
         """
         self.drives = [open_drive(drive) for drive in drives]
         self.grid, self.comm_range_m, self.max_agents = grid, comm_range_m, max_agents
@@ -63,15 +63,15 @@ class SampleStore:
             raise DataError(complaint(drives[0] if drives else "data", "frames", "at least one", 0))
 
     def egos(self, ref: FrameRef) -> list[int]:
-        """Return the vehicles that can be the ego (all agents, where there is no vehicle), in folder order."""
+        """Return the possible egos: vehicles (or all agents without a vehicle), in folder order."""
         agents = self.drives[ref.drive].agents
         return [agent for agent in agents if agent >= 0] or list(agents)
 
-    def sample(self, ref: FrameRef, ego_id: int, corruption: Corruption | None = None) -> Sample:
-        """Return the sample of one frame and ego, with corrupted clouds beside the others if asked for.
+    def sample(self, ref: FrameRef, ego_id: int, corruption: CorruptionDraw | None = None) -> Sample:
+        """Make the sample of one frame and ego, with corrupted clouds in addition if `corruption` is given.
 
         Raises:
-            DataError: the sweeps do not say what the corruption needs.
+            DataError: the sweeps lack what the corruption needs.
         """
         frame = self.drives[ref.drive].read(ref.position)
         sample = self._sample(frame, ref, ego_id)

@@ -23,7 +23,7 @@ from dsrc.data.drives import list_drives
 from dsrc.data.provenance import hashes, provenance
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector, save_detector
-from dsrc.training.averaging import Selection
+from dsrc.training.averaging import WeightSelection
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.initialise import initialise_from, load_teacher
 from dsrc.training.metrics_file import MetricsFile, ValidationSchedule
@@ -177,7 +177,7 @@ def train(
             folder.note_environment(processes.count)
         return folder.detector
 
-    selection = Selection(recipe, folder.best)
+    selection = WeightSelection(recipe, folder.best)
     with _without_advice():
         trainer = _trainer(recipe, folder, processes, [selection, *callbacks])
         if trainer.is_global_zero:
@@ -196,7 +196,7 @@ def train(
 def _finish(
     folder: RunFolder,
     trained: Detector,
-    selection: Selection,
+    selection: WeightSelection,
     loaders: DetectionData,
     record: dict[str, Any],
     half: bool,

@@ -1,4 +1,4 @@
-"""What a validation measures, while a network trains and of the file that it becomes."""
+"""Validation metrics: average precision and heading accuracy, of a network in training and of its detector file."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -14,14 +14,14 @@ THRESHOLDS = (0.3, 0.5, 0.7)
 
 
 def best_device() -> str:
-    """Return where a detector is fast: the GPU where there is one."""
+    """Return `cuda` where there is a GPU, else `cpu`."""
     return "cuda" if torch.cuda.is_available() else "cpu"
 
 
 def detections_of(detector: Detector, batch: Batch) -> list[FrameResult]:
-    """Return what a network detects in a batch beside the ground truth, row by row: with late fusion agent by agent.
+    """Return detections and ground truth of a batch, row by row (with late fusion agent by agent).
 
-    A teacher gets its clouds, a student its own.
+    A teacher reads its own clouds, a student the sensors'.
     """
     pillars = batch.teacher if detector.settings.role == "teacher" else batch.student
     if pillars is None:
@@ -31,9 +31,9 @@ def detections_of(detector: Detector, batch: Batch) -> list[FrameResult]:
 
 
 def metrics_of(results: Sequence[FrameResult]) -> dict[str, float]:
-    """Return the average precisions of frames by their names in logs, and the share of headings that are right.
+    """Return the average precisions by their names in logs, and the share of correct headings.
 
-    NaN where there is no ground truth, or no heading.
+    NaN without ground truth, or without headings.
     """
     curves = evaluate(results, thresholds=THRESHOLDS).curves
     precision = {f"val/ap_bev_{round(100 * t)}": float(curves["bev", t].ap) for t in THRESHOLDS}
@@ -42,7 +42,7 @@ def metrics_of(results: Sequence[FrameResult]) -> dict[str, float]:
 
 @torch.inference_mode()
 def validate(detector: Detector, batches: Iterable[Batch]) -> dict[str, float]:
-    """Return the metrics of a detector over batches; without ground truth they are 0, as in a training."""
+    """Return the metrics of a detector over batches; 0 without ground truth, as in a training."""
     device = detector.cls_head.weight.device
     results = [result for batch in batches for result in detections_of(detector.eval(), batch.to(device))]
     return {name: 0.0 if math.isnan(value) else value for name, value in metrics_of(results).items()}

@@ -1,4 +1,4 @@
-"""verify: whether a training's detector still is, and still does, what its run folder says."""
+"""Verification of a run folder: its detector against the recorded hashes, settings, versions and metrics."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ from sim.errors import CheckpointError, DataError, complaint
 from sim.files import file_sha256
 
 AP_TOLERANCE = 0.002
-"""Other processors and versions sum in another order: a detection near a threshold is then in or out."""
+"""Tolerance of average precisions: other processors sum in another order, and detections cross thresholds."""
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
-    """One thing that a run folder says of its detector, and what is found."""
+class Comparison:
+    """Comparison of a recorded value with the one found."""
 
     name: str
     recorded: object
@@ -43,7 +43,7 @@ class _Settings(msgspec.Struct, frozen=True):
 
 
 class _Record(msgspec.Struct, frozen=True):
-    """What is read of a run's `settings.json`."""
+    """Record of a run, `settings.json`."""
 
     settings: _Settings
     seed: int
@@ -56,7 +56,7 @@ class _Record(msgspec.Struct, frozen=True):
 
 
 class _Meta(msgspec.Struct, frozen=True):
-    """What is read of where a detector file says that it comes from; one of another origin may say nothing."""
+    """Provenance in a detector file; empty in one of another origin."""
 
     settings: _Settings | None = None
     seed: int | None = None
@@ -66,21 +66,21 @@ class _Meta(msgspec.Struct, frozen=True):
 
 
 class _Result(msgspec.Struct, frozen=True):
-    """A run's `result.json`."""
+    """Result of a run, `result.json`."""
 
     detector: str
     epoch: int
     metrics: dict[str, float]
 
 
-File = TypeVar("File", _Record, _Result)
+Document = TypeVar("Document", _Record, _Result)
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """Return the run folders of a training: the folder itself, or one per stage.
+    """List the run folders of a training: the folder itself, or one per stage.
 
     Raises:
-        DataError: there is none.
+        DataError: there is no run folder.
     """
     found = [folder] if (folder / SETTINGS).is_file() else sorted(path.parent for path in folder.glob(f"*/{SETTINGS}"))
     if not found:
@@ -93,21 +93,20 @@ def verify(
     data: Path | None = None,
     validation: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Check]:
+) -> list[Comparison]:
     """Evaluate a run's detector on its validation frames again and compare everything with the record.
 
-    Compared are the hash of the detector file, the settings in it, the hashes of the data, the versions of what
-    computes, the teacher, the start and the epoch where there are such, and the average precisions, these to within
-    `AP_TOLERANCE`.
+    Compared are the hash and the settings of the detector file, the hashes of the data, package versions, teacher,
+    start and epoch if recorded, and the average precisions within `AP_TOLERANCE`.
 
     Args:
         run: folder of a finished training.
-        data: folder of its training drives, where they have moved.
-        validation: of its validation drives, likewise.
-        progress: called with frames done and frames in all.
+        data: folder of its training drives, if they have moved.
+        validation: folder of its validation drives, if they have moved.
+        progress: called with the numbers of finished and of all frames.
 
     Raises:
-        DataError: the folder is no finished run, or the data is not where it was.
+        DataError: the folder is not a finished run, or the data is missing.
         CheckpointError: the detector is missing or damaged.
     """
     record, result = _read(run / SETTINGS, _Record), _read(run / RESULT, _Result)
@@ -140,7 +139,7 @@ def verify(
     for name in {**found, **result.metrics}:
         recorded, now = result.metrics.get(name), found.get(name)
         agrees = recorded is not None and now is not None and _near(recorded, now)
-        checks.append(Check(name.removeprefix("val/"), _rounded(recorded), _rounded(now), agrees))
+        checks.append(Comparison(name.removeprefix("val/"), _rounded(recorded), _rounded(now), agrees))
     return checks
 
 
@@ -151,9 +150,11 @@ def _meta(path: Path) -> _Meta:
         raise CheckpointError(complaint(path, "meta", "what a training has written", str(error))) from None
 
 
-def _read(path: Path, kind: type[File]) -> File:
+def _read(path: Path, kind: type[Document]) -> Document:
     if not path.is_file():
-        raise DataError(complaint(path, "file", "that of a finished training", "none", "; `dsrc model train` resumes it"))
+        raise DataError(
+            complaint(path, "file", "that of a finished training", "none", "; `dsrc model train` resumes it")
+        )
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except msgspec.DecodeError as error:
@@ -161,27 +162,27 @@ def _read(path: Path, kind: type[File]) -> File:
 
 
 def _drives(run: Path, option: str, given: Path | None, recorded: str | None) -> list[Path]:
-    """Return the drives of a folder that was given or, else, recorded."""
+    """List the drives of the given or else the recorded folder."""
     folder = given or (Path(recorded) if recorded else None)
     if folder is None or not folder.exists():
         raise DataError(complaint(run, option, "the folder of its drives", folder, f"; say where it is: --{option}"))
     return list_drives(folder)
 
 
-def _same(name: str, recorded: object, found: object) -> Check:
-    return Check(name, recorded, found, recorded == found)
+def _same(name: str, recorded: object, found: object) -> Comparison:
+    return Comparison(name, recorded, found, recorded == found)
 
 
-def _fields(name: str, recorded: dict[str, Any], found: dict[str, Any]) -> list[Check]:
-    """Compare two tables: one line when they agree, else one per entry that differs."""
+def _fields(name: str, recorded: dict[str, Any], found: dict[str, Any]) -> list[Comparison]:
+    """Compare two tables: one comparison if they agree, else one per entry that differs."""
     differ = [key for key in {**recorded, **found} if recorded.get(key) != found.get(key)]
     if not differ:
-        return [Check(name, f"all {len(recorded)}", None, True)] if recorded else []
+        return [Comparison(name, f"all {len(recorded)}", None, True)] if recorded else []
     return [_same(f"{name} {key}", recorded.get(key), found.get(key)) for key in differ]
 
 
 def _plain(settings: object) -> dict[str, Any]:
-    """Return settings as a file has them."""
+    """Return settings as JSON types."""
     plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(settings))
     return plain
 
@@ -195,7 +196,7 @@ def _rounded(value: float | None) -> str:
 
 
 def _known(**values: object) -> dict[str, Any]:
-    """Return those that are there."""
+    """Return the values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
 
 
@@ -206,6 +207,6 @@ def _counted(batches: Iterable[Batch], total: int, progress: Callable[[int, int]
     progress(total, total)
 
 
-def agree(checks: Sequence[Check]) -> bool:
-    """Return whether everything agrees."""
+def agree(checks: Sequence[Comparison]) -> bool:
+    """Return whether all comparisons agree."""
     return all(check.agrees for check in checks)

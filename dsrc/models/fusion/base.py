@@ -55,8 +55,8 @@ class AgentLayout:
 class Fusion(nn.Module):
     """Fusion method: feature maps of several agents to one map per sample.
 
-    A method overrides `fuse`, or `forward` where scales depend on each other, and `of` where it has weights. Contract:
-    `dsrc.models.fusion_check.check_fusion`.
+    A method overrides `fuse`, or `forward` where scales depend on each other, and `from_settings` where it has weights.
+    Contract: `dsrc.models.fusion_check.check_fusion`.
 
     Attributes:
         place: maps that are fused: `stages`, the three scales of the backbone, each before the decoder; or `map`, one
@@ -74,7 +74,7 @@ class Fusion(nn.Module):
     ordered: ClassVar[bool] = False
 
     @classmethod
-    def of(cls, settings: ModelSettings) -> Self:
+    def from_settings(cls, settings: ModelSettings) -> Self:
         """Make the fusion of a detector with these settings."""
         return cls()
 

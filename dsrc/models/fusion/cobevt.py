@@ -1,4 +1,4 @@
-"""Fusion by axial attention over agents and space."""
+"""CoBEVT: fused axial attention over agents and space."""
 
 from typing import Self
 
@@ -17,14 +17,14 @@ class CoBEVT(Fusion):
     Source: CoBEVT, arXiv 2207.02202, Section 3.2 and Figure 3. Three blocks of: attention among all agents' cells in
     4 x 4 windows, feed-forward; attention in windows of 4 x 4 cells spread evenly over the map, feed-forward; each with
     norm first and residual. Then the mean over the agents, a norm and a linear layer. A map that windows do not divide
-    is filled up with cells that nobody looks at, and cut again.
+    is padded with masked cells, and cropped again.
 
-    Start: maximum. All agents count alike in the mean, and so they do in what is added to the result of the linear
-    layer, which starts at zero: the maximum, times `keep`, 1 per channel at first and 0 in the published network.
+    Start: maximum. The maximum over the agents, times `keep` (1 per channel at first, 0 in the published network), is
+    added to the result of the linear layer, which starts at zero.
 
-    Released (OpenCOOD): the agents are filled up with zero maps to the most there can be, which nobody looks at, but
-    which look at others and count in the mean. `released` does so; else only real agents are there. OpenCOOD fails
-    on maps that windows do not divide.
+    Released (OpenCOOD): the agents are padded to the maximum with zero maps, masked as keys, but attending as queries
+    and counted in the mean. `released` does so; else there are real agents only. OpenCOOD fails on maps that windows do
+    not divide.
     """
 
     place = "map"
@@ -45,14 +45,14 @@ class CoBEVT(Fusion):
         """Make the blocks.
 
         Args:
-            channels: of the maps.
-            agents: the most there can be.
-            depth: blocks.
-            heads: of each attention.
+            channels: channels of the maps.
+            agents: maximum number of agents.
+            depth: number of blocks.
+            heads: heads of each attention.
             window: side of a window, cells.
             hidden: width of the feed-forward layers; None is that of the maps.
-            dropout: while training.
-            released: fill up the agents as OpenCOOD does.
+            dropout: dropout in training.
+            released: pad the agents as OpenCOOD does.
         """
         super().__init__()
         self.agents, self.window, self.released = agents, window, released
@@ -74,8 +74,8 @@ class CoBEVT(Fusion):
         self.keep = nn.Parameter(torch.ones(channels))
 
     @classmethod
-    def of(cls, settings: ModelSettings) -> Self:
-        """Return the fusion for a detector of these settings."""
+    def from_settings(cls, settings: ModelSettings) -> Self:
+        """Make the fusion of a detector with these settings."""
         return cls(settings.shrink_channels, settings.max_agents, released=settings.released)
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
@@ -87,13 +87,13 @@ class CoBEVT(Fusion):
     def attend(self, group: Tensor) -> Tensor:
         """Return (A, H, W, C) features of one sample's (A, C, H, W) after the blocks."""
         height, width = group.shape[-2:]
-        x, there = padded(group.permute(0, 2, 3, 1), self.window)
+        x, valid = padded(group.permute(0, 2, 3, 1), self.window)
         if self.released:
-            x, there = filled_up(x, there, self.agents)
+            x, valid = with_absent(x, valid, self.agents)
         for block in self.blocks:
             layers: nn.ModuleDict = block  # type: ignore[assignment]
-            x = layers["near_forward"](layers["near"](x, there, False))
-            x = layers["spread_forward"](layers["spread"](x, there, True))
+            x = layers["near_forward"](layers["near"](x, valid, False))
+            x = layers["spread_forward"](layers["spread"](x, valid, True))
         return x[:, :height, :width]
 
     def head(self, x: Tensor) -> Tensor:
@@ -101,11 +101,11 @@ class CoBEVT(Fusion):
         return self.out(self.norm(x.mean(0))).permute(2, 0, 1)
 
 
-def filled_up(x: Tensor, there: Tensor | None, agents: int) -> tuple[Tensor, Tensor]:
-    """Return (L, H, W, C) features with zeros for absent agents, and (L, H, W) what is real."""
-    if there is None:
-        there = torch.ones(x.shape[:3], dtype=torch.bool, device=x.device)
+def with_absent(x: Tensor, valid: Tensor | None, agents: int) -> tuple[Tensor, Tensor]:
+    """Pad to (L, H, W, C) features with zeros for absent agents, and return the (L, H, W) mask of real cells."""
+    if valid is None:
+        valid = torch.ones(x.shape[:3], dtype=torch.bool, device=x.device)
     absent = agents - len(x)
     return torch.cat([x, x.new_zeros((absent, *x.shape[1:]))]), torch.cat(
-        [there, there.new_zeros((absent, *there.shape[1:]))]
+        [valid, valid.new_zeros((absent, *valid.shape[1:]))]
     )

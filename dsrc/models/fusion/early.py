@@ -1,4 +1,4 @@
-"""Early fusion: the agents share their points."""
+"""Early fusion: raw points of all agents in one cloud."""
 
 from torch import Tensor
 
@@ -7,13 +7,13 @@ from dsrc.models.settings import ModelSettings
 
 
 class EarlyFusion(Fusion):
-    """Raw points of all agents in one cloud, on which a single-agent network detects.
+    """Early fusion: a single-agent network on the joined points of all agents.
 
     Source: Cooper, arXiv 1905.05265, Section III. The clouds are joined in the ego LiDAR's frame before they become
-    pillars, so (1, C, H, W) maps per sample pass here untouched; the cap of points per pillar holds for all agents
-    together, the ego's come first.
+    pillars, so (1, C, H, W) maps per sample pass unchanged; the cap of points per pillar holds for all agents together,
+    the ego's first.
 
-    Released: OpenCOOD shuffles the joined points before its voxeliser, so that none come first.
+    Released: OpenCOOD shuffles the joined points before its voxeliser.
     """
 
     @classmethod
@@ -22,5 +22,5 @@ class EarlyFusion(Fusion):
         return 0
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
-        """Return the maps as they are."""
+        """Return the maps unchanged."""
         return features

@@ -1,4 +1,4 @@
-"""Fusion of a few sampled and merged cells of the collaborators."""
+"""ERMVP: fusion of sampled and merged cells of the collaborators."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from dsrc.models.fusion.base import AgentLayout, Fusion, stacked, zeroed
-from dsrc.models.fusion.cobevt import filled_up
+from dsrc.models.fusion.cobevt import with_absent
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import (
     AgentWindows,
@@ -27,22 +27,22 @@ from dsrc.models.settings import ModelSettings
 
 
 class ERMVP(Fusion):
-    """Sampled cells, merged by density, then attention in windows and to a global query; (N, C, H, W) to (B, C, H, W).
+    """Sampled cells, merged by density, fused by window and global-query attention, (N, C, H, W) to (B, C, H, W).
 
     Source: ERMVP, Zhang et al., CVPR 2024, Section 3: a collaborator sends the fifth of its cells that scores best,
     joined into a fifth as many clusters (hierarchical feature sampling); the receiver puts each cluster's mean where
     its cells were, zeros elsewhere; its own map stays whole. Three blocks of attention among all agents' cells in 4 x 4
-    windows and of attention to queries made of the whole map fuse them (attentive feature fusion). The paper's
+    windows and of attention with queries from the whole map fuse them (attentive feature fusion). The paper's
     calibration of poses and its interaction of agents and ego were never published and are left out.
 
-    Start: identity. What arrives of the others is sparse and normalised, no map that a head could read. The ego's map,
-    times `keep`, 1 per channel at first and 0 in the published network, is added to the result of the linear layer,
-    which starts at zero.
+    Start: identity. The others' maps arrive sparse and normalised, unreadable for a head. The ego's map, times `keep`
+    (1 per channel at first, 0 in the published network), is added to the result of the linear layer, which starts at
+    zero.
 
     Released: the merged map is made and thrown away, whole maps are fused and nothing is saved; clusters are weighted
-    by the numbers of their cells instead of their scores; absent agents are filled up with zero maps as in CoBEVT, and
-    grid attention layers exist that nothing calls. `released` has the first three; else the sampled cells are what is
-    fused, by their scores. The published normalisation scales after the softmax, here too.
+    by the numbers of their cells instead of their scores; absent agents are zero maps as in CoBEVT, and grid attention
+    layers are never called. `released` has the first three; else the sampled cells are fused, by their scores. The
+    published normalisation scales after the softmax, here too.
     """
 
     place = "map"
@@ -65,16 +65,16 @@ class ERMVP(Fusion):
         """Make the sampler and the blocks.
 
         Args:
-            channels: of the maps.
-            agents: the most there can be.
-            depth: blocks.
-            heads: of each attention.
+            channels: channels of the maps.
+            agents: maximum number of agents.
+            depth: number of blocks.
+            heads: heads of each attention.
             window: side of a window, cells.
             hidden: width of the feed-forward layers; None is that of the maps.
-            dropout: while training.
+            dropout: dropout in training.
             sampled: share of the cells that are sent.
             merged: clusters per sampled cell.
-            released: fuse whole maps, as the published code.
+            released: fuse whole maps as the published code does.
         """
         super().__init__()
         self.agents, self.window, self.released = agents, window, released
@@ -95,20 +95,20 @@ class ERMVP(Fusion):
         self.keep = nn.Parameter(torch.ones(channels))
 
     @classmethod
-    def of(cls, settings: ModelSettings) -> Self:
-        """Return the fusion for a detector of these settings."""
+    def from_settings(cls, settings: ModelSettings) -> Self:
+        """Make the fusion of a detector with these settings."""
         return cls(settings.shrink_channels, settings.max_agents, released=settings.released)
 
     @classmethod
     def values_sent(cls, settings: ModelSettings) -> int:
-        """Return the clusters' channels, and per sampled cell its place and its cluster."""
+        """Return the numbers of the clusters' channels, and per sampled cell its place and its cluster."""
         if settings.released:
             return super().values_sent(settings)
         sampled = int(settings.grid.width * settings.grid.height // 16 * 0.2)
         return math.ceil(sampled * 0.2) * settings.shrink_channels + 2 * sampled
 
     def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
-        """Return each ego's map as it is, and of the others' the cells that they sample, merged."""
+        """Return the egos' maps unchanged and the collaborators' sampled cells, merged."""
         if self.released:
             return list(maps)
         groups = layout.split(maps[0])
@@ -125,13 +125,13 @@ class ERMVP(Fusion):
         """Return (A, H, W, C) features of one sample's (A, C, H, W) after the blocks."""
         height, width = group.shape[-2:]
         # The queries see the map at a quarter of its resolution, in windows too.
-        x, there = padded(group.permute(0, 2, 3, 1), 4 * self.window)
+        x, valid = padded(group.permute(0, 2, 3, 1), 4 * self.window)
         if self.released:
-            x, there = filled_up(x, there, self.agents)
+            x, valid = with_absent(x, valid, self.agents)
         for block in self.blocks:
             layers: nn.ModuleDict = block  # type: ignore[assignment]
-            x = layers["near_forward"](layers["near"](x, there, False))
-            x = layers["whole_forward"](layers["whole"](x, there))
+            x = layers["near_forward"](layers["near"](x, valid, False))
+            x = layers["whole_forward"](layers["whole"](x, valid))
         return x[:, :height, :width]
 
     def head(self, x: Tensor) -> Tensor:
@@ -140,7 +140,7 @@ class ERMVP(Fusion):
 
 
 class Sampler(nn.Module):
-    """Scores cells, keeps the best, and joins them into clusters."""
+    """Sampler of a map: scores cells, keeps the best, merges them into clusters."""
 
     def __init__(self, channels: int, sampled: float, merged: float, by_number: bool) -> None:
         super().__init__()
@@ -178,9 +178,9 @@ class Sampler(nn.Module):
 
 
 def density_clusters(tokens: Tensor, count: int, neighbours: int = 10) -> Tensor:
-    """Return (A, K) the cluster of each of (A, K, C) tokens.
+    """Return the (A, K) cluster of each of (A, K, C) tokens.
 
-    Centres are dense and far from what is denser; every token joins the nearest centre. Source: Du et al., Study on
+    Centres are dense and far from denser tokens; every token joins the nearest centre. Source: Du et al., Study on
     density peaks clustering based on k-nearest neighbors, Knowledge-Based Systems 99, 2016.
     """
     agents, kept, channels = tokens.shape
@@ -196,7 +196,7 @@ def density_clusters(tokens: Tensor, count: int, neighbours: int = 10) -> Tensor
 
 
 class GlobalQuery(nn.Module):
-    """Attention in windows whose queries are the same for all: made of the whole map at a quarter of its size."""
+    """Window attention with one set of queries for all windows, from the whole map at a quarter of its size."""
 
     def __init__(self, channels: int, heads: int, agents: int, window: int, dropout: float) -> None:
         super().__init__()
@@ -209,22 +209,22 @@ class GlobalQuery(nn.Module):
         self.bias = nn.Parameter(torch.randn((2 * agents - 1) * (2 * window - 1) ** 2, heads) * 0.02)
         self.register_buffer("place", relative_place(agents, window), persistent=False)
 
-    def forward(self, x: Tensor, there: Tensor | None) -> Tensor:
-        """Map (A, H, W, C) to (A, H, W, C); `there` (A, H, W) bool cells may be looked at, None for all."""
+    def forward(self, x: Tensor, valid: Tensor | None) -> Tensor:
+        """Map (A, H, W, C) to (A, H, W, C); `valid` (A, H, W) masks the keys, None for all."""
         short = self.shorten(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
         tokens = cut(short, self.window)
         among = torch.softmax(tokens @ tokens.transpose(1, 2), dim=-1) * tokens.shape[-1] ** -0.5
         query = (among @ tokens).mean(0).unflatten(-1, (self.heads, -1)).transpose(0, 1)
         parts = self.key_value(cut(x, self.window)).chunk(2, dim=-1)
         key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
-        mask = window_mask(self.bias, self.place, len(x), self.window, there, False)
+        mask = window_mask(self.bias, self.place, len(x), self.window, valid, False)
         found = functional.scaled_dot_product_attention(query.expand_as(key), key, value, attn_mask=mask)
         joined = self.dropout(self.out(found.transpose(1, 2).flatten(2)))
         return paste(joined, tuple(x.shape), self.window)
 
 
 class Shorten(nn.Module):
-    """Half the resolution. Source: GC ViT, arXiv 2206.09959, Figure 4 (fused MBConv, then pooling)."""
+    """Downsampling by two. Source: GC ViT, arXiv 2206.09959, Figure 4 (fused MBConv, then pooling)."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()

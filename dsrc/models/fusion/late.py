@@ -1,4 +1,4 @@
-"""Late fusion: the agents share boxes, not features."""
+"""Late fusion: detections of all agents in one non-maximum suppression."""
 
 import numpy as np
 from torch import Tensor
@@ -11,10 +11,10 @@ from sim.boxes import concatenate
 
 
 class LateFusion(Fusion):
-    """Boxes of all agents, thinned out by one non-maximum suppression.
+    """Late fusion: boxes of all agents, one non-maximum suppression.
 
     Source: OPV2V, arXiv 2109.07644, Section IV. The network is a single-agent one. All clouds of a `Sample` are in the
-    ego LiDAR's frame already, so every cloud is detected on separately in that frame and no boxes need transforming.
+    ego LiDAR's frame already, so boxes need no transform.
     Each agent's cloud is a sample of its own, in training too, with the objects that this agent annotated: (N, C, H, W)
     maps stay (N, C, H, W).
 
@@ -27,12 +27,12 @@ class LateFusion(Fusion):
         return 0
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
-        """Return the maps as they are: each cloud stands alone."""
+        """Return the maps unchanged: each cloud is a sample."""
         return features
 
 
 def join_detections(parts: list[Detections], nms_iou: float) -> Detections:
-    """Join the agents' detections, all in the ego LiDAR's frame, by one rotated non-maximum suppression."""
+    """Merge the agents' detections, all in the ego LiDAR's frame, by one rotated non-maximum suppression."""
     boxes = concatenate([part.boxes for part in parts])
     score = np.concatenate([np.zeros(0, np.float32), *(part.score for part in parts)])
     kept = rotated_nms(boxes.array, score, nms_iou)

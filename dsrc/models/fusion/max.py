@@ -1,4 +1,4 @@
-"""Fusion by the maximum over the agents, of three scales or of one map."""
+"""Maximum fusion over the agents, of three scales or of one map."""
 
 from torch import Tensor
 
@@ -7,7 +7,7 @@ from dsrc.models.fusion.warp import into_ego
 
 
 class MaxFusion(Fusion):
-    """Per channel and cell the largest of all agents' values, (N, C, H, W) to (B, C, H, W).
+    """Maximum over the agents per channel and cell, (N, C, H, W) to (B, C, H, W).
 
     Source: F-Cooper, arXiv 1909.06459, Section 3.3 (maxout of spatial features).
 
@@ -22,11 +22,11 @@ class MaxFusion(Fusion):
 
 
 class MaxMapFusion(MaxFusion):
-    """The same of one map, after decoder and shrink convolutions, (N, C, h, w) to (B, C, h, w).
+    """Maximum fusion of one map, after decoder and shrink convolutions, (N, C, h, w) to (B, C, h, w).
 
-    Source: F-Cooper as OpenCOOD has it, but at a quarter of the grid's resolution: a detector in the shape of V2VNet,
-    V2X-ViT, CoBEVT and ERMVP without weights of its own for the fusion. One that was trained on single clouds so, with
-    `max_agents` 1, gives those four all their other weights.
+    Source: F-Cooper as OpenCOOD has it, but at a quarter of the grid's resolution: the layers of V2VNet, V2X-ViT,
+    CoBEVT and ERMVP without weights of the fusion. Trained on single clouds (`max_agents` 1), it gives those four all
+    their other weights.
     """
 
     place = "map"

@@ -1,4 +1,4 @@
-"""Fusion across scales, with what is alike in all agents and what is strongest in one."""
+"""MRCNet-style fusion across scales, by maximum and mean over the agents."""
 
 from collections.abc import Sequence
 from typing import Any, Self
@@ -13,19 +13,19 @@ from dsrc.models.settings import ModelSettings
 
 
 class MRCNetStyle(Fusion):
-    """After MRCNet, of which no model was published: (N, C_k, H_k, W_k) scales to (B, C_k, H_k, W_k).
+    """MRCNet-style fusion, (N, C_k, H_k, W_k) scales to (B, C_k, H_k, W_k); no model of MRCNet was published.
 
     Source: MRCNet, Hong et al., CVPR 2024, pages 15301 to 15310: multi-scale robust fusion. All scales are brought to D
     channels by 1 x 1 convolutions. Ego and collaborator are joined by their maximum per scale; a pyramid brings each
-    scale's third of the channels to the others and back. Maximum and mean over the ego and what became of each
-    collaborator, as two channels of a 3 x 3 x 3 convolution over channels and cells, are added to the ego's map.
+    scale's third of the channels to the others and back. Maximum and mean over the ego and each collaborator's
+    result, as two channels of a 3 x 3 x 3 convolution over channels and cells, are added to the ego's map.
 
     Start: identity. What is added is brought back to the scale's own width by a 1 x 1 convolution that starts at zero;
-    so the ego's map keeps all its channels, and the decoder is that of any method. Before it, each layer passes on what
-    it can: the first channels of a scale, their maximum over the agents, nothing of the pyramid.
+    so the ego's map keeps all its channels, and the decoder is that of any method. Before it, layers start as
+    selections: the first channels of a scale, their maximum over the agents, nothing of the pyramid.
 
-    The scales are sent as they are and brought to D channels by who hears them: two thirds of the numbers, with the
-    default widths.
+    The scales are sent unchanged and brought to D channels by the receiver: two thirds of the numbers, with the default
+    widths.
 
     Not faithful, and cannot be: its motion enhancement needs earlier frames, which a `Sample` does not have, and is
     left out; its multi-scale deformable attention is left out, too (in the one public copy of the model its result is
@@ -39,12 +39,12 @@ class MRCNetStyle(Fusion):
         """Make the layers.
 
         Args:
-            channels: of the scales.
-            width: D, of all scales while they are fused.
+            channels: channels of the scales.
+            width: D, channels of all scales while they are fused.
         """
         super().__init__()
         third = max(width // 3, 1)
-        # Without bias, so that cells of which nothing arrived stay zero.
+        # Without bias, so that lost cells stay zero.
         project = [nn.Conv2d(c, width, 1, bias=False) for c in channels]
         join = [zeroed(nn.Conv3d(2, 1, 3, padding=1)) for _ in channels]
         for brought, maximum in zip(project, join, strict=True):
@@ -63,8 +63,8 @@ class MRCNetStyle(Fusion):
         self.restore = nn.ModuleList(zeroed(nn.Conv2d(width, c, 1)) for c in channels)
 
     @classmethod
-    def of(cls, settings: ModelSettings) -> Self:
-        """Return the fusion for a detector of these settings."""
+    def from_settings(cls, settings: ModelSettings) -> Self:
+        """Make the fusion of a detector with these settings."""
         return cls(settings.stage_channels, settings.decoder_channels)
 
     def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
@@ -80,13 +80,13 @@ class MRCNetStyle(Fusion):
         ]
 
     def _joined(self, scales: list[Tensor]) -> list[Tensor]:
-        """Return three (D, H_k, W_k), what all agents' (A, D, H_k, W_k) add to the ego's map."""
+        """Return three (D, H_k, W_k) additions to the ego's map, from all agents' (A, D, H_k, W_k)."""
         alongside = [torch.cat([own[:1], part]) for own, part in zip(scales, self._enhanced(scales), strict=True)]
         both = [torch.stack([part.amax(0), part.mean(0)]) for part in alongside]
         return [torch.relu(_over_channels(join, pair)) for join, pair in zip(self.join, both, strict=True)]  # type: ignore[arg-type]
 
     def _enhanced(self, scales: list[Tensor]) -> list[Tensor]:
-        """Return (A - 1, D, H_k, W_k) what each collaborator adds, joined with the ego and across scales."""
+        """Return (A - 1, D, H_k, W_k) maps of each collaborator, joined with the ego and across scales."""
         strongest = [torch.maximum(scale[:1], scale[1:]) for scale in scales]
         if not len(strongest[0]):
             return strongest
@@ -107,9 +107,9 @@ class MRCNetStyle(Fusion):
 
 
 def _over_channels(layer: nn.Conv3d, both: Tensor) -> Tensor:
-    """Return (D, H, W), the `nn.Conv3d(2, 1, 3)` of two (D, H, W) maps.
+    """Return the (D, H, W) result of an `nn.Conv3d(2, 1, 3)` on two (D, H, W) maps.
 
-    As a plane convolution with three results per channel, which shift and add up to it: thirty times faster on CPUs.
+    Computed as a 2D convolution with three results per channel, shifted and added: thirty times faster on CPUs.
     """
     weight = layer.weight[0].transpose(0, 1)
     parts = functional.conv2d(both.transpose(0, 1), weight, padding=1)

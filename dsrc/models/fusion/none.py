@@ -1,4 +1,4 @@
-"""No fusion: the ego alone."""
+"""No fusion: the ego's maps alone."""
 
 import torch
 from torch import Tensor
@@ -10,13 +10,13 @@ from dsrc.models.settings import ModelSettings
 class NoFusion(Fusion):
     """No collaboration: the ego's maps as they are, (N, C, H, W) to (B, C, H, W).
 
-    Released: OpenCOOD has no such model; its users set the number of agents to one, and the ground truth of the test
-    stays what all agents see. Here too.
+    Released: OpenCOOD has no such model; its users set the number of agents to one and test against the ground truth of
+    all agents, as here.
     """
 
     @classmethod
     def values_sent(cls, settings: ModelSettings) -> int:
-        """Return 0."""
+        """Return 0: nothing is sent."""
         return 0
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:

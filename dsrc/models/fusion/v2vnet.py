@@ -1,4 +1,4 @@
-"""Fusion by rounds of messages between all agents."""
+"""V2VNet: graph network of messages between all agents."""
 
 from typing import Self
 
@@ -12,24 +12,24 @@ from dsrc.models.settings import ModelSettings
 
 
 class V2VNet(Fusion):
-    """A graph network: two rounds in which every agent hears all others, (N, C, H, W) to (B, C, H, W).
+    """Graph network of two message rounds between all agents, (N, C, H, W) to (B, C, H, W).
 
     Source: V2VNet, arXiv 2008.07519, Section 3.3 (cross-vehicle aggregation), Equations 1 to 3. Per round and agent i:
-    a 3 x 3 convolution of [what j sent, warped to i; what i has] is the message of j; where j's map ends it is zero;
-    the mean over all j, i itself included, enters a convolutional GRU with i's features. A linear layer per cell ends
-    it. The compensation of delay by a network of its own is left out, as in OpenCOOD.
+    a 3 x 3 convolution of [j's features warped to i; i's features] is the message of j, zero outside j's map; the mean
+    over all j, i itself included, enters a convolutional GRU with i's features. A linear layer per cell follows. The
+    network that compensates delay is left out, as in OpenCOOD.
 
-    Start: identity. A GRU keeps its state until told otherwise: the new features are `keep` times the old ones, 1 per
-    channel at first, plus a gated candidate that starts at zero; the linear layer starts as the identity.
+    Start: identity. The new features are `keep` times the old ones, 1 per channel at first, plus a gated candidate that
+    starts at zero; the linear layer starts as the identity.
 
-    Computed once, not per pair: the convolution is linear, so its two halves are taken of each j and of each i, and the
+    Computed once, not per pair: the convolution is linear, so its two halves run once per j and once per i, and the
     last round runs for the ego alone. Without warps a round costs 2 A convolutions of C channels where the released
     code has A^2 of 2 C.
 
-    Released (OpenCOOD): the GRU starts every call with a hidden state of zeros, so that it keeps nothing (`keep` 0,
-    but 1 without the GRU); its reset gate and its weights for that state never matter, and do not exist here. The mask
-    of what j sees turns about the first cell, the features about the map's middle; with rotation they disagree.
-    `released` does so, else both turn about the middle.
+    Released (OpenCOOD): the GRU starts every call with a hidden state of zeros, so that it keeps nothing (`keep` 0, but
+    1 without the GRU); its reset gate and its weights for that state have no effect, and do not exist here. The mask of
+    j's map turns about the first cell, the features about the map's centre; with rotation they disagree. `released`
+    does so, else both turn about the centre.
     """
 
     place = "map"
@@ -41,11 +41,11 @@ class V2VNet(Fusion):
         """Make a graph network.
 
         Args:
-            channels: of the maps.
-            rounds: of messages.
+            channels: channels of the maps.
+            rounds: rounds of messages.
             released: masks as OpenCOOD's.
-            agg: how messages are joined, mean or max.
-            gated: whether they enter a GRU, else they are added.
+            agg: aggregation of messages, mean or max.
+            gated: messages enter a GRU, else they are added.
         """
         super().__init__()
         self.rounds, self.released, self.agg, self.gated = rounds, released, agg, gated
@@ -59,17 +59,17 @@ class V2VNet(Fusion):
         nn.init.zeros_(self.out.bias)
 
     @classmethod
-    def of(cls, settings: ModelSettings) -> Self:
-        """Return the fusion for a detector of these settings."""
+    def from_settings(cls, settings: ModelSettings) -> Self:
+        """Make the fusion of a detector with these settings."""
         return cls(settings.shrink_channels, released=settings.released)
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse the maps."""
-        rows = [self._talk(group, layout, b) for b, group in enumerate(layout.split(features))]
+        rows = [self._ego(group, layout, b) for b, group in enumerate(layout.split(features))]
         fused = torch.stack(rows)
         return functional.conv2d(fused, self.out.weight[:, :, None, None], self.out.bias)
 
-    def _talk(self, group: Tensor, layout: AgentLayout, sample: int) -> Tensor:
+    def _ego(self, group: Tensor, layout: AgentLayout, sample: int) -> Tensor:
         """Return the ego's (C, H, W) after all rounds of (A, C, H, W)."""
         agents, size = len(group), group.shape[2:]
         motion = mask = None
@@ -77,37 +77,37 @@ class V2VNet(Fusion):
             # [j, i]: from agent j to agent i.
             cells = in_cells(layout.pairwise[sample, :agents, :agents].double(), layout, (size[0], size[1]))
             motion = about_centre(cells, (size[0], size[1]))
-            mask = self.seen(cells if self.released else motion, group)
+            mask = self.covered(cells if self.released else motion, group)
         for turn in range(self.rounds):
-            listeners = 1 if turn == self.rounds - 1 else agents
-            heard = self._messages(group, motion, mask, listeners)
-            group = self._step(group[:listeners], heard)
+            receivers = 1 if turn == self.rounds - 1 else agents
+            messages = self._messages(group, motion, mask, receivers)
+            group = self._step(group[:receivers], messages)
         return group[0]
 
-    def _messages(self, group: Tensor, motion: Tensor | None, mask: Tensor | None, listeners: int) -> Tensor:
-        """Return (listeners, C, H, W) what each agent hears in a round."""
+    def _messages(self, group: Tensor, motion: Tensor | None, mask: Tensor | None, receivers: int) -> Tensor:
+        """Return the (receivers, C, H, W) joined messages to each receiver in a round."""
         from_sender, from_self = self.message.weight.chunk(2, dim=1)
-        own = functional.conv2d(group[:listeners], from_self, self.message.bias, padding=1)
+        own = functional.conv2d(group[:receivers], from_self, self.message.bias, padding=1)
         if motion is None or mask is None:
             return own + self._joined(functional.conv2d(group, from_sender, padding=1))
-        heard = []
-        for i in range(listeners):
+        messages = []
+        for i in range(receivers):
             sent = functional.conv2d(shifted(group, motion[:, i]), from_sender, padding=1)
-            heard.append(self._joined((sent + own[i]) * mask[:, i]))
-        return torch.stack(heard)
+            messages.append(self._joined((sent + own[i]) * mask[:, i]))
+        return torch.stack(messages)
 
     def _joined(self, messages: Tensor) -> Tensor:
         return messages.mean(0) if self.agg == "mean" else messages.amax(0)
 
-    def _step(self, own: Tensor, heard: Tensor) -> Tensor:
+    def _step(self, own: Tensor, messages: Tensor) -> Tensor:
         """Return the agents' new features."""
         kept = self.keep[:, None, None] * own
         if not self.gated:
-            return kept + heard
-        both = torch.cat([own, heard], dim=1)
+            return kept + messages
+        both = torch.cat([own, messages], dim=1)
         return kept + torch.sigmoid(self.update(both)) * torch.tanh(self.candidate(both))
 
-    def seen(self, motion: Tensor, group: Tensor) -> Tensor:
-        """Return (A, A, 1, H, W) which cells of i, the second, lie on the map of j, the first."""
+    def covered(self, motion: Tensor, group: Tensor) -> Tensor:
+        """Return the (A, A, 1, H, W) mask of cells of i, the second, that the map of j, the first, covers."""
         whole = torch.ones_like(group[:, :1])
         return torch.stack([shifted(whole, row, "nearest") for row in motion.unbind(1)], dim=1)

@@ -1,4 +1,4 @@
-"""Fusion by a vision transformer that knows vehicles from roadside units."""
+"""V2X-ViT: vision transformer with separate weights for vehicles and roadside units."""
 
 import math
 from typing import Self
@@ -21,16 +21,16 @@ class V2XViT(Fusion):
     Source: V2X-ViT, arXiv 2203.10638, Section 3 and Figure 2: an embedding of each agent's delay (3.2), features moved
     to where the ego now is (STCM), then three blocks of heterogeneous multi-agent attention (HMSA, Equations 2 to 6),
     multi-scale windows of 4, 8 and 16 cells (MSwin) joined by split attention, and a feed-forward layer. Attention over
-    agents sees only cells on the other's map. A map that windows do not divide is filled up with cells that nobody
-    looks at, and cut again.
+    agents is masked outside the other's map. A map that windows do not divide is padded with masked cells, and cropped
+    again.
 
     Start: identity. Every block is residual and the ego's features are read: the last layer of each branch, and that of
     the delay, start at zero.
 
     Released (OpenCOOD): three channels of prior knowledge (speed, delay, kind) ride on the features; the layer that
     would read them is never called, so speed has no effect, and here only delay and kind exist. Absent agents are zeros
-    that are computed along; what they get reaches nobody, so here they are not there, and the last block runs for the
-    ego alone. Without delay nothing moves and all cells are seen.
+    without effect on others and are left out here, and the last block runs for the ego alone. Without delay nothing
+    moves and all cells are visible.
     """
 
     place = "map"
@@ -48,12 +48,12 @@ class V2XViT(Fusion):
         """Make the blocks.
 
         Args:
-            channels: of the maps.
-            depth: blocks.
-            heads: of the attention over agents.
+            channels: channels of the maps.
+            depth: number of blocks.
+            heads: heads of the attention over agents.
             windows: side and heads of each size of windows.
             hidden: width of the feed-forward layers; None is that of the maps.
-            dropout: while training.
+            dropout: dropout in training.
         """
         super().__init__()
         self.delay = zeroed(nn.Linear(channels, channels))
@@ -61,21 +61,21 @@ class V2XViT(Fusion):
             nn.ModuleDict(
                 {
                     "agents": AgentAttention(channels, heads, dropout),
-                    "windows": Residual(channels, Pyramid(channels, windows, dropout)),
+                    "windows": Residual(channels, MultiScaleWindows(channels, windows, dropout)),
                     "feed": Residual(channels, FeedForward(channels, hidden or channels, dropout)),
                 }
             )
             for _ in range(depth)
         )
         for module in self.blocks.modules():
-            if isinstance(module, AgentAttention | Windows):
+            if isinstance(module, AgentAttention | WindowAttention):
                 zeroed(module.out)
             elif isinstance(module, FeedForward):
                 zeroed(module[-2])
 
     @classmethod
-    def of(cls, settings: ModelSettings) -> Self:
-        """Return the fusion for a detector of these settings."""
+    def from_settings(cls, settings: ModelSettings) -> Self:
+        """Make the fusion of a detector with these settings."""
         return cls(settings.shrink_channels)
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
@@ -88,9 +88,9 @@ class V2XViT(Fusion):
 
     def _ego(self, group: Tensor, layout: AgentLayout, sample: int, rows: slice) -> Tensor:
         """Return the ego's (C, H, W) of one sample's (A, C, H, W)."""
-        nobody = torch.zeros(len(group), dtype=torch.long, device=group.device)
-        delay = nobody if layout.delay is None else layout.delay[rows]
-        kind = nobody if layout.roadside is None else layout.roadside[rows].long()
+        zeros = torch.zeros(len(group), dtype=torch.long, device=group.device)
+        delay = zeros if layout.delay is None else layout.delay[rows]
+        kind = zeros if layout.roadside is None else layout.roadside[rows].long()
         x = group + self.delay(delay_code(delay, group.shape[1]).to(group.dtype))[:, :, None, None]
         x, seen = self.moved(x, layout, sample)
         x = x.permute(0, 2, 3, 1)
@@ -102,7 +102,7 @@ class V2XViT(Fusion):
         return x[0].permute(2, 0, 1)
 
     def moved(self, x: Tensor, layout: AgentLayout, sample: int) -> tuple[Tensor, Tensor | None]:
-        """Return (A, C, H, W) in the ego's frame and (A, H, W) bool which of its cells each agent's map covers."""
+        """Return (A, C, H, W) in the ego's frame and the (A, H, W) mask of its cells that each agent's map covers."""
         if layout.pairwise is None:
             return x, None
         size = (x.shape[-2], x.shape[-1])
@@ -119,9 +119,9 @@ def delay_code(delay: Tensor, channels: int) -> Tensor:
 
 
 class AgentAttention(nn.Module):
-    """Attention per cell over agents, whose layers depend on the kinds of both. Equations 2 to 6 of V2X-ViT.
+    """Per-cell attention over agents with weights by the kinds of both, Equations 2 to 6 of V2X-ViT.
 
-    With norm first and the input on top.
+    Norm first, residual.
     """
 
     def __init__(self, channels: int, heads: int, dropout: float, kinds: int = 2) -> None:
@@ -145,7 +145,7 @@ class AgentAttention(nn.Module):
             x: (A, H, W, C).
             kind: (A,) int64, 0 for vehicles and 1 for roadside units.
             seen: (A, H, W) bool cells of the ego that an agent's map covers; None for all.
-            wanted: only the first agents' results are computed.
+            wanted: number of first agents whose results are computed.
 
         Returns:
             (wanted, H, W, C).
@@ -156,17 +156,17 @@ class AgentAttention(nn.Module):
         key, value = (self._per_kind(layers, tokens, kind) for layers in (self.key, self.value))
         hidden = None if seen is None else ~seen.flatten(1)[:, :, None]
         results: list[Tensor] = []
-        looks: dict[int, tuple[Tensor, Tensor]] = {}
+        by_kind: dict[int, tuple[Tensor, Tensor]] = {}
         for i in range(wanted):
-            looker = int(kind[i])
-            if looker not in looks:
-                relation = looker * self.kinds + kind
-                looks[looker] = (
+            own_kind = int(kind[i])
+            if own_kind not in by_kind:
+                relation = own_kind * self.kinds + kind
+                by_kind[own_kind] = (
                     torch.einsum("ampq,atmq->atmp", self.relation_score[relation], key),
                     torch.einsum("ampc,atmp->atmc", self.relation_message[relation], value),
                 )
-            towards, message = looks[looker]
-            score = (query[i] * towards).sum(-1) * self.scale
+            related, message = by_kind[own_kind]
+            score = (query[i] * related).sum(-1) * self.scale
             if hidden is not None:
                 score = score.masked_fill(hidden, -torch.inf)
             results.append((torch.softmax(score, dim=0)[..., None] * message).sum(0))
@@ -178,18 +178,18 @@ class AgentAttention(nn.Module):
         return self._joined(layers, tokens, kind).unflatten(-1, (self.heads, -1))
 
     def _joined(self, layers: nn.ModuleList, tokens: Tensor, kind: Tensor) -> Tensor:
-        """Apply to each agent's tokens the layer of its kind."""
+        """Apply the layer of its kind to each agent's tokens."""
         if len(kinds := set(kind[: len(tokens)].tolist())) == 1:
             return layers[kinds.pop()](tokens)
         return torch.stack([layers[int(k)](row) for row, k in zip(tokens, kind, strict=False)])
 
 
-class Pyramid(nn.Module):
-    """Attention of each agent's cells in windows of several sizes, joined by split attention. MSwin of V2X-ViT."""
+class MultiScaleWindows(nn.Module):
+    """Multi-scale window attention per agent, joined by split attention: MSwin of V2X-ViT."""
 
     def __init__(self, channels: int, windows: tuple[tuple[int, int], ...], dropout: float) -> None:
         super().__init__()
-        self.branches = nn.ModuleList(Windows(channels, size, heads, dropout) for size, heads in windows)
+        self.branches = nn.ModuleList(WindowAttention(channels, size, heads, dropout) for size, heads in windows)
         self.squeeze = nn.Linear(channels, channels, bias=False)
         self.norm = nn.LayerNorm(channels)
         self.split = nn.Linear(channels, channels * len(windows), bias=False)
@@ -205,8 +205,8 @@ class Pyramid(nn.Module):
         return joined
 
 
-class Windows(nn.Module):
-    """Multi-head attention among the cells of a window, each agent's by themselves; all heads share one bias table."""
+class WindowAttention(nn.Module):
+    """Multi-head attention within windows of each agent's map; all heads share one bias table."""
 
     def __init__(self, channels: int, window: int, heads: int, dropout: float) -> None:
         super().__init__()
@@ -217,22 +217,22 @@ class Windows(nn.Module):
         self.dropout = nn.Dropout(dropout)
         self.bias = nn.Parameter(torch.randn(2 * window - 1, 2 * window - 1) * 0.02)
         place = torch.stack(torch.meshgrid(torch.arange(window), torch.arange(window), indexing="ij")).flatten(1)
-        # How far the one that is looked at lies from the one that looks.
+        # Offset of the key's cell from the query's.
         self.register_buffer("place", place[:, None] - place[:, :, None] + window - 1, persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (A, H, W, C) to (A, H, W, C)."""
         agents, height, width, _ = x.shape
-        filled, there = padded(x, self.window)
-        # One agent's map below the other's: no window has cells of two.
+        filled, valid = padded(x, self.window)
+        # One agent's map below the other's: no window spans two.
         below = (1, agents * filled.shape[1], *filled.shape[2:])
         tokens = cut(filled.reshape(below), self.window)
         query, key, value = (
             part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in self.qkv(tokens).chunk(3, dim=-1)
         )
         mask = self.bias[self.place[0], self.place[1]][None, None]
-        if there is not None:
-            seen = cut(there[:1, ..., None], self.window)[:, None, None, :, 0]
+        if valid is not None:
+            seen = cut(valid[:1, ..., None], self.window)[:, None, None, :, 0]
             mask = mask.masked_fill(~seen, -torch.inf).repeat(agents, 1, 1, 1)
         found = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
         whole = paste(found.transpose(1, 2).flatten(2), below, self.window).view(filled.shape)

@@ -1,8 +1,8 @@
-"""Maps of features moved from one agent's frame into another's.
+"""Warping of feature maps from one agent's frame to another's.
 
-Two conventions are in use, and weights that were trained with one expect it. `into_ego` puts the centres of the outer
-cells half a cell inside the map's edge and is right in metres; `shifted` puts them on the edge, so that a map of W
-cells is stretched by W / (W - 1), and turns about the corner between the middle cells.
+Two conventions are in use, and weights expect the one that they were trained with. `into_ego` puts the centres of the
+outer cells half a cell inside the map's edge and is right in metres; `shifted` puts them on the edge, so that a map of
+W cells is stretched by W / (W - 1), and turns about the corner between the middle cells.
 """
 
 import torch
@@ -13,7 +13,7 @@ from dsrc.models.fusion.base import AgentLayout
 
 
 def planar(matrix: Tensor, centre_m: tuple[float, float]) -> Tensor:
-    """Return the (..., 2, 3) motion in the plane of (..., 4, 4) transforms, between the centres of maps."""
+    """Return the (..., 2, 3) planar motions of (..., 4, 4) transforms between the centres of maps."""
     centre = matrix.new_tensor(centre_m)
     turn = matrix[..., :2, :2]
     shift = matrix[..., :2, 3] + turn @ centre - centre
@@ -21,18 +21,18 @@ def planar(matrix: Tensor, centre_m: tuple[float, float]) -> Tensor:
 
 
 def normalised(matrix: Tensor, extent_m: tuple[float, float], centre_m: tuple[float, float] = (0.0, 0.0)) -> Tensor:
-    """Return (..., 2, 3) transforms between maps whose coordinates run from -1 to 1, from (..., 4, 4) in metres."""
+    """Return (..., 2, 3) transforms in map coordinates from -1 to 1, from (..., 4, 4) in metres."""
     half = matrix.new_tensor(extent_m) / 2
     motion = planar(matrix, centre_m)
     return torch.cat([motion[..., :2] * half / half[:, None], motion[..., 2:] / half[:, None]], dim=-1)
 
 
 def into_ego(group: Tensor, layout: AgentLayout, sample: int) -> Tensor:
-    """Return one sample's (A, C, H, W) maps in its ego's frame; cells that nobody has are zero."""
+    """Warp one sample's (A, C, H, W) maps to its ego's frame, zero outside a map."""
     if layout.pairwise is None:
         return group
     agents = len(group)
-    # For a cell of the ego's map: where it lies in each agent's.
+    # Place of a cell of the ego's map in each agent's.
     agent_from_ego = layout.pairwise[sample, 0, :agents].double()
     theta = normalised(agent_from_ego, layout.extent_m, layout.centre_m).to(group.dtype)
     grid = functional.affine_grid(theta, list(group.shape), align_corners=False)
@@ -48,7 +48,7 @@ def in_cells(matrix: Tensor, layout: AgentLayout, size: tuple[int, int]) -> Tens
 
 
 def about_centre(motion: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return (..., 2, 3) motions in cells that turn about a map's centre, from such that turn about its first cell."""
+    """Return (..., 2, 3) motions in cells that turn about a map's centre, from motions about its first cell."""
     height, width = size
     centre = motion.new_tensor([width / 2, height / 2])
     turn = motion[..., :2]
@@ -56,7 +56,7 @@ def about_centre(motion: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def shifted(features: Tensor, motion: Tensor, mode: str = "bilinear") -> Tensor:
-    """Move (A, C, H, W) maps by (A, 2, 3) motions in cells; what comes from outside is zero."""
+    """Move (A, C, H, W) maps by (A, 2, 3) motions in cells, zero outside a map."""
     height, width = features.shape[-2:]
     back = torch.linalg.inv(motion[..., :2].double())
     y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")

@@ -1,4 +1,4 @@
-"""Attention within windows of a map, over all agents' cells in them: the part that CoBEVT and ERMVP share."""
+"""Window attention over the cells of all agents, shared by CoBEVT and ERMVP."""
 
 import torch
 from torch import Tensor, nn
@@ -8,7 +8,7 @@ from torch.nn import functional
 
 
 class FeedForward(nn.Sequential):
-    """Two linear layers with a GELU between them."""
+    """Feed-forward layers: linear, GELU, linear, with dropout."""
 
     def __init__(self, channels: int, hidden: int, dropout: float) -> None:
         super().__init__(
@@ -21,7 +21,7 @@ class FeedForward(nn.Sequential):
 
 
 class Residual(nn.Module):
-    """Norm first, then a layer, then its input on top."""
+    """Residual layer with norm first."""
 
     def __init__(self, channels: int, inner: nn.Module) -> None:
         super().__init__()
@@ -34,14 +34,14 @@ class Residual(nn.Module):
 
 
 class AgentWindows(nn.Module):
-    """Multi-head attention among all agents' cells of a window, with a learned bias per relative place and agent.
+    """Multi-head window attention over all agents' cells, with a learned bias per relative place and agent.
 
     Args:
-        channels: of the map.
-        heads: that they are split into.
-        agents: L, the most that a bias is learned for.
+        channels: channels of the map.
+        heads: number of heads.
+        agents: L, number of agents that a bias is learned for.
         window: side of a window, cells.
-        dropout: of the result.
+        dropout: dropout of the result.
     """
 
     def __init__(self, channels: int, heads: int, agents: int, window: int, dropout: float) -> None:
@@ -54,24 +54,24 @@ class AgentWindows(nn.Module):
         self.bias = nn.Parameter(torch.randn((2 * agents - 1) * (2 * window - 1) ** 2, heads) * 0.02)
         self.register_buffer("place", relative_place(agents, window), persistent=False)
 
-    def forward(self, x: Tensor, there: Tensor | None, spread: bool) -> Tensor:
+    def forward(self, x: Tensor, valid: Tensor | None, spread: bool) -> Tensor:
         """Attend in (A, H, W, C).
 
         Args:
             x: normalised features.
-            there: (A, H, W) bool cells that may be looked at, None for all.
-            spread: windows of cells that lie evenly over the map, not next to each other.
+            valid: (A, H, W) bool mask of the keys, None for all.
+            spread: windows of cells spread evenly over the map, not of neighbours.
         """
         tokens = cut(x, self.window, spread)
         query, key, value = (_heads(part, self.heads) for part in self.qkv(tokens).chunk(3, dim=-1))
-        mask = window_mask(self.bias, self.place, len(x), self.window, there, spread)
+        mask = window_mask(self.bias, self.place, len(x), self.window, valid, spread)
         found = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
         joined = self.dropout(self.out(found.transpose(1, 2).flatten(2)))
         return paste(joined, tuple(x.shape), self.window, spread)
 
 
 def relative_place(agents: int, window: int) -> Tensor:
-    """Return (L w^2, L w^2) the row of the bias table for each pair of cells: difference of agent, row and column."""
+    """Return the (L w^2, L w^2) row of the bias table for each pair of cells: difference of agent, row and column."""
     axes = [torch.arange(n) for n in (agents, window, window)]
     place = torch.stack(torch.meshgrid(*axes, indexing="ij")).flatten(1)
     agent, row, column = place[:, :, None] - place[:, None]
@@ -79,14 +79,14 @@ def relative_place(agents: int, window: int) -> Tensor:
     return ((agent + agents - 1) * side + row + window - 1) * side + column + window - 1
 
 
-def window_mask(bias: Tensor, place: Tensor, agents: int, window: int, there: Tensor | None, spread: bool) -> Tensor:
-    """Return (1 or G, heads, A w^2, A w^2) what is added to the scores of A agents' cells."""
+def window_mask(bias: Tensor, place: Tensor, agents: int, window: int, valid: Tensor | None, spread: bool) -> Tensor:
+    """Return the (1 or G, heads, A w^2, A w^2) bias and mask that is added to the scores of A agents' cells."""
     cells = agents * window**2
     added = bias[place[:cells, :cells]].permute(2, 0, 1)[None]
-    if there is None:
+    if valid is None:
         return added
-    seen = cut(there[..., None], window, spread)[:, None, None, :, 0]
-    # A window in which nothing is to be seen keeps its scores: its cells are cut off later, and must not become NaN.
+    seen = cut(valid[..., None], window, spread)[:, None, None, :, 0]
+    # A window without valid cells keeps its scores: its cells are cropped later, and must not become NaN.
     seen = seen | ~seen.any(-1, keepdim=True)
     return added.masked_fill(~seen, -torch.inf)
 
@@ -97,7 +97,7 @@ def _heads(x: Tensor, heads: int) -> Tensor:
 
 
 def cut(x: Tensor, window: int, spread: bool = False) -> Tensor:
-    """Return (G, A w^2, C) windows of (A, H, W, C)."""
+    """Cut (A, H, W, C) into (G, A w^2, C) windows."""
     agents, height, width, channels = x.shape
     if spread:
         parts = x.reshape(agents, window, height // window, window, width // window, channels).permute(2, 4, 0, 1, 3, 5)
@@ -107,7 +107,7 @@ def cut(x: Tensor, window: int, spread: bool = False) -> Tensor:
 
 
 def paste(parts: Tensor, shape: tuple[int, ...], window: int, spread: bool = False) -> Tensor:
-    """Return the (A, H, W, C) map of windows that `cut` made."""
+    """Join windows of `cut` to the (A, H, W, C) map."""
     agents, height, width, channels = shape
     rows, columns = height // window, width // window
     x = parts.reshape(rows, columns, agents, window, window, channels)
@@ -115,11 +115,11 @@ def paste(parts: Tensor, shape: tuple[int, ...], window: int, spread: bool = Fal
 
 
 def padded(x: Tensor, multiple: int) -> tuple[Tensor, Tensor | None]:
-    """Return (A, H, W, C) filled up with zeros below and right to multiples of cells, and (A, H', W') what is real."""
+    """Pad (A, H, W, C) with zeros to multiples of cells; the (A, H', W') mask of real cells is None without padding."""
     agents, height, width, _ = x.shape
     below, right = -height % multiple, -width % multiple
     if not below and not right:
         return x, None
-    there = torch.zeros((agents, height + below, width + right), dtype=torch.bool, device=x.device)
-    there[:, :height, :width] = True
-    return functional.pad(x, (0, 0, 0, right, 0, below)), there
+    valid = torch.zeros((agents, height + below, width + right), dtype=torch.bool, device=x.device)
+    valid[:, :height, :width] = True
+    return functional.pad(x, (0, 0, 0, right, 0, below)), valid

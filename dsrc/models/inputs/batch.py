@@ -1,4 +1,4 @@
-"""Batch: samples turned into the tensors that a network and its losses read."""
+"""Batch: tensors of several samples, input of a network and its losses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,15 +13,16 @@ from torch import Tensor
 
 from dsrc.data.sample import Sample
 from dsrc.models.fusion.base import AgentLayout
-from dsrc.models.inputs.labels import Labels, cells_in_boxes
+from dsrc.models.inputs.labels import LabelSettings, cells_in_boxes
 from dsrc.models.inputs.teacher import TeacherClouds, teacher_clouds
 from dsrc.models.layers.encoder import Pillars
-from dsrc.models.layers.reconstruction import Scene
+from dsrc.models.layers.reconstruction import SceneVoxels
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.grid import GridSpec
-from dsrc.ops.pillars import grid_shape, voxelise
+from dsrc.ops.pillars import voxelise
+from dsrc.ops.pillars_kernel import sum_cells
 from dsrc.ops.targets import assign_targets
 from sim.boxes import Boxes
 from sim.geometry import invert, transform_points
@@ -29,19 +30,18 @@ from sim.geometry import invert, transform_points
 # Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
 
 _POSITIVE_IOU = 0.5
-"""True overlap of an anchor that is responsible for a box; about the 0.6 of the released code, whose overlap adds a
-metre to every side."""
+"""Overlap of a positive anchor with its box; about the 0.6 of the released code, whose overlap adds a metre to every
+side."""
 
-
-_LABELS = Labels()
+_LABELS = LabelSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Targets:
-    """What the heads should say.
+    """Training targets of the detection heads.
 
     Attributes:
-        positive: (B, h, w, 2) bool anchors that are responsible for a box.
+        positive: (B, h, w, 2) bool positive anchors.
         regression: (B, h, w, 14) float32 residuals of their boxes.
     """
 
@@ -55,24 +55,24 @@ class Targets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """B samples with N agents in all.
+    """Batch of B samples with N agents in all.
 
     Attributes:
         keys: (B,) keys of the samples.
         agents: (B,) number of agents of each sample; their clouds are consecutive, ego first.
-        lost: (N, h, w) bool tiles of the agents' feature maps that did not arrive; None when all did.
-        roadside: (N,) bool whether an agent is a roadside unit, which has a negative id.
+        lost: (N, h, w) bool lost tiles of the agents' feature maps; None when all arrived.
+        roadside: (N,) bool, True for roadside units, whose ids are negative.
         pairwise: (B, L, L, 4, 4) `[b, i, j]` maps points of agent i's frame to agent j's, m; None when all clouds are
             in the ego's frame.
-        grid: of all clouds.
+        grid: bird's-eye grid of all clouds.
         boxes: (B,) ground truth.
-        student: pillars of what the sensors saw; None for a teacher's batch.
-        targets: None outside training, like all that follows.
-        teacher: pillars of the teacher's clouds, None when nothing is distilled.
+        student: pillars of the sensors' clouds; None for a teacher's batch.
+        targets: targets of the heads; None outside training, like all that follows.
+        teacher: pillars of the teacher's clouds, None without distillation.
         foreground: (N, H, W) bool cells with a point on one of the agent's objects, None without teacher.
-        scene: the reconstruction's target, None when it is off.
+        scene: target of the reconstruction, None when it is off.
         objects: pillars of the agents' objects alone, for a teacher whose norms see them too; None for others.
-        view: pillars of the corrupted view of the samples; None where the student has that, or no sample has one.
+        view: pillars of the corrupted clouds; None where the student has them, or no sample has any.
     """
 
     keys: tuple[str, ...]
@@ -86,13 +86,13 @@ class Batch:
     targets: Targets | None = None
     teacher: Pillars | None = None
     foreground: Tensor | None = None
-    scene: Scene | None = None
+    scene: SceneVoxels | None = None
     objects: Pillars | None = None
     view: Pillars | None = None
 
     @property
     def layout(self) -> AgentLayout:
-        """Whose clouds they are."""
+        """Layout of the agents, for a fusion."""
         low, high = np.array(self.grid.range_m[:2]), np.array(self.grid.range_m[3:5])
         extent, centre = (high - low).tolist(), ((high + low) / 2).tolist()
         return AgentLayout(self.agents, self.lost, self.roadside, None, self.pairwise, tuple(extent), tuple(centre))
@@ -114,25 +114,25 @@ def collate(
     samples: Sequence[Sample],
     settings: ModelSettings,
     training: bool,
-    labels: Labels = _LABELS,
+    labels: LabelSettings = _LABELS,
     objects: bool = False,
     both_views: bool = False,
 ) -> Batch:
-    """Turn samples into a batch.
+    """Make a batch of samples.
 
     Args:
         samples: each with its clouds already cropped to the grid's range.
-        settings: of the network that will read the batch. A teacher's batch has no student pillars; a student's has
-            the teacher's clouds too, in training, when its settings distil.
+        settings: settings of the network. A teacher's batch has no student pillars; a student's has the teacher's
+            clouds too, in training, when its settings distil.
         training: make targets and everything else that needs ground truth.
-        labels: how it is made of the ground truth.
-        objects: in training, the teacher's norms see the clouds of its objects too.
+        labels: rules by which targets are made of the ground truth.
+        objects: in training, add the clouds of the teacher's objects, for its norms.
         both_views: make the student's pillars of the clean clouds and `view` of the corrupted ones; else a sample's
-            corrupted clouds take the place of its clean ones.
+            corrupted clouds replace its clean ones.
     """
     if training and labels.max_pillars is not None:
         settings = msgspec.structs.replace(settings, max_pillars=min(labels.max_pillars, settings.max_pillars))
-    whole = [(part, sample) for sample in samples for part in heard(sample, settings)]
+    whole = [(part, sample) for sample in samples for part in fusion_samples(sample, settings)]
     samples = [part for part, _ in whole]
     for_teacher = settings.role == "teacher"
     clean = [cloud for sample in samples for cloud in sample.clouds]
@@ -142,8 +142,8 @@ def collate(
         keys=tuple(sample.key for sample in samples),
         agents=tuple(len(sample.clouds) for sample in samples),
         boxes=tuple(sample.boxes for sample in samples),
-        student=None if for_teacher else _sent(clean if both_views else corrupted, samples, settings),
-        view=_sent(corrupted, samples, settings) if two else None,
+        student=None if for_teacher else _student_pillars(clean if both_views else corrupted, samples, settings),
+        view=_student_pillars(corrupted, samples, settings) if two else None,
         lost=_lost(samples),
         pairwise=_pairwise(samples) if settings.own_frame else None,
         grid=settings.grid,
@@ -151,7 +151,7 @@ def collate(
     )
     if for_teacher or (training and settings.distils):
         views = [
-            teacher_clouds(part, labels.inside, settings.sdd, settings.pcp, _unheard(part, sample, settings))
+            teacher_clouds(part, labels.inside, settings.sdd, settings.pcp, _clouds_of_others(part, sample, settings))
             for part, sample in whole
         ]
         batch = replace(batch, teacher=_painted_pillars([c for view in views for c in view.clouds], settings))
@@ -167,17 +167,17 @@ def collate(
         return batch
     scene = None
     if settings.rec and not for_teacher:
-        # All agents' scene, also where the student hears few of them: its target is what they saw together.
-        merged = [np.concatenate([*part.clouds, *_unheard(part, sample, settings)]) for part, sample in whole]
+        # The scene of all agents, those too that the student does not fuse.
+        merged = [np.concatenate([*part.clouds, *_clouds_of_others(part, sample, settings)]) for part, sample in whole]
         scene = scene_of(merged, settings)
     return replace(batch, targets=_targets(samples, settings, labels), scene=scene)
 
 
-def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
-    """Return the samples that a network of this fusion makes of one sample.
+def fusion_samples(sample: Sample, settings: ModelSettings) -> list[Sample]:
+    """Split or join a sample's agents as the fusion needs.
 
-    Most take up to `max_agents` agents, `none` the ego alone; `early` joins the agents' clouds into one, the ego's
-    first; and `late` makes each agent's cloud a sample of its own with the boxes that it annotated.
+    Most fusions take up to `max_agents` agents in one sample, `none` the ego alone; `early` joins the agents' clouds
+    into one, the ego's first; `late` makes each agent's cloud a sample of its own with the boxes that it annotated.
     """
     if settings.fusion == "early":
         seen = sample.corrupted[: settings.max_agents]
@@ -198,8 +198,8 @@ def heard(sample: Sample, settings: ModelSettings) -> list[Sample]:
     return [_select(sample, slice(0, count), sample.boxes)]
 
 
-def _unheard(part: Sample, whole: Sample, settings: ModelSettings) -> list[NDArray[np.float32]]:
-    """Return the clouds of the agents that are not in a part of a sample: a lone student's teacher has them still."""
+def _clouds_of_others(part: Sample, whole: Sample, settings: ModelSettings) -> list[NDArray[np.float32]]:
+    """Return the clouds of a sample's agents that a part of it leaves out; a teacher has them still."""
     joined = whole.agent_ids[: settings.max_agents] if settings.fusion == "early" else part.agent_ids
     others = [cloud for agent, cloud in zip(whole.agent_ids, whole.clouds, strict=True) if agent not in joined]
     return [*others, *whole.other_clouds]
@@ -218,8 +218,10 @@ def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:
     )
 
 
-def _sent(clouds: Sequence[NDArray[np.float32]], samples: Sequence[Sample], settings: ModelSettings) -> Pillars:
-    """Return the pillars of all samples' clouds, each in the frame in which its agent encodes it."""
+def _student_pillars(
+    clouds: Sequence[NDArray[np.float32]], samples: Sequence[Sample], settings: ModelSettings
+) -> Pillars:
+    """Return the pillars of all samples' clouds, each in the frame that its agent encodes it in."""
     if settings.own_frame:
         poses = [pose for sample in samples for pose in sample.ego_from_agent]
         clouds = [_moved(cloud, invert(pose), settings.grid) for cloud, pose in zip(clouds, poses, strict=True)]
@@ -227,7 +229,7 @@ def _sent(clouds: Sequence[NDArray[np.float32]], samples: Sequence[Sample], sett
 
 
 def _moved(cloud: NDArray[np.float32], move: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
-    """Return the points of a cloud in another frame, those in range there."""
+    """Move a cloud to another frame and crop it to the range there."""
     points = transform_points(move, cloud[:, :3])
     low, high = np.array(grid.range_m[:3], np.float32), np.array(grid.range_m[3:], np.float32)
     inside = ((points > low) & (points < high)).all(axis=1)
@@ -235,7 +237,7 @@ def _moved(cloud: NDArray[np.float32], move: NDArray[np.float64], grid: GridSpec
 
 
 def _pairwise(samples: Sequence[Sample]) -> Tensor:
-    """Return (B, L, L, 4, 4) the transforms between agents' frames; the identity for absent ones."""
+    """Return the (B, L, L, 4, 4) transforms between agents' frames; the identity for absent ones."""
     most = max(len(sample.clouds) for sample in samples)
     between = np.tile(np.eye(4), (len(samples), most, most, 1, 1))
     for row, sample in enumerate(samples):
@@ -247,7 +249,7 @@ def _pairwise(samples: Sequence[Sample]) -> Tensor:
 
 
 def _lost(samples: Sequence[Sample]) -> Tensor | None:
-    """Return (N, h, w) the lost tiles of all samples' agents."""
+    """Return the (N, h, w) lost tiles of all samples' agents; None when all arrived."""
     shape = next((part.shape for sample in samples for part in sample.lost if part.size), None)
     if shape is None:
         return None
@@ -279,19 +281,11 @@ def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -
 def _sorted(
     cloud: NDArray[np.float32], settings: ModelSettings
 ) -> tuple[NDArray[np.int64], NDArray[np.integer], NDArray[np.int64]]:
-    """Return (K,) points, pillar by pillar, and the pillars' (V, 2) rows and columns and (V,) numbers of points."""
+    """Return (K,) point indices pillar by pillar, (V, 2) rows and columns and (V,) point counts of the pillars."""
     grid = settings.grid
     cell = (grid.cell_m, grid.cell_m, grid.range_m[5] - grid.range_m[2])
-    try:
-        from dsrc.data import kernel
-    except ImportError:
-        voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
-        return voxels.order, voxels.coords_zyx[:, 1:], voxels.count
-    low, size = np.array(grid.range_m[:3], np.float32), np.array(cell, np.float32)
-    shape = grid_shape(grid.range_m, cell)
-    cloud = np.asarray(cloud, np.float32)
-    order, cells, count = kernel.sort_voxels(cloud, low, size, shape, settings.max_points, settings.max_pillars)
-    return order, np.stack(np.divmod(cells, shape[0]), axis=1), count
+    voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
+    return voxels.order, voxels.coords_zyx[:, 1:], voxels.count
 
 
 def _painted_pillars(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Pillars:
@@ -300,7 +294,7 @@ def _painted_pillars(clouds: Sequence[NDArray[np.float32]], settings: ModelSetti
 
 
 def _cells_with_points(views: list[TeacherClouds], grid: GridSpec) -> NDArray[np.bool_]:
-    """Return (N, H, W) the cells with a point on one of the agent's objects."""
+    """Return the (N, H, W) mask of cells with a point on one of the agent's objects."""
     objects = [cloud for view in views for cloud in view.object_clouds]
     mask = np.zeros((len(objects), grid.height, grid.width), bool)
     for row, cloud in enumerate(objects):
@@ -309,8 +303,8 @@ def _cells_with_points(views: list[TeacherClouds], grid: GridSpec) -> NDArray[np
     return mask
 
 
-def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Scene:
-    """Voxelise B merged (M, 4) clouds: the occupied voxels and the mean of all their points."""
+def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> SceneVoxels:
+    """Voxelise B merged (M, 4) clouds: occupied voxels and the mean of all their points."""
     grid, cell_z = settings.grid, settings.reconstruction_cell_z_m
     voxels, offsets = [], []
     for number, cloud in enumerate(merged):
@@ -320,7 +314,7 @@ def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> 
         centre = (zyx[:, ::-1] + 0.5) * size + np.array(grid.range_m[:3])
         voxels.append(np.concatenate([np.full((len(cells), 1), number), zyx], axis=1))
         offsets.append(sums / count[:, None] - centre)
-    return Scene(
+    return SceneVoxels(
         torch.from_numpy(np.concatenate(voxels).astype(np.int64)),
         torch.from_numpy(np.concatenate(offsets).astype(np.float32)),
         len(merged),
@@ -330,22 +324,16 @@ def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> 
 def _summed(
     cloud: NDArray[np.float32], grid: GridSpec, cell_z: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return the (V,) flat cells with points, ascending, how many each has and the (V, 3) sums of these."""
-    try:
-        from dsrc.data import kernel
-    except ImportError:
-        x, y, z = _cells(cloud, grid, cell_z)
-        cells, row, count = np.unique((z * grid.height + y) * grid.width + x, return_inverse=True, return_counts=True)
-        return cells, count, np.stack([np.bincount(row, cloud[:, k], len(cells)) for k in range(3)], axis=1)
+    """Return the (V,) flat cells with points, ascending, their (V,) point counts and (V, 3) sums of points."""
     layers = round((grid.range_m[5] - grid.range_m[2]) / cell_z)
     size, shape = np.array([grid.cell_m, grid.cell_m, cell_z]), np.array([grid.width, grid.height, layers])
-    return kernel.sum_cells(np.asarray(cloud, np.float32), np.array(grid.range_m[:3]), size, shape)
+    return sum_cells(np.asarray(cloud, np.float32), np.array(grid.range_m[:3]), size, shape)
 
 
 def _cells(
     cloud: NDArray[np.float32], grid: GridSpec, cell_z: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the (P,) columns, rows and layers of points in range; one on the far face stays in the last cell."""
+    """Return the (P,) columns, rows and layers of points in range; the far face belongs to the last cell."""
     size = (grid.cell_m, grid.cell_m, cell_z)
     cells = []
     for axis in range(3):
@@ -363,7 +351,7 @@ def _anchors(grid: GridSpec) -> NDArray[np.float64]:
     return anchor_grid(grid)
 
 
-def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: Labels) -> Targets:
+def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: LabelSettings) -> Targets:
     """Assign every sample's boxes to anchors."""
     grid = settings.grid
     legacy = labels.targets == "released"

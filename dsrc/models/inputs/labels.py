@@ -1,4 +1,4 @@
-"""How ground truth becomes what networks learn from; the defaults are ours, and the released code's are there too."""
+"""Label settings: how ground truth becomes training targets, by our rules or the released code's."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -13,19 +13,18 @@ from dsrc.ops.grid import GridSpec
 from sim.boxes import Boxes
 
 
-class Labels(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Choices in which the paper's text, its released code and we differ.
+class LabelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Label settings, in which the paper's text, its released code and ours differ.
 
     Attributes:
-        inside: which points belong to an object: those in its box, or in the box's axis-aligned hull as released, where
-            an agent without objects has its whole cloud for one.
-        foreground: cells on which the distillation looks: those with a `points` on an agent's objects, as released (up
-            to a threshold of its teacher's features), or those whose centres lie in the labelled `boxes`, as the text
-            has it.
-        targets: anchors are responsible for a box by their true `overlap` with it, or by the `released` one, which adds
-            a metre to all sides.
+        inside: points of an object: those in its box, or in the box's axis-aligned hull as released, where an agent
+            without objects has its whole cloud for one.
+        foreground: cells of the distillation: those with a point on an agent's objects (`points`), as released (up to a
+            threshold of its teacher's features), or those with their centre in a labelled box (`boxes`), as the text.
+        targets: overlap by which anchors are positive: the true one, or the `released` one, which adds a metre to all
+            sides.
         ego_box: the ego's own body is an object where a collaborator has seen it, as in OpenCOOD.
-        max_pillars: of a cloud in training, where that is fewer than the network's; None is the network's.
+        max_pillars: pillars per cloud in training, where fewer than the network's; None is the network's.
     """
 
     inside: Inside = "rotated"
@@ -35,13 +34,13 @@ class Labels(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_pillars: Annotated[int, Meta(ge=1)] | None = None
 
 
-def released_labels() -> Labels:
-    """Return the choices of the released code."""
-    return Labels(inside="hull", targets="released", ego_box=True, max_pillars=32_000)
+def released_labels() -> LabelSettings:
+    """Return the label settings of the released code."""
+    return LabelSettings(inside="hull", targets="released", ego_box=True, max_pillars=32_000)
 
 
 def cells_in_boxes(boxes: Sequence[Boxes], grid: GridSpec) -> NDArray[np.bool_]:
-    """Return (N, H, W) whether the centre of a cell lies in one of an agent's boxes, seen from above."""
+    """Return the (N, H, W) mask of cells with their centre in one of an agent's boxes, seen from above."""
     mask = np.zeros((len(boxes), grid.height, grid.width), bool)
     low = np.array(grid.range_m[:2])
     for row, own in enumerate(boxes):

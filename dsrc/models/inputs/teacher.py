@@ -1,7 +1,7 @@
-"""Teacher clouds: dense, painted objects for the teacher of the distillation.
+"""Teacher clouds: dense, painted objects as input of the distillation's teacher.
 
-An agent's objects are replaced by what all agents together see of them; the points on objects carry paint 1, the
-others 0. Source: DSRC, arXiv 2412.10739, "multi-view dense object construction" and "point painting".
+An agent's objects hold the points of all agents; the points on objects carry paint 1, the others 0. Source: DSRC, arXiv
+2412.10739, "multi-view dense object construction" and "point painting".
 """
 
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ Inside = Literal["rotated", "hull"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeacherClouds:
-    """What the teacher sees of a sample, in the ego LiDAR's frame.
+    """Clouds of a teacher, in the ego LiDAR's frame.
 
     Attributes:
         clouds: per agent (P, 5) float32 x, y, z, intensity, paint; points on objects first.
-        object_clouds: per agent (Q, 5) float32, its points on objects alone.
-        merged: (M, 4) float32 the clouds of all agents, those of `further` ones last.
+        object_clouds: per agent (Q, 5) float32, points on objects alone.
+        merged: (M, 4) float32 clouds of all agents, those of `further` ones last.
     """
 
     clouds: tuple[NDArray[np.float32], ...]
@@ -44,12 +44,12 @@ def teacher_clouds(
     """Build the teacher's clouds.
 
     Args:
-        sample: the students' view.
-        inside: which points belong to a box. With `hull` an agent without objects gets its whole cloud as object
-            cloud, the released code's mistake; with `rotated` its object cloud is empty.
+        sample: sample of the student.
+        inside: points of a box. With `hull` an agent without objects gets its whole cloud as object cloud, the released
+            code's mistake; with `rotated` its object cloud is empty.
         dense: take the points on objects from all agents; else from the agent alone.
         paint: mark points on objects with 1 in the fifth column; else it is 0 everywhere.
-        further: (P, 4) clouds in the sample's frame of agents that its student does not hear: they make objects denser.
+        further: (P, 4) clouds, in the sample's frame, of agents that its student does not fuse: more points on objects.
 
     Returns:
         Clouds with row order: points on objects in the order of `merged`, then the agent's others in its order.
@@ -75,9 +75,9 @@ def teacher_clouds(
 
 
 def _on_objects(points: NDArray[np.float32], agent_boxes: Sequence[Boxes], inside: Inside) -> NDArray[np.bool_]:
-    """Return (A, M) whether each point lies in one of each agent's boxes."""
+    """Return the (A, M) mask of points in one of each agent's boxes."""
     boxes = concatenate(list(agent_boxes))
-    # Most objects are known to several agents.
+    # Several agents know most objects.
     _, first, same = np.unique(boxes.array, axis=0, return_index=True, return_inverse=True)
     rows, owners = points_in_boxes(boxes[first], points, hull=inside == "hull")
     known = np.zeros((len(agent_boxes), len(first)), bool)

@@ -1,4 +1,4 @@
-"""Backbones: three stages, each at half the resolution of the one before. `res2net` is DSRC's own."""
+"""Backbones: three stages, each at half the resolution of the one before; DSRC's is `res2net`."""
 
 from collections.abc import Callable
 
@@ -9,8 +9,8 @@ from dsrc.models.layers.res2net import Res2Net
 from dsrc.models.settings import ModelSettings
 
 
-class Stages(nn.Module):
-    """A backbone of three stages."""
+class StagedBackbone(nn.Module):
+    """Backbone of three stages."""
 
     def __init__(self, stages: list[nn.Module]) -> None:
         super().__init__()
@@ -27,7 +27,7 @@ class Stages(nn.Module):
 
 
 class BasicBlock(nn.Module):
-    """Two 3 x 3 convolutions around a shortcut. Source: He et al., arXiv 1512.03385, Figure 5 left."""
+    """Basic residual block. Source: He et al., arXiv 1512.03385, Figure 5 left."""
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
         super().__init__()
@@ -49,10 +49,10 @@ class BasicBlock(nn.Module):
         return torch.relu(out + residual)
 
 
-def resnet(inputs: int, channels: tuple[int, int, int], blocks: tuple[int, int, int]) -> Stages:
-    """Stages of basic residual blocks, of which the first has stride 2. Source: CoAlign, arXiv 2211.07214, code."""
+def resnet(inputs: int, channels: tuple[int, int, int], blocks: tuple[int, int, int]) -> StagedBackbone:
+    """Make stages of basic residual blocks, the first with stride 2. Source: CoAlign, arXiv 2211.07214, code."""
     widths = (inputs, *channels)
-    return Stages(
+    return StagedBackbone(
         [
             nn.Sequential(
                 BasicBlock(widths[k], channels[k], 2),
@@ -63,8 +63,8 @@ def resnet(inputs: int, channels: tuple[int, int, int], blocks: tuple[int, int, 
     )
 
 
-def plain(inputs: int, channels: tuple[int, int, int], blocks: tuple[int, int, int], momentum: float) -> Stages:
-    """Stages of 3 x 3 convolutions, `blocks` of them after one of stride 2. Source: PointPillars, arXiv 1812.05784."""
+def plain(inputs: int, channels: tuple[int, int, int], blocks: tuple[int, int, int], momentum: float) -> StagedBackbone:
+    """Make stages of `blocks` 3 x 3 convolutions after one of stride 2. Source: PointPillars, arXiv 1812.05784."""
 
     def layer(fro: int, to: int, stride: int) -> tuple[nn.Module, ...]:
         convolution = nn.Conv2d(fro, to, 3, stride=stride, padding=1, bias=False)
@@ -77,7 +77,7 @@ def plain(inputs: int, channels: tuple[int, int, int], blocks: tuple[int, int, i
         for _ in range(blocks[k]):
             layers += layer(channels[k], channels[k], 1)
         stages.append(nn.Sequential(*layers))
-    return Stages(stages)
+    return StagedBackbone(stages)
 
 
 BACKBONES: dict[str, Callable[[ModelSettings], nn.Module]] = {

@@ -1,4 +1,4 @@
-"""Layers that several parts of a detector share."""
+"""Convolution blocks of a detector: double convolution, upsampling, decoder, compressor."""
 
 from collections.abc import Sequence
 
@@ -9,14 +9,14 @@ from torch import Tensor, nn
 def double_conv(
     inputs: int, outputs: int, kernel: int = 3, stride: int = 1, norm_momentum: float | None = None
 ) -> nn.Sequential:
-    """Two convolutions with ReLUs; the first has the kernel and the stride, the second is 3 x 3.
+    """Make two convolutions with ReLUs; the first has the kernel and the stride, the second is 3 x 3.
 
     Args:
-        inputs: channels.
-        outputs: channels.
-        kernel: of the first convolution.
-        stride: of the first convolution.
-        norm_momentum: of a batch norm after each convolution; None for none, as in the released code.
+        inputs: input channels.
+        outputs: output channels.
+        kernel: kernel size of the first convolution.
+        stride: stride of the first convolution.
+        norm_momentum: momentum of a batch norm after each convolution; None without norms, as in the released code.
     """
 
     def layer(fro: int, kernel: int, stride: int) -> tuple[nn.Module, ...]:
@@ -28,7 +28,7 @@ def double_conv(
 
 
 def upsample(inputs: int, outputs: int, stride: int, momentum: float) -> nn.Sequential:
-    """Bring a map to `stride` times its resolution, each cell by itself."""
+    """Make a transposed convolution to `stride` times the resolution, with batch norm and ReLU."""
     return nn.Sequential(
         nn.ConvTranspose2d(inputs, outputs, stride, stride=stride, bias=False),
         nn.BatchNorm2d(outputs, eps=1e-3, momentum=momentum),
@@ -37,16 +37,16 @@ def upsample(inputs: int, outputs: int, stride: int, momentum: float) -> nn.Sequ
 
 
 class Decoder(nn.ModuleList):
-    """Layers of `upsample`, one for each stage."""
+    """Decoder: one layer of `upsample` per stage."""
 
     def forward(self, stages: Sequence[Tensor]) -> Tensor:
-        """Return (N, sum of channels, h, w) the stages side by side at one resolution."""
+        """Concatenate the stages at one resolution, (N, sum of channels, h, w)."""
         # Measured on CPUs: in channels-last order these layers are 40 % slower.
         return torch.cat([up(stage.contiguous()) for up, stage in zip(self, stages, strict=True)], dim=1)
 
 
 class Compressor(nn.Module):
-    """Fewer channels for the way, and the old number after it: 3 x 3 convolutions with batch norm on either side.
+    """Channel compressor of transmitted maps: 3 x 3 convolutions with batch norm at the sender and the receiver.
 
     Source: OPV2V, arXiv 2109.07644, Section IV (compression, sharing and decompression).
     """
@@ -55,15 +55,15 @@ class Compressor(nn.Module):
         """Make a compressor.
 
         Args:
-            channels: of the map.
-            ratio: how many times fewer channels are sent.
+            channels: channels of the map.
+            ratio: channels of the map per channel sent.
         """
         super().__init__()
         self.encode = nn.Sequential(*_conv_norm(channels, channels // ratio))
         self.decode = nn.Sequential(*_conv_norm(channels // ratio, channels), *_conv_norm(channels, channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return (N, C, H, W) as it comes out at the other end."""
+        """Compress and decompress (N, C, H, W)."""
         return self.decode(self.encode(x))
 
 

@@ -1,8 +1,8 @@
-"""The pillar encoder: points to a dense bird's-eye feature map.
+"""Pillar encoder: points to a dense bird's-eye feature map.
 
-It works on the real points only (P rows and the pillar that each belongs to), never on the (pillars, 32, channels)
-block of padded slots that the published implementations allocate; what those slots do to the batch norm and to the
-maximum is a closed expression (`padded_slots`).
+It reads the real points only (P rows and the pillar of each), never the (pillars, 32, channels) block of padded slots
+that the published implementations allocate; the slots' effect on batch norm and maximum is a closed expression
+(`padded_slots`).
 """
 
 from dataclasses import dataclass, replace
@@ -19,14 +19,14 @@ from dsrc.ops.grid import GridSpec
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pillars:
-    """The points of N clouds, sorted into pillars.
+    """Pillars of N clouds: points sorted by pillar.
 
     Attributes:
-        points: (P, D) float32 x, y, z, intensity(, paint) in the ego LiDAR's frame; only points that were kept.
+        points: (P, D) float32 x, y, z, intensity(, paint) in the ego LiDAR's frame; kept points only.
         pillar: (P,) int64 row of the point's pillar, ascending.
         coords: (V, 3) int64 cloud, row (y) and column (x) of the pillar.
         count: (V,) int64 points in the pillar, at least 1.
-        clouds: N, also where the last clouds are empty.
+        clouds: N, empty clouds included.
     """
 
     points: Tensor
@@ -42,7 +42,7 @@ class Pillars:
 
 
 class SlotNorm(nn.BatchNorm1d):
-    """Batch norm of a linear layer's output, which it never looks at: the input's moments say the same.
+    """Batch norm of a linear layer's output, computed from the moments of its input.
 
     The moments are (D,) and (D, D), D = 10 or 11, whatever the number of points, and gradients flow through them to
     the layer's weight. Rows of zeros that stand for padded slots enter as a count.
@@ -76,7 +76,7 @@ class SlotNorm(nn.BatchNorm1d):
 
 
 def _moments(x: Tensor, zeros: int) -> tuple[Tensor, Tensor]:
-    """Return the (D,) mean and (D, D) covariance of rows and zero rows; centred first, so float32 is enough."""
+    """Return the (D,) mean and (D, D) covariance of rows and zero rows; centred first, so that float32 suffices."""
     n = len(x) + zeros
     mean = x.sum(0, dtype=torch.float64) / n
     centred = x - mean.to(x.dtype)
@@ -92,9 +92,9 @@ def _linear_max(x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> tu
 
 
 class _LinearMax(torch.autograd.Function):
-    """A linear layer and the maximum per pillar in one: the backward pass needs no (P, C) index arithmetic.
+    """Linear layer with the maximum per pillar: its backward pass needs no (P, C) index arithmetic.
 
-    Where two points of a pillar share a maximum, both get its gradient.
+    Points of a pillar that share a maximum all get its gradient.
     """
 
     @staticmethod
@@ -113,10 +113,10 @@ class _LinearMax(torch.autograd.Function):
 
 
 class PillarEncoder(nn.Module):
-    """Points to (N, C, H, W): one linear layer per point, batch norm, ReLU, maximum per pillar, scatter.
+    """Pillar feature network: linear layer per point, batch norm, ReLU, maximum per pillar, scatter to (N, C, H, W).
 
-    Per point it sees x, y, z, intensity(, paint), the offset to the mean of the pillar's points and the offset to the
-    pillar's centre. Source: PointPillars, arXiv 1812.05784; eps and momentum as in the released DSRC code.
+    Point features: x, y, z, intensity(, paint), offset to the mean of the pillar's points, offset to the pillar's
+    centre. Source: PointPillars, arXiv 1812.05784; eps and momentum as in the released DSRC code.
     """
 
     def __init__(self, settings: ModelSettings) -> None:
@@ -129,7 +129,7 @@ class PillarEncoder(nn.Module):
 
     def forward(self, pillars: Pillars) -> Tensor:
         """Return the (N, C, H, W) feature map; cells without points are zero."""
-        # The norm's statistics and the offsets of points need all digits, and this is no matrix work to speak of.
+        # The norm's statistics and the points' offsets need single precision, and there is little matrix work.
         with torch.autocast(pillars.points.device.type, enabled=False):
             return self.scatter(self.features(pillars), pillars)
 
@@ -142,13 +142,13 @@ class PillarEncoder(nn.Module):
         zeros = n_pillars * self.max_points - points.shape[0] if self.padded_slots else 0
         weight = self.linear.weight
         scale, shift = self.norm.scale_shift(points, weight, zeros)
-        # The norm grows or falls monotonically per channel: take the extreme first, normalise V rows and not P.
+        # The norm is monotonic per channel: take the extreme first and normalise V rows instead of P.
         sign = torch.where(scale < 0, -1.0, 1.0).detach()
         parts = points, weight * sign[:, None], pillars.pillar, n_pillars
         x_vc = (_LinearMax.apply(*parts) if torch.is_grad_enabled() else _linear_max(*parts)[1]) * sign
         x_vc = torch.addcmul(shift, x_vc, scale)
         if self.padded_slots:
-            # Where a zero row pads the pillar, the maximum also sees the norm of zero, which is the shift.
+            # A zero row that pads the pillar enters the maximum with the norm of zero, which is the shift.
             padded = (pillars.count < self.max_points)[:, None]
             x_vc = torch.where(padded, torch.maximum(x_vc, shift), x_vc)
         return torch.relu(x_vc)

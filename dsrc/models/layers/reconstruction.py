@@ -1,4 +1,4 @@
-"""Point cloud reconstruction: the fused feature has to give back the scene that all agents saw together.
+"""Point cloud reconstruction: the merged clouds of all agents from the fused feature.
 
 Used in training only. The paper's form: ten vertical bins of 0.4 m, an occupancy per 0.4 m cube and the offset of its
 mean point from its centre. (The released code's target has a single 4 m bin; `reconstruction_cell_z_m` = 4 gives it.)
@@ -14,8 +14,8 @@ from dsrc.models.settings import ModelSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """The occupied voxels of B merged clouds.
+class SceneVoxels:
+    """Reconstruction target: occupied voxels of B merged clouds.
 
     Attributes:
         voxel: (K, 4) int64 sample, z, y, x.
@@ -27,13 +27,13 @@ class Scene:
     offset: Tensor
     samples: int
 
-    def to(self, device: torch.device | str) -> "Scene":
+    def to(self, device: torch.device | str) -> "SceneVoxels":
         """Move to a device."""
-        return Scene(self.voxel.to(device), self.offset.to(device), self.samples)
+        return SceneVoxels(self.voxel.to(device), self.offset.to(device), self.samples)
 
 
 class Reconstruction(nn.Module):
-    """Fused feature to occupancy logits and point offsets of a voxel grid at the input's resolution."""
+    """Reconstruction head: occupancy logits and point offsets of a voxel grid at the input's resolution."""
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
@@ -63,19 +63,19 @@ class Reconstruction(nn.Module):
         return self.occupancy(volume).squeeze(1), volume
 
     def offsets_at(self, volume: Tensor, voxel: Tensor) -> Tensor:
-        """Return (K, 3) offsets at K voxels; only they are ever compared, so only they are computed."""
+        """Return (K, 3) offsets at K voxels; losses compare no others."""
         b, z, y, x = voxel.unbind(1)
         weight = self.offset.weight.flatten(1)
         return functional.linear(volume[b, :, z, y, x], weight, self.offset.bias)
 
 
-def windowed(fused: Tensor, scene: Scene, share: float) -> tuple[Tensor, Scene]:
-    """Return a random window of the fused feature, and of the scene what lies in it.
+def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, SceneVoxels]:
+    """Crop the fused feature and the scene to a random window.
 
     Args:
         fused: (B, C, h, w) fused feature.
         scene: its voxels, two by two to a cell of the feature.
-        share: of the feature's height and width; 1 returns both as they are.
+        share: share of the feature's height and width; 1 returns both unchanged.
     """
     if share == 1:
         return fused, scene
@@ -87,11 +87,11 @@ def windowed(fused: Tensor, scene: Scene, share: float) -> tuple[Tensor, Scene]:
     y, x = voxel[:, 2], voxel[:, 3]
     inside = (y >= 0) & (y < 2 * height) & (x >= 0) & (x < 2 * width)
     cut = fused[..., top : top + height, left : left + width]
-    return cut, Scene(voxel[inside], scene.offset[inside], scene.samples)
+    return cut, SceneVoxels(voxel[inside], scene.offset[inside], scene.samples)
 
 
 def reconstruction_losses(
-    head: Reconstruction, fused: Tensor, scene: Scene, window: float = 1.0
+    head: Reconstruction, fused: Tensor, scene: SceneVoxels, window: float = 1.0
 ) -> tuple[Tensor, Tensor]:
     """Return the occupancy and the offset loss.
 
@@ -101,7 +101,7 @@ def reconstruction_losses(
     Args:
         head: the reconstruction head.
         fused: (B, C, h, w) fused feature of the student.
-        scene: the voxels to give back.
+        scene: the target.
         window: share of the feature's height and width that is reconstructed, at a random place.
     """
     fused, scene = windowed(fused, scene, window)
@@ -114,6 +114,6 @@ def reconstruction_losses(
     weight = torch.tensor(ratio, dtype=logits.dtype, device=logits.device)
     mask_loss = functional.binary_cross_entropy_with_logits(logits, target, pos_weight=weight)
     error = (head.offsets_at(volume, scene.voxel).float() - scene.offset).abs()
-    # A component that lies exactly on the centre counts as absent, as released.
+    # An offset of exactly 0 counts as absent, as released.
     valid = scene.offset != 0
     return mask_loss, (error * valid).sum() / valid.sum().clamp(min=1)

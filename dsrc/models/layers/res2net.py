@@ -1,4 +1,4 @@
-"""The backbone: three Res2Net stages, each at half the resolution of the one before.
+"""Res2Net backbone: three stages, each at half the resolution of the one before.
 
 Source: Res2Net, arXiv 1904.01169 (Gao et al.), in the form that DSRC uses: base width 26, scale 4, expansion 1, no
 stem, every stage with stride 2.
@@ -12,7 +12,7 @@ _SPLITS = 4
 
 
 class Res2Block(nn.Module):
-    """One bottleneck whose 3 x 3 convolutions run on channel splits, each after the other's result.
+    """Res2Net bottleneck: 3 x 3 convolutions on channel splits, each added to the result of the one before.
 
     The first block of a stage halves the resolution: its splits stay independent and the last one is averaged.
     """

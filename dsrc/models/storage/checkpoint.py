@@ -1,4 +1,4 @@
-"""Detector files: weights, settings and where they came from, loadable without running code from the file."""
+"""Detector files: weights, settings and provenance, loaded without running code from the file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,12 +18,12 @@ FORMAT = "dsrc-detector-1"
 
 
 def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None = None, half: bool = True) -> None:
-    """Write a detector file, whole or not at all.
+    """Write a detector file atomically.
 
     Args:
         path: the file.
-        detector: its weights and settings are kept, nothing else.
-        meta: where the weights came from; what is not a plain value is kept as text.
+        detector: detector whose weights and settings are stored.
+        meta: provenance of the weights; values that are not plain are stored as text.
         half: store floats in half precision: half the size, and differences far below those of two trainings.
     """
     state = {name: _stored(tensor, half) for name, tensor in detector.state_dict().items()}
@@ -35,10 +35,10 @@ def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None
 
 
 def load_detector(path: Path, device: str = "cpu") -> Detector:
-    """Read a detector file; the detector is in evaluation mode and in full precision.
+    """Read a detector file, in evaluation mode and full precision.
 
     Raises:
-        CheckpointError: the file is missing, damaged, no detector, or of another version of the network.
+        CheckpointError: the file is missing, damaged, not a detector, or of another version of the network.
     """
     content = _content(Path(path))
     try:
@@ -62,16 +62,16 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
 
 
 def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Detector:
-    """Read a detector file for use without ground truth; the detector is made fast, see `dsrc.models.storage.deploy`.
+    """Read a student for inference, optimised by `dsrc.models.storage.deploy`.
 
     Args:
         path: the file.
-        device: where it computes.
-        engine: one of `ENGINES`.
+        device: device of its tensors.
+        engine: key of `ENGINES`.
 
     Raises:
         CheckpointError: as `load_detector`, or the file holds a teacher.
-        SettingsError: there is no such engine, or not on this machine.
+        SettingsError: the engine is unknown, or missing on this machine.
     """
     if engine not in ENGINES:
         raise SettingsError(f"engine: unknown '{engine}'{did_you_mean(engine, ENGINES)}")
@@ -83,17 +83,17 @@ def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Dete
 
 
 def with_fusion(detector: Detector, fusion: str) -> Detector:
-    """Detector of the same weights that joins the agents' maps another way; the given one stays as it is.
+    """Copy a detector with another fusion method and the same weights.
 
-    Attention, maximum and none bring no weights: a teacher that was trained on the ego's cloud alone reads all agents'
-    clouds with either of the first two.
+    Attention, maximum and none have no weights: a teacher trained on the ego's cloud alone reads all agents' clouds
+    with either of the first two.
 
     Args:
-        detector: a plain one, as `load_detector` gives it; `deployed` ones have weights of other names.
-        fusion: a key of `FUSIONS`.
+        detector: detector of `load_detector`; weights of `deployed` ones have other names.
+        fusion: key of `FUSIONS`.
 
     Raises:
-        CheckpointError: the fusion has weights that the detector lacks, or the detector weights that it has no use for.
+        CheckpointError: the fusion needs other weights than the detector has.
     """
     try:
         other = Detector(replace(detector.settings, fusion=fusion))
@@ -112,10 +112,10 @@ def with_fusion(detector: Detector, fusion: str) -> Detector:
 
 
 def read_meta(path: Path) -> dict[str, Any]:
-    """Return where a detector file's weights came from.
+    """Return the provenance of a detector file's weights.
 
     Raises:
-        CheckpointError: the file is missing, damaged or no detector.
+        CheckpointError: the file is missing, damaged or not a detector.
     """
     meta = _content(Path(path)).get("meta", {})
     if not isinstance(meta, dict):
@@ -128,7 +128,7 @@ def _content(path: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path}: no such checkpoint file")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception:  # of bytes that are no pickle, torch's reader says so by whatever error it runs into
+    except Exception:  # torch's reader raises many types for damaged files
         raise CheckpointError(complaint(path, "file", f"a {FORMAT} checkpoint", "something else or damaged")) from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format", "none") if isinstance(content, dict) else type(content).__name__

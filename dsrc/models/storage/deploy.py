@@ -1,11 +1,11 @@
-"""A detector made fast for use: the same numbers up to rounding, fewer walks through memory.
+"""Deployment of a detector: the same numbers up to rounding, with fewer passes through memory.
 
-On CPUs a plain detector spends half its time between the convolutions. Here batch norms are part of the convolution
-before them, ReLUs and shortcuts part of the one that they follow (oneDNN's fused convolutions), the channel splits of
-Res2Net are convolutions of their own instead of slices that are copied and joined, and every map stays in channels-last
-order, which those convolutions want.
+On CPUs a plain detector spends half its time between the convolutions. Here batch norms are folded into the convolution
+before them, ReLUs and shortcuts fused with the one before (oneDNN's fused convolutions), the channel splits of Res2Net
+are convolutions of their own instead of slices that are copied and joined, and every map stays in channels-last order,
+which those convolutions need.
 
-These layers are not trained, and their state dict has other names than a detector's.
+These layers cannot be trained, and their state dict has other names than a detector's.
 """
 
 import copy
@@ -28,12 +28,13 @@ _ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_c
 
 
 def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Detector:
-    """Return a detector for evaluation that gives what this one gives, faster; this one stays as it is.
+    """Copy a detector for inference: the same output, faster.
 
     Args:
-        detector: the plain one.
-        precision: of matrix products and maps. `torch.bfloat16` keeps 8 bits of the numbers and is nearly three times
-            as fast again on CPUs with matrix units for it (AMX); boxes then move by a centimetre, scores by 0.005.
+        detector: plain detector.
+        precision: precision of matrix products and maps. `torch.bfloat16` keeps 8 bits of the numbers and is nearly
+            three times as fast again on CPUs with matrix units for it (AMX); boxes then move by a centimetre, scores by
+            0.005.
     """
     fast = copy.deepcopy(detector).eval().requires_grad_(False)
     _fuse_children(fast)
@@ -45,10 +46,10 @@ def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Dete
 
 
 def compiled(detector: Detector) -> Detector:
-    """Return a detector for evaluation whose convolutions PyTorch's compiler has fused; the first frames take a minute.
+    """Copy a detector for inference with PyTorch's compiler; the first frames take a minute.
 
     Raises:
-        SettingsError: there is no compiler for code of CPUs.
+        SettingsError: a C++ compiler is missing.
     """
     on_cpu = detector.cls_head.weight.device.type == "cpu"
     if on_cpu and not any(shutil.which(name) for name in (os.environ.get("CXX", ""), "g++", "clang++", "cl") if name):
@@ -75,7 +76,7 @@ def _fuse_children(module: nn.Module) -> None:
 
 
 def _fused(module: nn.Module) -> nn.Module:
-    """Return what takes a layer's place: itself, with fused layers inside, where there is nothing faster."""
+    """Return a layer's fused replacement, or else the layer with its children replaced."""
     if isinstance(module, Decoder):
         return FusedDecoder(module)
     if isinstance(module, BasicBlock):
@@ -90,7 +91,7 @@ def _fused(module: nn.Module) -> nn.Module:
 
 
 def _fused_layers(layers: Sequence[nn.Module]) -> list[nn.Module]:
-    """Return the layers of a sequence with each convolution, its batch norm and its ReLU in one."""
+    """Fuse each convolution of a sequence with its batch norm and ReLU."""
     fused: list[nn.Module] = []
     left = list(layers)
     while left:
@@ -111,7 +112,7 @@ def _is_plain(layer: nn.Module) -> bool:
 
 
 def folded(conv: nn.Conv2d | nn.ConvTranspose2d, norm: nn.BatchNorm2d | None) -> tuple[Tensor, Tensor]:
-    """Return the weight, as the layer has it, and the bias of a convolution that does its batch norm too."""
+    """Return the weight, in the layer's layout, and the bias of a convolution with its batch norm folded in."""
     outputs = (-1, 1, 1, 1) if isinstance(conv, nn.Conv2d) else (1, -1, 1, 1)
     weight, bias = conv.weight, conv.bias if conv.bias is not None else conv.weight.new_zeros(conv.out_channels)
     if norm is None:
@@ -123,7 +124,7 @@ def folded(conv: nn.Conv2d | nn.ConvTranspose2d, norm: nn.BatchNorm2d | None) ->
 
 
 class FusedConv(nn.Module):
-    """A convolution that ends with a ReLU or without."""
+    """Convolution with an optional fused ReLU."""
 
     weight: Tensor
     bias: Tensor
@@ -147,7 +148,7 @@ class FusedConv(nn.Module):
         return y.relu_() if self.relu else y
 
     def add_to(self, out: Tensor, x: Tensor) -> Tensor:
-        """Add the convolution of x to (N, outputs, H, W) in place, and end it with the ReLU, if there is one."""
+        """Add the convolution of x to (N, outputs, H, W) in place, then apply the ReLU if there is one."""
         stride, padding = [self.stride] * 2, [self.padding] * 2
         if _ONEDNN and x.device.type == "cpu":
             relu = "relu" if self.relu else None
@@ -159,7 +160,7 @@ class FusedConv(nn.Module):
 
 
 class FusedStage(nn.Module):
-    """A stage of Res2 blocks."""
+    """Stage of fused Res2 blocks."""
 
     def __init__(self, blocks: Sequence[Res2Block]) -> None:
         """Fuse the blocks of a stage."""
@@ -174,10 +175,9 @@ class FusedStage(nn.Module):
 
 
 class FusedRes2Block(nn.Module):
-    """A Res2 block: each split's convolutions by themselves, results added up where they meet.
+    """Fused Res2 block: convolutions per split, results added in place.
 
-    The first block of a stage leaves its input as it is; the others write their result over it, which nobody but them
-    has seen.
+    The first block of a stage leaves its input unchanged; the others overwrite theirs, which is not used elsewhere.
     """
 
     def __init__(self, block: Res2Block) -> None:
@@ -197,7 +197,7 @@ class FusedRes2Block(nn.Module):
         if block.downsample is not None:
             along, shift = folded(*block.downsample)  # type: ignore[arg-type]
             self.shortcut = FusedConv(along, shift, relu=False)
-        # One bias for all, and one ReLU at the end.
+        # One bias in all, and one ReLU at the end.
         nothing = torch.zeros_like(bias)
         self.leave = nn.ModuleList(
             FusedConv(part, bias if number == 0 else nothing, relu=number == splits - 1)
@@ -218,7 +218,7 @@ class FusedRes2Block(nn.Module):
 
 
 class FusedBasicBlock(nn.Module):
-    """A basic residual block."""
+    """Fused basic residual block."""
 
     def __init__(self, block: BasicBlock) -> None:
         """Fuse a block."""
@@ -230,16 +230,15 @@ class FusedBasicBlock(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (N, inputs, H, W) to (N, outputs, H / stride, W / stride)."""
-        # A shortcut of its own is written over; the input itself belongs to others.
+        # A computed shortcut is overwritten; the input itself is used elsewhere.
         out = x.clone() if self.shortcut is None else self.shortcut(x[:, :, :: self.stride, :: self.stride])
         return self.leave.add_to(out, self.enter(x))
 
 
 class FusedDecoder(nn.Module):
-    """The stages side by side at one resolution, each written to where it belongs.
+    """Fused decoder: stages at one resolution, each written to its channels.
 
-    To bring a cell to s times its resolution is a 1 x 1 convolution to s^2 times as many channels, which are the new
-    cells.
+    Upsampling by s is a 1 x 1 convolution to s^2 times as many channels, which are the new cells.
     """
 
     def __init__(self, decoder: Decoder) -> None:

@@ -1,8 +1,7 @@
-"""Detectors as ONNX files, for runtimes without PyTorch.
+"""ONNX export of detectors, for runtimes without PyTorch.
 
-What goes in are the pillars of one sample, as `dsrc.models.inputs.batch.pillars_of` sorts them and any language can; what comes
-out are the heads' maps before thresholds and suppression. Numbers of points and pillars are open; that of agents too
-where the method allows it.
+Inputs are the pillars of one sample, as of `dsrc.models.inputs.batch.pillars_of`; outputs are the heads' maps before
+thresholds and suppression. Numbers of points and pillars are dynamic; that of agents too where the method allows it.
 """
 
 import importlib.util
@@ -27,20 +26,20 @@ INPUTS = {
     "count": "(V,) int64 points in each pillar, at least 1",
     "roadside": "(N,) bool whether an agent is a roadside unit, the ego first",
 }
-"""Name and meaning of what goes in: P points, V pillars, N agents."""
+"""Inputs: P points, V pillars, N agents."""
 OUTPUTS = {
     "cls": "(1, 2, h, w) logits, one per anchor; (N, 2, h, w) of methods that detect in each cloud alone",
     "reg": "(1, 14, h, w) box residuals, 7 per anchor",
-    "direction": "(1, 2, h, w) logits of a box that heads against its anchor, where there is such a head",
+    "direction": "(1, 2, h, w) logits of a box that heads against its anchor, with a direction head",
 }
-"""Name and meaning of what comes out."""
+"""Outputs."""
 
 _ANY_NUMBER = ("none", "early", "late", "max", "attention", "coalign")
 _FIXED_NUMBER = ("v2vnet", "where2comm", "mrcnet")
 
 
 class _Network(nn.Module):
-    """The detector between tensors."""
+    """Detector with plain tensors as inputs and outputs."""
 
     def __init__(self, detector: Detector) -> None:
         super().__init__()
@@ -56,18 +55,18 @@ class _Network(nn.Module):
 
 
 def export_onnx(detector: Detector, out: Path, agents: int = 2) -> str:
-    """Write an ONNX file, whole or not at all.
+    """Write an ONNX file atomically.
 
     Args:
-        detector: as `load_detector` gives it, on a CPU.
-        out: the file; the detector's settings are its entry `settings`, in JSON.
-        agents: how many there are, where the method needs to know; of no meaning where it takes any number.
+        detector: detector of `load_detector`, on a CPU.
+        out: the file; its metadata entry `settings` holds the detector's settings in JSON.
+        agents: number of agents, for a method that needs a fixed one.
 
     Returns:
-        What the file takes of agents: "any number" or a number.
+        The number of agents that the file accepts, or "any number".
 
     Raises:
-        SettingsError: the packages are missing, the method has no ONNX form or does not take so many agents.
+        SettingsError: packages are missing, or the method has no ONNX form or not for this number of agents.
     """
     fusion = detector.settings.fusion
     if fusion not in (*_ANY_NUMBER, *_FIXED_NUMBER):
@@ -92,7 +91,7 @@ def export_onnx(detector: Detector, out: Path, agents: int = 2) -> str:
         "count": {0: dims["pillars"]},
         "roadside": {0: number} if number is not None else None,
     }
-    # The exporter warns of packages that nobody here needs.
+    # The exporter warns of packages that are not needed.
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)
@@ -116,7 +115,7 @@ def export_onnx(detector: Detector, out: Path, agents: int = 2) -> str:
 
 
 def _example(agents: int) -> tuple[Tensor, ...]:
-    """Return inputs of a few points: what they are is not looked at, only how many of which type."""
+    """Return example inputs, of which only shapes and types matter."""
     coords = torch.tensor([[agent, 0, column] for agent in range(agents) for column in range(3)])
     count = torch.full((len(coords),), 2)
     pillar = torch.arange(len(coords)).repeat_interleave(2)

@@ -1,4 +1,4 @@
-"""Detector files made of the state dicts that DSRC's published code writes."""
+"""Import of checkpoints of DSRC's published code, which is a fork of OpenCOOD."""
 
 import re
 from collections.abc import Mapping
@@ -16,18 +16,18 @@ from sim.errors import CheckpointError, complaint
 
 _WRAPPERS = ("state_dict", "model_state_dict", "model")
 _UNUSED = re.compile(r"backbone(_teacher)?\.resnet\.bn1\..*|pcr\..*")
-"""What never computes anything, and the reconstruction head, which no detector needs."""
+"""Unused tensors: norms that never compute anything, and the reconstruction head, which no detector needs."""
 
 RELEASED_WIDTH = 26
 """Base width of the published Res2Net; other widths are only guessed where it does not fit."""
 
 
 def import_detector(path: Path, grid: GridSpec, teacher: bool = False) -> Detector:
-    """Make a detector of a state dict that the published code has written.
+    """Import a state dict of the published code.
 
-    The sizes are read off the tensors. What no tensor says is as released: padded slots take part in the pillars' batch
-    norm and maximum, 32 points per pillar, 70,000 pillars, a score threshold of 0.25, boxes longer than 6 m along x
-    or y dropped, and regression maps with sizes in the order height, width, length.
+    Sizes are those of the tensors, all else is as released: padded slots take part in the pillars' batch norm and
+    maximum, 32 points per pillar, 70,000 pillars, a score threshold of 0.25, boxes longer than 6 m along x or y
+    dropped, and regression maps with sizes in the order height, width, length.
 
     Args:
         path: `net_epoch....pth` of the base model, of a student or of a teacher.
@@ -35,8 +35,8 @@ def import_detector(path: Path, grid: GridSpec, teacher: bool = False) -> Detect
         teacher: take the teacher's half of a student's or a teacher's file.
 
     Raises:
-        CheckpointError: the file is missing, damaged or none of these, or tensors are missing, too many or of shapes
-            that do not fit one another.
+        CheckpointError: the file is missing, damaged or not one of these, or tensors are missing, unknown or of
+            inconsistent shapes.
     """
     reference = _tensors(path)
     has_teacher = any(name.partition(".")[0].endswith("_teacher") for name in reference)
@@ -48,7 +48,9 @@ def import_detector(path: Path, grid: GridSpec, teacher: bool = False) -> Detect
         expected = "the tensors of DSRC's published code (pillar_vfe..., backbone.resnet...)"
         raise CheckpointError(complaint(path, "state", expected, next(iter(sorted(reference)), "nothing"), hint))
     known = detector_state(reference, True) if has_teacher else {}
-    _check_strangers(path, reference, len(state) + len(known if not teacher else detector_state(reference, False)))
+    _check_unknown_tensors(
+        path, reference, len(state) + len(known if not teacher else detector_state(reference, False))
+    )
     try:
         settings = _settings(state, grid, teacher, designed=has_teacher or any(n.startswith("pcr.") for n in reference))
         detector = Detector(settings)
@@ -72,12 +74,12 @@ def import_detector(path: Path, grid: GridSpec, teacher: bool = False) -> Detect
 
 
 def _tensors(path: Path) -> dict[str, Tensor]:
-    """Return the tensors of a file by the published names, without running code from it."""
+    """Read the tensors of a file by their published names, without running code from it."""
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint file")
     try:
         content: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception:  # of bytes that are no pickle, torch's reader says so by whatever error it runs into
+    except Exception:  # torch's reader raises many types for damaged files
         hint = "; only tensors are read, no pickled objects"
         raise CheckpointError(complaint(path, "file", "a state dict", "something else or damaged", hint)) from None
     for wrapper in _WRAPPERS:
@@ -88,8 +90,8 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     return {str(name).removeprefix("module."): tensor for name, tensor in content.items()}
 
 
-def _check_strangers(path: Path, reference: Mapping[str, Tensor], known: int) -> None:
-    """Refuse tensors that nothing here is made of: the file is then of another network."""
+def _check_unknown_tensors(path: Path, reference: Mapping[str, Tensor], known: int) -> None:
+    """Reject unknown tensors: the file is of another network."""
     rest = [name for name in reference if not _UNUSED.fullmatch(name)]
     if len(rest) == known:
         return
@@ -100,7 +102,7 @@ def _check_strangers(path: Path, reference: Mapping[str, Tensor], known: int) ->
 
 
 def _settings(state: Mapping[str, Tensor], grid: GridSpec, teacher: bool, designed: bool) -> ModelSettings:
-    """Read the sizes off a `Detector`'s tensors."""
+    """Return settings with the sizes of a `Detector`'s tensors."""
     channels = tuple(len(state[f"backbone.stages.{k}.0.conv3.weight"]) for k in range(3))
     widths = [len(state[f"backbone.stages.{k}.0.conv1.weight"]) // 4 for k in range(3)]
     fitting = [w for w in (RELEASED_WIDTH, *range(1, 257)) if [c * w // 64 for c in channels] == widths]

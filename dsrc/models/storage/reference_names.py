@@ -1,7 +1,7 @@
-"""Names of the published checkpoints' tensors in our modules, so that their weights can be loaded.
+"""Name mapping from the published checkpoints' tensors to ours.
 
 Modules of the reference that never compute anything (a batch norm of its backbone, half of its reconstruction head)
-have no name here.
+are left out.
 """
 
 import re
@@ -26,7 +26,7 @@ _RECONSTRUCTION = (
 
 
 def detector_state(reference: Mapping[str, Tensor], teacher: bool = False) -> dict[str, Tensor]:
-    """Return the state of a `Detector` from a reference state.
+    """Rename a reference state to that of a `Detector`.
 
     Args:
         reference: tensors by the reference's names.
@@ -41,7 +41,7 @@ def detector_state(reference: Mapping[str, Tensor], teacher: bool = False) -> di
 
 
 def reconstruction_state(reference: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return the state of a `Reconstruction` from a reference state."""
+    """Rename a reference state to that of a `Reconstruction`."""
     return _renamed(reference, _RECONSTRUCTION)
 
 

@@ -8,12 +8,12 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.data.sample import make_sample
-from dsrc.models.channel import Receiver, instant_of, payload_of
+from dsrc.models.channel import Receiver, payload_of, snapshot_of
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
 from sim.geometry import invert
-from sim.radio import PRESETS, Sight
+from sim.radio import PRESETS, Obstruction
 from tests.dsrc.data.toy import toy_frame
 
 GRID = GridSpec((-38.4, -38.4, -3.0, 38.4, 38.4, 1.0), 0.8)
@@ -172,6 +172,6 @@ def test_clouds_lose_the_points_of_lost_packets():
 
 def test_a_frame_of_unknown_sight_counts_the_vehicles_between():
     frame = changed(FRAMES[0], sight=np.full((3, 3), -1, np.int8))
-    instant = instant_of(frame, 0, lambda frame, row: 1)
-    assert set(np.unique(instant.sight)) <= {int(Sight.FREE), int(Sight.VEHICLE)}
-    assert instant_of(FRAMES[0], 0, lambda frame, row: 1).sight.max() == Sight.BUILDING
+    instant = snapshot_of(frame, 0, lambda frame, row: 1)
+    assert set(np.unique(instant.sight)) <= {int(Obstruction.FREE), int(Obstruction.VEHICLE)}
+    assert snapshot_of(FRAMES[0], 0, lambda frame, row: 1).sight.max() == Obstruction.BUILDING

@@ -29,7 +29,7 @@ LEARNED = sorted(name for name in FUSIONS if FUSIONS[name].start)
 def untrained(name: str, settings: ModelSettings = SIZES) -> Fusion:
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        return FUSIONS[name].of(settings).eval()
+        return FUSIONS[name].from_settings(settings).eval()
 
 
 def made(name: str) -> Fusion:
@@ -90,7 +90,7 @@ def test_v2vnet_equals_the_reference(agg: str, gated: bool, name: str) -> None:
     there = AgentLayout(agents, pairwise=pairwise, extent_m=(cell * width, cell * height))
     motion = in_cells(pairwise, there, (height, width))
     near(motion[0, :3, :3], arrays["discretised"][0, :3, :3], 1e-5)
-    seen = fusion.seen(motion[0, :3, :3], x[:3])
+    seen = fusion.covered(motion[0, :3, :3], x[:3])
     assert (seen.numpy() != arrays["roi_mask"][0, :3, :3]).mean() < 1e-2
     near(shifted(x[:3], about_centre(motion[0, :3, 0], (height, width))), arrays["warp_feature"], 1e-4)
     near(fusion.fuse(x, AgentLayout(agents)), arrays[f"out_identity_{name}"], 2e-5)

@@ -18,8 +18,7 @@ from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion_check import check_fusion
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import load_detector, save_detector
-from dsrc.training.recipes import debug
-from dsrc.training.train import override
+from dsrc.training.recipes import debug, override
 from sim.errors import SettingsError
 
 
@@ -42,7 +41,7 @@ class GatedFusion(MeanFusion):
         self.share = nn.Parameter(torch.zeros(channels))
 
     @classmethod
-    def of(cls, settings: ModelSettings) -> "GatedFusion":
+    def from_settings(cls, settings: ModelSettings) -> "GatedFusion":
         return cls(settings.shrink_channels)
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
@@ -147,7 +146,10 @@ class NoDefault(MeanFusion):
         (UnlikeItsStart, "^UnlikeItsStart: start: untrained output is not the maximum"),
         (TooMuch, "^TooMuch: values_sent: expected 0 to .* numbers of a frame, found 1000000000"),
         (Nowhere, "^Nowhere: class: place: expected 'stages' or 'map', found 'roof'$"),
-        (NoDefault, r"^NoDefault: of: raised TypeError: .*missing 1 required positional argument: 'channels'$"),
+        (
+            NoDefault,
+            r"^NoDefault: from_settings: raised TypeError: .*missing 1 required positional argument: 'channels'$",
+        ),
         (nn.Linear, "^Linear: class: expected a subclass of dsrc.models.fusion.Fusion$"),
     ],
 )

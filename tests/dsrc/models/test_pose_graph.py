@@ -94,5 +94,5 @@ def test_clouds_go_where_their_objects_say() -> None:
 def test_a_detector_may_align_before_it_detects() -> None:
     detector = Detector(changed(debug().model, align_poses=True, fusion="coalign")).eval()
     sample = make_sample(frame(0), 1000, detector.settings.grid)
-    assert len(detector._each_alone(sample)) == 3
+    assert len(detector._single_agent_detections(sample)) == 3
     detector.detect(sample)

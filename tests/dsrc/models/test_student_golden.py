@@ -12,7 +12,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import scene_of
 from dsrc.models.layers.encoder import Pillars
-from dsrc.models.layers.reconstruction import Reconstruction, Scene, reconstruction_losses
+from dsrc.models.layers.reconstruction import Reconstruction, SceneVoxels, reconstruction_losses
 from dsrc.models.storage.reference_names import detector_state, reconstruction_state
 from dsrc.training.losses import detection_loss, distillation_losses, released
 from tests.dsrc.models.reference import close, golden, pillars, settings_of, state
@@ -29,7 +29,7 @@ class Step:
     teacher: Pillars
     objects_with_teacher: Pillars
     foreground: Tensor
-    scene: Scene
+    scene: SceneVoxels
     positive: Tensor
     regression: Tensor
 

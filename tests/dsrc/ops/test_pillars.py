@@ -3,7 +3,7 @@ import time
 import numpy as np
 import pytest
 
-from dsrc.ops.pillars import dense_voxels, voxelise
+from dsrc.ops.pillars import Voxels, voxelise
 from tests.paths import GOLDENS
 
 GOLDEN = GOLDENS / "models" / "voxeliser.npz"
@@ -17,6 +17,22 @@ CASES = {
 }
 
 
+def dense(points: np.ndarray, voxels: Voxels, max_points: int) -> np.ndarray:
+    """Return (V, max_points, D): each voxel's points in order of arrival, padded with zeros."""
+    out = np.zeros((len(voxels), max_points, points.shape[1]), np.float32)
+    slot, rank = places(points, voxels)
+    out[slot[voxels.order], rank[voxels.order]] = points[voxels.order]
+    return out
+
+
+def places(points: np.ndarray, voxels: Voxels) -> tuple[np.ndarray, np.ndarray]:
+    """Return per point the row of its voxel and its place in it, -1 for a dropped one."""
+    slot, rank = np.full((2, len(points)), -1)
+    slot[voxels.order] = np.repeat(np.arange(len(voxels)), voxels.count)
+    rank[voxels.order] = [place for count in voxels.count for place in range(count)]
+    return slot, rank
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_voxels_equal_the_compiled_voxeliser_in_content_and_order(case):
     range_m, cell, max_points, max_voxels = CASES[case]
@@ -25,7 +41,7 @@ def test_voxels_equal_the_compiled_voxeliser_in_content_and_order(case):
     voxels = voxelise(points, range_m, cell, max_points, max_voxels)
     np.testing.assert_array_equal(voxels.coords_zyx, golden[f"{case}/coords_zyx"])
     np.testing.assert_array_equal(voxels.count, golden[f"{case}/num_points"])
-    np.testing.assert_array_equal(dense_voxels(points, voxels, max_points), golden[f"{case}/voxels"])
+    np.testing.assert_array_equal(dense(points, voxels, max_points), golden[f"{case}/voxels"])
 
 
 def brute_force(points, range_m, cell, max_points, max_voxels):
@@ -55,23 +71,19 @@ def test_first_come_rule_point_by_point(seed):
     range_m, cell = (-4, -4, -2, 4, 4, 2), (1.0, 0.5, 2.0)
     voxels = voxelise(points, range_m, cell, max_points=3, max_voxels=60)
     slot, rank, coords = brute_force(points, range_m, cell, 3, 60)
-    assert voxels.slot.tolist() == slot
-    assert voxels.rank.tolist() == rank
+    assert [found.tolist() for found in places(points, voxels)] == [slot, rank]
     assert voxels.coords_zyx.tolist() == [list(map(int, c)) for c in coords]
 
 
 def test_lower_faces_belong_to_the_range_and_upper_faces_do_not():
     points = np.array([[-8, 0, 0], [8, 0, 0], [0, -4.8, 0], [0, 4.8, 0], [0, 0, -3], [0, 0, 1]], np.float32)
-    kept = voxelise(points, SMALL, (0.4, 0.4, 4)).slot >= 0
-    assert kept.tolist() == [True, False, True, False, True, False]
+    assert voxelise(points, SMALL, (0.4, 0.4, 4)).order.tolist() == [0, 2, 4]
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 4)), np.full((3, 4), 99.0), np.full((2, 4), np.nan)])
 def test_nothing_in_range_makes_no_voxels(points):
     voxels = voxelise(points.astype(np.float32), SMALL, (0.4, 0.4, 4))
-    assert len(voxels) == 0
-    assert (voxels.slot == -1).all()
-    assert dense_voxels(points.astype(np.float32), voxels, 32).shape == (0, 32, 4)
+    assert len(voxels) == len(voxels.order) == 0 and voxels.coords_zyx.shape == (0, 3)
 
 
 def test_points_need_three_coordinates():

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector
-from dsrc.training.averaging import Selection
+from dsrc.training.averaging import WeightSelection
 from dsrc.training.train import train
 from sim.errors import SettingsError
 from tests.dsrc.training.drive import write_drive
@@ -26,7 +26,7 @@ class Run:
 
     def __init__(self, folder: Path, **choice: object) -> None:
         self.recipe = tiny(**choice)
-        self.selection = Selection(self.recipe, folder / "best.pt")
+        self.selection = WeightSelection(self.recipe, folder / "best.pt")
         self.module = SimpleNamespace(detector=Detector(self.recipe.model), device="cpu")
         self.trainer = SimpleNamespace(callback_metrics={}, current_epoch=-1, is_global_zero=True, should_stop=False)
         self.seen: list[float] = []

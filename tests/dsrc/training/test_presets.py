@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import Batch, collate
-from dsrc.models.inputs.labels import Labels, cells_in_boxes
+from dsrc.models.inputs.labels import LabelSettings, cells_in_boxes
 from dsrc.models.inputs.teacher import teacher_clouds
 from dsrc.models.storage.reference_names import detector_state, reconstruction_state
 from dsrc.ops.coding import REFERENCE_ORDER
@@ -113,7 +113,7 @@ def test_cells_in_a_box_are_those_whose_centre_is_in_it() -> None:
 def test_a_foreground_of_boxes_has_cells_that_no_point_has_met() -> None:
     sample = make_sample(frame(0), 1000, tiny().model.grid)
     points, boxes = (
-        collate([sample], tiny().model, True, Labels(foreground=f)).foreground for f in ("points", "boxes")
+        collate([sample], tiny().model, True, LabelSettings(foreground=f)).foreground for f in ("points", "boxes")
     )
     assert (boxes & ~points).any()
     assert (points & ~boxes).sum() < 0.5 * points.sum()  # cells that a box's edge cuts
@@ -221,7 +221,7 @@ def test_a_hull_reaches_farther_than_its_box() -> None:
     sample = make_sample(frame(0), 1000, tiny().model.grid)
     turned = replace_sample(sample, agent_boxes=tuple(replace_sample(b, yaw=b.yaw + 0.8) for b in sample.agent_boxes))
     hull, box = (
-        collate([turned], tiny().model, True, Labels(inside=i)).teacher.points[:, 4] for i in ("hull", "rotated")
+        collate([turned], tiny().model, True, LabelSettings(inside=i)).teacher.points[:, 4] for i in ("hull", "rotated")
     )
     assert hull.sum() > box.sum() > 0
     assert len(teacher_clouds(turned, "hull").object_clouds[0]) > len(teacher_clouds(turned).object_clouds[0])

@@ -11,12 +11,12 @@ from msgspec.structs import replace as changed
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate
-from dsrc.models.layers.reconstruction import Reconstruction, Scene, reconstruction_losses, windowed
+from dsrc.models.layers.reconstruction import Reconstruction, SceneVoxels, reconstruction_losses, windowed
 from dsrc.models.storage.checkpoint import load_detector, save_detector
+from dsrc.training.initialise import initialise_from, load_teacher
 from dsrc.training.losses import DistillSettings
 from dsrc.training.module import DetectionModule, as_teacher
 from dsrc.training.recipes import of_method
-from dsrc.training.train import _teacher, start_from
 from sim.errors import CheckpointError
 from tests.dsrc.training.drive import frame
 from tests.dsrc.training.runs import tiny
@@ -53,7 +53,7 @@ def test_a_box_that_only_a_collaborator_sees_is_taught(sample: Sample, teacher_f
     batch = collate([sample], settings, training=True)
     assert batch.foreground[:, 2 * row, 2 * column].any()  # it is in the mask of the distillation
     with torch.no_grad():
-        taught = as_teacher(_teacher(teacher_file, settings), batch).fused[0, :, row, column]
+        taught = as_teacher(load_teacher(teacher_file, settings), batch).fused[0, :, row, column]
         ego_alone = as_teacher(load_detector(teacher_file), batch).fused[0, :, row, column]
     assert (taught - ego_alone).norm() > 0.05 * ego_alone.norm()
 
@@ -61,13 +61,13 @@ def test_a_box_that_only_a_collaborator_sees_is_taught(sample: Sample, teacher_f
 def test_a_teacher_of_another_fusion_with_weights_is_refused(teacher_file: Path) -> None:
     settings = of_method(changed(tiny(), model=changed(tiny().model, shrink_channels=16)), "dsrc").settings("student")
     with pytest.raises(CheckpointError, match=r"teacher.pt: fusion: expected v2vnet .* found none"):
-        _teacher(teacher_file, changed(settings, fusion="v2vnet"))
+        load_teacher(teacher_file, changed(settings, fusion="v2vnet"))
 
 
 def test_a_student_can_begin_as_its_teacher_without_the_paint(sample: Sample, teacher_file: Path) -> None:
     settings = of_method(tiny(), "dsrc").settings("student")
     student = Detector(settings).eval()
-    record = start_from(teacher_file, student)
+    record = initialise_from(teacher_file, student)
     assert record["tensors_taken"] == record["tensors"]
     batch = collate([sample], settings, training=True)
     bare = changed(settings, pcp=False, role="teacher", sdd=False)
@@ -75,7 +75,7 @@ def test_a_student_can_begin_as_its_teacher_without_the_paint(sample: Sample, te
     painted = torch.cat([unpainted.teacher.points, torch.zeros(len(unpainted.teacher.points), 1)], dim=1)
     with torch.no_grad():
         found = student(unpainted.teacher, batch.layout).cls
-        teacher = _teacher(teacher_file, settings)
+        teacher = load_teacher(teacher_file, settings)
         expected = teacher(replace(unpainted.teacher, points=painted), batch.layout).cls
     torch.testing.assert_close(found, expected)
 
@@ -89,7 +89,7 @@ def test_what_is_reconstructed_is_the_scene_of_all_agents_also_for_one_that_hear
 def test_a_window_of_the_scene_holds_the_voxels_above_its_cells() -> None:
     marked = torch.arange(8 * 16, dtype=torch.float32).view(1, 1, 8, 16)
     every = torch.stack(torch.meshgrid(*(torch.arange(n) for n in (1, 4, 16, 32)), indexing="ij"), -1).view(-1, 4)
-    scene = Scene(every, every[:, 1:].float(), 1)
+    scene = SceneVoxels(every, every[:, 1:].float(), 1)
     torch.manual_seed(4)
     for _ in range(20):
         cut, part = windowed(marked, scene, 0.5)

@@ -1,13 +1,9 @@
-import sys
-
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from msgspec.structs import replace
 
-import dsrc.data
 from dsrc.models.inputs.batch import pillars_of, scene_of
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
@@ -39,23 +35,22 @@ def test_pillars_are_the_voxelisers(first, second, max_points: int, max_pillars:
     assert found.pillar.tolist() == np.repeat(np.arange(len(coords)), found.count.numpy()).tolist()
 
 
-def bits_of(parts) -> list[bytes]:
-    return [part.numpy().tobytes() for part in parts]
-
-
 @given(st.lists(cropped, min_size=1, max_size=2), st.sampled_from([0.4, 0.5, 4.0]))
-def test_a_batch_is_the_same_with_and_without_a_compiler(merged, cell_z: float):
-    settings = replace(SETTINGS, reconstruction_cell_z_m=cell_z)
-
-    def made() -> list[bytes]:
-        pillars, scene = pillars_of(merged, settings), scene_of(merged, settings)
-        return bits_of((pillars.points, pillars.pillar, pillars.coords, pillars.count, scene.voxel, scene.offset))
-
-    compiled = made()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delattr(dsrc.data, "kernel", raising=False)
-        patch.setitem(sys.modules, "dsrc.data.kernel", None)
-        assert made() == compiled
+def test_a_scenes_voxels_are_those_of_numpy(merged, cell_z: float):
+    scene = scene_of(merged, replace(SETTINGS, reconstruction_cell_z_m=cell_z))
+    shape = (round(4.0 / cell_z), 8, 16)
+    voxels, offsets = [], []
+    for number, cloud in enumerate(merged):
+        place = (cloud[:, 2::-1].astype(np.float64) - (-3.0, -1.6, -3.2)) / (cell_z, 0.4, 0.4)
+        at = np.clip(place, 0, np.array(shape) - 1).astype(np.int64)
+        cells, row, count = np.unique(at @ (128, 16, 1), return_inverse=True, return_counts=True)
+        sums = np.stack([np.bincount(row, cloud[:, axis], len(cells)) for axis in range(3)], axis=1)
+        zyx = np.stack(np.unravel_index(cells, shape), axis=1)
+        centre = (zyx[:, ::-1] + 0.5) * (0.4, 0.4, cell_z) + (-3.2, -1.6, -3.0)
+        voxels += [[number, *cell] for cell in zyx.tolist()]
+        offsets.append((sums / count[:, None] - centre).astype(np.float32))
+    assert scene.voxel.tolist() == voxels
+    assert np.array_equal(scene.offset.numpy(), np.concatenate(offsets))
 
 
 def test_a_voxels_offset_is_that_of_the_mean_of_its_points():

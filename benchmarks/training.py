@@ -1,0 +1,176 @@
+"""Training step: milliseconds of a plain and of a DSRC student, and the share of each part.
+
+Two samples of five agents with 60,000 points each, frames made of formulas (`benchmarks.reading`); recipe `small`, one
+thread, random weights. A step is collation, forward passes, losses, backward pass, clipping and AdamW. The plain
+student with the same fusion is the rival: DSRC adds the teacher's clouds and forward pass, the distillation and the
+reconstruction to each of its steps, and nothing to its use. Students of single clouds (`alone`) are steps of the
+campaign's longest phase.
+
+    python -m benchmarks.training            # a few minutes
+    python -m benchmarks.training --quick    # fewer samples, under 50 s
+"""
+
+import json
+import os
+import sys
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from msgspec.structs import replace
+from rich.console import Console
+from rich.table import Table
+from torch import nn
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.quiet import Timing, measure
+from benchmarks.reading import SAMPLES, make_frame
+from dsrc.data.sample import Sample, make_sample
+from dsrc.models.detector import Detector
+from dsrc.training.datamodule import Collate
+from dsrc.training.module import DetectionModule
+from dsrc.training.recipes import RECIPES, Recipe, of_method
+
+METHODS = {"plain": "attfuse", "dsrc": "dsrc", "plain_alone": "no-collaboration", "dsrc_alone": "dsrc-alone"}
+"""Steps that are timed, and their methods."""
+PARTS = (
+    "collate",
+    "encoder",
+    "backbone",
+    "fusion and heads",
+    "teacher",
+    "reconstruction",
+    "losses",
+    "backward",
+    "optimizer",
+)
+
+
+@dataclass
+class Clock:
+    """Seconds by part, summed over the steps that ran."""
+
+    seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+
+    def watch(self, part: str, module: nn.Module | None) -> None:
+        """Add the forward passes of a module to a part."""
+        if module is None:
+            return
+        started: list[float] = []
+        module.register_forward_pre_hook(lambda *_: started.append(time.perf_counter()))
+        module.register_forward_hook(lambda *_: self._stop(part, started))
+
+    def _stop(self, part: str, started: list[float]) -> None:
+        self.seconds[part] += time.perf_counter() - started.pop()
+
+
+class Step:
+    """Training step of one method on one batch of samples."""
+
+    def __init__(self, recipe: Recipe, samples: list[Sample]) -> None:
+        torch.manual_seed(0)
+        settings = recipe.settings("student")
+        teacher = Detector(recipe.settings("teacher")) if settings.distils else None
+        self.recipe, self.samples = recipe, samples
+        self.module = DetectionModule(recipe, Detector(settings), teacher).train()
+        self.collate = Collate(settings, recipe, training=True)
+        self.optimizer = torch.optim.AdamW(self.module.parameters(), lr=1e-5)
+        self.clock, self.steps = Clock(), 0
+        detector = self.module.detector
+        watched = {
+            "encoder": detector.encoder,
+            "backbone": detector.backbone,
+            "student": detector,
+            "teacher": teacher,
+            "reconstruction": self.module.reconstruction,
+        }
+        for part, module in watched.items():
+            self.clock.watch(part, module)
+
+    def __call__(self) -> None:
+        """Run one step."""
+        times = [time.perf_counter()]
+        batch = self.collate(self.samples)
+        times.append(time.perf_counter())
+        loss = torch.stack(list(self.module.losses(batch).values())).sum()
+        times.append(time.perf_counter())
+        self.optimizer.zero_grad()
+        loss.backward()
+        times.append(time.perf_counter())
+        nn.utils.clip_grad_norm_(self.module.parameters(), self.recipe.clip)
+        self.optimizer.step()
+        times.append(time.perf_counter())
+        for part, seconds in zip(("collate", "forward", "backward", "optimizer"), np.diff(times), strict=True):
+            self.clock.seconds[part] += float(seconds)
+        self.steps += 1
+
+    def shares(self) -> dict[str, float]:
+        """Return the share of each part in a step."""
+        found = self.clock.seconds
+        whole = sum(found[part] for part in ("collate", "forward", "backward", "optimizer"))
+        found = found | {
+            "fusion and heads": found["student"] - found["encoder"] - found["backbone"],
+            "losses": found["forward"] - found["student"] - found["teacher"] - found["reconstruction"],
+        }
+        return {part: found[part] / whole for part in PARTS}
+
+
+def make_samples(recipe: Recipe) -> list[Sample]:
+    """Return the samples of a batch."""
+    return [make_sample(make_frame(index), None, recipe.model.grid) for index in range(SAMPLES)]
+
+
+def make_steps(recipe: Recipe) -> dict[str, Step]:
+    """Return the steps that are timed, by name."""
+    samples = make_samples(recipe)
+    return {name: Step(of_method(recipe, method), samples) for name, method in METHODS.items()}
+
+
+def figures_of(steps: dict[str, Step], timings: dict[str, Timing]) -> dict[str, Any]:
+    """Return the JSON's figures; CPU time, which other processes disturb least."""
+    ms = {name: 1e3 * timing.cpu_s for name, timing in timings.items()}
+    return {
+        **{f"step_ms_{name}": round(value, 1) for name, value in ms.items()},
+        "dsrc_over_plain": round(ms["dsrc"] / ms["plain"], 2),
+        "dsrc_over_plain_alone": round(ms["dsrc_alone"] / ms["plain_alone"], 2),
+        "share": {name: {part: round(v, 3) for part, v in step.shares().items()} for name, step in steps.items()},
+    }
+
+
+def show(console: Console, steps: dict[str, Step], timings: dict[str, Timing]) -> None:
+    """Print the table."""
+    table = Table(title=f"Training step of {SAMPLES} samples, one thread; share of each part", title_justify="left")
+    for column in ("student", "ms", "CPU ms", *PARTS):
+        table.add_column(column, justify="left" if column == "student" else "right")
+    for name, step in steps.items():
+        shares = (f"{share:.0%}" if share else "" for share in step.shares().values())
+        timing = timings[name]
+        table.add_row(name.replace("_", " "), f"{1e3 * timing.wall_s:.0f}", f"{1e3 * timing.cpu_s:.0f}", *shares)
+    console.print(table)
+
+
+def main(quick: bool = False, bfloat16: bool = True) -> None:
+    """Time training steps: a table, then one line of JSON.
+
+    Args:
+        quick: fewer samples.
+        bfloat16: convolutions and matrix products in half the bits, as the campaign's.
+    """
+    torch.set_num_threads(1)
+    steps = make_steps(replace(RECIPES["small"](), bfloat16=bfloat16))
+    rounds, keep = (3, 2) if quick else (15, 7)
+    timings = measure(steps, rounds=rounds, keep=keep, sample_s=0.0)
+    show(Console(width=160, highlight=False), steps, timings)
+    others = float(np.median([timing.load for timing in timings.values()]))
+    facts = {"samples": SAMPLES, "bfloat16": bfloat16, "threads": 1, "cores": os.cpu_count()}
+    print(json.dumps(figures_of(steps, timings) | facts | {"others_load_cores": round(others, 2)}))
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
