@@ -1,0 +1,96 @@
+"""Compiled loops over the points of a cloud: voxels in first-come order, sums of cells."""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from sim.compiled import LOOP
+
+
+@njit(**LOOP)
+def sort_voxels(points: Any, low: Any, size: Any, shape: Any, max_points: Any, max_voxels: Any) -> Any:
+    """Sort points into voxels in first-come order; see `dsrc.ops.pillars.voxelise`.
+
+    Args:
+        points: (P, 3 or more) float32 x, y, z.
+        low: (3,) float32 lower corner of the range.
+        size: (3,) float32 sides of a voxel.
+        shape: (3,) int64 voxels along x, y and z.
+        max_points: cap per voxel.
+        max_voxels: cap on voxels.
+
+    Returns:
+        (K,) int64 rows of the kept points, voxel by voxel; (V,) int64 flat cells of the voxels in z, y, x order and
+        (V,) int64 numbers of their points.
+    """
+    opened = 0
+    voxel_at = np.full(shape[0] * shape[1] * shape[2], -1, np.int32)
+    cells = np.zeros(min(len(points), max_voxels), np.int64)
+    count = np.zeros(len(cells), np.int64)
+    voxel_of = np.full(len(points), -1, np.int32)
+    for point in range(len(points)):
+        x = np.floor((points[point, 0] - low[0]) / size[0])
+        y = np.floor((points[point, 1] - low[1]) / size[1])
+        z = np.floor((points[point, 2] - low[2]) / size[2])
+        if not (x >= 0 and x < shape[0] and y >= 0 and y < shape[1] and z >= 0 and z < shape[2]):
+            continue
+        cell = (np.int64(z) * shape[1] + np.int64(y)) * shape[0] + np.int64(x)
+        voxel = voxel_at[cell]
+        if voxel < 0:
+            if opened == max_voxels:
+                continue
+            voxel = np.int32(opened)
+            voxel_at[cell] = voxel
+            cells[opened] = cell
+            opened += 1
+        if count[voxel] < max_points:
+            voxel_of[point] = voxel
+            count[voxel] += 1
+    place = np.cumsum(count[:opened]) - count[:opened]
+    order = np.zeros(count.sum(), np.int64)
+    for point in range(len(points)):
+        voxel = voxel_of[point]
+        if voxel >= 0:
+            order[place[voxel]] = point
+            place[voxel] += 1
+    return order, cells[:opened], count[:opened]
+
+
+@njit(**LOOP)
+def sum_cells(points: Any, low: Any, size: Any, shape: Any) -> Any:
+    """Sum the points of each cell; points beyond the range count in its outermost cells.
+
+    Args:
+        points: (P, 3 or more) float32 x, y, z.
+        low: (3,) float64 lower corner of the range.
+        size: (3,) float64 sides of a cell.
+        shape: (3,) int64 cells along x, y and z.
+
+    Returns:
+        (V,) int64 flat cells with a point, in z, y, x order, ascending; (V,) int64 numbers of their points and (V, 3)
+        float64 their sums.
+    """
+    found = 0
+    row_of = np.full(shape[0] * shape[1] * shape[2], -1, np.int32)
+    # Sums of a row for each cell with points stay in a processor's cache, those of all cells do not.
+    count = np.zeros(min(len(points), len(row_of)), np.int64)
+    sums = np.zeros((len(count), 3))
+    for point in range(len(points)):
+        cell = 0
+        for axis in (2, 1, 0):
+            place = (np.float64(points[point, axis]) - low[axis]) / size[axis]
+            # A comparison with NaN is false: a NaN counts in the first cell, not outside of the arrays.
+            place = place if place > 0.0 else 0.0
+            cell = cell * shape[axis] + np.int64(min(place, np.float64(shape[axis] - 1)))
+        row = row_of[cell]
+        if row < 0:
+            row = np.int32(found)
+            row_of[cell] = row
+            found += 1
+        count[row] += 1
+        for axis in range(3):
+            sums[row, axis] += np.float64(points[point, axis])
+    cells = np.flatnonzero(row_of >= 0)
+    rows = row_of[cells]
+    return cells, count[rows], sums[rows]
