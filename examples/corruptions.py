@@ -1,4 +1,4 @@
-"""Draw every corruption: one sweep clean, as the physical model and as the published one leave it, by fate.
+"""Pictures of every corruption: one sweep, clean and under each family, coloured by fate.
 
 Usage:
     python examples/corruptions.py --out docs/pictures/corruptions
@@ -19,9 +19,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from sensors.corruptions import CORRUPTIONS, FAMILIES, PAPER, SEVERITIES, Family, corrupt_frame, kinds_of
+from sensors.corruptions import CORRUPTIONS, DEFAULT_SEVERITY, FAMILIES, SEVERITIES, Family, corrupt_frame, kinds_of
 from sensors.frame import Frame
 from sensors.recording.record import record
+from sensors.recording.rig import Rig
 from sensors.sweep import ADDED, ATTENUATED, KEPT, MOVED, SCATTERED, Sweep
 from sim.catalog.load import load_scenario
 from sim.geometry import invert, transform_points
@@ -39,7 +40,7 @@ COLOR = {
     BEFORE: "#4A5566",
     BELIEVED: "#F2E96B",
 }
-"""Colours of what happened to a point."""
+"""Colours by fate of the points."""
 
 RADIUS_M = {
     "motion_blur": 20.0,
@@ -49,12 +50,12 @@ RADIUS_M = {
     "clock_offset": 25.0,
     "noise": 12.0,
 }
-"""How much is seen from above where it is not `WIDE_M` to each side: small displacements need a closer look."""
+"""Half widths of views from above other than `WIDE_M`, for small displacements, m."""
 WIDE_M = 45.0
 FAST = ("motion_blur", "clock_offset", "spray")
-"""What shows at speed is drawn on a motorway."""
+"""Kinds drawn on a motorway: they show at speed."""
 SEVERITY = {"pose_error": 5}
-"""What cannot be seen at severity 3."""
+"""Severities other than 3, for kinds that are invisible at 3."""
 
 SEED = 2
 AFTER_S, INTERVAL_S = 12.0, 0.1
@@ -62,23 +63,23 @@ AFTER_S, INTERVAL_S = 12.0, 0.1
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One column of a picture: a frame, of whose last agent the sweep is drawn."""
+    """Column of a picture: title and frame, whose last agent's sweep is drawn."""
 
     title: str
     frame: Frame
 
     @property
     def sweep(self) -> Sweep:
-        """The sweep that is drawn."""
+        """Drawn sweep."""
         return self.frame.agents[-1].sweep
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of the pictures: one per kind, and all.png")
-    parser.add_argument("--only", nargs="+", choices=CORRUPTIONS, default=list(CORRUPTIONS), help="all when left out")
-    parser.add_argument("--severity", type=int, choices=SEVERITIES, help="3, or what can be seen, when left out")
-    parser.add_argument("--scenario", help="where; a town, or a motorway for what shows at speed, when left out")
+    parser.add_argument("--only", nargs="+", choices=CORRUPTIONS, default=list(CORRUPTIONS), help="default: all")
+    parser.add_argument("--severity", type=int, choices=SEVERITIES, help="default: 3, 5 for pose_error")
+    parser.add_argument("--scenario", help="default: braunschweig, or highway for kinds that show at speed")
     options = parser.parse_args()
     places = {kind: options.scenario or ("highway" if kind in FAST else "braunschweig") for kind in options.only}
     streets = {place: street(place) for place in sorted(set(places.values()))}
@@ -92,22 +93,23 @@ def main() -> None:
 
 
 def street(name: str) -> Frame:
-    """Return one frame of a drive some seconds after its start, by sensors that lose nothing at random."""
+    """Return one frame of a drive some seconds after its start, by sensors without random drop-off."""
     scenario = load_scenario(name)
     steps = round(AFTER_S / INTERVAL_S)
     with SumoTraffic(scenario, SEED) as traffic:
         drive = record(traffic, build_world(scenario, SEED), scenario, SEED, steps + 1, INTERVAL_S)
-    spec = msgspec.structs.replace(drive.vehicle_spec, dropoff_rate=0.0, dropoff_zero_intensity=0.0)
-    return replace(drive, vehicle_spec=spec).frame(steps)
+    spec = msgspec.structs.replace(drive.rig.vehicle_spec, dropoff_rate=0.0, dropoff_zero_intensity=0.0)
+    rig = Rig(scenario, drive.rig.scene, SEED, vehicle_spec=spec)
+    return replace(drive, rig=rig).frame(steps)
 
 
 def draw(clean: Frame, kind: str, severity: int | None) -> Figure:
-    """Return the picture of one kind: from above and as the sensor sees it, clean and by each family."""
-    level = severity or SEVERITY.get(kind, PAPER)
+    """Return the picture of one kind: view from above and sensor image, clean and under each family."""
+    level = severity or SEVERITY.get(kind, DEFAULT_SEVERITY)
     before = Panel("clean", clean)
     families: list[Family] = [family for family in FAMILIES if kind in kinds_of(family)]
     panels = [before, *(Panel(f, corrupt_frame(clean, kind, level, SEED, f)) for f in families)]
-    # An error of the pose or the clock is none of the sensor's: its image stays.
+    # Errors of pose and clock leave the sensor image unchanged.
     images = [] if CORRUPTIONS[kind].spares_ego else panels
     figure = new_figure(
         4.1 * len(panels) + 0.2,
@@ -128,7 +130,7 @@ def draw(clean: Frame, kind: str, severity: int | None) -> Figure:
 
 
 def overview(frames: dict[str, Frame], severity: int | None) -> Figure:
-    """Return the picture of all kinds from above, by their physical models."""
+    """Return the picture of all kinds from above, under their physical models."""
     columns = min(4, len(frames))
     rows = -(-len(frames) // columns)
     size = (3.0 * columns + 0.1, 3.15 * rows + 0.9)
@@ -136,7 +138,7 @@ def overview(frames: dict[str, Frame], severity: int | None) -> Figure:
     room_below_note(figure)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for place, (kind, clean) in zip(axes, frames.items(), strict=False):
-        level = severity or SEVERITY.get(kind, PAPER)
+        level = severity or SEVERITY.get(kind, DEFAULT_SEVERITY)
         after = Panel(kind, corrupt_frame(clean, kind, level, SEED))
         birds_eye(place, after, Panel("clean", clean), RADIUS_M.get(kind, WIDE_M))
         place.set_title(f"{kind.replace('_', ' ')}, {level}")
@@ -148,16 +150,16 @@ def overview(frames: dict[str, Frame], severity: int | None) -> Figure:
 
 
 def room_below_note(figure: Figure) -> None:
-    """Keep panels with titles of two lines off the line below the figure's title."""
+    """Reserve room below the figure's note for panel titles of two lines."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.12 / figure.get_figheight()))
 
 
 def shown(frame: Frame, kind: str) -> Frame:
-    """Return the frame with the agent to look at, its last one: the fastest vehicle.
+    """Return the frame with the drawn agent as its last one: the fastest vehicle.
 
-    Where the ego is left alone it is the fastest other one, after the ego.
+    For kinds that spare the ego: the fastest other one, after the ego.
     """
     vehicles = [row for row, agent in enumerate(frame.agents) if agent.kind == "vehicle"]
     kept = vehicles[:1] if CORRUPTIONS[kind].spares_ego and len(vehicles) > 1 else []
@@ -173,24 +175,24 @@ def note(clean: Frame) -> str:
 
 
 def counts(sweep: Sweep) -> str:
-    """Return how many points have which fate, in words."""
+    """Return the number of points per fate, as text."""
     said = [f"{n:,} {name}" for fate, name in FATES.items() if (n := np.count_nonzero(sweep.fate == fate))]
     return ", ".join(said + [f"{sweep.lost:,} lost"] * (sweep.lost > 0))
 
 
 def lost_points(panel: Panel, clean: Panel) -> Sweep:
-    """Return the points of the clean sweep whose beams do not report them any more."""
+    """Return the lost points of the clean sweep."""
     left = panel.sweep[panel.sweep.object_id != ADDED]
     return clean.sweep[~np.isin(beam_of(clean.sweep), beam_of(left))]
 
 
 def beam_of(sweep: Sweep) -> NDArray[np.int64]:
-    """Return (P,) a number for each beam and return of it."""
+    """Return (P,) keys of ring, column and return number."""
     return (sweep.ring.astype(np.int64) << 32) + (sweep.column.astype(np.int64) << 3) + sweep.return_number
 
 
 def birds_eye(axes: Axes, panel: Panel, clean: Panel, radius_m: float) -> None:
-    """Draw a sweep from above, the agent's true heading upwards, with the true boxes; close by over the clean one."""
+    """Draw a sweep from above, true heading upwards, with the true boxes; close views over the clean sweep."""
     body_from_world = invert(clean.frame.agents[-1].world_from_body)
     axes.set_facecolor(EMPTY)
     size = 0.35 if radius_m >= WIDE_M else 1.2
@@ -213,7 +215,7 @@ def birds_eye(axes: Axes, panel: Panel, clean: Panel, radius_m: float) -> None:
 
 
 def dots(axes: Axes, sweep: Sweep, body_from_world: NDArray[np.float64], name: str, size: float) -> None:
-    """Draw points where their agent believes them to be, in the colour of a name."""
+    """Draw points at their reported places, in the colour of a name."""
     if len(sweep) == 0:
         return
     points = transform_points(body_from_world, sweep.world_points)
@@ -222,7 +224,7 @@ def dots(axes: Axes, sweep: Sweep, body_from_world: NDArray[np.float64], name: s
 
 
 def sensor_image(axes: Axes, panel: Panel, clean: Panel) -> None:
-    """Draw the fates of the nearest returns over ring and column, brighter when near; lost ones by their colour."""
+    """Draw the fates of the nearest returns over ring and column, brighter when near."""
     sweep = panel.sweep
     spec = clean.sweep.spec
     if spec is None:
@@ -242,7 +244,7 @@ def sensor_image(axes: Axes, panel: Panel, clean: Panel) -> None:
 
 
 def legend(figure: Figure) -> None:
-    """State below the picture what those colours mean that are in it."""
+    """Draw the legend of the colours in the picture below it."""
     drawn = {name for axes in figure.axes for name in axes.get_legend_handles_labels()[1]}
     marks = [
         Line2D([], [], marker="o", linestyle="", markersize=5, color=color, label=name)

@@ -1,13 +1,13 @@
-"""Beam missing: some lasers are dead.
+"""Beam missing: dead lasers.
 
 | severity             | 1 | 2 | 3  | 4  | 5  |
 |----------------------|---|---|----|----|----|
 | rings missing, of 64 | 4 | 8 | 16 | 32 | 48 |
 
-Other sensors lose the same share of their rings. Exactly so many different rings are missing, each equally likely, and
-those of a lower severity are among those of a higher one. A dead laser stays dead: with the same stream the same rings
-are missing in every sweep of a sensor, also where they had to be found by their elevation (`rings`) and some have no
-points for a while. Level 3 is the DSRC paper's text, 4 its released code.
+Other sensors lose the same share of their rings. The number of missing rings is exact, each ring is equally likely, and
+those of a lower severity are among those of a higher one. A dead laser stays dead: with the same random stream the same
+rings are missing in every sweep of a sensor, also where rings are estimated by elevation (`rings`) and some of them are
+empty for a while. Level 3 is the DSRC paper's text, 4 its released code.
 """
 
 from typing import Self
@@ -15,7 +15,7 @@ from typing import Self
 import msgspec
 import numpy as np
 
-from sensors.corruptions.physics.levels import at_level, check_range, share_of
+from sensors.corruptions.physics.levels import at_level, check_range, proportional_rings
 from sensors.corruptions.physics.rings import IDENTITIES, rings_of
 from sensors.sweep import Sweep
 
@@ -41,15 +41,15 @@ class BeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def corrupt(sweep: Sweep, severity: int | BeamMissing, rng: np.random.Generator) -> Sweep:
-    """Remove all points of some rings; the other points stay as they are, in order.
+    """Remove all points of some rings; the others are unchanged, in order.
 
     Args:
-        sweep: any sweep; of an unknown sensor the rings that have points count.
+        sweep: any sweep; of an unknown sensor only rings with points count.
         severity: 1 to 5, or the settings.
         rng: draws the dead rings.
 
     Raises:
-        DataError: the sweep does not know its rings and they cannot be found, or they are not its sensor's.
+        DataError: rings are missing and cannot be estimated, or are not those of the sensor.
     """
     settings = severity if isinstance(severity, BeamMissing) else BeamMissing.severity(severity)
     lifetime = rng.random(IDENTITIES)
@@ -58,5 +58,5 @@ def corrupt(sweep: Sweep, severity: int | BeamMissing, rng: np.random.Generator)
     rings = rings_of(sweep, "beam_missing")
     order = np.argsort(lifetime[rings.identity], kind="stable")
     alive = np.ones(rings.count, bool)
-    alive[order[: share_of(rings.count, settings.rings_of_64)]] = False
+    alive[order[: proportional_rings(rings.count, settings.rings_of_64)]] = False
     return sweep[alive[rings.ring]]

@@ -1,21 +1,21 @@
-"""Clock offset: an agent's sweep is older than its stamp says.
+"""Clock offset: sweeps of collaborators older than their timestamps.
 
 | severity                          | 1  | 2  | 3   | 4   | 5   |
 |-----------------------------------|----|----|-----|-----|-----|
-| sweep is late by, on average, ms  | 20 | 50 | 100 | 200 | 400 |
+| mean delay of the sweep, ms       | 20 | 50 | 100 | 200 | 400 |
 
-100 ms is the delay of V2X-ViT's noisy setting (Xu et al., ECCV 2022), 400 ms the worst that it was tried with. Every
-agent has a clock of its own: its sweep is late by the level times a factor from U(0.5, 1.5) that stays for the drive.
+100 ms is the delay of V2X-ViT's noisy setting (Xu et al., ECCV 2022), 400 ms the longest of its experiments. Each
+agent's delay is the level times a factor from U(0.5, 1.5) that stays for the drive.
 
-A sweep that is stamped t but was measured at t - d shows the world as the agent saw it then, and is put at the place
-where the agent is now. With P(t) the agent's true path and v the velocity of what a point lies on,
+A sweep with timestamp t, measured at t - d, shows the scene of t - d from the pose of t. With P(t) the agent's true
+path and v the velocity of a point's surface,
 
     p' = inv(P(t - d)) (P(t) p - v d)        in the sensor frame; the pose at the stamp, P(t), is what is reported
 
-so houses run ahead with a moving agent by its own way in d, a car that drives beside it stays right, and for a
-roadside unit only what moves is displaced. Position and heading run straight on where the path ends or is unknown, and
-objects keep their velocity. What was hidden then and is seen now is not known to a frame: it keeps its points, which
-is the approximation here. Ground truth stays that of t. The ego is not touched: its clock is the one that counts.
+so houses run ahead with a moving agent by its own displacement during d, a car that drives beside it stays right, and
+for a roadside unit only moving objects are displaced. Beyond its ends, or where it is unknown, the path is extrapolated
+straight on, and objects keep their velocity. Approximation: surfaces hidden at t - d and visible at t keep their
+points. Ground truth is that of t. The ego has no delay: its clock is the reference.
 """
 
 from dataclasses import replace
@@ -42,7 +42,7 @@ class ClockOffset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Settings of `in_frame`.
 
     Attributes:
-        late_ms: how much older than its stamp a sweep is, mean over agents, ms.
+        late_ms: delay of a sweep, mean over agents, ms.
     """
 
     late_ms: float = 100.0
@@ -57,13 +57,13 @@ class ClockOffset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def in_frame(frame: Frame, row: int, severity: int | ClockOffset, rng: np.random.Generator) -> Sweep:
-    """Return the sweep of the agent in a row of the frame as it was a little earlier, under the stamp of now.
+    """Return the delayed sweep of the agent in a row of the frame, under its current timestamp.
 
     Args:
         frame: as recorded.
         row: of the agent.
         severity: or settings.
-        rng: of the agent, from its start in every frame of a drive.
+        rng: of the agent, restarted for every frame of a drive.
     """
     settings = severity if isinstance(severity, ClockOffset) else ClockOffset.severity(severity)
     late_s = 1e-3 * settings.late_ms * rng.uniform(1.0 - _SPREAD, 1.0 + _SPREAD)
@@ -72,19 +72,19 @@ def in_frame(frame: Frame, row: int, severity: int | ClockOffset, rng: np.random
         return agent.sweep
     if agent.sweep.motion == "raw":
         known = replace(agent, sweep=deskew(agent.sweep, "middle"))
-        return deskew(_late(frame, known, late_s), "raw")
-    return _late(frame, agent, late_s)
+        return deskew(_delayed(frame, known, late_s), "raw")
+    return _delayed(frame, agent, late_s)
 
 
-def _late(frame: Frame, agent: AgentFrame, late_s: float) -> Sweep:
+def _delayed(frame: Frame, agent: AgentFrame, late_s: float) -> Sweep:
     sweep = agent.sweep
-    path = way(agent)
-    then, now = run_on(path, sweep.time_s - np.array([late_s, 0.0]))
+    path = sensor_path(agent)
+    then, now = extrapolate(path, sweep.time_s - np.array([late_s, 0.0]))
     shift = _velocity(frame, sweep) @ sweep.world_from_lidar[:2, :3] * late_s
     then_from_now = invert(then) @ now
     points = (sweep.points.astype(np.float64) - shift) @ then_from_now[:3, :3].T + then_from_now[:3, 3]
     moved = np.linalg.norm(points - sweep.points, axis=1) > _STILL_M
-    earlier = Path.through(path.time_s, run_on(path, path.time_s - late_s))
+    earlier = Path.through(path.time_s, extrapolate(path, path.time_s - late_s))
     return replace(
         sweep,
         points=np.where(moved[:, None], points, sweep.points).astype(np.float32),
@@ -93,8 +93,8 @@ def _late(frame: Frame, agent: AgentFrame, late_s: float) -> Sweep:
     )
 
 
-def way(agent: AgentFrame) -> Path:
-    """Return the sensor's path; where nobody knows it, straight on at the agent's speed and heading."""
+def sensor_path(agent: AgentFrame) -> Path:
+    """Return the sensor's path; where it is unknown, straight on at the agent's speed and heading."""
     sweep = agent.sweep
     if sweep.path is not None:
         return sweep.path
@@ -104,31 +104,33 @@ def way(agent: AgentFrame) -> Path:
     return Path.through(sweep.time_s + times, poses)
 
 
-def run_on(path: Path, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (T, 4, 4) poses at (T,) times; before its first pose and after its last a path runs straight on."""
+def extrapolate(path: Path, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (T, 4, 4) poses at (T,) times, extrapolated straight on beyond both ends of the path."""
     first, last = path.time_s[[0, -1]]
     reach_s = max(first - time_s.min(), time_s.max() - last, 0.0) + 1.0
     times = np.concatenate([[first - reach_s], path.time_s, [last + reach_s]])
-    xyz, angles = (_run_on(values, path.time_s, reach_s) for values in (path.xyz, path.angles))
+    xyz, angles = (_extrapolate_values(values, path.time_s, reach_s) for values in (path.xyz, path.angles))
     return Path(times, xyz, angles).at(time_s)
 
 
-def _run_on(values: NDArray[np.float64], time_s: NDArray[np.float64], reach_s: float) -> NDArray[np.float64]:
-    """Return (K + 2, 3) the values (K, 3) with one more on either side, so much earlier and later."""
+def _extrapolate_values(
+    values: NDArray[np.float64], time_s: NDArray[np.float64], reach_s: float
+) -> NDArray[np.float64]:
+    """Return (K + 2, 3) the values (K, 3) with an extrapolated one on either side."""
     slope = np.diff(values, axis=0) / np.diff(time_s)[:, None]
     return np.concatenate([[values[0] - slope[0] * reach_s], values, [values[-1] + slope[-1] * reach_s]])
 
 
 def _velocity(frame: Frame, sweep: Sweep) -> NDArray[np.float64]:
-    """Return (P, 2) velocity of what each point lies on, in the world, m/s; 0 for the static world."""
+    """Return (P, 2) velocity of each point's object in the world, m/s; 0 for the static world."""
     owner = _owners(frame, sweep)
     return np.where(owner[:, None] >= 0, np.append(frame.velocity, [[0.0, 0.0]], axis=0)[owner], 0.0)
 
 
 def _owners(frame: Frame, sweep: Sweep) -> NDArray[np.intp]:
-    """Return (P,) the row in `frame.truth` of what each point lies on, -1 for none.
+    """Return (P,) the row of each point's object in `frame.truth`, -1 for none.
 
-    By the points' object ids; in files of other tools, which have none, by the box that a point is in.
+    By the points' object ids; in files without ids by the boxes that contain the points.
     """
     truth = frame.truth
     if len(truth) == 0:

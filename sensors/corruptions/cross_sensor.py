@@ -1,10 +1,10 @@
-"""Cross sensor: a model trained on one LiDAR meets another, with fewer beams, fewer firings and less reach.
+"""Cross sensor: another LiDAR than in training, with fewer beams, fewer firings and a shorter range.
 
 | severity                             | 1   | 2   | 3   | 4   | 5   |
 |--------------------------------------|-----|-----|-----|-----|-----|
 | rings removed, of 64                 | 16  | 32  | 32  | 48  | 48  |
 | one firing kept of                   | 1   | 1   | 2   | 2   | 4   |
-| reach, relative to the sensor's own  | 0.9 | 0.8 | 0.7 | 0.6 | 0.5 |
+| range, relative to the sensor's own  | 0.9 | 0.8 | 0.7 | 0.6 | 0.5 |
 
 The severities make a cheaper sensor of the same kind: rings are removed evenly (ring 0 stays), of the columns every
 second or fourth is fired, and both the farthest range and the range at which dark targets are detected shrink. Instead,
@@ -14,8 +14,8 @@ sensor adds none.
 
 Firings are thinned by azimuth, with one phase for the whole rotation, so the azimuth step of every ring grows as a
 slower sensor's does (Wei 2022, LiDAR-Distillation); thinning a list of points lets the phase slip where a beam had no
-return. Files without columns are given them by azimuth (`_columns`). Nothing is random here. Level 3 has the rings and
-firings of the DSRC paper's code.
+return. Missing columns are estimated by azimuth (`_columns`). The corruption is deterministic. Level 3 has the rings
+and firings of the DSRC paper's code.
 """
 
 from typing import Self
@@ -24,8 +24,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range, share_of
-from sensors.corruptions.physics.receiver import UNKNOWN_RANGE_10_M, least_power, target_power
+from sensors.corruptions.physics.levels import at_level, check_range, proportional_rings
+from sensors.corruptions.physics.receiver import DEFAULT_RANGE_10_M, detection_threshold, target_power
 from sensors.corruptions.physics.rings import Rings, rings_of
 from sensors.presets import get_lidar
 from sensors.spec import LidarSpec
@@ -36,8 +36,8 @@ RINGS_OF_64 = (16, 32, 32, 48, 48)
 KEEP_ONE_OF = (1, 1, 2, 2, 4)
 REACH = (0.9, 0.8, 0.7, 0.6, 0.5)
 
-UNKNOWN_RANGE_MAX_M = 120.0
-"""Farthest range assumed of a sensor that is not known."""
+DEFAULT_RANGE_MAX_M = 120.0
+"""Farthest range of an unknown sensor, m."""
 
 _FULL_TURN = 2.0 * np.pi
 _SAMPLED_RINGS = 8
@@ -48,8 +48,8 @@ class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     Attributes:
         rings_of_64: rings removed from a sensor of 64 rings; from others in proportion.
-        keep_one_of: of so many firings one is kept.
-        reach: farthest range and range of detection, relative to the sensor's own.
+        keep_one_of: n: every n-th firing is kept.
+        reach: farthest range and detection range, relative to the sensor's own.
         target: name of a sensor to become instead; then the numbers above are not used.
     """
 
@@ -76,11 +76,11 @@ class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def corrupt(sweep: Sweep, severity: int | CrossSensor, rng: np.random.Generator) -> Sweep:
-    """Return the points that the other sensor would have had, as they are and in order; `rng` is not used.
+    """Return the points of the other sensor's beams, unchanged and in order; `rng` is unused.
 
     Raises:
-        DataError: the sweep does not know its rings and they cannot be found, they are not its sensor's, or it should
-            become another sensor and has no rings at all.
+        DataError: rings are missing and cannot be estimated, are not those of the sensor, or `target` is set for a
+            sensor without rings.
     """
     settings = severity if isinstance(severity, CrossSensor) else CrossSensor.severity(severity)
     if len(sweep) == 0:
@@ -93,7 +93,7 @@ def corrupt(sweep: Sweep, severity: int | CrossSensor, rng: np.random.Generator)
         limits = (target.range_min_m, target.range_max_m, target.range_10_m)
         return _within_reach(sweep[_beams_like(sweep, rings, target)], *limits)
     present = np.ones(rings.count, bool)
-    present[removed_rings(rings.count, share_of(rings.count, settings.rings_of_64))] = False
+    present[removed_rings(rings.count, proportional_rings(rings.count, settings.rings_of_64))] = False
     kept = present[rings.ring]
     if settings.keep_one_of > 1:
         column, _ = _columns(sweep, rings)
@@ -103,7 +103,7 @@ def corrupt(sweep: Sweep, severity: int | CrossSensor, rng: np.random.Generator)
 
 
 def removed_rings(rings: int, removed: int) -> NDArray[np.int64]:
-    """Return which of `rings` rings go: `removed` of them, evenly, the first of them ring 1."""
+    """Return (removed,) rings to remove of `rings`, evenly spaced, the first of them ring 1."""
     removed = min(removed, rings - 1)
     if removed <= 0:
         return np.zeros(0, np.int64)
@@ -111,25 +111,28 @@ def removed_rings(rings: int, removed: int) -> NDArray[np.int64]:
 
 
 def _own_reach(spec: LidarSpec | None) -> tuple[float, float]:
-    return (UNKNOWN_RANGE_MAX_M, UNKNOWN_RANGE_10_M) if spec is None else (spec.range_max_m, spec.range_10_m)
+    return (DEFAULT_RANGE_MAX_M, DEFAULT_RANGE_10_M) if spec is None else (spec.range_max_m, spec.range_10_m)
 
 
 def _within_reach(sweep: Sweep, nearest: float, farthest: float, range_10_m: float) -> Sweep:
     """Keep the points between two ranges that a sensor of this `LidarSpec.range_10_m` detects.
 
-    Where the intensity is below what the sweep's own sensor could detect, it tells nothing, and the ranges decide.
+    Intensities below the own sensor's detection threshold are uninformative: there the ranges decide.
     """
     reach = sweep.range.astype(np.float64)
     kept = (reach >= nearest) & (reach <= farthest)
-    need, own = least_power(sweep.spec, range_10_m), least_power(sweep.spec, _own_reach(sweep.spec)[1])
-    if need > own:
+    threshold, own = (
+        detection_threshold(sweep.spec, range_10_m),
+        detection_threshold(sweep.spec, _own_reach(sweep.spec)[1]),
+    )
+    if threshold > own:
         power = target_power(sweep, reach)
-        kept &= (power >= need) | (power < own)
+        kept &= (power >= threshold) | (power < own)
     return sweep[kept]
 
 
 def _beams_like(sweep: Sweep, rings: Rings, target: LidarSpec) -> NDArray[np.bool_]:
-    """Return (P,) whether points are of beams that are the nearest to a beam of the target."""
+    """Return (P,) mask of points whose beam is the nearest to a beam of the target."""
     present = np.zeros(rings.count, bool)
     order = np.argsort(rings.elevation, kind="stable")
     present[order[_nearest(rings.elevation[order], target.elevation)]] = True
@@ -145,9 +148,9 @@ def _beams_like(sweep: Sweep, rings: Rings, target: LidarSpec) -> NDArray[np.boo
 
 
 def _nearest(have: NDArray[np.floating], wanted: NDArray[np.floating]) -> NDArray[np.intp]:
-    """Return the rows of ascending (N,) values that are nearest to the (M,) wanted, those of some farther off left out.
+    """Return the rows of ascending (N,) values nearest to the (M,) wanted ones, without matches that are too far.
 
-    Farther off than half the distance to the next value, or half the usual one beyond both ends, is nowhere near.
+    Too far is half the distance to the next value, or half the median distance beyond both ends.
     """
     if len(have) == 1:
         return np.zeros(1, np.intp)
@@ -160,8 +163,8 @@ def _nearest(have: NDArray[np.floating], wanted: NDArray[np.floating]) -> NDArra
 def _columns(sweep: Sweep, rings: Rings) -> tuple[NDArray[np.int64], NDArray[np.floating]]:
     """Return (P,) columns and (C,) the azimuth of each, rad.
 
-    Without columns they follow from the azimuth: the step is that between neighbours in the fullest rings, the phase
-    each ring's own, since beams of a head point to different sides.
+    Missing columns follow from the azimuth: the step is that between neighbours in the fullest rings, the phase each
+    ring's own, since the beams of a head differ in azimuth.
     """
     if sweep.spec is not None and (sweep.column.any() or len(sweep) <= sweep.spec.rings):
         return sweep.column.astype(np.int64) % sweep.spec.columns, sweep.spec.azimuth
@@ -179,7 +182,7 @@ def _columns(sweep: Sweep, rings: Rings) -> tuple[NDArray[np.int64], NDArray[np.
 
 
 def _step(azimuth: NDArray[np.float64]) -> float:
-    """Return the usual azimuth step between neighbouring points, rad; a full turn when there are none."""
+    """Return the median azimuth step between neighbouring points, rad; a full turn without points."""
     steps = np.diff(np.sort(azimuth))
     steps = steps[steps > 1e-5]
     return float(np.median(steps)) if len(steps) else _FULL_TURN

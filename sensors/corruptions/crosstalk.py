@@ -1,20 +1,19 @@
-"""Crosstalk: pulses of other LiDARs are taken for own returns.
+"""Crosstalk: pulses of other LiDARs received as own returns.
 
 | severity                              | 1   | 2 | 3 | 4 | 5 |
 |---------------------------------------|-----|---|---|---|---|
-| beams that a foreign pulse reaches, % | 0.5 | 1 | 2 | 4 | 8 |
+| beams that receive a foreign pulse, % | 0.5 | 1 | 2 | 4 | 8 |
 
-A receiver that hears a foreign pulse is wrong about the time of flight and never about the direction. Sensors do not
-fire in step, so the pulse comes at any time while the beam listens: the false range is uniform between the nearest and
-the farthest that the beam reports. Its power lies anywhere between that of a white target at 100 m (or the faintest
-that is detected, if that is more) and that of one at 10 m, uniform in its logarithm (assumed: the other sensor's light
-comes off all kinds of surfaces).
+A foreign pulse gives a wrong time of flight and a right direction. Sensors are not synchronised, so the pulse arrives
+at any time while the receiver is open: the false range is uniform between the nearest and the farthest range of the
+beam. Its power is log-uniform between that of a white target at 100 m (or the detection threshold, if that is more) and
+that of one at 10 m (assumed: the other sensor's light comes off all kinds of surfaces).
 
 A beam without a return reports the pulse; one with a return reports the stronger of the two, or the farther when the
 sensor reports last returns (of two returns the second competes). Dark and far targets are replaced more often, about
 every second one of a street, so that at level 3 one return in a hundred is false, the share in the DSRC paper. False
-points are on no object; those of beams without a return come after all others. The rest stays bit-identical, and the
-pulses of a severity are among those of the next. Shares are chosen.
+points are on no object; those of beams without a return come after all others. The rest is bit-identical, and the
+pulses of a severity are among those of the next. Shares are assumed.
 """
 
 from dataclasses import replace
@@ -24,23 +23,23 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.cross_sensor import UNKNOWN_RANGE_MAX_M
+from sensors.corruptions.cross_sensor import DEFAULT_RANGE_MAX_M
 from sensors.corruptions.physics.levels import at_level, check_range
-from sensors.corruptions.physics.medium import OF_NOTHING, Echo, open_echoes
-from sensors.corruptions.physics.receiver import BLIND_M, least_power, reported_intensity, target_power
+from sensors.corruptions.physics.medium import NO_SURFACE, Echo, open_echoes
+from sensors.corruptions.physics.receiver import OVERLAP_START_M, detection_threshold, reported_intensity, target_power
 from sensors.sweep import POINT_FIELDS, Sweep, make_sweep
 
 SHARE = (0.005, 0.01, 0.02, 0.04, 0.08)
 
 POWER = (1e-4, 1e-2)
-"""Of the faintest and of the strongest foreign pulse, see `receiver`: white targets at 100 and at 10 m."""
+"""Power of the weakest and the strongest foreign pulse, see `receiver`: white targets at 100 and at 10 m."""
 
 
 class Crosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
-        share: foreign pulses for each beam of a sweep.
+        share: foreign pulses per beam of a sweep.
         range_10_m: see `LidarSpec`; None for what `receiver` takes.
     """
 
@@ -57,7 +56,7 @@ class Crosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -> Sweep:
-    """Replace returns by foreign pulses, and add those that beams without a return hear."""
+    """Replace returns by foreign pulses, and add those of beams without a return."""
     settings = severity if isinstance(severity, Crosstalk) else Crosstalk.severity(severity)
     beams, columns = _beams(sweep)
     drawn = rng.random((round(settings.share * beams), 3))
@@ -67,20 +66,20 @@ def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -
     ring, column = np.divmod(beam, columns or 1)
     nearest, farthest = _window(sweep, ring)
     place = nearest + (farthest - nearest) * quantile[:, 0]
-    need = least_power(sweep.spec, settings.range_10_m)
-    faintest = max(POWER[0], need)
-    power = faintest * (max(POWER[1], need) / faintest) ** quantile[:, 1]
+    threshold = detection_threshold(sweep.spec, settings.range_10_m)
+    faintest = max(POWER[0], threshold)
+    power = faintest * (max(POWER[1], threshold) / faintest) ** quantile[:, 1]
     row = _last_row(sweep, beam, beams, columns)
     returned, silent = np.flatnonzero(row >= 0), np.flatnonzero(row < 0)
     # Of two pulses in one beam the first is added, and the last one that wins replaces the return.
     silent = silent[np.unique(beam[silent], return_index=True)[1]]
-    wins = returned[_wins(sweep, row[returned], place[returned], power[returned], need)]
+    wins = returned[_wins(sweep, row[returned], place[returned], power[returned], threshold)]
     added = open_echoes(sweep, ring[silent], column[silent], Echo(place[silent], power[silent]))
     return _with_false(sweep, row[wins], Echo(place[wins], power[wins]), added)
 
 
 def _beams(sweep: Sweep) -> tuple[int, int | None]:
-    """Return the number of beams and of columns; None where points are beams of their own, for want of columns."""
+    """Return the number of beams and of columns; without columns every point is a beam, and the second is None."""
     spec = sweep.spec
     if spec is None or not (sweep.column.any() or len(sweep) <= 2 * spec.rings):
         return len(sweep), None
@@ -92,7 +91,7 @@ def _beams(sweep: Sweep) -> tuple[int, int | None]:
 
 
 def _last_row(sweep: Sweep, beam: NDArray[np.intp], beams: int, columns: int | None) -> NDArray[np.intp]:
-    """Return (N,) the row of each beam's last return, -1 where it has none."""
+    """Return (N,) the row of each beam's last return, -1 without one."""
     if columns is None:
         return beam
     key = sweep.ring.astype(np.int32) * np.int32(columns) + sweep.column
@@ -110,29 +109,29 @@ def _last_row(sweep: Sweep, beam: NDArray[np.intp], beams: int, columns: int | N
 
 
 def _window(sweep: Sweep, ring: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (N,) nearest and farthest range that beams of some rings report, m."""
+    """Return (N,) nearest and farthest range of beams by their rings, m."""
     if sweep.spec is None:
-        return np.full(len(ring), BLIND_M), np.full(len(ring), UNKNOWN_RANGE_MAX_M)
+        return np.full(len(ring), OVERLAP_START_M), np.full(len(ring), DEFAULT_RANGE_MAX_M)
     nearest, farthest = sweep.spec.beam_range[ring % sweep.spec.rings].T
-    return np.minimum(np.maximum(nearest, BLIND_M), farthest), farthest
+    return np.minimum(np.maximum(nearest, OVERLAP_START_M), farthest), farthest
 
 
 def _wins(
-    sweep: Sweep, row: NDArray[np.intp], place: NDArray[np.float64], power: NDArray[np.float64], need: float
+    sweep: Sweep, row: NDArray[np.intp], place: NDArray[np.float64], power: NDArray[np.float64], threshold: float
 ) -> NDArray[np.bool_]:
-    """Return (N,) whether pulses are reported instead of the returns in some rows."""
+    """Return (N,) mask of pulses that are reported instead of the returns in `row`."""
     points = sweep.points[row]
     reach = np.sqrt(np.einsum("ni,ni->n", points, points)).astype(np.float64)
     if sweep.spec is not None and sweep.spec.returns == "last":
         return place > reach
     columns = {name: getattr(sweep, name)[row] for name in ("intensity", "material", "cosine")}
     own = make_sweep(points, spec=sweep.spec, **columns)
-    return power > np.maximum(target_power(own, reach), need)
+    return power > np.maximum(target_power(own, reach), threshold)
 
 
 def _with_false(sweep: Sweep, row: NDArray[np.integer], echo: Echo, added: Sweep) -> Sweep:
-    """Return the sweep with some points slid along their rays to where their echo seems to be, and others added."""
-    stale = {name for name, value in OF_NOTHING.items() if (getattr(sweep, name)[row] != value).any()}
+    """Return the sweep with some points moved along their rays to the false range, and others added."""
+    stale = {name for name, value in NO_SURFACE.items() if (getattr(sweep, name)[row] != value).any()}
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(sweep, name), getattr(added, name)])
         for name in POINT_FIELDS
@@ -142,5 +141,5 @@ def _with_false(sweep: Sweep, row: NDArray[np.integer], echo: Echo, added: Sweep
     columns["points"][row] *= (echo.range_m / reach)[:, None].astype(np.float32)
     columns["intensity"][row] = reported_intensity(sweep.spec, echo.power, echo.range_m)
     for name in stale:
-        columns[name][row] = OF_NOTHING[name]
+        columns[name][row] = NO_SURFACE[name]
     return replace(sweep, **columns)

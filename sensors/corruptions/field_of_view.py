@@ -1,11 +1,11 @@
-"""Field of view: the sensor sees only a sector, because the rest is blocked, parked or switched off.
+"""Field of view: a sector ahead; the rest is blocked or switched off.
 
 | severity                                | 1    | 2   | 3    | 4   | 5   |
 |-----------------------------------------|------|-----|------|-----|-----|
-| seen to either side of straight ahead, deg | 105  | 90  | 75   | 60  | 45  |
+| visible to either side of ahead, deg    | 105  | 90  | 75   | 60  | 45  |
 
 The angles are those of Dong et al. (CVPR 2023), who count them from +y, which is straight ahead on nuScenes' sensor
-and to the left on most. Here ahead is where x points, unless `middle_deg` says otherwise. Nothing is random.
+and to the left on most. Here ahead is +x, or `middle_deg`. The corruption is deterministic.
 """
 
 import math
@@ -26,7 +26,7 @@ class FieldOfView(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Settings of `corrupt`.
 
     Attributes:
-        half_width_deg: what is seen to either side of the middle.
+        half_width_deg: visible sector to either side of the middle.
         middle_deg: azimuth of the middle, counter-clockwise from straight ahead.
     """
 
@@ -44,7 +44,7 @@ class FieldOfView(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def corrupt(sweep: Sweep, severity: int | FieldOfView, rng: np.random.Generator) -> Sweep:
-    """Keep the points inside the sector, its borders included, as they are; `rng` is not used."""
+    """Keep the points inside the sector, borders included, unchanged; `rng` is unused."""
     settings = severity if isinstance(severity, FieldOfView) else FieldOfView.severity(severity)
     if settings.half_width_deg == 180.0:
         return sweep

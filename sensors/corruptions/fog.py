@@ -1,4 +1,4 @@
-"""Fog: it dims what lies behind it and answers the pulse itself (Hahner et al., ICCV 2021).
+"""Fog: attenuated targets and backscatter of the fog itself (Hahner et al., ICCV 2021).
 
 | severity                                     | 1     | 2    | 3    | 4    | 5    |
 |----------------------------------------------|-------|------|------|------|------|
@@ -7,18 +7,17 @@
 | backscatter 0.046 / visibility, 1/(km sr)    | 0.115 | 0.23 | 0.46 | 0.92 | 1.84 |
 
 The paper gives no number. Level 3 is the 0.03 per metre of its released code's draw (0 to 0.06), and a target of
-reflectivity 0.15 then drowns in the fog beyond some 40 m, where that code's fog takes over.
+reflectivity 0.15 then drowns in the fog beyond some 40 m, as in that code.
 
 A target at range r returns power exp(-2 alpha r), the fog its own echo (`fog_echo`). The sensor reports the stronger
-one, if it detects it at all (`medium`). What differs from the published code, because a sensor's physics asks for it:
+one, if it reaches the detection threshold (`medium`). Differences from the published code, for physical reasons:
 
 * Backscatter follows from the visibility instead of being a second, free number.
-* The echo of the fog depends on the fog and the sensor, not on how bright the target behind it happens to be: dark
-  targets drown first. (In homogeneous fog a target of intensity 1 drowns at exactly the published range.)
-* A return too weak for the receiver is lost, and fog answers in beams that hit nothing.
-* The fog's return lies where its waveform says, without the half pulse by which the published table is too far, and it
-  is as dim as fog is. It is never behind its target. That fog is patchy spreads the returns, which the published code
-  leaves to an added noise.
+* The echo of the fog depends on the fog and the sensor, not on the brightness of the target behind it: dark targets
+  drown first. (In homogeneous fog a target of intensity 1 drowns at exactly the published range.)
+* Returns below the detection threshold are lost, and beams without a target return fog.
+* The fog's return has the range of its waveform, without the half pulse by which the published table is too far, and
+  the intensity of fog. It is never behind its target. Patchiness spreads the returns; the published code adds noise.
 """
 
 import math
@@ -30,7 +29,7 @@ from numpy.typing import NDArray
 
 from sensors.corruptions.physics.fog_echo import MOST_EXTINCTION, fog_echo
 from sensors.corruptions.physics.levels import at_level, check_range
-from sensors.corruptions.physics.medium import Echo, Sight, look, report
+from sensors.corruptions.physics.medium import Echo, Rays, rays_of, report
 from sensors.sweep import Sweep
 
 VISIBILITY_M = (400.0, 200.0, 100.0, 50.0, 25.0)
@@ -39,10 +38,10 @@ TARGET_BACKSCATTER = 1e-6 / math.pi
 """Backscatter of a target of intensity 1 on the scale of the echo's integral (Hahner 2021, beta_0).
 
 The published figure is kept. In its units a white surface would have 2 / (pi c) = 2.1e-9 s/m, so that fog would be 150
-times as loud: real receivers turn down what they hear from up close, by how much is not known."""
+times as strong: real receivers reduce their gain at close range, by an unpublished amount."""
 
-UNKNOWN_PULSE_S = 2e-8
-"""Length at half power of the pulse when the sensor is not known (Hahner 2021)."""
+DEFAULT_PULSE_S = 2e-8
+"""Pulse length at half power of an unknown sensor, s (Hahner 2021)."""
 
 _CONTRAST = math.log(20.0)
 _BACKSCATTER = 0.046
@@ -54,7 +53,7 @@ class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     Attributes:
         extinction: alpha, 1/m.
         backscatter: beta, 1/(m sr).
-        patchiness: how much the fog's density varies within metres, see `fog_echo`: at 0.4 by as much as its mean.
+        patchiness: of the fog's density within metres, see `fog_echo`: 0.4 for a deviation as large as the mean.
         pulse_s: pulse length at half power; None for the sensor's own.
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
@@ -69,11 +68,11 @@ class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         check_range("Fog", "extinction", self.extinction, 0.0, MOST_EXTINCTION)
         check_range("Fog", "backscatter", self.backscatter, 0.0, 10.0)
         check_range("Fog", "patchiness", self.patchiness, 1e-3, 0.45)
-        check_range("Fog", "pulse_s", UNKNOWN_PULSE_S if self.pulse_s is None else self.pulse_s, 1e-12, 1e-6)
+        check_range("Fog", "pulse_s", DEFAULT_PULSE_S if self.pulse_s is None else self.pulse_s, 1e-12, 1e-6)
 
     @classmethod
     def of_visibility(cls, visibility_m: float) -> Self:
-        """Return the fog in which one sees so far: contrast falls to 5 % (WMO), droplets as in Rasshofer 2011."""
+        """Return the fog of a visibility: contrast falls to 5 % (WMO), droplets as in Rasshofer 2011."""
         check_range("Fog", "visibility_m", visibility_m, _CONTRAST / MOST_EXTINCTION, math.inf)
         return cls(extinction=_CONTRAST / visibility_m, backscatter=_BACKSCATTER / visibility_m)
 
@@ -83,32 +82,32 @@ class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return cls.of_visibility(at_level(VISIBILITY_M, level))
 
     def scaled(self, factor: float) -> Self:
-        """Return fog with so many times the droplets, up to the densest that there is."""
+        """Return fog with `factor` times the droplets, at most the densest."""
         extinction = min(factor * self.extinction, MOST_EXTINCTION)
         return msgspec.structs.replace(self, extinction=extinction, backscatter=min(factor * self.backscatter, 10.0))
 
 
 def corrupt(sweep: Sweep, severity: int | Fog, rng: np.random.Generator) -> Sweep:
-    """Dim, replace or lose the returns; fog's own lie on the same rays, nearer, and on rays that hit nothing."""
+    """Dim, replace or remove returns; the fog's lie nearer on the same rays, and on rays without a target."""
     fog = severity if isinstance(severity, Fog) else Fog.severity(severity)
     if fog.extinction == fog.backscatter == 0.0:
         return sweep
-    sight = look(sweep, fog.range_10_m, rng)
-    through = np.exp(-2.0 * fog.extinction * sight.reach[: len(sweep)])
-    return report(sight, through, _answer(fog, sight, through, rng))
+    rays = rays_of(sweep, fog.range_10_m, rng)
+    transmission = np.exp(-2.0 * fog.extinction * rays.reach[: len(sweep)])
+    return report(rays, transmission, _answer(fog, rays, transmission, rng))
 
 
-def _answer(fog: Fog, sight: Sight, through: NDArray[np.float64], rng: np.random.Generator) -> Echo:
-    """Draw the fog's echo on each line of sight where it could be louder than what else there is."""
-    echo = fog_echo(fog.extinction, _pulse(sight.sweep, fog), fog.patchiness)
-    strength, quantile = sight.draw(rng.standard_exponential), sight.draw(rng.random)
+def _answer(fog: Fog, rays: Rays, transmission: NDArray[np.float64], rng: np.random.Generator) -> Echo:
+    """Draw the fog's echo on each ray where it could exceed the target and the threshold."""
+    echo = fog_echo(fog.extinction, _pulse(rays.sweep, fog), fog.patchiness)
+    strength, quantile = rays.draw(rng.standard_exponential), rays.draw(rng.random)
     scale = fog.backscatter / TARGET_BACKSCATTER
-    floor = sight.floor(through)
+    floor = rays.floor(transmission)
     # As strong as all the fog that there is, then as the fog before the target, where that could be enough.
     line = np.flatnonzero(scale * echo.strongest(echo.cumulated[-1], strength) > floor)
-    near, far = sight.near[line], sight.reach[line]
+    near, far = rays.near[line], rays.reach[line]
     between = np.maximum(echo.cells(far) - echo.cells(near), 0.0)
-    answer = Echo(np.zeros(len(sight)), np.zeros(len(sight)))
+    answer = Echo(np.zeros(len(rays)), np.zeros(len(rays)))
     answer.power[line] = scale * echo.strongest(between, strength[line])
     answer.range_m[line] = echo.place(quantile[line], near, far)
     return answer
@@ -117,4 +116,4 @@ def _answer(fog: Fog, sight: Sight, through: NDArray[np.float64], rng: np.random
 def _pulse(sweep: Sweep, fog: Fog) -> float:
     if fog.pulse_s is not None:
         return fog.pulse_s
-    return UNKNOWN_PULSE_S if sweep.spec is None else sweep.spec.pulse_s
+    return DEFAULT_PULSE_S if sweep.spec is None else sweep.spec.pulse_s

@@ -1,18 +1,18 @@
-"""Incomplete echo: dark, glossy vehicles send too little light back, and their points are missing.
+"""Incomplete echo: missing points on dark, glossy vehicles, which return too little light.
 
 | severity                                   | 1  | 2  | 3  | 4  | 5  |
 |--------------------------------------------|----|----|----|----|----|
 | share of the points on vehicles lost, %    | 25 | 50 | 75 | 85 | 95 |
 
-Of the n points on vehicles `int(share n)` are lost, those first whose surface sends the least light back: dark paint
-before light paint, panels seen at a grazing angle before those seen squarely, plates and reflectors last; so dark cars
-are gone when light ones still have half their points. How much light that is, the intensity says, or the material and
-the angle of incidence where it does not (`receiver.target_power`); speckle, a gamma law of 4 independent cells, blurs
-the order, and alone decides where nothing is known. What is lost at a severity is lost at the next.
+Of the n points on vehicles `int(share n)` are lost, the weakest returns first: dark paint before light paint, panels at
+grazing incidence before those seen squarely, plates and reflectors last; so dark cars are gone when light ones still
+have half their points. The returned light follows from the intensity, or else from material and angle of incidence
+(`receiver.target_power`); speckle, a gamma law of 4 independent cells, blurs the order, and alone decides where both
+are unknown. Points lost at a severity are lost at the next.
 
-The shares of levels 3 to 5 are Robo3D's light, moderate and heavy; there points are lost at random. Which points are on
-vehicles, ids and materials say; a frame knows the classes of its objects and, for files without ids, their boxes
-(`in_frame`). Bicycles and motorcycles count, people do not. Nothing else is touched.
+The shares of levels 3 to 5 are Robo3D's light, moderate and heavy; there points are lost at random. Points on vehicles
+follow from ids and materials; a frame adds the classes of its objects and, for files without ids, their boxes
+(`in_frame`). Bicycles and motorcycles count, people do not.
 """
 
 from typing import Self
@@ -60,13 +60,13 @@ def corrupt(
     rng: np.random.Generator,
     on_vehicle: NDArray[np.bool_] | None = None,
 ) -> Sweep:
-    """Remove the faintest points on vehicles; the others stay as they are, in order.
+    """Remove the weakest returns on vehicles; the others are unchanged, in order.
 
     Args:
         sweep: any sweep.
         severity: 1 to 5, or the settings.
         rng: draws the speckle.
-        on_vehicle: (P,) which points are on vehicles; left out, objects that are not made of a person's materials.
+        on_vehicle: (P,) mask of points on vehicles; default: objects without a person's materials.
     """
     settings = severity if isinstance(severity, IncompleteEcho) else IncompleteEcho.severity(severity)
     on = np.flatnonzero(_on_vehicles(sweep) if on_vehicle is None else on_vehicle)
@@ -81,7 +81,7 @@ def corrupt(
 
 
 def in_frame(frame: Frame, row: int, severity: int | IncompleteEcho, rng: np.random.Generator) -> Sweep:
-    """Return the sweep of the agent in a row of `frame.agents`, whose vehicles the frame knows."""
+    """Return the sweep of the agent in a row of `frame.agents`, vehicles by the frame's truth."""
     sweep = frame.agents[row].sweep
     ours = frame.truth.label != CLASSES.index("pedestrian")
     vehicles = frame.truth[ours]
@@ -89,7 +89,7 @@ def in_frame(frame: Frame, row: int, severity: int | IncompleteEcho, rng: np.ran
         return corrupt(sweep, severity, rng, np.isin(sweep.object_id, vehicles.object_id))
     points, inside = sweep.world_points, np.zeros(len(sweep), bool)
     for index, velocity in enumerate(frame.velocity[ours]):
-        # Where the point would lie had the beam fired at the time of the boxes.
+        # Place of the point at the time of the boxes.
         way = velocity * (sweep.time_s + sweep.time_offset - frame.time_s)[:, None]
         then = points - np.column_stack([way, np.zeros(len(sweep))])
         inside |= vehicles[index : index + 1].contains(then, _MARGIN_M)[0]
@@ -103,6 +103,6 @@ def _on_vehicles(sweep: Sweep) -> NDArray[np.bool_]:
 
 
 def _brightness(sweep: Sweep) -> NDArray[np.float64]:
-    """Return (P,) the light that the points' surfaces send back, relative to a white one seen squarely."""
+    """Return (P,) returned light, relative to a white surface at normal incidence."""
     reach = sweep.range.astype(np.float64)
     return target_power(sweep, reach) * reach**2

@@ -1,28 +1,28 @@
-"""Motion blur: during a sweep the sensor drives, turns and shakes, objects move, and not all of it is compensated.
+"""Motion blur: uncompensated motion of the sensor and of objects during a sweep, and vibration of the mount.
 
 | severity                                              | 1     | 2     | 3    | 4    | 5    |
 |-------------------------------------------------------|-------|-------|------|------|------|
-| own motion during the sweep that odometry misses      | 0.1   | 0.25  | 0.5  | 0.75 | 1    |
-| time that the sweep takes longer                      | 0.1   | 0.25  | 0.5  | 0.75 | 1    |
-| shaking, root mean square of each axis, m             | 0.002 | 0.005 | 0.01 | 0.02 | 0.04 |
-| shaking, root mean square of each axis, deg/s         | 2     | 5     | 10   | 20   | 40   |
+| share of the own motion that odometry misses          | 0.1   | 0.25  | 0.5  | 0.75 | 1    |
+| relative increase of the sweep's duration             | 0.1   | 0.25  | 0.5  | 0.75 | 1    |
+| vibration, root mean square of each axis, m           | 0.002 | 0.005 | 0.01 | 0.02 | 0.04 |
+| vibration, root mean square of each axis, deg/s       | 2     | 5     | 10   | 20   | 40   |
 
 A beam that fires at t measures p_t in the sensor frame at t. With G(t) the sensor's true pose relative to the reference
-time, B(t) the pose that odometry believes and S(t) the shaking, the driver delivers
+time, B(t) the pose by odometry and S(t) the vibration, the driver delivers
 
     p = B(t) S(t) p_t,    p_t = inv(G(t)) p_true
 
 B moves and turns the share `1 - missed_motion` of what G does: with 1 the sweep is not compensated at all. S is a sum
 of sines of 8 to 30 Hz, between a car's wheel hop and the resonance of a mast, too fast for odometry; 10 deg/s at 15 Hz
-are 0.1 degrees. Raw sweeps, which nobody has compensated, only shake.
+are 0.1 degrees. Raw, uncompensated sweeps only vibrate.
 
-Objects that move are smeared by the rolling shutter already; a sweep that takes longer (a sensor at 5 Hz instead of
-10 is 1 longer) smears them by velocity * t * `slower` more. Their velocities are known to frames, see `in_frame`.
+Moving objects are smeared by the rolling shutter already; a longer sweep (1 for a sensor at 5 Hz instead of 10) smears
+them by velocity * t * `slower` more. Their velocities are those of the frame, see `in_frame`.
 
-The sensor's motion is that of `Sweep.path`; without one a frame knows the agent's speed; without that it only shakes.
-Firing times that a sweep lacks, as CARLA's do, follow from the columns, or from the azimuth at 10 Hz. Every point stays
-a return of its object with its intensity: motion does not blur an intensity. All numbers are chosen: level 3 displaces
-points 20 m away by 0.2 m at a speed of 10 m/s, the deviation of the DSRC paper's jitter.
+The sensor's motion is that of `Sweep.path`, else the agent's speed in the frame, else none. Missing firing times, as in
+CARLA's sweeps, follow from the columns, or from the azimuth at 10 Hz. Every point stays a return of its object with its
+intensity. All numbers are assumed: level 3 displaces points 20 m away by 0.2 m at a speed of 10 m/s, the deviation of
+the DSRC paper's jitter.
 """
 
 from dataclasses import dataclass, replace
@@ -44,8 +44,8 @@ SLOWER = (0.1, 0.25, 0.5, 0.75, 1.0)
 SHAKE_M = (0.002, 0.005, 0.01, 0.02, 0.04)
 SHAKE_DEG_S = (2.0, 5.0, 10.0, 20.0, 40.0)
 
-UNKNOWN_PERIOD_S = 0.1
-"""Duration of a sweep whose sensor is not known."""
+DEFAULT_PERIOD_S = 0.1
+"""Duration of a sweep of an unknown sensor, s."""
 
 _SHAKE_HZ = (8.0, 30.0)
 _SINES = 4
@@ -56,10 +56,10 @@ class MotionBlur(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Settings of `corrupt`.
 
     Attributes:
-        missed_motion: share of the sensor's own motion during the sweep that odometry misses.
-        slower: time that the sweep takes longer, relative to its own duration.
-        shake_m: root mean square of the shaking along each axis, m.
-        shake_deg_s: root mean square of the rate of turning about each axis, deg/s.
+        missed_motion: share of the sensor's motion during the sweep that odometry misses.
+        slower: increase of the sweep's duration, relative to it.
+        shake_m: root mean square of the vibration along each axis, m.
+        shake_deg_s: root mean square of the angular rate about each axis, deg/s.
     """
 
     missed_motion: float = 0.5
@@ -85,11 +85,11 @@ class MotionBlur(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motions:
-    """How things move around a sweep, as a frame knows it.
+class SceneVelocities:
+    """Velocities of the sensor and the objects of a frame.
 
     Attributes:
-        sensor: (3,) velocity of the sensor in its own frame, m/s; used when the sweep does not know its path.
+        sensor: (3,) velocity of the sensor in its own frame, m/s; used for sweeps without a path.
         object_id: (N,) ids, ascending.
         velocity: (N, 3) of the objects in the world, m/s.
     """
@@ -99,20 +99,22 @@ class Motions:
     velocity: NDArray[np.float64]
 
 
-_STILL = Motions(np.zeros(3), np.zeros(0, np.int64), np.zeros((0, 3)))
+_STILL = SceneVelocities(np.zeros(3), np.zeros(0, np.int64), np.zeros((0, 3)))
 
 
-def corrupt(sweep: Sweep, severity: int | MotionBlur, rng: np.random.Generator, motions: Motions = _STILL) -> Sweep:
-    """Displace points by what moves during the sweep.
+def corrupt(
+    sweep: Sweep, severity: int | MotionBlur, rng: np.random.Generator, velocities: SceneVelocities = _STILL
+) -> Sweep:
+    """Displace points by uncompensated motion, vibration and moving objects.
 
     Args:
         sweep: any sweep.
         severity: 1 to 5, or the settings.
-        rng: draws the shaking; the same, only weaker, at a lower severity.
-        motions: what else is known to move.
+        rng: draws the vibration; the same, only weaker, at a lower severity.
+        velocities: of sensor and objects, from the frame.
 
     Raises:
-        DataError: the firing times are no numbers.
+        DataError: firing times are NaN or infinite.
     """
     settings = severity if isinstance(severity, MotionBlur) else MotionBlur.severity(severity)
     hertz = _SHAKE_HZ[0] * (_SHAKE_HZ[1] / _SHAKE_HZ[0]) ** rng.random((6, _SINES))
@@ -124,14 +126,14 @@ def corrupt(sweep: Sweep, severity: int | MotionBlur, rng: np.random.Generator, 
     if not np.isfinite(last - first):
         raise DataError(complaint("motion_blur", "time_offset", "finite firing times", "nan or inf"))
     time_s = np.linspace(first, last, _INSTANTS if last > first else 1)
-    change = _shake(settings, hertz, phase, time_s)
+    change = _vibration(settings, hertz, phase, time_s)
     if sweep.motion != "raw":
-        change = _missed(sweep, settings, motions, time_s, change)
+        change = _uncompensated(sweep, settings, velocities, time_s, change)
     step = np.zeros(len(sweep), np.intp)
     if last > first:
         step = ((fired_s - first) * ((_INSTANTS - 1) / (last - first)) + 0.5).astype(np.intp)
     points = sweep.points + _displacement(sweep.points, (change - np.eye(4)).astype(np.float32), step)
-    on, velocity = _object_velocities(sweep, motions)
+    on, velocity = _object_velocities(sweep, velocities)
     points[on] += (velocity * (settings.slower * fired_s[on, None])).astype(np.float32)
     x, y, z = (points != sweep.points).T
     changed = (x | y | z) & (sweep.fate != SCATTERED)
@@ -139,13 +141,15 @@ def corrupt(sweep: Sweep, severity: int | MotionBlur, rng: np.random.Generator, 
 
 
 def in_frame(frame: Frame, row: int, severity: int | MotionBlur, rng: np.random.Generator) -> Sweep:
-    """Return the blurred sweep of the agent in a row of `frame.agents`, whose objects' velocities the frame knows."""
+    """Return the blurred sweep of the agent in a row of `frame.agents`, with the velocities of the frame's objects."""
     agent = frame.agents[row]
     forward = agent.sweep.world_from_lidar[:3, :3].T @ agent.world_from_body[:3, 0]
     order = np.argsort(frame.truth.object_id, kind="stable")
     velocity = np.zeros((len(order), 3))
     velocity[:, :2] = frame.velocity[order]
-    return corrupt(agent.sweep, severity, rng, Motions(agent.speed * forward, frame.truth.object_id[order], velocity))
+    return corrupt(
+        agent.sweep, severity, rng, SceneVelocities(agent.speed * forward, frame.truth.object_id[order], velocity)
+    )
 
 
 def _firing_offsets(sweep: Sweep) -> NDArray[np.float32]:
@@ -156,49 +160,49 @@ def _firing_offsets(sweep: Sweep) -> NDArray[np.float32]:
     if spec is not None and not spec.prisms and (len(sweep) <= spec.rings or sweep.column.any()):
         share = (sweep.column % spec.columns + 0.5) / spec.columns - 0.5
         return (share * spec.period_s).astype(np.float32)
-    period_s = UNKNOWN_PERIOD_S if spec is None else spec.period_s
+    period_s = DEFAULT_PERIOD_S if spec is None else spec.period_s
     return np.arctan2(sweep.points[:, 1], sweep.points[:, 0]) * np.float32(period_s / (2.0 * np.pi))
 
 
-def _shake(
+def _vibration(
     settings: MotionBlur, hertz: NDArray[np.float64], phase: NDArray[np.float64], time_s: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return (T, 4, 4) the shaking at some times: three axes of translation, then three of rotation."""
+    """Return (T, 4, 4) vibration at (T,) times; axes: three of translation, then three of rotation."""
     sines = np.sin(2.0 * np.pi * hertz[..., None] * time_s + phase[..., None]) * np.sqrt(2.0 / _SINES)
-    turn = np.radians(settings.shake_deg_s) * (sines[3:] / (2.0 * np.pi * hertz[3:, :, None])).sum(axis=1)
-    return _poses(settings.shake_m * sines[:3].sum(axis=1).T, turn.T)
+    rotation = np.radians(settings.shake_deg_s) * (sines[3:] / (2.0 * np.pi * hertz[3:, :, None])).sum(axis=1)
+    return _poses(settings.shake_m * sines[:3].sum(axis=1).T, rotation.T)
 
 
-def _missed(
+def _uncompensated(
     sweep: Sweep,
     settings: MotionBlur,
-    motions: Motions,
+    velocities: SceneVelocities,
     time_s: NDArray[np.float64],
     shake: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return (T, 4, 4) what takes a truly compensated point to where it is delivered, for firings at some times."""
+    """Return (T, 4, 4) delivered_from_true transforms of points that fire at (T,) times."""
     if sweep.path is None:
-        way, turn = motions.sensor * time_s[:, None], np.zeros((len(time_s), 3))
+        translation, rotation = velocities.sensor * time_s[:, None], np.zeros((len(time_s), 3))
     else:
         now = sweep.path.at(np.array([sweep.time_s]))
         true = invert(now) @ sweep.path.at(sweep.time_s + time_s)
-        way, turn = true[:, :3, 3], Rotation.from_matrix(true[:, :3, :3]).as_rotvec()
+        translation, rotation = true[:, :3, 3], Rotation.from_matrix(true[:, :3, :3]).as_rotvec()
     believed = 1.0 - settings.missed_motion
-    return _poses(believed * way, believed * turn) @ shake @ invert(_poses(way, turn))
+    return _poses(believed * translation, believed * rotation) @ shake @ invert(_poses(translation, rotation))
 
 
-def _poses(way: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
+def _poses(translation: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (T, 4, 4) poses of (T, 3) positions and (T, 3) rotation vectors."""
-    poses = np.tile(np.eye(4), (len(way), 1, 1))
-    poses[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix()
-    poses[:, :3, 3] = way
+    poses = np.tile(np.eye(4), (len(translation), 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(rotation).as_matrix()
+    poses[:, :3, 3] = translation
     return poses
 
 
 def _displacement(
     points: NDArray[np.float32], change: NDArray[np.float32], step: NDArray[np.intp]
 ) -> NDArray[np.float32]:
-    """Return (P, 3) what (T, 4, 4) transforms less the identity add to points, each by the one of its step (P,)."""
+    """Return (P, 3) displacement of points by (T, 4, 4) transforms less the identity, selected by `step` (P,)."""
     x, y, z = np.ascontiguousarray(points.T)
     moved = np.zeros_like(points)
     for axis in range(3):
@@ -207,13 +211,13 @@ def _displacement(
     return moved
 
 
-def _object_velocities(sweep: Sweep, motions: Motions) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return (M,) rows of points on objects that move and their (M, 3) velocities in the sensor frame, m/s."""
-    moving = motions.velocity.any(axis=1)
-    ids = motions.object_id[moving]
+def _object_velocities(sweep: Sweep, velocities: SceneVelocities) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return (M,) rows of points on moving objects and their (M, 3) velocities in the sensor frame, m/s."""
+    moving = velocities.velocity.any(axis=1)
+    ids = velocities.object_id[moving]
     on = np.flatnonzero(sweep.object_id >= 0) if len(ids) else np.zeros(0, np.intp)
     if len(on) == 0:
         return on, np.zeros((0, 3))
     slot = np.minimum(np.searchsorted(ids, sweep.object_id[on]), len(ids) - 1)
     hit = ids[slot] == sweep.object_id[on]
-    return on[hit], (motions.velocity[moving] @ sweep.world_from_lidar[:3, :3])[slot[hit]]
+    return on[hit], (velocities.velocity[moving] @ sweep.world_from_lidar[:3, :3])[slot[hit]]

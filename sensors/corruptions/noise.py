@@ -1,14 +1,14 @@
-"""Noise: coordinates that are wrong at random, by a bad clock, bad encoders or a bad interface.
+"""Noise: random errors of coordinates, by a bad clock, encoder or interface.
 
 | severity                                    | 1    | 2    | 3    | 4    | 5    |
 |---------------------------------------------|------|------|------|------|------|
 | gaussian: standard deviation, m             | 0.02 | 0.04 | 0.06 | 0.08 | 0.10 |
 | uniform: half width, m                      | 0.02 | 0.04 | 0.06 | 0.08 | 0.10 |
-| impulse: one point of so many               | 30   | 25   | 20   | 15   | 10   |
-| impulse: its coordinates are off by +- m    | 0.1  | 0.1  | 0.1  | 0.1  | 0.1  |
+| impulse: one point of n                     | 30   | 25   | 20   | 15   | 10   |
+| impulse: error of each coordinate, +- m     | 0.1  | 0.1  | 0.1  | 0.1  | 0.1  |
 
-Numbers and kinds are those of Dong et al. (CVPR 2023), who add the noise to all columns; here coordinates alone are
-noisy: an intensity is no coordinate, nor is a ring. All three draw the same numbers at every severity, so that noise
+Numbers and kinds are those of Dong et al. (CVPR 2023), who add the noise to all columns, intensity and ring included;
+here only coordinates are noisy. All three draw the same numbers at every severity, so that noise
 grows with it point by point, and the points hit by impulses at a severity are hit at the next.
 """
 
@@ -32,8 +32,8 @@ class Noise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     Attributes:
         how: distribution of the displacement.
         size_m: standard deviation (gaussian) or half width (uniform) of each coordinate, m.
-        one_of: impulses hit one point of so many, each with the same chance.
-        impulse_m: and displace each of its coordinates by this, up or down, m.
+        one_of: n: impulses hit one point of n, each with the same chance.
+        impulse_m: displacement of each coordinate by an impulse, up or down, m.
     """
 
     how: Literal["gaussian", "uniform", "impulse"] = "gaussian"
@@ -53,7 +53,7 @@ class Noise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def corrupt(sweep: Sweep, severity: int | Noise, rng: np.random.Generator) -> Sweep:
-    """Displace points; every one is still a return of its object, with its intensity."""
+    """Displace points; each stays a return of its object, with its intensity."""
     settings = severity if isinstance(severity, Noise) else Noise.severity(severity)
     if settings.how == "impulse":
         return _with_impulses(sweep, settings, rng)

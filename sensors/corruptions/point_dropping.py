@@ -1,4 +1,4 @@
-"""Point dropping: returns are lost at random, or in patches that something covers.
+"""Point dropping: returns lost at random, or in patches of a covered window.
 
 | severity                  | 1  | 2  | 3  | 4  | 5  |
 |---------------------------|----|----|----|----|----|
@@ -6,10 +6,10 @@
 | patches of 2 % each       | 2  | 3  | 5  | 7  | 10 |
 
 Shares and patches are those of Dong et al. (CVPR 2023, `density` and `cutout`). `scattered` loses single beams, as
-packets and faint returns are lost; `patches` loses all that lies in so many directions, as drops, dirt and insects on
-the window do. A patch is a disc around one point as the sensor sees it, and holds the 2 % of the points nearest to its
-middle, so patches may overlap. (The reference's patches are balls of points around a point in space.) What is lost at a
-severity is lost at the next. Level 3 has no paper of its own; it is the middle one of the five published.
+packets and faint returns are lost; `patches` loses all points in some directions, as behind drops, dirt and insects on
+the window. A patch is a disc of directions around one point and holds the 2 % of the points nearest to its middle, so
+patches may overlap. (The reference's patches are balls around a point in space.) Points lost at a severity are lost at
+the next. Level 3 is the middle one of the five published.
 """
 
 from typing import Literal, Self
@@ -33,7 +33,7 @@ class PointDropping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         how: `scattered` over all beams, or in `patches`.
         share: chance that a beam is lost when scattered.
         patches: number of patches.
-        patch_share: share of the points that each of them holds.
+        patch_share: share of the points in each patch.
     """
 
     how: Literal["scattered", "patches"] = "scattered"
@@ -53,7 +53,7 @@ class PointDropping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 def corrupt(sweep: Sweep, severity: int | PointDropping, rng: np.random.Generator) -> Sweep:
-    """Remove points; the others stay as they are, in order."""
+    """Remove points; the others are unchanged, in order."""
     settings = severity if isinstance(severity, PointDropping) else PointDropping.severity(severity)
     if len(sweep) == 0:
         return sweep
@@ -63,7 +63,7 @@ def corrupt(sweep: Sweep, severity: int | PointDropping, rng: np.random.Generato
 
 
 def _covered(sweep: Sweep, settings: PointDropping, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return (P,) whether points lie in one of the patches."""
+    """Return (P,) mask of points in a patch."""
     reach = np.maximum(sweep.range, np.float32(1e-6))
     direction = sweep.points / reach[:, None]
     covered = np.zeros(len(sweep), bool)

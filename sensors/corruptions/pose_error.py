@@ -1,23 +1,23 @@
-"""Pose error: an agent is not quite where it says it is.
+"""Pose error: localisation error of collaborators.
 
 | severity                           | 1    | 2   | 3   | 4   | 5   |
 |------------------------------------|------|-----|-----|-----|-----|
-| deviation to the side and ahead, m | 0.05 | 0.1 | 0.2 | 0.4 | 0.8 |
-| deviation of the heading, degrees  | 0.05 | 0.1 | 0.2 | 0.4 | 0.8 |
+| lateral and longitudinal std, m    | 0.05 | 0.1 | 0.2 | 0.4 | 0.8 |
+| heading std, degrees               | 0.05 | 0.1 | 0.2 | 0.4 | 0.8 |
 
-Level 3 is the noisy setting of V2X-ViT (Xu et al., ECCV 2022). There every frame has an error of its own; that of a
-satellite receiver is correlated over time, as an Ornstein-Uhlenbeck process is (Sensors 2020, 20(21), 6050), and a
-tracker or a fusion that averages over frames does not get rid of it. Each of the three errors here is such a process
+Level 3 is the noisy setting of V2X-ViT (Xu et al., ECCV 2022). There errors are independent between frames; those of a
+satellite receiver are correlated over time, as an Ornstein-Uhlenbeck process (Sensors 2020, 20(21), 6050), and do not
+average out in a tracker or a temporal fusion. Each of the three errors here is such a process
 with standard deviation s and correlation exp(-|t - t'| / T), made as a sum of cosines (Rahimi, Recht 2007),
 
     e(t) = s sqrt(2 / K) * sum over k of cos(w_k t + phi_k),    w_k ~ Cauchy(0, 1 / T), phi_k ~ U(0, 2 pi), K = 64
 
 whose frequencies follow the spectral density of that process. It is a pure function of the agent's stream and the time.
-The correlation time T = 30 s is chosen. A roadside unit does not move: its error is that of its survey and stays.
+The correlation time T = 30 s is assumed. The error of a roadside unit is that of its survey and constant.
 
-The reported pose is wrong, `Sweep.world_from_lidar`; the points are as they were measured, so their fate is kept, and
-`world_from_body`, `path` and the ground truth stay true. The ego has no error: everything is judged in its own frame,
-and only errors relative to it matter (OpenCOOD does the same).
+Only the reported pose has the error, `Sweep.world_from_lidar`; the points are as measured, their fate is kept, and
+`world_from_body`, `path` and ground truth are true. The ego has no error: detections are evaluated in its frame, and
+only errors relative to it matter (as in OpenCOOD).
 """
 
 import math
@@ -43,10 +43,10 @@ class PoseError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Settings of `in_frame`.
 
     Attributes:
-        lateral_m: standard deviation of the error to the side, m.
-        longitudinal_m: standard deviation of the error ahead, m.
-        heading_deg: standard deviation of the error of the heading, degrees.
-        correlation_s: after this time the correlation of an error with itself has fallen to 1 / e, s.
+        lateral_m: standard deviation of the lateral error, m.
+        longitudinal_m: standard deviation of the longitudinal error, m.
+        heading_deg: standard deviation of the heading error, degrees.
+        correlation_s: correlation time T, s.
     """
 
     lateral_m: float = 0.2
@@ -68,17 +68,17 @@ class PoseError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def in_frame(frame: Frame, row: int, severity: int | PoseError, rng: np.random.Generator) -> Sweep:
-    """Return the sweep of the agent in a row of the frame with the pose that the agent believes in.
+    """Return the sweep of the agent in a row of the frame with its erroneous pose.
 
     Args:
         frame: as recorded.
         row: of the agent.
         severity: or settings.
-        rng: of the agent, from its start in every frame of a drive.
+        rng: of the agent, restarted for every frame of a drive.
     """
     settings = severity if isinstance(severity, PoseError) else PoseError.severity(severity)
     agent = frame.agents[row]
-    ahead, aside, turn = errors(settings, frame.time_s if agent.kind == "vehicle" else 0.0, rng)
+    ahead, aside, turn = pose_errors(settings, frame.time_s if agent.kind == "vehicle" else 0.0, rng)
     if ahead == aside == turn == 0.0:
         return agent.sweep
     body = agent.world_from_body
@@ -86,8 +86,8 @@ def in_frame(frame: Frame, row: int, severity: int | PoseError, rng: np.random.G
     return replace(agent.sweep, world_from_lidar=believed_from_true @ agent.sweep.world_from_lidar)
 
 
-def errors(settings: PoseError, time_s: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return (3,) the errors ahead, m, to the left, m, and of the heading, rad, at a time of the drive."""
+def pose_errors(settings: PoseError, time_s: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return (3,) longitudinal error, m, lateral error, m, and heading error, rad, at a time of the drive."""
     frequency = rng.standard_cauchy((3, _WAVES)) / settings.correlation_s
     phase = rng.uniform(0.0, 2.0 * math.pi, (3, _WAVES))
     unit = math.sqrt(2.0 / _WAVES) * np.cos(frequency * time_s + phase).sum(axis=1)

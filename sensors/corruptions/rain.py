@@ -1,4 +1,4 @@
-"""Rain: drops dim a beam, and the loudest of them may answer louder than the target (LISA: Kilic et al. 2021).
+"""Rain: attenuated targets, and the strongest drop before each (after LISA: Kilic et al. 2021).
 
 | severity                | 1    | 2    | 3    | 4    | 5    |
 |-------------------------|------|------|------|------|------|
@@ -15,12 +15,13 @@ integrates to
 
     alpha = pi / 4 N0 (4 / L^3 + 2 (pi / wavelength)^(-2/3) Gamma(7/3) / L^(7/3)),
 
-within 1 % of the sum over the full theory (and of 3.65e-4 R^0.63 / m). The power of a target falls by
-exp(-2 alpha r); the loudest drop before it, reflectivity F D^2 / (divergence^2 r^4) with F = |(m - 1) / (m + 1)|^2 of
-water (m = 1.328), is drawn from its law (`strongest`), and the stronger one is reported if it is detected (`medium`).
+within 1 % of the sum over the full theory (and of 3.65e-4 R^0.63 / m). The power of a target falls by exp(-2 alpha r);
+the strongest drop before it, reflectivity F D^2 / (divergence^2 r^4) with F = |(m - 1) / (m + 1)|^2 of water (m =
+1.328), is drawn from its law (`strongest`), and the stronger one is reported if it reaches the detection threshold
+(`medium`).
 
-The range of what remains is noisier: its deviation is accuracy / sqrt(2 signal-to-noise), the signal relative to the
-weakest that is detected. A sweep holds the noise of clear air already, so what is added is the difference.
+Ranges of the remaining targets are noisier: their deviation is accuracy / sqrt(2 signal-to-noise), the signal relative
+to the detection threshold. Sweeps have the noise of clear air already, so only the difference is added.
 """
 
 import math
@@ -31,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.levels import at_level, check_range
-from sensors.corruptions.physics.medium import Sight, look, report
+from sensors.corruptions.physics.medium import Rays, rays_of, report
 from sensors.corruptions.physics.strongest import Particles, strongest_particle
 from sensors.sweep import Sweep
 
@@ -49,9 +50,9 @@ class Rain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """Settings of `corrupt`.
 
     Attributes:
-        rain_mm_h: rate of rain, mm/h.
-        drop_reflectivity: of a drop that fills the beam.
-        range_accuracy_m: deviation of the range where the signal is half as strong as the weakest that is detected.
+        rain_mm_h: rain rate, mm/h.
+        drop_reflectivity: of a drop as wide as the beam.
+        range_accuracy_m: range deviation of a signal half as strong as the detection threshold, m.
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
@@ -71,12 +72,12 @@ class Rain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return cls(rain_mm_h=at_level(RAIN_MM_H, level))
 
     def scaled(self, factor: float) -> Self:
-        """Return rain at so many times the rate, up to the heaviest that there is."""
+        """Return rain at `factor` times the rate, at most the heaviest."""
         return msgspec.structs.replace(self, rain_mm_h=min(factor * self.rain_mm_h, _MOST_MM_H))
 
 
 def corrupt(sweep: Sweep, severity: int | Rain, rng: np.random.Generator) -> Sweep:
-    """Dim, shift, replace or lose the returns; drops' lie on the same rays, nearer, and on rays that hit nothing.
+    """Dim, shift, replace or remove returns; drops' lie nearer on the same rays, and on rays without a target.
 
     What stays is `ATTENUATED`: the shift along its ray is millimetres, as any noise of the range.
     """
@@ -84,22 +85,22 @@ def corrupt(sweep: Sweep, severity: int | Rain, rng: np.random.Generator) -> Swe
     if rain.rain_mm_h == 0.0:
         return sweep
     drops = rain_particles(rain.rain_mm_h, rain.drop_reflectivity)
-    sight = look(sweep, rain.range_10_m, rng)
-    through = np.exp(-2.0 * drops.extinction * sight.reach[: len(sweep)])
-    noise = sight.draw(rng.standard_normal)[: len(sweep)]
-    shift_m = noise * added_deviation(sight, through, rain.range_accuracy_m)
-    return report(sight, through, strongest_particle(drops, sight, through, rng), shift_m)
+    rays = rays_of(sweep, rain.range_10_m, rng)
+    transmission = np.exp(-2.0 * drops.extinction * rays.reach[: len(sweep)])
+    noise = rays.draw(rng.standard_normal)[: len(sweep)]
+    shift_m = noise * added_deviation(rays, transmission, rain.range_accuracy_m)
+    return report(rays, transmission, strongest_particle(drops, rays, transmission, rng), shift_m)
 
 
-def added_deviation(sight: Sight, through: NDArray[np.float64], accuracy_m: float) -> NDArray[np.float64]:
-    """Return (P,) the deviation to add to ranges of clear air, where the signal falls to a share `through`."""
-    clear = sight.power[: len(through)]
-    noise = sight.need / np.maximum(clear, np.finfo(np.float64).tiny)
-    return accuracy_m * np.sqrt(0.5 * noise * (1.0 / np.maximum(through, 1e-12) - 1.0))
+def added_deviation(rays: Rays, transmission: NDArray[np.float64], accuracy_m: float) -> NDArray[np.float64]:
+    """Return (P,) deviation to add to the ranges of clear air, m, for a signal reduced by `transmission`."""
+    clear = rays.power[: len(transmission)]
+    noise = rays.threshold / np.maximum(clear, np.finfo(np.float64).tiny)
+    return accuracy_m * np.sqrt(0.5 * noise * (1.0 / np.maximum(transmission, 1e-12) - 1.0))
 
 
 def rain_particles(rain_mm_h: float, reflectivity: float) -> Particles:
-    """Return rain as a medium."""
+    """Return rain as a medium of particles."""
     rate = 4100.0 * rain_mm_h**-0.21
     edge = 2.0 * (math.pi / _WAVELENGTH_M) ** (-2.0 / 3.0) * math.gamma(7.0 / 3.0) / rate ** (7.0 / 3.0)
     return Particles(

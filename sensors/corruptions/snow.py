@@ -1,4 +1,4 @@
-"""Falling snow: flakes dim a beam, and a near one can answer louder than the target.
+"""Snow: attenuated targets, and the strongest flake before each.
 
 | severity                           | 1    | 2    | 3    | 4    | 5    |
 |------------------------------------|------|------|------|------|------|
@@ -6,24 +6,23 @@
 | extinction, 1/km                   | 0.99 | 1.60 | 2.29 | 4.06 | 7.59 |
 | visibility ln(20) / extinction, km | 3.0  | 1.9  | 1.3  | 0.74 | 0.39 |
 
-Level 3 is the snowfall of DSRC's code (the published model's light snow); the paper gives no number. Flakes fall at
+Level 3 is the snowfall of DSRC's code (the published model's light snow); the paper gives none. Flakes fall at
 1 m/s, as aggregates do (Locatelli and Hobbs 1974); the published 2 m/s halves everything. Weather services call snow
 light above 1 km of visibility and heavy below 0.4 km.
 
-A target at range r returns power exp(-2 alpha r), the loudest flake before it reflectivity D^2 / (divergence^2 r^4),
-and the sensor reports the stronger one, if it detects it (`medium`). Flakes fill the beam as it widens; the loudest is
-drawn from its law (`strongest`). A beam passes so many flakes, each with so little of it, that the others are an even
-haze: extinction.
+A target at range r returns power exp(-2 alpha r), the strongest flake before it reflectivity D^2 / (divergence^2 r^4),
+and the sensor reports the stronger one, if it reaches the detection threshold (`medium`). Flakes fill the widening
+beam; the strongest is drawn from its law (`strongest`). The many others are a homogeneous medium: extinction.
 
 Diameters follow Gunn and Marshall (1958). Extinction is twice the flakes' cross-section (large particles, van de Hulst
 1957). A flake that fills a beam counts as a surface of reflectivity 2 pi / S with S = 30 sr, the ratio of extinction to
 backscatter that lidars find for ice (33 +- 5 sr: Josset et al. 2012).
 
-What differs from the published model (Hahner et al., CVPR 2022): flakes fill the air instead of one plane per ring,
+Differences from the published model (Hahner et al., CVPR 2022): flakes fill the air instead of one plane per ring,
 where a flat disc at range r takes D / (divergence r) of a beam instead of the square of that and far flakes are
 overstated; the target keeps its own power (there, a target behind any flake gets the flake's), the optics are the
-sweep's sensor instead of an HDL-64E's, the noise floor is the sensor's detection limit, heavier snow takes more (see
-`snow_flakes`), beams that hit nothing see flakes, and azimuth 0 is like any other.
+sweep's sensor instead of an HDL-64E's, the noise floor is the sensor's detection threshold, heavier snow takes more
+(see `snow_flakes`), beams without a target return flakes, and azimuth 0 is like any other.
 """
 
 from typing import Self
@@ -32,7 +31,7 @@ import msgspec
 import numpy as np
 
 from sensors.corruptions.physics.levels import at_level, check_range
-from sensors.corruptions.physics.medium import look, report
+from sensors.corruptions.physics.medium import rays_of, report
 from sensors.corruptions.physics.snow_flakes import snow_particles
 from sensors.corruptions.physics.strongest import strongest_particle
 from sensors.sweep import Sweep
@@ -46,10 +45,10 @@ class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """Settings of `corrupt`.
 
     Attributes:
-        snowfall_mm_h: mm/h of water.
+        snowfall_mm_h: snowfall, mm/h of water.
         fall_speed_mps: terminal velocity of the flakes, m/s.
         flake_density: relative to water.
-        flake_reflectivity: of a flake that fills the beam.
+        flake_reflectivity: of a flake as wide as the beam.
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
@@ -71,16 +70,16 @@ class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return cls(snowfall_mm_h=at_level(SNOWFALL_MM_H, level))
 
     def scaled(self, factor: float) -> Self:
-        """Return so many times the snowfall, up to the heaviest that there is."""
+        """Return snow at `factor` times the snowfall, at most the heaviest."""
         return msgspec.structs.replace(self, snowfall_mm_h=min(factor * self.snowfall_mm_h, _MOST_MM_H))
 
 
 def corrupt(sweep: Sweep, severity: int | Snow, rng: np.random.Generator) -> Sweep:
-    """Dim, replace or lose the returns; flakes' lie on the same rays, nearer, and on rays that hit nothing."""
+    """Dim, replace or remove returns; flakes' lie nearer on the same rays, and on rays without a target."""
     snow = severity if isinstance(severity, Snow) else Snow.severity(severity)
     if snow.snowfall_mm_h == 0.0:
         return sweep
     particles = snow_particles(snow.snowfall_mm_h, snow.fall_speed_mps, snow.flake_density, snow.flake_reflectivity)
-    sight = look(sweep, snow.range_10_m, rng)
-    through = np.exp(-2.0 * particles.extinction * sight.reach[: len(sweep)])
-    return report(sight, through, strongest_particle(particles, sight, through, rng))
+    rays = rays_of(sweep, snow.range_10_m, rng)
+    transmission = np.exp(-2.0 * particles.extinction * rays.reach[: len(sweep)])
+    return report(rays, transmission, strongest_particle(particles, rays, transmission, rng))

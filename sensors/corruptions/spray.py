@@ -1,28 +1,27 @@
-"""Spray: vehicles on a wet road draw plumes of drops behind them, which dim what lies behind and answer themselves.
+"""Spray: plumes of drops behind vehicles on a wet road, which attenuate targets and return echoes.
 
 | severity                                | 1    | 2    | 3    | 4    | 5    |
 |-----------------------------------------|------|------|------|------|------|
 | water on the road, mm                   | 0.2  | 0.5  | 1    | 1.5  | 2.5  |
 | extinction behind a car at 50 km/h, 1/m | 0.04 | 0.09 | 0.18 | 0.27 | 0.44 |
 
-Where the drops are and how many, says `plume`: it takes the vehicles of the frame, their sizes and their speeds, and
-vehicles that stand still make none. All agents of a frame see the same plumes and the same patches in them, their own
-ones included. Along each beam, at range r,
+Place and density of the drops follow from the sizes and speeds of the frame's vehicles (`plume`); standing vehicles
+have no plume. All agents of a frame share the same plumes and patches, their own included. Along each beam, at range r,
 
     transmission(r) = exp(-2 * integral of alpha up to r)
     echo(r) = pi / S * integral of alpha * transmission over the pulse's length c tau / 2 around r, over max(r, 10 m)^2
 
 in the units of `receiver`; S = 18.8 sr is the ratio of extinction to backscatter of water drops at 905 nm (O'Connor,
-Illingworth and Hogan 2004). Receivers lower their sensitivity at close range, or every haze would be a wall (assumed):
-nearer than 10 m an echo counts no more than from there, and one weaker than that of a surface of reflectivity 1/255 at
-its range, the least step of an 8-bit intensity, is not reported; with a pulse of 10 ns that is an extinction of 0.016
-per metre, a visibility of 190 m. The strongest echo competes with the target as in `medium`: dense spray buries what is
-behind it under points on no object, thin spray only dims it. Rays are probed every 0.8 m or more finely, on ways of
-more than 51 m at 64 places. During a sweep plumes move on with their vehicles.
+Illingworth and Hogan 2004). Receivers reduce their gain at close range (assumed): nearer than 10 m an echo counts as if
+from there, and one weaker than that of a surface of reflectivity 1/255 at its range, the least step of an 8-bit
+intensity, is not reported; with a pulse of 10 ns that is an extinction of 0.016 per metre, a visibility of 190 m. The
+strongest echo competes with the target as in `medium`: dense spray hides targets behind points on no object, thin spray
+only attenuates them. Rays are sampled every 0.8 m or finer, segments of more than 51 m at 64 places. During a sweep
+plumes move with their vehicles.
 
-What published LiDAR models do instead: Linnhoff et al. (2022) place clusters of points at rates fitted to one sensor;
-the spray of RainyPCSim (Yang et al. 2023) are particles of a game engine. Neither gives numbers per severity; these are
-chosen; level 5 has as much water as level 5 of wet ground.
+Published LiDAR models: Linnhoff et al. (2022) place clusters of points at rates fitted to one sensor; the spray of
+RainyPCSim (Yang et al. 2023) is a particle system of a game engine. Neither gives numbers per severity; these are
+assumed; level 5 has as much water as level 5 of wet ground.
 """
 
 from dataclasses import dataclass
@@ -33,33 +32,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.levels import at_level, check_range
-from sensors.corruptions.physics.medium import Echo, Sight, look, open_axis, report
+from sensors.corruptions.physics.medium import Echo, Rays, open_axis, rays_of, report
 from sensors.corruptions.physics.plume import PERIOD_M, Plume, draw_patches, patches_at, plumes_of
 from sensors.frame import Frame
 from sensors.optics.reflectance import LIGHT_SPEED
 from sensors.sweep import Sweep
 from sim.geometry import invert
+from sim.streams import Stream, random_generator
 
 WATER_MM = (0.2, 0.5, 1.0, 1.5, 2.5)
 
 LIDAR_RATIO_SR = 18.8
-"""Extinction over backscatter of water drops."""
+"""Extinction over backscatter of water drops, sr."""
 
-UNKNOWN_PULSE_S = 1e-8
-"""Length of the pulse of a sensor that is not known."""
+DEFAULT_PULSE_S = 1e-8
+"""Pulse length of an unknown sensor, s."""
 
 HAZE_REFLECTIVITY = 1.0 / 255.0
-"""Echoes weaker than those of a surface of this reflectivity at their range are not reported, however near they are."""
+"""Least echo, as the reflectivity of a surface at its range; weaker ones are not reported at any range."""
 
 FULL_GAIN_M = 10.0
-"""Receivers hear echoes of nearer haze as if it were so far away."""
+"""Range of full gain, m: nearer echoes count as if from here."""
 
 _STEP_M = 0.8
 _LEAST_WAY_M = 0.05
 _MARGIN_M = 0.1
 _LEAST_DEPTH = 1e-3
-_LEAST_HEARD = 0.99 * HAZE_REFLECTIVITY * LIDAR_RATIO_SR / np.pi
-"""Optical depth of a way so thin that no echo from it would be reported, were all of it within one pulse."""
+_LEAST_ECHO_DEPTH = 0.99 * HAZE_REFLECTIVITY * LIDAR_RATIO_SR / np.pi
+"""Optical depth below which a segment has no reported echo, even if all of it is within one pulse."""
 _LEAST_EXTINCTION = 1e-3
 _PROBES = 1 << 16
 
@@ -84,21 +84,21 @@ class Spray(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         return cls(water_mm=at_level(WATER_MM, level))
 
     def scaled(self, factor: float) -> Self:
-        """Return the settings with so many times the water."""
+        """Return the settings with `factor` times the water."""
         return msgspec.structs.replace(self, water_mm=factor * self.water_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Lines:
-    """L lines of sight in the world.
+class _WorldRays:
+    """L rays in the world frame.
 
     Attributes:
         origin: (3,) of all of them, m.
         direction: (3, L) float32 unit vectors.
-        near, reach: (L,) float32 where they begin to be heard and where they end, m.
-        lag_s: (L,) float32 when they are fired, after the frame's time.
+        near, reach: (L,) float32 nearest reported range and range of the target, m.
+        lag_s: (L,) float32 firing time after the frame's time, s.
         pulse_m: length of the pulse in range.
-        by_azimuth: (L,) the lines by their azimuth in the world.
+        by_azimuth: (L,) rays sorted by their azimuth in the world.
         azimuth: (L,) float32 the azimuths, ascending, rad.
     """
 
@@ -113,176 +113,180 @@ class _Lines:
 
 
 def corrupt(frame: Frame, row: int, severity: int | Spray, rng: np.random.Generator) -> Sweep:
-    """Return the sweep of the agent in a row of `frame.agents` among the spray of the frame's vehicles.
+    """Return the sweep of the agent in a row of `frame.agents` in the spray of the frame's vehicles.
 
     Args:
         frame: gives the vehicles' boxes and velocities.
         row: of the agent.
         severity: 1 to 5, or the settings.
-        rng: in the same state for all agents and frames of a drive: the patches are the drive's.
+        rng: in the same state for all agents and frames of a drive, which share the patches.
     """
     spray = severity if isinstance(severity, Spray) else Spray.severity(severity)
     agent = frame.agents[row]
     patches = draw_patches(rng)
-    own = np.random.default_rng([int(rng.integers(2**63)), frame.index % 2**32, agent.agent_id % 2**32])
+    own = random_generator(int(rng.integers(2**63)), Stream.SPRAY_NOISE, frame.index, agent.agent_id)
     plumes = plumes_of(frame, spray.water_mm)
     if not plumes:
         return agent.sweep
-    sight = look(agent.sweep, spray.range_10_m, own)
-    lines = _lines(frame, sight)
-    plumes.sort(key=lambda plume: float(np.linalg.norm(plume.world_from_plume[:3, 3] - lines.origin)))
-    depth, loudest, place = np.zeros(len(sight)), np.zeros(len(sight)), np.zeros(len(sight))
-    jitter = sight.draw(own.random)
+    rays = rays_of(agent.sweep, spray.range_10_m, own)
+    world_rays = _world_rays(frame, rays)
+    plumes.sort(key=lambda plume: float(np.linalg.norm(plume.world_from_plume[:3, 3] - world_rays.origin)))
+    depth, strongest, place = np.zeros(len(rays)), np.zeros(len(rays)), np.zeros(len(rays))
+    jitter = rays.draw(own.random)
     for plume in plumes:
-        _add(plume, patches, lines, jitter, depth, loudest, place)
+        _add_plume(plume, patches, world_rays, jitter, depth, strongest, place)
     count = len(agent.sweep)
-    return report(sight, np.exp(-2.0 * depth[:count]), Echo(place, loudest))
+    return report(rays, np.exp(-2.0 * depth[:count]), Echo(place, strongest))
 
 
-def _lines(frame: Frame, sight: Sight) -> _Lines:
-    sweep, spec, count = sight.sweep, sight.sweep.spec, len(sight.sweep)
+def _world_rays(frame: Frame, rays: Rays) -> _WorldRays:
+    sweep, spec, count = rays.sweep, rays.sweep.spec, len(rays.sweep)
     turn = sweep.world_from_lidar[:3, :3].astype(np.float32)
-    toward = np.concatenate([sweep.points, open_axis(sight)]).T.astype(np.float32)
-    # Sums of products by hand: threads of a matrix product this thin wait for each other longer than they compute.
+    toward = np.concatenate([sweep.points, open_axis(rays)]).T.astype(np.float32)
+    # Products by hand: threads of a matrix product this thin wait longer than they compute.
     direction = np.stack([row[0] * toward[0] + row[1] * toward[1] + row[2] * toward[2] for row in turn])
-    direction[:, :count] /= np.maximum(sight.reach[:count], 1e-6).astype(np.float32)
+    direction[:, :count] /= np.maximum(rays.reach[:count], 1e-6).astype(np.float32)
     lag_s = (sweep.time_s - frame.time_s) + sweep.time_offset.astype(np.float64)
     azimuth = np.arctan2(direction[1], direction[0])
     by_azimuth = np.argsort(azimuth)
-    later = np.zeros(0) if spec is None else spec.time_offset[sight.open_ring, sight.open_column]
-    return _Lines(
+    later = np.zeros(0) if spec is None else spec.time_offset[rays.open_ring, rays.open_column]
+    return _WorldRays(
         origin=sweep.world_from_lidar[:3, 3],
         direction=direction,
-        near=sight.near.astype(np.float32),
-        reach=sight.reach.astype(np.float32),
+        near=rays.near.astype(np.float32),
+        reach=rays.reach.astype(np.float32),
         lag_s=np.concatenate([lag_s, later]).astype(np.float32),
-        pulse_m=0.5 * LIGHT_SPEED * (UNKNOWN_PULSE_S if spec is None else spec.pulse_s),
+        pulse_m=0.5 * LIGHT_SPEED * (DEFAULT_PULSE_S if spec is None else spec.pulse_s),
         by_azimuth=by_azimuth,
         azimuth=azimuth[by_azimuth],
     )
 
 
-def _add(
+def _add_plume(
     plume: Plume,
     patches: NDArray[np.float32],
-    lines: _Lines,
+    world_rays: _WorldRays,
     jitter: NDArray[np.float64],
     depth: NDArray[np.float64],
-    loudest: NDArray[np.float64],
+    strongest: NDArray[np.float64],
     place: NDArray[np.float64],
 ) -> None:
-    """Add what one plume does to L lines, after the nearer ones.
+    """Add depth and echoes of one plume to L rays, nearer plumes first.
 
     Args:
         plume: the plume.
         patches: of the drive.
-        lines: of sight.
-        jitter: (L,) uniform in [0, 1): where within a step a line is probed.
+        world_rays: all rays.
+        jitter: (L,) uniform in [0, 1): sample position within a step.
         depth: (L,) optical depth so far, added to.
-        loudest: (L,) power of the strongest echo so far, raised.
+        strongest: (L,) power of the strongest echo so far, updated.
         place: (L,) range of it, m.
     """
-    rays = _through(plume, lines)
-    fineness = np.clip(np.ceil(np.log2(rays.way / _STEP_M)), 2, 6).astype(np.intp)
+    segments = _segments_of(plume, world_rays)
+    fineness = np.clip(np.ceil(np.log2(segments.span / _STEP_M)), 2, 6).astype(np.intp)
     for power_of_two in range(2, 7):
         some = np.flatnonzero(fineness == power_of_two)
         steps = 1 << power_of_two
         for part in np.split(some, range(_PROBES // steps, len(some), _PROBES // steps)):
-            ray = rays[part]
-            row = ray.line
-            passed, along = _probe(plume, patches, lines, ray, jitter[row].astype(np.float32), steps)
+            segment = segments[part]
+            row = segment.ray_row
+            passed, along = _sample_depth(plume, patches, world_rays, segment, jitter[row].astype(np.float32), steps)
             met = passed.sum(axis=1)
-            heard = np.flatnonzero(met >= _LEAST_HEARD)
-            _hear(ray[heard], passed[heard], along[heard], lines.pulse_m, depth, loudest, place)
+            audible = np.flatnonzero(met >= _LEAST_ECHO_DEPTH)
+            _update_echoes(
+                segment[audible], passed[audible], along[audible], world_rays.pulse_m, depth, strongest, place
+            )
             depth[row] += np.where(met >= _LEAST_DEPTH, met, 0.0)
 
 
-def _hear(
-    ray: "_Rays",
+def _update_echoes(
+    segment: "_Segments",
     passed: NDArray[np.float32],
     along: NDArray[np.float32],
     pulse_m: float,
     depth: NDArray[np.float64],
-    loudest: NDArray[np.float64],
+    strongest: NDArray[np.float64],
     place: NDArray[np.float64],
 ) -> None:
-    """Raise `loudest` and `place` (L,) to the strongest echoes of N rays, (N, K) of whose steps are given."""
-    row, steps = ray.line, passed.shape[1]
-    answer = _echo(passed, depth[row].astype(np.float32), pulse_m * steps / ray.way)
+    """Update `strongest` and `place` (L,) with the strongest echoes of N segments of (N, K) steps."""
+    row, steps = segment.ray_row, passed.shape[1]
+    answer = _echo(passed, depth[row].astype(np.float32), pulse_m * steps / segment.span)
     power = answer / np.maximum(along, np.float32(FULL_GAIN_M)) ** 2
     best = power.argmax(axis=1)
     each = np.arange(len(row))
-    louder = power[each, best] > loudest[row]
-    loudest[row[louder]] = power[each, best][louder]
-    place[row[louder]] = along[each, best][louder]
+    stronger = power[each, best] > strongest[row]
+    strongest[row[stronger]] = power[each, best][stronger]
+    place[row[stronger]] = along[each, best][stronger]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Rays:
-    """N of the lines, on their way through a plume.
+class _Segments:
+    """N segments of rays inside a plume.
 
     Attributes:
-        line: (N,) which.
-        origin, direction: (3, N) float32 where they start, m, and unit vectors, in the plume's frame.
-        first, way: (N,) float32 range where they enter it, and how far it is from there to where they leave it, m.
+        ray_row: (N,) row of the ray.
+        origin, direction: (3, N) float32 origins, m, and unit vectors of the rays in the plume's frame.
+        first, span: (N,) float32 range of entry and length of the segment, m.
     """
 
-    line: NDArray[np.intp]
+    ray_row: NDArray[np.intp]
     origin: NDArray[np.float32]
     direction: NDArray[np.float32]
     first: NDArray[np.float32]
-    way: NDArray[np.float32]
+    span: NDArray[np.float32]
 
-    def __getitem__(self, rows: NDArray[np.intp]) -> "_Rays":
-        return _Rays(self.line[rows], self.origin[:, rows], self.direction[:, rows], self.first[rows], self.way[rows])
+    def __getitem__(self, rows: NDArray[np.intp]) -> "_Segments":
+        return _Segments(
+            self.ray_row[rows], self.origin[:, rows], self.direction[:, rows], self.first[rows], self.span[rows]
+        )
 
 
-def _through(plume: Plume, lines: _Lines) -> _Rays:
-    """Return the lines that pass through a plume."""
+def _segments_of(plume: Plume, world_rays: _WorldRays) -> _Segments:
+    """Return the segments of rays inside a plume."""
     plume_from_world = invert(plume.world_from_plume)
-    start = (plume_from_world[:3, :3] @ lines.origin + plume_from_world[:3, 3]).astype(np.float32)
+    start = (plume_from_world[:3, :3] @ world_rays.origin + plume_from_world[:3, 3]).astype(np.float32)
     turn, bounds = plume_from_world[:3, :3].astype(np.float32), plume.bounds.astype(np.float32)
-    line = _toward(plume, start[:2], lines)
-    first, last = lines.near[line], lines.reach[line]
-    # Across the plume first: that leaves the fewest.
+    ray_row = _rays_toward(plume, start[:2], world_rays)
+    first, last = world_rays.near[ray_row], world_rays.reach[ray_row]
+    # Across the plume first: leaves the fewest rays.
     found = {}
     for axis in (1, 0, 2):
-        x, y, z = lines.direction[:, line]
+        x, y, z = world_rays.direction[:, ray_row]
         slope = turn[axis, 0] * x + turn[axis, 1] * y + turn[axis, 2] * z
         slope[np.abs(slope) < 1e-9] = 1e-9
-        at = np.full(len(line), start[axis])
+        at = np.full(len(ray_row), start[axis])
         if axis == 0:
-            # The plume runs ahead with its vehicle: seen from it, lines fired later start farther back.
-            at += np.float32(plume.speed) * lines.lag_s[line]
+            # The plume moves with its vehicle: in its frame rays fired later start farther back.
+            at += np.float32(plume.speed) * world_rays.lag_s[ray_row]
         one, other = (bounds[0, axis] - at) / slope, (bounds[1, axis] - at) / slope
         first = np.maximum(first, np.minimum(one, other))
         last = np.minimum(last, np.maximum(one, other))
         kept = np.flatnonzero(last - first > _LEAST_WAY_M)
-        line, first, last = line[kept], first[kept], last[kept]
+        ray_row, first, last = ray_row[kept], first[kept], last[kept]
         found[axis] = at, slope
         for before, (begin, rate) in found.items():
             found[before] = begin[kept], rate[kept]
-    return _Rays(
-        line=line,
+    return _Segments(
+        ray_row=ray_row,
         origin=np.stack([found[axis][0] for axis in range(3)]),
         direction=np.stack([found[axis][1] for axis in range(3)]),
         first=first,
-        way=last - first,
+        span=last - first,
     )
 
 
-def _toward(plume: Plume, start: NDArray[np.float32], lines: _Lines) -> NDArray[np.intp]:
-    """Return the lines, in their order, whose azimuth leads to a plume: few of them, so no other is looked at.
+def _rays_toward(plume: Plume, start: NDArray[np.float32], world_rays: _WorldRays) -> NDArray[np.intp]:
+    """Return the few rays, in their order, whose azimuth leads to a plume.
 
     Args:
         plume: the plume.
-        start: (2,) where all lines start, in its frame, m.
-        lines: of sight.
+        start: (2,) origin of all rays in its frame, m.
+        world_rays: all rays.
     """
-    everything = np.arange(len(lines.reach))
+    everything = np.arange(len(world_rays.reach))
     if len(everything) == 0:
         return everything
-    run = plume.speed * np.array([lines.lag_s.max(), lines.lag_s.min()])
+    run = plume.speed * np.array([world_rays.lag_s.max(), world_rays.lag_s.min()])
     bounds = plume.bounds[:, :2] - np.stack([run, [0.0, 0.0]], axis=1) + [[-_MARGIN_M], [_MARGIN_M]]
     if ((bounds[0] <= start) & (start <= bounds[1])).all():
         return everything
@@ -292,49 +296,53 @@ def _toward(plume: Plume, start: NDArray[np.float32], lines: _Lines) -> NDArray[
     found = []
     for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
         limits = middle + turn + np.array([aside.min(), aside.max()])
-        begin, end = np.searchsorted(lines.azimuth, limits.astype(np.float32))
-        found.append(lines.by_azimuth[begin:end])
+        begin, end = np.searchsorted(world_rays.azimuth, limits.astype(np.float32))
+        found.append(world_rays.by_azimuth[begin:end])
     return np.sort(np.concatenate(found))
 
 
-def _probe(
+def _sample_depth(
     plume: Plume,
     patches: NDArray[np.float32],
-    lines: _Lines,
-    ray: _Rays,
+    world_rays: _WorldRays,
+    segment: _Segments,
     jitter: NDArray[np.float32],
     steps: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return (N, K) optical depth of each step and (N, K) the range where it was probed, m.
+    """Return (N, K) optical depth of each step and (N, K) its sampled range, m.
 
     Args:
         plume: the plume.
         patches: of the drive.
-        lines: all lines.
-        ray: N of them.
-        jitter: (N,) where within a step they are probed, as a share of it.
+        world_rays: all rays.
+        segment: N of them.
+        jitter: (N,) sample position within a step, as a share of it.
         steps: K.
     """
-    step = (ray.way / np.float32(steps))[:, None]
-    along = ray.first[:, None] + step * (np.arange(steps, dtype=np.float32) + jitter[:, None])
-    x, y, z = (begin[:, None] + along * rate[:, None] for begin, rate in zip(ray.origin, ray.direction, strict=True))
+    step = (segment.span / np.float32(steps))[:, None]
+    along = segment.first[:, None] + step * (np.arange(steps, dtype=np.float32) + jitter[:, None])
+    x, y, z = (
+        begin[:, None] + along * rate[:, None] for begin, rate in zip(segment.origin, segment.direction, strict=True)
+    )
     dense = plume.mean_extinction(x, y, z)
     dense[dense < np.float32(_LEAST_EXTINCTION)] = 0.0
     found = np.nonzero(dense)
-    # World coordinates are large: the field of patches is asked relative to a place near by.
-    nearby = np.mod(lines.origin, PERIOD_M).astype(np.float32)[:, None]
-    dense[found] *= patches_at(patches, plume, nearby + along[found] * lines.direction[:, ray.line[found[0]]])
+    # World coordinates are large: patches are sampled relative to a near origin.
+    nearby = np.mod(world_rays.origin, PERIOD_M).astype(np.float32)[:, None]
+    dense[found] *= patches_at(
+        patches, plume, nearby + along[found] * world_rays.direction[:, segment.ray_row[found[0]]]
+    )
     return dense * step, along
 
 
 def _echo(
     passed: NDArray[np.float32], before: NDArray[np.float32], pulse_steps: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return (N, K) the echo from each step as the reflectivity of a surface there; 0 where haze is not reported.
+    """Return (N, K) echo of each step as the reflectivity of a surface there; 0 below the least reported.
 
     Args:
         passed: (N, K) optical depth of each step.
-        before: (N,) optical depth on the way to the plume.
+        before: (N,) optical depth before the plume.
         pulse_steps: (N,) length of the pulse in steps.
     """
     left = np.exp(np.float32(-2.0) * (before[:, None] + np.cumsum(passed, axis=1) - np.float32(0.5) * passed))
@@ -343,7 +351,7 @@ def _echo(
 
 
 def _over_pulse(answer: NDArray[np.float32], steps: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (N, K) sums of (N, K) answers over a pulse of (N,) steps around each of them."""
+    """Return (N, K) sums of (N, K) echoes over a pulse of (N,) steps around each step."""
     count = answer.shape[1]
     total = np.zeros((len(answer), count + 1), np.float32)
     np.cumsum(answer, axis=1, out=total[:, 1:])

@@ -1,4 +1,4 @@
-"""Wet ground: a film of water darkens the road and throws grazing light forward instead of back.
+"""Wet ground: a film of water darkens the road and reflects grazing light away.
 
 | severity                               | 1    | 2    | 3    | 4    | 5    |
 |----------------------------------------|------|------|------|------|------|
@@ -9,18 +9,18 @@ Under the film a ground of reflectivity rho returns, relative to when it was dry
 
     film(theta) = wet(rho) / rho * (T(theta) / T(0))^2 * exp(-2 k h / cos(theta_w))
 
-wet(rho) is the film's darkening (Lekner and Dorf 1988, `sensors.optics.reflectance`), T Fresnel's transmission of unpolarised
-light from air into water, once in and once out: 0.98 seen squarely, 0.65 at 80 degrees, 0.28 at 87; the rest is
-mirrored away. k = 6.8 per metre is the absorption of water at 905 nm (Hale and Querry 1973), theta_w the angle inside.
-Beads of lane paint do not work under water. The film covers 1 - exp(-h / 0.6 mm) of a road whose texture is 1.2 mm deep
-(assumed: exponentially distributed heights; Hahner 2022 takes h / 1.2 mm), and the return is
+wet(rho) is the film's darkening (Lekner and Dorf 1988, `sensors.optics.reflectance`), T Fresnel's transmission of
+unpolarised light from air into water, once in and once out: 0.98 seen squarely, 0.65 at 80 degrees, 0.28 at 87; the
+rest is mirrored away. k = 6.8 per metre is the absorption of water at 905 nm (Hale and Querry 1973), theta_w the angle
+inside. Beads of lane paint do not work under water. The film covers 1 - exp(-h / 0.6 mm) of a road whose texture is 1.2
+mm deep (assumed: exponentially distributed heights; Hahner 2022 takes h / 1.2 mm), and the return is
 
     i' = i (1 - share + share film(theta)),
 
-never brighter. What falls below the sensor's detection limit is lost, where the intensity says less than the sensor
-can detect by the same share (see `medium`). Ground is what is made of a ground's material, or where files do not say
-the plane below the sensor (`ground`). Nothing else changes. Level 5 is the depth at which tyres start to swim; Robo3D's
-three levels are 0.2, 1.0 and 1.2 mm. No paper of six has wet ground.
+never brighter. Returns below the sensor's detection threshold are lost; intensities already below it are lost with the
+same probability (see `medium`). Ground points are those of a ground material, or for files without materials those of
+the plane below the sensor (`ground`). Level 5 is the depth at which tyres aquaplane; Robo3D's three levels are 0.2, 1.0
+and 1.2 mm.
 """
 
 from dataclasses import replace
@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from sensors.corruptions.physics.ground import Ground, find_ground
 from sensors.corruptions.physics.levels import at_level, check_range
-from sensors.corruptions.physics.receiver import UNKNOWN_REFLECTIVITY, least_power, target_power
+from sensors.corruptions.physics.receiver import DEFAULT_REFLECTIVITY, detection_threshold, target_power
 from sensors.optics.reflectance import returned_power, wet_reflectivity
 from sensors.sweep import ATTENUATED, KEPT, UNKNOWN_MATERIAL, Sweep
 from sim.mesh.materials import MATERIALS
@@ -73,12 +73,12 @@ class WetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return cls(water_mm=at_level(WATER_MM, level))
 
     def scaled(self, factor: float) -> Self:
-        """Return the settings with so many times the water."""
+        """Return the settings with `factor` times the water."""
         return msgspec.structs.replace(self, water_mm=factor * self.water_mm)
 
 
 def corrupt(sweep: Sweep, severity: int | WetGround, rng: np.random.Generator) -> Sweep:
-    """Dim or lose the points on the ground; all others stay as they are, in order."""
+    """Dim or remove the points on the ground; the others are unchanged, in order."""
     wet = severity if isinstance(severity, WetGround) else WetGround.severity(severity)
     chance = rng.random(len(sweep))
     if wet.water_mm == 0.0 or len(sweep) == 0:
@@ -92,8 +92,8 @@ def corrupt(sweep: Sweep, severity: int | WetGround, rng: np.random.Generator) -
     power = target_power(on, np.sqrt(square))
     share = 1.0 - np.exp(-wet.water_mm / (0.5 * wet.texture_mm))
     left = 1.0 - share * (1.0 - _under_film(on, ground, power * square, wet.water_mm))
-    need = least_power(sweep.spec, wet.range_10_m)
-    seen = np.where(power < need, left > chance[rows], power * left >= need)
+    threshold = detection_threshold(sweep.spec, wet.range_10_m)
+    seen = np.where(power < threshold, left > chance[rows], power * left >= threshold)
 
     intensity, fate = sweep.intensity.copy(), sweep.fate.copy()
     intensity[rows] *= left
@@ -107,7 +107,7 @@ def corrupt(sweep: Sweep, severity: int | WetGround, rng: np.random.Generator) -
 
 
 def transmission(cosine: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the share of unpolarised light that passes from air into water (Fresnel).
+    """Return the transmission of unpolarised light from air into water (Fresnel).
 
     Args:
         cosine: of the angle of incidence, in [0, 1].
@@ -123,20 +123,20 @@ def _cosine_inside(cosine: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _under_film(ground: Sweep, found: Ground, brightness: NDArray[np.float64], water_mm: float) -> NDArray[np.float64]:
-    """Return (G,) what ground covered by water returns, relative to dry ground.
+    """Return (G,) reflectivity of ground under water, relative to dry ground.
 
     Args:
         ground: the G points.
         found: their incidence.
-        brightness: (G,) light that the dry ground sent back, relative to a white surface seen squarely.
+        brightness: (G,) returned light of dry ground, relative to a white surface at normal incidence.
         water_mm: height of the water, mm.
     """
     bins = np.minimum((found.cosine * _BINS).astype(np.intp), _BINS - 1)
     darkened = _darkening()[ground.material, bins]
     unknown = np.flatnonzero(ground.material == UNKNOWN_MATERIAL)
-    # The law of diffuse surfaces turned round: what brightness at this incidence says of the reflectivity.
+    # Inverse of the diffuse law: reflectivity from brightness and incidence.
     rho = np.clip(brightness[unknown] / np.sqrt(_cosines()[bins[unknown]]), _REFLECTIVITY[0], 1.0)
-    rho[brightness[unknown] <= 0.0] = UNKNOWN_REFLECTIVITY
+    rho[brightness[unknown] <= 0.0] = DEFAULT_REFLECTIVITY
     darkened[unknown] = np.interp(rho, _REFLECTIVITY, _DARKENED)
     cosine = _cosines()
     passed = (transmission(cosine) / transmission(np.ones(1))) ** 2
@@ -145,13 +145,13 @@ def _under_film(ground: Sweep, found: Ground, brightness: NDArray[np.float64], w
 
 
 def _cosines() -> NDArray[np.float64]:
-    """Return the cosines of incidence in the middle of the bins of tables."""
+    """Return (_BINS,) cosines of incidence in the middle of the tables' bins."""
     return (np.arange(_BINS) + 0.5) / _BINS
 
 
 @lru_cache(maxsize=1)
 def _darkening() -> NDArray[np.float64]:
-    """Return (256, _BINS) what each material returns under a film of water, relative to dry; 1 where unknown."""
+    """Return (256, _BINS) reflectivity of each material under water, relative to dry; 1 where unknown."""
     table = np.ones((UNKNOWN_MATERIAL + 1, _BINS))
     for index, material in enumerate(MATERIALS):
         if material.wets:

@@ -1,4 +1,4 @@
-"""The ground of a sweep: by material where points know it, else the plane below the sensor that points agree on."""
+"""Ground points of a sweep: by material, or by a plane fitted below the sensor."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ _MOST_POINTS = 20_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
-    """Which points of a sweep are on the ground.
+    """Ground points of a sweep.
 
     Attributes:
         rows: (G,) rows of the points.
@@ -37,12 +37,12 @@ class Ground:
 
 
 def find_ground(sweep: Sweep) -> Ground:
-    """Return the ground points of a sweep; none when there is no ground to be found.
+    """Return the ground points of a sweep, empty where no ground is found.
 
-    Without materials it is sought below the sensor, within 40 m: the height that most of the nearest points have, then
-    the plane through those near it, farther and farther out and in narrowing bands. A plane steeper than 17 degrees,
-    less than 0.3 m below the sensor, narrow as the foot of a wall or with hardly a point on it is no ground. Points on
-    objects are none either.
+    Without materials it is searched below the sensor, within 40 m: the most frequent height of the nearest points, then
+    the plane through points near it, farther and farther out and in narrowing bands. Refused are planes steeper than 17
+    degrees, less than 0.3 m below the sensor, narrow as the foot of a wall or with few points. Points on objects are
+    excluded.
     """
     if (sweep.material != UNKNOWN_MATERIAL).any():
         table = np.zeros(UNKNOWN_MATERIAL + 1, bool)
@@ -64,7 +64,7 @@ def find_ground(sweep: Sweep) -> Ground:
 
 
 def _incidence(points: NDArray[np.float32], plane: NDArray[np.float64] | None) -> NDArray[np.float32]:
-    """Return (G,) cosines of incidence of (G, 3) points on a plane, on level ground where there is none."""
+    """Return (G,) cosines of incidence of (G, 3) points on a plane, on level ground without one."""
     a, b, _ = np.zeros(3) if plane is None else plane
     normal = (np.array([-a, -b, 1.0]) / np.sqrt(1.0 + a * a + b * b)).astype(np.float32)
     reach = np.sqrt(np.einsum("gi,gi->g", points, points))
@@ -72,7 +72,7 @@ def _incidence(points: NDArray[np.float32], plane: NDArray[np.float64] | None) -
 
 
 def _plane(points: NDArray[np.float32]) -> NDArray[np.float64] | None:
-    """Return (a, b, c) of the ground z = a x + b y + c below the sensor; None when there is none."""
+    """Return (a, b, c) of the ground z = a x + b y + c below the sensor; None without ground."""
     points = points[:: max(1, len(points) // _MOST_POINTS)]
     x, y, z = points.T.astype(np.float64)
     distance = np.hypot(x, y)
@@ -90,7 +90,7 @@ def _plane(points: NDArray[np.float32]) -> NDArray[np.float64] | None:
         close = np.flatnonzero(np.abs(z[some] - near[some] @ plane) < band)
         if len(close) < _LEAST_POINTS:
             return None
-        # A weak pull towards level ground decides what points on one line leave open.
+        # A weak prior of level ground for points on one line.
         pull = np.diag([1e-3 * len(close), 1e-3 * len(close), 0.0])
         plane = np.linalg.solve(near[close].T @ near[close] + pull, near[close].T @ z[close])
     width = np.sqrt(np.linalg.eigvalsh(np.cov(near[close, :2].T))[0])

@@ -1,4 +1,4 @@
-"""Severities: five levels, of which 3 is the paper's setting, or of its strength where the paper gives no number."""
+"""Severities: five levels; 3 is the DSRC paper's setting, or of its strength where the paper gives no number."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -8,19 +8,19 @@ from sim.errors import SettingsError
 T = TypeVar("T")
 
 SEVERITIES = range(1, 6)
-"""The levels that every corruption has."""
+"""Levels of every corruption."""
 
-PAPER = 3
-"""The level with the paper's parameters."""
+DEFAULT_SEVERITY = 3
+"""Level with the paper's parameters."""
 
 
 def at_level(levels: Sequence[T], severity: int) -> T:
-    """Return the entry of one severity, of five; SettingsError when there is no such severity."""
-    check_severity(severity)
+    """Return the entry of one severity, of five; SettingsError for another severity."""
+    require_severity(severity)
     return levels[severity - 1]
 
 
-def check_severity(severity: int) -> None:
+def require_severity(severity: int) -> None:
     """Raise SettingsError unless the severity is one of the five."""
     if severity not in SEVERITIES:
         raise SettingsError(f"corruption severity: expected 1 to 5, found {severity}")
@@ -32,6 +32,6 @@ def check_range(owner: str, field: str, value: float, low: float, high: float) -
         raise SettingsError(f"{owner}: {field}: expected {low:g} to {high:g}, found {value:g}")
 
 
-def share_of(rings: int, of_64: int) -> int:
-    """Return how many of `rings` rings correspond to `of_64` rings of a 64-beam sensor."""
+def proportional_rings(rings: int, of_64: int) -> int:
+    """Return the number of `rings` rings in proportion to `of_64` rings of a 64-beam sensor."""
     return min(rings, round(rings * of_64 / 64))

@@ -1,4 +1,4 @@
-"""Plumes of spray: the water that a vehicle's tyres lift from a wet road, and what it does to light behind the vehicle.
+"""Plumes of spray behind vehicles on a wet road: geometry, extinction and patches.
 
 A vehicle of width W and height H at speed V meets rho w h of water per metre of its way: h the height of the water, w
 the width of its tyres. A share of it becomes airborne drops of diameter d, which fall at v:
@@ -25,7 +25,7 @@ assumed. Fall speed: Rogers and Yau, A Short Course in Cloud Physics. That LiDAR
 vehicle, measured at 50 to 130 km/h: Linnhoff et al., Simulating Road Spray Effects in Automotive Lidar Sensor Models
 (2022); that spray of a vehicle cutting in disturbs for up to four seconds: Walz et al., A Benchmark for Spray from
 Nearby Cutting Vehicles (2021). Assumed: height and shape of the plume, size and strength of the patches, no wind,
-straight ways, and that bicycles stay below what can be seen.
+straight paths, no spray of bicycles.
 """
 
 from dataclasses import dataclass
@@ -41,13 +41,13 @@ WATER_DENSITY = 1000.0
 """kg/m3."""
 
 LEAST_SPEED_MPS = 3.0
-"""Slower vehicles lift no spray."""
+"""Least speed of a vehicle with spray, m/s."""
 
 FAINTEST_PER_M = 2e-3
-"""A plume ends where its extinction falls below this."""
+"""Extinction at the end of a plume, 1/m."""
 
 PERIOD_M = 19.2
-"""The field of patches repeats after this."""
+"""Period of the field of patches, m."""
 
 _TYRES = {"car": 0.22, "van": 0.22, "truck": 0.44, "bus": 0.44, "motorcycle": 0.20}
 _SHARE_PER_MPS = 0.15 / 25.0
@@ -68,17 +68,17 @@ _GOLDEN = np.array([0.7548776662, 0.5698402910, 0.4301597090])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plume:
-    """The spray behind one vehicle.
+    """Plume of spray behind one vehicle.
 
     Attributes:
         world_from_plume: (4, 4) pose at the frame's time: x backwards from the rear end, z up from the road.
         speed: of the vehicle, m/s.
         width, height: of the wake where it begins, m.
-        growth_m: distance over which the wake grows, see L above.
+        growth_m: distance over which the wake grows, L, m.
         extinction: where it begins, in its middle on the road, 1/m.
-        tail_m: distance over which drops fall out.
-        length_m: where it ends.
-        shift: (3,) places it in the field of patches, in cells.
+        tail_m: distance over which drops fall out, m.
+        length_m: length, m.
+        shift: (3,) offset in the field of patches, cells.
     """
 
     world_from_plume: NDArray[np.float64]
@@ -93,7 +93,7 @@ class Plume:
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """(2, 3) lowest and highest x, y, z with spray worth a look, m."""
+        """(2, 3) lowest and highest x, y, z of noticeable spray, m."""
         grown = (1.0 + self.length_m / self.growth_m) ** (1.0 / 3.0)
         side, top = 1.1 * self.width * grown, 2.2 * self.height * grown
         return np.array([[0.0, -side, 0.0], [self.length_m, side, top]])
@@ -101,7 +101,7 @@ class Plume:
     def mean_extinction(
         self, x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Return (...,) extinction at places (...,) in the plume's frame, patches apart, 1/m."""
+        """Return (...,) mean extinction at places (...,) in the plume's frame, without patches, 1/m."""
         behind = np.maximum(x, np.float32(0.0))
         shrunk = 1.0 / np.cbrt(1.0 + behind * np.float32(1.0 / self.growth_m))
         across, up = y * shrunk, z * shrunk
@@ -116,7 +116,7 @@ def plumes_of(frame: Frame, water_mm: float) -> list[Plume]:
     """Return the plumes behind the moving vehicles of a frame.
 
     Args:
-        frame: gives their boxes, classes and velocities.
+        frame: boxes, classes and velocities of the vehicles.
         water_mm: height of the water on the road, mm.
     """
     speed = np.hypot(*frame.velocity.T) if len(frame.truth) else np.zeros(0)
@@ -158,12 +158,12 @@ def _plume(frame: Frame, row: int, speed: float, water_mm: float) -> Plume | Non
 
 
 def draw_patches(rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return the field of patches of a drive, a cube of standard normal numbers that repeats in all directions."""
+    """Return the field of patches of a drive, a periodic cube of standard normal numbers."""
     return rng.standard_normal((_CELLS,) * 3, np.float32)
 
 
 def patches_at(field: NDArray[np.float32], plume: Plume, world: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (...,) how much denser than its mean a plume is at (3, ...) places in the world; 1 on average."""
+    """Return (...,) density of a plume relative to its mean at (3, ...) places in the world; 1 on average."""
     shift = plume.shift.astype(np.float32).reshape(3, *(1,) * (world.ndim - 1))
     normal = map_coordinates(field, world * np.float32(1.0 / _CELL_M) + shift, order=1, mode="grid-wrap")
     return np.asarray(np.exp(np.float32(_PATCHINESS) * normal) * np.float32(1.0 / _MEAN_PATCH))

@@ -1,11 +1,11 @@
-"""What weather needs to know of a receiver: how strong a return is, how strong it must be, how it is reported.
+"""LiDAR receiver in weather: power of a return, detection threshold, reported intensity.
 
-Power is measured in units of a target of reflectivity 1, hit squarely in clear air at 1 m. A LiDAR reports the
+Power is in units of a target of reflectivity 1 at normal incidence in clear air at 1 m. A LiDAR reports the
 strongest of the returns that it detects.
 
 A simulator's sensor detects everything within its farthest range: its `LidarSpec.range_10_m` lies beyond `range_max_m`
-and is no threshold. In clear air nothing follows from that. In weather such a receiver would hear every flake and drop
-that there is, so it takes the threshold of the sensor that these simulators imitate (`UNKNOWN_RANGE_10_M`). Only
+and is no threshold. In clear air nothing follows from that. In weather such a receiver would detect every flake and
+drop, so it takes the threshold of the sensor that these simulators imitate (`DEFAULT_RANGE_10_M`). Only
 what weather adds and takes away depends on it; clear sweeps are what they were.
 """
 
@@ -18,34 +18,33 @@ from sensors.optics.reflectance import CLEAR_AIR_EXTINCTION, COSINE_BINS, optics
 from sensors.spec import LidarSpec
 from sensors.sweep import UNKNOWN_MATERIAL, Sweep
 
-UNKNOWN_RANGE_10_M = 50.0
-"""`LidarSpec.range_10_m` assumed where a sensor is not known or has no threshold.
+DEFAULT_RANGE_10_M = 50.0
+"""`LidarSpec.range_10_m` of an unknown sensor or one without a threshold, m.
 
 It is the Velodyne HDL-64E's (user manual, S2: 50 m at reflectivity 0.1, 120 m at 0.8), KITTI's sensor and the one whose
 64 beams from +2 to -25 degrees, 1.3 million points a second and 120 m OPV2V's CARLA sensor has, and for which snow was
 published (Hahner 2022).
 """
 
-UNKNOWN_REFLECTIVITY = 0.2
-"""Assumed of a surface of which neither the material is known nor the intensity tells."""
+DEFAULT_REFLECTIVITY = 0.2
+"""Reflectivity of a surface of unknown material and uninformative intensity."""
 
-BLIND_M, SIGHT_M = 0.9, 1.0
-"""Emitted beam and receiver's view do not overlap nearer than the first range, fully beyond the second (Hahner)."""
+OVERLAP_START_M, FULL_OVERLAP_M = 0.9, 1.0
+"""Ranges between which the overlap of beam and receiver rises from 0 to 1, m (Hahner)."""
 
 _POWER_LAW_M = 10.0
 
 
-def least_power(spec: LidarSpec | None, range_10_m: float | None = None) -> float:
-    """Return the power of the weakest return that a sensor detects in weather.
+def detection_threshold(spec: LidarSpec | None, range_10_m: float | None = None) -> float:
+    """Return the detection threshold of a sensor in weather, a power.
 
     Args:
-        spec: the sensor, None when not known.
-        range_10_m: instead of the sensor's own value or what is assumed; infinity for a receiver that detects
-            everything.
+        spec: the sensor, None if unknown.
+        range_10_m: instead of the sensor's or the default; infinity for a receiver without a threshold.
     """
     if range_10_m is None:
         if spec is None or spec.range_10_m > spec.range_max_m:
-            range_10_m = UNKNOWN_RANGE_10_M
+            range_10_m = DEFAULT_RANGE_10_M
         else:
             range_10_m = spec.range_10_m
     if math.isinf(range_10_m):
@@ -54,10 +53,10 @@ def least_power(spec: LidarSpec | None, range_10_m: float | None = None) -> floa
 
 
 def target_power(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (P,) the power that came back in clear air, as far as the sweep tells.
+    """Return (P,) received power in clear air.
 
-    A calibrated intensity i at range r came with i / r^2, and received power says it itself. CARLA's intensity says
-    nothing of the surface: there the material decides, and `UNKNOWN_REFLECTIVITY` where a file has none.
+    A calibrated intensity i at range r means i / r^2; received power is the power. CARLA's intensity is independent of
+    the surface: there the material decides, and `DEFAULT_REFLECTIVITY` without one.
 
     Args:
         sweep: as measured in clear air.
@@ -73,7 +72,7 @@ def target_power(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64
 def reported_intensity(
     spec: LidarSpec | None, power: NDArray[np.float64], reach: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return (P,) in [0, 1] the intensity that a sensor gives to returns of some power from some range, m."""
+    """Return (P,) intensity in [0, 1] of returns of some power from some range, m."""
     law = "reflectivity" if spec is None else spec.intensity_law
     if spec is not None and law == "distance":
         return np.exp(-spec.attenuation * reach)
@@ -81,15 +80,15 @@ def reported_intensity(
 
 
 def overlap(range_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the share in [0, 1] of the beam that the receiver sees at a range (Hahner 2021, xi)."""
-    return np.clip((range_m - BLIND_M) / (SIGHT_M - BLIND_M), 0.0, 1.0)
+    """Return the overlap in [0, 1] of beam and receiver at a range (Hahner 2021, xi)."""
+    return np.clip((range_m - OVERLAP_START_M) / (FULL_OVERLAP_M - OVERLAP_START_M), 0.0, 1.0)
 
 
 def _reflectivity(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (P,) what the points' materials send back at their incidence, through clear air."""
+    """Return (P,) reflectivity of the points' materials at their incidence, through clear air."""
     known = sweep.material != UNKNOWN_MATERIAL
     if sweep.spec is None or not known.any():
-        return np.full(len(sweep), UNKNOWN_REFLECTIVITY)
+        return np.full(len(sweep), DEFAULT_REFLECTIVITY)
     bin_ = np.rint(sweep.cosine * COSINE_BINS).astype(np.int64)
     surface = optics_of(sweep.spec).power[np.where(known, sweep.material, 0), bin_]
-    return np.where(known, surface * np.exp(-2.0 * CLEAR_AIR_EXTINCTION * reach), UNKNOWN_REFLECTIVITY)
+    return np.where(known, surface * np.exp(-2.0 * CLEAR_AIR_EXTINCTION * reach), DEFAULT_REFLECTIVITY)

@@ -1,4 +1,4 @@
-"""Rings: which beam each point came from, also for points that do not say.
+"""Rings of points: as recorded, or estimated by elevation.
 
 A beam of a spinning LiDAR keeps its elevation, so the points of one ring have one elevation whatever their order and
 wherever the rotation began. The elevations of a sweep form a comb; its teeth are found in their histogram. How wide a
@@ -8,7 +8,7 @@ apart best:
     quality = 1 - 2 mean(|elevation - own ring's| / half the distance to the next ring on that side)
 
 1 when every point lies exactly on its ring, 0 when points lie evenly between rings. Normal noise of 0.15 of the
-distance between rings gives 0.5 and one wrong point in a thousand; nothing below that is handed out.
+distance between rings gives 0.5 and one wrong point in a thousand; lower qualities are refused.
 
 Two things blur the comb and are looked for when it is not sharp. Drivers and datasets compensate the sensor's own
 motion: points then lie where a still sensor would see them, off their rings by the way since or until the rotation
@@ -29,7 +29,7 @@ from sensors.sweep import Sweep
 from sim.errors import DataError, complaint
 
 CREDIBLE = 0.5
-"""Quality below which an estimate is refused."""
+"""Least quality of an accepted estimate."""
 
 _MOST_RINGS = 640
 _LEAST_PER_RING = 5.0
@@ -51,7 +51,7 @@ _SLOTS = 1 << 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingEstimate:
-    """Rings found among P points.
+    """Estimated rings of P points.
 
     Attributes:
         ring: (P,) int16, 0 = highest elevation; rings without points are not counted.
@@ -66,13 +66,13 @@ class RingEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rings:
-    """The rings of a sweep, as it says or as they were found.
+    """Rings of a sweep, recorded or estimated.
 
     Attributes:
         ring: (P,) ring of each point, in [0, count).
         count: number of rings R.
-        identity: (R,) a number of each ring that is the same in all sweeps of one sensor, below `IDENTITIES`.
-        elevation: (R,) elevation, rad; where nobody knows a ring's, that of its neighbours.
+        identity: (R,) number of each ring, the same in all sweeps of one sensor, below `IDENTITIES`.
+        elevation: (R,) elevation, rad; of an empty ring that of its neighbours.
     """
 
     ring: NDArray[np.int16]
@@ -82,18 +82,18 @@ class Rings:
 
 
 IDENTITIES = _SLOTS
-"""`Rings.identity` is below this."""
+"""Bound of `Rings.identity`."""
 
 
 def rings_of(sweep: Sweep, kind: str) -> Rings:
-    """Return the rings of a sweep, estimated when neither the sweep nor its sensor knows them.
+    """Return the rings of a sweep, estimated where neither sweep nor sensor has them.
 
     Args:
         sweep: any sweep.
-        kind: who asks, for the message.
+        kind: corruption, for the message.
 
     Raises:
-        DataError: points of rings that the sensor doesn't have, or a sweep without rings in which none can be found.
+        DataError: rings that the sensor lacks, or missing rings that cannot be estimated.
     """
     if sweep.spec is not None:
         check_rings(sweep, kind)
@@ -110,7 +110,7 @@ def rings_of(sweep: Sweep, kind: str) -> Rings:
 
 
 def check_rings(sweep: Sweep, kind: str) -> None:
-    """Raise DataError when a sweep has points of rings that its sensor does not have."""
+    """Raise DataError for points of rings that the sensor lacks."""
     rings = np.iinfo(np.int16).max if sweep.spec is None else sweep.spec.rings
     if len(sweep) == 0:
         return
@@ -121,7 +121,7 @@ def check_rings(sweep: Sweep, kind: str) -> None:
 
 
 def measured_elevation(points: NDArray[np.floating], ring: NDArray[np.integer], rings: int) -> NDArray[np.float64]:
-    """Return (rings,) mean elevation of each ring's points, rad; rings without points lie between their neighbours."""
+    """Return (rings,) mean elevation of each ring's points, rad; of empty rings between their neighbours."""
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     count = np.bincount(ring, minlength=rings)
     known = np.flatnonzero(count)
@@ -132,15 +132,15 @@ def measured_elevation(points: NDArray[np.floating], ring: NDArray[np.integer], 
 
 
 def estimate_rings(points: NDArray[np.floating], rings: int | None = None) -> RingEstimate:
-    """Find the rings of a spinning LiDAR's points by their elevation, in any order and from any start.
+    """Estimate the rings of a spinning LiDAR's points by their elevation, in any order and from any start.
 
     Args:
-        points: (P, 3) in the sensor's upright frame, m; those at its origin are given the ring nearest to 0 elevation.
-        rings: how many the sensor has, None when not known; no more are found, but fewer where some have no points.
+        points: (P, 3) in the sensor's upright frame, m; those at its origin get the ring nearest to 0 elevation.
+        rings: number of the sensor's rings, None if unknown; an upper bound.
 
     Raises:
         DataError: the elevations form no credible comb: too few points, several sensors merged, a tilted frame, a
-            scanner without rings, or more rings than there are.
+            scanner without rings, or more than `rings`.
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     seen = np.hypot(points[:, 0], points[:, 1]) > 1e-3
@@ -156,7 +156,7 @@ def estimate_rings(points: NDArray[np.floating], rings: int | None = None) -> Ri
 
 
 def _comb(points: NDArray[np.float64], most: int) -> RingEstimate:
-    """Return the best comb of at most so many teeth of (P, 3) points, none of them above or below the sensor."""
+    """Return the best comb of at most `most` teeth of (P, 3) points, none of them above or below the sensor."""
     best = _best_comb(_elevation(points), most)
     if best.quality >= _PLAIN:
         return best
@@ -166,7 +166,7 @@ def _comb(points: NDArray[np.float64], most: int) -> RingEstimate:
     best = max(best, _best_comb(_elevation(points - [0.0, 0.0, start]), most), key=lambda comb: comb.quality)
     near = 1.0 / np.hypot(points[:, 0], points[:, 1])
     for _ in range(_REFINEMENTS):
-        # Neighbouring beams share a lens, so a few bad rings do not count.
+        # Neighbouring beams share a lens: smoothing outvotes a few bad rings.
         slope = _slopes(points[:, 2] * near, near, best)
         again = _best_comb(np.arctan((points[:, 2] - slope[best.ring]) * near), most)
         if again.quality <= best.quality + 1e-4:
@@ -180,13 +180,13 @@ def _elevation(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _halted(points: NDArray[np.float64], way_m: float) -> NDArray[np.float64]:
-    """Return (P, 3) points as measured, had the sensor gone so far straight on in a rotation that begins behind it."""
+    """Return (P, 3) points without the compensation of a straight motion of `way_m` per rotation."""
     turned = np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi)
     return points - np.stack([way_m * turned, np.zeros_like(turned), np.zeros_like(turned)], axis=1)
 
 
 def _sharpest(values: NDArray[np.floating], of: Callable[[float], NDArray[np.float64]]) -> float:
-    """Return the value whose points have the sharpest histogram of elevations, refined; 0 when none is better."""
+    """Return the value whose points have the sharpest histogram of elevations, refined; 0 if none is better."""
 
     def sharpness(value: float) -> float:
         bins = ((_elevation(of(value)) + 0.5 * np.pi) / _SHARP_RAD).astype(np.int64)
@@ -218,7 +218,7 @@ def _slopes(tangent: NDArray[np.float64], near: NDArray[np.float64], comb: RingE
 
 
 def _best_comb(elevation: NDArray[np.float64], most: int) -> RingEstimate:
-    """Return the comb of at most so many teeth that stand apart best in (P,) elevations, the coarsest of the good."""
+    """Return the comb of at most `most` teeth with the best quality in (P,) elevations, the coarsest of the good."""
     if np.ptp(elevation) <= _ONE_RING_RAD:
         return RingEstimate(np.zeros(len(elevation), np.int16), np.array([np.median(elevation)]), 1.0)
     lowest = elevation.min()
@@ -242,7 +242,7 @@ def _best_comb(elevation: NDArray[np.float64], most: int) -> RingEstimate:
 
 
 def _valleys(counts: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Return where the valleys between the teeth of a histogram are, in bins; None when there is no comb."""
+    """Return the valleys between the teeth of a histogram, in bins; None without a comb."""
     density = gaussian_filter1d(np.concatenate([np.zeros(9), counts, np.zeros(9)]), 2.0, mode="constant")
     rising = np.diff(density) > 0.0
     peak = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
@@ -265,7 +265,7 @@ def _valleys(counts: NDArray[np.int64]) -> NDArray[np.float64] | None:
 def _teeth(
     elevation: NDArray[np.float64], weight: NDArray[np.integer], borders: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the ascending middles of the teeth between borders, those of a few stray points left out."""
+    """Return the ascending centres of the teeth between borders, without those of a few stray points."""
     cell = np.searchsorted(borders, elevation)
     count = np.bincount(cell, weight, len(borders) + 1)
     kept = count >= max(1.0, _STRAY * float(np.median(count[count > 0])))
@@ -273,7 +273,7 @@ def _teeth(
 
 
 def _quality(elevation: NDArray[np.float64], weight: NDArray, teeth: NDArray[np.float64]) -> float:
-    """Return how well weighted elevations stand apart around ascending teeth, see above."""
+    """Return the quality of ascending teeth for weighted elevations, see above."""
     if len(teeth) < 2:
         return 0.0
     half = np.minimum(0.5 * np.diff(teeth), _WIDEST_RAD)
@@ -285,9 +285,9 @@ def _quality(elevation: NDArray[np.float64], weight: NDArray, teeth: NDArray[np.
 
 
 def _identity(elevation: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return (R,) places of rings on a ladder from elevation 0 whose rungs are as far apart as close rings are.
+    """Return (R,) places of rings on a ladder from elevation 0 with rungs as far apart as close rings.
 
-    Rings without points in one sweep have points in the next: a place on the ladder stays, a rank does not.
+    A place on the ladder, unlike a rank, is the same in sweeps where other rings are empty.
     """
     if len(elevation) < 2:
         return np.zeros(len(elevation), np.int64)

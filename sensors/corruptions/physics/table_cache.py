@@ -1,4 +1,4 @@
-"""Tables that take a moment to compute, kept as npz files in the user's cache."""
+"""Cache of computed tables: npz files in the user's cache folder."""
 
 import logging
 import zipfile
@@ -21,13 +21,13 @@ Tables = dict[str, NDArray[np.float64]]
 def cached_tables(
     name: str, shapes: Mapping[str, tuple[int, ...]], compute: Callable[[], Tables], folder: Path | None = None
 ) -> Tables:
-    """Return tables from the cache, computing them when they are not there or the file is damaged.
+    """Return tables from the cache, computed where they are missing or the file is damaged.
 
-    The file appears at once or not at all, so processes may share it; where nothing can be written the tables are
-    computed every time.
+    The file appears at once or not at all, so processes may share it; where the cache is not writable the
+    tables are computed every time.
 
     Args:
-        name: of the file, without its ending; whatever the tables depend on is part of it.
+        name: of the file, without its ending; contains all that the tables depend on.
         shapes: of each table.
         compute: makes the tables.
         folder: instead of `tables` in the user's cache (see `sim.roads.cache.cache_folder`).

@@ -1,6 +1,6 @@
 """Beam missing and cross sensor, as published.
 
-Beam missing: the points of some rings are deleted, the others stay as they are.
+Beam missing: the points of some rings are deleted, the others unchanged.
 
 | severity              | 1 | 2 | 3 (DSRC's text) | 4 (DSRC's code) | 5 (number of Robo3D heavy) |
 |-----------------------|---|---|-----------------|-----------------|----------------------------|
@@ -30,8 +30,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range, share_of
-from sensors.corruptions.published.cloud import Cloud, Draws
+from sensors.corruptions.physics.levels import at_level, check_range, proportional_rings
+from sensors.corruptions.published.cloud import Cloud, RandomSource
 from sensors.corruptions.published.rings import RingSource, rings_from
 from sensors.sweep import Sweep
 
@@ -40,14 +40,14 @@ DELETED_OF_64 = (16, 32, 32, 48, 48)
 KEEP_ONE_OF = (1, 1, 2, 2, 4)
 
 
-class BeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperBeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of `beam_missing`.
 
     Attributes:
         rings_of_64: rings drawn for a sensor of 64 rings; for others in proportion.
-        replaced: drawn with replacement, so that fewer are missing (Robo3D).
-        first_of_64, after_of_64: rings are drawn from the first of these on and before the second.
-        rings: where the points' rings come from.
+        replaced: draw with replacement, so that fewer are missing (Robo3D).
+        first_of_64, after_of_64: bounds of the drawn rings, the second excluded.
+        rings: source of the points' rings.
     """
 
     rings_of_64: int = 16
@@ -57,9 +57,9 @@ class BeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     rings: RingSource = "sweep"
 
     def __post_init__(self) -> None:
-        check_range("BeamMissing", "rings_of_64", self.rings_of_64, 0, 64)
-        check_range("BeamMissing", "after_of_64", self.after_of_64, 1, 64)
-        check_range("BeamMissing", "first_of_64", self.first_of_64, 0, self.after_of_64 - 1)
+        check_range("PaperBeamMissing", "rings_of_64", self.rings_of_64, 0, 64)
+        check_range("PaperBeamMissing", "after_of_64", self.after_of_64, 1, 64)
+        check_range("PaperBeamMissing", "first_of_64", self.first_of_64, 0, self.after_of_64 - 1)
 
     @classmethod
     def severity(cls, level: int) -> Self:
@@ -67,15 +67,15 @@ class BeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return cls(rings_of_64=at_level(MISSING_OF_64, level))
 
 
-class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperCrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of `cross_sensor`.
 
     Attributes:
         rings_of_64: rings deleted of a sensor of 64 rings; of others in proportion.
-        keep_one_of: of so many points one is kept.
+        keep_one_of: n: every n-th point is kept.
         method: `list` deletes rings and thins the list of the rest (DSRC, Robo3D); `azimuth` keeps every n-th ring from
             the lowest on, n the share that remains, and thins each by azimuth (LiDAR-Distillation).
-        rings: where the points' rings come from.
+        rings: source of the points' rings.
     """
 
     rings_of_64: int = 32
@@ -84,8 +84,8 @@ class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     rings: RingSource = "sweep"
 
     def __post_init__(self) -> None:
-        check_range("CrossSensor", "rings_of_64", self.rings_of_64, 0, 63)
-        check_range("CrossSensor", "keep_one_of", self.keep_one_of, 1, 1000)
+        check_range("PaperCrossSensor", "rings_of_64", self.rings_of_64, 0, 63)
+        check_range("PaperCrossSensor", "keep_one_of", self.keep_one_of, 1, 1000)
 
     @classmethod
     def severity(cls, level: int) -> Self:
@@ -93,63 +93,63 @@ class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return cls(rings_of_64=at_level(DELETED_OF_64, level), keep_one_of=at_level(KEEP_ONE_OF, level))
 
 
-PUBLISHED_BEAM_MISSING: dict[str, BeamMissing] = {
-    "dsrc_text": BeamMissing(),
-    "dsrc": BeamMissing(rings_of_64=32, rings="azimuth_wrap"),
-    "robo3d_light": BeamMissing(rings_of_64=16, replaced=True, first_of_64=4, after_of_64=59),
-    "robo3d_moderate": BeamMissing(rings_of_64=32, replaced=True, first_of_64=4, after_of_64=59),
-    "robo3d_heavy": BeamMissing(rings_of_64=48, replaced=True, first_of_64=4, after_of_64=59),
+PUBLISHED_BEAM_MISSING: dict[str, PaperBeamMissing] = {
+    "dsrc_text": PaperBeamMissing(),
+    "dsrc": PaperBeamMissing(rings_of_64=32, rings="azimuth_wrap"),
+    "robo3d_light": PaperBeamMissing(rings_of_64=16, replaced=True, first_of_64=4, after_of_64=59),
+    "robo3d_moderate": PaperBeamMissing(rings_of_64=32, replaced=True, first_of_64=4, after_of_64=59),
+    "robo3d_heavy": PaperBeamMissing(rings_of_64=48, replaced=True, first_of_64=4, after_of_64=59),
 }
 """Settings by source; Robo3D takes the rings of KITTI by azimuth wrap and those of nuScenes from its files."""
 
-PUBLISHED_CROSS_SENSOR: dict[str, CrossSensor] = {
-    "dsrc": CrossSensor(rings="azimuth_wrap"),
-    "robo3d_light": CrossSensor(rings_of_64=16),
-    "robo3d_moderate": CrossSensor(rings_of_64=32),
-    "robo3d_heavy": CrossSensor(rings_of_64=48),
-    "lidar_distillation_32": CrossSensor(rings_of_64=32, keep_one_of=1, method="azimuth", rings="k_means"),
-    "lidar_distillation_32^": CrossSensor(rings_of_64=32, keep_one_of=2, method="azimuth", rings="k_means"),
-    "lidar_distillation_16": CrossSensor(rings_of_64=48, keep_one_of=1, method="azimuth", rings="k_means"),
-    "lidar_distillation_16^": CrossSensor(rings_of_64=48, keep_one_of=2, method="azimuth", rings="k_means"),
+PUBLISHED_CROSS_SENSOR: dict[str, PaperCrossSensor] = {
+    "dsrc": PaperCrossSensor(rings="azimuth_wrap"),
+    "robo3d_light": PaperCrossSensor(rings_of_64=16),
+    "robo3d_moderate": PaperCrossSensor(rings_of_64=32),
+    "robo3d_heavy": PaperCrossSensor(rings_of_64=48),
+    "lidar_distillation_32": PaperCrossSensor(rings_of_64=32, keep_one_of=1, method="azimuth", rings="k_means"),
+    "lidar_distillation_32^": PaperCrossSensor(rings_of_64=32, keep_one_of=2, method="azimuth", rings="k_means"),
+    "lidar_distillation_16": PaperCrossSensor(rings_of_64=48, keep_one_of=1, method="azimuth", rings="k_means"),
+    "lidar_distillation_16^": PaperCrossSensor(rings_of_64=48, keep_one_of=2, method="azimuth", rings="k_means"),
 }
 
 
-def beam_missing(sweep: Sweep, severity: int | BeamMissing, rng: Draws) -> Sweep:
+def beam_missing(sweep: Sweep, severity: int | PaperBeamMissing, rng: RandomSource) -> Sweep:
     """Delete all points of some rings; see `missing_rings`.
 
     Raises:
-        DataError: the sweep's own rings are asked for and cannot be known.
+        DataError: `rings` is `sweep`, and they are missing and cannot be estimated.
     """
-    settings = severity if isinstance(severity, BeamMissing) else BeamMissing.severity(severity)
+    settings = severity if isinstance(severity, PaperBeamMissing) else PaperBeamMissing.severity(severity)
     ring, rings = rings_from(sweep, settings.rings, "beam_missing")
     return sweep[~np.isin(ring, missing_rings(settings, rings, rng))]
 
 
-def cross_sensor(sweep: Sweep, severity: int | CrossSensor, rng: Draws) -> Sweep:
-    """Keep what another sensor would have seen; `rng` is not used.
+def cross_sensor(sweep: Sweep, severity: int | PaperCrossSensor, rng: RandomSource) -> Sweep:
+    """Keep the points of another sensor; `rng` is unused.
 
     Raises:
-        DataError: the sweep's own rings are asked for and cannot be known.
+        DataError: `rings` is `sweep`, and they are missing and cannot be estimated.
     """
-    settings = severity if isinstance(severity, CrossSensor) else CrossSensor.severity(severity)
+    settings = severity if isinstance(severity, PaperCrossSensor) else PaperCrossSensor.severity(severity)
     ring, rings = rings_from(sweep, settings.rings, "cross_sensor")
     return sweep[kept_points(sweep.points, ring, rings, settings)]
 
 
-def missing_rings(settings: BeamMissing, rings: int, rng: Draws) -> NDArray[np.int64]:
-    """Draw the rings that are missing, in the order of drawing; a legacy generator gives those of the release.
+def missing_rings(settings: PaperBeamMissing, rings: int, rng: RandomSource) -> NDArray[np.int64]:
+    """Draw the missing rings, in the order of drawing; a legacy generator gives those of the release.
 
     Those of a lower `rings_of_64` are the first of those of a higher one.
     """
-    number = share_of(rings, settings.rings_of_64)
+    number = proportional_rings(rings, settings.rings_of_64)
     first, after = settings.first_of_64 * rings // 64, settings.after_of_64 * rings // 64
     if settings.replaced:
         return first + (rng.random(number) * (after - first)).astype(np.int64)
     return first + rng.permutation(after - first)[:number]
 
 
-def kept_points(points: Cloud, ring: NDArray[np.integer], rings: int, settings: CrossSensor) -> NDArray[np.bool_]:
-    """Return (P,) which points the other sensor keeps.
+def kept_points(points: Cloud, ring: NDArray[np.integer], rings: int, settings: PaperCrossSensor) -> NDArray[np.bool_]:
+    """Return (P,) mask of the points that the other sensor keeps.
 
     Args:
         points: (P, 3) or a cloud, in the order of the file.
@@ -160,13 +160,15 @@ def kept_points(points: Cloud, ring: NDArray[np.integer], rings: int, settings: 
     if settings.method == "azimuth":
         return _thinned_by_azimuth(points, ring, rings, settings)
     kept = np.zeros(len(points), bool)
-    remaining = np.flatnonzero(~np.isin(ring, deleted_rings(rings, share_of(rings, settings.rings_of_64))))
-    kept[remaining[:: settings.keep_one_of]] = True
+    remaining_points = np.flatnonzero(
+        ~np.isin(ring, deleted_rings(rings, proportional_rings(rings, settings.rings_of_64)))
+    )
+    kept[remaining_points[:: settings.keep_one_of]] = True
     return kept
 
 
 def deleted_rings(rings: int, number: int) -> NDArray[np.int64]:
-    """Return which rings a cross sensor lacks."""
+    """Return (number,) rings that a cross sensor deletes."""
     number = min(number, rings - 1)
     if number <= 0:
         return np.zeros(0, np.int64)
@@ -175,10 +177,10 @@ def deleted_rings(rings: int, number: int) -> NDArray[np.int64]:
 
 
 def _thinned_by_azimuth(
-    points: Cloud, ring: NDArray[np.integer], rings: int, settings: CrossSensor
+    points: Cloud, ring: NDArray[np.integer], rings: int, settings: PaperCrossSensor
 ) -> NDArray[np.bool_]:
-    """Return (P,) which points LiDAR-Distillation keeps: azimuths count from +x, counter-clockwise to a full turn."""
-    every = rings // (rings - min(share_of(rings, settings.rings_of_64), rings - 1))
+    """Return (P,) mask of points that LiDAR-Distillation keeps; azimuth from +x, counter-clockwise to a full turn."""
+    every = rings // (rings - min(proportional_rings(rings, settings.rings_of_64), rings - 1))
     azimuth = np.mod(np.arctan2(points[:, 1], points[:, 0]), 2.0 * np.pi)
     order = np.lexsort((azimuth, ring))
     sorted_ring = ring[order]

@@ -1,4 +1,4 @@
-"""Clouds, the rows x, y, z, intensity that published models act on, and the way from a sweep and back.
+"""Clouds of x, y, z, intensity, the format of published models, and conversion from and to sweeps.
 
 Published code draws from numpy's legacy generator. Every function here takes either kind, and draws in the published
 order where that costs nothing, so `numpy.random.RandomState(1205)` gives what the release gives with that seed.
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from sensors.sweep import ADDED, KEPT, SCATTERED, UNKNOWN_MATERIAL, Sweep
 
 Cloud = NDArray[np.floating]
-"""(P, 4) x, y, z in m and intensity; further columns are left alone unless a model says otherwise."""
+"""(P, 4) x, y, z in m and intensity; further columns are unchanged unless a model says otherwise."""
 
-Draws = np.random.Generator | np.random.RandomState
-"""A source of randomness, new or legacy."""
+RandomSource = np.random.Generator | np.random.RandomState
+"""Random generator, new or legacy."""
 
 
 def cloud_of(sweep: Sweep) -> NDArray[np.float64]:
@@ -33,7 +33,7 @@ def with_cloud(sweep: Sweep, cloud: Cloud, fate: NDArray[np.integer]) -> Sweep:
     Args:
         sweep: of P points.
         cloud: (P, 4).
-        fate: (P,) of each point; what is `SCATTERED` belongs to no object and stays so, `KEPT` keeps what it had.
+        fate: (P,) of each point; `SCATTERED` points belong to no object and stay so, `KEPT` keeps the earlier fate.
     """
     added = fate == SCATTERED
     return replace(
@@ -48,12 +48,12 @@ def with_cloud(sweep: Sweep, cloud: Cloud, fate: NDArray[np.integer]) -> Sweep:
 
 
 def with_rows(sweep: Sweep, rows: NDArray[np.integer], cloud: Cloud) -> Sweep:
-    """Return the sweep with some of its points replaced by what is no surface's, intensities clipped to [0, 1].
+    """Return the sweep with some points replaced by points on no surface, intensities clipped to [0, 1].
 
     Args:
-        sweep: of P points; the others keep all they had.
-        rows: (K,) which points, each at most once.
-        cloud: (K, 4) what is there instead.
+        sweep: of P points; the others are unchanged.
+        rows: (K,) rows of the points, each at most once.
+        cloud: (K, 4) replacement.
     """
     new = {
         "points": cloud[:, :3],

@@ -1,4 +1,4 @@
-"""Fog as Hahner et al. (ICCV 2021) published it, and as DSRC, Robo3D and 3D_Corruptions_AD use it.
+"""Fog of Hahner et al. (ICCV 2021), as DSRC and Robo3D use it.
 
 A target of intensity i at range r competes with the fog before it (`echo`), point by point:
 
@@ -14,20 +14,20 @@ point is ever lost, and which points move does not depend on i: all beyond one r
 | moves beyond, m, with alpha = 0.06/m | 31    | 28    | 24                     | 16           | 11        |
 
 alpha is drawn for every sweep from 0, 0.005, 0.01, 0.02, 0.03, 0.06 per m, as in DSRC and Robo3D: the agents of a scene
-are in different fogs, and one in six in one that hides nothing. Hahner and 3D_Corruptions_AD set alpha instead, 0.005
+are in different fogs, one in six in clear air. Hahner sets alpha instead, 0.005
 to 0.06 (to 0.2) per m, and beta should follow as 0.046 / (ln 20 / alpha), `backscatter_of`; in the published batch
 script it stays at that of alpha = 0.06, `BACKSCATTER_FIXED`.
 
-Quirks, as switches where they are choices: the table puts the peak half a pulse, 3.0 m, too far (`shifted` is Hahner's
-unused remedy, which gives negative ranges up close), and is the same beyond 4.8 m, so that all fog is 4.5 to 4.7 m
-away; `noise` then spreads it by a random factor on the moved point, drawn for one after the other:
+Quirks, as switches where they are choices: the table puts the peak half a pulse, 3.0 m, too far, and is the same beyond
+4.8 m, so that all fog is 4.5 to 4.7 m away; `noise` then spreads it by a random factor on the moved point, drawn for
+one after the other:
 
     v1  r / U(r - n, r + n)              v2  max(1, n / 5)^U(-1, 1)
     v3  max(1, 0.4 n)^U(-0.5, 1)         v4  (d + 10 Beta(2, 20)) / d
 
 v1 throws points far behind their target, or through the origin, where r is near n or less. On intensities of 0 to 255
-Hahner rounds hard and caps soft at 255 (`scale`, `rounded`, `cap`), which on 0 to 1 turns nearly everything to fog;
-3D_Corruptions_AD does that. `gain` makes the brightest point 255 (Hahner's viewer). Published tables exist for a few
+Hahner rounds hard and caps soft at 255 (`scale`, `rounded`, `cap`), which on 0 to 1 turns nearly everything to fog.
+`gain` makes the brightest point 255 (Hahner's viewer). Published tables exist for a few
 alpha and one pulse, others are snapped to them; here every alpha has its own, computed in a moment and kept on disk.
 """
 
@@ -40,13 +40,13 @@ from numpy.typing import NDArray
 
 from sensors.corruptions.physics.levels import at_level, check_range
 from sensors.corruptions.physics.table_cache import cached_tables
-from sensors.corruptions.published.cloud import Cloud, Draws, cloud_of, with_cloud
-from sensors.corruptions.published.echo import LIGHT_SPEED, TARGET_BACKSCATTER, soft_integral
+from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
+from sensors.corruptions.published.echo import TARGET_BACKSCATTER, soft_integral
 from sensors.sweep import ATTENUATED, SCATTERED, Sweep
 
 BACKSCATTER = (0.002, 0.004, 0.008, 0.05, 0.2)
 EXTINCTIONS = (0.0, 0.005, 0.01, 0.02, 0.03, 0.06)
-"""What DSRC and Robo3D draw from, 1/m."""
+"""Extinctions that DSRC and Robo3D draw from, 1/m."""
 
 PULSE_S = 2e-8
 """tau."""
@@ -64,7 +64,7 @@ BACKSCATTER_FIXED = backscatter_of(0.06)
 """beta of the published batch script whatever the extinction, 9.2131e-4."""
 
 
-class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperFog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -73,8 +73,7 @@ class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         pulse_s: tau.
         noise: n, m; 0 for none.
         variant: of the noise.
-        shifted: ranges of the fog are less by half a pulse.
-        scale: of the intensity that the model sees, for one of 1 in a sweep.
+        scale: model intensity of 1 in a sweep.
         rounded: hard intensities are rounded to integers.
         cap: soft intensities are at most this.
         gain: intensities are times 255 / the largest, rounded up.
@@ -85,18 +84,17 @@ class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     pulse_s: float = PULSE_S
     noise: float = 10.0
     variant: Literal["v1", "v2", "v3", "v4"] = "v1"
-    shifted: bool = False
     scale: float = 1.0
     rounded: bool = False
     cap: float | None = None
     gain: bool = False
 
     def __post_init__(self) -> None:
-        check_range("Fog", "extinction", self.extinction or 0.0, 0.0, 10.0)
-        check_range("Fog", "backscatter", self.backscatter, 0.0, 10.0)
-        check_range("Fog", "pulse_s", self.pulse_s, 1e-10, 1e-6)
-        check_range("Fog", "noise", self.noise, 0.0, 100.0)
-        check_range("Fog", "scale", self.scale, 1e-3, 1e6)
+        check_range("PaperFog", "extinction", self.extinction or 0.0, 0.0, 10.0)
+        check_range("PaperFog", "backscatter", self.backscatter, 0.0, 10.0)
+        check_range("PaperFog", "pulse_s", self.pulse_s, 1e-10, 1e-6)
+        check_range("PaperFog", "noise", self.noise, 0.0, 100.0)
+        check_range("PaperFog", "scale", self.scale, 1e-3, 1e6)
 
     @classmethod
     def severity(cls, level: int) -> Self:
@@ -104,22 +102,18 @@ class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return cls(backscatter=at_level(BACKSCATTER, level))
 
 
-def hahner(extinction: float, *, coupled: bool = False) -> Fog:
+def hahner(extinction: float, *, coupled: bool = False) -> PaperFog:
     """Return Hahner's settings: intensities of 0 to 255, and beta fixed unless `coupled` to alpha."""
     beta = backscatter_of(extinction) if coupled else BACKSCATTER_FIXED
-    return Fog(extinction=extinction, backscatter=beta, scale=255.0, rounded=True, cap=255.0)
+    return PaperFog(extinction=extinction, backscatter=beta, scale=255.0, rounded=True, cap=255.0)
 
 
-PUBLISHED: dict[str, Fog] = {
-    "dsrc": Fog(),
-    "robo3d_light": Fog(backscatter=0.008),
-    "robo3d_moderate": Fog(backscatter=0.05),
-    "robo3d_heavy": Fog(backscatter=0.2),
+PUBLISHED: dict[str, PaperFog] = {
+    "dsrc": PaperFog(),
+    "robo3d_light": PaperFog(backscatter=0.008),
+    "robo3d_moderate": PaperFog(backscatter=0.05),
+    "robo3d_heavy": PaperFog(backscatter=0.2),
     **{f"hahner_{alpha:g}": hahner(alpha) for alpha in (0.005, 0.01, 0.02, 0.03, 0.06, 0.1, 0.12, 0.15, 0.2)},
-    **{
-        f"3d_corruptions_ad_{level}": msgspec.structs.replace(hahner(alpha), scale=1.0, noise=1.0)
-        for level, alpha in enumerate(EXTINCTIONS[1:], 1)
-    },
 }
 
 
@@ -135,49 +129,49 @@ class FogTable(NamedTuple):
     integral: NDArray[np.float64]
 
 
-class Fogged(NamedTuple):
+class FoggyCloud(NamedTuple):
     """A cloud in fog.
 
     Attributes:
         cloud: (P, 4 or more) float64.
-        moved: (P,) which points are the fog's.
+        moved: (P,) mask of the fog's returns.
     """
 
     cloud: NDArray[np.float64]
     moved: NDArray[np.bool_]
 
 
-def corrupt(sweep: Sweep, severity: int | Fog, rng: Draws) -> Sweep:
-    """Dim or move every point; what is moved is a return of the fog."""
-    fog = severity if isinstance(severity, Fog) else Fog.severity(severity)
+def corrupt(sweep: Sweep, severity: int | PaperFog, rng: RandomSource) -> Sweep:
+    """Dim or move every point; moved points are returns of the fog."""
+    fog = severity if isinstance(severity, PaperFog) else PaperFog.severity(severity)
     if fog.extinction == fog.backscatter == 0.0 or len(sweep) == 0:
         return sweep
     cloud = cloud_of(sweep)
     cloud[:, 3] *= fog.scale
-    out, moved = fogged(cloud, fog, rng)
+    out, moved = apply_fog(cloud, fog, rng)
     out[:, 3] /= 255.0 if fog.gain else fog.scale
     return with_cloud(sweep, out, np.where(moved, SCATTERED, ATTENUATED))
 
 
 def reference_rng() -> np.random.Generator:
-    """Return the generator that the published code makes when it is imported, after the draw that it discards."""
+    """Return the generator of the published code, after the draw that it discards."""
     rng = np.random.default_rng(42)
     rng.integers(1, 20)
     return rng
 
 
-def fogged(cloud: Cloud, fog: Fog, rng: Draws) -> Fogged:
+def apply_fog(cloud: Cloud, fog: PaperFog, rng: RandomSource) -> FoggyCloud:
     """Return a cloud in fog.
 
     Args:
         cloud: (P, 4) with the intensity that the model expects (0 to 1, or 0 to 255 where it rounds and caps).
-        fog: settings; `scale` is the caller's business.
-        rng: draws alpha if it is to be drawn, then one number per moved point in order. `reference_rng` gives those of
+        fog: settings; the caller applies `scale`.
+        rng: draws alpha unless it is set, then one number per moved point in order. `reference_rng` gives those of
             the published code.
     """
     out = cloud.astype(np.float64)
     if len(cloud) == 0:
-        return Fogged(out, np.zeros(0, bool))
+        return FoggyCloud(out, np.zeros(0, bool))
     alpha = EXTINCTIONS[int(rng.random() * len(EXTINCTIONS))] if fog.extinction is None else fog.extinction
     table = fog_table(alpha, fog.pulse_s)
     reach = np.sqrt(out[:, 0] ** 2 + out[:, 1] ** 2 + out[:, 2] ** 2)
@@ -190,14 +184,14 @@ def fogged(cloud: Cloud, fog: Fog, rng: Draws) -> Fogged:
         soft = np.minimum(soft, fog.cap)
     moved = soft > hard
     out[:, 3] = np.where(moved, soft, hard)
-    place = table.range_m[row[moved]] - (0.5 * LIGHT_SPEED * fog.pulse_s if fog.shifted else 0.0)
+    place = table.range_m[row[moved]]
     factor = place / reach[moved]
     if fog.noise > 0.0:
         factor *= _spread(fog, reach[moved], place, rng)
     out[moved, :3] *= factor[:, None]
     if fog.gain:
         out[:, 3] *= 255.0 / np.ceil(out[:, 3].max())
-    return Fogged(out, moved)
+    return FoggyCloud(out, moved)
 
 
 @lru_cache(maxsize=64)
@@ -217,8 +211,8 @@ def fog_table(extinction: float, pulse_s: float = PULSE_S) -> FogTable:
 def compute_table(extinction: float, pulse_s: float) -> FogTable:
     """Compute the table of a fog.
 
-    Up to a target's range the echo does not know of the target, so the strongest one is the running maximum of the
-    echo of fog without end.
+    Up to a target's range the echo does not depend on the target, so the strongest one is the running maximum of the
+    echo of endless fog.
     """
     range_m = np.linspace(0.0, _REACH_M, _ROWS)
     wave = soft_integral(range_m, np.array(np.inf), extinction, pulse_s)
@@ -229,7 +223,9 @@ def compute_table(extinction: float, pulse_s: float) -> FogTable:
     return FogTable(range_m[place[last]], peak[last])
 
 
-def _spread(fog: Fog, reach: NDArray[np.float64], place: NDArray[np.float64], rng: Draws) -> NDArray[np.float64]:
+def _spread(
+    fog: PaperFog, reach: NDArray[np.float64], place: NDArray[np.float64], rng: RandomSource
+) -> NDArray[np.float64]:
     """Return (M,) the random factor on moved points."""
     n, m = fog.noise, len(reach)
     if fog.variant == "v1":

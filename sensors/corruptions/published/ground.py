@@ -1,14 +1,14 @@
-"""The ground and the noise level that snow and wet ground of Hahner et al. (CVPR 2022) read out of a cloud.
+"""Ground plane and noise level of a cloud, for snow and wet ground of Hahner et al. (CVPR 2022).
 
 Plane: a robust fit (RANSAC) of z over x, y to the points with 10 < x < 70, |y| < 3, -1.86 - 0.01 x < z < -1.55 m, so of
 a road ahead of a sensor 1.7 m above it. Quirks: the normal is made a unit vector, the offset is not; residuals are
 squared before they are compared with the median deviation of z; with 5 points or fewer the plane is z = 1.55, above
-the sensor instead of below. Ground is what is within 0.5 m of it.
+the sensor instead of below. Ground points are within 0.5 m of it.
 
 Intensities of ground points over the cosine of incidence give two lines over range: the ordinary one (least squares),
 and the noise line, through the emptiest occupied of 2555 bins of intensity (5 to the largest) in each of 50 bins of
 range from 10 to 70 m. In the published code ties among the emptiest fall as numpy's build has them; here the darkest
-counts, which is what that build did with the synthetic clouds of the tests. The noise floor of snow is a parabola over
+counts, as in that build for the synthetic clouds of the tests. The noise floor of snow is a parabola over
 range through the noise line times a factor times the cosine of each ground point.
 """
 
@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.published.cloud import Cloud, Draws
+from sensors.corruptions.published.cloud import Cloud, RandomSource
+from sim.geometry import Array
 
 _TRIALS = 1000
 _SAMPLE = 3
@@ -28,15 +29,13 @@ _RANGE_BINS, _NEAR_M, _FAR_M = 50, 10.0, 70.0
 _LEVEL_BINS, _LOWEST = 2555, 5.0
 _LEAST_LINE = 4
 
-Array = NDArray[np.float64]
-
 
 class Plane(NamedTuple):
     """A plane normal . p + offset = 0.
 
     Attributes:
         normal: (3,) unit vector.
-        offset: m, as published: not divided by what made the normal a unit vector.
+        offset: m, as published: not divided by the norm of the unnormalised normal.
     """
 
     normal: Array
@@ -44,14 +43,14 @@ class Plane(NamedTuple):
 
 
 FALLBACK = Plane(np.array([0.0, 0.0, 1.0]), -1.55)
-"""The plane where none can be fitted."""
+"""Plane where none can be fitted."""
 
 
-class Ground(NamedTuple):
+class FittedGround(NamedTuple):
     """G ground points of a cloud.
 
     Attributes:
-        rows: (P,) which points they are.
+        rows: (P,) mask of the points.
         range_m: (G,).
         cosine: (G,) of the angle of incidence.
     """
@@ -61,7 +60,7 @@ class Ground(NamedTuple):
     cosine: Array
 
 
-def fit_plane(points: Cloud, rng: Draws) -> Plane:
+def fit_plane(points: Cloud, rng: RandomSource) -> Plane:
     """Fit the ground plane.
 
     Args:
@@ -79,46 +78,46 @@ def fit_plane(points: Cloud, rng: Draws) -> Plane:
     return Plane(normal / np.linalg.norm(normal), offset)
 
 
-def ground_of(points: Cloud, plane: Plane) -> Ground:
+def ground_of(points: Cloud, plane: Plane) -> FittedGround:
     """Return the points within half a metre of a plane."""
     x, y, z = np.array(points[:, :3].T, np.float64)
     height = plane.normal[0] * x + plane.normal[1] * y + plane.normal[2] * z
     rows = np.abs(height + plane.offset) < _HALF_M
     range_m = np.sqrt(x[rows] ** 2 + y[rows] ** 2 + z[rows] ** 2)
     slant = np.divide(np.abs(height[rows]), range_m, out=np.ones(len(range_m)), where=range_m > 0)
-    return Ground(rows, range_m, np.clip(slant / np.linalg.norm(plane.normal), 0.0, 1.0))
+    return FittedGround(rows, range_m, np.clip(slant / np.linalg.norm(plane.normal), 0.0, 1.0))
 
 
-def labelled_ground(points: Cloud, rows: NDArray[np.bool_]) -> Ground:
-    """Return ground that labels name, taken for level under an upright sensor (Robo3D).
+def labelled_ground(points: Cloud, rows: NDArray[np.bool_]) -> FittedGround:
+    """Return labelled ground, taken for level under an upright sensor (Robo3D).
 
     Args:
         points: (P, 3) or a cloud.
-        rows: (P,) which points are ground.
+        rows: (P,) mask of ground points.
     """
     p = np.asarray(points, np.float64)[rows, :3]
     range_m = np.linalg.norm(p, axis=1)
-    return Ground(rows, range_m, np.divide(np.abs(p[:, 2]), range_m, out=np.ones(len(p)), where=range_m > 0))
+    return FittedGround(rows, range_m, np.divide(np.abs(p[:, 2]), range_m, out=np.ones(len(p)), where=range_m > 0))
 
 
-def intensity_line(ground: Ground, intensity: Array) -> Array:
-    """Return (2,) slope and offset of intensity / cosine over range; zeros when all ground is at one range.
+def intensity_line(ground: FittedGround, intensity: Array) -> Array:
+    """Return (2,) slope and offset of intensity / cosine over range; zeros if all ground is at one range.
 
     Args:
         ground: G points.
         intensity: (G,) theirs.
     """
-    return _line(ground.range_m, _upright(ground, intensity))
+    return _line(ground.range_m, _per_cosine(ground, intensity))
 
 
-def noise_line(ground: Ground, intensity: Array) -> Array | None:
+def noise_line(ground: FittedGround, intensity: Array) -> Array | None:
     """Return (2,) slope and offset of the noise level over range, for intensities of 0 to 255; None without a fit.
 
     Args:
         ground: G points.
         intensity: (G,) theirs.
     """
-    level = _upright(ground, intensity)
+    level = _per_cosine(ground, intensity)
     if len(level) == 0 or level.max() <= _LOWEST:
         return None
     limits = ((_NEAR_M, _FAR_M), (_LOWEST, float(level.max())))
@@ -132,8 +131,8 @@ def noise_line(ground: Ground, intensity: Array) -> Array | None:
     return _line((0.5 * (near[:-1] + near[1:]))[filled], darkest[filled])
 
 
-def noise_floor(ground: Ground, line: Array, factor: float) -> Array:
-    """Return (3,) coefficients of the parabola over range that snow takes for its noise floor, highest power first.
+def noise_floor(ground: FittedGround, line: Array, factor: float) -> Array:
+    """Return (3,) coefficients of snow's noise floor, a parabola over range, highest power first.
 
     Args:
         ground: points that it is fitted to.
@@ -143,12 +142,12 @@ def noise_floor(ground: Ground, line: Array, factor: float) -> Array:
     return np.polyfit(ground.range_m, factor * np.polyval(line, ground.range_m) * ground.cosine, 2)
 
 
-def _upright(ground: Ground, intensity: Array) -> Array:
+def _per_cosine(ground: FittedGround, intensity: Array) -> Array:
     return np.divide(intensity, ground.cosine, out=np.zeros(len(intensity)), where=ground.cosine > 0)
 
 
-def _consensus(flat: Array, height: Array, rng: Draws) -> NDArray[np.bool_]:
-    """Return (N,) the points that agree with the best plane through three of them (RANSAC, squared residuals)."""
+def _consensus(flat: Array, height: Array, rng: RandomSource) -> NDArray[np.bool_]:
+    """Return (N,) inliers of the best plane through three points (RANSAC, squared residuals)."""
     tolerance = np.median(np.abs(height - np.median(height)))
     best, best_fit, found = 1, -np.inf, np.ones(len(height), bool)
     trials, trial = float(_TRIALS), 0
@@ -170,12 +169,12 @@ def _consensus(flat: Array, height: Array, rng: Draws) -> NDArray[np.bool_]:
 
 
 def _needed(share: float) -> float:
-    """Return how many trials make it 99 % sure that one of them has three points of the plane's share."""
+    """Return the number of trials of which one has three inliers with a probability of 99 %."""
     missing = max(float(np.finfo(np.float64).eps), 1.0 - share**_SAMPLE)
     return np.inf if missing >= 1.0 else float(np.ceil(np.log(1.0 - _CONFIDENCE) / np.log(missing)))
 
 
-def _three(number: int, rng: Draws) -> NDArray[np.int64]:
+def _three(number: int, rng: RandomSource) -> NDArray[np.int64]:
     draw = rng.integers if isinstance(rng, np.random.Generator) else rng.randint
     rows: list[int] = []
     while len(rows) < _SAMPLE:

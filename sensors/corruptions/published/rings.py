@@ -1,15 +1,15 @@
-"""Rings as published code guesses them, for files that do not say which beam a point is of; ring 0 = top.
+"""Ring estimates of published code, for files without rings; ring 0 = top.
 
-| way            | who                              | what it needs                                                  |
+| estimate       | source                           | assumption                                                     |
 |----------------|----------------------------------|----------------------------------------------------------------|
 | `azimuth_wrap` | DSRC, Robo3D beams, cross sensor | KITTI's order: ring after ring, each counter-clockwise from +x |
 | `elevation`    | DSRC, Robo3D snow                | an HDL-64E: 64 rings evenly from +3 to -25 degrees             |
 | `k_means`      | LiDAR-Distillation               | 64 rings at well separated elevations                          |
 
-Each is right where it was made for and quietly wrong elsewhere: the same cloud in reverse order has a single ring by
-azimuth wrap, a shuffled one noise. `sensors.corruptions.physics.rings` is what to use instead. Quirks, all kept: azimuth wraps
-are counted up to 63, whatever the sensor; the bin of an elevation is computed in single precision, and its distance is
-the norm over all four columns, the intensity included, unless only three are given.
+Each is right under its assumption and silently wrong elsewhere: the same cloud in reverse order has a single ring by
+azimuth wrap, a shuffled one noise. Use `sensors.corruptions.physics.rings` instead. Quirks, all kept: azimuth wraps are
+counted up to 63, whatever the sensor; the bin of an elevation is computed in single precision, and its distance is the
+norm over all four columns, the intensity included, unless only three are given.
 """
 
 from typing import Literal, get_args
@@ -22,11 +22,11 @@ from sensors.corruptions.published.cloud import Cloud, cloud_of
 from sensors.sweep import Sweep
 
 RingSource = Literal["sweep", "azimuth_wrap", "elevation", "k_means"]
-"""Where rings come from: the sweep itself, or a guess."""
+"""Source of rings: the sweep itself, or an estimate."""
 RING_SOURCES: tuple[RingSource, ...] = get_args(RingSource)
 
 LASERS = 64
-"""Rings that every guess assumes."""
+"""Number of rings that every estimate assumes."""
 
 _BEHIND, _AHEAD = 0.2, 0.8
 _TOP_RAD, _BOTTOM_RAD = 3.0 / 180.0 * np.pi, -25.0 / 180.0 * np.pi
@@ -39,11 +39,11 @@ def rings_from(sweep: Sweep, source: RingSource, kind: str) -> tuple[NDArray[np.
 
     Args:
         sweep: any.
-        source: where from.
-        kind: who asks, for the message.
+        source: of the rings.
+        kind: corruption, for the message.
 
     Raises:
-        DataError: the sweep's own rings are asked for, and neither it nor its points say any.
+        DataError: `source` is `sweep`, and rings are missing and cannot be estimated.
     """
     if source == "sweep":
         rings = rings_of(sweep, kind)
@@ -53,7 +53,7 @@ def rings_from(sweep: Sweep, source: RingSource, kind: str) -> tuple[NDArray[np.
 
 
 def azimuth_wrap(cloud: Cloud) -> NDArray[np.int64]:
-    """Return (P,) rings counted by the passes of +x, in the order of the rows: u from below 0.2 after above 0.8.
+    """Return (P,) rings counted by passes of +x in the order of the rows: u below 0.2 after above 0.8.
 
     Here u in [0, 1] grows counter-clockwise from +x.
     """
@@ -64,7 +64,7 @@ def azimuth_wrap(cloud: Cloud) -> NDArray[np.int64]:
 
 
 def elevation_bin(cloud: Cloud) -> NDArray[np.int64]:
-    """Return (P,) which of 64 equal parts of +3 to -25 degrees asin(z / norm of the row) is in, clipped.
+    """Return (P,) bin of asin(z / norm of the row) among 64 equal ones of +3 to -25 degrees, clipped.
 
     Args:
         cloud: (P, 3) points, or (P, 4) with the intensity in the norm, as released.
@@ -77,10 +77,10 @@ def elevation_bin(cloud: Cloud) -> NDArray[np.int64]:
 
 
 def k_means(cloud: Cloud, clusters: int = LASERS) -> NDArray[np.int64]:
-    """Return (P,) rings as the clusters of elevation with the least squared deviation, 0 = highest.
+    """Return (P,) rings as clusters of elevation with the least squared deviation, 0 = highest.
 
-    Published code restarts k-means from random seeds and keeps the best; on a line the best can be had directly, by
-    dynamic programming over a histogram, and is then refined on the points themselves.
+    Published code restarts k-means from random seeds and keeps the best; in one dimension the optimum follows from
+    dynamic programming over a histogram, then refined on the points.
     """
     elevation = np.arctan2(cloud[:, 2], np.hypot(cloud[:, 0], cloud[:, 1])).astype(np.float64)
     if len(elevation) == 0:
@@ -117,7 +117,7 @@ def _best_centers(value: NDArray[np.float64], clusters: int) -> NDArray[np.float
 
 
 def _refined(value: NDArray[np.float64], center: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return centres moved to the means of what is nearest to them until they stay (Lloyd), values ascending."""
+    """Return centres after Lloyd's iterations on ascending values, until they are stationary."""
     total = np.append(0.0, np.cumsum(value))
     for _ in range(_ROUNDS):
         ends = np.concatenate([[0], np.searchsorted(value, 0.5 * (center[1:] + center[:-1])), [len(value)]])

@@ -1,7 +1,7 @@
-"""Snow as Hahner et al. (CVPR 2022) published it, and as DSRC and Robo3D use it.
+"""Snow of Hahner et al. (CVPR 2022), as DSRC and Robo3D use it.
 
 Every channel has a plane of its own with its own flakes (`snow_discs`), which take shares of the beams (`snow_beams`).
-In a beam with flakes all answer, the target last, on bins R of 0.1 m from ceil(10 r) to floor(10 (r + c tau)):
+In a beam with flakes all have echoes, the target last, on bins R of 0.1 m from ceil(10 r) to floor(10 (r + c tau)):
 
     P(R) = C_A P0 beta0 share xi(r) / r^2 sin^2(pi (R - r) / (c tau)),   tau = 10 ns
 
@@ -17,8 +17,8 @@ removed.
 | snowfall, mm/h        | 0.125 | 0.25 | 0.5                    | 1.0          | 2.5       |
 | fall speed, m/s       | 2.0   | 2.0  | 2.0                    | 1.6          | 1.6       |
 
-What grows with severity in this model is the share of moved points; it touches and removes fewer points the more it
-snows, as it has fewer and larger flakes.
+With severity the share of moved points grows; more snow touches and removes fewer points, as it has fewer and larger
+flakes.
 
 Quirks, as switches:
 
@@ -35,8 +35,8 @@ Quirks, as switches:
   and all nearer than 10 m, without any snow.
 * Beams across azimuth 0 (`whole_seam`), see `snow_beams`.
 
-A beam whose flakes and target are all nearer than 0.9 m has no echo at all; it is left as it is. Beyond 120 m, where
-the release fails, bins go on.
+A beam whose flakes and target are all nearer than 0.9 m has no echo and is unchanged. Bins continue beyond 120 m, where
+the release fails.
 """
 
 from collections.abc import Callable, Sequence
@@ -49,24 +49,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.levels import at_level, check_range
-from sensors.corruptions.published.cloud import Cloud, Draws, cloud_of, with_cloud
-from sensors.corruptions.published.echo import LIGHT_SPEED, overlap, pulse
+from sensors.corruptions.physics.receiver import overlap
+from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
+from sensors.corruptions.published.echo import LIGHT_SPEED, pulse
 from sensors.corruptions.published.ground import Plane, fit_plane, ground_of, noise_floor, noise_line
 from sensors.corruptions.published.rings import LASERS, RingSource, rings_from
 from sensors.corruptions.published.snow_beams import Shares, shares_of
 from sensors.corruptions.published.snow_discs import DISCS, Law, disc_sample
 from sensors.sweep import ATTENUATED, KEPT, SCATTERED, Sweep
 from sim.errors import DataError, complaint
+from sim.geometry import Array
 
 SNOWFALL_MM_H = (0.125, 0.25, 0.5, 1.0, 2.5)
 FALL_SPEED_MPS = (2.0, 2.0, 2.0, 1.6, 1.6)
 
 UNTOUCHED, DIMMED, MOVED = range(3)
-"""Values of `Snowed.label`."""
+"""Values of `SnowyCloud.label`."""
 
 PULSE_S = 1e-8
 SCALE = 255.0
-"""Intensity that the model sees for one of 1 in a sweep."""
+"""Model intensity of 1 in a sweep."""
 
 _PULSE_M = LIGHT_SPEED * PULSE_S
 _REACH_M, _BINS = 120.0, 1230
@@ -75,24 +77,22 @@ _SAME_M = 0.2
 _WEAK_LASERS, _WEAK = (53, 55, 56, 58), 230.0
 _CELLS = 4_000_000
 
-Array = NDArray[np.float64]
 
-
-class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperSnow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of `corrupt`; see above for the switches.
 
     Attributes:
-        snowfall_mm_h: s.
-        fall_speed_mps: v.
-        law: of the flakes' sizes.
+        snowfall_mm_h: snowfall s.
+        fall_speed_mps: fall speed v.
+        law: law of the flakes' sizes.
         divergence_rad: full width of a beam.
-        own_power: the target answers with its own intensity.
+        own_power: the target returns its own intensity.
         last_bin: echoes reach to their last bin.
         darkest: intensities are at least those of the calibration.
         noise_factor: of the noise line; None for no noise floor.
-        whole_seam: beams across azimuth 0 are like all others.
+        whole_seam: beams across azimuth 0 are treated like all others.
         calibration: npz file of the HDL-64E's focus.
-        rings: where channels come from.
+        rings: source of the channels.
     """
 
     snowfall_mm_h: float = 0.5
@@ -108,10 +108,10 @@ class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     rings: RingSource = "elevation"
 
     def __post_init__(self) -> None:
-        check_range("Snow", "snowfall_mm_h", self.snowfall_mm_h, 0.0, 50.0)
-        check_range("Snow", "fall_speed_mps", self.fall_speed_mps, 0.1, 10.0)
-        check_range("Snow", "divergence_rad", self.divergence_rad, 1e-5, 0.1)
-        check_range("Snow", "noise_factor", self.noise_factor or 0.0, 0.0, 10.0)
+        check_range("PaperSnow", "snowfall_mm_h", self.snowfall_mm_h, 0.0, 50.0)
+        check_range("PaperSnow", "fall_speed_mps", self.fall_speed_mps, 0.1, 10.0)
+        check_range("PaperSnow", "divergence_rad", self.divergence_rad, 1e-5, 0.1)
+        check_range("PaperSnow", "noise_factor", self.noise_factor or 0.0, 0.0, 10.0)
 
     @classmethod
     def severity(cls, level: int) -> Self:
@@ -119,12 +119,12 @@ class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return cls(snowfall_mm_h=at_level(SNOWFALL_MM_H, level), fall_speed_mps=at_level(FALL_SPEED_MPS, level))
 
 
-PUBLISHED: dict[str, Snow] = {
-    "dsrc": Snow(),
-    "robo3d_light": Snow(last_bin=True, darkest=True),
-    "robo3d_moderate": Snow(snowfall_mm_h=1.0, fall_speed_mps=1.6, last_bin=True, darkest=True),
-    "robo3d_heavy": Snow(snowfall_mm_h=2.5, fall_speed_mps=1.6, last_bin=True, darkest=True),
-    "hahner_repaired": Snow(own_power=True, last_bin=True, darkest=True, whole_seam=True),
+PUBLISHED: dict[str, PaperSnow] = {
+    "dsrc": PaperSnow(),
+    "robo3d_light": PaperSnow(last_bin=True, darkest=True),
+    "robo3d_moderate": PaperSnow(snowfall_mm_h=1.0, fall_speed_mps=1.6, last_bin=True, darkest=True),
+    "robo3d_heavy": PaperSnow(snowfall_mm_h=2.5, fall_speed_mps=1.6, last_bin=True, darkest=True),
+    "hahner_repaired": PaperSnow(own_power=True, last_bin=True, darkest=True, whole_seam=True),
 }
 
 
@@ -142,18 +142,18 @@ class Calibration(NamedTuple):
     darkest: Array
 
     def focus(self, channel: NDArray[np.integer], range_m: Array) -> Array:
-        """Return (N,) what the focus adds to intensities, as a share of the largest."""
+        """Return (N,) addition of the focus to intensities, as a share of the largest."""
         return self.slope[channel] * np.abs(self.offset[channel] - (1.0 - range_m / _REACH_M) ** 2)
 
 
-class Snowed(NamedTuple):
+class SnowyCloud(NamedTuple):
     """A cloud in snow.
 
     Attributes:
         cloud: (P, 4 or more) float64, all points of the input; intensity of 0 to 255, rounded.
         label: (P,) `UNTOUCHED`, `DIMMED` or `MOVED`.
-        kept: (P,) what is above the noise floor.
-        target_share: (P,) of the beam that the target gets.
+        kept: (P,) mask of points above the noise floor.
+        target_share: (P,) share of the beam on the target.
     """
 
     cloud: Array
@@ -162,13 +162,13 @@ class Snowed(NamedTuple):
     target_share: Array
 
 
-def corrupt(sweep: Sweep, severity: int | Snow, rng: Draws) -> Sweep:
-    """Dim, move or lose the points; what is moved is a return of a flake.
+def corrupt(sweep: Sweep, severity: int | PaperSnow, rng: RandomSource) -> Sweep:
+    """Dim, move or remove the points; moved ones are returns of flakes.
 
     Raises:
-        DataError: the file of the calibration is missing or wrong, or rings are asked for that cannot be known.
+        DataError: the calibration file is missing or wrong, or rings are missing and cannot be estimated.
     """
-    settings = severity if isinstance(severity, Snow) else Snow.severity(severity)
+    settings = severity if isinstance(severity, PaperSnow) else PaperSnow.severity(severity)
     if settings.snowfall_mm_h == 0.0 or len(sweep) == 0:
         return sweep
     channel, _ = rings_from(sweep, settings.rings, "snow")
@@ -176,29 +176,29 @@ def corrupt(sweep: Sweep, severity: int | Snow, rng: Draws) -> Sweep:
     cloud = cloud_of(sweep)
     cloud[:, 3] *= SCALE
     snow = (settings.snowfall_mm_h, settings.fall_speed_mps, settings.law)
-    out = snowed(cloud, channel % LASERS, lambda c: disc_sample(*snow, int(order[c])), settings, rng)
+    out = apply_snow(cloud, channel % LASERS, lambda c: disc_sample(*snow, int(order[c])), settings, rng)
     out.cloud[:, 3] /= SCALE
     return with_cloud(sweep, out.cloud, np.array([KEPT, ATTENUATED, SCATTERED])[out.label])[out.kept]
 
 
-def snowed(
+def apply_snow(
     cloud: Cloud,
     channel: NDArray[np.integer],
     discs: Callable[[int], Array] | Sequence[Array],
-    settings: Snow,
-    rng: Draws | None = None,
+    settings: PaperSnow,
+    rng: RandomSource | None = None,
     *,
     plane: Plane | None = None,
     floor: Array | None = None,
-) -> Snowed:
-    """Return what becomes of the points of a cloud.
+) -> SnowyCloud:
+    """Return a cloud in snow.
 
     Args:
         cloud: (P, 4), intensity of 0 to 255.
         channel: (P,) in [0, 64).
         discs: flakes of each channel, by `discs(channel)` or as a sequence: (F, 3) x, y, radius, m.
         settings: of the snow; its amount is in the discs.
-        rng: for the ground plane, when it is needed.
+        rng: for the ground plane, if needed.
         plane: of the ground, instead of the cloud's own.
         floor: (3,) parabola of the noise floor, highest power first, instead of the cloud's own.
     """
@@ -215,7 +215,7 @@ def snowed(
     if floor is None:
         floor = _floor(before, settings, plane, rng)
     kept = moved | (out[:, 3] > np.polyval(floor, reach)) if floor is not None else np.ones(len(out), bool)
-    return Snowed(out, label, kept, shares.target)
+    return SnowyCloud(out, label, kept, shares.target)
 
 
 @lru_cache(maxsize=4)
@@ -226,7 +226,7 @@ def read_calibration(path: str) -> Calibration:
         path: npz file with `focal_distance_m`, `focal_slope` and `min_intensity`, (64,) each.
 
     Raises:
-        DataError: there is no such file, or it is another one.
+        DataError: the file is missing or not a calibration.
     """
     try:
         with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
@@ -240,7 +240,7 @@ def read_calibration(path: str) -> Calibration:
     return Calibration(slope, (1.0 - 100.0 * distance / 13100.0) ** 2, darkest)
 
 
-def _calibration(settings: Snow) -> Calibration:
+def _calibration(settings: PaperSnow) -> Calibration:
     if settings.calibration is None:
         return Calibration(*(np.zeros(LASERS) for _ in Calibration._fields))
     return read_calibration(settings.calibration)
@@ -251,9 +251,9 @@ def _all_shares(
     reach: Array,
     channel: NDArray[np.integer],
     discs: Callable[[int], Array] | Sequence[Array],
-    settings: Snow,
+    settings: PaperSnow,
 ) -> Shares:
-    """Return what flakes take of all beams, each channel with its own flakes."""
+    """Return the shares of flakes in all beams, each channel with its own flakes."""
     azimuth = np.arctan2(cloud[:, 1], cloud[:, 0])
     target = np.ones(len(cloud))
     parts = []
@@ -271,9 +271,9 @@ def _all_shares(
 
 
 def _strongest(
-    intensity: Array, reach: Array, channel: NDArray[np.integer], shares: Shares, settings: Snow
+    intensity: Array, reach: Array, channel: NDArray[np.integer], shares: Shares, settings: PaperSnow
 ) -> tuple[Array, Array]:
-    """Return (P,) range and intensity of the strongest echo in beams with flakes; NaN where there is none."""
+    """Return (P,) range and intensity of the strongest echo in beams with flakes; NaN without an echo."""
     optics = _calibration(settings)
     brightest = np.where(np.isin(channel, _WEAK_LASERS), _WEAK, SCALE)
     hit, flake = np.unique(shares.beam, return_inverse=True)
@@ -300,11 +300,11 @@ def _strongest(
 def _peaks(
     beam: NDArray[np.int64], range_m: Array, amplitude: Array, last_bin: bool
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Return the strongest of the bins in which all echoes of a beam add up, and which it is.
+    """Return power and index of the strongest bin of each beam, in which all its echoes add up.
 
     Args:
         beam: (N,) of each echo, every one of [0, H) at least once.
-        range_m: (N,) of what answers.
+        range_m: (N,) of its source, m.
         amplitude: (N,) of its echo.
         last_bin: echoes reach to their last bin.
 
@@ -337,8 +337,8 @@ def _peaks(
     return power, peak_bin
 
 
-def _floor(cloud: Array, settings: Snow, plane: Plane | None, rng: Draws | None) -> Array | None:
-    """Return the parabola of the noise floor; None when there is none or too little ground for one."""
+def _floor(cloud: Array, settings: PaperSnow, plane: Plane | None, rng: RandomSource | None) -> Array | None:
+    """Return the parabola of the noise floor; None without one or with too little ground."""
     if settings.noise_factor is None:
         return None
     if plane is None:

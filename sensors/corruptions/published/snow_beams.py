@@ -1,4 +1,4 @@
-"""How much of a beam each flake takes, as Hahner et al. (CVPR 2022) have it.
+"""Shares of a beam on flakes, by Hahner et al. (CVPR 2022).
 
 A beam is a fan of 3 mrad in the plane of its ring around its azimuth. A disc takes what lies between its tangents, as
 far as no nearer disc does, if its range in the plane is less than that of the target in space; the target gets the
@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.geometry import Array
+
 _TURN = 2.0 * np.pi
 _CELLS = 4_000_000
-
-Array = NDArray[np.float64]
 
 
 class Shares(NamedTuple):
@@ -25,9 +25,9 @@ class Shares(NamedTuple):
 
     Attributes:
         beam: (M,) row of the beam.
-        range_m: (M,) of the disc.
-        share: (M,) of the beam, 0 for hidden discs.
-        target: (B,) what is left for the target.
+        range_m: (M,) range of the disc, m.
+        share: (M,) share of the beam, 0 for hidden discs.
+        target: (B,) remaining share of the target.
     """
 
     beam: NDArray[np.int64]
@@ -37,14 +37,14 @@ class Shares(NamedTuple):
 
 
 def shares_of(azimuth: Array, target_m: Array, discs: Array, divergence: float, *, whole_seam: bool = False) -> Shares:
-    """Return what discs take of the beams of one ring.
+    """Return the shares of discs in the beams of one ring.
 
     Args:
         azimuth: (B,) of the beams, rad.
         target_m: (B,) range of their targets.
         discs: (F, 3) x, y, radius, m.
         divergence: full width of a beam, rad.
-        whole_seam: beams across azimuth 0 are treated as all others.
+        whole_seam: beams across azimuth 0 are treated like all others.
     """
     beam, range_m, low, high = _meetings(azimuth, target_m, np.asarray(discs, np.float64), divergence)
     axis = np.mod(azimuth + np.pi, _TURN) - np.pi
@@ -84,7 +84,7 @@ def _meetings(
 
 
 def _owned_shares(beam: NDArray[np.int64], low: Array, high: Array) -> Array:
-    """Return (M,) what each interval covers that no earlier one of its beam does."""
+    """Return (M,) length of each interval that no earlier one of its beam covers."""
     share = np.zeros(len(beam))
     start = np.flatnonzero(np.diff(beam, prepend=-1))
     number = np.diff(np.append(start, len(beam)))
@@ -103,7 +103,7 @@ def _owned_shares(beam: NDArray[np.int64], low: Array, high: Array) -> Array:
 
 
 def _owned(low: Array, high: Array) -> Array:
-    """Return (G, W) what each interval of a line covers that none before it does."""
+    """Return (G, W) length of each interval of a row that no earlier one covers."""
     edges = np.sort(np.concatenate([low, high], axis=1), axis=1)
     length = np.diff(edges, axis=1)
     middle = edges[:, :-1] + 0.5 * length

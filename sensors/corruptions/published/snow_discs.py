@@ -1,4 +1,4 @@
-"""Snowflakes as discs in a plane around the sensor, as Hahner et al. (CVPR 2022) sample them.
+"""Snowflakes as discs in a plane around the sensor, sampled as by Hahner et al. (CVPR 2022).
 
 Snow of s mm/h that falls at v m/s fills the share O = s / (3.6e6 rho v) of the air, rho = 0.1 g/cm^3 relative to water,
 and has the flakes of rain at R = (s / (487 rho 0.003 v))^1.5 mm/h, whose diameters are exponential with a rate of
@@ -10,25 +10,28 @@ More snow means fewer, larger discs: 40 000 at 0.5 mm/h and 2 m/s, 17 950 at 2.5
 authors hand out were made otherwise than by their sampler: those of heavy snow have discs of up to 10.4 mm radius.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.published.cloud import Draws
+from sensors.corruptions.published.cloud import RandomSource
+from sim.geometry import Array
 
 Law = Literal["gunn", "sekhon"]
 
 RADIUS_M = 80.0
 DISCS = 64
-"""Samples of one snow; each channel of a frame gets another."""
+"""Number of samples of one snow; each channel of a frame gets its own."""
 
 _DENSITY, _DIAMETER_M = 0.1, 0.003
 _LARGEST_M = 0.02
 _SEED = 2022
 
-Array = NDArray[np.float64]
+Sampler = Callable[[float, float, float, RandomSource], Array]
+"""Sampler of discs: `sampler(goal, rate, radius_m, rng)`, see `draw_discs`."""
 
 
 def occupancy(snowfall_mm_h: float, fall_speed_mps: float) -> float:
@@ -37,7 +40,7 @@ def occupancy(snowfall_mm_h: float, fall_speed_mps: float) -> float:
 
 
 def rain_rate(snowfall_mm_h: float, fall_speed_mps: float) -> float:
-    """Return R, mm/h."""
+    """Return the equivalent rain rate R, mm/h."""
     return (snowfall_mm_h / (487.0 * _DENSITY * _DIAMETER_M * fall_speed_mps)) ** 1.5
 
 
@@ -48,13 +51,15 @@ def size_rate(rain_mm_h: float, law: Law = "gunn") -> float:
 
 @lru_cache(maxsize=DISCS)
 def disc_sample(snowfall_mm_h: float, fall_speed_mps: float, law: Law, index: int) -> Array:
-    """Return one of the samples of a snow, the same in every process; see `sample_discs`."""
+    """Return one sample of a snow, the same in every process; see `sample_discs`."""
     rng = np.random.default_rng(np.random.SeedSequence(_SEED, spawn_key=(index,)))
     rate = size_rate(rain_rate(snowfall_mm_h, fall_speed_mps), law)
     return sample_discs(occupancy(snowfall_mm_h, fall_speed_mps), rate, RADIUS_M, rng)
 
 
-def sample_discs(filled: float, rate: float, radius_m: float, rng: Draws, *, in_turn: bool = False) -> Array:
+def sample_discs(
+    filled: float, rate: float, radius_m: float, rng: RandomSource, *, draw: Sampler | None = None
+) -> Array:
     """Sample discs until they fill their share of the plane.
 
     Args:
@@ -62,24 +67,32 @@ def sample_discs(filled: float, rate: float, radius_m: float, rng: Draws, *, in_
         rate: of the exponential law of diameters, 1/m.
         radius_m: of the plane.
         rng: the only randomness.
-        in_turn: draw disc by disc, as the published code does, instead of all centres, all diameters, all heights.
+        draw: sampler of the discs instead of `draw_discs`.
 
     Returns:
         (F, 3) x, y and radius, m, in the order of drawing.
     """
     goal = filled * np.pi * radius_m**2
-    draw = _darts_in_turn if in_turn else _darts
     darts = discs = np.zeros((0, 3))
     area = np.zeros(0)
     while not len(area) or area[-1] < goal:
-        darts = np.concatenate([darts, draw(goal - (area[-1] if len(area) else 0.0), rate, radius_m, rng)])
+        darts = np.concatenate(
+            [darts, (draw or draw_discs)(goal - (area[-1] if len(area) else 0.0), rate, radius_m, rng)]
+        )
         discs = darts[_apart(darts)]
         area = np.cumsum(np.pi * discs[:, 2] ** 2)
     return discs[: int(np.searchsorted(area, goal)) + 1]
 
 
-def _darts(goal: float, rate: float, radius_m: float, rng: Draws) -> Array:
-    """Return about as many discs as fill an area; their mean area is pi / (3 rate^2)."""
+def draw_discs(goal: float, rate: float, radius_m: float, rng: RandomSource) -> Array:
+    """Draw about as many discs as fill an area: all centres, all diameters, all heights.
+
+    Args:
+        goal: area, m^2; the mean area of a disc is pi / (3 rate^2).
+        rate: of the exponential law of diameters, 1/m.
+        radius_m: of the plane.
+        rng: the only randomness.
+    """
     number = int(goal * 3.0 * rate**2 / np.pi) + 16
     reach = np.sqrt(rng.uniform(0.0, radius_m**2, number))
     angle = np.pi * rng.uniform(0.0, 2.0, number)
@@ -90,24 +103,8 @@ def _darts(goal: float, rate: float, radius_m: float, rng: Draws) -> Array:
     return np.column_stack([reach * np.cos(angle), reach * np.sin(angle), np.sqrt(diameter**2 / 4.0 - height**2)])
 
 
-def _darts_in_turn(goal: float, rate: float, radius_m: float, rng: Draws) -> Array:
-    """Return discs that fill an area, drawn one after the other."""
-    darts, area = [], 0.0
-    while area < goal:
-        reach = np.sqrt(rng.uniform(0.0, radius_m**2))
-        angle = np.pi * rng.uniform(0.0, 2.0)
-        diameter = rng.exponential(1.0 / rate)
-        while diameter > _LARGEST_M:
-            diameter = rng.exponential(1.0 / rate)
-        height = rng.uniform(-diameter / 2.0, diameter / 2.0)
-        radius = np.sqrt(diameter**2 / 4.0 - height**2)
-        darts.append((reach * np.cos(angle), reach * np.sin(angle), radius))
-        area += np.pi * radius**2
-    return np.array(darts)
-
-
 def _apart(darts: Array) -> NDArray[np.bool_]:
-    """Return which discs cover neither the sensor nor one that came before them and stays."""
+    """Return (N,) mask of discs that cover neither the sensor nor an earlier disc that stays."""
     reach = np.hypot(darts[:, 0], darts[:, 1])
     stays = reach > darts[:, 2]
     for first, second in _collisions(darts, reach).tolist():

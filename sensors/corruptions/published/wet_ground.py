@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 
 from sensors.corruptions.physics.ground import find_ground
 from sensors.corruptions.physics.levels import at_level, check_range
-from sensors.corruptions.published.cloud import Cloud, Draws, cloud_of, with_cloud
+from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
 from sensors.corruptions.published.ground import (
-    Ground,
+    FittedGround,
     fit_plane,
     ground_of,
     intensity_line,
@@ -44,6 +44,7 @@ from sensors.corruptions.published.ground import (
     noise_line,
 )
 from sensors.sweep import ATTENUATED, KEPT, Sweep
+from sim.geometry import Array
 
 WATER_MM = (0.2, 0.5, 1.0, 1.2, 1.2)
 NOISE_FACTOR = (0.7, 0.7, 0.7, 0.7, 1.0)
@@ -56,17 +57,15 @@ _POWER_FACTOR = 15.0
 _REFLECTIVITIES = (0.05, 1.0)
 _LEAST_GROUND = 1000
 
-Array = NDArray[np.float64]
 
-
-class WetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperWetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
         water_mm: height of the water.
         noise_factor: of the noise line.
-        scale: of the intensity that the model sees, for one of 1 in a sweep.
-        labelled: what is ground is known, and taken for level (Robo3D), instead of a plane that is fitted.
+        scale: model intensity of 1 in a sweep.
+        labelled: known ground, taken for level (Robo3D), instead of a fitted plane.
     """
 
     water_mm: float = 1.0
@@ -75,9 +74,9 @@ class WetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     labelled: bool = False
 
     def __post_init__(self) -> None:
-        check_range("WetGround", "water_mm", self.water_mm, 0.0, 100.0)
-        check_range("WetGround", "noise_factor", self.noise_factor, 0.0, 10.0)
-        check_range("WetGround", "scale", self.scale, 1e-3, 1e6)
+        check_range("PaperWetGround", "water_mm", self.water_mm, 0.0, 100.0)
+        check_range("PaperWetGround", "noise_factor", self.noise_factor, 0.0, 10.0)
+        check_range("PaperWetGround", "scale", self.scale, 1e-3, 1e6)
 
     @classmethod
     def severity(cls, level: int) -> Self:
@@ -85,27 +84,27 @@ class WetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return cls(water_mm=at_level(WATER_MM, level), noise_factor=at_level(NOISE_FACTOR, level))
 
 
-PUBLISHED: dict[str, WetGround] = {
-    "hahner": WetGround(),
-    "robo3d_kitti_light": WetGround(water_mm=0.2, noise_factor=0.2, scale=1.0),
-    "robo3d_kitti_moderate": WetGround(water_mm=1.0, noise_factor=0.2, scale=1.0),
-    "robo3d_kitti_heavy": WetGround(water_mm=1.2, noise_factor=0.2, scale=1.0),
-    "robo3d_semantickitti_light": WetGround(water_mm=0.2, noise_factor=0.3, scale=1.0, labelled=True),
-    "robo3d_semantickitti_moderate": WetGround(water_mm=1.0, noise_factor=0.3, scale=1.0, labelled=True),
-    "robo3d_semantickitti_heavy": WetGround(water_mm=1.2, noise_factor=0.7, scale=1.0, labelled=True),
-    "robo3d_nuscenes_light": WetGround(water_mm=0.2, noise_factor=0.2, labelled=True),
-    "robo3d_nuscenes_moderate": WetGround(water_mm=1.0, noise_factor=0.3, labelled=True),
-    "robo3d_nuscenes_heavy": WetGround(water_mm=1.2, noise_factor=0.7, labelled=True),
+PUBLISHED: dict[str, PaperWetGround] = {
+    "hahner": PaperWetGround(),
+    "robo3d_kitti_light": PaperWetGround(water_mm=0.2, noise_factor=0.2, scale=1.0),
+    "robo3d_kitti_moderate": PaperWetGround(water_mm=1.0, noise_factor=0.2, scale=1.0),
+    "robo3d_kitti_heavy": PaperWetGround(water_mm=1.2, noise_factor=0.2, scale=1.0),
+    "robo3d_semantickitti_light": PaperWetGround(water_mm=0.2, noise_factor=0.3, scale=1.0, labelled=True),
+    "robo3d_semantickitti_moderate": PaperWetGround(water_mm=1.0, noise_factor=0.3, scale=1.0, labelled=True),
+    "robo3d_semantickitti_heavy": PaperWetGround(water_mm=1.2, noise_factor=0.7, scale=1.0, labelled=True),
+    "robo3d_nuscenes_light": PaperWetGround(water_mm=0.2, noise_factor=0.2, labelled=True),
+    "robo3d_nuscenes_moderate": PaperWetGround(water_mm=1.0, noise_factor=0.3, labelled=True),
+    "robo3d_nuscenes_heavy": PaperWetGround(water_mm=1.2, noise_factor=0.7, labelled=True),
 }
 
 
-class Wet(NamedTuple):
+class WetCloud(NamedTuple):
     """A cloud on wet ground.
 
     Attributes:
         intensity: (P,) of all points of the input.
-        ground: (P,) which are ground.
-        kept: (P,) which are not lost.
+        ground: (P,) mask of ground points.
+        kept: (P,) mask of points that are not lost.
     """
 
     intensity: Array
@@ -129,19 +128,19 @@ class Fresnel(NamedTuple):
     refracted: Array
 
 
-def corrupt(sweep: Sweep, severity: int | WetGround, rng: Draws) -> Sweep:
-    """Dim or lose the points on the ground; the others stay as they are."""
-    settings = severity if isinstance(severity, WetGround) else WetGround.severity(severity)
+def corrupt(sweep: Sweep, severity: int | PaperWetGround, rng: RandomSource) -> Sweep:
+    """Dim or remove the points on the ground; the others are unchanged."""
+    settings = severity if isinstance(severity, PaperWetGround) else PaperWetGround.severity(severity)
     if settings.water_mm == 0.0 or len(sweep) == 0:
         return sweep
     cloud = cloud_of(sweep)
     cloud[:, 3] *= settings.scale
-    wet = wetted(cloud, settings, _ground(sweep, cloud, settings, rng))
+    wet = apply_wet_ground(cloud, settings, _ground(sweep, cloud, settings, rng))
     cloud[:, 3] = wet.intensity / settings.scale
     return with_cloud(sweep, cloud, np.where(wet.ground, ATTENUATED, KEPT))[wet.kept]
 
 
-def _ground(sweep: Sweep, cloud: Cloud, settings: WetGround, rng: Draws) -> Ground:
+def _ground(sweep: Sweep, cloud: Cloud, settings: PaperWetGround, rng: RandomSource) -> FittedGround:
     if not settings.labelled:
         return ground_of(cloud, fit_plane(cloud, rng))
     rows = np.zeros(len(sweep), bool)
@@ -149,20 +148,20 @@ def _ground(sweep: Sweep, cloud: Cloud, settings: WetGround, rng: Draws) -> Grou
     return labelled_ground(cloud, rows)
 
 
-def wetted(
+def apply_wet_ground(
     cloud: Cloud,
-    settings: WetGround,
-    ground: Ground,
+    settings: PaperWetGround,
+    ground: FittedGround,
     *,
     intensity_fit: Array | None = None,
     noise_fit: Array | None = None,
-) -> Wet:
-    """Return what becomes of the points of a cloud.
+) -> WetCloud:
+    """Return a cloud on wet ground.
 
     Args:
         cloud: (P, 4), intensity as the model expects it (0 to 255).
-        settings: of the water; `scale` is the caller's business.
-        ground: which points are ground, by `ground_of` a plane or by `labelled_ground`.
+        settings: of the water; the caller applies `scale`.
+        ground: ground points, by `ground_of` a plane or by `labelled_ground`.
         intensity_fit: (2,) slope and offset of i / cos(theta) over range, instead of the cloud's own.
         noise_fit: (2,) slope and offset of the noise line before its factor, instead of the cloud's own.
     """
@@ -170,7 +169,7 @@ def wetted(
     kept = np.ones(len(cloud), bool)
     before = intensity[ground.rows]
     if len(before) < _LEAST_GROUND:
-        return Wet(intensity, np.zeros(len(cloud), bool), kept)
+        return WetCloud(intensity, np.zeros(len(cloud), bool), kept)
     if intensity_fit is None:
         intensity_fit = intensity_line(ground, before)
     if noise_fit is None:
@@ -180,16 +179,16 @@ def wetted(
     if noise_fit is not None:
         level = settings.noise_factor * np.polyval(noise_fit, ground.range_m) * ground.cosine
         kept[ground.rows] = after > level
-    return Wet(intensity, ground.rows, kept)
+    return WetCloud(intensity, ground.rows, kept)
 
 
 def fresnel(angle: Array, before: float, behind: float) -> Fresnel:
-    """Return the amplitudes at a flat interface.
+    """Return the Fresnel amplitudes at a flat interface.
 
     Args:
         angle: of incidence, rad.
-        before: refractive index of what the light comes from.
-        behind: of what it goes into.
+        before: refractive index on the side of the light.
+        behind: refractive index on the other side.
     """
     refracted = np.arcsin(np.clip(before / behind * np.sin(angle), -1.0, 1.0))
     inward, onward = np.cos(angle), np.cos(refracted)
@@ -204,7 +203,7 @@ def fresnel(angle: Array, before: float, behind: float) -> Fresnel:
 
 
 def film(angle: Array, reflectivity: Array) -> tuple[Array, Array, Array, Array]:
-    """Return what diffuse ground under water gives back: the power mirrored and the power scattered, s and p.
+    """Return the mirrored and the scattered power of diffuse ground under water, s and p.
 
     Args:
         angle: of incidence, rad.
@@ -219,7 +218,7 @@ def film(angle: Array, reflectivity: Array) -> tuple[Array, Array, Array, Array]
     return mirrored[0], scattered[0], mirrored[1], scattered[1]
 
 
-def _dimmed(ground: Ground, intensity: Array, emitted: NDArray[np.floating], settings: WetGround) -> Array:
+def _dimmed(ground: FittedGround, intensity: Array, emitted: NDArray[np.floating], settings: PaperWetGround) -> Array:
     """Return (G,) the intensities of ground points under water; `emitted` is A."""
     angle = np.arccos(ground.cosine)
     level = emitted * ground.cosine

@@ -8,16 +8,14 @@ from hypothesis import strategies as st
 
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
-from sensors.presets import get_lidar
-from sensors.recording.mounting import place_roadside
-from sensors.recording.record import make_frame
+from sensors.recording.rig import Rig
 from sensors.spec import LidarSpec
 from sensors.sweep import STATIC, UNKNOWN_MATERIAL, Sweep, make_sweep
 from sim.boxes import Boxes
 from sim.geometry import pose_matrix
 from sim.mesh.materials import MATERIALS
 from sim.scenario import RoadsideUnit
-from tests.sensors.fakes import StraightTraffic, box, cars, ground, painted, scene_of
+from tests.sensors.fakes import StraightTraffic, box, cars, ground, painted, scene_of, toy_scenario
 
 MATERIAL = {material.name: index for index, material in enumerate(MATERIALS)}
 CAR_ID, HELPER_ID = 1001, 1002
@@ -122,18 +120,9 @@ def street_drive(frames: int = 3) -> tuple[Frame, ...]:
     traffic = StraightTraffic(cars(rows, speed=[12.0, 13.0, 12.0, 9.0, 14.0, 0.0]), step_s=STEP_S)
     scene = scene_of(road + houses[0] + houses[1])
     unit = RoadsideUnit(xyz_m=(30.0, 8.0, 5.0), yaw_deg=-90.0, pitch_deg=15.0, lidar="debug-16")
+    rig = Rig(toy_scenario(roadside=(unit,)), scene, 7)
     steps = [traffic.actors, *(traffic.step() for _ in range(frames + 1))]
     return tuple(
-        make_frame(
-            scene,
-            steps[i + 1],
-            steps[i],
-            steps[i + 2],
-            vehicles=[1000, HELPER_ID],
-            vehicle_spec=get_lidar("debug-16"),
-            roadside=place_roadside(scene, (unit,)),
-            seed=7,
-            index=i,
-        )
-        for i in range(frames)
+        rig.frame(i, [1000, HELPER_ID, -1], now, before, after)
+        for i, (before, now, after) in enumerate(zip(steps, steps[1:], steps[2:], strict=False))
     )

@@ -1,10 +1,14 @@
 """Sweeps to corrupt: an analytic street, the synthetic golden clouds, points on one ray."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sensors.corruptions.published import snow
+from sensors.corruptions.published.snow_discs import disc_sample
 from sensors.spec import LidarSpec
 from sensors.sweep import POINT_FIELDS, Sweep, make_sweep
 from tests.paths import GOLDENS, ROOT
@@ -52,6 +56,14 @@ def synth16() -> Sweep:
 def synth64() -> Sweep:
     """The 64-ring golden cloud; the test is skipped where it is absent."""
     return _cloud(shared("inputs/synth64.npz"))
+
+
+@contextmanager
+def few_discs() -> Iterator[None]:
+    """Two samples of discs for all channels of published snow: 64 for each severity take seconds to draw."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(snow, "disc_sample", lambda s, v, law, index: disc_sample(s, v, law, index % 2))
+        yield
 
 
 def shared(name: str) -> Path:

@@ -25,7 +25,7 @@ def test_a_quarter_of_the_beams_is_missing_on_any_sensor(rings: int, lost: int) 
 
 
 @pytest.mark.parametrize("severity", range(1, 6))
-def test_as_many_different_rings_are_missing_as_asked_for(severity: int) -> None:
+def test_the_number_of_missing_rings_is_exact(severity: int) -> None:
     sweep = synth16()
     for seed in range(20):
         missing = 16 - len(np.unique(corrupt(sweep, severity, rng(seed)).ring))
@@ -85,6 +85,6 @@ def test_points_that_have_no_rings_are_refused() -> None:
         corrupt(make_sweep(rng().normal(0.0, 10.0, (500, 3))), 3, rng())
 
 
-def test_more_rings_than_there_are_is_one_line() -> None:
+def test_too_many_rings_are_refused_in_one_line() -> None:
     with pytest.raises(SettingsError, match="rings_of_64: expected 0 to 64, found 65"):
         BeamMissing(rings_of_64=65)

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from sensors.corruptions import corrupt_frame
-from sensors.corruptions.clock_offset import ClockOffset, in_frame, run_on, way
+from sensors.corruptions.clock_offset import ClockOffset, extrapolate, in_frame, sensor_path
 from sensors.deskew import deskew
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
-from sensors.recording.record import make_frame
+from sensors.recording.rig import Rig
 from sensors.sweep import KEPT, MOVED, make_sweep
 from sim.boxes import Boxes
 from sim.errors import SettingsError
 from sim.geometry import invert, pose_matrix
 from tests.sensors.corruptions.frames import frame
 from tests.sensors.corruptions.street import same
-from tests.sensors.fakes import StraightTraffic, cars, ground, ideal, scene_of
+from tests.sensors.fakes import StraightTraffic, cars, ground, ideal, scene_of, toy_scenario
 
 LATE_S = 0.1
 
@@ -69,11 +69,11 @@ def test_it_is_the_sweep_that_was_measured_then(late_s: float) -> None:
     """Against the simulation itself: a car ahead and the ground, scanned so much earlier, from where the agent was."""
     traffic = StraightTraffic(cars([[0, 0, 0], [15, 1, 0], [12, -6, 1.2]], speed=[8.0, 3.0, 5.0]), step_s=0.05)
     steps = [traffic.actors, *(traffic.step() for _ in range(9))]
-    scene, spec = scene_of(ground()), ideal("debug-16")
+    rig = Rig(toy_scenario(), scene_of(ground()), 0, vehicle_spec=ideal("debug-16"))
 
     def at(step: int) -> Frame:
         before, now, after = steps[step - 1 : step + 2]
-        return make_frame(scene, now, before, after, vehicles=[1000], vehicle_spec=spec, seed=0, index=step)
+        return rig.frame(step, [1000], now, before, after)
 
     now, then = at(8), at(8 - round(late_s / 0.05))
     out, true = late(now, 0, late_s), then.agents[0].sweep
@@ -97,7 +97,7 @@ def test_the_stamp_and_the_pose_are_those_of_now() -> None:
         assert after.world_from_body is before.world_from_body
 
 
-def test_ego_and_a_mast_over_still_houses_see_what_they_saw() -> None:
+def test_the_ego_and_a_static_scene_of_a_mast_are_unchanged() -> None:
     clean = frame(3)
     out = corrupt_frame(clean, "clock_offset", 3, 4)
     assert out.agents[0].sweep is clean.agents[0].sweep
@@ -126,7 +126,7 @@ def test_raw_points_stay_raw_and_agree_with_compensated_ones() -> None:
     np.testing.assert_allclose(deskew(out, "middle").points, late(clean, 1).points, atol=1e-3)
 
 
-def test_files_without_path_and_ids_go_by_speed_and_boxes() -> None:
+def test_files_without_path_and_ids_use_speed_and_boxes() -> None:
     known = one_point(10.0, 4.0)
     agent = known.agents[0]
     blind = replace(agent.sweep, path=None, object_id=np.full(2, -1, np.int32))
@@ -136,8 +136,8 @@ def test_files_without_path_and_ids_go_by_speed_and_boxes() -> None:
 
 
 def test_a_path_runs_straight_on_beyond_its_ends() -> None:
-    path = way(one_point(10.0, 0.0, turn=0.2).agents[0])
-    poses = run_on(path, np.array([-0.5, 0.0, 0.5]))
+    path = sensor_path(one_point(10.0, 0.0, turn=0.2).agents[0])
+    poses = extrapolate(path, np.array([-0.5, 0.0, 0.5]))
     np.testing.assert_allclose(poses[:, 0, 3], [-5.0, 0.0, 5.0], atol=1e-9)
     np.testing.assert_allclose(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]), [-0.1, 0.0, 0.1], atol=1e-9)
 

@@ -1,6 +1,7 @@
 """Facts that hold for every corruption of both families, on random sweeps, and for frames of several agents."""
 
 import itertools
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -13,23 +14,25 @@ from hypothesis import strategies as st
 from sensors.corruptions import (
     CLEAN,
     CORRUPTIONS,
-    PAPER,
+    DEFAULT_SEVERITY,
     PAPER_SIX,
     SEVERITIES,
     Family,
-    check_corruption,
     corrupt,
     corrupt_frame,
     drive_seed,
     kinds_of,
+    require_corruption,
 )
+from sensors.corruptions.apply import surface_points
+from sensors.corruptions.check import remaining_signal, rows_before, sweep_problems
 from sensors.frame import Frame
-from sensors.sweep import ADDED, ATTENUATED, KEPT, MOVED, POINT_FIELDS, SCATTERED, UNKNOWN_MATERIAL, Sweep, make_sweep
+from sensors.sweep import ADDED, ATTENUATED, KEPT, POINT_FIELDS, Sweep, make_sweep
 from sim.errors import DataError, SettingsError
 from sim.geometry import invert
 from tests.sensors.corruptions.drives import HELPER_ID, World, one_car_frame, street_drive, worlds
 from tests.sensors.corruptions.frames import frame
-from tests.sensors.corruptions.street import same, spinning, street, synth16
+from tests.sensors.corruptions.street import few_discs, same, spinning, street, synth16
 
 KINDS = tuple(CORRUPTIONS)
 MODELS: tuple[tuple[str, Family], ...] = tuple(
@@ -46,6 +49,12 @@ each_model = pytest.mark.parametrize(("kind", "family"), MODELS)
 on_random_sweeps = settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _few_discs() -> Iterator[None]:
+    with few_discs():
+        yield
+
+
 def helper(kind: str, family: Family, sweep: Sweep, severity: int, seed: int, index: int = 3) -> Sweep:
     """The sweep of the second car of a frame under a corruption."""
     return corrupt_frame(one_car_frame(sweep, index), kind, severity, seed, family).agent(HELPER_ID).sweep
@@ -55,49 +64,17 @@ def rng(seed: int = 1) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def real(sweep: Sweep) -> int:
-    return int((sweep.object_id != ADDED).sum())
-
-
-def check_legal(before: Sweep, after: Sweep) -> None:
-    """Types, ranges, and that every point says truly what happened to it."""
-    for name in POINT_FIELDS:
-        assert getattr(after, name).dtype == getattr(before, name).dtype, name
-    assert np.isfinite(after.points).all()
-    assert ((after.intensity >= 0.0) & (after.intensity <= 1.0)).all()
-    assert after.fate.max(initial=0) <= SCATTERED
-    assert (after.spec, after.time_s, after.motion) == (before.spec, before.time_s, before.motion)
-    assert after.lost == before.lost + max(0, real(before) - real(after))
-    added = after.object_id == ADDED
-    assert (added == (after.fate == SCATTERED)).all()
-    assert (after.material[added] == UNKNOWN_MATERIAL).all() and (after.cosine[added] == 0.0).all()
-    rings, columns = before.spec.rings, before.spec.columns
-    assert ((after.ring >= 0) & (after.ring < rings) & (after.column >= 0) & (after.column < columns)).all()
-
-
-def origin(after: Sweep, before: Sweep) -> np.ndarray:
-    """Rows of `before` that real points of `after` were, by ring, column and place among their beam's returns."""
-
-    def key(sweep: Sweep) -> np.ndarray:
-        return (sweep.ring.astype(np.int64) * 2**32 + sweep.column) * 8 + sweep.return_number
-
-    order = np.argsort(key(before))
-    rows = order[np.minimum(np.searchsorted(key(before)[order], key(after)), len(order) - 1)]
-    assert (key(before)[rows] == key(after)).all(), "a point that is not added comes from a beam that had none"
-    return rows
-
-
 @each_model
 @on_random_sweeps
 @given(world=worlds, severity=LEVELS, seed=SEEDS)
-def test_what_comes_out_is_legal_and_the_same_again(
+def test_the_result_is_legal_and_reproducible(
     kind: str, family: Family, world: World, severity: int, seed: int
 ) -> None:
     sweep = world.sweep()
     for name in POINT_FIELDS:
         getattr(sweep, name).flags.writeable = False  # never in place
     out = helper(kind, family, sweep, severity, seed)
-    check_legal(one_car_frame(sweep, 3).agent(HELPER_ID).sweep, out)
+    assert sweep_problems(one_car_frame(sweep, 3).agent(HELPER_ID).sweep, out) == []
     again = helper(kind, family, sweep, severity, seed)
     assert same(out, again) and out.lost == again.lost
     assert out.world_from_lidar.tobytes() == again.world_from_lidar.tobytes()
@@ -112,7 +89,7 @@ def test_fates_tell_the_truth(kind: str, family: Family, world: World, severity:
     left = out[out.object_id != ADDED]
     if len(left) == 0:
         return
-    was = sweep[origin(left, sweep)]
+    was = sweep[rows_before(left, sweep)]
     kept = left.fate == KEPT
     if family == "physical":
         assert same(left[kept], was[kept])
@@ -129,29 +106,16 @@ def test_fates_tell_the_truth(kind: str, family: Family, world: World, severity:
         assert (left.intensity[dimmed] <= was.intensity[dimmed] + 1e-6).all()
 
 
-@each_model
-@on_random_sweeps
-@given(world=worlds, count=st.sampled_from([0, 1]), severity=LEVELS, seed=SEEDS)
-def test_no_and_single_returns_are_legal(
-    kind: str, family: Family, world: World, count: int, severity: int, seed: int
-) -> None:
-    few = world.sweep()[:count]
-    out = helper(kind, family, few, severity, seed)
-    check_legal(one_car_frame(few, 3).agent(HELPER_ID).sweep, out)
-    assert real(out) <= len(few)
-
-
-@each_model
-@pytest.mark.parametrize("severity", SEVERITIES)
-def test_a_sweep_of_an_unknown_sensor_without_points_stays_without(kind: str, family: Family, severity: int) -> None:
+def test_an_empty_sweep_of_an_unknown_sensor_stays_empty() -> None:
     empty = replace(street(spinning(4))[:0], spec=None)
-    assert len(helper(kind, family, empty, severity, 1)) == 0
+    for kind, family in MODELS:
+        assert len(helper(kind, family, empty, 5, 1)) == 0, (kind, family)
 
 
 @pytest.mark.parametrize("family", ["physical", "paper"])
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), world=worlds, severity=LEVELS, seed=SEEDS)
-def test_corruptions_can_follow_one_another(
+def test_corruptions_can_be_chained(
     family: Family, data: st.DataObject, world: World, severity: int, seed: int
 ) -> None:
     first, second = (data.draw(st.sampled_from(kinds_of(family))) for _ in range(2))
@@ -159,10 +123,10 @@ def test_corruptions_can_follow_one_another(
     once = corrupt_frame(clean, first, severity, seed, family)
     twice = corrupt_frame(once, second, severity, seed + 1, family)
     before, after = (f.agent(HELPER_ID).sweep for f in (once, twice))
-    check_legal(before, after)
+    assert sweep_problems(before, after) == []
     assert after.lost >= before.lost
     # What the first one made is never taken for a return of a surface.
-    assert real(after) <= real(before)
+    assert surface_points(after) <= surface_points(before)
 
 
 @each_model
@@ -175,55 +139,36 @@ def test_another_seed_gives_other_bytes(kind: str, family: Family) -> None:
 
 
 @each_model
-@pytest.mark.parametrize("severity", SEVERITIES)
-def test_every_severity_changes_a_street(kind: str, family: Family, severity: int) -> None:
+def test_the_lowest_severity_changes_a_street(kind: str, family: Family) -> None:
     clean = street_drive()[1]
-    out = corrupt_frame(clean, kind, severity, 4, family)
-    changed = [
-        not same(a.sweep, b.sweep) or not np.array_equal(a.sweep.world_from_lidar, b.sweep.world_from_lidar)
-        for a, b in zip(clean.agents, out.agents, strict=True)
-    ]
-    assert any(changed)
-    for before, after in zip(clean.agents, out.agents, strict=True):
-        check_legal(before.sweep, after.sweep)
+    out = corrupt_frame(clean, kind, 1, 4, family)
+    pairs = [(a.sweep, b.sweep) for a, b in zip(clean.agents, out.agents, strict=True)]
+    assert any(not same(a, b) or not np.array_equal(a.world_from_lidar, b.world_from_lidar) for a, b in pairs)
+    assert [sweep_problems(before, after) for before, after in pairs] == [[]] * len(pairs)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_higher_severity_leaves_less_of_a_drive(kind: str) -> None:
     drive = street_drive()
     outs = [[corrupt_frame(clean, kind, severity, 4) for clean in drive] for severity in SEVERITIES]
-    count = [sum(real(agent.sweep) for out in made for agent in out.agents) for made in outs]
+    count = [sum(surface_points(agent.sweep) for out in made for agent in out.agents) for made in outs]
     assert all(a >= b for a, b in itertools.pairwise(count)), count
-    left = [sum(known(out, clean) for out, clean in zip(made, drive, strict=True)) for made in outs]
+    left = [sum(remaining_signal(out, clean) for out, clean in zip(made, drive, strict=True)) for made in outs]
     assert left[0] < sum(len(agent.sweep) for clean in drive for agent in clean.agents)
     assert all(a > b for a, b in itertools.pairwise(left)), left
 
 
-def known(out: Frame, clean: Frame) -> float:
-    """What is left of a frame: returns of surfaces, each worth less the dimmer it is and the farther from its place."""
-    worth = 0.0
-    for before, after in zip(clean.agents, out.agents, strict=True):
-        sweep = after.sweep[after.sweep.object_id != ADDED]
-        was = before.sweep[origin(sweep, before.sweep)]
-        off = np.linalg.norm(sweep.world_points - was.world_points, axis=1)
-        worth += float((np.exp(-off) * np.minimum(sweep.intensity / np.maximum(was.intensity, 1e-6), 1.0)).sum())
-    return worth
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_default_settings_are_severity_3(kind: str) -> None:
-    for family in ("physical", "paper"):
-        if kind in kinds_of(family):
-            make = CORRUPTIONS[kind].settings_of(family)
-            assert make() == make.severity(PAPER)
+def test_the_default_settings_are_severity_3() -> None:
+    for kind, family in MODELS:
+        make = CORRUPTIONS[kind].settings_of(family)
+        assert make() == make.severity(DEFAULT_SEVERITY), (kind, family)  # type: ignore[operator]
 
 
 @pytest.mark.parametrize(("kind", "family"), SWEEP_LEVEL)
-@pytest.mark.parametrize("rings", [1, 16, 40, 300])
-def test_a_sensor_of_any_number_of_rings_works(kind: str, family: Family, rings: int) -> None:
-    sweep = street(spinning(rings, columns=60))
+def test_a_sensor_of_many_rings_works(kind: str, family: Family) -> None:
+    sweep = street(spinning(300, columns=60))
     out = corrupt(sweep, kind, 3, rng(), family)
-    check_legal(sweep, out)
+    assert sweep_problems(sweep, out) == []
     assert len(out) > 0
 
 
@@ -231,7 +176,7 @@ def test_a_sensor_of_any_number_of_rings_works(kind: str, family: Family, rings:
 def test_a_sweep_of_an_unknown_sensor_works(kind: str, family: Family) -> None:
     out = corrupt(synth16(), kind, 3, rng(), family)
     assert 0 < len(out) <= len(synth16())
-    assert out.lost == len(synth16()) - real(out)
+    assert out.lost == len(synth16()) - surface_points(out)
 
 
 def test_the_six_corruptions_of_the_paper_come_first_and_are_in_both_families() -> None:
@@ -241,12 +186,13 @@ def test_the_six_corruptions_of_the_paper_come_first_and_are_in_both_families() 
 
 def test_families_are_never_mixed() -> None:
     for kind in kinds_of("paper"):
-        physical, paper = (CORRUPTIONS[kind].settings_of(family).__module__ for family in ("physical", "paper"))
+        settings = [CORRUPTIONS[kind].settings_of(family) for family in ("physical", "paper")]
+        physical, paper = (each.__module__ for each in settings)
         assert physical.startswith("sensors.corruptions.") and paper.startswith("sensors.corruptions.published.")
         assert not physical.startswith("sensors.corruptions.published")
 
 
-def test_clean_returns_what_it_got() -> None:
+def test_clean_returns_its_input() -> None:
     sweep, whole = street(), frame()
     assert corrupt(sweep, CLEAN, 3, rng()) is sweep
     assert corrupt_frame(whole, CLEAN, 3, 0) is whole
@@ -262,9 +208,11 @@ def test_clean_returns_what_it_got() -> None:
         ("pose_error", 3, "paper", "'pose_error' has no published model; family 'paper' has beam_missing"),
     ],
 )
-def test_a_wrong_kind_severity_or_family_is_one_line(kind: str, severity: int, family: Family, message: str) -> None:
+def test_a_wrong_kind_severity_or_family_is_refused_in_one_line(
+    kind: str, severity: int, family: Family, message: str
+) -> None:
     for call in (
-        lambda: check_corruption(kind, severity, family),
+        lambda: require_corruption(kind, severity, family),
         lambda: corrupt(street(spinning(4)), kind, severity, rng(), family),
         lambda: corrupt_frame(frame(), kind, severity, 0, family),
     ):
@@ -274,18 +222,17 @@ def test_a_wrong_kind_severity_or_family_is_one_line(kind: str, severity: int, f
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if CORRUPTIONS[kind].level == "frame"])
-def test_a_kind_that_acts_on_frames_says_so(kind: str) -> None:
+def test_a_frame_level_kind_refuses_sweeps(kind: str) -> None:
     with pytest.raises(SettingsError, match=f"'{kind}' acts on whole frames: use corrupt_frame"):
         corrupt(street(spinning(4)), kind, 3, rng())
 
 
-def test_a_sweep_that_cannot_be_corrupted_is_named_by_its_agent() -> None:
+def test_an_error_of_a_sweep_names_its_agent() -> None:
     blind = make_sweep(rng().normal(0.0, 10.0, (500, 3)))
     with pytest.raises(DataError, match="frame 4: agent 1000: "):
         corrupt_frame(frame(4, sweep=blind), "beam_missing", 3, 0)
 
 
-@each_model
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
@@ -301,17 +248,15 @@ def test_a_sweep_that_cannot_be_corrupted_is_named_by_its_agent() -> None:
         ),
     ],
 )
-def test_points_that_are_none_and_intensities_of_another_scale_are_refused(
-    kind: str, family: Family, wrong: dict, message: str
-) -> None:
+def test_nan_points_and_intensities_of_another_scale_are_refused(wrong: dict, message: str) -> None:
     points = np.array(wrong.get("points", np.eye(3) * 9.0))
     sweep = make_sweep(points, ring=np.array([0, 1, 2]), intensity=np.array(wrong.get("intensity", [0.1, 0.2, 0.3])))
-    with pytest.raises(DataError) as caught:
-        corrupt_frame(frame(4, sweep=sweep), kind, 3, 0, family)
-    assert message in str(caught.value) and str(caught.value).startswith("frame 4: agent ")
-    if CORRUPTIONS[kind].level == "sweep":
-        with pytest.raises(DataError, match="sweep: "):
-            corrupt(sweep, kind, 3, rng(), family)
+    for kind in ("fog", "spray"):
+        with pytest.raises(DataError) as caught:
+            corrupt_frame(frame(4, sweep=sweep), kind, 3, 0)
+        assert message in str(caught.value) and str(caught.value).startswith("frame 4: agent ")
+    with pytest.raises(DataError, match="sweep: "):
+        corrupt(sweep, "fog", 3, rng())
 
 
 # One weather per scene, faults of each agent ------------------------------------------------------------------------
@@ -334,9 +279,7 @@ def settings_of(monkeypatch: pytest.MonkeyPatch, kind: str, index: int, seed: in
 
 
 @pytest.mark.parametrize("kind", WEATHER)
-def test_all_agents_of_a_frame_are_in_the_same_weather_and_it_drifts_over_a_drive(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_weather_is_shared_by_all_agents_and_drifts_over_a_drive(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     made = {index: settings_of(monkeypatch, kind, index) for index in (0, 1, 400)}
     for seen in made.values():
         assert len(seen) == 3 and seen[0] == seen[1] == seen[2]
@@ -345,12 +288,12 @@ def test_all_agents_of_a_frame_are_in_the_same_weather_and_it_drifts_over_a_driv
     assert settings_of(monkeypatch, kind, 0, seed=5) != made[0]
 
 
-def test_the_fog_that_two_agents_measure_is_the_same_and_hardly_another_a_moment_later() -> None:
+def test_two_agents_measure_the_same_slowly_drifting_fog() -> None:
     def extinction(index: int, row: int) -> float:
         clean = frame(index)
         out = corrupt_frame(clean, "fog", 3, 4).agents[row].sweep
         through = out[out.fate == ATTENUATED]
-        was = clean.agents[row].sweep[origin(through, clean.agents[row].sweep)]
+        was = clean.agents[row].sweep[rows_before(through, clean.agents[row].sweep)]
         return float(np.median(np.log(was.intensity / through.intensity) / (2.0 * was.range)))
 
     here, there, later, much_later = (extinction(i, row) for i, row in ((0, 0), (0, 1), (1, 0), (200, 0)))
@@ -358,7 +301,7 @@ def test_the_fog_that_two_agents_measure_is_the_same_and_hardly_another_a_moment
     assert 0.0 < abs(here - later) / here < 0.005 < abs(here - much_later) / here < 0.3
 
 
-def test_the_published_models_know_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_published_models_do_not_drift(monkeypatch: pytest.MonkeyPatch) -> None:
     if "fog" not in kinds_of("paper"):
         pytest.skip("no published fog")
     made = CORRUPTIONS["fog"].settings_of("paper")
@@ -388,9 +331,7 @@ def test_agents_of_a_frame_are_corrupted_independently(kind: str, family: Family
 
 
 @each_model
-def test_an_agent_is_corrupted_the_same_whoever_else_is_there_and_whatever_came_before(
-    kind: str, family: Family
-) -> None:
+def test_an_agent_is_corrupted_independently_of_other_agents_and_frames(kind: str, family: Family) -> None:
     alone = corrupt_frame(frame(5, agents=(1000, 1003)), kind, 3, 4, family)
     corrupt_frame(frame(9), kind, 3, 4, family)
     together = corrupt_frame(frame(5), kind, 3, 4, family)
@@ -398,7 +339,7 @@ def test_an_agent_is_corrupted_the_same_whoever_else_is_there_and_whatever_came_
 
 
 @each_model
-def test_any_order_and_any_process_gives_the_same_bytes(kind: str, family: Family) -> None:
+def test_any_order_gives_the_same_bytes(kind: str, family: Family) -> None:
     orders = ([0, 1, 2], [2, 0, 1])
     made = [{i: digest(corrupt_frame(frame(i), kind, 4, 9, family)) for i in order} for order in orders]
     assert made[0] == made[1]
@@ -411,7 +352,8 @@ def digest(out: Frame) -> bytes:
 
 def digest_of(task: tuple[str, Family, int]) -> bytes:
     kind, family, index = task
-    return digest(corrupt_frame(frame(index), kind, 4, 9, family))
+    with few_discs():
+        return digest(corrupt_frame(frame(index), kind, 4, 9, family))
 
 
 def test_a_fresh_process_gives_the_same_bytes() -> None:
@@ -447,7 +389,3 @@ def test_ground_truth_stays() -> None:
 def test_drives_of_one_run_have_seeds_of_their_own() -> None:
     seeds = {drive_seed(seed, name) for seed in (0, 1) for name in ("a", "b", "c")}
     assert len(seeds) == 6 and drive_seed(0, "a") == drive_seed(0, "a")
-
-
-def test_moved_and_scattered_are_told_apart() -> None:
-    assert len({KEPT, ATTENUATED, MOVED, SCATTERED}) == 4

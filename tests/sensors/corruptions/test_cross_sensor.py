@@ -49,7 +49,7 @@ def test_rings_keep_one_phase_where_beams_had_no_return() -> None:
 
 
 @pytest.mark.parametrize("severity", range(1, 5))
-def test_less_is_kept_of_what_was_kept_before(severity: int) -> None:
+def test_points_kept_at_a_severity_are_among_those_of_the_previous(severity: int) -> None:
     sweep = street()
     more, less = ({tuple(p) for p in corrupt(sweep, s, rng()).points} for s in (severity, severity + 1))
     assert less < more
@@ -116,7 +116,7 @@ def test_removed_rings_are_distinct_and_leave_the_first(rings: int, removed: int
     assert max(b - a for a, b in itertools.pairwise([*kept, rings])) <= -(-rings // (rings - removed))
 
 
-def test_what_cannot_be_is_one_line() -> None:
+def test_impossible_settings_are_refused_in_one_line() -> None:
     with pytest.raises(SettingsError, match="keep_one_of"):
         CrossSensor(keep_one_of=0)
     with pytest.raises(SettingsError, match="unknown lidar 'vlp-61'; did you mean 'vlp-16'"):

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sensors.corruptions.crosstalk import Crosstalk, corrupt
-from sensors.corruptions.physics.receiver import least_power
+from sensors.corruptions.physics.receiver import detection_threshold
 from sensors.motion import Path
 from sensors.sweep import ADDED, KEPT, SCATTERED, UNKNOWN_MATERIAL, make_sweep
 from sim.errors import SettingsError
@@ -42,7 +42,7 @@ def test_false_points_lie_on_the_rays_of_the_sensor_within_its_ranges(world: Wor
 
 @on_random_sweeps
 @given(world=worlds, seed=st.integers(0, 1000))
-def test_whatever_is_not_false_stays_bit_identical(world: World, seed: int) -> None:
+def test_true_returns_are_bit_identical(world: World, seed: int) -> None:
     sweep = world.sweep()
     out = corrupt(sweep, Crosstalk(share=0.3), rng(seed))
     first = out[: len(sweep)]
@@ -78,7 +78,7 @@ def test_at_level_3_one_return_of_a_street_in_a_hundred_is_false() -> None:
     assert 0.005 < (out.fate == SCATTERED).mean() < 0.02
 
 
-def test_false_ranges_are_uniform_and_know_nothing_of_the_target() -> None:
+def test_false_ranges_are_uniform_and_independent_of_the_target() -> None:
     sweep = make_sweep(street().points, spec=spinning(), ring=street().ring, column=street().column)
     out = corrupt(sweep, Crosstalk(share=1.0), rng())
     false = out.range[out.fate == SCATTERED]
@@ -106,15 +106,15 @@ def test_pulses_of_a_severity_are_among_those_of_the_next() -> None:
     assert all(a < b for a, b in itertools.pairwise(false))
 
 
-def test_intensity_says_the_power_that_the_pulse_had() -> None:
+def test_intensity_follows_from_the_pulse_s_power() -> None:
     out = corrupt(street(), Crosstalk(share=1.0), rng())
     false = out[out.fate == SCATTERED]
     power = false.intensity / false.range.astype(np.float64) ** 2
     seen = false.intensity < 1.0
-    assert power[seen].min() >= least_power(out.spec) * (1 - 1e-4) and power[seen].max() <= 0.01 * (1 + 1e-4)
+    assert power[seen].min() >= detection_threshold(out.spec) * (1 - 1e-4) and power[seen].max() <= 0.01 * (1 + 1e-4)
 
 
-def test_beams_of_a_moving_sensor_answer_from_where_they_fired() -> None:
+def test_echoes_of_a_moving_sensor_start_at_its_place_at_firing() -> None:
     sweep = street(spinning(16, range_max_m=30.0))
     times = np.array([-0.06, 0.06])
     path = Path(times, np.outer(times, [20.0, 0.0, 0.0]), np.zeros((2, 3)))
@@ -136,7 +136,7 @@ def test_files_without_a_sensor_columns_or_points() -> None:
     assert 0 < len(silent) < 0.08 * 64 * 360
 
 
-def test_nothing_is_false_without_pulses() -> None:
+def test_no_pulses_no_change() -> None:
     sweep = street()
     assert corrupt(sweep, Crosstalk(share=0.0), rng()) is sweep
     with pytest.raises(SettingsError, match="share: expected 0 to 1, found"):

@@ -33,7 +33,7 @@ def test_it_can_look_elsewhere_across_the_seam() -> None:
     assert len(corrupt(make_sweep(points), FieldOfView(half_width_deg=30.0, middle_deg=90.0), rng())) == 1
 
 
-def test_all_round_is_everything_and_nothing_stays_nothing() -> None:
+def test_a_full_circle_keeps_everything_and_no_points() -> None:
     sweep = street()
     assert corrupt(sweep, FieldOfView(half_width_deg=180.0), rng()) is sweep
     assert len(corrupt(sweep[:0], 5, rng())) == 0

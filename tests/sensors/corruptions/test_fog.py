@@ -62,7 +62,7 @@ def test_drowned_and_dimmed_points_are_the_reference_s() -> None:
                 assert np.allclose(dimmed[kept], golden[f"dsrc_synth64_a{alpha}_b{beta}_intensity"][kept], atol=1e-6)
 
 
-def test_what_shines_through_is_dimmed_both_ways() -> None:
+def test_remaining_targets_are_dimmed_both_ways() -> None:
     sweep = street()
     settings = Fog.of_visibility(80.0)
     out = fog.corrupt(sweep, settings, rng())
@@ -96,7 +96,7 @@ def test_dark_targets_drown_first() -> None:
     assert first[0] < first[1] < first[2]
 
 
-def test_the_fog_s_return_does_not_know_its_target() -> None:
+def test_the_fog_s_return_is_independent_of_its_target() -> None:
     reach = np.full(500, 60.0)
     dark, bright = (
         fog.corrupt(on_a_ray(reach, i), Fog(extinction=0.06, backscatter=9e-3, range_10_m=SEES_ALL), rng())
@@ -128,7 +128,7 @@ def test_fog_returns_are_dim_near_and_not_all_from_one_range() -> None:
     assert out.range[added].std() > 0.3
 
 
-def test_patchier_fog_answers_from_farther_apart() -> None:
+def test_patchier_fog_spreads_the_ranges_of_its_returns() -> None:
     spread = []
     for patchiness in (0.01, 0.1, 0.2, 0.4):
         settings = Fog(extinction=0.06, backscatter=9e-3, patchiness=patchiness)
@@ -137,7 +137,7 @@ def test_patchier_fog_answers_from_farther_apart() -> None:
     assert spread[0] < 0.2 and spread == sorted(spread)
 
 
-def test_a_longer_pulse_hears_more_fog() -> None:
+def test_a_longer_pulse_returns_more_fog() -> None:
     reach = np.arange(5.0, 100.0, 0.1)
     drowned = []
     for pulse_s in (5e-9, 1e-8, 2e-8):
@@ -155,7 +155,7 @@ def test_a_longer_pulse_hears_more_fog() -> None:
         ({"pulse_s": 0.0}, "Fog: pulse_s"),
     ],
 )
-def test_a_fog_that_cannot_be_is_one_line(settings: dict[str, float], message: str) -> None:
+def test_impossible_fog_is_refused_in_one_line(settings: dict[str, float], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         Fog(**settings)
     with pytest.raises(SettingsError, match="visibility_m"):

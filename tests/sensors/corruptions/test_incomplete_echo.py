@@ -48,7 +48,7 @@ def test_dark_paint_goes_first() -> None:
     assert (out.object_id == 1001).sum() < 0.25 * (cars().object_id == 1001).sum()
 
 
-def test_glancing_panels_go_first_where_intensity_says_nothing() -> None:
+def test_grazing_panels_go_first_where_intensity_is_uninformative() -> None:
     sweep = cars(street(spinning(64, columns=900, intensity_law="distance")))
     cosine = np.where(sweep.column % 2 == 0, 0.9, 0.05).astype(np.float32)
     out = corrupt(replace(sweep, cosine=cosine), IncompleteEcho(share=0.25), rng())
@@ -56,7 +56,7 @@ def test_glancing_panels_go_first_where_intensity_says_nothing() -> None:
     assert (black.cosine > 0.5).mean() > 0.6
 
 
-def test_what_is_lost_stays_lost() -> None:
+def test_points_lost_at_a_severity_are_lost_at_the_next() -> None:
     left = [{tuple(p) for p in corrupt(cars(), severity, rng()).points} for severity in range(1, 6)]
     assert all(a > b for a, b in itertools.pairwise(left))
 
@@ -68,18 +68,18 @@ def test_points_of_unknown_brightness_are_lost_at_random() -> None:
         assert (out.object_id == car).sum() == pytest.approx(0.5 * (sweep.object_id == car).sum(), rel=0.2)
 
 
-def test_a_frame_knows_its_vehicles_also_by_their_boxes() -> None:
+def test_vehicles_of_a_frame_are_found_by_ids_or_boxes() -> None:
     clean = street_drive()[1]
-    told = in_frame(clean, 0, 3, rng())
+    by_id = in_frame(clean, 0, 3, rng())
     sweep = clean.agents[0].sweep
     blind = replace(sweep, object_id=np.full(len(sweep), STATIC, np.int32))
     found = in_frame(clean.with_sweeps([blind, *(agent.sweep for agent in clean.agents[1:])]), 0, 3, rng())
     on = np.isin(sweep.object_id, clean.truth.object_id).sum()
-    assert len(sweep) - len(told) == int(0.75 * on) > 0
-    assert abs(len(found) - len(told)) <= 0.05 * on
+    assert len(sweep) - len(by_id) == int(0.75 * on) > 0
+    assert abs(len(found) - len(by_id)) <= 0.05 * on
 
 
-def test_no_vehicles_no_loss_and_nobody() -> None:
+def test_no_vehicles_no_share_and_no_points() -> None:
     sweep = street()
     assert same(corrupt(sweep, 5, rng()), sweep)
     assert same(corrupt(cars(), IncompleteEcho(share=0.0), rng()), cars())

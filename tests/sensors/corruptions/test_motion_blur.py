@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensors.corruptions.motion_blur import MotionBlur, Motions, corrupt, in_frame
+from sensors.corruptions.motion_blur import MotionBlur, SceneVelocities, corrupt, in_frame
 from sensors.deskew import deskew, deskew_objects
 from sensors.motion import Path
 from sensors.sweep import KEPT, MOVED, SCATTERED, Sweep, make_sweep
@@ -24,9 +24,9 @@ def rng(seed: int = 1) -> np.random.Generator:
 
 def driven(sweep: Sweep, speed: float = 10.0, yaw_rate: float = 0.4) -> Sweep:
     times = np.linspace(-0.06, 0.06, 13)
-    turn = yaw_rate * times
+    rotation = yaw_rate * times
     xyz = np.stack([speed * times, 0.5 * speed * yaw_rate * times**2, 0.0 * times], axis=1)
-    return replace(sweep, path=Path(times, xyz, np.stack([turn, 0.0 * turn, 0.0 * turn], axis=1)))
+    return replace(sweep, path=Path(times, xyz, np.stack([rotation, 0.0 * rotation, 0.0 * rotation], axis=1)))
 
 
 def shift_of(out: Sweep, sweep: Sweep) -> np.ndarray:
@@ -88,17 +88,17 @@ def test_a_raw_sweep_only_shakes() -> None:
     assert shift_of(corrupt(raw, 3, rng()), raw).max() > 0.0
 
 
-def test_moving_objects_are_smeared_by_a_slower_sweep_and_nothing_else_is() -> None:
+def test_a_slower_sweep_smears_moving_objects_only() -> None:
     sweep = street()
     sweep = replace(sweep, object_id=np.where(sweep.ring == 40, 1000, -1).astype(np.int32))
-    motions = Motions(np.zeros(3), np.array([1000]), np.array([[8.0, -3.0, 0.0]]))
-    out = corrupt(sweep, replace_(STILL, slower=1.0), rng(), motions)
+    velocities = SceneVelocities(np.zeros(3), np.array([1000]), np.array([[8.0, -3.0, 0.0]]))
+    out = corrupt(sweep, replace_(STILL, slower=1.0), rng(), velocities)
     on = sweep.object_id == 1000
     assert np.allclose((out.points - sweep.points)[on], sweep.time_offset[on, None] * [8.0, -3.0, 0.0], atol=1e-5)
     assert same(out[~on], sweep[~on])
 
 
-def test_a_frame_knows_what_moves() -> None:
+def test_a_frame_gives_the_velocities() -> None:
     clean = one_car_frame(street(spinning(16)))
     on = clean.agents[1].sweep
     sweep = replace(on, object_id=np.where(on.ring == 10, CAR_ID, -1).astype(np.int32))
@@ -120,15 +120,15 @@ def test_a_frame_knows_what_moves() -> None:
 def test_sweeps_without_firing_times_are_given_them() -> None:
     frozen = street(spinning(16, rolling_shutter=False))
     assert not frozen.time_offset.any()
-    motions = Motions(np.array([10.0, 0.0, 0.0]), np.zeros(0, np.int64), np.zeros((0, 3)))
+    velocities = SceneVelocities(np.array([10.0, 0.0, 0.0]), np.zeros(0, np.int64), np.zeros((0, 3)))
     for sweep in (frozen, replace(frozen, spec=None, column=np.zeros(len(frozen), np.int32))):
-        shift = (corrupt(sweep, UNSHAKEN, rng(), motions).points - sweep.points)[:, 0]
+        shift = (corrupt(sweep, UNSHAKEN, rng(), velocities).points - sweep.points)[:, 0]
         azimuth = np.arctan2(sweep.points[:, 1], sweep.points[:, 0])
         assert np.allclose(shift, -10.0 * azimuth / (2 * np.pi) * 0.1, atol=5e-3)
 
 
 @pytest.mark.parametrize("severity", range(1, 6))
-def test_points_move_and_nothing_else_changes(severity: int) -> None:
+def test_only_places_change(severity: int) -> None:
     sweep = street()
     out = corrupt(sweep, severity, rng())
     assert (out.intensity == sweep.intensity).all() and (out.object_id == sweep.object_id).all()

@@ -56,7 +56,7 @@ def test_coordinates_alone_are_noisy_and_more_so_at_the_next_severity(how: str) 
 
 
 @pytest.mark.parametrize("how", ["gaussian", "uniform", "impulse"])
-def test_nothing_is_noisy_without_noise_and_nobody(how: str) -> None:
+def test_no_noise_and_no_points(how: str) -> None:
     sweep = street()
     assert same(corrupt(sweep, Noise(how=how, size_m=0.0, impulse_m=0.0), rng()), sweep)
     assert len(corrupt(sweep[:0], settings(how, 5), rng())) == 0
@@ -65,6 +65,6 @@ def test_nothing_is_noisy_without_noise_and_nobody(how: str) -> None:
     assert (corrupt(clouded, settings(how, 5), rng()).fate == SCATTERED).all()
 
 
-def test_a_negative_size_is_one_line() -> None:
+def test_a_negative_size_is_refused_in_one_line() -> None:
     with pytest.raises(SettingsError, match="size_m: expected 0 to 100, found -1"):
         Noise(size_m=-1.0)

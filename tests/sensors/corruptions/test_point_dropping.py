@@ -31,7 +31,7 @@ def test_the_share_is_lost_all_over_the_sweep(severity: int) -> None:
 
 
 @pytest.mark.parametrize("how", ["scattered", "patches"])
-def test_what_stays_is_as_it_was_and_what_is_lost_stays_lost(how: str) -> None:
+def test_kept_points_are_unchanged_and_lost_ones_stay_lost(how: str) -> None:
     sweep = street()
     left = []
     for severity in range(1, 6):
@@ -55,7 +55,7 @@ def test_a_patch_is_a_disc_as_the_sensor_sees_it() -> None:
     assert np.median(cKDTree(ray[~left]).query(ray[~left], 2)[0][:, 1]) < 0.02
 
 
-def test_nothing_all_and_nobody() -> None:
+def test_nothing_or_everything_is_dropped_and_no_points() -> None:
     sweep = street()
     assert same(corrupt(sweep, PointDropping(share=0.0), rng()), sweep)
     assert len(corrupt(sweep, PointDropping(share=1.0), rng())) == 0

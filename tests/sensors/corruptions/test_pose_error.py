@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sensors.corruptions import corrupt_frame, corruption_rng
-from sensors.corruptions.pose_error import PoseError, errors, in_frame
+from sensors.corruptions.pose_error import PoseError, in_frame, pose_errors
 from sensors.frame import Frame
 from sim.errors import SettingsError
 from sim.geometry import invert
@@ -17,7 +17,9 @@ from tests.sensors.corruptions.street import same
 def at(time_s: float, agents: int, settings: PoseError | None = None) -> np.ndarray:
     """Errors (agents, 3) at a time."""
     settings = settings or PoseError()
-    return np.array([errors(settings, time_s, corruption_rng(1, "pose_error", 0, agent)) for agent in range(agents)])
+    return np.array(
+        [pose_errors(settings, time_s, corruption_rng(1, "pose_error", 0, agent)) for agent in range(agents)]
+    )
 
 
 def offset(clean: Frame, out: Frame, row: int) -> np.ndarray:
@@ -36,7 +38,7 @@ def test_errors_have_their_deviation_and_no_bias() -> None:
 
 
 @pytest.mark.parametrize(("apart_s", "expected"), [(0.1, 0.997), (3.0, 0.905), (30.0, 0.368), (150.0, 0.007)])
-def test_errors_of_an_agent_are_as_correlated_as_the_process_says(apart_s: float, expected: float) -> None:
+def test_errors_have_the_correlation_of_the_process(apart_s: float, expected: float) -> None:
     now, later = (at(t, 2000) for t in (7.0, 7.0 + apart_s))
     for column in range(3):
         assert abs(np.corrcoef(now[:, column], later[:, column])[0, 1] - expected) < 0.06
@@ -44,7 +46,7 @@ def test_errors_of_an_agent_are_as_correlated_as_the_process_says(apart_s: float
 
 def test_an_error_is_a_function_of_the_time() -> None:
     settings, key = PoseError(), (1, "pose_error", 0, 5)
-    assert (errors(settings, 3.0, corruption_rng(*key)) == errors(settings, 3.0, corruption_rng(*key))).all()
+    assert (pose_errors(settings, 3.0, corruption_rng(*key)) == pose_errors(settings, 3.0, corruption_rng(*key))).all()
 
 
 def test_a_higher_severity_is_farther_off_in_the_same_direction() -> None:
@@ -64,7 +66,7 @@ def test_points_truth_body_and_path_stay_true() -> None:
     assert out.truth is clean.truth
 
 
-def test_the_ego_knows_where_it_is_whoever_it_is() -> None:
+def test_any_ego_has_no_pose_error() -> None:
     clean = frame(3)
     for ego_id, ego_row in ((None, 0), (1000, 0), (1003, 1), (-1, 2)):
         out = corrupt_frame(clean, "pose_error", 5, 4, ego_id=ego_id)

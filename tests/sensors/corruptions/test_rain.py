@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import quad
 
 from sensors.corruptions import rain
-from sensors.corruptions.physics.medium import look
-from sensors.corruptions.physics.receiver import least_power
+from sensors.corruptions.physics.medium import rays_of
+from sensors.corruptions.physics.receiver import detection_threshold
 from sensors.corruptions.rain import Rain, rain_particles
 from sensors.sweep import ATTENUATED, SCATTERED
 from sim.errors import SettingsError
@@ -71,14 +71,14 @@ def test_a_target_is_dimmed_both_ways_and_stays_on_its_ray() -> None:
 
 
 @pytest.mark.parametrize("accuracy_m", [0.09, 0.5])
-def test_ranges_are_as_noisy_as_the_signal_says(accuracy_m: float) -> None:
+def test_range_noise_follows_from_the_signal(accuracy_m: float) -> None:
     # Clear air's share is in the sweep already: what is added makes the whole of the published deviation.
     spec = spinning(range_10_m=100.0)
     sweep = on_a_ray(np.full(50_000, 60.0), 0.3, spec)
     settings = Rain(rain_mm_h=100.0, drop_reflectivity=0.0, range_accuracy_m=accuracy_m)
     out = rain.corrupt(sweep, settings, rng())
     assert len(out) == 50_000
-    clear = 0.3 / 60.0**2 / least_power(spec)
+    clear = 0.3 / 60.0**2 / detection_threshold(spec)
     dimmed = clear * math.exp(-120.0 * rain_particles(100.0, 0.0).extinction)
     variance = (accuracy_m / math.sqrt(2.0 * dimmed)) ** 2 - (accuracy_m / math.sqrt(2.0 * clear)) ** 2
     assert math.isclose(out.range.std(), math.sqrt(variance), rel_tol=0.02)
@@ -87,8 +87,8 @@ def test_ranges_are_as_noisy_as_the_signal_says(accuracy_m: float) -> None:
 
 def test_a_receiver_that_detects_everything_measures_without_noise() -> None:
     sweep = on_a_ray(np.full(100, 60.0), 0.3)
-    sight = look(sweep, math.inf, rng())
-    assert not rain.added_deviation(sight, np.full(100, 0.5), 0.09).any()
+    rays = rays_of(sweep, math.inf, rng())
+    assert not rain.added_deviation(rays, np.full(100, 0.5), 0.09).any()
 
 
 def test_targets_too_weak_for_the_receiver_are_lost_and_no_others() -> None:
@@ -96,10 +96,10 @@ def test_targets_too_weak_for_the_receiver_are_lost_and_no_others() -> None:
     reach = np.arange(2.0, 60.0, 0.05)
     out = rain.corrupt(on_a_ray(reach, 0.1, spec), Rain(rain_mm_h=100.0, drop_reflectivity=0.0), rng())
     left = np.exp(-2.0 * rain_particles(100.0, 0.0).extinction * reach) * 0.1 / reach**2
-    assert len(out) == (left >= least_power(spec)).sum() < len(reach)
+    assert len(out) == (left >= detection_threshold(spec)).sum() < len(reach)
 
 
-def test_as_many_drops_answer_from_as_far_as_where_each_was_sampled() -> None:
+def test_number_and_ranges_of_drops_agree_with_lisa() -> None:
     golden = json.loads(shared("lisa/stats.json").read_text())
     cloud = synth64()[::8]
     # Published: p_min = 0.9 / (200 m)^2, no drop nearer than 1.5 m.
@@ -113,7 +113,7 @@ def test_as_many_drops_answer_from_as_far_as_where_each_was_sampled() -> None:
         assert np.allclose(quantiles, theirs["scattered_range_q_5_50_95"]["mean"], rtol=0.12)
 
 
-def test_darker_drops_answer_less() -> None:
+def test_darker_drops_return_fewer_echoes() -> None:
     sweep = street(spinning(64, columns=720))
     answers = [
         (rain.corrupt(sweep, Rain(drop_reflectivity=share), rng()).fate == SCATTERED).sum()
@@ -127,7 +127,7 @@ def test_no_rain_is_the_identity() -> None:
     assert same(rain.corrupt(sweep, Rain(rain_mm_h=0.0), rng()), sweep)
 
 
-def test_a_rain_that_cannot_be_is_one_line() -> None:
+def test_impossible_rain_is_refused_in_one_line() -> None:
     with pytest.raises(SettingsError, match="Rain: rain_mm_h: expected 0 to 300, found -1"):
         Rain(rain_mm_h=-1.0)
     with pytest.raises(SettingsError, match="Rain: range_accuracy_m"):

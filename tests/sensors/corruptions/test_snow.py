@@ -76,7 +76,7 @@ def test_snow_is_as_severe_through_a_simulator_s_sensor_as_through_the_one_that_
     assert shares["opv2v-64"][4] > 2.0 * shares["opv2v-64"][0] > 0.0
 
 
-def test_what_shines_past_the_flakes_keeps_its_own_intensity_dimmed_by_extinction() -> None:
+def test_targets_behind_flakes_are_dimmed_by_extinction() -> None:
     sweep = street()
     out = snow.corrupt(sweep, 4, rng())
     seen = out[out.fate == ATTENUATED]
@@ -85,19 +85,19 @@ def test_what_shines_past_the_flakes_keeps_its_own_intensity_dimmed_by_extinctio
     assert np.allclose(seen.intensity, clean.intensity * np.exp(-2.0 * extinction * clean.range), rtol=1e-5)
 
 
-def test_bright_targets_are_heard_over_the_flakes() -> None:
+def test_bright_targets_are_stronger_than_the_flakes() -> None:
     share = [(snow.corrupt(around(30.0, i, 120.0), Snow(), rng()).fate == SCATTERED).mean() for i in (0.05, 0.3, 1.0)]
     assert share[0] > share[1] > share[2] > 0.0
 
 
-def test_near_targets_are_heard_more_often_than_far_ones() -> None:
+def test_near_targets_are_detected_more_often_than_far_ones() -> None:
     share = [
         (snow.corrupt(around(reach, 0.2, 120.0), Snow(), rng()).fate == SCATTERED).mean() for reach in (5.0, 15.0, 60.0)
     ]
     assert share[0] < share[1] < share[2]
 
 
-def test_whiter_flakes_and_slower_ones_answer_more() -> None:
+def test_whiter_and_slower_flakes_return_more_echoes() -> None:
     sweep = around(30.0, 0.2, 120.0)
 
     def answers(**settings: float) -> int:
@@ -108,7 +108,7 @@ def test_whiter_flakes_and_slower_ones_answer_more() -> None:
     assert answers(flake_reflectivity=0.0) == 0
 
 
-def test_a_weak_receiver_loses_what_flakes_hide() -> None:
+def test_a_weak_receiver_loses_targets_behind_flakes() -> None:
     sweep = around(38.0, 0.1, 40.0)
     out = snow.corrupt(sweep, Snow(snowfall_mm_h=5.0), rng())
     assert len(out) < len(sweep)
@@ -119,6 +119,6 @@ def test_no_snow_is_the_identity() -> None:
     assert same(snow.corrupt(sweep, Snow(snowfall_mm_h=0.0), rng()), sweep)
 
 
-def test_a_snow_that_cannot_be_is_one_line() -> None:
+def test_impossible_snow_is_refused_in_one_line() -> None:
     with pytest.raises(SettingsError, match="Snow: snowfall_mm_h: expected 0 to 50, found -1"):
         Snow(snowfall_mm_h=-1.0)

@@ -11,12 +11,12 @@ from sensors.corruptions import corrupt_frame, spray
 from sensors.corruptions.physics.plume import plumes_of
 from sensors.corruptions.spray import LIDAR_RATIO_SR, Spray, corrupt
 from sensors.frame import Frame
-from sensors.recording.record import make_frame
+from sensors.recording.rig import Rig
 from sensors.sweep import ADDED, ATTENUATED, KEPT, SCATTERED, UNKNOWN_MATERIAL
 from sim.errors import SettingsError
 from sim.geometry import invert, transform_points
 from tests.sensors.corruptions.street import same
-from tests.sensors.fakes import cars, ground, ideal, scene_of
+from tests.sensors.fakes import cars, ground, ideal, scene_of, toy_scenario
 
 EGO, LEADER, OTHER = 1000, 1001, 1002
 HEAVY = Spray(water_mm=2.5)
@@ -32,9 +32,8 @@ def drive(speed: float = 22.0, time_s: float = 0.0) -> Frame:
     rows = [[0.0, 0.0, 0.0], [16.0, 0.0, 0.0], [40.0, 4.0, np.pi]]
     actors = cars(rows, speed=[speed, speed, 0.0], time_s=time_s)
     spec = ideal("debug-16", columns=1440, range_10_m=120.0, range_min_m=0.5)
-    return make_frame(
-        scene_of(ground(300.0)), actors, vehicles=[EGO, OTHER], vehicle_spec=spec, seed=3, index=int(10 * time_s)
-    )
+    rig = Rig(toy_scenario(), scene_of(ground(300.0)), 3, vehicle_spec=spec)
+    return rig.frame(int(10 * time_s), [EGO, OTHER], actors)
 
 
 def sweep_of(frame: Frame, agent_id: int = EGO):
@@ -61,7 +60,7 @@ def test_false_points_hang_in_the_plumes() -> None:
     assert inside.all()
 
 
-def test_beams_that_hit_nothing_see_spray_and_hit_points_lie_on_their_rays() -> None:
+def test_open_beams_return_spray_and_points_stay_on_their_rays() -> None:
     clean = sweep_of(drive())
     out = sprayed(drive())
     answered = set(zip(clean.ring, clean.column, strict=True))
@@ -81,7 +80,7 @@ def test_beams_that_hit_nothing_see_spray_and_hit_points_lie_on_their_rays() -> 
     assert (false.range[~new] < np.linalg.norm(was, axis=1)).all()
 
 
-def test_what_lies_behind_a_plume_is_dimmed_and_the_rest_untouched() -> None:
+def test_targets_behind_a_plume_are_dimmed_and_the_rest_unchanged() -> None:
     frame = drive()
     clean, out = sweep_of(frame), sprayed(frame, Spray(water_mm=0.2))
     left = out[out.object_id != ADDED]
@@ -145,7 +144,7 @@ def test_two_agents_see_the_same_patches() -> None:
     assert len(mine & theirs) / len(theirs) > 1.5 * len(mine & strange) / max(len(strange), 1)
 
 
-def test_an_echo_is_as_bright_as_the_lidar_equation_says() -> None:
+def test_an_echo_follows_the_lidar_equation() -> None:
     """Thin, even spray right in front of the sky: pi alpha c tau / 2 / S where the gain is full."""
     out = sprayed(drive(), HEAVY)
     false = out[(out.fate == SCATTERED) & (out.range > 10.0)]
@@ -175,8 +174,8 @@ def test_beams_that_are_not_looked_at_lead_to_no_plume(turn: float, monkeypatch:
     rows = [[0.0, 0.0, turn * np.pi], [16.0, 1.0, 0.3], [-25.0, 4.0, np.pi], [-9.0, -6.0, -2.0]]
     actors = cars(rows, speed=[22.0, 15.0, 25.0, 30.0])
     spec = ideal("debug-16", columns=720, range_10_m=120.0, range_min_m=0.5)
-    frame = make_frame(scene_of(ground(300.0)), actors, vehicles=[EGO], vehicle_spec=spec, seed=3, index=0)
+    frame = Rig(toy_scenario(), scene_of(ground(300.0)), 3, vehicle_spec=spec).frame(0, [EGO], actors)
     few = sprayed(frame)
-    monkeypatch.setattr(spray, "_toward", lambda plume, start, lines: np.arange(len(lines.reach)))
-    monkeypatch.setattr(spray, "_LEAST_HEARD", 0.0)
+    monkeypatch.setattr(spray, "_rays_toward", lambda plume, start, world_rays: np.arange(len(world_rays.reach)))
+    monkeypatch.setattr(spray, "_LEAST_ECHO_DEPTH", 0.0)
     assert (few.fate == SCATTERED).sum() > 100 and same(few, sprayed(frame))

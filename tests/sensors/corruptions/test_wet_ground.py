@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sensors.corruptions.physics.ground import find_ground
-from sensors.corruptions.physics.receiver import least_power
+from sensors.corruptions.physics.receiver import detection_threshold
 from sensors.corruptions.wet_ground import WetGround, corrupt, transmission
 from sensors.optics.reflectance import wet_reflectivity
 from sensors.sweep import ATTENUATED, KEPT, UNKNOWN_MATERIAL, Sweep
@@ -52,7 +52,7 @@ def test_transmission_is_fresnels() -> None:
     assert np.allclose(transmission(np.cos(golden["angle"])) + reflected, 1.0, atol=1e-9)
 
 
-def test_a_full_film_seen_squarely_darkens_as_lekner_and_dorf_say() -> None:
+def test_a_full_film_at_normal_incidence_darkens_as_by_lekner_and_dorf() -> None:
     sweep = road()
     rows, share = left(sweep, 3.0)
     square = np.abs(sweep.cosine[rows]) > 0.8
@@ -103,18 +103,18 @@ def test_more_water_keeps_fewer_and_darker_points() -> None:
     assert len(kept[0]) > len(kept[-1]) or len(outs[0]) == len(sweep)
 
 
-def test_what_falls_below_the_detection_limit_is_lost() -> None:
+def test_returns_below_the_detection_threshold_are_lost() -> None:
     sweep = road()
     out = corrupt(sweep, 5, rng())
     assert len(out) < len(sweep)
-    seen = sweep[sweep.intensity / sweep.range**2 > least_power(sweep.spec)]
+    seen = sweep[sweep.intensity / sweep.range**2 > detection_threshold(sweep.spec)]
     out = corrupt(seen, 5, rng())
     power = out.intensity / out.range.astype(np.float64) ** 2
-    assert power[out.fate == ATTENUATED].min() >= least_power(sweep.spec) * (1 - 1e-5)
+    assert power[out.fate == ATTENUATED].min() >= detection_threshold(sweep.spec) * (1 - 1e-5)
     assert out.range[out.fate == ATTENUATED].max() < 0.9 * seen.range[seen.material == MATERIAL["asphalt"]].max()
 
 
-def test_ground_whose_intensity_says_nothing_is_lost_by_chance() -> None:
+def test_ground_of_uninformative_intensity_is_lost_by_chance() -> None:
     sweep = replace(road(), intensity=np.zeros(len(road()), np.float32))
     ground = sweep.material == MATERIAL["asphalt"]
     share = left(road(), 1.2)[1].mean()
@@ -122,7 +122,7 @@ def test_ground_whose_intensity_says_nothing_is_lost_by_chance() -> None:
     assert (out.material == MATERIAL["asphalt"]).sum() == pytest.approx(share * ground.sum(), rel=0.05)
 
 
-def test_files_without_materials_fare_as_those_with_them() -> None:
+def test_files_without_materials_lose_the_same_points() -> None:
     sweep = road()
     bare = replace(
         sweep, material=np.full(len(sweep), UNKNOWN_MATERIAL, np.uint8), cosine=np.zeros(len(sweep), np.float32)
@@ -133,7 +133,7 @@ def test_files_without_materials_fare_as_those_with_them() -> None:
     assert np.allclose(share[np.isin(rows, both)], guessed[np.isin(found, both)], atol=0.01)
 
 
-def test_dry_roads_no_ground_and_nobody() -> None:
+def test_no_water_no_ground_and_no_points() -> None:
     sweep = street()
     assert corrupt(sweep, WetGround(water_mm=0.0), rng()) is sweep
     sky = sweep[sweep.points[:, 2] > 0.0]

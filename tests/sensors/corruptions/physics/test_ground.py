@@ -67,7 +67,7 @@ def test_the_road_of_a_street(rings: int) -> None:
     assert np.abs(sweep.points[found & ~road, 2] + 1.9).max() < 1.0
 
 
-def test_materials_say_it_where_they_are_known() -> None:
+def test_ground_is_found_by_material() -> None:
     sweep = street_drive()[1].agents[0].sweep
     ground = find_ground(sweep)
     assert (ground.rows == np.flatnonzero(sweep.material == MATERIAL["asphalt"])).all()
@@ -77,7 +77,7 @@ def test_materials_say_it_where_they_are_known() -> None:
     assert np.allclose(bare.cosine, ground.cosine, atol=0.08)
 
 
-def test_what_stands_on_the_road_is_not_the_road() -> None:
+def test_objects_on_the_road_are_no_ground() -> None:
     sweep, _ = field(1.9, 0.0, 0.0)
     car = np.where(np.abs(sweep.points[:, 0]) < 2.0, 1000, -1).astype(np.int32)
     rows = find_ground(replace(sweep, object_id=car)).rows

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from sensors.corruptions import fog, rain, snow
 from sensors.corruptions.fog import Fog
-from sensors.corruptions.physics.medium import Echo, look, report
-from sensors.corruptions.physics.receiver import BLIND_M, least_power
+from sensors.corruptions.physics.medium import Echo, rays_of, report
+from sensors.corruptions.physics.receiver import OVERLAP_START_M, detection_threshold
 from sensors.corruptions.rain import Rain
 from sensors.corruptions.snow import Snow
 from sensors.deskew import deskew
@@ -81,7 +81,7 @@ def uneven(rings: int, columns: int = 40, **changes: object) -> LidarSpec:
 
 @all_media
 @pytest.mark.parametrize("level", [1, 3, 5])
-def test_echoes_lie_on_the_ray_nearer_than_the_target_and_on_nothing(medium: str, level: int) -> None:
+def test_echoes_lie_on_the_ray_before_the_target_on_no_object(medium: str, level: int) -> None:
     sweep = street()
     sweep = replace(sweep, material=np.full(len(sweep), 3, np.uint8), cosine=np.ones(len(sweep), np.float32))
     out = through(medium, sweep, level)
@@ -89,7 +89,7 @@ def test_echoes_lie_on_the_ray_nearer_than_the_target_and_on_nothing(medium: str
     clean = sweep[rows_of(out, sweep)]
     added = out.fate == SCATTERED
     assert added.any() or level == 1
-    assert (out.range[added] < clean.range[added]).all() and (out.range[added] >= BLIND_M - 1e-3).all()
+    assert (out.range[added] < clean.range[added]).all() and (out.range[added] >= OVERLAP_START_M - 1e-3).all()
     assert (cosine(out.points[added], clean.points[added]) > 1.0 - 1e-9).all()
     assert (out.object_id[added] == ADDED).all() and (out.material[added] == UNKNOWN_MATERIAL).all()
     assert (out.cosine[added] == 0.0).all()
@@ -98,7 +98,7 @@ def test_echoes_lie_on_the_ray_nearer_than_the_target_and_on_nothing(medium: str
 
 
 @pytest.mark.parametrize("medium", sorted(set(MEDIA) - {"rain"}))
-def test_what_shines_through_stays_in_its_place(medium: str) -> None:
+def test_remaining_targets_keep_their_place(medium: str) -> None:
     sweep = street()
     out = through(medium, sweep, 4)
     seen = out[out.fate != SCATTERED]
@@ -107,7 +107,7 @@ def test_what_shines_through_stays_in_its_place(medium: str) -> None:
 
 @all_media
 @pytest.mark.parametrize("level", [1, 5])
-def test_nothing_becomes_brighter_and_everything_dimmed_says_so(medium: str, level: int) -> None:
+def test_no_target_is_brighter_and_dimmed_ones_are_marked(medium: str, level: int) -> None:
     sweep = street()
     out = through(medium, sweep, level)
     seen = out[out.fate != SCATTERED]
@@ -148,7 +148,7 @@ def test_scaled_weather_is_between_its_severities(medium: str) -> None:
 
 
 @all_media
-def test_weather_cannot_be_scaled_beyond_what_there_is(medium: str) -> None:
+def test_scaled_weather_is_bounded(medium: str) -> None:
     of = MEDIA[medium][1]
     assert isinstance(of(5).scaled(1e6), type(of(5)))
 
@@ -183,7 +183,7 @@ def test_the_input_is_never_changed_and_a_seed_gives_the_same_bytes(medium: str)
 
 
 @pytest.mark.parametrize("medium", ["fog", "snow", "rain"])
-def test_a_beam_does_not_mind_what_others_hit(medium: str) -> None:
+def test_a_beam_is_independent_of_the_targets_of_others(medium: str) -> None:
     sweep = street()
     some = rng().random(len(sweep)) < 0.5
     whole, part = through(medium, sweep, 5), through(medium, sweep[some], 5)
@@ -193,7 +193,7 @@ def test_a_beam_does_not_mind_what_others_hit(medium: str) -> None:
 
 @all_media
 @pytest.mark.parametrize("rings", [16, 40, 64, 128, 300])
-def test_any_sensor_s_beams_that_hit_nothing_answer(medium: str, rings: int) -> None:
+def test_open_beams_of_any_sensor_return_echoes(medium: str, rings: int) -> None:
     sweep = street(uneven(rings, range_10_m=60.0, range_max_m=60.0))
     out = through(medium, sweep, 5)
     empty = in_open_beams(out, sweep)
@@ -202,7 +202,7 @@ def test_any_sensor_s_beams_that_hit_nothing_answer(medium: str, rings: int) -> 
     assert (np.diff(beam_of(out)) > 0).all()  # ring by ring, column by column
     axis = beams_of(uneven(rings), 0.0).axis[:, out.ring[empty], out.column[empty]].T
     assert (cosine(out.points[empty], axis) > 1.0 - 1e-9).all()
-    assert (out.range[empty] >= BLIND_M - 1e-3).all() and out.range[empty].max() <= 60.0
+    assert (out.range[empty] >= OVERLAP_START_M - 1e-3).all() and out.range[empty].max() <= 60.0
     assert sweep.spec is not None
     assert (out.time_offset == sweep.spec.time_offset[out.ring, out.column].astype(np.float32)).all()
 
@@ -252,12 +252,12 @@ def test_any_sweep_of_any_sensor_stays_legal(
     assert np.isfinite(out.points).all()
     assert ((out.intensity >= 0.0) & (out.intensity <= 1.0)).all()
     assert ((out.object_id == ADDED) == (out.fate == SCATTERED)).all()
-    assert (out.range[out.fate == SCATTERED] >= max(BLIND_M, nearest) - 1e-3).all()
+    assert (out.range[out.fate == SCATTERED] >= max(OVERLAP_START_M, nearest) - 1e-3).all()
     assert out.range.max(initial=0.0) <= 120.0 + 1e-3 or medium == "rain"
 
 
 @all_media
-def test_sweeps_of_nothing_of_one_point_and_of_no_hit_are_legal(medium: str) -> None:
+def test_empty_and_single_point_sweeps_are_legal(medium: str) -> None:
     assert len(through(medium, make_sweep(np.zeros((0, 3))), 5)) == 0
     assert len(through(medium, make_sweep(np.zeros((0, 3)), spec=spinning(4, range_10_m=0.3)), 5)) == 0
     sky = through(medium, make_sweep(np.zeros((0, 3)), spec=spinning(4)), 5)
@@ -268,7 +268,7 @@ def test_sweeps_of_nothing_of_one_point_and_of_no_hit_are_legal(medium: str) -> 
 
 
 @all_media
-def test_points_whose_beams_nobody_knows_answer_only_themselves(medium: str) -> None:
+def test_points_of_unknown_beams_have_no_open_beams(medium: str) -> None:
     cloud = synth16()
     out = through(medium, cloud, 5)
     assert 0 < len(out) <= len(cloud)
@@ -300,7 +300,7 @@ def test_echoes_of_open_beams_start_where_the_sensor_was(motion: Motion) -> None
     assert (np.diff(out.ring) >= 0).all()
 
 
-def test_a_sensor_of_last_returns_keeps_what_it_detects() -> None:
+def test_a_sensor_of_last_returns_keeps_detected_targets() -> None:
     reach = np.arange(5.0, 100.0, 0.1)
     thick = msgspec.structs.replace(Fog.of_visibility(150.0), range_10_m=400.0)
     out = {}
@@ -314,27 +314,27 @@ def test_a_sensor_of_last_returns_keeps_what_it_detects() -> None:
 
 def test_the_stronger_of_target_and_echo_is_reported_if_it_is_detected() -> None:
     spec = spinning(range_10_m=50.0)
-    need = least_power(spec)
-    sweep = on_a_ray(np.full(4, 20.0), np.float32(1000.0 * need), spec)
-    sight = look(sweep, None, rng())
-    hard = sight.power[0]
-    assert hard > 2.0 * need
-    power = np.zeros(len(sight))
-    power[:4] = 0.6 * hard, 0.4 * hard, 2.0 * need, 0.9 * need
+    threshold = detection_threshold(spec)
+    sweep = on_a_ray(np.full(4, 20.0), np.float32(1000.0 * threshold), spec)
+    rays = rays_of(sweep, None, rng())
+    hard = rays.power[0]
+    assert hard > 2.0 * threshold
+    power = np.zeros(len(rays))
+    power[:4] = 0.6 * hard, 0.4 * hard, 2.0 * threshold, 0.9 * threshold
     dim = np.array([0.5, 0.5, 0.0, 0.0])
-    out = report(sight, dim, Echo(np.full(len(sight), 7.0), power))
+    out = report(rays, dim, Echo(np.full(len(rays), 7.0), power))
     assert out.fate.tolist() == [SCATTERED, ATTENUATED, SCATTERED]
     assert np.allclose(out.range, [7.0, 20.0, 7.0])
-    assert np.allclose(out.intensity, [0.6 * hard * 49.0, 500.0 * need, 2.0 * need * 49.0], rtol=1e-5)
+    assert np.allclose(out.intensity, [0.6 * hard * 49.0, 500.0 * threshold, 2.0 * threshold * 49.0], rtol=1e-5)
 
 
-def test_faint_points_stay_with_the_chance_that_the_transmission_says() -> None:
+def test_faint_points_stay_with_the_probability_of_the_transmission() -> None:
     # Real files give intensity 0 to much that their sensor saw.
     sweep = on_a_ray(np.full(20_000, 60.0), 0.0)
-    sight = look(sweep, None, rng())
-    out = report(sight, np.full(20_000, 0.7), Echo(np.zeros(20_000), np.zeros(20_000)))
+    rays = rays_of(sweep, None, rng())
+    out = report(rays, np.full(20_000, 0.7), Echo(np.zeros(20_000), np.zeros(20_000)))
     assert math.isclose(len(out) / 20_000, 0.7, abs_tol=0.015)
-    assert same(report(sight, np.ones(20_000), Echo(np.zeros(20_000), np.zeros(20_000))), sweep)
+    assert same(report(rays, np.ones(20_000), Echo(np.zeros(20_000), np.zeros(20_000))), sweep)
 
 
 @pytest.mark.parametrize(
@@ -347,9 +347,9 @@ def test_faint_points_stay_with_the_chance_that_the_transmission_says() -> None:
 )
 def test_an_echo_gets_the_intensity_of_the_sensor_s_own_law(law: str, expected: Callable) -> None:
     sweep = on_a_ray(np.full(3, 30.0), 0.5, spinning(intensity_law=law))
-    sight = look(sweep, None, rng())
+    rays = rays_of(sweep, None, rng())
     reach, power = np.array([2.0, 5.0, 9.0]), np.array([1e-4, 1e-3, 2e-3])
-    place, loud = np.zeros(len(sight)), np.zeros(len(sight))
+    place, loud = np.zeros(len(rays)), np.zeros(len(rays))
     place[:3], loud[:3] = reach, power
-    out = report(sight, np.zeros(3), Echo(place, loud))
+    out = report(rays, np.zeros(3), Echo(place, loud))
     assert np.allclose(out.intensity, expected(power, reach), rtol=1e-5)

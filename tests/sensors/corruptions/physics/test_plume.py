@@ -114,7 +114,7 @@ def test_who_lifts_no_spray(speed: float, label: str, water_mm: float) -> None:
     assert plumes_of(frame(speed, label), water_mm) == []
 
 
-def test_nobody_lifts_no_spray() -> None:
+def test_empty_scenes_have_no_spray() -> None:
     empty = Frame(0, 0.0, (), Boxes.zeros(), np.zeros((0, 2)), np.zeros((0, 0), np.int32))
     assert plumes_of(empty, 1.0) == []
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from sensors.corruptions.physics.receiver import (
-    BLIND_M,
-    SIGHT_M,
-    UNKNOWN_RANGE_10_M,
-    UNKNOWN_REFLECTIVITY,
-    least_power,
+    DEFAULT_RANGE_10_M,
+    DEFAULT_REFLECTIVITY,
+    FULL_OVERLAP_M,
+    OVERLAP_START_M,
+    detection_threshold,
     overlap,
     reported_intensity,
     target_power,
@@ -25,28 +25,30 @@ from tests.sensors.corruptions.street import on_a_ray, spinning
 REACH = np.array([3.0, 20.0, 60.0])
 
 
-def test_what_a_sensor_just_detects_is_what_its_scan_just_detects() -> None:
+def test_the_detection_threshold_is_that_of_the_scan() -> None:
     spec = spinning(range_10_m=70.0)
-    assert math.isclose(least_power(spec), 0.1 * math.exp(-2.0 * CLEAR_AIR_EXTINCTION * 70.0) / 70.0**2)
+    assert math.isclose(detection_threshold(spec), 0.1 * math.exp(-2.0 * CLEAR_AIR_EXTINCTION * 70.0) / 70.0**2)
     tables = optics_of(spec)
     distance = np.linspace(0.0, tables.reach_m, len(tables.need))[1:]
     # The scan asks for the power relative to a white surface at the same range.
     weakest = tables.need[1:] * np.exp(-2.0 * CLEAR_AIR_EXTINCTION * distance) / distance**2
-    assert np.allclose(weakest, least_power(spec), rtol=1e-5)
-    assert least_power(spec, 20.0) > least_power(spec) and least_power(spec, math.inf) == 0.0
+    assert np.allclose(weakest, detection_threshold(spec), rtol=1e-5)
+    assert detection_threshold(spec, 20.0) > detection_threshold(spec) and detection_threshold(spec, math.inf) == 0.0
 
 
-def test_in_weather_sensors_without_a_threshold_hear_as_the_hdl_64e_does_and_all_others_as_themselves() -> None:
+def test_sensors_without_a_threshold_have_the_hdl_64e_s_in_weather() -> None:
     simulated = {name for name, spec in LIDARS.items() if spec.range_10_m > spec.range_max_m}
     assert simulated == {"opv2v-64", "carla-64", "debug-16"}
-    assert LIDARS["hdl-64e-s2"].range_10_m == UNKNOWN_RANGE_10_M
+    assert LIDARS["hdl-64e-s2"].range_10_m == DEFAULT_RANGE_10_M
     for name, spec in LIDARS.items():
-        assert least_power(spec) == least_power(None, UNKNOWN_RANGE_10_M if name in simulated else spec.range_10_m)
-    assert least_power(None) == least_power(LIDARS["hdl-64e-s2"])
+        assert detection_threshold(spec) == detection_threshold(
+            None, DEFAULT_RANGE_10_M if name in simulated else spec.range_10_m
+        )
+    assert detection_threshold(None) == detection_threshold(LIDARS["hdl-64e-s2"])
 
 
 @pytest.mark.parametrize("law", ["reflectivity", "power", "distance"])
-def test_power_is_what_the_scan_received_whatever_its_law_of_intensity(law: str) -> None:
+def test_target_power_is_the_scan_s_for_every_intensity_law(law: str) -> None:
     spec = spinning(intensity_law=law)
     tables, material, cosine = optics_of(spec), 2, 0.8
     white = tables.power[material, round(cosine * 1024)]
@@ -60,10 +62,10 @@ def test_power_is_what_the_scan_received_whatever_its_law_of_intensity(law: str)
     assert capped.sum() == (law == "power" and MATERIALS[material].reflectivity > 0.09)
 
 
-def test_without_a_material_an_intensity_of_distance_says_nothing() -> None:
+def test_distance_intensity_without_a_material_is_uninformative() -> None:
     sweep = on_a_ray(REACH, np.exp(-0.004 * REACH), spinning(intensity_law="distance"))
     assert (sweep.material == UNKNOWN_MATERIAL).all()
-    assert np.allclose(target_power(sweep, REACH), UNKNOWN_REFLECTIVITY / REACH**2)
+    assert np.allclose(target_power(sweep, REACH), DEFAULT_REFLECTIVITY / REACH**2)
 
 
 @pytest.mark.parametrize("law", ["reflectivity", "power"])
@@ -74,8 +76,10 @@ def test_intensity_and_power_undo_each_other(law: str) -> None:
     assert reported_intensity(spec, np.array([50.0]), np.array([1.0])) == 1.0
 
 
-def test_the_receiver_sees_nothing_up_close() -> None:
-    assert overlap(np.array([0.0, BLIND_M, 0.5 * (BLIND_M + SIGHT_M), SIGHT_M, 80.0])).round(6).tolist() == [
+def test_the_receiver_is_blind_at_close_range() -> None:
+    assert overlap(
+        np.array([0.0, OVERLAP_START_M, 0.5 * (OVERLAP_START_M + FULL_OVERLAP_M), FULL_OVERLAP_M, 80.0])
+    ).round(6).tolist() == [
         0.0,
         0.0,
         0.5,

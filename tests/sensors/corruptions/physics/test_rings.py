@@ -127,7 +127,7 @@ def test_quality_falls_with_noise_until_rings_are_refused() -> None:
         estimate_rings(at_elevation(points, exact + 0.3 * spacing * noise))
 
 
-def test_what_has_no_rings_is_refused() -> None:
+def test_clouds_without_rings_are_refused() -> None:
     points, _ = cloud(spinning(64))
     tilt = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(0.1), -np.sin(0.1)], [0.0, np.sin(0.1), np.cos(0.1)]])
     rosette = beams_of(get_lidar("livox-mid-70"), 0.0).axis.reshape(3, -1).T * 20.0
@@ -161,7 +161,7 @@ def test_no_point_one_point_and_one_ring() -> None:
     assert estimate_rings(np.zeros((3, 3))).ring.tolist() == [0, 0, 0]
 
 
-def test_a_sweep_says_its_rings_itself() -> None:
+def test_recorded_rings_are_taken_as_they_are() -> None:
     sweep = street(spinning(16))
     rings = rings_of(sweep, "test")
     assert rings.count == 16 and rings.ring is sweep.ring and (rings.identity == np.arange(16)).all()
@@ -173,7 +173,7 @@ def test_a_sweep_says_its_rings_itself() -> None:
 
 
 @pytest.mark.parametrize("ring", [16, -1])
-def test_rings_that_the_sensor_does_not_have_are_an_error_in_one_line(ring: int) -> None:
+def test_rings_outside_the_sensor_are_refused_in_one_line(ring: int) -> None:
     points = street(spinning(16)).points[:50]
     wrong = make_sweep(points, spec=spinning(16), ring=np.full(50, ring))
     with pytest.raises(DataError, match=r"beam_missing: ring: expected rings from 0 of the 16 of 'test', found"):

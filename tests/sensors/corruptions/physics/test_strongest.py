@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
-from sensors.corruptions.physics.medium import Sight, look
-from sensors.corruptions.physics.receiver import SIGHT_M
+from sensors.corruptions.physics.medium import Rays, rays_of
+from sensors.corruptions.physics.receiver import FULL_OVERLAP_M
 from sensors.corruptions.physics.strongest import (
+    DEFAULT_DIVERGENCE_RAD,
     SAME_RETURN_M,
-    UNKNOWN_DIVERGENCE_RAD,
     Particles,
     beam_width,
     strongest_particle,
@@ -28,10 +28,10 @@ def rng(seed: int = 1) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def beams(reach_m: float, count: int, intensity: float = 0.0, width: float = WIDTH) -> Sight:
+def beams(reach_m: float, count: int, intensity: float = 0.0, width: float = WIDTH) -> Rays:
     """Beams that hear everything, on targets at one range."""
     sweep = on_a_ray(np.full(count, reach_m), intensity, spinning(1, 4, divergence_rad=width))
-    return look(sweep, math.inf, rng())
+    return rays_of(sweep, math.inf, rng())
 
 
 def sampled(particles: Particles, reach_m: float, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -46,10 +46,10 @@ def sampled(particles: Particles, reach_m: float, count: int) -> tuple[np.ndarra
 
 
 @pytest.mark.parametrize("reach_m", [6.0, 15.0])
-def test_loudest_particles_are_as_loud_and_as_far_as_those_of_sampled_media(reach_m: float) -> None:
+def test_strongest_particles_agree_with_sampled_media(reach_m: float) -> None:
     count = 4000
     beam, range_m, power = sampled(MEDIUM, reach_m, count)
-    seen = (range_m >= SIGHT_M) & (range_m <= reach_m - SAME_RETURN_M)
+    seen = (range_m >= FULL_OVERLAP_M) & (range_m <= reach_m - SAME_RETURN_M)
     order = np.lexsort((-power[seen], beam[seen]))
     first = np.flatnonzero(np.diff(np.r_[-1, beam[seen][order]]))
     best_power, best_m = power[seen][order][first], range_m[seen][order][first]
@@ -64,7 +64,7 @@ def test_loudest_particles_are_as_loud_and_as_far_as_those_of_sampled_media(reac
     assert ks_2samp(echo.range_m[ours], best_m[theirs]).pvalue > 0.001
 
 
-def test_so_many_particles_are_louder_than_a_power_as_the_closed_form_says() -> None:
+def test_counts_above_a_power_agree_with_the_closed_form() -> None:
     power = sampled(MEDIUM, 40.0, 300)[2]
     for level in (3e-6, 3e-5, 3e-4):
         c = MEDIUM.rate_per_m * WIDTH * math.sqrt(level / MEDIUM.reflectivity)
@@ -73,9 +73,9 @@ def test_so_many_particles_are_louder_than_a_power_as_the_closed_form_says() -> 
         assert math.isclose(heard, expected, rel_tol=5.0 / math.sqrt(expected * 300)), level
 
 
-def test_only_what_is_louder_than_the_target_is_heard() -> None:
-    sight = beams(30.0, 3000, intensity=0.02)
-    echo = strongest_particle(MEDIUM, sight, np.full(3000, 0.9), rng())
+def test_only_echoes_stronger_than_the_target_are_drawn() -> None:
+    rays = beams(30.0, 3000, intensity=0.02)
+    echo = strongest_particle(MEDIUM, rays, np.full(3000, 0.9), rng())
     heard = echo.power > 0.0
     assert 100 < heard.sum() < 2900
     assert (echo.power[heard] > 0.9 * 0.0199 / 30.0**2).all()
@@ -97,19 +97,19 @@ def test_particles_lie_between_sensor_and_target_and_are_no_brighter_than_their_
     echo = strongest_particle(particles, beams(reach_m, 50, brightness, width), np.ones(50), rng())
     heard = echo.power > 0.0
     place = echo.range_m[heard]
-    assert (place >= SIGHT_M).all() and (place <= reach_m - SAME_RETURN_M).all()
+    assert (place >= FULL_OVERLAP_M).all() and (place <= reach_m - SAME_RETURN_M).all()
     assert (echo.power[heard] * place**2 <= reflectivity * (1.0 + 1e-12)).all()
 
 
 @pytest.mark.parametrize("nothing", [{"per_m3": 0.0}, {"reflectivity": 0.0}])
-def test_no_particles_and_black_ones_answer_nothing(nothing: dict[str, float]) -> None:
+def test_no_particles_and_black_ones_have_no_echo(nothing: dict[str, float]) -> None:
     fields = {"per_m3": 100.0, "rate_per_m": 1000.0, "reflectivity": 0.5, "extinction": 0.0} | nothing
     assert not strongest_particle(Particles(**fields), beams(50.0, 100), np.ones(100), rng()).power.any()
 
 
 def test_a_simulator_s_rays_are_as_wide_as_an_unknown_sensor_s() -> None:
     assert get_lidar("carla-64").divergence_rad == 0.0
-    assert beam_width(get_lidar("carla-64")) == beam_width(None) == UNKNOWN_DIVERGENCE_RAD
+    assert beam_width(get_lidar("carla-64")) == beam_width(None) == DEFAULT_DIVERGENCE_RAD
 
 
 def test_an_oval_beam_is_as_wide_as_a_round_one_of_its_area() -> None:

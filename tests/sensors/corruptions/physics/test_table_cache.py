@@ -57,7 +57,7 @@ def test_a_damaged_file_is_made_anew(tmp_path: Path, damage: str, caplog: pytest
     assert is_whole(cached_tables("t", SHAPES, compute, tmp_path)) and compute.times == 2
 
 
-def test_where_nothing_can_be_written_tables_are_computed(tmp_path: Path) -> None:
+def test_without_a_writable_cache_tables_are_computed(tmp_path: Path) -> None:
     compute = Computing()
     (tmp_path / "file").write_text("in the way")
     assert is_whole(cached_tables("t", SHAPES, compute, tmp_path / "file"))
@@ -65,7 +65,7 @@ def test_where_nothing_can_be_written_tables_are_computed(tmp_path: Path) -> Non
     assert compute.times == 2
 
 
-def test_the_user_s_cache_is_where_the_environment_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_sets_the_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DSRC_CACHE", str(tmp_path))
     cached_tables("t", SHAPES, Computing())
     assert (tmp_path / "tables" / "t.npz").is_file()

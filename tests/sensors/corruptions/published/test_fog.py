@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from sensors.corruptions.physics.levels import PAPER, SEVERITIES
+from sensors.corruptions.physics.levels import DEFAULT_SEVERITY, SEVERITIES
 from sensors.corruptions.published import fog
-from sensors.corruptions.published.echo import LIGHT_SPEED
 from sensors.corruptions.published.fog import (
     BACKSCATTER_FIXED,
     EXTINCTIONS,
     PUBLISHED,
-    Fog,
+    PaperFog,
+    apply_fog,
     backscatter_of,
     compute_table,
     corrupt,
     fog_table,
-    fogged,
     hahner,
     reference_rng,
 )
@@ -47,7 +46,6 @@ MOVES_BEYOND_M = {
     0.05: (37.1, 31.9, 28.4, 23.8, 20.9, 15.9),
     0.2: (18.6, 17.2, 16.1, 14.4, 13.2, 10.8),
 }
-HALF_PULSE_M = 0.5 * LIGHT_SPEED * 2e-8
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -98,10 +96,10 @@ def test_the_points_of_the_release_move_and_have_its_intensities(case: str) -> N
     before = cloud("synth64")[golden["synth64_index"]]
     alpha = float(case.split("_a")[1].split("_")[0])
     if case.startswith("dsrc"):
-        settings = Fog(extinction=alpha, backscatter=float(case.split("_b")[1]), noise=0.0)
+        settings = PaperFog(extinction=alpha, backscatter=float(case.split("_b")[1]), noise=0.0)
     else:
         settings, before = replace(hahner(alpha), noise=0.0), on_255(before)
-    out, moved = fogged(before, settings, rng())
+    out, moved = apply_fog(before, settings, rng())
     assert (moved == mask(golden[f"{case}_fogmask"], len(before))).all()
     assert (out[~moved, :3] == before[~moved, :3]).all()
     if f"{case}_intensity" in golden:
@@ -113,7 +111,7 @@ def test_the_points_of_the_release_move_and_have_its_intensities(case: str) -> N
 def test_gain_makes_the_brightest_point_255() -> None:
     golden = arrays("fog_pointwise")
     before = cloud("synth64")[golden["synth64_index"]]
-    out, _ = fogged(before, Fog(extinction=0.06, backscatter=0.2, noise=0.0, gain=True), rng())
+    out, _ = apply_fog(before, PaperFog(extinction=0.06, backscatter=0.2, noise=0.0, gain=True), rng())
     assert np.allclose(out[:, 3], golden["dsrc_synth64_a0.06_b0.2_gain_intensity"], rtol=1e-6)
 
 
@@ -124,7 +122,7 @@ def test_beta_fixed_or_coupled_moves_as_many_points(alpha: float, scale: str, co
     golden = table("fog_pointwise")[f"hahner_synth64_{scale}_a{alpha}_{coupling}"]
     before = cloud("synth64")[arrays("fog_pointwise")["synth64_index"]]
     settings = replace(hahner(alpha, coupled=coupling == "betamor"), noise=0.0)
-    out, moved = fogged(on_255(before) if scale == "255" else before, settings, rng())
+    out, moved = apply_fog(on_255(before) if scale == "255" else before, settings, rng())
     assert np.isclose(settings.backscatter, golden["beta"], rtol=1e-12)
     assert moved.sum() == golden["n_fog"]
     assert np.isclose(out[:, 3].mean(), golden["mean_int"], rtol=1e-6)
@@ -141,7 +139,7 @@ def test_all_beyond_one_range_moves_however_bright(beta: float) -> None:
     for alpha, limit in zip(EXTINCTIONS, MOVES_BEYOND_M[beta], strict=True):
         for intensity in (0.02, 1.0):
             points = np.column_stack([reach, 0 * reach, 0 * reach, np.full(len(reach), intensity)])
-            moved = fogged(points, Fog(extinction=alpha, backscatter=beta), rng()).moved
+            moved = apply_fog(points, PaperFog(extinction=alpha, backscatter=beta), rng()).moved
             assert abs(reach[moved.argmax()] - limit) < 0.1 and (np.diff(moved.astype(int)) >= 0).all()
 
 
@@ -155,13 +153,13 @@ def test_noise_spreads_the_fog_as_published(case: str) -> None:
     alpha, variant = float(case.split("_a")[1].split("_")[0]), case.split("noise10_")[1][:2]
     if case.startswith("dsrc"):
         beta = float(case.split("_b")[1].split("_")[0])
-        settings = Fog(extinction=alpha, backscatter=beta, variant=variant)  # type: ignore[arg-type]
+        settings = PaperFog(extinction=alpha, backscatter=beta, variant=variant)  # type: ignore[arg-type]
     else:
         settings, before = hahner(alpha), on_255(before)
     reach = np.linalg.norm(before[:, :3].astype(np.float64), axis=1)
     counts, middle = [], []
     for seed in range(20):
-        out, moved = fogged(before, settings, rng(seed))
+        out, moved = apply_fog(before, settings, rng(seed))
         ahead = np.sign((out[:, :3] * before[:, :3]).sum(axis=1))
         place = ahead * np.linalg.norm(out[:, :3], axis=1)
         counts.append([moved.sum(), (place[moved] < 0).sum(), (place[moved] > reach[moved]).sum()])
@@ -183,8 +181,8 @@ def test_the_published_generator_discards_its_first_draw() -> None:
 
 def test_each_moved_point_takes_one_draw_in_order() -> None:
     before = cloud("synth16").astype(np.float64)
-    settings = Fog(extinction=0.06, backscatter=0.05)
-    out, moved = fogged(before, settings, reference_rng())
+    settings = PaperFog(extinction=0.06, backscatter=0.05)
+    out, moved = apply_fog(before, settings, reference_rng())
     in_turn, reach = reference_rng(), np.linalg.norm(before[:, :3], axis=1)
     for row in np.flatnonzero(moved)[:200]:
         place = fog_table(0.06).range_m[2000 if reach[row] > 200 else round(reach[row] * 10)]
@@ -192,16 +190,9 @@ def test_each_moved_point_takes_one_draw_in_order() -> None:
         assert np.allclose(out[row, :3], before[row, :3] * factor, rtol=1e-12)
 
 
-def test_shifted_ranges_are_half_a_pulse_nearer() -> None:
-    points = np.array([[50.0, 0.0, 0.0, 0.5]])
-    fog_at = Fog(extinction=0.06, backscatter=0.2, noise=0.0)
-    there, nearer = (fogged(points, replace(fog_at, shifted=on), rng()).cloud[0, 0] for on in (False, True))
-    assert there - nearer == pytest.approx(HALF_PULSE_M)
-
-
 def test_a_sweep_keeps_its_points_on_their_rays() -> None:
     sweep = street(spinning(16))
-    out = corrupt(sweep, Fog(extinction=0.06, backscatter=0.05, noise=0.0), rng())
+    out = corrupt(sweep, PaperFog(extinction=0.06, backscatter=0.05, noise=0.0), rng())
     moved = out.fate == SCATTERED
     assert len(out) == len(sweep) and 0 < moved.sum() < len(sweep)
     assert (out.fate[~moved] == ATTENUATED).all() and (out.points[~moved] == sweep.points[~moved]).all()
@@ -213,7 +204,7 @@ def test_a_sweep_keeps_its_points_on_their_rays() -> None:
 
 def test_agents_draw_their_own_extinction_unless_one_is_set() -> None:
     sweep = on_a_ray(np.full(50, 10.0), 0.5)
-    seen = {round(float(corrupt(sweep, PAPER, rng(seed)).intensity[0]), 6) for seed in range(60)}
+    seen = {round(float(corrupt(sweep, DEFAULT_SEVERITY, rng(seed)).intensity[0]), 6) for seed in range(60)}
     assert seen == {round(0.5 * float(np.exp(-20.0 * alpha)), 6) for alpha in EXTINCTIONS}
 
 
@@ -221,7 +212,7 @@ def test_fog_takes_more_at_each_severity() -> None:
     sweep = street(spinning(16))
     taken = [corrupt(sweep, severity, rng(3)).fate == SCATTERED for severity in SEVERITIES]
     assert all((b >= a).all() for a, b in itertools.pairwise(taken)) and taken[-1].sum() > taken[0].sum()
-    assert Fog() == Fog.severity(PAPER) == PUBLISHED["dsrc"]
+    assert PaperFog() == PaperFog.severity(DEFAULT_SEVERITY) == PUBLISHED["dsrc"]
 
 
 def test_scaled_intensities_come_back() -> None:
@@ -234,10 +225,10 @@ def test_scaled_intensities_come_back() -> None:
 
 def test_no_fog_and_no_points_are_legal() -> None:
     sweep = street(spinning(16))
-    assert same(corrupt(sweep, Fog(extinction=0.0, backscatter=0.0), rng()), sweep)
+    assert same(corrupt(sweep, PaperFog(extinction=0.0, backscatter=0.0), rng()), sweep)
     for few in (sweep[:0], sweep[:1], on_a_ray(np.array([0.0, 0.5, 300.0]))):
         out = corrupt(few, 5, rng())
         assert len(out) == len(few) and np.isfinite(out.points).all()
         assert all(getattr(out, name).dtype == getattr(few, name).dtype for name in POINT_FIELDS)
     with pytest.raises(SettingsError, match="backscatter"):
-        Fog(backscatter=-1.0)
+        PaperFog(backscatter=-1.0)

@@ -60,7 +60,7 @@ def test_hardly_any_points_have_rings_too(source: str, points: int) -> None:
     assert len(ring) == points and rings == 64 and (ring < rings).all()
 
 
-def test_a_sweep_s_own_rings_are_taken_when_asked_for() -> None:
+def test_recorded_rings_are_used_on_request() -> None:
     sweep = street(spinning(40, columns=90))
     ring, rings = rings_from(sweep, "sweep", "test")
     assert rings == 40 and (ring == sweep.ring).all()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from sensors.corruptions.physics.levels import PAPER, SEVERITIES
+from sensors.corruptions.physics.levels import DEFAULT_SEVERITY, SEVERITIES
 from sensors.corruptions.published.ground import fit_plane, ground_of, noise_floor, noise_line
 from sensors.corruptions.published.rings import elevation_bin
 from sensors.corruptions.published.snow import (
@@ -15,11 +15,11 @@ from sensors.corruptions.published.snow import (
     MOVED,
     PUBLISHED,
     UNTOUCHED,
-    Snow,
+    PaperSnow,
     _peaks,
+    apply_snow,
     corrupt,
     read_calibration,
-    snowed,
 )
 from sensors.corruptions.published.snow_discs import disc_sample
 from sensors.sweep import ADDED, ATTENUATED, KEPT, POINT_FIELDS, SCATTERED
@@ -28,11 +28,11 @@ from tests.sensors.corruptions.published.goldens import cloud, table
 from tests.sensors.corruptions.street import on_a_ray, rows_of, same, shared, spinning, street
 
 SNOWS = {"light": (0.5, 2.0), "moderate": (1.0, 1.6), "heavy": (2.5, 1.6)}
-NO_FLOOR = Snow(noise_factor=None)
+NO_FLOOR = PaperSnow(noise_factor=None)
 VARIANTS = {
     "dsrc": NO_FLOOR,
-    "dsrc_fixed_hard_power": Snow(noise_factor=None, own_power=True),
-    "hahner": Snow(noise_factor=None, last_bin=True, darkest=True),
+    "dsrc_fixed_hard_power": PaperSnow(noise_factor=None, own_power=True),
+    "hahner": PaperSnow(noise_factor=None, last_bin=True, darkest=True),
 }
 
 
@@ -40,7 +40,7 @@ def rng(seed: int = 1) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def calibrated(settings: Snow) -> Snow:
+def calibrated(settings: PaperSnow) -> PaperSnow:
     return replace(settings, calibration=str(shared("snow/hdl64_calib_focal.npz")))
 
 
@@ -50,10 +50,10 @@ def flake(range_m: float, share: float, divergence: float = 0.003) -> np.ndarray
 
 
 def beam(
-    range_m: float, intensity: float, discs: np.ndarray, settings: Snow, channel: int = 10
+    range_m: float, intensity: float, discs: np.ndarray, settings: PaperSnow, channel: int = 10
 ) -> tuple[int, float, float]:
     """Return label, range and intensity of one point on the x axis."""
-    out = snowed(np.array([[range_m, 0.0, 0.0, intensity]]), np.array([channel]), lambda _: discs, settings)
+    out = apply_snow(np.array([[range_m, 0.0, 0.0, intensity]]), np.array([channel]), lambda _: discs, settings)
     return int(out.label[0]), float(out.cloud[0, 0]), float(out.cloud[0, 3])
 
 
@@ -62,7 +62,7 @@ def test_single_beams_come_out_as_published(variant: str) -> None:
     settings = calibrated(VARIANTS[variant])
     for case in json.loads(shared("snow/single_beam.json").read_text()):
         point, particles = np.array([case["point"][:4]]), np.array(case["particles"])
-        out = snowed(point, np.array([case["channel"]]), lambda _, particles=particles: particles, settings)
+        out = apply_snow(point, np.array([case["channel"]]), lambda _, particles=particles: particles, settings)
         assert out.label[0] == case[variant]["label"]
         assert np.allclose(out.cloud[0], case[variant]["xyzI"], rtol=0, atol=1e-9)
 
@@ -84,7 +84,7 @@ def test_echoes_in_the_same_bins_add_up() -> None:
 
 @pytest.mark.parametrize("snow", SNOWS)
 @pytest.mark.parametrize("variant", ["dsrc", "dsrc_fixed_hard_power"])
-def test_a_street_in_snow_fares_as_published(snow: str, variant: str) -> None:
+def test_a_street_in_snow_has_the_published_statistics(snow: str, variant: str) -> None:
     # The flakes that the release hands out are one sample of 64 discs; ours are another, which spreads these numbers.
     theirs = table("snow")[f"{variant}_{snow}/synth64"]
     settings = replace(calibrated(VARIANTS[variant]), noise_factor=0.7)
@@ -95,7 +95,7 @@ def test_a_street_in_snow_fares_as_published(snow: str, variant: str) -> None:
     line = noise_line(ground, points[ground.rows, 3])
     assert line is not None
     some = points[::5]
-    out = snowed(
+    out = apply_snow(
         some,
         channel[::5],
         lambda c: disc_sample(*SNOWS[snow], "gunn", c),
@@ -123,7 +123,7 @@ def test_as_released_a_target_behind_a_flake_does_not_matter() -> None:
     assert [round(i / 0.99) for _, _, i in own] == pytest.approx([10, 100, 250], abs=3)
 
 
-def test_a_flake_up_close_is_what_the_sensor_sees() -> None:
+def test_a_near_flake_hides_the_target() -> None:
     label, place, _ = beam(40.0, 50.0, flake(5.0, 0.5), NO_FLOOR)
     assert label == MOVED and abs(place - 5.0) < 0.15
     assert beam(40.0, 50.0, flake(60.0, 0.5), NO_FLOOR) == (UNTOUCHED, 40.0, 50.0)
@@ -135,7 +135,7 @@ def test_weak_lasers_have_less_to_give() -> None:
     assert weak / strong == pytest.approx(230 / 255, abs=0.01)
 
 
-def test_beams_that_see_nothing_and_targets_far_away_are_left_alone() -> None:
+def test_beams_without_an_echo_and_far_targets_are_unchanged() -> None:
     assert beam(0.8, 50.0, flake(0.5, 0.5), NO_FLOOR) == (UNTOUCHED, 0.8, 50.0)
     label, place, _ = beam(240.0, 200.0, flake(60.0, 0.001), VARIANTS["dsrc_fixed_hard_power"])
     assert label == DIMMED and place == 240.0
@@ -144,9 +144,9 @@ def test_beams_that_see_nothing_and_targets_far_away_are_left_alone() -> None:
 def test_the_noise_floor_removes_untouched_points_too() -> None:
     points = np.array([[20.0, 0.0, 0.0, 9.4], [20.0, 1.0, 0.0, 9.6], [20.0, 2.0, 0.0, 30.0]])
     nothing = np.zeros((0, 3))
-    out = snowed(points, np.zeros(3, int), lambda _: nothing, Snow(), floor=np.array([0.0, 0.0, 9.0]))
+    out = apply_snow(points, np.zeros(3, int), lambda _: nothing, PaperSnow(), floor=np.array([0.0, 0.0, 9.0]))
     assert out.kept.tolist() == [False, True, True] and (out.label == UNTOUCHED).all()
-    free = snowed(points, np.zeros(3, int), lambda _: nothing, NO_FLOOR)
+    free = apply_snow(points, np.zeros(3, int), lambda _: nothing, NO_FLOOR)
     assert free.kept.all()
 
 
@@ -155,11 +155,11 @@ def test_intensities_like_carla_s_drown_in_the_noise_floor_without_any_snow() ->
     reach = np.linalg.norm(points[:, :3], axis=1)
     points[:, 3] = 255.0 * np.exp(-0.004 * reach)
     nothing = np.zeros((0, 3))
-    out = snowed(points, np.zeros(len(points), int), lambda _: nothing, Snow(), rng())
+    out = apply_snow(points, np.zeros(len(points), int), lambda _: nothing, PaperSnow(), rng())
     assert out.kept.mean() < 0.6 and not out.kept[reach < 9].any()
 
 
-def test_a_sweep_keeps_its_rays_and_says_what_happened() -> None:
+def test_a_sweep_keeps_its_rays_and_marks_fates() -> None:
     sweep = street()
     out = corrupt(sweep, replace(NO_FLOOR, snowfall_mm_h=2.5, fall_speed_mps=1.6), rng())
     assert len(out) == len(sweep)
@@ -173,7 +173,7 @@ def test_a_sweep_keeps_its_rays_and_says_what_happened() -> None:
 
 def test_the_noise_floor_takes_points_off_a_sweep() -> None:
     sweep = street()
-    out = corrupt(sweep, PAPER, rng())
+    out = corrupt(sweep, DEFAULT_SEVERITY, rng())
     assert 0 < len(out) < len(sweep)
     row = rows_of(out, sweep)
     stays = out.fate != SCATTERED
@@ -184,20 +184,20 @@ def test_more_snow_moves_more_points_and_touches_fewer() -> None:
     sweep = street(spinning(16))
     counts = []
     for severity in SEVERITIES:
-        out = corrupt(sweep, replace(Snow.severity(severity), noise_factor=None), rng())
+        out = corrupt(sweep, replace(PaperSnow.severity(severity), noise_factor=None), rng())
         counts.append([(out.fate == SCATTERED).sum(), (out.fate != KEPT).sum()])
     moved, touched = np.array(counts).T
     assert moved[-1] > moved[2] > moved[0] and touched[-1] < touched[2] < touched[0]
-    assert Snow() == Snow.severity(PAPER) == PUBLISHED["dsrc"]
+    assert PaperSnow() == PaperSnow.severity(DEFAULT_SEVERITY) == PUBLISHED["dsrc"]
 
 
 def test_one_seed_gives_one_snow_and_no_snow_is_no_change() -> None:
     sweep = street(spinning(16))
-    assert same(corrupt(sweep, PAPER, rng(4)), corrupt(sweep, PAPER, rng(4)))
-    assert not same(corrupt(sweep, PAPER, rng(4)), corrupt(sweep, PAPER, rng(5)))
-    assert same(corrupt(sweep, Snow(snowfall_mm_h=0.0), rng()), sweep)
+    assert same(corrupt(sweep, DEFAULT_SEVERITY, rng(4)), corrupt(sweep, DEFAULT_SEVERITY, rng(4)))
+    assert not same(corrupt(sweep, DEFAULT_SEVERITY, rng(4)), corrupt(sweep, DEFAULT_SEVERITY, rng(5)))
+    assert same(corrupt(sweep, PaperSnow(snowfall_mm_h=0.0), rng()), sweep)
     with pytest.raises(SettingsError, match="fall_speed_mps"):
-        Snow(fall_speed_mps=0.0)
+        PaperSnow(fall_speed_mps=0.0)
 
 
 @pytest.mark.parametrize("severity", [1, 5])

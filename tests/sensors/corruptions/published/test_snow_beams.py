@@ -17,7 +17,7 @@ def one(discs: list[tuple[float, float, float]], azimuth: float = 1.0, target: f
 
 
 @pytest.mark.parametrize("case", [0, 1])
-def test_discs_take_what_they_take_in_the_release(case: int) -> None:
+def test_shares_of_discs_are_those_of_the_release(case: int) -> None:
     golden = {
         name.removesuffix(f"_{case}"): a for name, a in arrays("snow_occlusion").items() if name.endswith(f"_{case}")
     }
@@ -54,12 +54,12 @@ def test_only_what_is_in_the_beam_and_before_the_target_counts() -> None:
     assert np.allclose(found.share, [0.1]) and np.allclose(found.target, 0.9)
 
 
-def test_hidden_discs_take_nothing() -> None:
+def test_hidden_discs_have_no_share() -> None:
     found = one([(10.0, 0.0, 0.3), (20.0, 0.1, 0.1)])
     assert np.allclose(found.share, [0.6, 0.0]) and np.allclose(found.target, 0.4)
 
 
-def test_beams_across_azimuth_0_forget_the_target_s_loss_unless_told() -> None:
+def test_beams_across_azimuth_0_keep_the_target_whole_as_released() -> None:
     discs = [(10.0, -0.3, 0.1), (20.0, 0.2, 0.1)]
     whole, released = one(discs, 0.0, whole_seam=True), one(discs, 0.0)
     assert np.allclose(whole.target, 0.6) and np.allclose(released.target, 1.0)

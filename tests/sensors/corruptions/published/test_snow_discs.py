@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from sensors.corruptions.published.cloud import RandomSource
 from sensors.corruptions.published.snow_discs import (
     RADIUS_M,
     Law,
+    Sampler,
     disc_sample,
     occupancy,
     rain_rate,
@@ -15,6 +17,22 @@ from sensors.corruptions.published.snow_discs import (
 from tests.sensors.corruptions.published.goldens import arrays, table
 
 SNOWS = {"light": (0.5, 2.0), "moderate": (1.0, 1.6), "heavy": (2.5, 1.6)}
+
+
+def draw_in_turn(goal: float, rate: float, radius_m: float, rng: RandomSource) -> np.ndarray:
+    """Draw discs that fill an area one after the other, as the published code does."""
+    darts, area = [], 0.0
+    while area < goal:
+        reach = np.sqrt(rng.uniform(0.0, radius_m**2))
+        angle = np.pi * rng.uniform(0.0, 2.0)
+        diameter = rng.exponential(1.0 / rate)
+        while diameter > 0.02:
+            diameter = rng.exponential(1.0 / rate)
+        height = rng.uniform(-diameter / 2.0, diameter / 2.0)
+        radius = np.sqrt(diameter**2 / 4.0 - height**2)
+        darts.append((reach * np.cos(angle), reach * np.sin(angle), radius))
+        area += np.pi * radius**2
+    return np.array(darts)
 
 
 def test_rates_are_the_published_ones() -> None:
@@ -27,16 +45,16 @@ def test_rates_are_the_published_ones() -> None:
 
 @pytest.mark.parametrize("law", ["gunn", "sekhon"])
 @pytest.mark.parametrize("snow", SNOWS)
-def test_one_generator_throws_the_published_discs(snow: str, law: Law) -> None:
+def test_a_generator_draws_the_published_discs(snow: str, law: Law) -> None:
     rate = size_rate(rain_rate(*SNOWS[snow]), law)
-    discs = sample_discs(occupancy(*SNOWS[snow]), rate, 10.0, np.random.default_rng(42), in_turn=True)
+    discs = sample_discs(occupancy(*SNOWS[snow]), rate, 10.0, np.random.default_rng(42), draw=draw_in_turn)
     golden = arrays("snow_discs")[f"{law}_{snow}_R10_rng42"]
     assert discs.shape == (table("snow_discs")[f"{law}_{snow}_R10_rng42"]["n"], 3)
     assert np.allclose(discs, golden[:, :3], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("snow", ["light", "moderate"])
-def test_all_at_once_or_one_by_one_is_the_same_medium(snow: str) -> None:
+def test_both_samplers_draw_the_same_medium(snow: str) -> None:
     golden = table("snow_discs")[f"shipped_gunn_{snow}"]
     filled, rate = occupancy(*SNOWS[snow]), size_rate(rain_rate(*SNOWS[snow]))
     samples = [sample_discs(filled, rate, RADIUS_M, np.random.default_rng(seed)) for seed in range(6)]
@@ -51,10 +69,10 @@ def test_all_at_once_or_one_by_one_is_the_same_medium(snow: str) -> None:
     assert np.allclose(ours / 6, golden["radial_hist_0_80_by10_per_disc"], rtol=0.05)
 
 
-@pytest.mark.parametrize("in_turn", [True, False])
-def test_discs_fill_their_share_without_overlap(in_turn: bool) -> None:
+@pytest.mark.parametrize("draw", [draw_in_turn, None])
+def test_discs_fill_their_share_without_overlap(draw: Sampler | None) -> None:
     # So dense that discs do collide.
-    discs = sample_discs(0.1, 200.0, 0.2, np.random.default_rng(1), in_turn=in_turn)
+    discs = sample_discs(0.1, 200.0, 0.2, np.random.default_rng(1), draw=draw)
     area = np.pi * discs[:, 2] ** 2
     goal = 0.1 * np.pi * 0.04
     assert area[:-1].sum() < goal <= area.sum()

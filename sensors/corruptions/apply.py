@@ -1,0 +1,147 @@
+"""Corruption of sweeps and frames by kind, severity and family.
+
+Weather is shared: all agents of a frame are in the same fog, whose strength drifts slowly over a drive (`weather`).
+Faults are each sensor's own. Random streams are those of `sim.streams`. Published models have no time: they draw anew
+for every frame.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sensors.corruptions.physics.weather import strength, weather_rng
+from sensors.corruptions.registry import CLEAN, CORRUPTIONS, Corruption, Family, require_corruption
+from sensors.frame import AgentFrame, Frame
+from sensors.sweep import ADDED, Sweep
+from sim.errors import DataError, SettingsError, complaint
+from sim.streams import Stream, derived_seed, random_generator
+
+
+def corrupt(sweep: Sweep, kind: str, severity: int, rng: np.random.Generator, family: Family = "physical") -> Sweep:
+    """Return the sweep under a corruption, its lost points counted in `Sweep.lost`.
+
+    Args:
+        sweep: as measured.
+        kind: key of `CORRUPTIONS`, or `clean`.
+        severity: 1 to 5; 3 is the paper's.
+        rng: the only randomness.
+        family: of the settings.
+
+    Raises:
+        SettingsError: an unknown kind, severity or family, or a kind that acts on frames: see `corrupt_frame`.
+        DataError: the sweep lacks what the corruption needs, such as rings, or has invalid points.
+    """
+    require_corruption(kind, severity, family)
+    if kind == CLEAN:
+        return sweep
+    _require_points(sweep)
+    corruption = CORRUPTIONS[kind]
+    apply = corruption.apply if family == "physical" else corruption.paper_apply
+    if apply is None:
+        raise SettingsError(f"corruption '{kind}' acts on whole frames: use corrupt_frame")
+    return count_lost(sweep, apply(sweep, corruption.settings_of(family).severity(severity), rng))
+
+
+def corrupt_frame(
+    frame: Frame,
+    kind: str,
+    severity: int,
+    seed: int,
+    family: Family = "physical",
+    *,
+    ego_id: int | None = None,
+) -> Frame:
+    """Corrupt the sweeps of all agents of a frame; ground truth and its point counts stay.
+
+    Args:
+        frame: as recorded.
+        kind: key of `CORRUPTIONS`, or `clean`.
+        severity: 1 to 5.
+        seed: of the drive; frames may be corrupted in any order.
+        family: of the settings.
+        ego_id: agent without errors of pose and clock; None for the first vehicle in the order of the folders, else
+            the first agent. Other kinds ignore it.
+
+    Raises:
+        SettingsError: an unknown kind, severity or family.
+        DataError: a sweep lacks what the corruption needs, or has invalid points; the message names the agent.
+    """
+    require_corruption(kind, severity, family)
+    if kind == CLEAN:
+        return frame
+    corruption = CORRUPTIONS[kind]
+    settings = corruption.settings_of(family).severity(severity)
+    if corruption.weather and family == "physical":
+        settings = settings.scaled(strength(seed, kind, frame.time_s))
+    shared = corruption.weather and corruption.in_frame is not None and family == "physical"
+    spared = _ego_row(frame.agents, ego_id) if corruption.spares_ego else -1
+    sweeps = []
+    for row, agent in enumerate(frame.agents):
+        if row == spared:
+            sweeps.append(agent.sweep)
+            continue
+        own = corruption_rng(seed, kind, frame.index, agent.agent_id, family)
+        rng = weather_rng(seed, kind) if shared else own
+        try:
+            _require_points(agent.sweep)
+            sweeps.append(count_lost(agent.sweep, _applied(corruption, family, frame, row, settings, rng)))
+        except DataError as error:
+            raise DataError(f"frame {frame.index}: agent {agent.agent_id}: {error}") from None
+    return frame.with_sweeps(sweeps)
+
+
+def corruption_rng(seed: int, kind: str, index: int, agent_id: int, family: Family = "physical") -> np.random.Generator:
+    """Return the random generator of one agent's sweep in one frame."""
+    when = 0 if CORRUPTIONS[kind].steady and family == "physical" else 1 + index
+    return random_generator(seed, Stream.CORRUPTION, kind, when, agent_id)
+
+
+def drive_seed(seed: int, drive: str) -> int:
+    """Return the seed of a drive by its name: each drive of a run has its own weather and faults."""
+    return derived_seed(seed, Stream.CORRUPTION_SEED, drive)
+
+
+def _require_points(sweep: Sweep) -> None:
+    """Raise DataError unless coordinates are finite and intensities in [0, 1], not of 8 bits."""
+    if len(sweep) == 0:
+        return
+    if not np.isfinite(sweep.points).all():
+        bad = int(np.count_nonzero(~np.isfinite(sweep.points).all(axis=1)))
+        raise DataError(complaint("sweep", "points", "finite coordinates", f"nan or inf in {bad} of {len(sweep)}"))
+    low, high = float(sweep.intensity.min()), float(sweep.intensity.max())
+    if not (low >= 0.0 and high <= 1.0):
+        expected = "0 to 1 (divide those of 8 bits by 255)"
+        raise DataError(complaint("sweep", "intensity", expected, f"{low:g} to {high:g}"))
+
+
+def _applied(
+    corruption: Corruption, family: Family, frame: Frame, row: int, settings: Any, rng: np.random.Generator
+) -> Sweep:
+    """Return the sweep of the agent in a row of the frame, by the frame-level model where the family has one."""
+    if family == "physical" and corruption.in_frame is not None:
+        return corruption.in_frame(frame, row, settings, rng)
+    apply = corruption.apply if family == "physical" else corruption.paper_apply
+    if apply is None:
+        raise KeyError(family)
+    return apply(frame.agents[row].sweep, settings, rng)
+
+
+def count_lost(before: Sweep, after: Sweep) -> Sweep:
+    """Return the corrupted sweep with its lost surface points counted in `lost`; TypeError unless it is a sweep."""
+    if not isinstance(after, Sweep):
+        raise TypeError(f"expected a Sweep, found {type(after).__name__}")
+    lost = before.lost + max(0, surface_points(before) - surface_points(after))
+    return after if after.lost == lost else replace(after, lost=lost)
+
+
+def surface_points(sweep: Sweep) -> int:
+    """Return the number of points on surfaces, added ones left out."""
+    return int(np.count_nonzero(sweep.object_id != ADDED))
+
+
+def _ego_row(agents: tuple[AgentFrame, ...], ego_id: int | None) -> int:
+    """Return the row of the ego; -1 when there is no such agent."""
+    if ego_id is None:
+        return next((row for row, agent in enumerate(agents) if agent.kind == "vehicle"), 0)
+    return next((row for row, agent in enumerate(agents) if agent.agent_id == ego_id), -1)
