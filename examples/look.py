@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from sim.errors import DataError, complaint
+from dsrc.data.datasets.drive_table import replace_block
 
 PAGE, PANEL, EMPTY, GRID, FAINT, INK = "#11151B", "#171C24", "#0A0D11", "#2B333F", "#8D99A8", "#E4E9EF"
 COLORS = ("#4FB3FF", "#FFB454", "#5EDC9A", "#FF7B8A", "#C7A0FF", "#F2E96B", "#9FB0C3")
@@ -106,18 +106,9 @@ def save(figure: Figure, path: Path, colors: int | None = None, keep: Sequence[s
 
 
 def put_table(document: Path | None, name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a Markdown table, or put it into a document between its lines `<!-- begin NAME -->` and `<!-- end ...`.
-
-    Raises:
-        DataError: the document has no such lines.
-    """
+    """Print a Markdown table, or write it between the lines `<!-- begin NAME -->` and `<!-- end ...` of a document."""
     text = "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows))
     if document is None:
         print(text)
         return
-    begin, end = (f"<!-- {word} {name} -->" for word in ("begin", "end"))
-    before, begun, rest = document.read_text(encoding="utf-8").partition(begin)
-    _, ended, after = rest.partition(end)
-    if not (begun and ended):
-        raise DataError(complaint(str(document), name, f"the lines {begin} and {end}", "one or none of them"))
-    document.write_text(f"{before}{begin}\n{text}\n{end}{after}", encoding="utf-8")
+    replace_block(document, name, text)

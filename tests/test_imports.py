@@ -25,18 +25,21 @@ DOORS = {
         "dsrc/evaluation/",
         "dsrc/review/",
         "dsrc/closed_loop/",
-        "dsrc/cli/",
     ),
     "lightning": ("dsrc/training/",),
     "viser": ("dsrc/review/",),
     "libsumo": ("sim/traffic/sumo/traffic.py",),
     "embreex": ("sensors/raycast/",),
-    "numba": ("sensors/raycast/", "dsrc/data/kernel.py", "dsrc/data/formats/lzf.py"),
+    "numba": (
+        "sensors/raycast/",
+        "dsrc/data/points_in_boxes_kernel.py",
+        "dsrc/data/formats/",
+        "dsrc/ops/",
+    ),
     "highway_env": ("sim/traffic/highway/",),
 }
 FULL = {
     "sensors/corruptions": "one file per kind of corruption",
-    "sensors/corruptions/published": "one file per published model",
     "dsrc/models/fusion": "one file per method",
 }
 """Folders of more than a dozen modules, and why."""

@@ -1,4 +1,4 @@
-"""Checksums of a drive: `SHA256SUMS` beside its protocol, in the form that `sha256sum --check` reads."""
+"""Checksums of a drive: `SHA256SUMS` beside its protocol, in the format of `sha256sum --check`."""
 
 import re
 from collections.abc import Iterator
@@ -7,24 +7,24 @@ from pathlib import Path
 from sim.errors import DataError, complaint
 from sim.files import file_sha256, write_file
 
-SUMS = "SHA256SUMS"
+CHECKSUMS = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
 
 
-def write_sums(folder: Path) -> Path:
-    """Write the checksums of all files below a folder, atomically, sorted by name."""
+def write_checksums(folder: Path) -> Path:
+    """Write the checksums of all files below a folder, sorted by name."""
     lines = [f"{file_sha256(path)}  {path.relative_to(folder).as_posix()}\n" for path in _files(folder)]
-    write_file(folder / SUMS, "".join(lines))
-    return folder / SUMS
+    write_file(folder / CHECKSUMS, "".join(lines))
+    return folder / CHECKSUMS
 
 
-def read_sums(folder: Path) -> dict[str, str]:
-    """Return name -> SHA-256.
+def read_checksums(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of each file by name.
 
     Raises:
         DataError: the file is missing or damaged.
     """
-    path = folder / SUMS
+    path = folder / CHECKSUMS
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -38,20 +38,20 @@ def read_sums(folder: Path) -> dict[str, str]:
     return sums
 
 
-def wrong_files(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Yield (file, what is wrong) for each that is missing, changed or not listed."""
-    sums = read_sums(folder)
+def faulty_files(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Yield (file, fault) for each missing, changed or unlisted file."""
+    sums = read_checksums(folder)
     present = {path.relative_to(folder).as_posix(): path for path in _files(folder)}
     for name, expected in sums.items():
         if name not in present:
-            yield folder / name, f"missing, {SUMS} lists it"
+            yield folder / name, f"missing, {CHECKSUMS} lists it"
         elif file_sha256(present[name]) != expected:
-            yield folder / name, f"changed since {SUMS} was written"
+            yield folder / name, f"changed since {CHECKSUMS} was written"
     for name in sorted(present.keys() - sums.keys()):
-        yield folder / name, f"not listed in {SUMS}"
+        yield folder / name, f"not listed in {CHECKSUMS}"
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the files that count: no locks, nothing that is being written, no checksums."""
+    """Return the files with a checksum: all but the checksums, locks and files that are being written."""
     found = (path for path in folder.rglob("*") if path.is_file())
-    return sorted(p for p in found if p.name != SUMS and not p.name.startswith("."))
+    return sorted(p for p in found if p.name != CHECKSUMS and not p.name.startswith("."))

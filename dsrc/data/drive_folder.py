@@ -1,4 +1,4 @@
-"""The folder of a drive while it is being made: its lock, its protocol, and which frames are there."""
+"""Folder of a drive while it is being written: its lock, its protocol, its complete frames."""
 
 import os
 import time
@@ -14,7 +14,7 @@ from sim.files import write_file
 
 try:
     import fcntl
-except ImportError:  # Windows has no advisory locks of this kind; two runs in one folder are the user's care there
+except ImportError:  # Windows has no such locks: there the user must not run twice in one folder
     fcntl = None  # type: ignore[assignment]
 
 LOCK = ".lock"
@@ -22,15 +22,15 @@ LOCK = ".lock"
 
 @contextmanager
 def locked(drive: Path, patience_s: float = 0.0, what: str = "drive") -> Iterator[None]:
-    """Hold the folder for this process; the system lets go of it when the process dies, however it dies.
+    """Lock a folder for this process; the system releases the lock when the process ends in any way.
 
     Args:
         drive: the folder.
-        patience_s: how long to wait for another process, s.
-        what: is written there, for the message.
+        patience_s: time to wait for another process, s.
+        what: the folder's content, for the message.
 
     Raises:
-        DataError: another process holds it, or there can be no such folder.
+        DataError: another process holds the lock, or the folder cannot be made.
     """
     path, deadline = drive / LOCK, time.monotonic() + patience_s
     while True:
@@ -58,7 +58,7 @@ def locked(drive: Path, patience_s: float = 0.0, what: str = "drive") -> Iterato
 
 
 def _opened(path: Path) -> TextIO:
-    """Open a file for reading and appending, in a folder that is made if it is missing."""
+    """Open a file for reading and appending; makes its folder."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path.open("a+")
@@ -75,7 +75,7 @@ def read_settings(drive: Path) -> dict | None:
     """Return the `testbed` table of the protocol; None when the folder has no protocol yet.
 
     Raises:
-        DataError: there is a protocol, but not one of ours.
+        DataError: the protocol is another tool's.
     """
     path = drive / PROTOCOL
     if not path.exists():
@@ -89,22 +89,22 @@ def read_settings(drive: Path) -> dict | None:
 
 
 def check_same(drive: Path, found: dict, wanted: dict) -> None:
-    """Compare settings; DataError names the first that differs."""
+    """Compare settings; DataError names the first difference."""
     have, want = dict(_leaves(found, "")), dict(_leaves(wanted, ""))
     for key in [*want, *have]:
         if key not in have or key not in want or have[key] != want[key]:
-            asked = f"{want[key]!r} as asked for now" if key in want else "nothing of this name"
+            asked = f"{want[key]!r} as asked for now" if key in want else "no such setting"
             hint = "; choose another folder or remove this drive"
             raise DataError(complaint(drive / PROTOCOL, key, asked, have.get(key, "nothing"), hint))
 
 
 def is_complete(drive: Path, agent_ids: Sequence[int], index: int) -> bool:
-    """Return whether all files of a frame are there; each appears whole or not at all."""
+    """Return whether all files of a frame exist; each is written atomically."""
     return all(path.exists() for path in frame_files(drive, agent_ids, index))
 
 
 def _leaves(value: object, where: str) -> Iterator[tuple[str, object]]:
-    """Yield (dotted name, plain value) of everything below; a tuple is a list, as it is after reading a file."""
+    """Yield (dotted name, plain value) of nested settings; a tuple counts as a list, as it does in a file."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _leaves(item, f"{where}.{key}" if where else str(key))

@@ -1,10 +1,10 @@
-"""Drives of any format that is read: found below a folder, opened by path, all giving the same `Frame`.
+"""Drives in any supported format: found below a folder, opened by path, read as `Frame`.
 
 | format      | a drive is                                              | its path                        |
 |-------------|---------------------------------------------------------|---------------------------------|
 | OPV2V       | a scenario folder; ours, OpenCDA's, V2XSet's            | the folder                      |
 | V2V4Real    | a scenario folder whose `lidar_pose` are matrices       | the folder                      |
-| DAIR-V2X-C  | a batch of pairs of a vehicle's and a roadside's frames | TREE/BATCH, see `dairv2x`       |
+| DAIR-V2X-C  | a batch of pairs of a vehicle's and a roadside's frames | TREE/BATCH, see `dair.reader`   |
 """
 
 from pathlib import Path
@@ -28,7 +28,7 @@ class Drive(Protocol):
         format: name of the format, for people.
         agents: ids of the agents, in the order of `Frame.agents`.
         frames: numbers of the frames, ascending.
-        protocol: what a `data_protocol.yaml` says, empty without one.
+        protocol: content of `data_protocol.yaml`, empty without one.
     """
 
     format: str
@@ -44,7 +44,7 @@ class Drive(Protocol):
         ...
 
     def plans(self, i: int) -> dict[int, NDArray[np.float64]]:
-        """Return per agent (K, 3) x, y, m, and speed, m/s, of its way after the i-th frame, if known."""
+        """Return per agent (K, 3) x, y, m, and speed, m/s, of its path after the i-th frame, if known."""
         ...
 
     def digest(self) -> str:
@@ -80,11 +80,11 @@ def open_drive(path: Path, motion: Motion | None = None) -> Drive:
 
     Args:
         path: of the drive.
-        motion: how the sensors' motion is compensated in the frames; None as in the files.
+        motion: compensation of the sensors' motion in the frames; None for that of the files.
 
     Raises:
-        DataError: there is no drive, or it is damaged.
-        SettingsError: there is no such motion.
+        DataError: the drive is missing or damaged.
+        SettingsError: the motion is unknown.
     """
     if dairv2x.locate(Path(path)) is not None:
         return dairv2x.DairReader(path, motion)

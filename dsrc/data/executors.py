@@ -171,7 +171,7 @@ class RayExecutor:
         """See `Executor`; progress is reported per item."""
         # A fresh process for every item, as libsumo wants it; Ray runs an item again whose process has died.
         remote = self._ray.remote(num_cpus=1, max_retries=self._retries, max_calls=1)(_ray_task)
-        rows = {remote.remote(row, task, item): row for row, item in enumerate(items)}
+        rows = {remote.remote(row, task, item, os.getcwd()): row for row, item in enumerate(items)}
         left = list(rows)
         while left:
             done, left = self._ray.wait(left, num_returns=1)
@@ -217,9 +217,9 @@ class Pool(msgspec.Struct, frozen=True):
     """Worker pool of a command; the results are the same bytes for any.
 
     Attributes:
-        workers: processes, or processors of Ray; default: one per core.
+        workers: worker processes, or CPUs of Ray; default: one per core.
         executor: local, or ray for a cluster whose machines share the folder of the results.
-        address: of a Ray cluster, as `ray start` prints it, or auto; default: Ray on this machine.
+        address: address of a Ray cluster, as `ray start` prints it, or auto; default: Ray on this machine.
     """
 
     workers: int | None = None
@@ -263,7 +263,9 @@ def _result_of(row: int, task: Task, item: Any, report: Progress) -> TaskResult:
         return TaskResult(row, error=error)
 
 
-def _ray_task(row: int, task: Task, item: Any) -> TaskResult:
+def _ray_task(row: int, task: Task, item: Any, folder: str) -> TaskResult:
+    if os.path.isdir(folder):  # relative paths are those of this process
+        os.chdir(folder)
     return _result_of(row, task, item, lambda done, wanted: None)
 
 

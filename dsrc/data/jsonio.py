@@ -1,4 +1,4 @@
-"""JSON of known structure: read into typed structs, written atomically; a wrong value is named by file and field."""
+"""JSON of known structure: read into typed structs; an error names file and field of a wrong value."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ import msgspec
 from sim.errors import DataError, complaint
 
 LARGEST_BYTES = 512 * 1024 * 1024
-"""The largest index that is known has 15 MB; more than this is no index."""
+"""Limit on a file that is read; the largest known index has 15 MB."""
 
 _PLACE = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<field>.*)`)?$", re.DOTALL)
 _WRONG = re.compile(r"Expected `(?P<expected>.*)`, got `(?P<found>.*)`")
@@ -42,7 +42,7 @@ def read_json(path: Path, kind: type[T]) -> T:
 
 
 def _explained(path: Path, message: str) -> str:
-    """Return the complaint of a validation error: file, field, expected, found."""
+    """Return the message of a validation error: file, field, expected, found."""
     place = _PLACE.match(message)
     what, field = (place["what"], (place["field"] or "").lstrip(".")) if place else (message, "")
     absent, wrong = _ABSENT.match(what), _WRONG.match(what)

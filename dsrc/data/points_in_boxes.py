@@ -1,13 +1,12 @@
-"""Which points lie in which boxes: many points, many boxes, each point near few of them."""
+"""Points in boxes: pairs of many points and many boxes, each point near few boxes."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.boxes import Boxes
-from sim.geometry import transform_points
 
 SLACK_M = 1e-9
-"""That of `Boxes.contains`."""
+"""Tolerance of `Boxes.contains`."""
 
 
 def points_in_boxes(
@@ -17,18 +16,17 @@ def points_in_boxes(
     margin: float = 0.0,
     hull: bool = False,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Find every pair of a point and a box that it lies in, faces included, as `Boxes.contains` has it.
+    """Return the pairs of a point and a box around it, faces included, equal to `Boxes.contains`.
 
     Args:
         boxes: N boxes.
         points: (P, 3 or more) x, y, z, m.
-        boxes_from_points: (4, 4) from the points' frame to the boxes'; None where they are one.
+        boxes_from_points: (4, 4) from the points' frame to the boxes'; None for one frame.
         margin: grow every face outwards by this, m.
-        hull: take the boxes' axis-aligned hulls, as they are, compared in float32 so that a face means the
-            same for both.
+        hull: take the boxes' axis-aligned hulls without margin, their faces rounded to float32 as the points are.
 
     Returns:
-        (K,) rows of the points, ascending, and (K,) those of their boxes.
+        (K,) rows of the points, ascending, and (K,) rows of their boxes.
     """
     matrix = np.eye(4) if boxes_from_points is None else boxes_from_points
     corners = boxes.corners()
@@ -36,14 +34,8 @@ def points_in_boxes(
         corners = corners.astype(np.float32).astype(np.float64)
     low, high = corners.min(axis=1), corners.max(axis=1)
     reach = 0.5 * boxes.size + margin + SLACK_M
-    try:
-        from dsrc.data import kernel
-    except ImportError:
-        place = transform_points(matrix, points[:, :3].astype(np.float64))
-        inside = [((place >= a) & (place <= b)).all(axis=1) for a, b in zip(low, high, strict=True)] if hull else []
-        mask = np.reshape(inside, (len(boxes), len(points))) if hull else boxes.contains(place, margin)
-        rows, owners = np.nonzero(mask.T)
-        return rows, owners
+    from dsrc.data import points_in_boxes_kernel as kernel  # takes half a second
+
     turn = np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
     found, pairs = len(points), np.zeros((0, 2), np.int32)
     while found > len(pairs):

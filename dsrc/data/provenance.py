@@ -1,11 +1,12 @@
-"""Provenance: what made a result, in a form that goes into every result file."""
+"""Provenance of a result: settings, versions, machine, code and data, for every result file."""
 
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+from sim.machine import installed_versions
 
 PACKAGES = (
     "dsrc-testbed",
@@ -20,16 +21,16 @@ PACKAGES = (
     "eclipse-sumo",
     "highway-env",
 )
-"""Distributions whose version can change a number."""
+"""Packages whose version can change a number."""
 
 
 def provenance(settings: Mapping[str, Any], seed: int, data: Sequence[Path] = ()) -> dict[str, Any]:
-    """Describe a run: its settings and seed, versions, machine, code and data. The same run gives the same answer.
+    """Return the provenance of a run; equal runs give equal values.
 
     Args:
-        settings: whatever was chosen, JSON types only.
+        settings: of the run, JSON types only.
         seed: the root seed.
-        data: drives, listed with their hashes.
+        data: drives, recorded by their hashes.
     """
     return {
         "settings": dict(settings),
@@ -55,17 +56,11 @@ def hashes(drives: Sequence[Path]) -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Return the versions of those `PACKAGES` that are installed."""
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
+    return installed_versions(PACKAGES)
 
 
 def commit(folder: Path | None = None) -> str | None:
-    """Return the git commit of the code, `-dirty` after it when files differ from it; None outside a repository."""
+    """Return the git commit of the code, with `-dirty` where files differ from it; None outside a repository."""
     folder = Path(__file__).resolve().parents[2] if folder is None else folder
     if not (folder / ".git").exists():
         return None

@@ -1,11 +1,13 @@
 """Sample: one instant seen by one ego and its collaborators, in the ego LiDAR's frame."""
 
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.points_in_boxes import points_in_boxes
+from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from sensors.frame import Frame
 from sim.boxes import Boxes
@@ -15,22 +17,20 @@ from sim.geometry import invert, transform_points
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """What a detector gets of one instant: A agents, ego first, everything in the ego LiDAR's frame.
+    """Input of a detector at one instant: A agents, ego first, everything in the ego LiDAR's frame.
 
     Attributes:
         key: `drive/agent/frame`, for messages and seeds.
         agent_ids: (A,) ids, ego first.
         clouds: per agent (P, 4) float32 x, y, z, intensity; own body removed, cropped to the grid's range.
         ego_from_agent: (A, 4, 4) float64 poses of the agents' LiDARs.
-        boxes: ground truth: vehicles that at least one agent in communication range has a point on, all corners
-            in range, the ego's own body left out.
-        agent_boxes: per agent the vehicles that it has annotated itself (a subset of the same rule).
-        lost: per agent (h, w) bool the tiles of its feature map that did not arrive, (0, 0) when all did; empty when
-            all of everybody did.
-        other_clouds: (P, 4) clouds of agents in range that take no part: no detector hears them, but a teacher's objects
-            have their points.
-        corrupted: per agent the cloud that it has in place of that in `clouds`, where a training sample was corrupted;
-            empty else.
+        boxes: ground truth: vehicles with a point of any agent in communication range, all corners in range, without
+            the ego.
+        agent_boxes: per agent the vehicles of the ground truth with a point of its own.
+        lost: per agent (h, w) bool tiles of its feature map that were lost, (0, 0) for none; empty where no agent lost
+            one.
+        other_clouds: (P, 4) clouds of agents in range that are not fused; a teacher's objects have their points.
+        corrupted: per agent the corrupted cloud of a training sample, in place of that in `clouds`; else empty.
     """
 
     key: str
@@ -42,6 +42,19 @@ class Sample:
     lost: tuple[NDArray[np.bool_], ...] = ()
     other_clouds: tuple[NDArray[np.float32], ...] = ()
     corrupted: tuple[NDArray[np.float32], ...] = ()
+
+
+class SampleDetector(Protocol):
+    """Detector of boxes in a sample, such as `dsrc.models.detector.Detector`."""
+
+    @property
+    def settings(self) -> Any:
+        """Settings with `grid`, and `max_agents` where the number of agents is limited."""
+        ...
+
+    def detect(self, sample: Sample) -> Detections:
+        """Return detections in the ego LiDAR's frame."""
+        ...
 
 
 # The released code drops an agent's returns on itself in this box of the LiDAR's frame, m; it fits OPV2V's Lincoln.
@@ -61,21 +74,20 @@ def make_sample(
     key: str = "",
     keep_ego_box: bool = False,
 ) -> Sample:
-    """Look at a frame as one ego does.
+    """Make the sample of one ego in a frame.
 
     Args:
-        frame: the instant.
+        frame: the frame.
         ego_id: the ego; None takes the first vehicle in the order of the folders (else the first agent).
-        grid: the range that clouds and boxes are cropped to.
-        comm_range_m: LiDARs farther away than this (in the plane) do not take part.
-        max_agents: at most this many agents, the ego included, in the order of the folders.
-        cooperative: give the detector the collaborators' clouds. The ground truth is the same either way: what
-            any agent in range has seen.
+        grid: range of clouds and boxes.
+        comm_range_m: communication range, between LiDARs in the plane, m.
+        max_agents: limit on the agents, the ego included, in the order of the folders.
+        cooperative: include the collaborators' clouds. The ground truth is the same either way.
         key: name of the sample.
-        keep_ego_box: count the ego's own body as an object where a collaborator has seen it, as OpenCOOD does.
+        keep_ego_box: keep the ego's own box where a collaborator has a point on it, as OpenCOOD does.
 
     Raises:
-        DataError: the frame has no agent of this id.
+        DataError: the frame lacks the ego.
     """
     rows = _participants(frame, ego_id, comm_range_m, max_agents)
     ego = frame.agents[rows[0]]
@@ -131,7 +143,7 @@ def cloud_of(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: 
     points = transform_points(ego_from_agent, sweep.points)
     inside = ~_own_body(frame, row)
     for axis in range(3):
-        # Column by column: a comparison of whole rows that asks for all three takes three times as long.
+        # Column by column: a comparison of whole rows takes three times as long.
         place = points[:, axis]
         inside &= (place > np.float32(grid.range_m[axis])) & (place < np.float32(grid.range_m[axis + 3]))
     kept = np.flatnonzero(inside)
@@ -142,7 +154,7 @@ def cloud_of(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: 
 
 
 def _own_body(frame: Frame, row: int) -> NDArray[np.bool_]:
-    """Return (P,) whether a point lies on the agent itself: in its true box, or in OPV2V's for foreign data."""
+    """Return (P,) whether a point lies on the agent itself: in its true box, for other tools' data in OPV2V's."""
     agent = frame.agents[row]
     points = agent.sweep.points
     if agent.sweep.spec is None:

@@ -1,4 +1,4 @@
-"""The frames of a drive straight from the simulation: traffic from its log, sweeps cast when asked for."""
+"""Simulation of a drive: traffic from its log, sweeps cast frame by frame."""
 
 import logging
 import math
@@ -22,22 +22,22 @@ from sim.traffic.replay import ReplayTraffic
 from sim.world.world_file import load_world, save_world, shapes_of
 
 PLAN_S = 3.0
-"""How far ahead an agent's plan reaches."""
+"""Length of an agent's plan."""
 PLAN_STEP_S = 0.5
 REACH_M = 350.0
-"""The log holds who comes within this distance of the area that may carry agents: farther than any sensor sees."""
+"""Margin of the logged area around the area of the agents: farther than any sensor sees."""
 TRAFFIC_LOG = "traffic.npz"
 WORLD = "world.npz"
-"""The static world, beside the traffic log."""
+"""File of the static world, beside the traffic log."""
 
 _log = logging.getLogger(__name__)
 
 
-class Live:
-    """Frames and plans of a recorded drive.
+class SimulatedDrive:
+    """Frames and plans of a simulated drive.
 
     Args:
-        recording: the drive.
+        recording: the sensors along the drive.
         log: its traffic, at least `PLAN_S` longer than the drive.
         interval_s: time between frames, s.
     """
@@ -52,23 +52,23 @@ class Live:
         return self.recording.frame(index)
 
     def plans(self, index: int) -> dict[int, NDArray[np.float64]]:
-        """Return per vehicle (K, 3) x, y, m, and speed, m/s, every `PLAN_STEP_S` of the way it is going to take."""
+        """Return per vehicle (K, 3) x, y, m, and speed, m/s, every `PLAN_STEP_S` of its coming path."""
         ahead = [round(t / self._log.step_s) for t in np.arange(PLAN_STEP_S, PLAN_S + 1e-9, PLAN_STEP_S)]
         plans: dict[int, list[tuple[float, float, float]]] = {agent: [] for agent in self.recording.vehicles}
         for step in ahead:
             if index * self._stride + step >= len(self._log):
                 break
             actors = self._log[index * self._stride + step]
-            for agent, way in plans.items():
+            for agent, path in plans.items():
                 row = int(np.searchsorted(actors.boxes.object_id, agent))
                 if row < len(actors) and actors.boxes.object_id[row] == agent:
                     x, y = actors.boxes.center[row, :2].tolist()
-                    way.append((x, y, float(np.hypot(*actors.velocity[row]))))
-        return {agent: np.array(way, np.float64).reshape(-1, 3) for agent, way in plans.items()}
+                    path.append((x, y, float(np.hypot(*actors.velocity[row]))))
+        return {agent: np.array(path, np.float64).reshape(-1, 3) for agent, path in plans.items()}
 
 
 @contextmanager
-def open_live(
+def open_simulated(
     scenario: Scenario,
     seed: int,
     frames: int,
@@ -78,11 +78,11 @@ def open_live(
     recorded: Path | None = None,
     threads: int | None = None,
     more: dict | None = None,
-) -> Iterator[Live]:
+) -> Iterator[SimulatedDrive]:
     """Open the frames of a drive.
 
-    Its traffic is simulated and its static world is built only when their files are not there yet; frames are made of
-    the files alone, so that a resumed drive, a copied one and one of another sensor see the same.
+    Traffic is simulated and the static world built only where their files are missing; frames depend on the files
+    alone, so that a resumed drive, a copied one and one of another sensor see the same.
 
     Args:
         scenario: the scenario.
@@ -93,11 +93,11 @@ def open_live(
         visibility: measure visible fractions.
         recorded: a folder whose traffic log, and world if there is one, are copied instead.
         threads: see `sensors.scan.lidar.scan_all`.
-        more: what a new log is to say of itself beside these settings.
+        more: further entries of a new log's settings.
 
     Raises:
         DataError: a recorded file is damaged or of another drive.
-        ScenarioError: without a recorded world it must be built, and what it is built of is missing.
+        ScenarioError: the world must be built and a file that it needs is missing.
     """
     if recorded is not None:
         _copy(recorded, log.parent, log.name)
@@ -122,7 +122,7 @@ def open_live(
             visibility=visibility,
             threads=threads,
         )
-    yield Live(recording, steps, interval_s)
+    yield SimulatedDrive(recording, steps, interval_s)
 
 
 def _copy(recorded: Path, folder: Path, log_name: str) -> None:
@@ -145,7 +145,7 @@ def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: fl
     from sim.traffic.open import open_traffic
 
     about = {
-        "scenario": _told(scenario),
+        "scenario": _non_defaults(scenario),
         "seed": int(seed),
         "frames": int(frames),
         "interval_s": float(interval_s),
@@ -162,15 +162,15 @@ def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: fl
     (log if area is None else log.within(area)).save(path)
 
 
-def _told(value: Any) -> Any:
-    """Return plain values of settings, without those that nobody has set: later versions may have more of them."""
+def _non_defaults(value: Any) -> Any:
+    """Return settings as plain values without defaults, so that later versions can add settings."""
     if isinstance(value, msgspec.Struct):
         fields = {field.name: field for field in msgspec.structs.fields(value)}
         set_ = {name: getattr(value, name) for name, field in fields.items() if not _is_default(value, field)}
-        return {name: _told(item) for name, item in set_.items()}
+        return {name: _non_defaults(item) for name, item in set_.items()}
     if isinstance(value, tuple | list):
-        return [_told(item) for item in value]
-    return {key: _told(item) for key, item in value.items()} if isinstance(value, dict) else value
+        return [_non_defaults(item) for item in value]
+    return {key: _non_defaults(item) for key, item in value.items()} if isinstance(value, dict) else value
 
 
 def _is_default(value: msgspec.Struct, field: msgspec.structs.FieldInfo) -> bool:
@@ -180,7 +180,7 @@ def _is_default(value: msgspec.Struct, field: msgspec.structs.FieldInfo) -> bool
 
 
 def _reach(scenario: Scenario) -> Area | None:
-    """Return the area around everything that may carry a sensor; None for the whole world."""
+    """Return the area to log around all places of sensors; None for the whole world."""
     area = scenario.network.area_m
     if area is None:
         return None

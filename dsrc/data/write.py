@@ -1,7 +1,7 @@
-"""Make a drive: traffic once, then frame by frame an OPV2V tree that a killed run can go on writing.
+"""Writing of a drive: the traffic log, then frame by frame an OPV2V tree; an interrupted run resumes.
 
-The order makes a resumed drive equal to an uninterrupted one: the traffic log comes first and is replayed from then
-on, the protocol fixes the settings, and every frame depends on the log, the settings and its own number only.
+A resumed drive equals an uninterrupted one: the traffic log is written first and replayed from then on, the protocol
+fixes the settings, and a frame depends on the log, the settings and its number only.
 """
 
 import logging
@@ -16,11 +16,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.checksums import SUMS, write_sums
+from dsrc.data.checksums import CHECKSUMS, write_checksums
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
 from dsrc.data.executors import Progress
-from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_live
+from dsrc.data.formats.opv2v.reader import agent_table, write_frame
+from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
 from sensors.deskew import check_motion
 from sensors.frame import Frame
 from sensors.presets import scenario_lidars
@@ -36,33 +36,33 @@ _log = logging.getLogger(__name__)
 
 
 class FrameSource(Protocol):
-    """Frames by number, each independent of the others."""
+    """Source of frames by number, each independent of the others."""
 
     def frame(self, index: int) -> Frame:
-        """Return one frame; the same bytes whenever it is asked for."""
+        """Return one frame; equal bytes for every call."""
         ...
 
     def plans(self, index: int) -> dict[int, NDArray[np.float64]]:
-        """Return per agent (K, 3) x, y, m, and speed, m/s, of its way after the frame."""
+        """Return per agent (K, 3) x, y, m, and speed, m/s, of its path after the frame."""
         ...
 
 
 Opener = Callable[[Path], AbstractContextManager[FrameSource]]
-"""Opens the source of a drive whose traffic log is, or is to be put, at a path."""
+"""Opener of a frame source: (path of the traffic log, existing or not) -> context manager."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveSpec:
-    """What one drive is.
+    """Specification of one drive.
 
     Attributes:
-        scenario: what is simulated.
+        scenario: the scenario.
         seed: of everything random.
         frames: synchronised frames.
         interval_s: time between frames, s.
         connected_vehicles: list other agents' bodies among an agent's `vehicles`.
-        motion: how the sensors' motion is compensated in the files; a reader can ask for another.
-        visibility: measure which share of every object each agent's rays reach.
+        motion: compensation of the sensors' motion in the files; a reader can choose another.
+        visibility: measure the visible fraction of every object for each agent.
     """
 
     scenario: Scenario
@@ -79,7 +79,7 @@ class DriveSpec:
         return f"{self.scenario.name}_{self.seed}"
 
     def settings(self) -> dict:
-        """Return everything that decides the drive's bytes, in plain values."""
+        """Return all settings that decide the drive's bytes, as plain values."""
         return {
             "format": FORMAT,
             "scenario": msgspec.to_builtins(self.scenario),
@@ -94,11 +94,11 @@ class DriveSpec:
         }
 
     def check(self, where: str = "generate") -> None:
-        """Refuse values out of their range, by name, before anything is made.
+        """Check the ranges of all settings.
 
         Raises:
             SettingsError: a setting is out of its range.
-            ScenarioError: a LiDAR is not known.
+            ScenarioError: a LiDAR is unknown.
         """
         if self.frames < 1:
             raise SettingsError(complaint(where, "frames", "at least 1", self.frames))
@@ -127,7 +127,7 @@ def generate(
     motion: Motion = "middle",
     visibility: bool = True,
 ) -> Path:
-    """Simulate, scan and write one drive; start it again to go on after a stop.
+    """Simulate, scan and write one drive; an interrupted run resumes.
 
     Args:
         scenario: a scenario, the name of a shipped one or the path of a .toml.
@@ -144,7 +144,7 @@ def generate(
         The folder of the drive.
 
     Raises:
-        DataError: the folder holds a drive made with other settings, or another process is writing it.
+        DataError: the folder holds a drive of other settings, or another process is writing it.
         SettingsError: a setting is out of its range.
     """
     scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
@@ -164,26 +164,26 @@ def make_drive(
     more: dict | None = None,
     patience_s: float = 0.0,
 ) -> None:
-    """Write the frames of a drive that are not there yet.
+    """Write the missing frames of a drive.
 
     Args:
-        spec: what it is; of an encounter the first instance whose proof by rays holds is made.
+        spec: specification; for an encounter the first draw that the rays prove is taken.
         drive: its folder.
         progress: called after every frame.
-        recorded: a folder with the drive's traffic log and world, see `open_live`.
+        recorded: a folder with the drive's traffic log and world, see `open_simulated`.
         threads: see `sensors.scan.lidar.scan_all`.
-        more: further entries of the protocol's settings; a `proof` among them is that of an encounter as it is.
-        patience_s: how long to wait for another process in the drive's folder, s.
+        more: further entries of the protocol's settings; with a `proof` the encounter is taken as it is.
+        patience_s: time to wait for another process in the drive's folder, s.
     """
     if len(spec.scenario.agents.roadside) > 1:
         _log.warning("%s: OpenCOOD takes a roadside unit as ego when a drive has more than one", spec.scenario.name)
 
     more = dict(more or {})
     if spec.scenario.conflict is not None and "proof" not in more:
-        spec, more["proof"] = proven(spec)
+        spec, more["proof"] = settle_encounter(spec)
 
     def open_source(log: Path) -> AbstractContextManager[FrameSource]:
-        return open_live(
+        return open_simulated(
             spec.scenario,
             spec.seed,
             spec.frames,
@@ -198,18 +198,18 @@ def make_drive(
     write_drive(drive, {**spec.settings(), **more}, open_source, progress, patience_s)
 
 
-def proven(spec: DriveSpec) -> tuple[DriveSpec, dict]:
-    """Return an encounter with the first draw whose proof by rays holds, and what the rays said.
+def settle_encounter(spec: DriveSpec) -> tuple[DriveSpec, dict]:
+    """Return an encounter with its first draw that the rays prove, and the proof.
 
     Raises:
-        ScenarioError: no draw holds.
+        ScenarioError: no draw is proven.
     """
-    from sensors.recording.encounter_check import settle
+    from sensors.recording.encounter_check import find_encounter
 
-    settled = settle(spec.scenario, spec.seed)
-    proof = msgspec.to_builtins(settled)
+    found = find_encounter(spec.scenario, spec.seed)
+    proof = msgspec.to_builtins(found)
     del proof["scenario"]
-    return replace(spec, scenario=settled.scenario), proof
+    return replace(spec, scenario=found.scenario), proof
 
 
 def write_drive(
@@ -219,15 +219,15 @@ def write_drive(
     progress: Progress | None = None,
     patience_s: float = 0.0,
 ) -> None:
-    """Write the frames of a drive that are not there yet.
+    """Write the missing frames of a drive from any source.
 
     Args:
         drive: its folder.
-        settings: what made it, plain values; must hold `frames`, `interval_s`, `seed`, `connected_vehicles` and
+        settings: of the drive, plain values; must hold `frames`, `interval_s`, `seed`, `connected_vehicles` and
             `motion`.
-        open_source: opens the frames; not called when the drive is finished.
+        open_source: opens the frames; not called for a finished drive.
         progress: called once at the start and after every frame.
-        patience_s: how long to wait for another process in the folder, s.
+        patience_s: time to wait for another process in the folder, s.
     """
     report = progress or (lambda done, total: None)
     frames = settings["frames"]
@@ -238,7 +238,7 @@ def write_drive(
             agents = found.pop("agents", {})
             check_same(drive, found, settings)
         else:
-            # Without a protocol nobody knows what made a log or a world that lies here.
+            # Without a protocol the settings of a log or a world are unknown.
             for name in (TRAFFIC_LOG, WORLD):
                 (drive / name).unlink(missing_ok=True)
         missing = [i for i in range(frames) if not agents or not is_complete(drive, list(agents), i)]
@@ -258,15 +258,11 @@ def write_drive(
                     done += 1
                     report(done, frames)
         remove_leftovers(drive)
-        if missing or not (drive / SUMS).exists():
-            write_sums(drive)
+        if missing or not (drive / CHECKSUMS).exists():
+            write_checksums(drive)
 
 
 def _protocol(settings: dict, frame: Frame) -> dict:
-    """Return `data_protocol.yaml`: the keys that OpenCOOD's tools read, and everything of ours."""
-    agents = {}
-    for agent in frame.agents:
-        lidar = msgspec.to_builtins(agent.sweep.spec) if agent.sweep.spec is not None else None
-        agents[int(agent.agent_id)] = {"kind": agent.kind, "lidar": lidar}
+    """Return the content of `data_protocol.yaml`: the keys that OpenCOOD's tools read, and ours."""
     world = {"fixed_delta_seconds": settings["interval_s"], "seed": settings["seed"]}
-    return {"world": world, "testbed": {**settings, "agents": agents}}
+    return {"world": world, "testbed": {**settings, "agents": agent_table(frame)}}

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from sim.compiled import LOOP
+from dsrc.ops.compiled import LOOP
 
 
 @njit(**LOOP)

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
-from dsrc.data.checksums import SUMS
-from dsrc.data.datasets.manifest import MANIFEST, VERSION, Entry, Manifest, read_manifest, write_manifest
-from dsrc.data.datasets.spec import Dataset, Item, expand, find_split_file, read_dataset
+from dsrc.data.checksums import CHECKSUMS
+from dsrc.data.datasets.manifest import MANIFEST, VERSION, Manifest, ManifestEntry, read_manifest, write_manifest
+from dsrc.data.datasets.spec import DatasetSpec, DriveItem, expand, find_split_file, read_dataset
 from dsrc.data.drive_folder import check_same, locked, read_settings
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
-from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_live
-from dsrc.data.write import make_drive, proven
+from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
+from dsrc.data.write import make_drive, settle_encounter
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
 
@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class _Work:
-    item: Item
+    item: DriveItem
     folder: Path
     threads: int | None
 
@@ -86,7 +86,7 @@ def record_dataset(source: Path | str, pool: Pool = SERIAL, progress: Progress |
     if not dataset.recorded:
         raise SettingsError(complaint(path, "recorded", "a folder beside the file", "nothing"))
     folder = path.parent / dataset.recorded
-    items = expand(Dataset(name=dataset.name, split=dataset.split), path)
+    items = expand(DatasetSpec(name=dataset.name, split=dataset.split), path)
     work = [_Work(item, folder / item.split / item.name, None) for item in items]
     done = 0
     with pool.open(len(work)) as executor:
@@ -99,7 +99,7 @@ def record_dataset(source: Path | str, pool: Pool = SERIAL, progress: Progress |
     return folder
 
 
-def _plan(source: Path | str, splits: Sequence[str]) -> tuple[Dataset, list[Item]]:
+def _plan(source: Path | str, splits: Sequence[str]) -> tuple[DatasetSpec, list[DriveItem]]:
     path = _locate(source)
     dataset = read_dataset(path)
     for split in splits:
@@ -116,7 +116,7 @@ def _locate(source: Path | str) -> Path:
     return path.resolve()
 
 
-def _check_out(out: Path, dataset: Dataset, items: Sequence[Item]) -> None:
+def _check_out(out: Path, dataset: DatasetSpec, items: Sequence[DriveItem]) -> None:
     """Refuse a folder that holds another dataset or drives of other settings, before anything is written."""
     found = read_manifest(out)
     if found is not None and found.name != dataset.name:
@@ -130,7 +130,7 @@ def _check_out(out: Path, dataset: Dataset, items: Sequence[Item]) -> None:
 
 
 def _make_all(
-    out: Path, dataset: Dataset, items: Sequence[Item], executor: Executor, progress: Progress | None
+    out: Path, dataset: DatasetSpec, items: Sequence[DriveItem], executor: Executor, progress: Progress | None
 ) -> dict[str, str]:
     """Generate the drives, keep the manifest up to date and return the reason of each failed drive."""
     work = [_Work(item, out / item.path, executor.threads) for item in items]
@@ -143,7 +143,7 @@ def _make_all(
             progress(sum(frames), total)
 
     others = _others(out, items)
-    entries: dict[str, Entry] = {}
+    entries: dict[str, ManifestEntry] = {}
     failed: dict[str, str] = {}
     saved = monotonic()
     for result in executor.run(_make, work, report):
@@ -159,7 +159,7 @@ def _make_all(
     return {item.path: failed[item.path] for item in items if item.path in failed}
 
 
-def _others(out: Path, items: Sequence[Item]) -> list[Entry]:
+def _others(out: Path, items: Sequence[DriveItem]) -> list[ManifestEntry]:
     """Return the manifest's entries of drives that this run leaves out, such as those of other splits."""
     found, asked = read_manifest(out), {item.path for item in items}
     return [] if found is None else [entry for entry in found.items if entry.drive not in asked]
@@ -167,10 +167,10 @@ def _others(out: Path, items: Sequence[Item]) -> list[Entry]:
 
 def _save(
     out: Path,
-    dataset: Dataset,
-    items: Sequence[Item],
-    others: Sequence[Entry],
-    entries: dict[str, Entry],
+    dataset: DatasetSpec,
+    items: Sequence[DriveItem],
+    others: Sequence[ManifestEntry],
+    entries: dict[str, ManifestEntry],
     failed: dict[str, str],
 ) -> None:
     order = list(dataset.split)
@@ -193,7 +193,7 @@ def _place(order: Sequence[str], split: str) -> int:
     return order.index(split) if split in order else len(order)
 
 
-def _make(work: _Work, report: Progress) -> Entry:
+def _make(work: _Work, report: Progress) -> ManifestEntry:
     """Generate one drive and return its entry; a task."""
     item = work.item
     more = {} if item.proof is None else {"proof": item.proof}
@@ -205,21 +205,21 @@ def _record(work: _Work, report: Progress) -> None:
     """Record one drive and check that its agents stay for all of it; a task."""
     spec, more = work.item.spec, {}
     if spec.scenario.conflict is not None:
-        spec, more["proof"] = proven(spec)
+        spec, more["proof"] = settle_encounter(spec)
     for name in (TRAFFIC_LOG, WORLD):
         (work.folder / name).unlink(missing_ok=True)
     work.folder.mkdir(parents=True, exist_ok=True)
-    with open_live(
+    with open_simulated(
         spec.scenario, spec.seed, spec.frames, spec.interval_s, work.folder / TRAFFIC_LOG, more=more
     ) as live:
         _log.info("%s: agents %s", work.item.path, live.recording.agent_ids)
 
 
-def _entry(item: Item, drive: Path) -> Entry:
+def _entry(item: DriveItem, drive: Path) -> ManifestEntry:
     settings = read_settings(drive) or {}
     agents = settings.get("agents", {})
     lidars = [(one.get("lidar") or {}).get("name", "") for one in agents.values()]
-    return Entry(
+    return ManifestEntry(
         drive=item.path,
         key=item.key,
         scenario=item.spec.scenario.name,
@@ -228,7 +228,7 @@ def _entry(item: Item, drive: Path) -> Entry:
         agents=tuple(int(agent) for agent in agents),
         lidars=tuple(lidars),
         bytes=sum(path.stat().st_size for path in _files(drive)),
-        sha256=file_sha256(drive / SUMS),
+        sha256=file_sha256(drive / CHECKSUMS),
     )
 
 
@@ -236,7 +236,7 @@ def _files(drive: Path) -> Iterator[Path]:
     return (path for path in drive.rglob("*") if path.is_file() and not path.name.startswith("."))
 
 
-def _write_cards(out: Path, items: Sequence[Item], failed: dict[str, str], executor: Executor) -> None:
+def _write_cards(out: Path, items: Sequence[DriveItem], failed: dict[str, str], executor: Executor) -> None:
     from dsrc.data.datasets.card import describe
 
     for split in dict.fromkeys(item.split for item in items):

@@ -1,12 +1,11 @@
-"""The data card of a split: what is in it, in Markdown, JSON and pictures, beside it so that readers of drives miss it.
+"""Data card of a split: its content in Markdown, JSON and pictures, in a folder beside the split.
 
-Counts are of every drive; points, boxes and visible fractions of frames evenly spread over each drive, at most
-`SAMPLES` of it.
+Counts are of all drives; points, boxes and visible fractions of frames evenly spread over each drive, at most `SAMPLES`
+of each.
 """
 
 import hashlib
 from collections.abc import Sequence
-from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,46 +16,46 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
+from dsrc.data.formats.opv2v.reader import own_settings
 from dsrc.data.jsonio import encode_json, read_json
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY, Frame
 from sim.boxes import CLASSES
 from sim.errors import DataError
 from sim.files import replacing, write_file
+from sim.machine import installed_versions
 
 VERSION = 1
 SAMPLES = 20
-"""Frames of a drive that are looked into."""
+"""Frames of a drive that are sampled."""
 
 RANGE_M = np.arange(0.0, 205.0, 5.0)
 DISTANCE_M = np.array([0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 150.0])
 SHARE = np.linspace(0.0, 1.0, 11)
-SIGHT = {"ego": BY_EGO, "helper only": BY_HELPER, "nobody": BY_NOBODY}
+SEEN_BY = {"ego": BY_EGO, "helper only": BY_HELPER, "nobody": BY_NOBODY}
 
 _PICTURES = 4
 _VIEW_M = 100.0
 _PACKAGES = ("dsrc-testbed", "numpy", "embreex", "libsumo", "eclipse-sumo")
 
-Array = NDArray[Any]
-
 
 class DriveCard(msgspec.Struct, kw_only=True):
-    """One drive: see `card.json`; histograms count over the sampled frames.
+    """Drive of a data card; histograms count over the sampled frames.
 
     Attributes:
         drive: its path below the split.
         sha256: digest of the drive, see `dsrc.data.drives.Drive.digest`.
         format: of its files.
-        frames: how many.
-        sampled: numbers of the frames that were looked into.
+        frames: number of frames.
+        sampled: numbers of the sampled frames.
         seconds: from the first frame to the last.
         agents: id -> kind and LiDAR.
-        settings: scenario, seed and the options of its making, as far as its protocol tells.
+        settings: scenario, seed and options, as far as its protocol has them.
         points: per sampled frame and agent.
         range: points by distance from the sensor, bins of `RANGE_M`.
         boxes: by class and distance to the ego, bins of `DISTANCE_M`, the last open.
         visible: by visible fraction of the best agent, bins of `SHARE`.
         seen: boxes within 100 m of the ego seen by it, by a helper only, by nobody.
-        labelled: share of the points that tell their object.
+        labelled: share of the points with an object id.
     """
 
     drive: str
@@ -76,17 +75,17 @@ class DriveCard(msgspec.Struct, kw_only=True):
 
 
 class Card(msgspec.Struct, kw_only=True):
-    """The whole of `card.json`.
+    """Data card: the content of `card.json`.
 
     Attributes:
         version: of this file.
         name: of the split.
-        sha256: of the drives' digests: a card of other drives is made anew.
+        sha256: of the drives' digests; a card of other drives is written anew.
         frames, agent_frames: counts.
-        agents: counts of agents per drive, from -> how many drives.
+        agents: number of drives by their number of agents.
         connected_vehicles: whether an agent's list of vehicles holds other agents: yes, no, mixed or unknown.
-        packages: what made the card.
-        range_m, distance_m, share: borders of the histograms' bins.
+        packages: versions of the packages that wrote the card.
+        range_m, distance_m, share: edges of the histograms' bins.
         drives: one by one.
     """
 
@@ -116,7 +115,7 @@ def write_card(split: Path, out: Path | None = None, pool: Pool = SERIAL) -> Pat
         The Markdown file.
 
     Raises:
-        DataError: there are no drives, or one cannot be read.
+        DataError: no drive is found, or one cannot be read.
     """
     split = Path(split)
     out = split.with_name(f"{split.resolve().name}.card") if out is None else Path(out)
@@ -147,7 +146,7 @@ def describe(split: Path, out: Path, executor: Executor) -> Path:
         _draw_frame(out / f"frame_{number}.png", reader.read(middle), title)
         pictures.append((f"frame_{number}.png", title))
     write_file(out / "card.md", _markdown(card, pictures))
-    # Last, because it tells that the card is complete.
+    # Last: it marks a complete card.
     write_file(out / "card.json", msgspec.json.format(encode_json(card), indent=1))
     return out / "card.md"
 
@@ -161,12 +160,10 @@ def _is_of(out: Path, digest: str) -> bool:
 
 
 def _describe(place: tuple[Path, Path], report: Progress) -> DriveCard:
-    """Look into one drive; runs in a worker."""
+    """Describe one drive; a task."""
     split, path = place
     reader = open_drive(path)
     rows = np.unique(np.linspace(0, len(reader) - 1, min(SAMPLES, len(reader))).round().astype(int)).tolist()
-    own = reader.protocol.get("testbed", {})
-    own = own if isinstance(own, dict) else {}
     frames = [reader.read(row) for row in rows]
     return DriveCard(
         drive=path.relative_to(split).as_posix() if path != split else path.name,
@@ -176,12 +173,12 @@ def _describe(place: tuple[Path, Path], report: Progress) -> DriveCard:
         sampled=[reader.frames[row] for row in rows],
         seconds=round(frames[-1].time_s - frames[0].time_s, 6) if frames else 0.0,
         agents=_agents(frames[0]) if frames else {},
-        settings=_settings(own),
+        settings=_settings(own_settings(reader.protocol)),
         points=[len(agent.sweep) for frame in frames for agent in frame.agents],
         range=_sum([_ranges(frame) for frame in frames], len(RANGE_M) - 1),
         boxes={name: _sum([_boxes(frame, k) for frame in frames], len(DISTANCE_M)) for k, name in enumerate(CLASSES)},
         visible=_sum([_visible(frame) for frame in frames], len(SHARE) - 1),
-        seen={name: sum(_seen(frame, value) for frame in frames) for name, value in SIGHT.items()},
+        seen={name: sum(_seen(frame, value) for frame in frames) for name, value in SEEN_BY.items()},
         labelled=_labelled(frames),
     )
 
@@ -201,29 +198,29 @@ def _agents(frame: Frame) -> dict[str, dict[str, str]]:
     }
 
 
-def _sum(counts: Sequence[Array], bins: int) -> list[int]:
+def _sum(counts: Sequence[NDArray[Any]], bins: int) -> list[int]:
     return [int(n) for n in np.sum(counts, axis=0)] if counts else [0] * bins
 
 
-def _ranges(frame: Frame) -> Array:
+def _ranges(frame: Frame) -> NDArray[Any]:
     norms = [np.linalg.norm(agent.sweep.points, axis=1) for agent in frame.agents]
     return np.histogram(np.concatenate([np.zeros(0), *norms]), RANGE_M)[0]
 
 
-def _from_ego(frame: Frame) -> Array:
-    """Return (N,) distances from the first agent; its own body is infinitely far."""
+def _from_ego(frame: Frame) -> NDArray[Any]:
+    """Return (N,) distances from the ego, the first agent; infinite for its own body."""
     ego = frame.agents[0]
     distance = np.linalg.norm(frame.truth.center[:, :2] - ego.world_from_body[:2, 3], axis=1)
     return np.where(frame.truth.object_id == ego.agent_id, np.inf, distance)
 
 
-def _boxes(frame: Frame, label: int) -> Array:
+def _boxes(frame: Frame, label: int) -> NDArray[Any]:
     distance = _from_ego(frame)
     chosen = distance[(frame.truth.label == label) & np.isfinite(distance)]
     return np.histogram(chosen, [*DISTANCE_M, np.inf])[0]
 
 
-def _visible(frame: Frame) -> Array:
+def _visible(frame: Frame) -> NDArray[Any]:
     best = np.fmax.reduce(frame.visible_fraction, axis=0) if len(frame.agents) else np.zeros(0)
     return np.histogram(best[np.isfinite(best)], SHARE)[0]
 
@@ -253,7 +250,7 @@ def _whole(name: str, digest: str, drives: list[DriveCard]) -> Card:
         agent_frames=sum(drive.frames * len(drive.agents) for drive in drives),
         agents=dict(sorted(agents.items(), key=lambda item: int(item[0]))),
         connected_vehicles=words[listed.pop()] if len(listed) == 1 else "mixed",
-        packages={package: _version(package) for package in _PACKAGES},
+        packages=dict.fromkeys(_PACKAGES, "not installed") | installed_versions(_PACKAGES),
         range_m=RANGE_M.tolist(),
         distance_m=DISTANCE_M.tolist(),
         share=SHARE.round(3).tolist(),
@@ -261,23 +258,16 @@ def _whole(name: str, digest: str, drives: list[DriveCard]) -> Card:
     )
 
 
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
-
-
 def _markdown(card: Card, pictures: Sequence[tuple[str, str]]) -> str:
     points = np.array([n for drive in card.drives for n in drive.points])
-    seen = {name: sum(drive.seen[name] for drive in card.drives) for name in SIGHT}
+    seen = {name: sum(drive.seen[name] for drive in card.drives) for name in SEEN_BY}
     total = max(1, sum(seen.values()))
     numbers = ", ".join(f"{count} with {number}" for number, count in card.agents.items())
     listed = {
         "yes": "An agent's list of vehicles holds the other agents' bodies too, which OPV2V leaves out.",
         "no": "An agent's list of vehicles leaves the other agents' bodies out, as OPV2V does.",
         "mixed": "Some drives list the other agents' bodies among an agent's vehicles, others do not.",
-        "unknown": "The drives do not say whether the other agents' bodies are among an agent's vehicles.",
+        "unknown": "It is unknown whether the other agents' bodies are among an agent's vehicles.",
     }[card.connected_vehicles]
     lines = [
         f"# {card.name}",
@@ -306,7 +296,7 @@ def _markdown(card: Card, pictures: Sequence[tuple[str, str]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _spread(points: Array) -> str:
+def _spread(points: NDArray[Any]) -> str:
     if not len(points):
         return "none"
     low, middle, high = np.percentile(points, [5, 50, 95]).round().astype(int)
@@ -361,7 +351,7 @@ def _draw(out: Path, card: Card) -> None:
 
 
 def _draw_frame(path: Path, frame: Frame, title: str) -> None:
-    """Draw a frame bird's eye: points in the colour of their agent, boxes that somebody sees and those nobody sees."""
+    """Draw a frame in bird's eye view: points in the colour of their agent, boxes black where an agent sees them."""
     figure, axes = _figure(7.0, 7.0, 1)
     ego = frame.agents[0].world_from_body[:2, 3]
     colours = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b")

@@ -1,8 +1,8 @@
-"""What is wrong with a dataset, file by file: the work behind `dsrc dataset check`.
+"""Faults of a dataset folder, file by file, in any supported format.
 
-Every file of every drive is read. Whatever the reader refuses is listed, and what it cannot know: checksums that
-differ, points that are not finite, boxes without size, points of objects that have no box, counts that are not those of
-the points, poses that are no poses or jump.
+Every file of every drive is read. Listed are the errors of the readers, and beyond them: wrong checksums, points that
+are not finite, boxes without size, points of objects without a box, wrong point counts, poses that are not rigid or
+jump.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.checksums import SUMS, wrong_files
+from dsrc.data.checksums import CHECKSUMS, faulty_files
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import SERIAL, Pool, Progress
+from dsrc.data.formats.opv2v.reader import own_settings
 from dsrc.data.formats.opv2v.record import read_agent
 from dsrc.data.formats.pcd import read_pcd
 from sensors.frame import AgentFrame, Frame, count_points
@@ -23,18 +24,18 @@ from sim.errors import DataError
 from sim.files import file_sha256
 
 FASTEST_MPS = 90.0
-"""An agent that is farther away in the next frame than this speed allows has a wrong pose."""
+"""Limit on the speed of an agent; above it a pose is wrong."""
 _ON_BODY_M = 20.0
 _RIGID = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that is wrong.
+    """Fault of a file or folder.
 
     Attributes:
         place: the file or folder.
-        text: what is wrong with it.
+        text: the fault.
     """
 
     place: str
@@ -78,12 +79,12 @@ def _manifest_faults(root: Path) -> list[Fault]:
         return [Fault("", str(error))]
     if manifest is None:
         return []
-    faults = [Fault(str(root / name), f"not made: {reason}") for name, reason in manifest.failed.items()]
+    faults = [Fault(str(root / name), f"failed: {reason}") for name, reason in manifest.failed.items()]
     missing = manifest.drives - len(manifest.items) - len(manifest.failed)
     if missing > 0:
         faults.append(Fault(str(root / MANIFEST), f"{missing} of {manifest.drives} drives are not finished"))
     for entry in manifest.items:
-        sums = root / entry.drive / SUMS
+        sums = root / entry.drive / CHECKSUMS
         if not (root / entry.drive).is_dir():
             faults.append(Fault(str(root / entry.drive), f"missing, {MANIFEST} lists it"))
         elif not sums.is_file():
@@ -94,11 +95,11 @@ def _manifest_faults(root: Path) -> list[Fault]:
 
 
 def _check_drive(path: Path, report: Progress) -> list[Fault]:
-    """Return what is wrong with one drive; runs in a worker."""
+    """Return the faults of one drive; a task."""
     faults = []
-    if (path / SUMS).is_file():
+    if (path / CHECKSUMS).is_file():
         try:
-            faults += [Fault(str(file), text) for file, text in wrong_files(path)]
+            faults += [Fault(str(file), text) for file, text in faulty_files(path)]
         except DataError as error:
             faults.append(Fault("", str(error)))
     try:
@@ -119,7 +120,7 @@ def _check_drive(path: Path, report: Progress) -> list[Fault]:
 
 
 def _files_of(drive: Path, stem: str = "*") -> list[Fault]:
-    """Read the files of an OPV2V tree one by one, because a reader stops at the first that is wrong."""
+    """Return the faults of an OPV2V tree's files one by one: a reader stops at the first."""
     faults, stems = [], set()
     folders = [p for p in sorted(drive.glob("*")) if p.is_dir() and p.name.lstrip("-").isdecimal()]
     for folder in folders:
@@ -140,7 +141,7 @@ def _files_of(drive: Path, stem: str = "*") -> list[Fault]:
 
 
 def _frame_faults(drive: Drive, i: int, frame: Frame, before: Frame | None) -> Iterator[tuple[str, str]]:
-    """Yield (place, what is wrong) of a frame that could be read."""
+    """Yield (place, fault) of a readable frame."""
     truth, notes = frame.truth, _places(drive, i, "yaml")
     for name, values in (("box", truth.array), ("velocity", np.nan_to_num(frame.velocity))):
         if not np.isfinite(values).all():
@@ -173,7 +174,7 @@ def _sweep_faults(agent: AgentFrame) -> Iterator[str]:
 def _label_faults(frame: Frame, row: int) -> Iterator[str]:
     sweep, truth = frame.agents[row].sweep, frame.truth
     labels = np.unique(sweep.object_id[sweep.object_id >= 0])
-    # Of whom is far from every agent the truth says nothing.
+    # Objects far from every agent are not in the ground truth.
     counted = count_points(sweep, truth.object_id)
     differ = np.flatnonzero(counted != frame.points_on[row])
     if len(differ):
@@ -212,12 +213,12 @@ def _pose_faults(frame: Frame, before: Frame | None, row: int) -> Iterator[str]:
 
 
 def _is_clean(drive: Drive) -> bool:
-    own = drive.protocol.get("testbed", {})
-    return isinstance(own, dict) and "format" in own and not own.get("corruptions")
+    own = own_settings(drive.protocol)
+    return "format" in own and not own.get("corruptions")
 
 
 def _places(drive: Drive, i: int, ending: str) -> Sequence[str]:
-    """Return the file of each agent; for formats with other files the drive and the number of the frame."""
+    """Return the file of each agent; for other formats the drive and the number of the frame."""
     if drive.format in ("OPV2V", "V2V4Real") and drive.drive.is_dir():
         stem = f"{drive.frames[i]:06d}"
         return [str(drive.drive / str(agent) / f"{stem}.{ending}") for agent in drive.agents]

@@ -12,36 +12,42 @@ from typing import Literal, Protocol, get_args
 
 import msgspec
 
-from dsrc.data.checksums import SUMS, write_sums
+from dsrc.data.checksums import CHECKSUMS, write_checksums
 from dsrc.data.drive_folder import LOCK, is_complete, locked, write_protocol
 from dsrc.data.drives import Drive, open_drive, open_drives
 from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.dair.write import DairWriter
-from dsrc.data.formats.kitti import KittiWriter, View
+from dsrc.data.formats.kitti import KittiWriter, LabelView
 from dsrc.data.formats.mcap import McapFile
-from dsrc.data.formats.opv2v.reader import PROTOCOL, write_frame
+from dsrc.data.formats.opv2v.reader import (
+    PROTOCOL,
+    agent_table,
+    lists_connected_vehicles,
+    own_settings,
+    write_frame,
+)
 from dsrc.data.jsonio import encode_json, read_json
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
-from sim.files import remove_leftovers, write_file
+from sim.files import remove_leftovers, replacing, write_file
 
 Format = Literal["opv2v", "dair", "kitti", "mcap"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 
-MARK = "conversion.json"
+CONVERSION = "conversion.json"
 _VERSION = 1
 _SPLITS = {"train": "train", "validate": "val", "validation": "val", "val": "val", "test": "test"}
 _EGO, _ALL = "ego", "all"
 
 
-class Mark(msgspec.Struct, frozen=True):
+class Conversion(msgspec.Struct, frozen=True):
     """Settings of a conversion: `conversion.json`."""
 
     version: int
     to: Format
     agent: str
-    view: View
+    view: LabelView
     drives: dict[str, str]
     finished: bool = False
 
@@ -75,7 +81,7 @@ class Source:
 @dataclass(frozen=True, slots=True)
 class _Work:
     out: Path
-    mark: Mark
+    mark: Conversion
     source: Source
 
 
@@ -85,7 +91,7 @@ def convert(
     to: Format,
     *,
     agent: str | None = None,
-    view: View = "camera",
+    view: LabelView = "camera",
     pool: Pool = SERIAL,
     progress: Progress | None = None,
 ) -> Path:
@@ -116,7 +122,7 @@ def convert(
         raise SettingsError(complaint("convert", "out", f"a folder apart from {data}", str(out)))
     drives = open_drives(data)
     names = names_of([drive.drive for drive in drives])
-    wanted = Mark(
+    wanted = Conversion(
         version=_VERSION,
         to=to,
         agent=agent or _EGO,
@@ -139,14 +145,14 @@ def convert(
     _check_folder(out, wanted)
     with locked(out):
         if not _check_folder(out, wanted):
-            write_file(out / MARK, encode_json(wanted))
+            write_file(out / CONVERSION, encode_json(wanted))
             with pool.open(len(sources)) as executor:
                 for result in executor.run(_convert, [_Work(out.resolve(), wanted, s) for s in sources], report):
                     if result.error is not None:
                         raise result.error
             writer.finish(sources)
             remove_leftovers(out)
-            write_file(out / MARK, encode_json(msgspec.structs.replace(wanted, finished=True)))
+            write_file(out / CONVERSION, encode_json(msgspec.structs.replace(wanted, finished=True)))
     if progress is not None:
         progress(total, total)
     return out
@@ -182,35 +188,35 @@ def _split_of(folder: str) -> str | None:
     return "test" if folder.startswith("test_") else _SPLITS.get(folder)
 
 
-def _check_options(to: Format, agent: str | None, view: View) -> None:
+def _check_options(to: Format, agent: str | None, view: LabelView) -> None:
     if agent is not None and to in ("opv2v", "mcap"):
-        raise SettingsError(complaint("convert", "agent", f"none with --to {to}, which holds all agents", agent))
+        raise SettingsError(complaint("convert", "agent_id", f"none with --to {to}, which holds all agents", agent))
     if agent is not None and agent not in (_EGO, _ALL) and not agent.lstrip("-").isdecimal():
-        raise SettingsError(complaint("convert", "agent", "ego, all or the id of an agent", agent))
+        raise SettingsError(complaint("convert", "agent_id", "ego, all or the id of an agent", agent))
     if agent == _ALL and to == "dair":
-        raise SettingsError(complaint("convert", "agent", "ego or the id of a vehicle with --to dair", agent))
-    if view not in get_args(View):
+        raise SettingsError(complaint("convert", "agent_id", "ego or the id of a vehicle with --to dair", agent))
+    if view not in get_args(LabelView):
         raise SettingsError(complaint("convert", "view", "camera or around", view))
     if view != "camera" and to != "kitti":
         raise SettingsError(complaint("convert", "view", "camera, or --to kitti", view))
 
 
-def _check_folder(out: Path, wanted: Mark) -> bool:
+def _check_folder(out: Path, wanted: Conversion) -> bool:
     """Return whether the conversion in a folder is finished; DataError for another one."""
     if not out.is_dir():
         return False
-    if not (out / MARK).exists():
+    if not (out / CONVERSION).exists():
         others = sorted(path.name for path in out.iterdir() if path.name != LOCK)
         if others:
             raise DataError(complaint(out, "folder", "a new or empty one", f"'{others[0]}' in it"))
         return False
-    found = read_json(out / MARK, Mark)
+    found = read_json(out / CONVERSION, Conversion)
     for field in ("version", "to", "agent", "view", "drives"):
         have, want = getattr(found, field), getattr(wanted, field)
         if have != want:
             shown = "other drives" if field == "drives" else have
             asked = "the drives asked for now" if field == "drives" else f"{want!r} as asked for now"
-            raise DataError(complaint(out / MARK, field, asked, shown, "; choose another folder"))
+            raise DataError(complaint(out / CONVERSION, field, asked, shown, "; choose another folder"))
     return found.finished
 
 
@@ -247,7 +253,7 @@ class _Writer(Protocol):
 class _Opv2v:
     """Drives of ours: everything that a frame holds."""
 
-    def __init__(self, out: Path, mark: Mark) -> None:
+    def __init__(self, out: Path, mark: Conversion) -> None:
         self.out, self.mark = out, mark
 
     def views(self, source: Source) -> int:
@@ -258,47 +264,39 @@ class _Opv2v:
         return (folder / PROTOCOL).exists() and is_complete(folder, source.agents, source.frames[i])
 
     def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
-        folder, own = self.out / source.name, drive.protocol.get("testbed")
-        # The number in the file's name is what the source goes by.
+        folder = self.out / source.name
+        # Frames keep the numbers of the source's files.
         frame = replace(frame, index=drive.frames[i])
         if not (folder / PROTOCOL).exists():
-            folder.mkdir(parents=True, exist_ok=True)
+            for path in _beside(drive.drive) if own_settings(drive.protocol) else ():
+                with replacing(folder / path.name) as temporary:
+                    shutil.copyfile(path, temporary)
             write_protocol(folder, self._protocol(source, drive, frame))
-            for path in _beside(drive.drive) if isinstance(own, dict) else ():
-                shutil.copyfile(path, folder / path.name)
-        listed = own.get("connected_vehicles", True) if isinstance(own, dict) else True
-        write_frame(folder, frame, bool(listed), drive.plans(i))
+        write_frame(folder, frame, lists_connected_vehicles(drive.protocol), drive.plans(i))
 
     def finish(self, sources: Sequence[Source]) -> None:
         for source in sources:
             remove_leftovers(self.out / source.name)
-            write_sums(self.out / source.name)
+            write_checksums(self.out / source.name)
 
     def _protocol(self, source: Source, drive: Drive, frame: Frame) -> dict:
-        if isinstance(drive.protocol.get("testbed"), dict):
+        if own_settings(drive.protocol):
             return drive.protocol
-        agents = {
-            int(agent.agent_id): {
-                "kind": agent.kind,
-                "lidar": None if agent.sweep.spec is None else msgspec.to_builtins(agent.sweep.spec),
-            }
-            for agent in frame.agents
-        }
         converted = {"format": drive.format, "drive": source.name, "sha256": self.mark.drives[source.name]}
-        own = {"frames": len(drive), "agents": agents, "converted": converted}
+        own = {"frames": len(drive), "agents": agent_table(frame), "converted": converted}
         return {**drive.protocol, "testbed": own}
 
 
 def _beside(drive: Path) -> list[Path]:
     """Return the files of a drive beside its frames and its protocol, such as the traffic log."""
     files = (path for path in sorted(drive.iterdir()) if path.is_file() and not path.name.startswith("."))
-    return [path for path in files if path.name not in (PROTOCOL, SUMS)]
+    return [path for path in files if path.name not in (PROTOCOL, CHECKSUMS)]
 
 
 class _Dair:
     """Tree of pairs."""
 
-    def __init__(self, out: Path, mark: Mark) -> None:
+    def __init__(self, out: Path, mark: Conversion) -> None:
         self._writer = DairWriter(out, None if mark.agent == _EGO else int(mark.agent))
 
     def views(self, source: Source) -> int:
@@ -320,7 +318,7 @@ class _Dair:
 class _Kitti:
     """Frame for each chosen agent."""
 
-    def __init__(self, out: Path, mark: Mark) -> None:
+    def __init__(self, out: Path, mark: Conversion) -> None:
         self._writer, self._agent = KittiWriter(out, mark.view), mark.agent
 
     def views(self, source: Source) -> int:
@@ -365,7 +363,7 @@ def _chosen(source: Source, agent: str) -> tuple[int, ...]:
 class _Mcap:
     """File for each drive."""
 
-    def __init__(self, out: Path, mark: Mark) -> None:
+    def __init__(self, out: Path, mark: Conversion) -> None:
         self.out = out
         self._open: McapFile | None = None
 
@@ -390,7 +388,7 @@ class _Mcap:
         return self.out / f"{source.name}.mcap"
 
 
-_WRITERS: dict[Format, Callable[[Path, Mark], _Writer]] = {
+_WRITERS: dict[Format, Callable[[Path, Conversion], _Writer]] = {
     "opv2v": _Opv2v,
     "dair": _Dair,
     "kitti": _Kitti,

@@ -1,8 +1,8 @@
-"""Corrupt a dataset: drives in, the same drives under one corruption out, as OPV2V trees of ours.
+"""Corruption of a dataset: its drives under one corruption, written as OPV2V trees.
 
-Frames are independent of each other (`corrupt_frame`), so they are made by any number of processes in any order and
-their bytes do not depend on it; what is already there is not made again. The protocol of a corrupted drive is that of
-its source with one more entry in `testbed.corruptions`: a drive may be corrupted more than once.
+Frames are independent of each other (`corrupt_frame`): their bytes are the same for any number of workers, and existing
+frames are skipped. The protocol of a corrupted drive is that of its source with one more entry in
+`testbed.corruptions`: a drive can be corrupted more than once.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ import msgspec
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
-from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles, own_settings, write_frame
 from sensors.corruptions import (
     CLEAN,
     CORRUPTIONS,
@@ -31,8 +31,8 @@ from sim.files import remove_leftovers
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
-    """One drive to corrupt.
+class CorruptionJob:
+    """Drive to corrupt.
 
     Attributes:
         source: its folder.
@@ -52,7 +52,7 @@ class Job:
 
     @property
     def drive_seed(self) -> int:
-        """Seed of this drive's weather and faults."""
+        """Seed of the drive's weather and faults."""
         return drive_seed(self.seed, self.source.name)
 
 
@@ -68,16 +68,16 @@ def corrupt_dataset(
 ) -> list[Path]:
     """Write the drives at or below a folder under a corruption; an interrupted run resumes.
 
-    Only what our readers read is written: sweeps, poses and ground truth. Pictures of cameras and further keys of other
-    tools' files stay behind. Ground truth and its point counts are those of the source.
+    Sweeps, poses and ground truth are written; camera images and further keys of other tools' files are left out. The
+    ground truth and its point counts are those of the source.
 
     Args:
         data: a drive, or a folder of drives.
-        out: where they go, under the same names; it becomes the drive when `data` is one.
+        out: folder of the corrupted drives, which keep their names; the drive itself where `data` is one.
         kind: of the corruption.
         severity: 1 to 5.
         family: of its settings.
-        seed: of the corruption; every drive has its own weather and faults, by the name of its folder.
+        seed: of the corruption; every drive draws its own weather and faults, by the name of its folder.
         pool: workers; processes need a `__main__` that can be imported.
         progress: called with (frames done, frames in all).
 
@@ -86,18 +86,20 @@ def corrupt_dataset(
 
     Raises:
         SettingsError: an unknown kind, a setting out of its range, or `out` is not apart from `data`.
-        DataError: a drive cannot be read or lacks what the corruption needs, or a folder holds a drive that was made
-            otherwise.
+        DataError: a drive cannot be read or lacks what the corruption needs, or a folder holds a drive of other
+            settings.
     """
     require_corruption(kind, severity, family)
     if kind == CLEAN:
-        raise SettingsError(complaint("corrupt", "kind", f"one of {', '.join(CORRUPTIONS)}", kind))
+        raise SettingsError(complaint("corrupt", "corruption", f"one of {', '.join(CORRUPTIONS)}", kind))
     if seed < 0:
         raise SettingsError(complaint("corrupt", "seed", "at least 0", seed))
     data, out = Path(data).resolve(), Path(out).resolve()
     if out.is_relative_to(data) or data.is_relative_to(out):
         raise SettingsError(complaint("corrupt", "out", f"a folder apart from {data}", str(out)))
-    jobs = [Job(drive, out / drive.relative_to(data), kind, severity, family, seed) for drive in list_drives(data)]
+    jobs = [
+        CorruptionJob(drive, out / drive.relative_to(data), kind, severity, family, seed) for drive in list_drives(data)
+    ]
     readers = [open_drive(job.source) for job in jobs]
     total, done = sum(len(reader) for reader in readers), 0
     report = progress or (lambda done, total: None)
@@ -109,8 +111,8 @@ def corrupt_dataset(
     return [job.out for job in jobs]
 
 
-def _corrupt_drive(job: Job, reader: Drive, executor: Executor) -> Iterator[int]:
-    """Write the frames of a drive that are not there yet; yields how many more are done."""
+def _corrupt_drive(job: CorruptionJob, reader: Drive, executor: Executor) -> Iterator[int]:
+    """Write the missing frames of a drive; yields numbers of frames that are done."""
     protocol = _protocol(job, reader)
     with locked(job.out):
         found = read_settings(job.out)
@@ -122,9 +124,9 @@ def _corrupt_drive(job: Job, reader: Drive, executor: Executor) -> Iterator[int]
             missing = list(range(len(reader)))
         yield len(reader) - len(missing)
         if missing and found is None:
-            # The first frame tells the sensors; a folder without a protocol holds nothing that counts.
+            # The first frame has the sensors of the protocol; without a protocol a folder has no complete frame.
             frame = corrupted(job, reader, missing[0])
-            protocol["testbed"]["agents"] = _agents(frame)
+            protocol["testbed"]["agents"] = agent_table(frame)
             write_protocol(job.out, protocol)
             _write(job, reader, frame)
             yield 1
@@ -134,9 +136,9 @@ def _corrupt_drive(job: Job, reader: Drive, executor: Executor) -> Iterator[int]
         remove_leftovers(job.out)
 
 
-def corrupted(job: Job, reader: Drive, i: int) -> Frame:
+def corrupted(job: CorruptionJob, reader: Drive, i: int) -> Frame:
     """Return the i-th frame of a drive under its corruption."""
-    # The number in the file's name is what streams of randomness and the new name go by.
+    # The number of the file is that of the random stream and of the new file.
     frame = replace(reader.read(i), index=reader.frames[i])
     try:
         return corrupt_frame(frame, job.kind, job.severity, job.drive_seed, job.family)
@@ -144,14 +146,14 @@ def corrupted(job: Job, reader: Drive, i: int) -> Frame:
         raise DataError(f"{job.source}: {error}") from None
 
 
-def _write(job: Job, reader: Drive, frame: Frame) -> None:
-    own = reader.protocol.get("testbed", {})
-    listed = own.get("connected_vehicles", True) if isinstance(own, dict) else True
-    write_frame(job.out, frame, bool(listed), reader.plans(reader.frames.index(frame.index)))
+def _write(job: CorruptionJob, reader: Drive, frame: Frame) -> None:
+    write_frame(
+        job.out, frame, lists_connected_vehicles(reader.protocol), reader.plans(reader.frames.index(frame.index))
+    )
 
 
-def _protocol(job: Job, reader: Drive) -> dict:
-    """Return the protocol of the corrupted drive: its source's, and what is done to it."""
+def _protocol(job: CorruptionJob, reader: Drive) -> dict:
+    """Return the protocol of the corrupted drive: that of its source with the corruption."""
     entry = {
         "kind": job.kind,
         "severity": job.severity,
@@ -161,30 +163,20 @@ def _protocol(job: Job, reader: Drive) -> dict:
         "settings": msgspec.to_builtins(CORRUPTIONS[job.kind].settings_of(job.family).severity(job.severity)),
         "source": {"drive": job.source.name, "sha256": reader.digest()},
     }
-    own = reader.protocol.get("testbed")
-    if not isinstance(own, dict):
+    own = own_settings(reader.protocol)
+    if not own:
         return {"testbed": {"frames": len(reader), "corruptions": [entry]}}
     return {**reader.protocol, "testbed": {**own, "corruptions": [*own.get("corruptions", []), entry]}}
 
 
-def _agents(frame: Frame) -> dict:
-    return {
-        int(agent.agent_id): {
-            "kind": agent.kind,
-            "lidar": None if agent.sweep.spec is None else msgspec.to_builtins(agent.sweep.spec),
-        }
-        for agent in frame.agents
-    }
-
-
-def _each(job: Job, rows: list[int], executor: Executor) -> Iterator[None]:
+def _each(job: CorruptionJob, rows: list[int], executor: Executor) -> Iterator[None]:
     for result in executor.run(_task, [(job, i) for i in rows]):
         if result.error is not None:
             raise result.error
         yield
 
 
-def _task(item: tuple[Job, int], report: Progress) -> None:
+def _task(item: tuple[CorruptionJob, int], report: Progress) -> None:
     job, i = item
     reader = _reader(job.source)
     _write(job, reader, corrupted(job, reader, i))

@@ -1,4 +1,4 @@
-"""The drives of a split, one row each: what a detector is judged by, as it is counted in an evaluation.
+"""Table of the drives of a split: frames, agents and ground truth as an evaluation counts them.
 
     python -m dsrc.data.datasets.drive_table data/dsrc-sim/test --docs docs/datasets.md --name dsrc-sim
 
@@ -19,25 +19,25 @@ from dsrc.ops.grid import GridSpec
 from sim.errors import DataError, UserError, complaint
 from sim.files import write_file
 
-_HEAD = ("drive", "frames", "agents", "boxes", "boxes a frame", "without a point from the ego", "way of the ego, m")
+_HEAD = ("drive", "frames", "agents", "boxes", "boxes per frame", "without a point from the ego", "path of the ego, m")
 
 GRID = GridSpec(range_m=(-51.2, -25.6, -3.0, 51.2, 25.6, 2.6))
 """Range of the recipe `small`, in which boxes are counted."""
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """One drive.
+class DriveRow:
+    """Row of the table: one drive.
 
     Attributes:
         drive: its name.
-        frames: how many.
-        vehicles: agents that drive, the ego among them.
-        roadside: agents that stand beside the road.
+        frames: number of frames.
+        vehicles: number of vehicles with a LiDAR, the ego included.
+        roadside: number of roadside units.
         boxes: ground truth of an evaluation, summed over the frames: vehicles in range that any agent in communication
             range has a point on.
-        unseen: of these the ones that the ego has no point on.
-        way_m: length of the ego's way from the first frame to the last, m.
+        unseen: boxes without a point from the ego.
+        path_m: length of the ego's path, m.
     """
 
     drive: str
@@ -46,11 +46,11 @@ class Row:
     roadside: int
     boxes: int
     unseen: int
-    way_m: float
+    path_m: float
 
 
-def count(drive: Drive, grid: GridSpec) -> Row:
-    """Count a drive; the ego and the boxes are those of `make_sample`.
+def count(drive: Drive, grid: GridSpec) -> DriveRow:
+    """Return the counts of a drive; the ego and the boxes are those of `make_sample`.
 
     Args:
         drive: at least one frame.
@@ -64,37 +64,37 @@ def count(drive: Drive, grid: GridSpec) -> Row:
         unseen += len(sample.boxes) - len(sample.agent_boxes[0])
         places.append(frame.agent(sample.agent_ids[0]).sweep.world_from_lidar[:2, 3])
     kinds = [agent.kind for agent in frame.agents]
-    return Row(
+    return DriveRow(
         drive=drive.drive.name,
         frames=len(drive),
         vehicles=kinds.count("vehicle"),
         roadside=kinds.count("roadside"),
         boxes=boxes,
         unseen=unseen,
-        way_m=float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()),
+        path_m=float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()),
     )
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Return the rows as Markdown, their sum below them."""
+def table(rows: Sequence[DriveRow]) -> str:
+    """Return the rows as a Markdown table with a row of sums."""
     lines = [_HEAD, ("---", *("---:",) * (len(_HEAD) - 1))]
     for row in rows:
         agents = f"{row.vehicles} + {row.roadside} roadside" if row.roadside else f"{row.vehicles}"
-        lines.append((f"`{row.drive}`", f"{row.frames}", agents, *_boxes([row]), f"{row.way_m:.0f}"))
+        lines.append((f"`{row.drive}`", f"{row.frames}", agents, *_boxes([row]), f"{row.path_m:.0f}"))
     lines.append((f"{len(rows)} drives", f"{sum(row.frames for row in rows):,}", "", *_boxes(rows), ""))
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _boxes(rows: Sequence[Row]) -> tuple[str, str, str]:
+def _boxes(rows: Sequence[DriveRow]) -> tuple[str, str, str]:
     frames, boxes, unseen = (sum(getattr(row, name) for row in rows) for name in ("frames", "boxes", "unseen"))
     return f"{boxes:,}", f"{boxes / frames:.1f}", f"{unseen:,} ({unseen / max(boxes, 1):.0%})"
 
 
-def put(document: Path, name: str, content: str) -> None:
-    """Put a block between its markers in a document.
+def replace_block(document: Path, name: str, content: str) -> None:
+    """Replace the block between two markers of a document.
 
     Raises:
-        DataError: the document has no such markers.
+        DataError: the document lacks the markers.
     """
     begin, end = (f"<!-- {word} {name} -->" for word in ("begin", "end"))
     if not document.is_file():
@@ -103,8 +103,8 @@ def put(document: Path, name: str, content: str) -> None:
     before, begun, rest = text.partition(begin)
     _, ended, after = rest.partition(end)
     if not (begun and ended):
-        raise DataError(complaint(document, name, f"the lines {begin} and {end}", "one or none of them"))
-    write_file(document, f"{before}{begin}\n{content}\n{end}{after}".encode())
+        raise DataError(complaint(document, name, f"the lines {begin} and {end}", "at most one of them"))
+    write_file(document, f"{before}{begin}\n{content}\n{end}{after}")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -112,16 +112,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m dsrc.data.datasets.drive_table", description=(__doc__ or "").split("\n")[0]
     )
-    parser.add_argument("folder", type=Path, help="drives of any format that is read")
-    parser.add_argument("--docs", type=Path, help="document that the table goes into; printed when left out")
-    parser.add_argument("--name", default="dsrc-sim", help="of the dataset, in the document's markers")
+    parser.add_argument("folder", type=Path, help="drives, in any supported format")
+    parser.add_argument("--docs", type=Path, help="document to write the table into; default: print it")
+    parser.add_argument("--name", default="dsrc-sim", help="name of the dataset in the markers")
     options = parser.parse_args(arguments)
     try:
         text = table([count(drive, GRID) for drive in open_drives(options.folder)])
         if options.docs is None:
             sys.stdout.write(f"{text}\n")
         else:
-            put(options.docs, f"{options.name}/drives", text)
+            replace_block(options.docs, f"{options.name}/drives", text)
     except UserError as error:
         sys.stderr.write(f"drive_table: {error}\n")
         raise SystemExit(2) from None

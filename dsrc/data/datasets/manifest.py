@@ -1,4 +1,4 @@
-"""The manifest of a dataset: `manifest.json` with its drives, the hashes of their settings and their checksums."""
+"""Manifest of a dataset: `manifest.json` with its drives, hashes of their settings and checksums."""
 
 from pathlib import Path
 
@@ -12,19 +12,19 @@ MANIFEST = "manifest.json"
 VERSION = 1
 
 
-class Entry(msgspec.Struct, frozen=True, kw_only=True):
-    """One finished drive.
+class ManifestEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """Finished drive of a manifest.
 
     Attributes:
         drive: SPLIT/DRIVE.
         key: hash of its settings.
         scenario: name.
         seed: of everything random.
-        frames: how many.
+        frames: number of frames.
         agents: ids.
         lidars: presets of the agents, in their order.
         bytes: of all its files.
-        sha256: of its `SHA256SUMS`, thus of every file.
+        sha256: of its `SHA256SUMS`, which covers every file.
     """
 
     drive: str
@@ -39,35 +39,35 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True):
-    """A dataset.
+    """Manifest of a dataset.
 
     Attributes:
         version: of this file.
         name: of the dataset.
         description: one line.
-        drives: wanted in all.
-        items: the finished ones, in the order of the TOML.
-        failed: SPLIT/DRIVE -> why it could not be made.
+        drives: number of drives, finished or not.
+        items: finished drives, in the order of the split file.
+        failed: reasons of failed drives, by SPLIT/DRIVE.
     """
 
     version: int
     name: str
     description: str
     drives: int
-    items: tuple[Entry, ...]
+    items: tuple[ManifestEntry, ...]
     failed: dict[str, str] = {}
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Write it atomically."""
+    """Write the manifest of a dataset."""
     write_file(folder / MANIFEST, msgspec.json.format(encode_json(manifest), indent=1))
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """Return the manifest of a dataset; None when there is none.
+    """Return the manifest of a dataset; None for a folder without one.
 
     Raises:
-        DataError: it is damaged.
+        DataError: the manifest is damaged.
     """
     path = folder / MANIFEST
     if not path.is_file():

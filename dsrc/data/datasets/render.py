@@ -1,6 +1,6 @@
-"""Other sweeps of a drive that was simulated before: another LiDAR, other agents, another mounting, without SUMO.
+"""Rendering of recorded traffic anew: other LiDARs, agents or mountings, without SUMO.
 
-The traffic log and the static world beside it are all that is needed; a drive made of them is a drive as any other.
+Needs the traffic log and the static world beside it; the result is a drive as any other.
 """
 
 from collections.abc import Sequence
@@ -9,7 +9,8 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.data.datasets.spec import about_log, equipped
+from dsrc.data.datasets.changes import Changes
+from dsrc.data.datasets.spec import log_settings, with_sensors
 from dsrc.data.drive_folder import read_settings
 from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.opv2v.reader import PROTOCOL
@@ -19,29 +20,6 @@ from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
 from sim.scenario import Scenario
 from sim.traffic.log import TrafficLog
-
-
-@dataclass(frozen=True, slots=True)
-class Changes:
-    """What is to be other than in the recording; None leaves it.
-
-    Attributes:
-        lidar: preset of the vehicles.
-        roadside_lidar: preset of all roadside units.
-        roadside: whether the roadside units stand there.
-        vehicles: how many vehicles carry a LiDAR.
-        agents: ids of those that do, ego first.
-        mount: x, y, z, m, in the body frame, and pitch, deg, of the vehicles' LiDARs.
-        frames: the first so many.
-    """
-
-    lidar: str | None = None
-    roadside_lidar: str | None = None
-    roadside: bool = True
-    vehicles: int | None = None
-    agents: tuple[int, ...] = ()
-    mount: tuple[float, float, float, float] | None = None
-    frames: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +51,7 @@ def render(
     Raises:
         DataError: a log is missing, damaged or too short; a folder holds a drive of other settings.
         SettingsError: a setting is out of its range.
-        ScenarioError: an agent leaves too early, or there is no world beside the log and it cannot be built.
+        ScenarioError: an agent leaves too early, or the world is missing and cannot be built.
     """
     logs = find_logs(source)
     specs = [spec_of(log, changes) for log in logs]
@@ -83,7 +61,7 @@ def render(
         folder = Path(out) / (name if len(logs) == 1 else log.parent.relative_to(source))
         if folder.resolve() == log.parent.resolve():
             raise SettingsError(complaint("render", "out", "another folder than the recording's", str(out)))
-        _, about = about_log(log)
+        _, about = log_settings(log)
         more = {
             "rendered": {"sha256": file_sha256(log)},
             **({"proof": about["proof"]} if "proof" in about else {}),
@@ -112,7 +90,7 @@ def _render(work: _Work, progress: Progress) -> None:
 
 
 def find_logs(source: Path) -> list[Path]:
-    """Return the traffic logs at or below a path, sorted; DataError when there is none."""
+    """Return the traffic logs at or below a path, sorted; DataError for a path without one."""
     source = Path(source)
     if source.is_file():
         if source.name != TRAFFIC_LOG:
@@ -120,20 +98,20 @@ def find_logs(source: Path) -> list[Path]:
         return [source]
     found = [path for pattern in ("", "*/", "*/*/") for path in source.glob(f"{pattern}{TRAFFIC_LOG}")]
     if not found:
-        hint = "" if source.is_dir() else "; there is no such folder"
+        hint = "" if source.is_dir() else "; no such folder"
         raise DataError(complaint(source, "traffic log", f"a {TRAFFIC_LOG} at most two folders below", "none", hint))
     return sorted(found)
 
 
 def spec_of(log: Path, changes: Changes) -> DriveSpec:
-    """Return what a drive of a log is with some changes; see `render` for what it raises."""
-    scenario, about = about_log(log)
-    scenario = equipped(scenario, changes.vehicles, changes.lidar, changes.roadside_lidar, changes.roadside)
+    """Return the specification of a log's drive with changes; raises as `render`."""
+    scenario, about = log_settings(log)
+    scenario = with_sensors(scenario, changes.vehicles, changes.lidar, changes.roadside_lidar, changes.roadside)
     rule = scenario.agents
-    if changes.agents and changes.vehicles is not None:
-        raise SettingsError(complaint("render", "agents", "either ids or a number", "both"))
-    if changes.agents:
-        rule = msgspec.structs.replace(rule, named=_names(log, changes.agents), vehicles=len(changes.agents))
+    if changes.agent_id and changes.vehicles is not None:
+        raise SettingsError(complaint("render", "agent_id", "no ids beside a number of vehicles", "both"))
+    if changes.agent_id:
+        rule = msgspec.structs.replace(rule, named=_names(log, changes.agent_id), vehicles=len(changes.agent_id))
     elif changes.vehicles is not None:
         rule = msgspec.structs.replace(rule, named=())
     if changes.mount is not None:
@@ -143,7 +121,7 @@ def spec_of(log: Path, changes: Changes) -> DriveSpec:
     if frames > int(about["frames"]):
         raise SettingsError(complaint("render", "frames", f"at most {about['frames']}, as recorded", frames))
     scenario = _checked(log, msgspec.structs.replace(scenario, agents=rule))
-    # What the recording says nothing of stays as in the drive, if there is one beside it.
+    # Settings that a log lacks are those of the drive beside it.
     settings = read_settings(log.parent) if (log.parent / PROTOCOL).exists() else None
     kept = {name: settings[name] for name in ("connected_vehicles", "motion", "visibility")} if settings else {}
     spec = DriveSpec(scenario, int(about["seed"]), frames, float(about["interval_s"]), **kept)
@@ -152,7 +130,7 @@ def spec_of(log: Path, changes: Changes) -> DriveSpec:
 
 
 def _checked(log: Path, scenario: Scenario) -> Scenario:
-    """Return the scenario; SettingsError where a change is out of the range that a scenario file may have."""
+    """Return the scenario; SettingsError for a change out of the range of scenario files."""
     try:
         return msgspec.convert(msgspec.to_builtins(scenario), Scenario)
     except msgspec.ValidationError as error:
@@ -165,5 +143,5 @@ def _names(log: Path, ids: Sequence[int]) -> tuple[str, ...]:
     for number in ids:
         if number not in names:
             hint = did_you_mean(str(number), map(str, names))
-            raise SettingsError(complaint("render", "agents", "ids of road users in the first frame", number, hint))
+            raise SettingsError(complaint("render", "agent_id", "ids of road users in the first frame", number, hint))
     return tuple(names[number] for number in ids)

@@ -1,18 +1,18 @@
-"""The TOML of a dataset: splits of drives, each a product of scenarios, seeds, frames, sensors and numbers of agents.
+"""Split file of a dataset: a TOML of splits, each a product of scenarios, seeds, frames, sensors and agent counts.
 
     name = "crossings"
 
     [[split.train]]
     scenarios = ["four_way", "ingolstadt"]
     seeds = [0, 1, 2]
-    vehicles = [2, 4]        # 2 scenarios x 3 seeds x 2 numbers of agents are 12 drives
+    vehicles = [2, 4]        # 2 scenarios x 3 seeds x 2 agent counts = 12 drives
 
     [[split.test]]
     scenarios = ["braunschweig"]
     seeds = [0]
     frames = [200]
 
-A drive is a work item, keyed by the hash of everything that decides its bytes.
+A drive is a work item, keyed by the hash of all settings that decide its bytes.
 """
 
 import hashlib
@@ -41,18 +41,18 @@ _Count = Annotated[int, Meta(ge=1)]
 _Seed = Annotated[int, Meta(ge=0, lt=2**31)]
 
 
-class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Drives of a split: one of each combination.
+class DriveGroup(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Group of drives: one of each combination.
 
     Attributes:
         scenarios: names of shipped scenarios, or paths of .toml files beside this one.
         seeds: of everything random.
         frames: synchronised frames per drive.
-        vehicles: how many vehicles carry a LiDAR; none: as many as the scenario says.
-        lidars: presets of the vehicles; none: the scenario's.
-        roadside_lidars: presets of all roadside units; none: the scenario's.
-        roadside: whether the roadside units stand there.
-        interval_s: time between frames.
+        vehicles: numbers of vehicles with a LiDAR; empty for the scenario's.
+        lidars: presets of the vehicles' LiDARs; empty for the scenario's.
+        roadside_lidars: presets of the roadside units' LiDARs; empty for the scenario's.
+        roadside: keep the roadside units.
+        interval_s: time between frames, s.
         motion: compensation of the sensors' motion in the files.
         connected_vehicles: list other agents' bodies among an agent's vehicles.
         visibility: measure visible fractions.
@@ -71,32 +71,32 @@ class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     visibility: bool = True
 
 
-class Dataset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A file.
+class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Content of a split file.
 
     Attributes:
         name: of the dataset.
         description: one line.
-        recorded: folder beside the file with SPLIT/DRIVE/traffic.npz and world.npz of drives that are to be made of
-            these instead of a simulation; "" for none.
+        recorded: folder beside the file with SPLIT/DRIVE/traffic.npz and world.npz, from which drives are rendered
+            instead of simulated; "" for none.
         split: groups of drives by split.
     """
 
     name: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")]
     description: str = ""
     recorded: str = ""
-    split: Annotated[dict[Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")], tuple[Group, ...]], Meta(min_length=1)]
+    split: Annotated[dict[Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")], tuple[DriveGroup, ...]], Meta(min_length=1)]
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
-    """One drive of a dataset.
+class DriveItem:
+    """Drive of a dataset.
 
     Attributes:
         split: its split.
-        name: its folder below that.
-        spec: what it is.
-        recorded: folder of its traffic log, None when it is simulated.
+        name: its folder below the split.
+        spec: its specification.
+        recorded: folder of its traffic log, None for a simulated drive.
         proof: of a recorded encounter, see `sensors.recording.encounter_check`.
     """
 
@@ -119,7 +119,7 @@ class Item:
 
 
 def find_split_file(name_or_path: str | Path) -> Path | None:
-    """Return the file of a shipped dataset or a TOML with splits; None for what is none, such as a scenario."""
+    """Return the split file of a shipped dataset or of a path; None for anything else, such as a scenario."""
     path = Path(name_or_path)
     for candidate in (path / SPLIT_FILE, ROOT / str(name_or_path) / SPLIT_FILE):
         if len(path.parts) and candidate.is_file():
@@ -130,37 +130,37 @@ def find_split_file(name_or_path: str | Path) -> Path | None:
         fields = tomllib.loads(path.read_text(encoding="utf-8")).keys()
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
         return None
-    # Without splits it is still no scenario where nothing says how traffic comes about.
+    # A file without splits is a scenario only where it defines its traffic.
     return path if "split" in fields or not fields & {"network", "demand", "conflict"} else None
 
 
 def list_datasets() -> dict[str, str]:
-    """Return the shipped datasets' descriptions by name."""
+    """Return the descriptions of the shipped datasets by name."""
     return {path.parent.name: read_dataset(path).description for path in sorted(ROOT.glob(f"*/{SPLIT_FILE}"))}
 
 
-def read_dataset(path: Path) -> Dataset:
-    """Read a file of splits.
+def read_dataset(path: Path) -> DatasetSpec:
+    """Read a split file.
 
     Raises:
-        SettingsError: it is not valid; one line says what and where.
+        SettingsError: the file is invalid; the message names the field.
     """
-    return read_toml(path, Dataset, SettingsError)
+    return read_toml(path, DatasetSpec, SettingsError)
 
 
-def expand(dataset: Dataset, path: Path) -> list[Item]:
+def expand(dataset: DatasetSpec, path: Path) -> list[DriveItem]:
     """Return the drives of a dataset, in the order of its file.
 
     Args:
-        dataset: what `path` says.
-        path: of the file, for what lies beside it and for messages.
+        dataset: content of the file.
+        path: of the file, for files beside it and for messages.
 
     Raises:
         SettingsError: a setting is out of its range, two drives have one name, or two splits share a scenario's seed.
         ScenarioError: a scenario or a LiDAR is unknown.
         DataError: a recorded log is damaged.
     """
-    items: dict[str, Item] = {}
+    items: dict[str, DriveItem] = {}
     taken: dict[tuple[str, int], str] = {}
     for split, groups in dataset.split.items():
         for row, group in enumerate(groups):
@@ -177,7 +177,7 @@ def expand(dataset: Dataset, path: Path) -> list[Item]:
     return list(items.values())
 
 
-def _drives(dataset: Dataset, split: str, group: Group, path: Path, where: str) -> Iterator[Item]:
+def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, where: str) -> Iterator[DriveItem]:
     vehicles: Sequence[int | None] = group.vehicles or (None,)
     lidars: Sequence[str | None] = group.lidars or (None,)
     roadside: Sequence[str | None] = group.roadside_lidars or (None,)
@@ -205,7 +205,7 @@ def _drives(dataset: Dataset, split: str, group: Group, path: Path, where: str) 
                 raise ScenarioError(f"{where}: scenarios: {error}") from None
         else:
             scenario, proof = _recorded_scenario(recorded / TRAFFIC_LOG)
-        scenario = equipped(scenario, count, lidar, roadside_lidar, group.roadside)
+        scenario = with_sensors(scenario, count, lidar, roadside_lidar, group.roadside)
         spec = DriveSpec(
             scenario,
             seed,
@@ -216,17 +216,17 @@ def _drives(dataset: Dataset, split: str, group: Group, path: Path, where: str) 
             group.visibility,
         )
         spec.check(where)
-        yield Item(split, drive, spec, recorded, proof)
+        yield DriveItem(split, drive, spec, recorded, proof)
 
 
-def equipped(
+def with_sensors(
     scenario: Scenario,
     vehicles: int | None = None,
     lidar: str | None = None,
     roadside_lidar: str | None = None,
     roadside: bool = True,
 ) -> Scenario:
-    """Return a scenario with other sensors or another number of agents; None leaves what it has."""
+    """Return a scenario with other sensors or another number of agents; None leaves a setting as it is."""
     rule = scenario.agents
     units = rule.roadside if roadside else ()
     if roadside_lidar is not None:
@@ -240,11 +240,11 @@ def equipped(
     return msgspec.structs.replace(scenario, agents=rule)
 
 
-def about_log(path: Path) -> tuple[Scenario, dict]:
-    """Return the scenario of a traffic log and all else that it says of itself.
+def log_settings(path: Path) -> tuple[Scenario, dict]:
+    """Return the scenario of a traffic log and its other settings.
 
     Raises:
-        DataError: the log is damaged or does not say what it is of.
+        DataError: the log is damaged or lacks its scenario.
     """
     about = msgspec.json.decode(str(read_log_columns(path)["about"]))
     try:
@@ -254,5 +254,5 @@ def about_log(path: Path) -> tuple[Scenario, dict]:
 
 
 def _recorded_scenario(log: Path) -> tuple[Scenario, dict | None]:
-    scenario, about = about_log(log)
+    scenario, about = log_settings(log)
     return scenario, about.get("proof")

@@ -1,8 +1,8 @@
-"""What the yaml of another tool's OPV2V tree says of one agent at one instant.
+"""Annotation of one agent at one instant, from the yaml of another tool's OPV2V tree.
 
-OPV2V's world is CARLA's: left-handed, y to the right, degrees, half extents, km/h. Of the keys `lidar_pose`,
-`true_ego_pos`, `ego_speed` and `vehicles` are read; `predicted_ego_pos`, `plan_trajectory`, the cameras and whatever
-else there is are not. V2XSet's files are the same.
+OPV2V's world is CARLA's: left-handed, y to the right, degrees, half extents, km/h. The keys `lidar_pose`,
+`true_ego_pos`, `ego_speed` and `vehicles` are read; `predicted_ego_pos`, `plan_trajectory`, the cameras and all others
+are ignored. V2XSet's files are the same.
 
 Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.md).
 """
@@ -24,15 +24,15 @@ ID_LIMIT = 2**31
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Annotation:
-    """What a file of another tool says.
+    """Content of another tool's file, in our frames and units.
 
     Attributes:
         world_from_lidar: (4, 4) in our right-handed world.
-        world_from_body: (4, 4), that of the LiDAR when the file does not say.
+        world_from_body: (4, 4), that of the LiDAR where the file has none.
         speed: m/s.
         boxes: the vehicles that the agent has annotated, world frame.
-        velocity: (N, 2) m/s, along the headings; NaN where the file does not say.
-        mirrored: the points beside it are in CARLA's left-handed frame.
+        velocity: (N, 2) m/s, along the headings; NaN where the file has none.
+        mirrored: the points beside the file are in CARLA's left-handed frame.
         interval_s: time between frames, None for the tick of a simulation.
     """
 
@@ -46,7 +46,7 @@ class Annotation:
 
 
 def annotation(path: Path, content: dict) -> Annotation:
-    """Return what a file of OPV2V's says.
+    """Return the annotation of OPV2V's keys.
 
     Raises:
         DataError: a value is missing or wrong.
@@ -69,7 +69,7 @@ def annotation(path: Path, content: dict) -> Annotation:
 
 
 def vehicles_of(path: Path, content: dict) -> dict[int, dict]:
-    """Return the table `vehicles`; DataError where there is none or its keys are no ids."""
+    """Return the table `vehicles` by object id; DataError where it is missing or a key is no id."""
     vehicles = content.get("vehicles")
     if vehicles is None and "vehicles" not in content:
         raise DataError(complaint(path, "vehicles", "a mapping of object id to box", "nothing"))
@@ -78,7 +78,7 @@ def vehicles_of(path: Path, content: dict) -> dict[int, dict]:
         raise DataError(complaint(path, "vehicles", "a mapping of object id to box", type(vehicles).__name__))
     found = {}
     for key, entry in vehicles.items():
-        # Tools that go by way of JSON leave the ids as text.
+        # Tools that convert by way of JSON leave the ids as text.
         number = int(key) if isinstance(key, str) and key.lstrip("-").isdecimal() else key
         if not isinstance(number, int) or isinstance(number, bool) or abs(number) >= ID_LIMIT:
             raise DataError(complaint(path, "vehicles", "whole numbers as ids", key))
@@ -109,13 +109,13 @@ def upright_boxes(
 ) -> Boxes:
     """Turn CARLA boxes into upright boxes of our world or of a LiDAR's frame.
 
-    A tilted box becomes the upright one with the mean sides of its eight corners seen from above, as in OpenCOOD.
+    A tilted box becomes the upright one with the mean edges of its eight corners seen from above, as in OpenCOOD.
 
     Args:
         center: (N, 3) CARLA world, m.
         angle_deg: (N, 3) roll, yaw, pitch.
         extent: (N, 3) half length, width and height, m.
-        lidar_pose: CARLA pose of the LiDAR in whose frame the boxes are wanted; None for the world.
+        lidar_pose: CARLA pose of the LiDAR whose frame is wanted; None for the world.
         object_id: (N,) ids.
     """
     world_from_box = matrix_from_carla(np.concatenate([center, angle_deg], axis=1))
@@ -124,7 +124,7 @@ def upright_boxes(
 
 
 def flattened(axes: NDArray[np.float64], extent: NDArray[np.float64], object_id: NDArray[np.int64] | None) -> Boxes:
-    """Return upright boxes of tilted ones, cars; see `upright_boxes`.
+    """Return upright boxes of tilted ones, with the class car; see `upright_boxes`.
 
     Args:
         axes: (N, 4, 4) poses of the boxes.
@@ -141,10 +141,10 @@ def flattened(axes: NDArray[np.float64], extent: NDArray[np.float64], object_id:
 
 
 def with_own_bodies(frame: Frame) -> Frame:
-    """Return the frame with the agents' ids on the boxes that their LiDARs stand in, seen from above.
+    """Return the frame with the agents' ids on their own boxes, those around their LiDARs seen from above.
 
-    Datasets of the real world number the agents apart from the objects, and an agent's car is an object to the others.
-    Agents whose id an object has already, and roadside units, keep what they have.
+    Datasets of the real world number agents apart from objects, and an agent's car is an object to the others. Roadside
+    units, and agents whose id an object has already, are left as they are.
     """
     ids = frame.truth.object_id.copy()
     for agent in frame.agents:
@@ -174,7 +174,7 @@ def numbers(path: Path, content: dict, key: str, count: int, where: str = "") ->
 
 
 def number(path: Path, field: str, value: object) -> float:
-    """Return a finite number, also one that YAML takes for text (`1e-3`); DataError names the file and the field."""
+    """Return a finite number, also of text (YAML reads `1e-3` as text); DataError names the file and the field."""
     try:
         number = float(value) if not isinstance(value, bool) else math.nan  # type: ignore[arg-type]
     except (TypeError, ValueError):

@@ -1,8 +1,8 @@
-"""Decimal numbers in text, as the clouds of OPV2V are: a compiled loop that reads each as Python's `float` does.
+"""Decimal numbers in text, such as OPV2V's clouds: a compiled parser, equal to Python's `float` to the last bit.
 
-Digits are taken eight at a time. Up to 2^53 and with at most 22 places a number is one division or product of exact
-numbers, rounded once. Others are multiplied with 128 bits of the power of ten; where these do not say which way to
-round, and for whatever else is seldom (infinity, more than 19 digits, what is no number), Python's `float` is asked.
+Digits are read eight at a time. A number of at most 2^53 with at most 22 places is one division or product of exact
+numbers, rounded once. Others are multiplied with 128 bits of the power of ten; where these leave the rounding open,
+and for rare words (infinity, more than 19 digits, no number), Python's `float` is called.
 
 Sources: W. Clinger, How to Read Floating Point Numbers Accurately, PLDI 1990; D. Lemire, Number Parsing at a Gigabyte
 per Second, Software: Practice and Experience 51 (2021).
@@ -16,22 +16,20 @@ from numpy.typing import NDArray
 
 _WORD = re.compile(rb"\S+")
 _REACH = 64
-"""Bytes from the beginning of a number on that the loop may look at."""
+"""Bytes from the beginning of a number that the loop may read."""
 
 
 def read_numbers(text: memoryview, count: int) -> NDArray[np.float64] | None:
-    """Return the (count,) numbers of a text with white space between them, as Python's `float` reads each.
+    """Return the (count,) numbers of a text with white space between them; None to let a slower reader try.
 
     Returns:
-        None where they are not so many, a word is no number, there is no compiler or the text is not worth it.
+        None for another count, a word that is no number, or a text shorter than 64 bytes.
     """
     end = len(text) - _REACH
     if end < 0 or count > len(text):  # before memory is taken for what a damaged header promises
         return None
-    try:
-        from dsrc.data import kernel  # takes half a second, and most files are binary
-    except ImportError:
-        return None
+    from dsrc.data.formats import decimals_kernel as kernel  # takes half a second, and most files are binary
+
     # The eight bytes from each byte on, overlapping.
     words = np.ndarray((len(text) - 7,), "<u8", text, strides=(1,))
     values, place, done = np.zeros(count), 0, 0
@@ -54,8 +52,8 @@ def read_numbers(text: memoryview, count: int) -> NDArray[np.float64] | None:
 
 @lru_cache(maxsize=1)
 def _powers() -> tuple[NDArray[np.float64], NDArray[np.uint64], NDArray[np.uint64]]:
-    """Return the powers of ten that the loop needs, see `kernel.scan`."""
-    from dsrc.data.kernel import EXACT, POWERS
+    """Return the powers of ten of the loop, see `decimals_kernel.scan`."""
+    from dsrc.data.formats.decimals_kernel import EXACT, POWERS
 
     bits = []
     for exponent in range(-POWERS, POWERS + 1):

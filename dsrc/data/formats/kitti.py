@@ -1,12 +1,12 @@
-"""Write KITTI's object tree: what one agent sees at one instant is one frame.
+"""KITTI writer: the object tree, one frame for one agent at one instant.
 
     OUT/training/{velodyne/N.bin, label_2/N.txt, calib/N.txt, image_2/N.png}    and OUT/testing of the test split
     OUT/ImageSets/{train,val,trainval,test}.txt
-    OUT/frames.csv            which drive, frame and agent a number is
+    OUT/frames.csv            drive, frame and agent of each number
 
 Velodyne points are x forward, y left, z up, as ours, with intensity from 0 to 1. The camera is a nominal one: KITTI's
-intrinsics, 0.27 m before and 0.08 m below the LiDAR, looking along its x axis; the pictures are black, and there only
-because loaders ask for their size. A label has the centre of the bottom of its box in the camera's frame (x right, y
+intrinsics, 0.27 m before and 0.08 m below the LiDAR, looking along its x axis; the images are black, for loaders that
+read their size. A label has the centre of the bottom of its box in the camera's frame (x right, y
 down, z forward) and `rotation_y` about y, 0 along x.
 
 Source: the development kit of the KITTI object benchmark (readme.txt); A. Geiger et al., CVPR 2012.
@@ -22,13 +22,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.levelling import levelled, occlusion
+from dsrc.data.formats.levelling import levelled, occlusion
 from sensors.frame import Frame
 from sim.boxes import CLASSES, Boxes
 from sim.files import write_file
 from sim.geometry import invert, transform_points, wrap_angle
 
-View = Literal["camera", "around"]
+LabelView = Literal["camera", "around"]
 
 CLASS_NAMES = {
     "car": "Car",
@@ -39,7 +39,7 @@ CLASS_NAMES = {
     "bicycle": "Cyclist",
     "pedestrian": "Pedestrian",
 }
-"""Our classes -> KITTI's, which has no buses and no motorcycles."""
+"""KITTI's classes by ours; KITTI has no buses and no motorcycles."""
 
 WIDTH, HEIGHT = 1242, 375
 PROJECTION = np.array(
@@ -54,18 +54,18 @@ _SETS = ("train", "val", "test")
 
 
 class KittiWriter:
-    """Writes frames into a folder; the label of a frame is its last file."""
+    """Writer of frames into a folder; the label of a frame is its last file."""
 
-    def __init__(self, out: Path, view: View = "camera") -> None:
-        """Choose the folder, and whether labels are those in the camera's picture or all around."""
+    def __init__(self, out: Path, view: LabelView = "camera") -> None:
+        """Set the folder and the labels: those in the camera's image or all around."""
         self.out, self.view = out, view
 
     def done(self, number: int, split: str) -> bool:
-        """Return whether a frame is there."""
+        """Return whether a frame is complete."""
         return self._file(split, "label_2", number, "txt").exists()
 
     def write(self, number: int, split: str, frame: Frame, row: int) -> None:
-        """Write what the agent in a row of the frame sees; split is train, val or test."""
+        """Write the frame of the agent in a row; split is train, val or test."""
         sweep = frame.agents[row].sweep
         if frame.agents[row].kind == "roadside":
             sweep = levelled(sweep)
@@ -90,10 +90,10 @@ class KittiWriter:
         return self.out / ("testing" if split == "test" else "training") / folder / f"{number:06d}.{ending}"
 
 
-def encode_labels(boxes: Boxes, view: View, hidden: NDArray[np.int64]) -> str:
+def encode_labels(boxes: Boxes, view: LabelView, hidden: NDArray[np.int64]) -> str:
     """Return the text of a label file for boxes in the LiDAR's frame; `hidden` (N,) are degrees of occlusion.
 
-    Objects out of the picture are left out, or, all around, have no 2D box, truncation 1 and occlusion 3 (unknown).
+    Objects out of the image are left out or, all around, have no 2D box, truncation 1 and occlusion 3 (unknown).
     """
     lines = []
     bottom = boxes.center - [0.0, 0.0, 0.5] * boxes.size
@@ -118,10 +118,10 @@ def encode_labels(boxes: Boxes, view: View, hidden: NDArray[np.int64]) -> str:
 
 
 def _projected(corners: NDArray[np.float64]) -> tuple[tuple[float, float, float, float] | None, float]:
-    """Return the 2D box of (8, 3) corners in the camera's frame, None out of the picture, and the share that is cut."""
+    """Return the 2D box of (8, 3) corners in the camera's frame, None out of the image, and the truncated share."""
     if corners[:, 2].mean() < _NEAR_M:
         return None, 1.0
-    # What reaches behind the camera is cut at its near plane; the picture's edge cuts the rest.
+    # Corners behind the camera are moved to its near plane; the image's edge cuts the rest.
     shown = np.concatenate([np.maximum(corners, [-np.inf, -np.inf, _NEAR_M]), np.ones((8, 1))], axis=1) @ PROJECTION.T
     pixels = shown[:, :2] / shown[:, 2:]
     low, high = pixels.min(axis=0), pixels.max(axis=0)
@@ -133,7 +133,7 @@ def _projected(corners: NDArray[np.float64]) -> tuple[tuple[float, float, float,
 
 
 def _calibration() -> str:
-    """Return the text of a calibration file; all cameras are the one."""
+    """Return the text of a calibration file; all cameras are one."""
     rows = {f"P{camera}": PROJECTION for camera in range(4)}
     rows |= {"R0_rect": np.eye(3), "Tr_velo_to_cam": CAMERA_FROM_LIDAR[:3], "Tr_imu_to_velo": np.eye(4)[:3]}
     return "".join(f"{name}: {' '.join(f'{value:.12e}' for value in rows[name].ravel())}\n" for name in rows)

@@ -1,9 +1,9 @@
-"""LZF, the compression of PCD files of the kind `binary_compressed`: a decoder.
+"""LZF decoder, the compression of `binary_compressed` PCD files.
 
-A control byte below 32 announces that many literals and one more; any other holds the length (3 bits; 7 means that
-one more byte adds to it) and the upper 5 bits of the distance of an earlier run, the next byte the lower 8.
+A control byte n below 32 is followed by n + 1 literals; any other has the length (3 bits; 7 means that one more byte is
+added) and the upper 5 bits of the distance of an earlier run, the next byte the lower 8.
 
-Source: the format as liblzf describes it (lzf_d.c is not used), http://oldhome.schmorp.de/marc/liblzf.html
+Source: liblzf's description of the format (lzf_d.c is not used), http://oldhome.schmorp.de/marc/liblzf.html
 """
 
 from collections.abc import Callable
@@ -18,10 +18,10 @@ _LONGEST_RUN = 264
 
 
 def decompress(data: bytes, size: int) -> bytes:
-    """Return the `size` bytes that `data` holds.
+    """Return the `size` bytes of compressed data.
 
     Raises:
-        ValueError: the data ends early, points before its beginning or holds another number of bytes.
+        ValueError: the data ends early, refers to bytes before its beginning or has another size.
     """
     if size > _LONGEST_RUN * len(data):  # before memory is taken for what a damaged header promises
         raise ValueError(f"{size} bytes after decompression, found {len(data)} before it")
@@ -34,19 +34,16 @@ def decompress(data: bytes, size: int) -> bytes:
 
 @lru_cache(maxsize=1)
 def _compiled() -> Callable[[NDArray[np.uint8], NDArray[np.uint8]], int]:
-    """Return the loop compiled, a hundred times as fast; as it is where there is no compiler."""
-    try:
-        from numba import njit  # takes half a second, and most files are not compressed
-    except ImportError:
-        return _decompress
-    try:
-        return njit(cache=True)(_decompress)
-    except RuntimeError:  # there is no folder to keep it in
-        return njit(_decompress)
+    """Return the loop compiled, a hundred times as fast."""
+    from numba import njit  # takes half a second, and most files are not compressed
+
+    from dsrc.ops.compiled import LOOP
+
+    return njit(**LOOP)(_decompress)
 
 
 def _decompress(data: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
-    """Fill `out`; returns the number of bytes, -1 where the data is damaged."""
+    """Fill `out` and return the number of bytes, -1 for damaged data."""
     i, o, end, room = 0, 0, len(data), len(out)
     while i < end:
         control = int(data[i])

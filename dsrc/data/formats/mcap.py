@@ -1,4 +1,4 @@
-"""Write MCAP for Foxglove: one file per drive with transforms, clouds and ground truth, in Foxglove's JSON schemas.
+"""MCAP writer for Foxglove: one file per drive with transforms, clouds and ground truth, in Foxglove's JSON schemas.
 
     /tf                 foxglove.FrameTransforms   world -> agent_ID -> lidar_ID
     /agents/ID/points   foxglove.PointCloud        x, y, z, intensity, ring, object_id in lidar_ID
@@ -95,10 +95,10 @@ SCHEMAS: dict[str, dict[str, Any]] = {
 
 
 class McapFile:
-    """A file that is being written; it appears when it is closed."""
+    """MCAP file that appears when it is closed."""
 
     def __init__(self, path: Path) -> None:
-        """Open it.
+        """Open the file.
 
         Raises:
             SettingsError: the package is missing.
@@ -136,7 +136,7 @@ class McapFile:
         self._frames += 1
 
     def close(self) -> None:
-        """Finish the file and put it in its place."""
+        """Finish the file and move it to its path."""
         self._writer.finish()
         self._file.close()
         self._replacing.__exit__(None, None, None)
@@ -162,7 +162,7 @@ def _vector(xyz: NDArray[np.float64]) -> dict[str, float]:
 def quaternion(matrix: NDArray[np.float64]) -> dict[str, float]:
     """Return the rotation of a (4, 4) transform as a unit quaternion."""
     m = matrix[:3, :3]
-    # Of the four ways to begin the one with the largest divisor (Shepperd, 1978).
+    # Of the four forms the one with the largest divisor (Shepperd, 1978).
     squares = np.array([1 + m[0, 0] - m[1, 1] - m[2, 2], 1 - m[0, 0] + m[1, 1] - m[2, 2]])
     squares = np.append(squares, [1 - m[0, 0] - m[1, 1] + m[2, 2], 1 + m[0, 0] + m[1, 1] + m[2, 2]])
     x, y, z, w = squares
@@ -204,7 +204,7 @@ def _cloud(agent: AgentFrame, time_s: float) -> dict[str, Any]:
     table["ring"] = np.maximum(sweep.ring, 0)
     fields = _POINT.names or ()
     return {
-        # The frame's time, not the sweep's own: the transforms have it.
+        # The frame's time, which the transforms have, not the sweep's own.
         "timestamp": _time(time_s),
         "frame_id": f"lidar_{agent.agent_id}",
         "pose": _pose(np.eye(4)),

@@ -1,8 +1,8 @@
-"""PCD v0.7 point files: a small reader of ASCII, binary and compressed files and a writer of binary ones.
+"""PCD v0.7 point clouds: reader of ASCII, binary and compressed files, writer of binary ones.
 
-The OPV2V tools keep the intensity in the red channel of `rgb`, 8 bits; we write that too and keep every column of a
-sweep beside it as a field of its own, which those tools ignore. In OPV2V's trees the points are in CARLA's left-handed
-sensor frame (y to the right); in memory, and in the files of real sensors, in ours (y to the left).
+OPV2V's tools keep the intensity in the red channel of `rgb`, 8 bits; it is written beside every column of a sweep as a
+field of its own, which those tools ignore. In OPV2V's trees points are in CARLA's left-handed sensor frame (y to the
+right); in memory, and in the files of real sensors, in ours (y to the left).
 
 Source: https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 """
@@ -51,11 +51,11 @@ _COLUMNS = {
     "material": "material",
     "cosine": "cosine",
 }
-"""Field of the file -> column of `Sweep`; `material` counts in the order of `sim.mesh.materials.MATERIALS`."""
+"""Columns of `Sweep` by field of the file; `material` counts in the order of `sim.mesh.materials.MATERIALS`."""
 
 
 SENSOR_FULL_SCALE = 256.0
-"""Intensity in DAIR-V2X's files that is 1 of ours; a power of two, so that nothing is rounded."""
+"""Intensity in DAIR-V2X's files that equals 1 of ours; a power of two, so that nothing is rounded."""
 
 
 def encode_table(table: NDArray[np.void]) -> bytes:
@@ -120,7 +120,7 @@ def encode_pcd(sweep: Sweep) -> bytes:
 
 
 def encode_sensor_pcd(sweep: Sweep) -> bytes:
-    """Return the PCD file of a sweep as those of real sensors are, with all columns: not mirrored, intensity to 256."""
+    """Return the PCD file of a sweep in the style of real sensors: all columns, not mirrored, intensity up to 256."""
     table = _table(sweep, np.dtype([(name, _RECORD[name]) for name in _RECORD.names or () if name != "rgb"]))
     table["intensity"] *= np.float32(SENSOR_FULL_SCALE)
     return encode_table(table)
@@ -148,19 +148,19 @@ def read_pcd(
     mirrored: bool = True,
     full_scale: float | None = None,
 ) -> Sweep:
-    """Read a sweep from our files or those of OPV2V; columns that the file lacks are those of `make_sweep`.
+    """Read a sweep from our files or those of OPV2V; missing columns are those of `make_sweep`.
 
     Args:
         path: a PCD file with x, y, z and `intensity` or `rgb`.
         world_from_lidar: (4, 4) pose of the sensor, not in the file.
         time_s: reference time of the sweep, not in the file.
         spec: the sensor, not in the file.
-        mirrored: the file is one of OPV2V's, y to the right and every point a return. Else it is a real sensor's: y to
-            the left, and a beam without return may be there as nan, which is left out.
-        full_scale: the file's `intensity` that is 1; None guesses 255 where it exceeds 1 and there is no colour.
+        mirrored: OPV2V's style, y to the right and every point a return; else that of a real sensor: y to the left,
+            beams without return may be nan and are left out.
+        full_scale: the file's `intensity` that equals 1; None takes 255 where one exceeds 1 and there is no colour.
 
     Raises:
-        DataError: the file cannot be read, lacks a coordinate or intensity, or holds a coordinate that is no number.
+        DataError: the file cannot be read, lacks a coordinate or intensity, or has a coordinate that is not finite.
     """
     table = read_table(path)
     names = table.dtype.names or ()
@@ -186,7 +186,7 @@ def read_pcd(
 
 
 def _intensity(path: Path, table: NDArray[np.void], full_scale: float | None) -> NDArray[np.float32]:
-    """Return (P,) intensity in [0, 1]: our own field, else red of `rgb`, else a field of 0 to 255 or `full_scale`."""
+    """Return (P,) intensity in [0, 1]: of our field, else of the red of `rgb`, else of a field up to 255."""
     names = table.dtype.names or ()
     if "intensity" in names:
         intensity = table["intensity"].astype(np.float32)
@@ -207,7 +207,7 @@ def _intensity(path: Path, table: NDArray[np.void], full_scale: float | None) ->
 
 
 def _split_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], memoryview]:
-    """Return the header's entries and the bytes after its DATA line, which are not copied."""
+    """Return the header's entries and a view of the bytes after its DATA line."""
     header: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in header:
@@ -269,7 +269,7 @@ def _point_count(path: Path, header: dict[str, list[str]]) -> int:
 
 
 def _compressed_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> NDArray[np.void]:
-    """Decode LZF: two sizes of 4 bytes, then the fields one after another, each of all points."""
+    """Decode LZF: two sizes of 4 bytes, then field by field the values of all points."""
     if len(body) < 8:
         raise DataError(complaint(path, "DATA", "two sizes of 4 bytes", f"{len(body)} bytes"))
     packed, size = (int(n) for n in np.frombuffer(body[:8], "<u4"))
@@ -308,7 +308,7 @@ def _ascii_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> 
 
 
 def _numbers(path: Path, body: memoryview, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the numbers of a text: compiled, else word by word, which also tells what is wrong."""
+    """Return the numbers of a text: by the compiled parser, else word by word with an error message."""
     values = read_numbers(body, shape[0] * shape[1])
     if values is not None:
         return values.reshape(shape)

@@ -2,13 +2,13 @@
 
 * `lidar_pose` is a 4 x 4 matrix, world_from_lidar; everything is right-handed, the points too, and y is to the left.
 * `vehicles.*.location` and `angle` are in the agent's own LiDAR frame, not in the world.
-* `ass_id` is the object's number in both agents' files. Where it is -1 the agent alone has seen it and its key counts.
-  Ids are moved away from those of the agents (0 and 1), and of each other; an agent's own car, which the other one has
-  labelled, has the agent's id.
+* `ass_id` is the object's number in both agents' files. Where it is -1 only this agent has seen it and the key is its
+  number. Ids are moved away from those of the agents (0 and 1) and from each other; an agent's own car, labelled by the
+  other one, has the agent's id.
 * `obj_type` names the class. There are no speeds: velocities are finite differences.
-* Frames are 0.1 s apart. The download's files hold numpy's arrays and numbers, see `yamlio`.
+* Frames are 0.1 s apart. The download's files hold numpy's arrays and numbers, see `yaml`.
 
-Source: V2V4Real, CVPR 2023, and how its published loader takes the files; issue 5 of its repository shows one.
+Source: V2V4Real, CVPR 2023, and its published loader; issue 5 of its repository shows a file.
 """
 
 from pathlib import Path
@@ -25,14 +25,14 @@ _SHARED, _ALONE, _PER_AGENT = 1_000, 1_000_000, 100_000
 _WORDS = {"pedestrian": "pedestrian", "cycl": "bicycle", "bus": "bus", "truck": "truck", "van": "van"}
 
 
-def speaks(content: dict) -> bool:
-    """Return whether a file is in this dialect: its pose is a matrix."""
+def is_v2v4real(content: dict) -> bool:
+    """Return whether a file is in V2V4Real's dialect: its pose is a matrix."""
     pose = content.get("lidar_pose")
     return isinstance(pose, list) and len(pose) == 4 and all(isinstance(row, list) for row in pose)
 
 
 def annotation(path: Path, content: dict) -> Annotation:
-    """Return what a file says; its folder's name is the agent's number.
+    """Return the annotation of a file, whose folder has the agent's number for its name.
 
     Raises:
         DataError: a value is missing or wrong.
@@ -54,7 +54,7 @@ def annotation(path: Path, content: dict) -> Annotation:
         poses.append([*center, *numbers(path, entry, "angle", 3, where)])
         extents.append(extent)
         labels.append(_label(str(entry.get("obj_type", "Car"))))
-    # Their pose of a box has CARLA's order and signs of the angles, but no mirror.
+    # Poses of boxes have CARLA's order and signs of the angles, but are not mirrored.
     axes = world_from_lidar @ carla_matrix(np.array(poses, np.float64).reshape(-1, 6))
     boxes = flattened(axes, np.array(extents, np.float64).reshape(-1, 3), np.array(ids, np.int64))
     boxes.label[:] = labels

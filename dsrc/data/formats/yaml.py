@@ -1,7 +1,7 @@
-"""YAML of plain values: a small deterministic writer and a reader that never executes anything.
+"""YAML of plain values: a deterministic writer and a reader that runs no code.
 
-Datasets have been dumped with numpy's numbers and arrays in them, as tags that would run functions of numpy on reading
-(V2V4Real is one). The reader knows those tags and reads what they hold as numbers and lists; it runs nothing.
+Some datasets, such as V2V4Real, were dumped with numpy's numbers and arrays, as tags that call functions of numpy on
+reading. The reader decodes these tags as numbers and lists, without calling anything.
 
 Floats are written with a dot, also in exponent form (`1.0e-05`), because YAML 1.1 reads `1e-05` as text.
 """
@@ -72,13 +72,13 @@ def read_yaml(path: Path) -> dict:
     """Read a YAML mapping of plain values.
 
     Raises:
-        DataError: the file is missing, is not YAML, holds a Python tag or is no mapping.
+        DataError: the file is missing, is not YAML, has an unknown tag or is not a mapping.
     """
     return parse_yaml(path, read_text(path))
 
 
 def read_text(path: Path) -> str:
-    """Read UTF-8 text; DataError when the file is missing or holds other bytes."""
+    """Return the UTF-8 text of a file; DataError for a missing file or other bytes."""
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -124,10 +124,10 @@ _ENTRY = re.compile(
 
 
 def _blocks(text: str) -> dict | None:
-    """Return a mapping of mappings, numbers, words and lists of numbers as PyYAML lays it out, an eighth of the time.
+    """Return a mapping of mappings, numbers, words and lists of numbers in PyYAML's layout, in an eighth of its time.
 
     Returns:
-        None for all other YAML, and for what is none.
+        None for any other text.
     """
     found: dict = {}
     levels, place = [(0, found)], 0
@@ -164,7 +164,7 @@ _CONSTANTS = {"true": True, "false": False, "null": None}
 
 
 def _value(word: str) -> Plain:
-    """Return what a word that `_ENTRY` knows stands for."""
+    """Return the value of a word of `_ENTRY`."""
     if word[0].isalpha():
         return _CONSTANTS.get(word, word)
     if word == "[]" or "," in word:
@@ -184,7 +184,7 @@ def _rows(lines: str) -> list[list[Plain]]:
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """A safe loader that reads numpy's numbers and arrays as plain ones."""
+    """Safe loader that reads numpy's numbers and arrays as plain ones."""
 
 
 _NUMBER_TYPE = re.compile(r"[fiu][1248]|b1")
@@ -192,7 +192,7 @@ _PYTHON = "tag:yaml.org,2002:python/"
 
 
 def _entries(loader: Any, node: Any, *names: str) -> list[Any]:
-    """Return what a tag applies a function to: a list, or the entries of these names of a mapping."""
+    """Return the arguments of a tag: a list, or the entries of these names of a mapping."""
     if isinstance(node, yaml.MappingNode):
         table = loader.construct_mapping(node, deep=True)
         return [table.get(name) for name in names]
@@ -200,7 +200,7 @@ def _entries(loader: Any, node: Any, *names: str) -> list[Any]:
 
 
 def _number_type(loader: Any, node: Any) -> np.dtype:
-    """numpy.dtype(code, ...) with its byte order in the state."""
+    """Return numpy.dtype(code, ...), its byte order in the state."""
     args, state = _entries(loader, node, "args", "state")
     code = args[0] if isinstance(args, list) and args else None
     order = state[1] if isinstance(state, list) and len(state) > 1 else "<"
@@ -210,7 +210,7 @@ def _number_type(loader: Any, node: Any) -> np.dtype:
 
 
 def _scalar(loader: Any, node: Any) -> Plain:
-    """Numpy's scalar(dtype, bytes)."""
+    """Return numpy's scalar(dtype, bytes) as a number."""
     parts = loader.construct_sequence(node, deep=True)
     if len(parts) != 2:
         raise _refused(node, "a number of numpy")
@@ -218,7 +218,7 @@ def _scalar(loader: Any, node: Any) -> Plain:
 
 
 def _array(loader: Any, node: Any) -> Plain:
-    """Numpy's _reconstruct(...) with the state (version, shape, dtype, Fortran's order, bytes)."""
+    """Return numpy's _reconstruct(...) as lists; its state is (version, shape, dtype, Fortran order, bytes)."""
     _, state = _entries(loader, node, "args", "state")
     if not isinstance(state, list) or len(state) != 5:
         raise _refused(node, "an array of numpy")

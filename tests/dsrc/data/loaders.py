@@ -1,4 +1,4 @@
-"""How the tools of two datasets read their files, written from descriptions of those files and from nothing of ours.
+"""Loaders by the rules of two datasets' tools, written from descriptions of their files without our code.
 
 Both follow the rules to the letter and give plain numbers, so that what they find is what other people find.
 """

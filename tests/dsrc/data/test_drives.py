@@ -113,7 +113,7 @@ def test_opv2v_and_v2xset_read_as_they_come(tmp_path: Path, digits: int):
     assert frame.agents[0].world_from_body[2, 3] == 0.05
 
 
-def test_speeds_that_a_tree_does_not_tell_are_differences_of_places(tmp_path: Path):
+def test_missing_speeds_are_differences_of_positions(tmp_path: Path):
     scenario = real_opv2v(tmp_path)
     for path in scenario.glob("*/0000??.yaml"):
         content = yaml.safe_load(path.read_text())
@@ -152,7 +152,7 @@ def test_a_drive_whose_name_is_a_number_does_not_make_its_folder_a_drive(tmp_pat
     assert list_drives(tmp_path) == list_drives(tmp_path / "val") == [tmp_path / "val" / "12"]
 
 
-def test_a_folder_without_drives_says_what_is_looked_for(tmp_path: Path):
+def test_a_folder_without_drives_names_the_formats(tmp_path: Path):
     with pytest.raises(DataError, match=r"expected an OPV2V tree .* or a DAIR-V2X-C one"):
         list_drives(tmp_path)
     with pytest.raises(DataError, match="nowhere: no such folder"):

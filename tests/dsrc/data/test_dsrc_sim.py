@@ -11,11 +11,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from dsrc.evaluation.benchmark import places_of
 
-from dsrc.data.datasets.spec import Item, expand, find_split_file, read_dataset
+from dsrc.data.datasets.spec import DriveItem, expand, find_split_file, read_dataset
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD
 from dsrc.data.write import DriveSpec, make_drive
+from dsrc.evaluation.detect import frame_positions
 from sim.catalog.load import list_scenarios
 from sim.traffic.log import TrafficLog
 from tests.paths import ROOT
@@ -35,13 +35,13 @@ LEAST_BOXES = 3.0
 
 
 @cache
-def items() -> tuple[Item, ...]:
+def items() -> tuple[DriveItem, ...]:
     path = find_split_file("dsrc-sim")
     assert path is not None
     return tuple(expand(read_dataset(path), path))
 
 
-def of_split(split: str) -> list[Item]:
+def of_split(split: str) -> list[DriveItem]:
     return [item for item in items() if item.split == split]
 
 
@@ -66,7 +66,7 @@ def test_its_test_drives_are_many_short_and_at_ten_hertz() -> None:
 @pytest.mark.parametrize(("limit", "each"), [(184, {8}), (92, {4}), (56, {2, 3})])
 def test_a_limited_evaluation_takes_as_many_frames_of_every_test_drive(limit: int, each: set[int]) -> None:
     drives = [SimpleNamespace(frames=range(item.spec.frames)) for item in of_split("test")]
-    assert {len(frames) for frames in places_of(drives, limit)} == each  # type: ignore[arg-type]
+    assert {len(frames) for frames in frame_positions(drives, limit)} == each  # type: ignore[arg-type]
 
 
 def test_its_document_has_a_row_for_every_test_drive_with_boxes_that_only_helpers_see() -> None:
@@ -80,7 +80,7 @@ def test_its_document_has_a_row_for_every_test_drive_with_boxes_that_only_helper
         assert 0 < int(unseen.replace(",", "").split()[0]) < int(boxes.replace(",", "")), drive
 
 
-def company(item: Item) -> str:
+def company(item: DriveItem) -> str:
     """Say how many agents a drive has, as the table does."""
     rule = item.spec.scenario.agents
     vehicles, roadside = len(rule.named) or rule.vehicles, len(rule.roadside)
@@ -117,7 +117,7 @@ def test_it_has_two_to_five_agents_and_encounters_in_every_set() -> None:
 
 
 @pytest.mark.parametrize("item", items(), ids=lambda item: item.path)
-def test_a_log_is_as_long_as_its_drive_and_says_what_it_is_of(item: Item) -> None:
+def test_a_log_is_as_long_as_its_drive_and_says_what_it_is_of(item: DriveItem) -> None:
     assert item.recorded is not None
     log = TrafficLog.load(item.recorded / TRAFFIC_LOG)
     assert len(log) >= item.spec.frames and log.about["seed"] == item.spec.seed
@@ -155,7 +155,7 @@ make_drive(first_frames(item), Path(sys.argv[2]), recorded=item.recorded, thread
 """
 
 
-def first_frames(item: Item) -> DriveSpec:
+def first_frames(item: DriveItem) -> DriveSpec:
     return replace(item.spec, frames=2)
 
 

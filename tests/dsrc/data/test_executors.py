@@ -1,4 +1,4 @@
-"""Executors: results of any number of workers are the same, and a worker that dies costs nobody its work."""
+"""Executors: results of any number of workers are the same, and a dead worker loses no item."""
 
 import os
 import signal
@@ -48,7 +48,7 @@ def process_id(item: int, report: Progress) -> int:
 
 
 @pytest.mark.parametrize("executor", [SerialExecutor(), ProcessExecutor(1), ProcessExecutor(3)])
-def test_all_items_are_made_whoever_makes_them(executor: SerialExecutor | ProcessExecutor) -> None:
+def test_all_items_are_made_by_any_executor(executor: SerialExecutor | ProcessExecutor) -> None:
     told: list[tuple[int, int, int]] = []
     with executor as pool:
         made = {outcome.row: outcome.value for outcome in pool.run(square, range(5), lambda *p: told.append(p))}
@@ -92,7 +92,7 @@ def test_workers_work_at_the_same_time_and_end_with_their_executor() -> None:
             os.kill(worker, 0)
 
 
-def test_wrong_settings_are_told() -> None:
+def test_wrong_settings_are_named() -> None:
     assert set(EXECUTORS) == {"local", "ray"}
     with pytest.raises(SettingsError, match="pool: executor: expected an executor, found rai; did you mean 'ray'"):
         Pool(executor="rai").open()  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""A generated drive, read by the rules of other people's tools: boxes land on their points."""
+"""A generated drive, read by the rules of other tools: boxes land on their points."""
 
 import json
 from pathlib import Path
@@ -72,7 +72,7 @@ def test_boxes_land_on_their_points_by_the_rules_of_dair(drive: Path, tmp_path: 
     assert near / (near + far) >= 0.99
 
 
-def test_points_of_a_sensor_that_takes_its_time_miss_moving_boxes_as_much_as_before(tmp_path: Path):
+def test_points_of_a_rolling_shutter_miss_moving_boxes_as_much_as_before(tmp_path: Path):
     """What a car that drives by moves in a turn of the sensor is in the frame, not made by its files."""
     scenario = load_scenario("four_way")
     agents = msgspec.structs.replace(scenario.agents, vehicles=2, lidar="debug-16", roadside=())
@@ -99,7 +99,7 @@ def test_points_of_a_sensor_that_takes_its_time_miss_moving_boxes_as_much_as_bef
     assert missed > 0
 
 
-def test_the_same_points_lie_elsewhere_where_a_convention_is_forgotten(drive: Path):
+def test_the_same_points_miss_their_boxes_without_a_convention(drive: Path):
     """The two tests above can fail: with the mirror, or half extents taken for whole ones, boxes miss their points."""
     misses = {"plain": [], "mirror": [], "whole": []}
     for sample in loaders.opv2v(drive.parent):

@@ -45,6 +45,6 @@ def test_the_commit_is_known_in_a_repository_only(tmp_path):
     assert commit(tmp_path) == f"{clean}-dirty"
 
 
-def test_a_file_has_the_hash_that_everybody_computes(tmp_path):
+def test_a_file_has_its_sha256(tmp_path):
     (tmp_path / "x").write_bytes(b"abc")
     assert file_sha256(tmp_path / "x").startswith("ba7816bf8f01cfea")

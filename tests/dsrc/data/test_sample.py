@@ -72,7 +72,7 @@ def test_clouds_of_all_agents_lie_on_the_same_objects():
         assert cloud.dtype == np.float32 and cloud.flags.c_contiguous
 
 
-def test_boxes_are_vehicles_that_someone_has_seen_without_the_ego():
+def test_boxes_are_vehicles_with_a_point_of_any_agent_without_the_ego():
     sample = make_sample(toy_frame(0), None, GRID)
     assert sample.boxes.object_id.tolist() == [1001, 1002, 1004]
     assert [b.object_id.tolist() for b in sample.agent_boxes] == [[1001, 1002, 1004], [1001], [1001, 1002, 1004]]
@@ -80,7 +80,7 @@ def test_boxes_are_vehicles_that_someone_has_seen_without_the_ego():
     assert kept.boxes.object_id.tolist() == [1000, 1001, 1002, 1004]
 
 
-def test_ego_alone_is_judged_by_what_all_have_seen():
+def test_the_ground_truth_of_the_ego_alone_is_that_of_all_agents():
     frame = toy_frame(0)
     alone = make_sample(frame, 1002, GRID, cooperative=False)
     assert alone.agent_ids == (1002,) and len(alone.clouds) == len(alone.agent_boxes) == len(alone.ego_from_agent) == 1

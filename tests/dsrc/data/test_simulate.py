@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from dsrc.data.checksums import wrong_files
-from dsrc.data.datasets.spec import about_log
+from dsrc.data.checksums import faulty_files
+from dsrc.data.datasets.spec import log_settings
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.sample import make_sample
@@ -97,7 +97,7 @@ def test_points_on_actors_lie_in_their_boxes(drive: Path):
         assert inside.mean() > 0.99
 
 
-def test_a_killed_generate_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path):
+def test_a_killed_generate_resumes_to_the_same_bytes(drive: Path, tmp_path: Path):
     code = (
         "import sys; from pathlib import Path; from dsrc.data.write import generate;"
         "from tests.dsrc.data.test_simulate import quick;"
@@ -116,7 +116,7 @@ def test_a_killed_generate_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path
     assert tree(killed) == tree(drive)
 
 
-def test_a_generated_drive_knows_the_way_of_its_sensors(drive: Path):
+def test_a_generated_drive_has_the_paths_of_its_sensors(drive: Path):
     middle, raw = (DriveReader(drive, motion).read(1) for motion in ("middle", "raw"))
     fast = max(middle.agents, key=lambda agent: agent.speed)
     assert fast.speed > 3.0
@@ -150,8 +150,8 @@ def test_a_drive_is_made_again_from_its_log_and_its_world_alone(drive: Path, tmp
     assert tree(tmp_path / "again") == tree(drive)
 
 
-def test_a_log_tells_its_scenario_and_only_what_was_set_of_it(drive: Path):
-    scenario, about = about_log(drive / "traffic.npz")
+def test_a_log_has_its_scenario_without_defaults(drive: Path):
+    scenario, about = log_settings(drive / "traffic.npz")
     assert scenario == quick() and about == {"seed": 5, "frames": FRAMES, "interval_s": 0.2}
     told = TrafficLog.load(drive / "traffic.npz").about["scenario"]
     assert "conflict" not in told and "shipped" not in told["network"] and told["agents"]["lidar"] == "debug-16"
@@ -160,7 +160,7 @@ def test_a_log_tells_its_scenario_and_only_what_was_set_of_it(drive: Path):
 def test_the_checksums_beside_a_drive_are_those_of_its_files(drive: Path):
     done = subprocess.run(["sha256sum", "--check", "--strict", "SHA256SUMS"], cwd=drive, capture_output=True, text=True)
     assert done.returncode == 0 and len(done.stdout.splitlines()) == 3 * 3 * 2 + 3
-    assert not list(wrong_files(drive))
+    assert not list(faulty_files(drive))
 
 
 def test_another_seed_or_interval_never_mixes_into_a_drive(drive: Path):

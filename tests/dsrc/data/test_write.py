@@ -103,7 +103,7 @@ def test_a_dead_process_does_not_hold_the_folder(tmp_path: Path):
 
 
 @pytest.mark.parametrize("wait_for", ["1000/000000.pcd", "-1/000002.yaml"])
-def test_a_killed_run_goes_on_to_the_same_bytes(drive: Path, tmp_path: Path, wait_for: str):
+def test_a_killed_run_resumes_to_the_same_bytes(drive: Path, tmp_path: Path, wait_for: str):
     killed = tmp_path / "killed"
     code = (
         "import sys; from pathlib import Path; from dsrc.data.write import write_drive;"

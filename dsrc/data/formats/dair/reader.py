@@ -1,6 +1,6 @@
-"""Read DAIR-V2X-C: pairs of a vehicle's and an infrastructure's frame, a batch of them as a drive.
+"""DAIR-V2X-C reader: pairs of a vehicle's and an infrastructure's frame, a batch of pairs as a drive.
 
-What the frames say, and what they cannot:
+Frames, and their limits:
 
 * The world is the dataset's. The vehicle's LiDAR stands at novatel_to_world * lidar_to_novatel, the infrastructure's at
   virtuallidar_to_world, moved by the pair's `system_error_offset`.
@@ -8,12 +8,12 @@ What the frames say, and what they cannot:
 * Ground truth are the cooperative labels. They have no tracks in DAIR-V2X-C: ids then number the objects of each frame
   and velocities are NaN. Where labels have a `track_id`, as ours have, it is the id, and velocities are finite
   differences.
-* The box in which the vehicle's LiDAR stands is the vehicle itself and has its id.
-* Somebody saw what is labelled: an object without a point in its box counts as one point of the LiDAR nearest to it.
+* The box around the vehicle's LiDAR is the vehicle itself and has its id.
+* An object without a point in its box counts as one point of the LiDAR nearest to it: a label means that it was seen.
 
-A drive goes by a path that need not exist: TREE/BATCH, TREE/SPLIT/BATCH or TREE/original/BATCH, where SPLIT is a list
-of the vehicle's frames (`TREE/val.json`, or "cooperative_split" of `cooperative-split-data.json`) and `original` takes
-the labels that were there before the complemented ones.
+The path of a drive need not exist: TREE/BATCH, TREE/SPLIT/BATCH or TREE/original/BATCH, where SPLIT is a list of the
+vehicle's frames (`TREE/val.json`, or "cooperative_split" of `cooperative-split-data.json`) and `original` names the
+labels before the complemented ones.
 """
 
 import hashlib
@@ -29,7 +29,7 @@ from dsrc.data.formats.dair.tree import (
     LABEL_FOLDERS,
     TREE,
     BatchRecord,
-    Labels,
+    LabelSet,
     Pair,
     SideRecord,
     Tree,
@@ -41,7 +41,7 @@ from dsrc.data.formats.dair.tree import (
     read_transform,
 )
 from dsrc.data.formats.pcd import SENSOR_FULL_SCALE, read_pcd
-from dsrc.data.velocity_from_tracks import LONGEST_GAP_S, Instant, tracked_velocity
+from dsrc.data.formats.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from sensors.deskew import check_motion, deskew
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.sweep import Motion, Sweep
@@ -49,24 +49,24 @@ from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint, did_you_mean
 
 VEHICLE_ID, INFRASTRUCTURE_ID = 0, -1
-"""Ids of the agents of trees that do not say; objects are numbered from 1."""
+"""Default ids of the agents; objects are numbered from 1."""
 
 
 @dataclass(frozen=True, slots=True)
-class Address:
-    """What a path asks of a tree.
+class TreePath:
+    """Path of drives in a tree.
 
     Attributes:
         tree: its folder.
         batch: one batch, None for all.
         split: a list of frames, None for all.
-        labels: which of them.
+        labels: complemented or original ones.
     """
 
     tree: Path
     batch: str | None
     split: str | None
-    labels: Labels
+    labels: LabelSet
 
     @property
     def folder(self) -> Path:
@@ -75,26 +75,26 @@ class Address:
         return self.tree.joinpath(*words)
 
 
-def locate(path: Path) -> Address | None:
-    """Return what a path asks of a DAIR-V2X-C tree at it or above it; None when there is none.
+def locate(path: Path) -> TreePath | None:
+    """Return the parts of a path in a DAIR-V2X-C tree; None for a path outside of any tree.
 
     Raises:
-        DataError: there is a tree, but not the split or batch that the path asks for.
+        DataError: the tree lacks the split or batch of the path.
     """
     path = Path(path)
     words: list[str] = []
     for folder in [path, *path.parents][:4]:
         for tree in (folder, folder / TREE):
             if is_tree(tree):
-                return _address(tree, words[::-1])
+                return _parsed(tree, words[::-1])
         if folder.exists():
             return None
         words.append(folder.name)
     return None
 
 
-def _address(tree: Path, words: list[str]) -> Address:
-    labels: Labels = "complemented"
+def _parsed(tree: Path, words: list[str]) -> TreePath:
+    labels: LabelSet = "complemented"
     batch = split = None
     batches, splits = open_tree(tree).batches, open_tree(tree).splits
     for word in words:
@@ -109,26 +109,26 @@ def _address(tree: Path, words: list[str]) -> Address:
         else:
             hint = did_you_mean(word, [*splits, *batches])
             raise DataError(complaint(tree, word, "a split or a batch of the tree", "none of this name", hint))
-    return Address(tree, batch, split, labels)
+    return TreePath(tree, batch, split, labels)
 
 
-def list_batches(address: Address) -> list[Path]:
-    """Return the paths of the drives of an address, in the order of their numbers."""
-    tree = open_tree(address.tree)
-    kept = None if address.split is None else tree.splits[address.split]
-    names = [address.batch] if address.batch is not None else list(tree.batches)
+def list_batches(place: TreePath) -> list[Path]:
+    """Return the paths of the drives at a path, in the order of their numbers."""
+    tree = open_tree(place.tree)
+    kept = None if place.split is None else tree.splits[place.split]
+    names = [place.batch] if place.batch is not None else list(tree.batches)
     found = [name for name in names if kept is None or any(pair.stems[0] in kept for pair in tree.batches[name])]
     if not found:
-        raise DataError(complaint(address.folder, "drives", "a batch with frames of this split", "none"))
-    return [address.folder / name for name in found]
+        raise DataError(complaint(place.folder, "drives", "a batch with frames of this split", "none"))
+    return [place.folder / name for name in found]
 
 
 class DairReader:
-    """Random access to the frames of a batch, as `dsrc.data.formats.opv2v.reader.DriveReader` gives it.
+    """Random access to the frames of a batch, a `dsrc.data.drives.Drive`.
 
     Attributes:
         drive: its path, see above.
-        motion: how the sensors' motion is compensated in the frames; None as in the files.
+        motion: compensation of the sensors' motion in the frames; None for that of the files.
         agents: ids of the vehicle and of the infrastructure.
         frames: numbers of the vehicle's frames, ascending.
         protocol: empty; the tree has no such file.
@@ -137,30 +137,30 @@ class DairReader:
     format = "DAIR-V2X-C"
 
     def __init__(self, drive: Path, motion: Motion | None = None) -> None:
-        """Look at the indices; no cloud is read yet.
+        """Read the indices; no cloud is read yet.
 
         Raises:
-            DataError: there is no such batch, or an index of the tree is wrong.
-            SettingsError: there is no such motion.
+            DataError: the batch is missing, or an index of the tree is wrong.
+            SettingsError: the motion is unknown.
         """
         if motion is not None:
             check_motion(motion)
-        address = locate(Path(drive))
-        if address is None or address.batch is None:
+        place = locate(Path(drive))
+        if place is None or place.batch is None:
             raise DataError(complaint(drive, "folder", "a batch of a DAIR-V2X-C tree", "none"))
         self.drive, self.motion = Path(drive), motion
         self.protocol: dict = {}
-        self._address = address
-        self._tree: Tree = open_tree(address.tree)
-        kept = None if address.split is None else self._tree.splits[address.split]
-        pairs = self._tree.batches[address.batch]
+        self._place = place
+        self._tree: Tree = open_tree(place.tree)
+        kept = None if place.split is None else self._tree.splits[place.split]
+        pairs = self._tree.batches[place.batch]
         self._pairs = tuple(pair for pair in pairs if kept is None or pair.stems[0] in kept)
         if not self._pairs:
-            raise DataError(complaint(drive, "frames", f"some of split {address.split}", "none"))
-        own = self._tree.sidecar.batches.get(address.batch) if self._tree.sidecar is not None else None
+            raise DataError(complaint(drive, "frames", f"some of split {place.split}", "none"))
+        own = self._tree.sidecar.batches.get(place.batch) if self._tree.sidecar is not None else None
         self._own = own is not None
         self._record = own or BatchRecord(
-            address.batch, SideRecord(VEHICLE_ID, "vehicle"), SideRecord(INFRASTRUCTURE_ID, "roadside")
+            place.batch, SideRecord(VEHICLE_ID, "vehicle"), SideRecord(INFRASTRUCTURE_ID, "roadside")
         )
         self.agents: tuple[int, ...] = (self._record.vehicle.agent_id, self._record.infrastructure.agent_id)
         self.frames = tuple(int(pair.stems[0]) for pair in self._pairs)
@@ -176,7 +176,7 @@ class DairReader:
         """Read the i-th frame (a position in `frames`).
 
         Raises:
-            DataError: a file is missing or broken, or the clouds cannot be given in the motion that is asked for.
+            DataError: a file is missing or broken, or the clouds cannot be compensated as `motion`.
         """
         pair = self._pairs[i]
         time_s = self._time_s("vehicle-side", pair.stems[0])
@@ -196,11 +196,11 @@ class DairReader:
         return frame if self._own else with_own_bodies(frame)
 
     def plans(self, i: int) -> dict[int, NDArray[np.float64]]:
-        """Return no plans: the dataset has none."""
+        """Return an empty dict: the dataset has no plans."""
         return {}
 
     def digest(self) -> str:
-        """Return a SHA-256 of the labels, the poses and the names and sizes of the clouds."""
+        """Return the SHA-256 of the labels, the poses and the names and sizes of the clouds."""
         digest = hashlib.sha256()
         for pair in self._pairs:
             files = [self._label_file(pair)]
@@ -216,7 +216,7 @@ class DairReader:
     def _time_s(self, side: str, stem: str) -> float:
         """Return the time of a frame since the start of the batch, s."""
         info = (self._tree.vehicle if side == "vehicle-side" else self._tree.infrastructure)[stem]
-        return (info.pointcloud_timestamp - self._tree.start_us(str(self._address.batch))) / 1e6
+        return (info.pointcloud_timestamp - self._tree.start_us(str(self._place.batch))) / 1e6
 
     def _calib(self, side: str, stem: str) -> list[tuple[str, Path]]:
         """Return the calibration files from the LiDAR to the world, by name."""
@@ -250,10 +250,10 @@ class DairReader:
             raise DataError(f"{path}: cannot be read as '{self.motion}': {error}") from None
 
     def _label_file(self, pair: Pair) -> Path:
-        return self._tree.root / "cooperative" / LABEL_FOLDERS[self._address.labels] / f"{pair.stems[0]}.json"
+        return self._tree.root / "cooperative" / LABEL_FOLDERS[self._place.labels] / f"{pair.stems[0]}.json"
 
-    def _read_labels(self, i: int) -> tuple[Instant, bool]:
-        """Return time and boxes of a frame, rows sorted by id, and whether ids are the same in other frames."""
+    def _read_labels(self, i: int) -> tuple[TimedBoxes, bool]:
+        """Return time and boxes of a frame, rows sorted by id, and whether ids are tracks."""
         pair = self._pairs[i]
         boxes, names, tracks = read_labels(self._label_file(pair))
         ids = np.arange(1, len(boxes) + 1, dtype=np.int64)
@@ -261,21 +261,21 @@ class DairReader:
             tracks
         )
         if tracked:
-            # Numbers from 1 on leave 0 to the vehicle; our own are those of the simulation.
+            # Ids from 1 on leave 0 to the vehicle; in our trees they are those of the simulation.
             ids = np.array([int(track) for track in tracks], np.int64) + (0 if self._own else 1)
         label = np.array([CLASSES.index(name) for name in names], np.int64)
         boxes = replace(boxes, label=label, object_id=ids)
-        instant = Instant(self._time_s("vehicle-side", pair.stems[0]), boxes[np.argsort(ids, kind="stable")])
+        instant = TimedBoxes(self._time_s("vehicle-side", pair.stems[0]), boxes[np.argsort(ids, kind="stable")])
         return instant, tracked
 
-    def _neighbour(self, i: int) -> Instant | None:
+    def _neighbour(self, i: int) -> TimedBoxes | None:
         if not 0 <= i < len(self._pairs):
             return None
         instant, tracked = self._labels(i)
         return instant if tracked else None
 
     def _speed(self, i: int) -> float:
-        """Return the vehicle's speed, m/s, by its places a frame earlier and later; 0 where there are none."""
+        """Return the vehicle's speed, m/s, from its positions a frame earlier and later; 0 without neighbours."""
         near = [j for j in (i - 1, i, i + 1) if 0 <= j < len(self._pairs)]
         times = [self._time_s("vehicle-side", self._pairs[j].stems[0]) for j in near]
         gap = times[-1] - times[0]

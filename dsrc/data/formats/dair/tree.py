@@ -1,12 +1,12 @@
-"""The files of a DAIR-V2X-C tree: where they are and what their JSON holds.
+"""Files of a DAIR-V2X-C tree: their paths and the structure of their JSON.
 
     cooperative-vehicle-infrastructure/
       cooperative/            data_info.json (the pairs)  label_world/ID.json
       vehicle-side/           data_info.json  velodyne/ID.pcd  calib/{lidar_to_novatel,novatel_to_world}/ID.json
       infrastructure-side/    data_info.json  velodyne/ID.pcd  calib/virtuallidar_to_world/ID.json
 
-Downloads have their point clouds in folders of their own beside the tree, `TREE-vehicle-side-velodyne/ID.pcd`; those
-are found too. Trees with the complemented (360 degree) labels have the original ones in `label_world_backup`.
+Downloads have their point clouds in folders beside the tree, `TREE-vehicle-side-velodyne/ID.pcd`, which are found too.
+Trees with the complemented (360 degree) labels have the original ones in `label_world_backup`.
 
 Source: AIR-THU/DAIR-V2X, data/README.md; the dataset's own README (label format).
 """
@@ -39,8 +39,8 @@ SPLIT = "cooperative-split-data.json"
 SIDES = ("vehicle-side", "infrastructure-side")
 _SPLITS = ("train", "val", "test")
 
-Labels = Literal["complemented", "original"]
-LABEL_FOLDERS: dict[Labels, str] = {"complemented": "label_world", "original": "label_world_backup"}
+LabelSet = Literal["complemented", "original"]
+LABEL_FOLDERS: dict[LabelSet, str] = {"complemented": "label_world", "original": "label_world_backup"}
 
 CLASS_NAMES = {
     "car": "Car",
@@ -51,9 +51,9 @@ CLASS_NAMES = {
     "bicycle": "Cyclist",
     "pedestrian": "Pedestrian",
 }
-"""Our classes -> DAIR-V2X's."""
+"""DAIR-V2X's classes by ours."""
 _ROUNDED = 0.05
-"""How far an entry of a rotation in a file may be from that of a rotation."""
+"""Tolerance of the entries of a rotation in a file."""
 _CLASSES = {theirs.lower(): ours for ours, theirs in CLASS_NAMES.items()} | {
     "trunk": "truck",  # as one of the dataset's own documents spells it
     "tricyclist": "motorcycle",
@@ -63,14 +63,14 @@ _NO_ACTORS = {"trafficcone"}
 
 
 class Offset(msgspec.Struct, frozen=True):
-    """How far the two sides' calibrations are apart, m, found by hand."""
+    """Offset between the two sides' calibrations, m, found by hand."""
 
     delta_x: float = 0.0
     delta_y: float = 0.0
 
 
 class Pair(msgspec.Struct, frozen=True):
-    """An entry of `cooperative/data_info.json`; the offset is "" where nobody has looked for one."""
+    """Entry of `cooperative/data_info.json`; the offset is "" for an unknown one."""
 
     vehicle_pointcloud_path: str
     infrastructure_pointcloud_path: str
@@ -84,13 +84,13 @@ class Pair(msgspec.Struct, frozen=True):
 
     @property
     def offset(self) -> NDArray[np.float64]:
-        """(2,) m, to be added to the infrastructure's place."""
+        """(2,) correction of the infrastructure's position, m."""
         found = self.system_error_offset
         return np.array([found.delta_x, found.delta_y]) if isinstance(found, Offset) else np.zeros(2)
 
 
 class SideInfo(msgspec.Struct, frozen=True):
-    """An entry of a side's `data_info.json`."""
+    """Entry of a side's `data_info.json`."""
 
     pointcloud_path: str
     pointcloud_timestamp: int = 0
@@ -101,7 +101,7 @@ class SideInfo(msgspec.Struct, frozen=True):
 
 
 class Transform(msgspec.Struct, frozen=True):
-    """A rotation and a translation, in a table `transform` of their own in `lidar_to_novatel`."""
+    """Rotation and translation, in `lidar_to_novatel` inside a table `transform`."""
 
     rotation: list[list[float]] = []
     translation: list[list[float] | float] = []
@@ -109,7 +109,7 @@ class Transform(msgspec.Struct, frozen=True):
 
 
 class Label(msgspec.Struct, frozen=True):
-    """An entry of a cooperative label; only the corners say where the object is."""
+    """Entry of a cooperative label; only the corners give the box."""
 
     type: str
     world_8_points: list[list[float]]
@@ -117,7 +117,7 @@ class Label(msgspec.Struct, frozen=True):
 
 
 class SideRecord(msgspec.Struct, frozen=True):
-    """What a tree of ours says of the agent on one side of a batch."""
+    """Agent on one side of a batch, in a tree of ours."""
 
     agent_id: int
     kind: AgentKind
@@ -127,7 +127,7 @@ class SideRecord(msgspec.Struct, frozen=True):
 
 
 class BatchRecord(msgspec.Struct, frozen=True):
-    """What a tree of ours says of a batch."""
+    """Batch in a tree of ours."""
 
     drive: str
     vehicle: SideRecord
@@ -135,7 +135,7 @@ class BatchRecord(msgspec.Struct, frozen=True):
 
 
 class Sidecar(msgspec.Struct, frozen=True):
-    """`testbed.json`: what DAIR-V2X has no place for."""
+    """Content of `testbed.json`: values that DAIR-V2X lacks."""
 
     version: int
     batches: dict[str, BatchRecord] = {}
@@ -143,7 +143,7 @@ class Sidecar(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tree:
-    """The indices of a tree.
+    """Indices of a tree.
 
     Attributes:
         root: the folder `cooperative-vehicle-infrastructure`.
@@ -175,7 +175,7 @@ def open_tree(root: Path) -> Tree:
     """Read the indices of a tree; kept until one of them changes.
 
     Raises:
-        DataError: an index is missing or wrong, or there is no pair of which everything is there.
+        DataError: an index is missing or wrong, or no pair is complete.
     """
     names = (PAIRS, *(f"{side}/data_info.json" for side in SIDES), SIDECAR, SPLIT, *(f"{n}.json" for n in _SPLITS))
     stamps = tuple((root / name).stat().st_mtime_ns if (root / name).exists() else 0 for name in names)
@@ -195,7 +195,7 @@ def _open_tree(root: Path, stamps: tuple[int, ...]) -> Tree:
         first, second = pair.stems
         if not first.isdigit():
             raise DataError(complaint(root / PAIRS, f"[{row}].vehicle_pointcloud_path", "a number as name", first))
-        # The published list has pairs of frames that were held back for testing, or lie at the edge of a batch.
+        # The published list has pairs of frames that were held back for testing or lie at the edge of a batch.
         listed = first in vehicle and second in infrastructure
         there = first in clouds["vehicle-side"] and second in clouds["infrastructure-side"]
         if not (listed and there and f"{first}.json" in labels):
@@ -219,7 +219,7 @@ class _SplitFile(msgspec.Struct, frozen=True):
 
 
 def _splits(root: Path) -> dict[str, frozenset[str]]:
-    """Return the frames of each split: of the files that are named after them, else of the dataset's own."""
+    """Return the frames of each split: of the files named after them, else of the dataset's split file."""
     shared = read_json(root / SPLIT, _SplitFile).cooperative_split if (root / SPLIT).exists() else {}
     own = {name: read_json(root / f"{name}.json", list[str]) for name in _SPLITS if (root / f"{name}.json").exists()}
     return {name: frozenset(frames) for name, frames in {**shared, **own}.items()}
@@ -234,7 +234,7 @@ def _side(path: Path) -> dict[str, SideInfo]:
 
 
 def _clouds(root: Path, side: str) -> set[str]:
-    """Return the ids of the clouds that are there: one listing is quicker than asking for each file."""
+    """Return the ids of the existing clouds; one listing is quicker than a look-up of each file."""
     return {path.stem for folder in _cloud_folders(root, side) if folder.is_dir() for path in folder.glob("*.pcd")}
 
 
@@ -250,7 +250,7 @@ def cloud_file(root: Path, side: str, stem: str) -> Path:
 
 
 def calib_file(root: Path, side: str, info: SideInfo, name: str) -> Path:
-    """Return a calibration file, as the index says or where it always is.
+    """Return a calibration file by the index, else its usual path.
 
     Raises:
         DataError: the index points out of the tree.
@@ -265,10 +265,10 @@ def calib_file(root: Path, side: str, info: SideInfo, name: str) -> Path:
 
 
 def read_transform(path: Path) -> NDArray[np.float64]:
-    """Return (4, 4) of a calibration file, its rotation made exact: the files' are rounded.
+    """Return the (4, 4) transform of a calibration file, its rounded rotation made exact.
 
     Raises:
-        DataError: it is no rotation and translation.
+        DataError: the file has no rotation and translation.
     """
     found = read_json(path, Transform)
     found = found.transform or found
@@ -285,10 +285,10 @@ def read_transform(path: Path) -> NDArray[np.float64]:
 
 
 def read_labels(path: Path) -> tuple[Boxes, list[str], list[str]]:
-    """Return the boxes of a cooperative label without ids, the names of their classes and their tracks ("": none).
+    """Return the boxes of a cooperative label without ids, their class names and their tracks ("" without one).
 
     Raises:
-        DataError: the file is missing, or an object has no class that is known or no eight corners.
+        DataError: the file is missing, or an object has an unknown class or no eight corners.
     """
     labels = [label for label in read_json(path, list[Label]) if label.type.lower() not in _NO_ACTORS]
     for row, label in enumerate(labels):
@@ -307,7 +307,7 @@ def read_labels(path: Path) -> tuple[Boxes, list[str], list[str]]:
 def boxes_of(corners: NDArray[np.float64]) -> Boxes:
     """Return upright boxes of (N, 8, 3) corners in DAIR-V2X's order: around the bottom, the front first, then on top.
 
-    Left and right may be changed round: the tools of the dataset and those of the complemented labels differ there.
+    Left and right may be swapped: the tools of the dataset and of the complemented labels differ there.
     """
     front, rear = corners[:, [0, 1, 4, 5]].mean(axis=1), corners[:, [2, 3, 6, 7]].mean(axis=1)
     along = front - rear

@@ -1,11 +1,11 @@
-"""Write DAIR-V2X-C: the ego as the vehicle, a roadside unit (else another vehicle) as the infrastructure.
+"""DAIR-V2X-C writer: the ego as the vehicle, a roadside unit (else another vehicle) as the infrastructure.
 
-Labels are the complemented ones, all around; `label_world_backup` and `label/lidar_backup`, which some loaders ask
-for, hold what stands before a sensor, as the originals were annotated with a camera's picture. Labels carry a
-`track_id` and the clouds all columns of a sweep; `testbed.json` says what the tree has no place for. The files of a
-frame are noted in `.parts` until all are there: the indices are made of these notes.
+Labels are the complemented ones, all around; `label_world_backup` and `label/lidar_backup`, which some loaders read,
+have the objects before a sensor, as the originals were annotated in a camera's image. Labels have a `track_id`, clouds
+all columns of a sweep; `testbed.json` has the values that the tree lacks. Each frame leaves a part in `.parts`, from
+which the indices are written.
 
-The infrastructure's points are in a level frame, as the dataset's virtual LiDAR is: a box there has one angle only.
+The infrastructure's points are in a level frame, like the dataset's virtual LiDAR: a box there has one angle only.
 """
 
 import shutil
@@ -27,9 +27,9 @@ from dsrc.data.formats.dair.tree import (
     Sidecar,
     SideRecord,
 )
+from dsrc.data.formats.levelling import levelled, occlusion
 from dsrc.data.formats.pcd import encode_sensor_pcd
 from dsrc.data.jsonio import encode_json, read_json
-from dsrc.data.levelling import levelled, occlusion
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import Sweep
 from sim.boxes import CLASSES, Boxes
@@ -41,22 +41,22 @@ VERSION = 1
 SPLITS = ("train", "val", "test")
 _PARTS = ".parts"
 _HALF_VIEW = np.radians(50.0)
-"""Half the angle before a sensor that counts as seen by a camera there."""
-# Around the bottom: front left, front right, rear right, rear left; then on top. Ours begin at the front right.
+"""Half the field of view of a camera at a sensor."""
+# Around the bottom: front left, front right, rear right, rear left; then the top. Ours begin at the front right.
 _CORNERS = [1, 0, 3, 2, 5, 4, 7, 6]
 _VEHICLE, _INFRASTRUCTURE = "vehicle-side", "infrastructure-side"
 
 
 class DairWriter:
-    """Writes frames into `OUT/cooperative-vehicle-infrastructure`, whole or not at all."""
+    """Writer of frames into `OUT/cooperative-vehicle-infrastructure`."""
 
     def __init__(self, out: Path, ego_id: int | None = None) -> None:
-        """Choose the folder and the ego; None takes each frame's first vehicle."""
+        """Set the folder and the ego; None takes each frame's first vehicle."""
         self.tree = out / TREE
         self.ego_id = ego_id
 
     def done(self, number: int) -> bool:
-        """Return whether a frame is there."""
+        """Return whether a frame is complete."""
         return self._part(number).exists()
 
     def write(self, number: int, batch: int, drive: str, split: str, frame: Frame) -> None:
@@ -70,7 +70,7 @@ class DairWriter:
             frame: the frame.
 
         Raises:
-            DataError: the frame has no two agents, or not the ego.
+            DataError: the frame lacks the ego or a second agent.
         """
         rows = sides_of(frame, self.ego_id)
         stem = f"{number:06d}"
@@ -114,7 +114,7 @@ class DairWriter:
         write_file(self._part(number), encode_json(part))
 
     def finish(self, numbers: Sequence[int]) -> None:
-        """Write the indices, the splits and our record, and remove the notes that they are made of."""
+        """Write the indices, the splits and our record, and remove the parts."""
         parts = {number: read_json(self._part(number), dict[str, Any]) for number in numbers}
         members: dict[str, list[int]] = {}
         for number, part in parts.items():
@@ -152,7 +152,7 @@ def sides_of(frame: Frame, ego_id: int | None) -> list[int]:
     """Return the rows of the vehicle and of the infrastructure: a roadside unit, else the next vehicle.
 
     Raises:
-        DataError: there is no such ego, or nobody else.
+        DataError: the ego or a second agent is missing.
     """
     agents = list(enumerate(frame.agents))
     ids = [agent.agent_id for agent in frame.agents]
@@ -213,7 +213,7 @@ def _side_labels(
 
 
 def _entries(boxes: Boxes, hidden: NDArray[np.int64]) -> list[dict[str, Any]]:
-    """Return single labels of boxes in the frame that they are in, and their occlusion."""
+    """Return labels of one side of boxes with their occlusion."""
     entries = []
     rows = np.round(boxes.array, 6).tolist()
     for row, object_id, label, occluded in zip(rows, boxes.object_id, boxes.label, hidden.tolist(), strict=True):

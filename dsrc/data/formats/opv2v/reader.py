@@ -1,12 +1,11 @@
-"""The OPV2V tree: DRIVE/AGENT/000123.pcd + .yaml, written so that OpenCOOD loads it and read back exactly.
+"""OPV2V tree: DRIVE/AGENT/000123.pcd + .yaml, loaded by OpenCOOD and read back exactly.
 
 A folder of drives is a split, a drive holds one folder per agent (the object id of a vehicle, a negative number for
-a roadside unit) and `data_protocol.yaml`. Trees that others made are read too; what they do not say is filled in:
-all objects are cars, and an agent has at least one point on everything that it has annotated.
+a roadside unit) and `data_protocol.yaml`. Trees of other tools are read too, with missing values filled in: all objects
+are cars, and an agent has at least one point on each object that it has annotated.
 
-Points are written in the frame that their sweep has (`Sweep.motion`), `lidar_pose` is that frame, and the record says
-which it is together with the sensor's path, so that a reader can ask for another. Boxes are those of the frame's time
-(the middle of its sweeps) whatever the points.
+Points are written in the frame of their sweep (`Sweep.motion`), `lidar_pose` is that frame, and the record keeps it and
+the sensor's path, so that a reader can choose another. Boxes are those of the frame's time, the middle of its sweeps.
 """
 
 import hashlib
@@ -16,15 +15,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.formats.annotation import Annotation, with_own_bodies
 from dsrc.data.formats.opv2v.record import Record, encode_agent, read_agent, read_plan
 from dsrc.data.formats.pcd import encode_pcd, read_pcd
+from dsrc.data.formats.velocity_from_tracks import TimedBoxes, tracked_velocity
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.points_in_boxes import points_in_boxes
-from dsrc.data.velocity_from_tracks import Instant, tracked_velocity
 from sensors.deskew import check_motion, deskew, deskew_frame
 from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
 from sensors.sweep import Motion, Sweep
@@ -35,8 +35,30 @@ from sim.files import write_file
 PROTOCOL = "data_protocol.yaml"
 _AGENT = re.compile(r"-?\d+")
 _STEM = re.compile(r"\d+")
-# OpenCDA stamps its files with ticks of a simulation at 20 Hz; used when a foreign tree does not say.
+# OpenCDA numbers its files by ticks of a simulation at 20 Hz; the default for trees of other tools.
 _TICK_S = 0.05
+
+
+def own_settings(protocol: dict) -> dict:
+    """Return the table `testbed` of a protocol: our settings of a drive, empty for other tools' drives."""
+    own = protocol.get("testbed")
+    return own if isinstance(own, dict) else {}
+
+
+def lists_connected_vehicles(protocol: dict) -> bool:
+    """Return whether other agents' bodies are among an agent's vehicles in the files of a drive."""
+    return bool(own_settings(protocol).get("connected_vehicles", True))
+
+
+def agent_table(frame: Frame) -> dict[int, dict]:
+    """Return the table `testbed.agents` of a protocol: kind and LiDAR by agent id."""
+    return {
+        int(agent.agent_id): {
+            "kind": agent.kind,
+            "lidar": None if agent.sweep.spec is None else msgspec.to_builtins(agent.sweep.spec),
+        }
+        for agent in frame.agents
+    }
 
 
 def frame_files(drive: Path, agent_ids: Sequence[int], index: int) -> list[Path]:
@@ -51,17 +73,17 @@ def write_frame(
     plans: dict[int, NDArray[np.float64]] | None = None,
     motion: Motion | None = None,
 ) -> None:
-    """Write one frame of all agents; every file appears completely or not at all.
+    """Write one frame of all agents, each file atomically.
 
     Args:
         drive: folder of the drive, made if it is missing.
         frame: the frame; its number becomes the file name.
         connected_vehicles: list other agents' bodies among an agent's vehicles, as any other vehicle.
-        plans: per agent (K, 3) x, y in the world, m, and speed, m/s, of its coming way.
-        motion: how the sensors' motion is compensated in the files; None leaves the sweeps as they are.
+        plans: per agent (K, 3) x, y in the world, m, and speed, m/s, of its coming path.
+        motion: compensation of the sensors' motion in the files; None leaves the sweeps as they are.
 
     Raises:
-        DataError: a sweep cannot be given so, because its path or its firing times are unknown.
+        DataError: a sweep cannot be compensated so: its path or its firing times are unknown.
     """
     frame = frame if motion is None else deskew_frame(frame, motion)
     contents: dict[Path, bytes] = {}
@@ -84,11 +106,11 @@ def read_frame(drive: Path, index: int, motion: Motion | None = None) -> Frame:
 
 
 class DriveReader:
-    """Random access to the frames of a drive; see `dsrc.data.drives` for drives of any format.
+    """Random access to the frames of an OPV2V drive; see `dsrc.data.drives` for any format.
 
     Attributes:
         drive: its folder.
-        motion: how the sensors' motion is compensated in the frames; None as in the files.
+        motion: compensation of the sensors' motion in the frames; None for that of the files.
         agents: ids of the agents, in the order of their folders, roadside units last.
         frames: numbers of the frames, ascending.
     """
@@ -96,11 +118,11 @@ class DriveReader:
     format = "OPV2V"
 
     def __init__(self, drive: Path, motion: Motion | None = None) -> None:
-        """Look at the folder; no frame is read yet.
+        """List the folder; no frame is read yet.
 
         Raises:
-            DataError: there is no drive here, an agent's folder or a frame of an agent is missing.
-            SettingsError: there is no such motion.
+            DataError: the folder holds no drive, or an agent's folder or a frame of an agent is missing.
+            SettingsError: the motion is unknown.
         """
         if motion is not None:
             check_motion(motion)
@@ -118,8 +140,8 @@ class DriveReader:
         """Read the i-th frame (a position in `frames`, not the number in a file's name).
 
         Raises:
-            DataError: a file is missing or broken, or does not say what another motion than its own needs: files
-                written before paths were kept, and those of other tools, can only be read as they are.
+            DataError: a file is missing or broken, or lacks the path that another motion than its own needs: old files
+                and those of other tools can only be read as they are.
         """
         stem = self._stems[i]
         notes = [read_agent(self.drive / str(agent) / f"{stem}.yaml") for agent in self.agents]
@@ -133,11 +155,11 @@ class DriveReader:
         return self._own_frame(stem, records)
 
     def plans(self, i: int) -> dict[int, NDArray[np.float64]]:
-        """Return per agent (K, 3) x, y, m, and speed, m/s, of its way after the i-th frame."""
+        """Return per agent (K, 3) x, y, m, and speed, m/s, of its path after the i-th frame."""
         return {agent: read_plan(self.drive / str(agent) / f"{self._stems[i]}.yaml") for agent in self.agents}
 
     def digest(self) -> str:
-        """Return `data_hash` of the drive alone."""
+        """Return the `data_hash` of the drive."""
         return data_hash([self.drive])
 
     def _agents(self) -> list[int]:
@@ -145,8 +167,7 @@ class DriveReader:
             siblings = [p.name for p in self.drive.parent.iterdir()] if self.drive.parent.is_dir() else []
             raise DataError(f"{self.drive}: no such folder{did_you_mean(self.drive.name, siblings)}")
         found = [int(p.name) for p in self.drive.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)]
-        own = self.protocol.get("testbed", {})
-        promised = own.get("agents", {}) if isinstance(own, dict) else {}
+        promised = own_settings(self.protocol).get("agents", {})
         if not isinstance(promised, dict) or not all(_AGENT.fullmatch(str(agent)) for agent in promised):
             raise DataError(complaint(self.drive / PROTOCOL, "testbed.agents", "a mapping of agent ids", promised))
         for agent in promised:
@@ -157,7 +178,7 @@ class DriveReader:
         return agent_order(found)
 
     def _timestamps(self) -> list[str]:
-        """Return the ego's timestamps; every agent must have them, and a drive of ours all that it promises."""
+        """Return the ego's timestamps, checked against the other agents and the protocol."""
         listing = {agent: {p.name for p in (self.drive / str(agent)).iterdir()} for agent in self.agents}
         names = (Path(n) for n in listing[self.agents[0]] if n.endswith(".yaml"))
         stems = sorted(n.stem for n in names if _STEM.fullmatch(n.stem))
@@ -166,8 +187,8 @@ class DriveReader:
                 for ending in ("yaml", "pcd"):
                     if f"{stem}.{ending}" not in listing[agent]:
                         raise DataError(f"{self.drive / str(agent) / stem}.{ending}: file is missing")
-        own = self.protocol.get("testbed", {})
-        promised = own.get("frames") if isinstance(own, dict) else None
+        own = own_settings(self.protocol)
+        promised = own.get("frames")
         if promised is not None and promised != len(stems):
             verb = "corrupt" if "corruptions" in own else "generate"
             hint = f"; run dsrc {verb} again"
@@ -224,18 +245,18 @@ class DriveReader:
         frame = Frame(int(stem), now.time_s, tuple(agents), truth, velocity, points_on)
         return frame if all(note.mirrored for note in notes) else with_own_bodies(frame)
 
-    def _instant(self, stem: str, notes: list[Annotation]) -> tuple[Instant, NDArray[np.float64]]:
+    def _instant(self, stem: str, notes: list[Annotation]) -> tuple[TimedBoxes, NDArray[np.float64]]:
         """Return the objects of a frame and their (N, 2) velocities."""
         interval_s = self._tick_s() if notes[0].interval_s is None else notes[0].interval_s
         boxes, velocity = _union(notes)
-        return Instant(int(stem) * interval_s, boxes), velocity
+        return TimedBoxes(int(stem) * interval_s, boxes), velocity
 
-    def _neighbours(self, stem: str) -> list[Instant | None]:
+    def _neighbours(self, stem: str) -> list[TimedBoxes | None]:
         """Return the objects a frame earlier and later."""
         i = self._stems.index(stem)
         return [self._objects(self._stems[j]) if 0 <= j < len(self._stems) else None for j in (i - 1, i + 1)]
 
-    def _objects(self, stem: str) -> Instant | None:
+    def _objects(self, stem: str) -> TimedBoxes | None:
         notes = [read_agent(self.drive / str(agent) / f"{stem}.yaml") for agent in self.agents]
         foreign = [note for note in notes if isinstance(note, Annotation)]
         return self._instant(stem, foreign)[0] if foreign else None
@@ -255,7 +276,7 @@ class DriveReader:
 
 
 def _fractions(records: list[Record]) -> NDArray[np.float32]:
-    """Return (A, N) visible fractions; empty where an agent's file has none, as those that were written before."""
+    """Return (A, N) visible fractions; empty where an agent's file lacks them."""
     if any(len(r.visible_fraction) < len(r.object_id) for r in records):
         return np.zeros((0, 0), np.float32)
     rows = [[np.nan if share is None else share for share in r.visible_fraction] for r in records]
@@ -263,7 +284,7 @@ def _fractions(records: list[Record]) -> NDArray[np.float32]:
 
 
 def _sight(records: list[Record]) -> NDArray[np.int8]:
-    """Return (A, A) what stands between the agents; empty where an agent's file does not say."""
+    """Return (A, A) lines of sight between the agents; empty where an agent's file lacks them."""
     if any(not r.sight for r in records):
         return np.zeros((0, 0), np.int8)
     # Agents are in one order in the frame and in every record.
@@ -271,7 +292,7 @@ def _sight(records: list[Record]) -> NDArray[np.int8]:
 
 
 def _union(notes: list[Annotation]) -> tuple[Boxes, NDArray[np.float64]]:
-    """Return every object once, as the first agent that has annotated it says, rows sorted by id."""
+    """Return each object once, from the first agent that has annotated it, rows sorted by id."""
     boxes = concatenate([note.boxes for note in notes])
     velocity = np.concatenate([np.zeros((0, 2)), *(note.velocity for note in notes)])
     _, first = np.unique(boxes.object_id, return_index=True)
@@ -294,18 +315,18 @@ def find_drives(root: Path) -> list[Path]:
 
 
 def drives_below(root: Path) -> list[Path]:
-    """Return the drives at or below a folder, none where there is none; see `find_drives`."""
+    """Return the drives at or below a folder, perhaps none; see `find_drives`."""
     return sorted(folder for folder in [root, *root.glob("*/"), *root.glob("*/*/")] if _is_drive(folder))
 
 
 def _is_drive(folder: Path) -> bool:
     agents = (p for p in folder.iterdir() if _AGENT.fullmatch(p.name) and p.is_dir())
-    # A drive may have a number for its name too; the yaml in it is no frame.
+    # A drive may have a number for its name too, but its yaml is no frame.
     return any(_STEM.fullmatch(file.stem) for agent in agents for file in agent.glob("*.yaml"))
 
 
 def data_hash(drives: Sequence[Path]) -> str:
-    """Return a SHA-256 of drives' annotations and of all files' names and sizes; quick, for provenance."""
+    """Return the SHA-256 of drives' annotations and of all files' names and sizes: quick, for provenance."""
     digest = hashlib.sha256()
     for drive in sorted(Path(d) for d in drives):
         for path in sorted(p for p in drive.rglob("*") if p.suffix in (".yaml", ".pcd") and p.is_file()):

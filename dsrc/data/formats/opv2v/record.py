@@ -1,8 +1,8 @@
-"""What one agent's yaml holds for one frame: the keys of OPV2V and our exact record beside them.
+"""Yaml of one agent for one frame: the keys of OPV2V and our exact record beside them.
 
 OPV2V's world is CARLA's: left-handed, y to the right, degrees, half extents, km/h. The key `testbed` holds one
-line of JSON with everything that OPV2V cannot say (classes, velocities, unseen actors, exact matrices); other tools
-ignore it. Its checksum covers the rest of the file, so an edited file does not pass for the original.
+line of JSON with all values that OPV2V lacks (classes, velocities, unseen actors, exact matrices); other tools ignore
+it. Its checksum covers the rest of the file, so that an edited file is detected.
 
 Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.md).
 """
@@ -35,19 +35,19 @@ _Id = Annotated[int, msgspec.Meta(gt=-_ID_LIMIT, lt=_ID_LIMIT)]
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The JSON under `testbed`: N objects, in the order of `Frame.truth`.
+    """JSON under `testbed`: N objects, in the order of `Frame.truth`.
 
-    Trees written before the last fields were kept lack them: their points are those of the middle of the sweep, and of
-    accelerations, signals, lanes and visible fractions nobody knows.
+    Old trees lack the last fields: their points are those of the middle of the sweep, and accelerations, signals, lanes
+    and visible fractions are missing.
 
     Attributes:
-        motion: how the points beside this record are compensated, see `sensors.sweep.Motion`.
-        path: true way of the LiDAR in our world through the sweep: time, s, x, y, z, m, yaw, pitch, roll, rad, without
-            jumps of a full turn; empty when nobody knows.
+        motion: compensation of the points beside this record, see `sensors.sweep.Motion`.
+        path: true path of the LiDAR in our world through the sweep: time, s, x, y, z, m, yaw, pitch, roll, rad, without
+            jumps of a full turn; empty for an unknown one.
         lost: see `Sweep.lost`.
         acceleration, signals, lane, visible_fraction: as in `Frame`, the agent's own row of the last; null for NaN,
             in `velocity` too.
-        sight: what stands between the agent and each of `agents`, see `Frame.sight`; empty when nobody knows.
+        sight: line of sight from the agent to each of `agents`, see `Frame.sight`; empty for unknown ones.
     """
 
     version: int
@@ -76,7 +76,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     sight: list[Annotated[int, msgspec.Meta(ge=-1, le=2)]] = []
 
     def lidar_path(self) -> LidarPath | None:
-        """Return the way of the LiDAR exactly as it was written."""
+        """Return the path of the LiDAR exactly as it was written."""
         if not self.path:
             return None
         knots = np.array(self.path, np.float64)
@@ -98,7 +98,7 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
         frame: the frame.
         row: the agent's row in it.
         connected_vehicles: list the other agents' own bodies among the vehicles too.
-        plan: (K, 3) x, y in the world, m, and speed, m/s, of the agent's coming way.
+        plan: (K, 3) x, y in the world, m, and speed, m/s, of the agent's coming path.
     """
     agent = frame.agents[row]
     numbers = (frame.truth.array, agent.world_from_body, agent.sweep.world_from_lidar, _knots(agent.sweep.path))
@@ -118,7 +118,7 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
         }
     )
     record = msgspec.json.encode(_record(frame, row, zlib.crc32(rest.encode()))).decode()
-    # In single quotes the JSON stays one scalar for every YAML reader; it holds no quote of that kind itself.
+    # In single quotes the JSON is one scalar for every YAML reader; its own single quotes are escaped.
     return f"{_PREFIX}{record.replace(chr(39), chr(92) + 'u0027')}'\n{rest}"
 
 
@@ -154,7 +154,7 @@ def _record(frame: Frame, row: int, check: int) -> Record:
 
 
 def _known(vectors: NDArray[np.float64]) -> list[tuple[float, float] | None]:
-    """Return rows of (N, 2), None for those that nobody knows."""
+    """Return rows of (N, 2), None for unknown ones."""
     return [None if np.isnan(row).any() else (float(row[0]), float(row[1])) for row in vectors]
 
 
@@ -166,7 +166,7 @@ def _knots(path: LidarPath | None) -> NDArray[np.float64]:
 
 
 def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> dict[int, dict[str, Any]]:
-    """Return OPV2V's table of the vehicles that the agent has at least one point on, without itself."""
+    """Return OPV2V's table of the vehicles with a point of the agent, without the agent itself."""
     truth = frame.truth
     listed = truth.is_vehicle & (frame.points_on[row] >= 1) & (truth.object_id != frame.agents[row].agent_id)
     if not connected_vehicles:
@@ -186,10 +186,10 @@ def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> dict[int, dic
 
 
 def read_agent(path: Path) -> Record | Annotation:
-    """Read one yaml: our record where it has one, else what OPV2V's keys say.
+    """Read one yaml: our record, else the annotation of OPV2V's keys.
 
     Raises:
-        DataError: the file cannot be read, a value is missing or wrong, or the file was edited beside its record.
+        DataError: the file cannot be read, a value is missing or wrong, or the file was edited after its record.
     """
     text = read_text(path)
     if not text.startswith(_PREFIX):
@@ -202,7 +202,7 @@ def read_agent(path: Path) -> Record | Annotation:
     if record.version != VERSION:
         raise DataError(complaint(path, "testbed.version", str(VERSION), record.version))
     if record.check != zlib.crc32(rest.encode()):
-        _annotation(path, parse_yaml(path, rest))  # names the wrong value if there is one
+        _annotation(path, parse_yaml(path, rest))  # names a wrong value
         raise DataError(
             f"{path}: testbed.check: the file was edited or cut after it was written; to read it as plain OPV2V "
             "remove the line `testbed` from every yaml of the drive"
@@ -211,7 +211,7 @@ def read_agent(path: Path) -> Record | Annotation:
 
 
 def read_plan(path: Path) -> NDArray[np.float64]:
-    """Return (K, 3) x, y in our world, m, and speed, m/s, of an agent's coming way; none where the file has no such."""
+    """Return (K, 3) x, y in our world, m, and speed, m/s, of an agent's coming path; empty where the file has none."""
     text = read_text(path)
     content = parse_yaml(path, text.partition("\n")[2] if text.startswith(_PREFIX) else text)
     rows = content.get("plan_trajectory")
@@ -248,5 +248,5 @@ def _checked(path: Path, record: Record) -> Record:
 
 
 def _annotation(path: Path, content: dict) -> Annotation:
-    """Return what a file of other tools says."""
-    return v2v4real.annotation(path, content) if v2v4real.speaks(content) else annotation(path, content)
+    """Return the annotation of another tool's file."""
+    return v2v4real.annotation(path, content) if v2v4real.is_v2v4real(content) else annotation(path, content)

@@ -1,4 +1,4 @@
-"""Datasets: the same bytes whoever makes them, however often they are stopped, and never two drives in one place."""
+"""Datasets: the same bytes for any workers and interruptions, and never two processes in one folder."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.data.checksums import SUMS
+from dsrc.data.checksums import CHECKSUMS
 from dsrc.data.datasets.build import generate_dataset
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
 from dsrc.data.datasets.spec import expand, find_split_file, read_dataset
@@ -67,7 +67,7 @@ def test_a_dataset_has_its_splits_its_manifest_and_its_cards(made: Path) -> None
     assert manifest is not None and manifest.name == "small" and manifest.drives == 3 and not manifest.failed
     assert [entry.drive.split("/")[0] for entry in manifest.items] == ["train", "train", "test"]
     for entry in manifest.items:
-        assert entry.sha256 == file_sha256(made / entry.drive / SUMS)
+        assert entry.sha256 == file_sha256(made / entry.drive / CHECKSUMS)
         assert len(entry.agents) == 2 and entry.lidars == ("debug-16", "debug-16")
     assert len({entry.key for entry in manifest.items}) == 3
 
@@ -153,7 +153,7 @@ def test_other_settings_or_another_dataset_are_refused_before_anything_is_made(m
         generate_dataset(write(tmp_path, SMALL.replace("[2]\nv", "[4]\nv", 1)), made, pool=Pool(1))
 
 
-def test_a_drive_that_cannot_be_made_is_told_and_the_others_are_made(tmp_path: Path) -> None:
+def test_a_failed_drive_is_named_and_the_others_are_made(tmp_path: Path) -> None:
     wrong = SMALL.replace("vehicles = [2]", "vehicles = [300]", 1)
     with pytest.raises(DataError, match=r"train/quick_0: .*expected 300 cars.*\(2 of 3 drives"):
         generate_dataset(write(tmp_path, wrong), tmp_path / "out", pool=Pool(2), cards=False)
@@ -190,7 +190,7 @@ def test_a_drive_that_cannot_be_made_is_told_and_the_others_are_made(tmp_path: P
         ('name = "small"', "name = ", r"split.toml: not a readable TOML file"),
     ],
 )
-def test_a_wrong_toml_is_told_by_file_and_field(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_a_wrong_toml_is_named_by_file_and_field(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = write(tmp_path, SMALL.replace(old, new, 1))
     with pytest.raises(UserError, match=message) as caught:
         expand(read_dataset(path), path)
@@ -205,7 +205,7 @@ def test_lists_multiply_and_their_values_are_in_the_names(tmp_path: Path) -> Non
     assert len({item.key for item in items}) == 5
 
 
-def test_a_dataset_is_told_from_a_scenario(tmp_path: Path) -> None:
+def test_a_dataset_is_distinguished_from_a_scenario(tmp_path: Path) -> None:
     path = write(tmp_path)
     assert find_split_file(path) == path and find_split_file(tmp_path) == path
     assert find_split_file("dsrc-sim") is not None

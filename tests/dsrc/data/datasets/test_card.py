@@ -73,9 +73,9 @@ def test_the_same_drives_give_the_same_card_and_others_another(split: Path) -> N
 def test_trees_of_other_tools_have_cards_too(tmp_path: Path) -> None:
     root = unpack_opv2v_mini(tmp_path)
     text = write_card(root, tmp_path / "card").read_text()
-    assert "do not say whether" in text and "unknown" in text
+    assert "It is unknown whether" in text and "unknown" in text
 
 
-def test_a_folder_without_drives_is_told(tmp_path: Path) -> None:
+def test_a_folder_without_drives_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="OPV2V"):
         write_card(tmp_path)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.data.checksums import SUMS, write_sums
+from dsrc.data.checksums import CHECKSUMS, write_checksums
 from dsrc.data.datasets.check import check_dataset
-from dsrc.data.datasets.manifest import VERSION, Entry, Manifest, write_manifest
+from dsrc.data.datasets.manifest import VERSION, Manifest, ManifestEntry, write_manifest
 from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.record import Record
 from dsrc.data.write import write_drive
@@ -31,8 +31,8 @@ def faults(data: Path) -> list[str]:
     return [str(fault) for fault in check_dataset(data, Pool(1))]
 
 
-def entry(data: Path) -> Entry:
-    return Entry(
+def entry(data: Path) -> ManifestEntry:
+    return ManifestEntry(
         drive="train/toy_3",
         key="0",
         scenario="toy",
@@ -41,7 +41,7 @@ def entry(data: Path) -> Entry:
         agents=(1000, 1002, -1),
         lidars=("toy",) * 3,
         bytes=1,
-        sha256=file_sha256(drive_of(data) / SUMS),
+        sha256=file_sha256(drive_of(data) / CHECKSUMS),
     )
 
 
@@ -100,7 +100,7 @@ def test_damage_is_found_in_its_file(
 ) -> None:
     """With checksums, and without them, as in trees of other tools."""
     if not sums:
-        (drive_of(data) / SUMS).unlink()
+        (drive_of(data) / CHECKSUMS).unlink()
     damage(drive_of(data) / name)
     found = faults(data)
     stem = name.removesuffix(".yaml").removesuffix(".pcd")
@@ -127,13 +127,13 @@ def turned(x: float) -> list[list[float]]:
     return [[x, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 
 
-def test_poses_and_counts_that_cannot_be_are_found_where_everything_can_be_read(data: Path) -> None:
+def test_impossible_poses_and_counts_are_found_in_readable_files(data: Path) -> None:
     drive = drive_of(data)
     change_record(drive / "1000" / "000001.yaml", world_from_body=turned(1.2))
     change_record(drive / "1002" / "000002.yaml", points_on=[0, 0, 0, 0, 0, 0])
     far = [[1, 0, 0, 5e3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     change_record(drive / "-1" / "000003.yaml", world_from_body=far)
-    write_sums(drive)
+    write_checksums(drive)
     source = (drive / "data_protocol.yaml").read_text()
     assert "format: 1" in source
     found = "\n".join(faults(data))
@@ -144,18 +144,20 @@ def test_poses_and_counts_that_cannot_be_are_found_where_everything_can_be_read(
 
 def test_the_manifest_is_compared_with_what_is_there(data: Path) -> None:
     listed = entry(data)
-    gone = Entry(**{name: getattr(listed, name) for name in listed.__struct_fields__} | {"drive": "test/gone_1"})
+    gone = ManifestEntry(
+        **{name: getattr(listed, name) for name in listed.__struct_fields__} | {"drive": "test/gone_1"}
+    )
     manifest = Manifest(
         version=VERSION, name="d", description="", drives=4, items=(listed, gone), failed={"test/bad_2": "no cars"}
     )
     write_manifest(data, manifest)
     (drive_of(data) / "1000" / "000000.pcd").write_bytes(b"edited")
-    write_sums(drive_of(data))
+    write_checksums(drive_of(data))
     found = "\n".join(faults(data))
     assert "gone_1: missing, manifest.json lists it" in found
-    assert "bad_2: not made: no cars" in found
+    assert "bad_2: failed: no cars" in found
     assert "1 of 4 drives are not finished" in found
-    assert f"{SUMS}: differs from the checksum in manifest.json" in found
+    assert f"{CHECKSUMS}: differs from the checksum in manifest.json" in found
 
 
 def test_a_folder_without_drives_is_wrong(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from dsrc.data.datasets import convert as module
 from dsrc.data.datasets.convert import convert, names_of
 from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.drives import list_drives, open_drives
+from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import DriveReader, write_frame
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.write import write_drive
@@ -31,7 +32,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("to", ["opv2v", "dair", "kitti"])
-def test_a_conversion_that_was_stopped_goes_on_to_the_same_bytes(
+def test_an_interrupted_conversion_resumes_to_the_same_bytes(
     data: Path, tmp_path: Path, to: module.Format, monkeypatch: pytest.MonkeyPatch
 ):
     whole = tree(convert(data, tmp_path / "whole", to))
@@ -57,6 +58,11 @@ def test_a_conversion_that_was_stopped_goes_on_to_the_same_bytes(
     assert len(reads) == 7 and tree(tmp_path / "parts") == whole
 
 
+def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path):
+    one, two = (convert(data, tmp_path / str(workers), "kitti", agent="all", pool=Pool(workers)) for workers in (1, 2))
+    assert tree(one) == tree(two)
+
+
 def test_a_folder_that_holds_something_else_is_refused(data: Path, tmp_path: Path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("years of work")
@@ -78,13 +84,13 @@ def test_a_folder_that_holds_something_else_is_refused(data: Path, tmp_path: Pat
     ("options", "message"),
     [
         ({"to": "kity"}, "to: expected a format, found kity; did you mean 'kitti'"),
-        ({"to": "opv2v", "agent": "3"}, "agent: expected none with --to opv2v"),
-        ({"to": "dair", "agent": "all"}, "agent: expected ego or the id of a vehicle"),
-        ({"to": "kitti", "agent": "me"}, "agent: expected ego, all or the id of an agent, found me"),
+        ({"to": "opv2v", "agent": "3"}, "agent_id: expected none with --to opv2v"),
+        ({"to": "dair", "agent": "all"}, "agent_id: expected ego or the id of a vehicle"),
+        ({"to": "kitti", "agent": "me"}, "agent_id: expected ego, all or the id of an agent, found me"),
         ({"to": "dair", "view": "around"}, "view: expected camera, or --to kitti"),
     ],
 )
-def test_an_option_that_a_format_has_not_is_named(data: Path, tmp_path: Path, options: dict, message: str):
+def test_an_option_that_a_format_lacks_is_named(data: Path, tmp_path: Path, options: dict, message: str):
     with pytest.raises(SettingsError) as caught:
         convert(data, tmp_path / "out", **options)
     assert message in str(caught.value) and not (tmp_path / "out").exists()
@@ -102,7 +108,7 @@ def test_opv2v_to_opv2v_loses_nothing(tmp_path: Path):
     assert tree(tmp_path / "out" / "d") == tree(tmp_path / "data" / "d")
 
 
-def test_other_peoples_drives_become_whole_drives_of_ours(tmp_path: Path):
+def test_drives_of_other_tools_become_drives_of_ours(tmp_path: Path):
     mini = goldens.unpack_opv2v_mini(tmp_path)
     convert(mini, tmp_path / "out", "opv2v")
     for before, after in zip(open_drives(mini), open_drives(tmp_path / "out"), strict=True):
@@ -162,7 +168,7 @@ def test_names_that_repeat_get_those_of_their_folders(tmp_path: Path):
         names_of([Path("a/x/1"), Path("b/x/1")])
 
 
-def test_raw_points_are_compensated_for_those_who_know_nothing_of_them(tmp_path: Path):
+def test_raw_points_are_compensated_for_formats_without_them(tmp_path: Path):
     raw = deskew_frame(toy_frame(1), "raw")
     write_frame(tmp_path / "data" / "toy", raw)
     convert(tmp_path / "data", tmp_path / "out", "dair")

@@ -54,9 +54,9 @@ def test_every_frame_is_that_of_corrupt_frame_with_the_seed_of_its_drive(data: P
 
 
 def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path) -> None:
-    for workers in (1, 2, 3):
+    for workers in (1, 2):
         corrupt_dataset(data, tmp_path / str(workers), "fog", pool=Pool(workers))
-    assert tree(tmp_path / "1") == tree(tmp_path / "2") == tree(tmp_path / "3")
+    assert tree(tmp_path / "1") == tree(tmp_path / "2")
 
 
 def test_lost_points_are_stored(data: Path, tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_lost_points_are_stored(data: Path, tmp_path: Path) -> None:
         assert after.sweep.lost == len(before.sweep) - len(after.sweep) > 0
 
 
-def test_the_protocol_says_what_was_done_to_what(data: Path, tmp_path: Path) -> None:
+def test_the_protocol_has_source_and_corruptions(data: Path, tmp_path: Path) -> None:
     (drive, _) = corrupt_dataset(data, tmp_path / "out", "crosstalk", 2, seed=9)
     (again, _) = corrupt_dataset(tmp_path / "out", tmp_path / "both", "beam_missing", 1)
     own = DriveReader(again).protocol["testbed"]
@@ -93,7 +93,7 @@ def test_one_drive_becomes_one_drive(data: Path, tmp_path: Path) -> None:
     assert tree(tmp_path / "foggy") == tree(tmp_path / "all" / "two")
 
 
-def test_trees_of_other_tools_are_taken(foreign: Path, tmp_path: Path) -> None:
+def test_trees_of_other_tools_can_be_corrupted(foreign: Path, tmp_path: Path) -> None:
     (drive, _) = corrupt_dataset(foreign, tmp_path / "out", "motion_blur")
     before, after = (DriveReader(d).read(1) for d in (foreign / "one", drive))
     assert [a.agent_id for a in after.agents] == [1000, 1002, -1]
@@ -119,7 +119,7 @@ def test_a_finished_run_is_left_alone_and_only_missing_frames_are_made(data: Pat
     ("change", "field"),
     [({"severity": 4}, "severity"), ({"seed": 1}, "seed"), ({"kind": "crosstalk"}, "kind")],
 )
-def test_a_folder_made_otherwise_is_refused_by_name(data: Path, tmp_path: Path, change: dict, field: str) -> None:
+def test_a_folder_of_other_settings_is_refused_by_name(data: Path, tmp_path: Path, change: dict, field: str) -> None:
     settings = {"kind": "beam_missing", "severity": 3, "seed": 0}
     corrupt_dataset(data, tmp_path / "out", **settings)
     with pytest.raises(DataError, match=rf"data_protocol.yaml: corruptions\[0\].{field}: expected"):
@@ -139,7 +139,7 @@ def test_a_clean_drive_is_not_written_into_a_corrupted_one(data: Path, tmp_path:
         write_drive(drive, SETTINGS, ToySource().open)
 
 
-def test_an_unfinished_drive_says_how_to_go_on(data: Path, tmp_path: Path) -> None:
+def test_an_unfinished_drive_names_the_command_that_resumes_it(data: Path, tmp_path: Path) -> None:
     (drive, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing")
     for path in drive.glob("*/000004.*"):
         path.unlink()
@@ -151,14 +151,14 @@ def test_an_unfinished_drive_says_how_to_go_on(data: Path, tmp_path: Path) -> No
     ("wrong", "message"),
     [
         ({"kind": "fogg"}, "did you mean 'fog'"),
-        ({"kind": "clean"}, "kind"),
+        ({"kind": "clean"}, "corruption"),
         ({"severity": 6}, "1 to 5"),
         ({"family": "papers"}, "did you mean 'paper'"),
         ({"seed": -1}, "seed"),
         ({"pool": Pool(0)}, "workers"),
     ],
 )
-def test_a_wrong_setting_is_told_before_anything_is_written(
+def test_a_wrong_setting_is_named_before_anything_is_written(
     data: Path, tmp_path: Path, wrong: dict, message: str
 ) -> None:
     with pytest.raises(SettingsError, match=message):
@@ -189,7 +189,7 @@ def test_a_folder_in_use_is_refused(data: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_killed_run_goes_on_to_the_same_bytes_and_leaves_no_worker(tmp_path: Path, workers: int) -> None:
+def test_a_killed_run_resumes_to_the_same_bytes_and_leaves_no_worker(tmp_path: Path, workers: int) -> None:
     write_drive(tmp_path / "data" / "long", {**SETTINGS, "frames": 60}, ToySource().open)
     corrupt_dataset(tmp_path / "data", tmp_path / "whole", "beam_missing")
     code = (

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.data.datasets.drive_table import GRID, count, main, put, table
+from dsrc.data.datasets.drive_table import GRID, count, main, replace_block, table
 from dsrc.data.drives import open_drive
 from dsrc.data.write import write_drive
 from dsrc.ops.grid import GridSpec
@@ -34,8 +34,8 @@ def test_a_row_counts_boxes_in_range_and_those_that_only_helpers_see(split: Path
     assert (row.drive, row.frames, row.vehicles, row.roadside) == ("toy_3", 5, 2, 1)
     assert row.boxes == sum(int(part.any(axis=0).sum()) for part in seen) > 0
     assert row.unseen == sum(int((part.any(axis=0) & ~part[0]).sum()) for part in seen)
-    way = np.linalg.norm(truth_at(4).center[0, :2] - PLACES[0])
-    assert row.way_m == pytest.approx(way, abs=0.05)
+    path = np.linalg.norm(truth_at(4).center[0, :2] - PLACES[0])
+    assert row.path_m == pytest.approx(path, abs=0.05)
 
 
 def test_a_narrower_range_holds_fewer_boxes(split: Path) -> None:
@@ -71,7 +71,7 @@ def test_a_document_without_markers_is_left_as_it_is(text: str, tmp_path: Path) 
     document = tmp_path / "page.md"
     document.write_text(text)
     with pytest.raises(DataError, match=r"page\.md: toy/drives: expected the lines .*, found"):
-        put(document, "toy/drives", "table")
+        replace_block(document, "toy/drives", "table")
     assert document.read_text() == text
 
 

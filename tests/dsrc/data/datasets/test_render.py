@@ -9,7 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from dsrc.data.datasets.render import Changes, render
+from dsrc.data.datasets.changes import Changes
+from dsrc.data.datasets.render import render
+from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.write import DriveSpec, make_drive
 from sim.catalog.load import load_scenario
@@ -57,12 +59,12 @@ def test_another_lidar_sees_the_same_traffic(drive: Path, tmp_path: Path) -> Non
     assert len(frame.agents[0].sweep) > 2 * len(before.agents[0].sweep)
 
 
-def test_agents_are_chosen_by_id_and_sensors_sit_where_they_are_told(drive: Path, tmp_path: Path) -> None:
+def test_agents_are_chosen_by_id_and_sensors_by_mounting(drive: Path, tmp_path: Path) -> None:
     before = DriveReader(drive).read(0)
     others = before.truth.object_id[
         before.truth.is_vehicle & ~np.isin(before.truth.object_id, DriveReader(drive).agents)
     ]
-    changes = Changes(agents=(int(others[0]),), mount=(1.5, 0.0, 0.6, 5.0), frames=1)
+    changes = Changes(agent_id=(int(others[0]),), mount=(1.5, 0.0, 0.6, 5.0), frames=1)
     (made,) = render(drive, tmp_path, changes)
     frame = DriveReader(made).read(0)
     assert [agent.agent_id for agent in frame.agents] == [int(others[0]), -1]
@@ -74,25 +76,26 @@ def test_agents_are_chosen_by_id_and_sensors_sit_where_they_are_told(drive: Path
         render(drive, tmp_path, Changes(vehicles=1, frames=1))
 
 
-def test_a_folder_of_drives_keeps_its_names(drive: Path, tmp_path: Path) -> None:
+def test_a_folder_of_drives_keeps_its_names_and_bytes_with_two_workers(drive: Path, tmp_path: Path) -> None:
     source = tmp_path / "data"
     for split in ("train", "test"):
         shutil.copytree(drive, source / split / "four_way_5")
     seen: list[tuple[int, int]] = []
-    made = render(
-        source, tmp_path / "out", Changes(vehicles=1, roadside=False, frames=1), progress=lambda *p: seen.append(p)
-    )
+    changes = Changes(vehicles=1, roadside=False, frames=1)
+    made = render(source, tmp_path / "out", changes, Pool(2), lambda *p: seen.append(p))
     assert made == [tmp_path / "out" / split / "four_way_5" for split in ("test", "train")]
     assert seen[-1] == (2, 2)
+    (alone,) = render(drive, tmp_path / "alone", changes)
+    assert frames_of(made[0]) == frames_of(made[1]) == frames_of(alone)
 
 
-def test_what_cannot_be_is_told(drive: Path, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"two folders below, found none; there is no such folder"):
+def test_impossible_changes_are_named(drive: Path, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"two folders below, found none; no such folder"):
         render(tmp_path / "none", tmp_path / "out", Changes())
-    with pytest.raises(SettingsError, match="agents: expected ids of road users in the first frame, found 7"):
-        render(drive, tmp_path / "out", Changes(agents=(7,)))
-    with pytest.raises(SettingsError, match="agents: expected either ids or a number, found both"):
-        render(drive, tmp_path / "out", Changes(agents=(1000,), vehicles=2))
+    with pytest.raises(SettingsError, match="agent_id: expected ids of road users in the first frame, found 7"):
+        render(drive, tmp_path / "out", Changes(agent_id=(7,)))
+    with pytest.raises(SettingsError, match="agent_id: expected no ids beside a number of vehicles, found both"):
+        render(drive, tmp_path / "out", Changes(agent_id=(1000,), vehicles=2))
     with pytest.raises(SettingsError, match="frames: expected at most 2, as recorded, found 3"):
         render(drive, tmp_path / "out", Changes(frames=3))
     with pytest.raises(ScenarioError, match=r"agents\.lidar: expected a LiDAR preset, found vlp16; did"):

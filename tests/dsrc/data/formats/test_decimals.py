@@ -1,4 +1,3 @@
-import sys
 from io import BytesIO
 
 import numpy as np
@@ -6,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import dsrc.data
 from dsrc.data.formats.decimals import read_numbers
 
 PAD = b" " * 64
@@ -92,9 +90,3 @@ def test_words_that_are_no_numbers_and_other_counts_are_nothing(text: bytes, cou
 def test_a_text_need_not_end_with_white_space():
     text = b"\n".join(b"%d.25" % i for i in range(100))
     assert np.array_equal(read_numbers(memoryview(text), 100), np.arange(100) + 0.25)
-
-
-def test_without_a_compiler_there_are_no_numbers(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.delattr(dsrc.data, "kernel", raising=False)
-    monkeypatch.setitem(sys.modules, "dsrc.data.kernel", None)
-    assert read_numbers(memoryview(b"1 2" + PAD), 2) is None

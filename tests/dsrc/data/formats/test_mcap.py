@@ -100,7 +100,7 @@ def test_a_drive_is_one_file_that_the_mcap_reader_reads(tmp_path: Path):
     assert entities["1005"]["arrows"] == []  # it stands
 
 
-def test_without_the_package_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_without_the_package_one_line_names_the_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     import sys
 
     from sim.errors import SettingsError

@@ -9,8 +9,8 @@ import pytest
 from dsrc.data.datasets.convert import convert
 from dsrc.data.drives import list_drives, open_drive, open_drives
 from dsrc.data.formats.dair.reader import DairReader
+from dsrc.data.formats.levelling import occlusion
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.levelling import occlusion
 from dsrc.data.sample import make_sample
 from dsrc.ops.grid import GridSpec
 from sensors.sweep import POINT_FIELDS
@@ -25,7 +25,7 @@ def root(tmp_path: Path) -> Path:
     return dair_tree.make(tmp_path / "download")
 
 
-def test_a_batch_is_a_drive_and_a_pair_without_its_cloud_is_told(root: Path, caplog: pytest.LogCaptureFixture):
+def test_a_batch_is_a_drive_and_a_pair_without_its_cloud_is_reported(root: Path, caplog: pytest.LogCaptureFixture):
     with caplog.at_level("WARNING"):
         readers = open_drives(root.parent)
     assert [reader.drive for reader in readers] == [root / "3", root / "12"]
@@ -58,7 +58,7 @@ def test_the_sides_keep_their_own_times(root: Path):
     assert [agent.kind for agent in first.agents] == ["vehicle", "roadside"]
 
 
-def test_velocities_are_told_where_labels_have_tracks_and_not_guessed_where_they_have_not(root: Path, tmp_path: Path):
+def test_velocities_are_known_only_for_labels_with_tracks(root: Path, tmp_path: Path):
     plain = open_drive(root / "12").read(0)
     assert plain.truth.object_id.tolist() == [1, 2, 3] and np.isnan(plain.velocity).all()
     tracked = open_drive(dair_tree.make(tmp_path / "tracked", tracks=True) / "12").read(0)
@@ -82,7 +82,7 @@ def test_splits_and_original_labels_are_parts_of_the_path(root: Path):
         list_drives(root / "test")
 
 
-def test_what_is_labelled_was_seen_by_somebody(root: Path):
+def test_a_labelled_object_has_at_least_one_point(root: Path):
     path = root / "cooperative/label_world/015344.json"
     labels = json.loads(path.read_text())
     far = dair_tree.boxes("015344")[0] + [-60.0, -80.0, 0, 0, 0, 0, 0]
@@ -141,7 +141,7 @@ def test_a_reader_travels_to_another_process(root: Path):
     assert reader.frames == (15345,) and len(reader.read(0).truth) == 3
 
 
-def test_an_unknown_motion_of_the_sensor_is_told(root: Path):
+def test_an_unknown_motion_of_the_sensor_is_named(root: Path):
     assert open_drive(root / "12", "middle").read(0).agents[0].sweep.motion == "middle"
     with pytest.raises(DataError, match=r"015344.pcd: cannot be read as 'raw': sweep: path: "):
         open_drive(root / "12", "raw").read(0)
@@ -221,7 +221,7 @@ def test_a_broken_tree_gets_one_line_that_names_file_and_field(root: Path, break
 
 
 @pytest.mark.parametrize("missing", ["label", "cloud", "vehicle", "infrastructure"])
-def test_a_pair_of_which_something_is_missing_is_left_out(root: Path, missing: str, caplog: pytest.LogCaptureFixture):
+def test_an_incomplete_pair_is_left_out(root: Path, missing: str, caplog: pytest.LogCaptureFixture):
     """The published list has pairs that were held back, some without any other trace."""
     if missing == "label":
         (root / LABEL).unlink()
@@ -239,7 +239,7 @@ def test_a_tree_may_have_another_name(root: Path):
     assert list_drives(tree) == [tree / "3", tree / "12"] == list_drives(tree.parent)
 
 
-def test_a_tree_without_any_whole_pair_is_told(root: Path):
+def test_a_tree_without_a_complete_pair_is_named(root: Path):
     for cloud in root.parent.glob("*-velodyne/*.pcd"):
         cloud.unlink()
     with pytest.raises(DataError, match="pairs: expected at least one whose clouds, label and entries are there"):

@@ -62,7 +62,7 @@ def test_frames_without_objects_agents_points_or_spec_are_legal(tmp_path: Path):
     assert same_frames(read_frame(tmp_path / "d", 7), frame)
 
 
-def test_trees_written_before_lanes_and_visible_fractions_were_kept_say_that_nobody_knows(drive: Path):
+def test_old_trees_have_unknown_lanes_and_visible_fractions(drive: Path):
     wanted = ("acceleration", "signals", "lane", "visible_fraction")
     for path in drive.glob("*/*.yaml"):
         line, _, rest = path.read_text().partition("\n")
@@ -125,7 +125,7 @@ def test_a_drive_written_in_one_motion_reads_in_any_other(tmp_path: Path, writte
     assert np.array_equal(frame.truth.array, toy_frame(1).truth.array) and frame.time_s == toy_frame(1).time_s
 
 
-def test_a_frame_keeps_the_way_of_its_sensors_and_their_motion(tmp_path: Path):
+def test_a_frame_keeps_the_paths_of_its_sensors_and_their_motion(tmp_path: Path):
     frame = deskew_frame(toy_frame(2), "raw")
     write_frame(tmp_path / "d", frame)
     assert same_frames(read_frame(tmp_path / "d", 2), frame)

@@ -1,4 +1,4 @@
-"""What datasets without velocities tell by where their objects are a frame earlier and later."""
+"""Velocities of objects from their positions a frame earlier and later, for datasets without velocities."""
 
 from typing import NamedTuple
 
@@ -8,23 +8,23 @@ from numpy.typing import NDArray
 from sim.boxes import Boxes
 
 LONGEST_GAP_S = 0.5
-"""Objects are not followed over a longer pause than this."""
+"""Longest time between two frames of one track."""
 
 
-class Instant(NamedTuple):
-    """Where the objects were at one time."""
+class TimedBoxes(NamedTuple):
+    """Boxes of all objects at one time."""
 
     time_s: float
     boxes: Boxes
 
 
-def tracked_velocity(now: Instant, before: Instant | None, after: Instant | None) -> NDArray[np.float64]:
-    """Return (N, 2) velocities in the plane, m/s, by finite differences; NaN for objects that neither neighbour has.
+def tracked_velocity(now: TimedBoxes, before: TimedBoxes | None, after: TimedBoxes | None) -> NDArray[np.float64]:
+    """Return (N, 2) velocities in the plane, m/s, by finite differences; NaN for objects in neither neighbour.
 
     Args:
-        now: the instant; objects are the same where their ids are.
-        before: the one before; its objects and those of `after` give a central difference where both have one.
-        after: the one after.
+        now: boxes of the frame; equal ids are one object.
+        before: boxes of the frame before; together with `after` they give a central difference.
+        after: boxes of the frame after.
     """
     first, last = _found(now, before), _found(now, after)
     start = np.where(np.isnan(first), [*now.boxes.center[:, :2].T, np.full(len(now.boxes), now.time_s)], first)
@@ -36,8 +36,8 @@ def tracked_velocity(now: Instant, before: Instant | None, after: Instant | None
     return velocity
 
 
-def _found(now: Instant, other: Instant | None) -> NDArray[np.float64]:
-    """Return (3, N) x, y and time of the objects of `now` in another instant, NaN where they are not there."""
+def _found(now: TimedBoxes, other: TimedBoxes | None) -> NDArray[np.float64]:
+    """Return (3, N) x, y and time of the objects of `now` in another frame, NaN for missing ones."""
     rows = np.full((3, len(now.boxes)), np.nan)
     if other is None or abs(other.time_s - now.time_s) > LONGEST_GAP_S or len(other.boxes) == 0:
         return rows

@@ -1,4 +1,4 @@
-"""What labels of single sensors need: a level frame, in which a box has one angle, and degrees of occlusion."""
+"""Levelling: level sensor frames, in which a box has one angle, and degrees of occlusion for labels."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ _WHOLE, _HALF = 0.95, 0.5
 
 
 def levelled(sweep: Sweep) -> Sweep:
-    """Return a sweep in the level frame at its sensor with the same heading; unchanged where it is level already."""
+    """Return a sweep in the level frame at its sensor with the same heading; a level sweep is returned unchanged."""
     yaw, pitch, roll = pose_angles(sweep.world_from_lidar)
     if max(abs(float(pitch)), abs(float(roll))) < _LEVEL:
         return sweep
@@ -26,7 +26,7 @@ def occlusion(visible_fraction: NDArray[np.floating]) -> NDArray[np.int64]:
     """Return degrees of occlusion as KITTI and DAIR-V2X count: 0 visible, 1 partly hidden, 2 mostly hidden.
 
     Args:
-        visible_fraction: see `sensors.frame.Frame`; NaN, where nobody has measured it, counts as visible.
+        visible_fraction: see `sensors.frame.Frame`; NaN (not measured) counts as visible.
     """
     known = np.nan_to_num(np.asarray(visible_fraction, np.float64), nan=1.0)
     return np.select([known >= _WHOLE, known >= _HALF], [0, 1], 2)

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from dsrc.data.velocity_from_tracks import Instant, tracked_velocity
+from dsrc.data.formats.velocity_from_tracks import TimedBoxes, tracked_velocity
 from sim.boxes import Boxes
 
 
-def at(time_s: float, x: dict[int, float]) -> Instant:
+def at(time_s: float, x: dict[int, float]) -> TimedBoxes:
     boxes = Boxes.from_array([[place, 2.0 * place, 0, 4, 2, 1.5, 0] for place in x.values()], object_id=list(x))
-    return Instant(time_s, boxes)
+    return TimedBoxes(time_s, boxes)
 
 
 def test_velocity_is_the_central_difference_where_both_sides_are_known():
@@ -19,10 +19,10 @@ def test_velocity_is_the_central_difference_where_both_sides_are_known():
     assert np.isnan(velocity[3]).all()
 
 
-def test_nothing_is_told_over_a_long_pause_or_without_neighbours():
+def test_velocity_is_unknown_over_a_long_pause_or_without_neighbours():
     now = at(1.0, {1: 5.0})
     assert np.isnan(tracked_velocity(now, at(0.4, {1: 4.0}), at(2.0, {1: 7.0}))).all()
     assert np.isnan(tracked_velocity(now, None, None)).all()
     assert np.isnan(tracked_velocity(now, at(1.0, {1: 4.0}), None)).all()  # the same time twice
-    empty = Instant(1.0, Boxes.zeros())
+    empty = TimedBoxes(1.0, Boxes.zeros())
     assert tracked_velocity(empty, now, now).shape == (0, 2)

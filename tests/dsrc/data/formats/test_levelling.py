@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dsrc.data.levelling import levelled, occlusion
+from dsrc.data.formats.levelling import levelled, occlusion
 from sensors.sweep import make_sweep
 from sim.geometry import pose_matrix
 
@@ -21,5 +21,5 @@ def test_a_level_sensors_points_stay_bit_for_bit():
     assert levelled(replace(sweep, world_from_lidar=pose_matrix([0, 0, 0], 0.7, 1e-3))) is not sweep
 
 
-def test_occlusion_has_three_degrees_and_nobody_is_hidden_unmeasured():
+def test_occlusion_has_three_degrees_and_unmeasured_objects_are_visible():
     assert occlusion(np.array([1.0, 0.96, 0.94, 0.5, 0.49, 0.0, np.nan], np.float32)).tolist() == [0, 0, 1, 1, 2, 2, 0]
