@@ -5,7 +5,7 @@ READY := .venv/.ready
 
 .PHONY: demo test test-slow test-browser test-explore lint format types clean
 
-# `dsrc demo` goes on where an interrupted one stopped.
+# An interrupted demo resumes.
 demo: $(READY)
 	$(BIN)/dsrc demo --out demo
 
@@ -18,7 +18,7 @@ test-slow: $(READY)
 test-browser: $(READY)
 	$(BIN)/python -m pytest -m browser
 
-# Property tests with examples that no run had before.
+# Property tests on new random examples.
 test-explore: $(READY)
 	$(BIN)/python -m pytest --hypothesis-profile explore $$(grep -rl --include 'test_*.py' hypothesis tests)
 

@@ -1,4 +1,4 @@
-"""Broken input gets one line that names it and exit code 2, at the command line, with nothing else written."""
+"""Broken input at the command line: one line that names it, exit code 2, no other output."""
 
 import shutil
 from collections.abc import Callable
@@ -19,14 +19,14 @@ from tests.paths import ROOT
 
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
-    """A folder with one good drive."""
+    """Folder with one valid drive."""
     write_drive(tmp_path / "data" / "toy_3", SETTINGS, ToySource().open)
     return tmp_path / "data"
 
 
 @pytest.fixture
 def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Runs `dsrc` and returns its one line of complaint; a stack trace would be an exception here."""
+    """Function that runs `dsrc` and returns its one line of error; a stack trace would be an exception here."""
 
     def run(*args: object) -> str:
         with pytest.raises(SystemExit) as leaving:
@@ -92,7 +92,7 @@ def test_a_checkpoint_of_another_model_is_named(data: Path, tmp_path: Path, refu
     assert not (tmp_path / "out").exists()
 
 
-def test_a_teacher_is_no_detector_for_the_road(data: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
+def test_a_teacher_is_refused_as_a_detector(data: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
     path = tmp_path / "teacher.pt"
     save_detector(path, Detector(replace(debug().model, role="teacher")))
     for verb in (
@@ -112,7 +112,7 @@ def test_a_file_where_a_folder_should_be_is_named(data: Path, tmp_path: Path, re
     )
 
 
-def test_a_folder_that_cannot_be_is_told_without_an_empty_bar(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_impossible_folder_costs_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     for wrong in (("--out", "/proc/nowhere"), ("--out", "/tmp", "--frames", "0")):
         with pytest.raises(SystemExit):
             main(["generate", "four_way", *wrong])
@@ -183,7 +183,7 @@ def test_a_wrong_option_is_named(
     assert not out.exists()
 
 
-def test_a_place_that_cannot_be_written_to_costs_no_work(tmp_path: Path, refused: Callable[..., str]) -> None:
+def test_an_unwritable_path_is_refused_before_the_work(tmp_path: Path, refused: Callable[..., str]) -> None:
     occupied = tmp_path / "file"
     occupied.write_text("mine")
     assert str(occupied) in refused("drive", "four_way", "--duration-s", "1", "--out", occupied / "rows.csv")

@@ -1,4 +1,4 @@
-"""The command line answers at once and says in one line what is wrong."""
+"""Command line: help, names of options, progress, one-line errors."""
 
 import os
 import subprocess
@@ -38,8 +38,8 @@ def commands() -> Iterator[tuple[tuple[str, ...], type]]:
                 yield (name, part), command_class(place)
 
 
-def said(capsys: pytest.CaptureFixture[str], *args: str) -> str:
-    """Return what a command prints before it exits with code 0."""
+def help_text(capsys: pytest.CaptureFixture[str], *args: str) -> str:
+    """Return the output of a command that exits with code 0."""
     with pytest.raises(SystemExit) as leaving:
         run(args)
     assert leaving.value.code == 0
@@ -59,15 +59,15 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_help_lists_every_command_and_every_option_with_its_default(capsys: pytest.CaptureFixture[str]) -> None:
-    overview = said(capsys, "--help")
+    overview = help_text(capsys, "--help")
     for words, command in commands():
         assert f"  {' '.join(words)}  " in overview and options.summary(command) in overview
-        text = said(capsys, *words, "--help")
+        text = help_text(capsys, *words, "--help")
         assert f"usage: dsrc {' '.join(words)}" in text
-        assert "None" not in text and "default: )" not in text and "default: '')" not in text
+        assert not [word for word in ("None", "default: )", "default: '')", "(optional)") if word in text]
         for name, _, _, line in options.fields_of(command):
             assert line.strip(), f"{words}: {name} has no help"
-    assert "build" in said(capsys, "dataset", "--help")
+    assert "build" in help_text(capsys, "dataset", "--help")
 
 
 def test_one_name_stands_for_one_thing() -> None:
@@ -113,13 +113,17 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(
         for done in (0, 2, 3, 4):
             report(done, 4)
     assert capsys.readouterr().err.splitlines() == ["work: 2 of 4, 25 s", "work: 4 of 4, 31 s"]
+    monkeypatch.undo()
+    with progress("short work") as report:
+        report(4, 4)
+    assert capsys.readouterr().err == ""
 
 
 def test_an_unknown_scenario_names_the_nearest(tmp_path: Path) -> None:
     assert_one_line(dsrc("generate", "braunschwieg", "--out", str(tmp_path / "x")), "braunschwieg", "braunschweig")
 
 
-def test_what_is_wrong_with_a_data_set_is_listed_and_costs_exit_code_2(tmp_path: Path) -> None:
+def test_faults_of_a_dataset_are_listed_with_exit_code_2(tmp_path: Path) -> None:
     (tmp_path / "drive" / "1").mkdir(parents=True)
     (tmp_path / "drive" / "1" / "000000.yaml").write_text("vehicles: [")
     result = dsrc("dataset", "check", str(tmp_path))
@@ -127,7 +131,7 @@ def test_what_is_wrong_with_a_data_set_is_listed_and_costs_exit_code_2(tmp_path:
     assert "000000.pcd: file is missing" in result.stdout and "000000.yaml" in result.stdout
 
 
-def test_a_dataset_and_a_scenario_are_told_apart(tmp_path: Path) -> None:
+def test_a_dataset_is_not_generated_and_a_scenario_not_built(tmp_path: Path) -> None:
     out = ("--out", str(tmp_path / "x"))
     assert_one_line(dsrc("generate", "dsrc-sim", *out), "scenario", "dsrc dataset build dsrc-sim")
     assert_one_line(dsrc("dataset", "build", "dsrc-sim", "--splits", "tset", *out), "split", "'test'")
@@ -140,13 +144,13 @@ def test_an_empty_folder_is_not_a_dataset(tmp_path: Path) -> None:
     assert_one_line(dsrc("view", str(tmp_path), "--out", str(tmp_path / "x.html")), str(tmp_path))
 
 
-def test_a_checkpoint_that_is_none_is_named(tmp_path: Path) -> None:
+def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
     path = tmp_path / "model.pt"
     path.write_bytes(b"not a checkpoint")
     assert_one_line(dsrc("drive", "four_way", "--perception", "ego", "--checkpoint", str(path)), "model.pt")
 
 
-def test_a_benchmark_says_what_is_wrong_with_its_file(tmp_path: Path) -> None:
+def test_a_fault_in_the_file_of_a_benchmark_is_named(tmp_path: Path) -> None:
     path = tmp_path / "benchmark.toml"
     path.write_text('[[methods]]\nname = "DSRC"\ndetectors = ["none.pt"]\n[[datasets]]\nname = "x"\ndrives = ["y"]\n')
     out = ("--out", str(tmp_path / "out"))

@@ -8,6 +8,7 @@ from tyro.conf import Positional, arg
 
 from dsrc.cli.options import CORRUPTIONS, Data, Folder, Scenario, Severity, choice
 from dsrc.cli.progress import progress
+from dsrc.data.datasets.changes import Changes
 from dsrc.data.executors import Pool
 
 Splits = Positional[Annotated[str, arg(metavar="SPLITS")]]
@@ -145,35 +146,19 @@ class Render(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         data: a drive, a folder of drives, or a traffic log.
         out: folder of the new drives, which keep their names.
-        lidar: preset of the vehicles' LiDARs, such as vlp-16; default: the recording's.
-        roadside_lidar: preset of the roadside units' LiDARs; default: the recording's.
-        roadside: keep the roadside units.
-        vehicles: number of vehicles with a LiDAR; default: the recording's.
-        agent_id: ids of the vehicles with a LiDAR, ego first; default: the recording's.
-        mount: x y z in the body frame, m, and pitch, deg, of the vehicles' LiDARs; default: the recording's.
-        frames: frames of each drive, from the first; default: all.
     """
 
     data: Data
     out: Folder
-    lidar: str | None = None
-    roadside_lidar: str | None = None
-    roadside: bool = True
-    vehicles: int | None = None
-    agent_id: tuple[int, ...] = ()
-    mount: tuple[float, float, float, float] | None = None
-    frames: int | None = None
+    changes: Changes = Changes()
     pool: Pool = Pool()
 
     def run(self) -> None:
         """Write the drives and print their folders."""
-        from dsrc.data.datasets.render import Changes, render
+        from dsrc.data.datasets.render import render
 
-        changes = Changes(
-            self.lidar, self.roadside_lidar, self.roadside, self.vehicles, self.agent_id, self.mount, self.frames
-        )
         with progress(f"render {self.data}") as report:
-            made = render(self.data, self.out, changes, self.pool, report)
+            made = render(self.data, self.out, self.changes, self.pool, report)
         sys.stdout.writelines(f"{drive}\n" for drive in made)
 
 

@@ -8,7 +8,7 @@ import msgspec
 from tyro.conf import Positional, arg
 
 from dsrc.cli.options import METHODS, RECIPES, File, Folder, choice
-from dsrc.cli.progress import progress
+from dsrc.cli.progress import log_lines, progress
 
 
 class Train(msgspec.Struct, frozen=True, kw_only=True):
@@ -24,7 +24,7 @@ class Train(msgspec.Struct, frozen=True, kw_only=True):
         seed: seed of weights, order and augmentation.
         epochs: number of epochs; default: the recipe's.
         method: collaboration method; default: the recipe's.
-        init: detector file to start from; weights whose name and shape agree are taken.
+        init: detector file to start from, by weights whose name and shape agree; default: random weights.
         devices: GPUs, or processes without one, that share each batch; torchrun sets its own number.
         set: settings of the model, of the recipe or of a part of it, such as sdd=false fusion=max
             augmentation.corruption=0.5; default: the recipe's.
@@ -47,6 +47,7 @@ class Train(msgspec.Struct, frozen=True, kw_only=True):
         """Train and print the detector file."""
         from dsrc.training.train import leads, train_stages
 
+        log_lines("dsrc.training")  # a line per epoch
         options = msgspec.structs.asdict(self)
         detector = train_stages(options.pop("recipe"), overrides=options.pop("set"), **options)
         if leads():

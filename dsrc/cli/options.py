@@ -118,17 +118,20 @@ def _parts(struct: type) -> tuple[str, dict[str, str]]:
     return re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()), lines
 
 
-def fields_of(struct: type[msgspec.Struct]) -> Iterator[tuple[str, Any, Any, str]]:
+def fields_of(
+    struct: type[msgspec.Struct], defaults: msgspec.Struct | None = None
+) -> Iterator[tuple[str, Any, Any, str]]:
     """Yield name, type, default and help of every option of a struct, those of structs in it too."""
     texts: dict[str, str] = {}
     for base in reversed(struct.__mro__):
         texts |= _parts(base)[1]
     hints = get_type_hints(struct, include_extras=True)
     for one in msgspec.structs.fields(struct):
+        default = _default(one) if defaults is None else getattr(defaults, one.name)
         if _is_struct(one.type):
-            yield from fields_of(one.type)
+            yield from fields_of(one.type, default)
         else:
-            yield one.name, hints[one.name], _default(one), texts.get(one.name, "")
+            yield one.name, hints[one.name], default, texts.get(one.name, "")
 
 
 def _is_struct(kind: Any) -> bool:
@@ -150,8 +153,6 @@ def _flat(struct: type[msgspec.Struct]) -> type:
         settings: dict[str, Any] = {"help": text, "metavar": _metavar(kind)}
         if said and default in (None, "", ()):
             settings["help_behavior_hint"] = f"(default: {said[1]})"
-        elif default is None or default in ("", ()):
-            settings["help_behavior_hint"] = "(optional)"
         settings = {key: value for key, value in settings.items() if value is not None}
         annotated = Annotated[kind, arg(**settings)]  # type: ignore[valid-type]
         specs.append((name, annotated) if default is msgspec.NODEFAULT else (name, annotated, field(default=default)))

@@ -1,5 +1,6 @@
 """Progress of a command on standard error: a bar on a terminal, else a line now and then."""
 
+import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +11,8 @@ Report = Callable[[int, int], None]
 
 LINE_EVERY_S = 20.0
 """Time between two lines where there is no terminal, s."""
+SHORT_S = 2.0
+"""Work that takes less is not reported in lines, s."""
 
 
 @contextmanager
@@ -26,6 +29,14 @@ def progress(label: str) -> Iterator[Report]:
         yield report
 
 
+def log_lines(name: str) -> None:
+    """Write the log of a package to standard error, where that is no terminal with a bar of its own."""
+    if not sys.stderr.isatty():
+        log = logging.getLogger(name)
+        log.setLevel(logging.INFO)
+        log.addHandler(logging.StreamHandler())
+
+
 @contextmanager
 def _lines(label: str) -> Iterator[Report]:
     start = last = monotonic()
@@ -33,7 +44,7 @@ def _lines(label: str) -> Iterator[Report]:
     def report(done: int, total: int) -> None:
         nonlocal last
         now = monotonic()
-        if done > 0 and (done >= total or now - last >= LINE_EVERY_S):
+        if now - last >= LINE_EVERY_S or (done >= total and now - start >= SHORT_S):
             sys.stderr.write(f"{label}: {done} of {total}, {now - start:.0f} s\n")
             sys.stderr.flush()
             last = now

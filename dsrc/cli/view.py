@@ -18,7 +18,7 @@ class View(msgspec.Struct, frozen=True, kw_only=True):
         corruption: corruption at the start.
         port: port of the page on 127.0.0.1; default: a free one.
         out: HTML page to write; default: serve the page.
-        picture: PNG of the written page; needs Chromium.
+        picture: PNG of the written page, drawn by Chromium; default: none.
         frames: frames of a written page, from the first.
     """
 
