@@ -1,10 +1,10 @@
-"""Train every detector of docs/results.md, several at a time, past the gates, then measure them: the whole campaign.
+"""Campaign of trainings: every detector of docs/results.md, several at a time, with gates between the phases.
 
-It needs neither SUMO nor a network: `dsrc dataset build dsrc-sim --out data/dsrc-sim` renders recorded traffic. What is
-done is not done again, and what was interrupted resumes. Phases: 1 the teacher; 2 students of single clouds, plain and
-distilled, from the teacher's weights without the paint; 3 the same in company; 4 the parts of DSRC; 5 rivals with
-weights of their own, after starts of their own; 6 further than the paper. After 1 and within 2, gates on the validation
-drives decide whether to go on; `examples/gates.py` says what they ask for.
+It needs neither SUMO nor a network: `dsrc dataset build dsrc-sim --out data/dsrc-sim` renders recorded traffic.
+Finished trainings are kept, interrupted ones resume. Phases: 1 the teacher; 2 students of single clouds, plain and
+distilled, from the teacher's weights without the paint; 3 the same with collaborators; 4 the parts of DSRC; 5 rivals
+with weights of their own, after starts of their own; 6 extensions of the paper. After 1 and within 2, gates on the
+validation drives decide whether to continue, see `examples/gates.py`.
 
 Usage:
     python examples/campaign.py --data data/dsrc-sim --out runs                      # two CPU cores: 25 hours
@@ -39,31 +39,31 @@ from sim.files import file_sha256, write_file
 FIRST, TEACHER, MAP_START = "first", "teacher", "map-start"
 SEEDS = 5
 LONG, SHORT = 4000, 1000
-"""Steps of a student of single clouds, and of one in company after it."""
+"""Steps of a student of single clouds, and of one with collaborators after it."""
 EPOCH = 500
 """Steps between two validations."""
 SLOW = ("learning_rate=5e-4", "ema=0.998")
 FADING = ("distill.fade=0.3",)
 KEPT = ("detector.pt", "settings.json", "environment.json", "metrics.csv", "result.json")
-"""What a later run needs of a training that is done."""
+"""Files of a finished training that later ones need."""
 TOML = Path(__file__).parents[1] / "docs/results/dsrc-sim-small/benchmark.toml"
 
 
 @dataclass(frozen=True)
 class Training:
-    """One run folder.
+    """Training of the campaign, with its run folder.
 
     Attributes:
-        name: of the folder.
-        phase: of the campaign.
+        name: name of the folder.
+        phase: phase of the campaign.
         method: see `dsrc model train --method`.
-        init: the training whose detector it starts from; "" for none.
-        seed: of weights, order and augmentation.
-        steps: of two frames.
-        settings: what differs from the recipe.
-        teacher: the training whose detector teaches; "" for none.
-        stage: `plain` for the very first, else `teacher` or `student`.
-        passes: over all frames, instead of steps.
+        init: training whose detector it starts from; "" without one.
+        seed: seed of weights, order and augmentation.
+        steps: number of steps of two frames.
+        settings: changes of the recipe.
+        teacher: training whose detector is the teacher; "" without one.
+        stage: `plain` for the first, else `teacher` or `student`.
+        passes: passes over all frames, in place of steps.
     """
 
     name: str
@@ -82,23 +82,23 @@ class Training:
         return out / self.name / self.stage
 
     def detector(self, out: Path) -> Path:
-        """Return the file that it makes."""
+        """Return its detector file."""
         return self.folder(out) / "detector.pt"
 
     def needs(self) -> tuple[str, ...]:
-        """Return the trainings that have to be done first."""
+        """Return the trainings that it depends on."""
         return tuple(name for name in (self.init, self.teacher) if name)
 
 
 def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
-    """Return all trainings, those that most depends on first.
+    """Return all trainings, in the order of dependence.
 
-    All students come from the teacher's lineage: a student whose features began elsewhere cannot be brought to the
-    teacher's without unlearning its own. A plain student begins where its distilled twin does.
+    All students start from the teacher's weights: one with features of another origin would have to unlearn them. A
+    plain student starts where its distilled twin does.
 
     Args:
-        seeds: of DSRC and of its plain twin.
-        weights: factor of the distillation's weights, which the gates decide.
+        seeds: seeds of DSRC and of its plain twin.
+        weights: factor of the distillation weights, decided by the gates.
     """
     long = ("learning_rate=1e-3", "ema=0.998")
     halved = "" if weights == 1.0 else "-halved"
@@ -170,14 +170,14 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
 
 
 WEIGHTS = {"dae": 1.0, "daf": 1.0, "dap": 0.5}
-"""Of the distillation, see `DistillSettings`."""
+"""Distillation weights, see `DistillSettings`."""
 FURTHER = {
     "thinned": ("augmentation.thinning=0.5",),
     "corrupted": ("augmentation.corruption=0.5",),
     "consistent": ("augmentation.corruption=0.5", "consistency=0.5"),
     "directed": ("direction=true",),
 }
-"""Further than the paper, by name: what the recipe changes."""
+"""Extensions of the paper, as changes of the recipe by name."""
 
 
 def command(training: Training, options: argparse.Namespace, known: dict[str, Training]) -> list[str]:
@@ -210,16 +210,22 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder with train, validation and test")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run folders")
     parser.add_argument("--recipe", default="small", choices=sorted(RECIPES), help="default: small")
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="of DSRC and its plain twin; default: %(default)s")
+    parser.add_argument(
+        "--seeds", type=int, default=SEEDS, help="seeds of DSRC and its plain twin; default: %(default)s"
+    )
     parser.add_argument("--lengthen", type=float, default=1.0, help="factor of all numbers of steps; default: 1")
-    parser.add_argument("--trial", type=int, default=0, metavar="STEPS", help="try everything with so many steps each")
-    parser.add_argument("--phases", type=int, nargs="+", choices=range(1, 7), help="these, and what they need")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="these, and what they need")
-    parser.add_argument("--past", nargs="+", default=[], metavar="GATE", help="go on although this gate did not pass")
+    parser.add_argument(
+        "--trial", type=int, default=0, metavar="STEPS", help="try everything with this many steps each"
+    )
+    parser.add_argument("--phases", type=int, nargs="+", choices=range(1, 7), help="these and their dependencies")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="these and their dependencies")
+    parser.add_argument(
+        "--past", nargs="+", default=[], metavar="GATE", help="continue past this gate, although it failed"
+    )
     parser.add_argument("--jobs", type=int, default=2, help="trainings at a time, which share the cores; default: 2")
-    parser.add_argument("--workers", type=int, default=0, help="processes that prepare batches, of each training")
+    parser.add_argument("--workers", type=int, default=0, help="processes per training that prepare batches")
     parser.add_argument("--bfloat16", action=argparse.BooleanOptionalAction, default=True)
-    parser.add_argument("--kept", type=Path, help="folder where finished trainings that others need are kept, too")
+    parser.add_argument("--kept", type=Path, help="second folder for finished trainings that others need")
     parser.add_argument("--dry-run", action="store_true", help="print the commands")
     options = parser.parse_args()
     for name, least in (("seeds", 2), ("jobs", 1), ("workers", 0), ("trial", 0)):
@@ -241,15 +247,15 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     if options.kept:
         restore(options.kept, options.out)
-    told = Campaign(options).run()
+    failure = Campaign(options).run()
     write_file(options.out / "trainings.csv", record(campaign(options.seeds, factor(options.out)), options.out))
-    if told:
-        sys.exit(told)
+    if failure:
+        sys.exit(failure)
     print(f"now measure: dsrc benchmark {TOML}, with the folders that it names made yours")
 
 
 def selected(planned: Sequence[Training], options: argparse.Namespace) -> list[Training]:
-    """Return the trainings that are asked for and what they need, in the campaign's order."""
+    """Return the requested trainings and their dependencies, in the campaign's order."""
     by_name = {training.name: training for training in planned}
     wanted = {t.name for t in planned if not options.phases or t.phase in options.phases}
     if options.only:
@@ -260,13 +266,13 @@ def selected(planned: Sequence[Training], options: argparse.Namespace) -> list[T
 
 
 def factor(out: Path) -> float:
-    """Return the factor of the distillation's weights: a half once G1 has not passed with the whole."""
+    """Return the factor of the distillation weights: a half once G1 has failed with the whole."""
     first = gates.recorded(out).get("G1")
     return 1.0 if first is None or first.passed else 0.5
 
 
 class Campaign:
-    """Runs trainings, as many at a time as asked for, and measures the gates between them."""
+    """Runner of the trainings, several at a time, and of the gates between them."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options, self.out = options, options.out
@@ -276,7 +282,7 @@ class Campaign:
         self.environment = os.environ | ({"OMP_NUM_THREADS": str(threads)} if threads else {})
 
     def run(self) -> str:
-        """Run everything; return why it ended early, "" when all is done."""
+        """Run everything; return the reason of an early end, "" when all is done."""
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         with Progress(*columns, console=Console(stderr=True)) as progress:
             task = progress.add_task("trainings")
@@ -296,9 +302,7 @@ class Campaign:
                     self._start(training, by_name)
                 if not self.running and not ready:
                     names = [f"{name}, see {self.out}/{name}.log" for name in self.failed]
-                    names += [
-                        f"gate {name} did not pass, see {self.out}/{gates.FILE}; --past {name}" for name in closed
-                    ]
+                    names += [f"gate {name} failed, see {self.out}/{gates.FILE}; --past {name}" for name in closed]
                     return "; ".join(names)
                 time.sleep(1.0)
 
@@ -317,7 +321,7 @@ class Campaign:
                     keep(self.out, self.options.kept, name)
 
     def _gates(self, trainings: Sequence[Training]) -> list[str]:
-        """Measure the gates that can be measured by now; return those that are closed."""
+        """Measure the gates that are due; return those that are closed."""
         if self.options.trial or self.options.lengthen != 1.0:
             return []  # the gates' steps and bounds are of the whole campaign
         names = {training.name for training in trainings}
@@ -363,14 +367,14 @@ class Campaign:
 
 
 def behind(training: Training, closed: Sequence[str]) -> bool:
-    """Return whether a training has to wait for a gate that is closed."""
+    """Return whether a closed gate blocks a training."""
     if "G0" in closed:
         return training.phase > 1
     return training.phase > 2 or training.seed > 1
 
 
 def keep(out: Path, kept: Path, name: str) -> None:
-    """Copy what later trainings need of one that is done, if any does."""
+    """Copy the files of a finished training that later ones need."""
     needed = {need for weights in (1.0, 0.5) for training in campaign(SEEDS, weights) for need in training.needs()}
     for training in (t for weights in (1.0, 0.5) for t in campaign(SEEDS, weights) if t.name == name):
         if name in needed:
@@ -381,7 +385,7 @@ def keep(out: Path, kept: Path, name: str) -> None:
 
 
 def restore(kept: Path, out: Path) -> None:
-    """Take trainings and gates that were kept, where there is nothing of them yet."""
+    """Copy kept trainings and gates that are missing."""
     if (kept / gates.FILE).exists() and not (out / gates.FILE).exists():
         shutil.copyfile(kept / gates.FILE, out / gates.FILE)
     for source in sorted(kept.glob("*/*/detector.pt")):
@@ -391,7 +395,7 @@ def restore(kept: Path, out: Path) -> None:
 
 
 def record(planned: Sequence[Training], out: Path) -> str:
-    """Return the trainings that are done as CSV: what their run folders say of how they began and ended."""
+    """Return the finished trainings as CSV: starts, steps and results of their run folders."""
     done = [t for t in planned if t.detector(out).exists() and (t.folder(out) / "metrics.csv").exists()]
     names = {file_sha256(t.detector(out)): t.name for t in done}
     text = io.StringIO()

@@ -1,7 +1,7 @@
-"""Gates of the campaign of docs/results.md: what a teacher and a distillation must show before more is trained on them.
+"""Gates of the campaign of docs/results.md: least results of teacher and distillation before more is trained on them.
 
 Usage:
-    python examples/gates.py --runs runs --data data/dsrc-sim    # measures what can be measured by now
+    python examples/gates.py --runs runs --data data/dsrc-sim    # measures G0
 """
 
 import argparse
@@ -37,14 +37,14 @@ AP = ("val/ap_bev_50", "val/ap_bev_70")
 
 @dataclass(frozen=True)
 class Gate:
-    """One gate as it was measured.
+    """Measured gate.
 
     Attributes:
         name: G0 to G3.
         passed: whether all bounds hold.
         measured: values by name; AP and its differences in points.
-        bounds: least value of each.
-        note: what the values are of.
+        bounds: lower bounds of the values.
+        note: frames, batches or steps of the values.
     """
 
     name: str
@@ -55,21 +55,21 @@ class Gate:
 
 
 def gate(name: str, measured: dict[str, float], bounds: dict[str, float], note: str) -> Gate:
-    """Return a gate that passes where every value reaches its bound; NaN reaches none."""
+    """Return a gate that passes if every value reaches its bound; NaN fails."""
     passed = all(measured[key] >= bound for key, bound in bounds.items())
     rounded = {key: float(f"{value:.4g}") for key, value in measured.items()}
     return Gate(name, passed, rounded, bounds, note)
 
 
 def teacher_gate(teacher: Path, data: Path, recipe: Recipe, frames: int = 140, batches: int = 30) -> Gate:
-    """Return G0: the teacher's AP, its score where the ego sees nothing, and the share of the loss that DAP has.
+    """Return G0: the teacher's AP, its score at boxes hidden from the ego, and DAP's share of the loss.
 
     Args:
-        teacher: its run folder, of single clouds.
+        teacher: run folder of a teacher of single clouds.
         data: folder with `train` and `validation`.
-        recipe: of DSRC, by which a student will learn from it.
-        frames: of validation, evenly spread, on which scores are taken.
-        batches: of training, on which losses are taken; the student is at its start.
+        recipe: recipe of a DSRC student.
+        frames: number of validation frames for scores, evenly spread.
+        batches: number of training batches for losses of an untrained student.
     """
     detector = with_fusion(load_detector(teacher / "detector.pt"), recipe.model.fusion)
     ap = json.loads((teacher / "result.json").read_text(encoding="utf-8"))["metrics"][AP[0]]
@@ -92,7 +92,7 @@ def teacher_gate(teacher: Path, data: Path, recipe: Recipe, frames: int = 140, b
 
 
 def hidden_scores(teacher: Detector, drives: Sequence[Path], recipe: Recipe, frames: int) -> list[float]:
-    """Return a teacher's scores at the positive anchors of the boxes that the ego has no point on."""
+    """Return a teacher's scores at the positive anchors of boxes without a point of the ego."""
     store = SampleStore(drives, recipe.model.grid, recipe.comm_range_m, recipe.model.max_agents)
     refs = [store.frames[i] for i in np.linspace(0, len(store.frames) - 1, frames).round().astype(int)]
     scores: list[float] = []
@@ -117,14 +117,14 @@ def step_gate(name: str, runs: Path, pairs: Sequence[tuple[str, str]], step: int
     """Return a gate on the mean difference of AP between runs at a step.
 
     Args:
-        name: of the gate.
+        name: name of the gate.
         runs: folder of run folders.
         pairs: names of a distilled student and of its plain twin.
-        step: of their trainings, one with a validation.
-        least: points of AP@0.5 and of AP@0.7.
+        step: step of their trainings with a validation.
+        least: least gain in points of AP@0.5 and AP@0.7.
 
     Raises:
-        LookupError: one of them has not come so far.
+        LookupError: one of them has not reached the step.
     """
     found = np.array([[ap_at(runs / run / "student", step) for run in pair] for pair in pairs])
     gain = found[:, 0] - found[:, 1]
@@ -142,7 +142,7 @@ def ap_at(run: Path, step: int | None = None) -> tuple[float, float]:
     """Return AP@0.5 and AP@0.7 in points of a run's validation at a step; None is the last.
 
     Raises:
-        LookupError: it has none there.
+        LookupError: there is no validation at the step.
     """
     path = run / "metrics.csv"
     rows = list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
@@ -155,7 +155,7 @@ def ap_at(run: Path, step: int | None = None) -> tuple[float, float]:
 
 
 def seeds_gate(runs: Path, pairs: Sequence[tuple[str, str]]) -> Gate:
-    """Return G3: whether the gain over the seeds has a 95 % interval, by Student's t, above 0 at both overlaps."""
+    """Return G3: the gain over the seeds, with its 95 % interval by Student's t above 0 at both overlaps."""
     found = np.array([[ap_at(runs / run / "student") for run in pair] for pair in pairs])
     gain = found[:, 0] - found[:, 1]
     half = stats.t.ppf(0.975, len(gain) - 1) * gain.std(axis=0, ddof=1) / math.sqrt(len(gain))
@@ -166,7 +166,7 @@ def seeds_gate(runs: Path, pairs: Sequence[tuple[str, str]]) -> Gate:
 
 
 def recorded(runs: Path) -> dict[str, Gate]:
-    """Return the gates that were measured before, by name."""
+    """Return the recorded gates by name."""
     path = runs / FILE
     if not path.exists():
         return {}
@@ -174,7 +174,7 @@ def recorded(runs: Path) -> dict[str, Gate]:
 
 
 def record(runs: Path, measured: Gate) -> None:
-    """Add a gate to the record, in the place of an earlier one of its name."""
+    """Record a gate, in place of an earlier one of its name."""
     gates = recorded(runs) | {measured.name: measured}
     write_file(runs / FILE, json.dumps([asdict(gates[name]) for name in sorted(gates)], indent=2) + "\n")
 

@@ -35,6 +35,11 @@ class WeightSelection(pl.Callback):
         self._waited = self._steps = 0
         self._average: dict[str, Tensor] = {}
 
+    @property
+    def state_key(self) -> str:
+        """Key of its state in checkpoints, which outlives names of the class."""
+        return "Selection"
+
     def apply(self, detector: Detector) -> None:
         """Load the selected weights into a trained detector."""
         if self.recipe.keep == "best":

@@ -203,7 +203,7 @@ def dsrc_code() -> Recipe:
 
 
 def small() -> Recipe:
-    """Return the recipe of 102.4 m x 51.2 m and half the channels, an hour per stage on two CPU cores."""
+    """Return the recipe of 102.4 m x 51.2 m and half the channels, under an hour per stage on two cores."""
     model = ModelSettings(
         # The paper's ceiling of 1 m above the LiDAR would leave out buses and trucks.
         grid=GridSpec(range_m=(-51.2, -25.6, -3.0, 51.2, 25.6, 2.6)),

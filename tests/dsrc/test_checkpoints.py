@@ -6,7 +6,7 @@ import pytest
 
 from dsrc.cli.demo import CHECKPOINTS
 from dsrc.data.write import generate
-from dsrc.evaluation.benchmark import Method, run_benchmark
+from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
 from dsrc.models.storage.checkpoint import load_detector
 
 
@@ -25,19 +25,21 @@ def test_only_shipped_detectors_lie_there() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["small-dsrc", "small-plain"])
-def test_a_shipped_detector_finds_vehicles_on_unseen_drives_and_more_of_them_in_company(
-    name: str, unseen: list[Path]
+def test_a_shipped_detector_finds_more_vehicles_on_unseen_drives_with_collaborators(
+    name: str, unseen: Path, tmp_path: Path
 ) -> None:
-    detector = load_detector(CHECKPOINTS / f"{name}.pt")
-    methods = [Method("together", detector), Method("alone", detector, agents=1)]
-    together, alone = run_benchmark(methods, unseen, ("clean",), severity=3, seed=0)
+    checkpoints = (str(CHECKPOINTS / f"{name}.pt"),)
+    config = Evaluation(checkpoints=checkpoints, data=unseen, out=tmp_path, corruptions=("clean",))
+    together, alone = evaluate_drives(config)
     ap = "ap_bev_50"
     assert together.metrics[ap] >= 0.6
     assert together.metrics[ap] >= alone.metrics[ap] + 0.05
 
 
 @pytest.fixture(scope="module")
-def unseen(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def unseen(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Drives of seeds that no detector has seen; one alone may stand in a queue all the time."""
     out = tmp_path_factory.mktemp("test")
-    return [generate("braunschweig", out, frames=6, seed=seed, interval_s=4.0) for seed in (901, 902, 903)]
+    for seed in (901, 902, 903):
+        generate("braunschweig", out, frames=6, seed=seed, interval_s=4.0)
+    return out

@@ -43,7 +43,7 @@ def test_points_stay_on_their_objects(sample: Sample, seed: int) -> None:
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.05, 0.5])
-@pytest.mark.parametrize("limit", [0.0, 5.0, 15.0, 26.0, 45.0, 60.0, 90.0, 120.0, 180.0])
+@pytest.mark.parametrize("limit", [0.0, 15.0, 26.0, 60.0, 120.0])
 def test_whatever_ends_in_the_grid_was_read(limit: float, scale: float) -> None:
     read = source_grid(GRID, Augmentation(rotation_deg=limit, scale=scale)).range_m
     x, y = np.meshgrid(GRID.range_m[::3], GRID.range_m[1::3])

@@ -126,4 +126,4 @@ def test_the_distillation_fades_in_the_last_steps(step: int, share: float) -> No
     recipe = changed(tiny(), distill=DistillSettings(fade=0.3))
     module = DetectionModule(recipe, Detector(recipe.settings("student")))
     module._trainer = Trainer()
-    assert module._distilled_share() == pytest.approx(share)
+    assert module._distillation_factor() == pytest.approx(share)
