@@ -11,7 +11,6 @@ it turns, finds owners, materials and intensities, adds noise, loses some points
 
 import json
 import logging
-import os
 import platform
 import sys
 from collections.abc import Callable
@@ -43,6 +42,7 @@ from benchmarks.street import BENCHMARK_LIDAR, fleet
 from sensors.scan.scene import RayScene
 from sensors.sweep import STATIC, Sweep
 from sim.errors import SettingsError
+from sim.machine import core_count
 
 GOALS = {
     "ratio_public_1t": 1.35,
@@ -125,7 +125,7 @@ def variants_of(
         return variants
     variants["fused_1t"] = complete_frame(fused, street, 1)
     variants["fused_2t"] = complete_frame(fused, street, 2)
-    if _cores() != 2:
+    if core_count() != 2:
         variants["fused_all"] = complete_frame(fused, street, None)
     variants["subrays_4"] = complete_frame(fused, street, 1, subrays=4)
     if not quick:
@@ -190,7 +190,7 @@ def facts_of(street: Street, timings: dict[str, Timing]) -> dict[str, object]:
     """Return what the figures were measured on."""
     return {
         "cpu": _cpu_name(),
-        "cores": _cores(),
+        "cores": core_count(),
         "platform": platform.platform(),
         "python": platform.python_version(),
         "versions": {name: version(name) for name in ("numpy", "numba", "embreex", "trimesh")}
@@ -213,12 +213,8 @@ def _cpu_name() -> str:
     return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.processor())
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def show_contents(console: Console, distances: list[NDArray[np.float32]], sweeps: list[Sweep]) -> None:
-    """Say what a sweep holds, so that nobody compares an empty street with a full one."""
+    """Print the contents of a sweep, so that an empty street is not compared with a full one."""
     hit = float(np.mean([(distance < BENCHMARK_LIDAR.range_max_m).mean() for distance in distances]))
     points = float(np.mean([len(sweep) for sweep in sweeps]))
     moving = float(np.mean([(sweep.object_id != STATIC).sum() for sweep in sweeps]))
@@ -295,7 +291,7 @@ def main(quick: bool = False, city: bool = False) -> None:
     effort = QUICK if quick else FULL
     variants = variants_of(street, bare, fused, quick)
     timings = measure(variants, rounds=effort.rounds, keep=effort.keep, sample_s=effort.sample_s)
-    if _cores() == 2 and "fused_2t" in timings:
+    if core_count() == 2 and "fused_2t" in timings:
         timings["fused_all"] = timings["fused_2t"]
     figures = figures_of(timings, street.agents)
     show(console, timings, figures, street.agents)

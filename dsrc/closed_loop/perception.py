@@ -2,13 +2,12 @@
 
 from collections import deque
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from dsrc.data.sample import Sample, make_sample
+from dsrc.data.sample import SampleDetector, make_sample
 from dsrc.models.channel import Receiver
-from dsrc.ops.detections import Detections
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family, corrupt_frame
 from sensors.frame import Frame
 from sensors.recording.rig import Rig
@@ -20,7 +19,7 @@ from sim.traffic.base import Actors
 
 
 class Perception(Protocol):
-    """Gives the ego boxes of what is around it, in the world frame.
+    """Perception of the ego: boxes of the objects around it, world frame.
 
     Attributes:
         cooperative: whether it uses messages of helpers.
@@ -42,24 +41,11 @@ class Perception(Protocol):
         ...
 
 
-class SampleDetector(Protocol):
-    """Anything that detects in samples, see `dsrc.models.detector.Detector`."""
-
-    @property
-    def settings(self) -> Any:
-        """Settings with at least `grid`; `max_agents`, when there, limits the collaborators."""
-        ...
-
-    def detect(self, sample: Sample) -> Detections:
-        """Return detections in the ego LiDAR's frame."""
-        ...
-
-
 class TruthPerception:
-    """Every road user near the ego, as it is.
+    """Ground truth of the road users near the ego.
 
     Args:
-        reach_m: how far the ego sees.
+        reach_m: range, m.
     """
 
     cooperative = False

@@ -127,14 +127,14 @@ def _found(scenario_json: bytes, seed: int) -> ProvenEncounter:
         raise ScenarioError(complaint(scenario.name, "conflict", "one of an encounter", "none"))
     draw, proof, rejected = _first_proven_draw(msgspec.json.encode(_with(scenario, control="")), seed)
     chosen = _with(scenario, draw=draw)
-    instance = encounter_of(chosen, seed)
+    encounter = encounter_of(chosen, seed)
     return ProvenEncounter(
         scenario=with_encounter(chosen, seed),
         proof=proof,
         control=prove_encounter(chosen, seed) if scenario.conflict.control else None,
         rejected=rejected,
-        parameters=instance.parameters,
-        ghosts=tuple(_ghost(ghost, scenario.step_s) for ghost in instance.ghosts),
+        parameters=encounter.parameters,
+        ghosts=tuple(_ghost(ghost, scenario.step_s) for ghost in encounter.ghosts),
     )
 
 

@@ -24,14 +24,12 @@ class BodyRays:
 
     Attributes:
         body: its row.
-        near: lower bound of its distance, m.
         top, bottom: first ring of the rays, and the one after the last.
         columns: of the rays.
-        span: where these columns are in the motion that belongs to the views.
+        span: rows of these columns in the motion of all bodies.
     """
 
     body: int
-    near: float
     top: int
     bottom: int
     columns: slice | Ints
@@ -40,16 +38,15 @@ class BodyRays:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table:
-    """V views in rows.
+    """Table of V `BodyRays`.
 
     Attributes:
-        body, near, top, bottom: (V,) see `BodyRays`.
-        count: (V,) columns of each.
-        column: (c,) those of all, one view after another.
+        body, top, bottom: (V,) see `BodyRays`.
+        count: (V,) number of columns.
+        column: (c,) columns, one row after another.
     """
 
     body: Ints
-    near: NDArray[np.float64]
     top: Ints
     bottom: Ints
     count: Ints
@@ -57,7 +54,7 @@ class _Table:
 
 
 def body_rays(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> tuple[list[BodyRays], SensorMotion]:
-    """Return the views of bodies, nearest first, and the sensor's motion in the frames of their bodies."""
+    """Return the candidate rays of all bodies and the sensor's motion in the frames of their bodies."""
     rows = _near(request, shutter, bodies)
     fan = request.beams.fan
     table = _by_cone(request, shutter, bodies, rows) if fan is None else _by_fan(fan, request, shutter, bodies, rows)
@@ -68,16 +65,16 @@ def body_rays(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> tuple[
     if fan is not None:
         columns = [slice(int(table.column[a]), int(table.column[b - 1]) + 1) for a, b in zip(start, end, strict=True)]
     spans = map(slice, start.tolist(), end.tolist())
-    numbers = (values.tolist() for values in (table.body, table.near, table.top, table.bottom))
+    numbers = (values.tolist() for values in (table.body, table.top, table.bottom))
     return list(map(BodyRays, *numbers, columns, spans)), motion
 
 
 def _motion(shutter: Shutter, bodies: Bodies, table: _Table, start: Ints) -> SensorMotion:
-    """Return the sensor's motion over the columns of all views, each in the frame of its body."""
+    """Return the sensor's motion over the columns of all rows, each in the frame of its body."""
     segment = shutter.segment[table.column]
     if not len(segment):
         return shutter.motion(np.zeros((1, 3, 4)), segment, table.column)
-    # The poses at the borders around the columns of each view, one view after another.
+    # The poses at the borders around the columns of each row, one row after another.
     first = np.minimum.reduceat(segment, start)
     borders = np.maximum.reduceat(segment, start) - first + 2
     shift = np.cumsum(borders) - borders - first
@@ -99,24 +96,23 @@ def _near(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> Ints:
 
 
 def _by_fan(fan: Fan, request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
-    """Return the views of a spinning sensor, nearest first."""
+    """Return the candidates of a spinning sensor."""
     azimuth = fan.azimuth[: request.beams.columns]
     of, first, after = _anywhere(request, shutter, bodies, rows).columns(azimuth, fan.spread)
-    # Only these columns can see it; so it matters only where it is while they fire.
+    # Only these columns can meet the body, so only its poses while they fire matter.
     moments = first[:, None] + (after - first)[:, None] * _MOMENTS
     tight = angular_windows(_corners(shutter, bodies, rows[of], moments))
     top, bottom = tight.rings(fan.elevation, fan.spread)
     again, start, end = tight.arcs.columns(azimuth, fan.spread)
     start, end = np.maximum(start, first[again]), np.minimum(end, after[again])
     seen = np.flatnonzero((end > start) & (bottom > top)[again])
-    seen = seen[np.argsort(tight.near[again[seen]], kind="stable")]
     again, start, count = again[seen], start[seen], end[seen] - start[seen]
     column = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - start, count)
-    return _Table(rows[of[again]], tight.near[again], top[again], bottom[again], count, column)
+    return _Table(rows[of[again]], top[again], bottom[again], count, column)
 
 
 def _by_cone(request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
-    """Return the views of a sensor whose beams go anywhere, nearest first: all rings of the columns within a cone."""
+    """Return the candidates of a rosette: all rings of the columns within a cone around each body."""
     beams = request.beams
     corners = _corners(shutter, bodies, rows, np.tile(beams.columns * _MOMENTS, (len(rows), 1)))
     near = angular_windows(corners).near
@@ -125,27 +121,26 @@ def _by_cone(request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints
     middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
     angle = np.arccos(np.clip(np.einsum("nki,ni->nk", direction, middle), -1.0, 1.0)).max(axis=1)
     angle += _CONE_MARGIN_RAD + halo(request.spec)
-    found: list[tuple[int, float, Ints]] = []
-    for row in np.argsort(near, kind="stable"):
+    found: list[tuple[int, Ints]] = []
+    for row in range(len(rows)):
         seen = np.arange(beams.columns)
         if angle[row] < 0.5 * np.pi and near[row] > 0.0:
             along = np.einsum("i,irc->rc", middle[row].astype(np.float32), beams.axis[:, :, : beams.columns])
             seen = np.flatnonzero((along >= np.float32(np.cos(angle[row]))).any(axis=0))
         if len(seen):
-            found.append((int(rows[row]), float(near[row]), seen))
-    count = np.array([len(seen) for _, _, seen in found], np.int64)
+            found.append((int(rows[row]), seen))
+    count = np.array([len(seen) for _, seen in found], np.int64)
     return _Table(
-        body=np.array([body for body, _, _ in found], np.int64),
-        near=np.array([distance for _, distance, _ in found]),
+        body=np.array([body for body, _ in found], np.int64),
         top=np.zeros(len(found), np.int64),
         bottom=np.full(len(found), beams.rings),
         count=count,
-        column=np.concatenate([np.zeros(0, np.int64), *(seen for _, _, seen in found)]),
+        column=np.concatenate([np.zeros(0, np.int64), *(seen for _, seen in found)]),
     )
 
 
 def _anywhere(request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> Arcs:
-    """Return arcs that hold the bodies all the time."""
+    """Return arcs that hold the bodies during the whole sweep."""
     moments = request.beams.columns * _MOMENTS
     place, sensor = shutter.places(bodies, rows, moments), shutter.sensor(moments)
     centre = np.einsum("kji,nkj->nki", sensor[:, :, :3], place - sensor[:, :, 3])

@@ -9,7 +9,6 @@ ground-truth box at `time_s` sits in the middle of the smear. `sensors.deskew` g
 `sensors.raycast.Engine` defines what a beam measures, `sensors.optics.reflectance` how strongly surfaces return.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,6 +24,7 @@ from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec
 from sensors.sweep import KEPT, Sweep
 from sim.errors import DataError, SettingsError, complaint
+from sim.machine import core_count
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,13 +67,8 @@ def scan_all(
     if not 0.0 <= wetness <= 1.0:
         raise SettingsError(complaint("scan", "wetness", "0 to 1", wetness))
     requests = [sweep_request(sensor, wetness) for sensor in sensors]
-    made = scene.sweep(requests, threads or _cores())
+    made = scene.sweep(requests, threads or core_count())
     return [_sweep(sensor, request, returns) for sensor, request, returns in zip(sensors, requests, made, strict=True)]
-
-
-def _cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def scan(

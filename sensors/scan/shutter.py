@@ -21,7 +21,7 @@ Floats = NDArray[np.float32]
 class SensorMotion:
     """Poses of a sensor while the beams of c columns fire, in some frame.
 
-    The frame of a spinning sensor is its head's, turned to each column's azimuth: see `axes_of`.
+    The frame of a spinning sensor is its head's, turned to each column's azimuth: see `beam_axes`.
 
     Attributes:
         start: (3, 4, c) float32 pose when share 0 of the column has passed.
@@ -31,52 +31,22 @@ class SensorMotion:
     start: Floats
     step: Floats | None
 
-    def directions(self, axes: Floats, share: Floats, columns: slice = slice(None)) -> Floats:
-        """Return the (3, S, r, c) directions of rays in some columns.
 
-        Args:
-            axes: (3, S, r, c or 1) in the frame of the head.
-            share: (r,) when they fire.
-            columns: which of the motion.
-        """
-        turned = _turned(self.start[:, :3, columns], axes)
-        if self.step is not None:
-            turned += _turned(self.step[:, :3, columns], axes * share[:, None])
-        return turned
-
-    def places(self, share: Floats, columns: slice = slice(None)) -> Floats:
-        """Return (3, 1 or r, c) places of the sensor when (r,) shares of some columns have passed."""
-        start = self.start[:, 3, None, columns]
-        return start if self.step is None else start + share[:, None] * self.step[:, 3, None, columns]
-
-
-def _turned(matrix: Floats, axes: Floats) -> Floats:
-    """Return (3, S, r, c): (3, 3, c) matrices times (3, S, r, c or 1) axes."""
-    if axes.shape[3] > 1:
-        return np.einsum("ijc,jsrc->isrc", matrix, axes)
-    return (axes.reshape(3, -1).T @ matrix).reshape(3, *axes.shape[1:3], -1)
-
-
-def axes_of(beams: Beams) -> tuple[Floats, Floats]:
-    """Return the axes of the rays and of the beams in the frame of the head.
+def beam_axes(beams: Beams) -> Floats:
+    """Return the axes of the beams in the frame of the head.
 
     Returns:
-        (3, S, R, 1) and (3, 1, R, 1), the same for all columns; or (3, S, R, C) and (3, 1, R, C) of a rosette, whose
-        head stands still.
+        (3, R, 1), the same for all columns, or (3, R, C) of a rosette, whose head does not turn.
     """
-    if beams.fan is not None:
-        return _axes_of_head(beams)
-    return np.moveaxis(beams.subray[..., : beams.columns], 1, 0), beams.axis[:, None, :, : beams.columns]
+    return beams.axis[:, :, : beams.columns] if beams.fan is None else _head_axes(beams)
 
 
 @lru_cache(maxsize=8)
-def _axes_of_head(beams: Beams) -> tuple[Floats, Floats]:
+def _head_axes(beams: Beams) -> Floats:
     assert beams.fan is not None
     cosine, sine = _head(beams.fan)[:, 0]
-    both = np.concatenate([beams.subray[..., :1], beams.axis[None, ..., :1]])
-    x, y, z = np.moveaxis(both, 1, 0)
-    axes = np.stack([cosine * x + sine * y, cosine * y - sine * x, z])
-    return axes[:, :-1], axes[:, -1:]
+    x, y, z = beams.axis[..., :1]
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x, z])
 
 
 @lru_cache(maxsize=16)

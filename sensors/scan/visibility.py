@@ -22,7 +22,7 @@ from sensors.raycast import SweepRequest
 from sensors.scan.body_rays import BodyRays, body_rays
 from sensors.scan.lidar import Sensor, sweep_request
 from sensors.scan.scene import RayScene
-from sensors.scan.shutter import SensorMotion, Shutter, axes_of
+from sensors.scan.shutter import SensorMotion, Shutter, beam_axes
 
 _TOUCH_M = 0.02
 """Least distance behind the static world at which a body counts as hidden, m: tyres touch the road."""
@@ -63,8 +63,8 @@ def _shares(scene: RayScene, request: SweepRequest) -> Floats:
     """Return (B,) fractions of the scene's bodies, NaN where undefined."""
     beams, count = request.beams, len(scene.bodies)
     shutter = Shutter(request, scene.bodies.path.time_s)
-    views, motion = body_rays(request, shutter, scene.bodies)
-    met = _alone(scene, request, views, motion)
+    candidates, motion = body_rays(request, shutter, scene.bodies)
+    met = _alone(scene, request, candidates, motion)
     nearest = np.full(beams.rings * beams.columns, np.inf, np.float32)
     np.minimum.at(nearest, met.ray, met.distance)
     nearest[_hidden(scene, request, shutter, nearest)] = -np.inf
@@ -92,62 +92,62 @@ class _Met:
     own: NDArray[np.bool_]
 
 
-def _alone(scene: RayScene, request: SweepRequest, views: Sequence[BodyRays], motion: SensorMotion) -> _Met:
+def _alone(scene: RayScene, request: SweepRequest, candidates: Sequence[BodyRays], motion: SensorMotion) -> _Met:
     """Cast the rays of a sweep at every body by itself."""
-    ray, span, own, count = _chosen(request, views)
+    ray, span, own, count = _chosen(request, candidates)
     ring, column = np.divmod(ray, request.beams.columns)
     origin, direction = _aim(request, motion, span, ring, column)
-    solids = [scene.bodies.solids[view.body] for view in views]
+    solids = [scene.bodies.solids[candidate.body] for candidate in candidates]
     hits = scene.engine.cast_each(solids, count.tolist(), origin, direction, request.beams.reach[ring, 1])
     hit = hits.face >= 0
-    body = np.repeat(np.array([view.body for view in views], np.int64), count)
+    body = np.repeat(np.array([candidate.body for candidate in candidates], np.int64), count)
     return _Met(body[hit], ray[hit], hits.distance[hit], own[hit])
 
 
-def _chosen(request: SweepRequest, views: Sequence[BodyRays]) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
+def _chosen(request: SweepRequest, candidates: Sequence[BodyRays]) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
     """Choose the rays that are cast at bodies.
 
     Returns:
-        (K,) rays, one view after another; (K,) places of their columns in the motion of all views; (K,) whether they
-        are of their body's own sample; (V,) rays per view.
+        (K,) rays, one body after another; (K,) rows of their columns in the motion of all candidates; (K,) whether they
+        are of their body's own sample; (V,) rays per candidate.
     """
     columns, rings = request.beams.columns, request.beams.rings
     shift, spread = _lead(request)
     every = np.arange(columns)
     wanted = np.zeros((rings, columns), bool)
     samples: list[tuple[Ints, NDArray[np.bool_] | None, NDArray[np.bool_] | None]] = []
-    for view in views:
-        column = every[view.columns]
-        ring = np.arange(view.top, view.bottom)
+    for candidate in candidates:
+        column = every[candidate.columns]
+        ring = np.arange(candidate.top, candidate.bottom)
         stride = max(1, len(ring) * int(max(len(column) - 2.0 * spread, 1.0)) // _MOST_RAYS)
         if stride == 1 and spread == 0.0:
-            wanted[view.top : view.bottom, view.columns] = True
+            wanted[candidate.top : candidate.bottom, candidate.columns] = True
             samples.append((column, None, None))
             continue
         first = np.floor(stride * ((_GOLDEN * ring) % 1.0)).astype(np.int64)
         seen = np.ones((len(ring), len(column)), bool)
         if spread > 0.0:
-            # The view has room for the rings that look aside most; each ring needs its own part of it.
+            # The columns cover the rings with the largest offsets; each ring needs its own part of them.
             if column[0] > 0:
                 seen &= column >= (column[0] + spread + shift[ring] - 1.0)[:, None]
             if column[-1] < columns - 1:
                 seen &= column <= (column[-1] - spread + shift[ring] + 1.0)[:, None]
         own = seen if stride == 1 else seen & ((np.arange(len(column)) - first[:, None]) % stride == 0)
-        wanted[view.top : view.bottom, view.columns] |= own
+        wanted[candidate.top : candidate.bottom, candidate.columns] |= own
         samples.append((column, seen, own))
     rays, spans, owned = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
-    for view, (column, looked, mine) in zip(views, samples, strict=True):
+    for candidate, (column, looked, mine) in zip(candidates, samples, strict=True):
         if looked is None or mine is None:
-            rows = np.arange(view.top, view.bottom)[:, None] * columns
-            places = np.arange(view.span.start, view.span.stop)
+            rows = np.arange(candidate.top, candidate.bottom)[:, None] * columns
+            places = np.arange(candidate.span.start, candidate.span.stop)
             rays.append((rows + column).reshape(-1))
             spans.append(np.tile(places, len(rows)))
             owned.append(np.ones(rays[-1].shape, bool))
             continue
         # Rays sampled for one body are cast at those before it too, or they could not hide it.
-        row, at = np.nonzero(looked & wanted[view.top : view.bottom, view.columns])
-        rays.append((view.top + row) * columns + column[at])
-        spans.append(view.span.start + at)
+        row, at = np.nonzero(looked & wanted[candidate.top : candidate.bottom, candidate.columns])
+        rays.append((candidate.top + row) * columns + column[at])
+        spans.append(candidate.span.start + at)
         owned.append(mine[row, at])
     count = np.array([len(part) for part in rays[1:]], np.int64)
     return np.concatenate(rays), np.concatenate(spans), np.concatenate(owned), count
@@ -176,8 +176,8 @@ def _hidden(scene: RayScene, request: SweepRequest, shutter: Shutter, nearest: F
 
 def _aim(request: SweepRequest, motion: SensorMotion, place: Ints, ring: Ints, column: Ints) -> tuple[Floats, Floats]:
     """Return (K, 3) origins and directions of rays, each with its column's place in a motion."""
-    axes = axes_of(request.beams)[1]
-    axis = axes[:, 0, ring, column if axes.shape[3] > 1 else 0]
+    axes = beam_axes(request.beams)
+    axis = axes[:, ring, column if axes.shape[2] > 1 else 0]
     pose = motion.start.take(place, axis=2)
     if motion.step is not None:
         pose += request.beams.firing_share[ring] * motion.step.take(place, axis=2)
