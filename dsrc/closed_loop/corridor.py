@@ -1,4 +1,4 @@
-"""The corridor ahead of the ego: which boxes stand in its way, and how far."""
+"""Corridor ahead of the ego: nearest obstacle and its gap."""
 
 import math
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from sim.boxes import Boxes
 
 @dataclass(frozen=True, slots=True)
 class Obstacle:
-    """The nearest box in the corridor.
+    """Nearest box in the corridor.
 
     Attributes:
         gap: from the ego's front bumper along the path to the box, m; inf when the corridor is free.
-        row: of the box, -1 when the corridor is free.
-        heading: direction of the path there, rad.
+        row: row of the box, -1 when the corridor is free.
+        heading: direction of the path at the box, rad.
     """
 
     gap: float
@@ -31,14 +31,14 @@ FREE = Obstacle(math.inf, -1, 0.0)
 def nearest_obstacle(
     path: NDArray[np.float64], boxes: Boxes, ego_length: float, ego_width: float, margin: float = 0.3
 ) -> Obstacle:
-    """Return the nearest box whose footprint overlaps the strip that the ego sweeps along its path.
+    """Return the nearest box that overlaps the strip swept by the ego along its path.
 
     Args:
         path: (K, 2) polyline that begins at the ego's centre, in the frame of `boxes`, m.
         boxes: N boxes.
         ego_length: m.
         ego_width: m.
-        margin: free space wanted on each side, m.
+        margin: clearance on each side, m.
     """
     if len(path) < 2 or len(boxes) == 0:
         return FREE
@@ -52,7 +52,7 @@ def nearest_obstacle(
         corners = shapely.points(shapely.get_coordinates(overlap))
         along = float(np.min(shapely.line_locate_point(line, corners)))
         if along <= 1e-6 and math.dist(path[0], boxes.center[row, :2]) < 0.5 * ego_length:
-            continue  # the ego itself, or what it already stands in: a collision, not an obstacle
+            continue  # the ego itself, or a box it overlaps: a collision, not an obstacle
         gap = max(along - 0.5 * ego_length, 0.0)
         if gap < best.gap:
             best = Obstacle(gap, int(row), _heading(line, along))

@@ -1,4 +1,4 @@
-"""Episodes: the follower at the wheel of the environment, one row of results per seed."""
+"""Episodes of the environment with a car-following policy, one row of results per seed."""
 
 import csv
 import io
@@ -27,7 +27,7 @@ SHIPPED_DETECTOR = Path(__file__).parents[1] / "checkpoints" / "small-dsrc.pt"
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """What one episode came to; lengths in m, times in s, speeds in m/s."""
+    """Results of one episode; lengths in m, times in s, speeds in m/s."""
 
     scenario: str
     perception: str
@@ -46,7 +46,7 @@ class Episode:
 
 
 def idm_policy(observation: Observation, settings: IdmSettings | None = None) -> NDArray[np.float32]:
-    """Return the environment's action for a follower that minds the perceived obstacle in its corridor."""
+    """Action (1,) of the IDM follower behind the perceived obstacle in its corridor."""
     settings = settings or IdmSettings()
     gap = float(observation["gap"][0])
     acceleration = idm_acceleration(
@@ -112,9 +112,9 @@ def drive_episodes(
         UserError: a setting, the scenario or the checkpoint is wrong.
     """
     if not math.isfinite(duration_s) or duration_s <= 0.0:
-        raise SettingsError(f"drive: duration: expected seconds > 0, found {duration_s}")
+        raise SettingsError(f"drive: duration_s: expected seconds > 0, found {duration_s}")
     if not seeds or min(seeds) < 0:
-        raise SettingsError(f"drive: seeds: expected one or more integers >= 0, found {tuple(seeds)}")
+        raise SettingsError(f"drive: seed: expected one or more integers >= 0, found {tuple(seeds)}")
     if out is not None:
         # A place that cannot be written to must not cost an episode.
         out.parent.mkdir(parents=True, exist_ok=True)

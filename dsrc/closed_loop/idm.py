@@ -1,4 +1,4 @@
-"""The Intelligent Driver Model (Treiber, Hennecke, Helbing 2000), with highway-env's parameters scaled to town."""
+"""Intelligent Driver Model (Treiber, Hennecke, Helbing 2000), with highway-env's parameters scaled to town."""
 
 import math
 
@@ -6,13 +6,13 @@ import msgspec
 
 
 class IdmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How the ego follows.
+    """Parameters of the car-following model.
 
     Attributes:
         max_acceleration: comfortable acceleration, m/s2.
         comfortable_deceleration: of the gap term, m/s2.
-        max_deceleration: what the brakes give in an emergency, m/s2.
-        headway_s: desired time gap.
+        max_deceleration: emergency braking, m/s2.
+        headway_s: desired time gap, s.
         jam_gap: desired gap at standstill, m.
         exponent: of the free-road term.
     """

@@ -1,4 +1,4 @@
-"""Surrogate safety measure of an episode: time to collision."""
+"""Time to collision: the surrogate safety measure of an episode."""
 
 import math
 
@@ -9,7 +9,7 @@ from sim.boxes import Boxes
 from sim.collisions import height_gap, overlap
 
 _STEEPEST = 0.1
-"""Slope of the steepest road: a box ahead may be higher by this share of its distance and yet be on the ego's way."""
+"""Slope of the steepest road, m/m: a box may be higher by this share of its distance and still be in the ego's path."""
 
 
 def time_to_collision(
@@ -22,14 +22,14 @@ def time_to_collision(
 ) -> float:
     """Return the time until the ego's box first overlaps another, all at constant velocity, s; inf beyond the horizon.
 
-    Oriented boxes, not points, as SUMO's and nuPlan's measures use. Who is on a bridge above or below does not count.
+    Oriented boxes, where SUMO's and nuPlan's measures use points. Boxes on a bridge above or below do not count.
 
     Args:
         ego: one box, world frame.
         ego_velocity: (2,) m/s.
         others: N boxes, world frame.
         velocity: (N, 2) m/s.
-        horizon_s: how far to look, s.
+        horizon_s: longest time to collision, s.
         step_s: resolution, s.
     """
     if len(others) == 0:

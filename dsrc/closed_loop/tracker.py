@@ -1,4 +1,4 @@
-"""A constant-velocity tracker: detections of single instants become moving obstacles."""
+"""Constant-velocity tracker: detections of single instants to moving obstacles."""
 
 from dataclasses import dataclass, field, replace
 
@@ -11,12 +11,12 @@ from sim.boxes import Boxes, concatenate
 
 
 class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Association and memory.
+    """Settings of association and memory.
 
     Attributes:
-        gate: farthest distance of a detection from a track's prediction, m.
+        gate: greatest distance of a detection from a track's prediction, m.
         gain: weight of a new velocity measurement, 0 to 1.
-        forget_s: a track unseen for longer is dropped, s.
+        forget_s: longest time without a detection before a track is dropped, s.
     """
 
     gate: float = 3.0
@@ -26,7 +26,7 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 @dataclass(slots=True)
 class Tracker:
-    """Tracks boxes in the world frame by nearest neighbours (Hungarian) and smoothed velocities.
+    """Tracker of boxes in the world frame: Hungarian nearest neighbours, smoothed velocities.
 
     Attributes:
         settings: association and memory.
@@ -42,7 +42,7 @@ class Tracker:
     _next_id: int = 0
 
     def update(self, detected: Boxes, time_s: float) -> tuple[Boxes, NDArray[np.float64]]:
-        """Advance to `time_s`, take in the boxes detected then and return (boxes, velocity (N, 2)) of all tracks."""
+        """Advance to `time_s` by its detections; return the boxes and velocities (N, 2), m/s, of all tracks."""
         dt = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
         predicted = self.boxes.center.copy()

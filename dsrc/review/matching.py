@@ -1,4 +1,4 @@
-"""Which detections of one frame are right, and which objects they miss, at one score and one IoU."""
+"""Matching of the detections of one frame with its ground truth, at one IoU and any score threshold."""
 
 from dataclasses import dataclass
 
@@ -13,69 +13,69 @@ from sim.boxes import Boxes
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Detections right (TP), wrong (FP) and objects missed (FN)."""
+    """Counts of true positives, false positives and false negatives."""
 
-    right: int = 0
-    wrong: int = 0
-    missed: int = 0
+    tp: int = 0
+    fp: int = 0
+    fn: int = 0
 
     def __add__(self, other: "Counts") -> "Counts":
-        return Counts(self.right + other.right, self.wrong + other.wrong, self.missed + other.missed)
+        return Counts(self.tp + other.tp, self.fp + other.fp, self.fn + other.fn)
 
     @property
     def precision(self) -> float | None:
-        """Share of the detections that are right; None without detections."""
-        total = self.right + self.wrong
-        return self.right / total if total else None
+        """TP / (TP + FP); None without detections."""
+        total = self.tp + self.fp
+        return self.tp / total if total else None
 
     @property
     def recall(self) -> float | None:
-        """Share of the objects that are found; None without objects."""
-        total = self.right + self.missed
-        return self.right / total if total else None
+        """TP / (TP + FN); None without objects."""
+        total = self.tp + self.fn
+        return self.tp / total if total else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matches:
-    """Detections of one frame, best first, matched with its truth at one IoU.
+class RankedMatches:
+    """Matches of one frame at one IoU, in order of the score.
 
-    Matching goes by score, so that a higher threshold cuts the list and changes nothing before the cut.
+    Matching is greedy by score: a higher threshold cuts the list and changes nothing before the cut.
 
     Attributes:
         score: (N,) float32 descending.
-        right: (N,) bool whether a detection has an object.
-        found_by: (M,) int64 row of the detection that found each object, -1 for none.
+        tp: (N,) bool, True for a true positive.
+        found_by: (M,) int64 row of the detection matched with each object, -1 without one.
     """
 
     score: NDArray[np.float32]
-    right: NDArray[np.bool_]
+    tp: NDArray[np.bool_]
     found_by: NDArray[np.int64]
 
     def kept(self, threshold: float) -> int:
-        """Return how many detections reach the threshold."""
+        """Number of detections that reach the threshold."""
         return int(np.count_nonzero(self.score >= threshold))
 
     def found(self, threshold: float) -> NDArray[np.bool_]:
-        """Return (M,) which objects are found by a detection that reaches the threshold."""
+        """(M,) mask of the objects matched by a detection that reaches the threshold."""
         return (self.found_by >= 0) & (self.found_by < self.kept(threshold))
 
     def counts(self, threshold: float) -> Counts:
-        """Return the numbers of TP, FP and FN at a threshold."""
+        """Numbers of TP, FP and FN at a threshold."""
         kept = self.kept(threshold)
-        right = int(np.count_nonzero(self.right[:kept]))
-        return Counts(right, kept - right, len(self.found_by) - right)
+        tp = int(np.count_nonzero(self.tp[:kept]))
+        return Counts(tp, kept - tp, len(self.found_by) - tp)
 
 
-def match(detections: Detections, truth: Boxes, iou: float) -> Matches:
-    """Match detections, best score first, each with the free object that it overlaps most.
+def match(detections: Detections, truth: Boxes, iou: float) -> RankedMatches:
+    """Match detections greedily by score, each with the unmatched object of the highest IoU.
 
     Args:
         detections: N detections in the frame of `truth`, best first.
         truth: M boxes.
-        iou: bird's-eye IoU from which a detection counts as right.
+        iou: least bird's-eye IoU of a true positive.
     """
     overlap = np.asarray(bev_iou(detections.boxes.array, truth.array), np.float64).reshape(len(detections), len(truth))
     partner = match_by_score(overlap, detections.score, iou).truth
     found_by = np.full(len(truth), -1, np.int64)
     found_by[partner[partner >= 0]] = np.flatnonzero(partner >= 0)
-    return Matches(detections.score, partner >= 0, found_by)
+    return RankedMatches(detections.score, partner >= 0, found_by)

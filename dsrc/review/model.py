@@ -1,30 +1,30 @@
-"""ReviewModel: from a state to the arrays that are drawn, with what is expensive cached."""
+"""ReviewModel: drives and detector, state to drawn arrays, with caches."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.drives import open_drives
-from dsrc.data.sample import Sample, make_sample
+from dsrc.data.drives import Drive, open_drives
+from dsrc.data.sample import SampleDetector, make_sample
 from dsrc.ops.detections import Detections
 from dsrc.review.agents import agent_view, links
-from dsrc.review.facts import facts_of
-from dsrc.review.matching import Counts, Matches, match
+from dsrc.review.details import object_details
+from dsrc.review.matching import Counts, RankedMatches, match
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
 from dsrc.review.view import (
-    CHOSEN,
-    FOUND,
+    DETECTED_TRUTH,
+    FALSE_NEGATIVES,
+    FALSE_POSITIVES,
     LAYERS,
-    MISSED_BOXES,
-    OTHER_BOXES,
-    RIGHT_BOXES,
-    WRONG_BOXES,
+    OTHER_TRUTH,
+    SELECTED,
+    TRUE_POSITIVES,
     AgentView,
     FrameView,
 )
@@ -34,7 +34,7 @@ from sim.boxes import Boxes
 from sim.errors import DataError, complaint
 
 SEED = 0
-"""Seed of the corruptions on the page, as `dsrc evaluate` and `dsrc corrupt` have it."""
+"""Seed of the corruptions, the default of `dsrc evaluate` and `dsrc corrupt`."""
 
 T = TypeVar("T")
 
@@ -43,56 +43,35 @@ _VIEWS_KEPT = 4
 _DETECTIONS_KEPT = 4096
 
 
-class Drive(Protocol):
-    """What the model needs of a drive: `dsrc.data.drives.open_drives` gives some."""
-
-    drive: Path
-    frames: tuple[int, ...]
-
-    def read(self, i: int) -> Frame:
-        """Read the i-th frame."""
-        ...
-
-
-class Detects(Protocol):
-    """What the model needs of a detector: `dsrc.models.detector.Detector` has it."""
-
-    settings: Any
-
-    def detect(self, sample: Sample) -> Detections:
-        """Detect in the ego LiDAR's frame."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """All detections of one frame and the truth that judges them, in the ego LiDAR's frame."""
+class _FrameDetections:
+    """Detections and ground truth of one frame, in the ego LiDAR's frame."""
 
     detections: Detections
     truth: Boxes
-    matches: dict[float, Matches] = field(default_factory=dict)
+    matches: dict[float, RankedMatches] = field(default_factory=dict)
 
-    def at(self, iou: float) -> Matches:
-        """Return the matches at an IoU, computed once."""
+    def at(self, iou: float) -> RankedMatches:
+        """Matches at an IoU, cached."""
         if iou not in self.matches:
             self.matches[iou] = match(self.detections, self.truth, iou)
         return self.matches[iou]
 
 
 class ReviewModel:
-    """The drives, the detector and the caches. Called by one thread at a time.
+    """Drives, detector and caches of a page; not thread-safe.
 
     Attributes:
-        drives: the drives.
-        names: their names.
-        has_detector: whether there are detections to look at.
+        drives: opened drives.
+        names: names of the drives.
+        detector: None for a page without detections.
     """
 
-    def __init__(self, drives: list[Drive], detector: Detects | None = None) -> None:
-        """Take opened drives; see `open_model` for paths.
+    def __init__(self, drives: list[Drive], detector: SampleDetector | None = None) -> None:
+        """Open a page on drives; `open_model` takes paths.
 
         Raises:
-            DataError: there is no drive, or one without frames.
+            DataError: the list or a drive is empty.
         """
         if not drives:
             raise DataError("review: no drives")
@@ -105,53 +84,52 @@ class ReviewModel:
         self._frames: OrderedDict[Hashable, Frame] = OrderedDict()
         self._corrupted: OrderedDict[Hashable, Frame] = OrderedDict()
         self._agents: OrderedDict[Hashable, tuple[AgentView, ...]] = OrderedDict()
-        self._found: OrderedDict[Hashable, _Found] = OrderedDict()
+        self._detected: OrderedDict[Hashable, _FrameDetections] = OrderedDict()
         self._origin: dict[int, NDArray[np.float64]] = {}
 
     @property
     def has_detector(self) -> bool:
-        """Whether there are detections to look at."""
+        """Whether there is a detector."""
         return self.detector is not None
 
     def frame_count(self, drive: int) -> int:
-        """Return the number of frames of a drive."""
+        """Number of frames of a drive."""
         return len(self.drives[drive].frames)
 
     def first_frame(self, drive: int) -> Frame:
-        """Return the first frame of a drive."""
+        """First frame of a drive."""
         return self._raw(drive, 0)
 
     def interval_s(self, drive: int) -> float:
-        """Return the time between frames of a drive, s; 0.1 when it cannot be told."""
+        """Time between frames of a drive, s; 0.1 where unknown."""
         if self.frame_count(drive) < 2:
             return 0.1
         step = self._raw(drive, 1).time_s - self._raw(drive, 0).time_s
         return step if 0.0 < step < 10.0 else 0.1
 
     def origin(self, drive: int) -> NDArray[np.float64]:
-        """Return (3,) the world position that the review frame of a drive has its origin at, m.
+        """(3,) world position of the review frame's origin, m: the first agent's in the first frame.
 
-        It is the first agent's place at the first frame: what the browser gets stays within float32, and the
-        road is near z = 0.
+        Coordinates in the browser then fit float32, and the road is near z = 0.
         """
         if drive not in self._origin:
             self._origin[drive] = self._raw(drive, 0).agents[0].world_from_body[:3, 3].copy()
         return self._origin[drive]
 
     def static_parts(self, drive: int) -> list[StaticPart]:
-        """Return the static world around the agents of a drive; empty when it cannot be rebuilt."""
+        """Static world around the agents of a drive; empty when it cannot be rebuilt."""
         rows = sorted({0, self.frame_count(drive) // 2, self.frame_count(drive) - 1})
         places = [agent.world_from_body[:2, 3] for row in rows for agent in self._raw(drive, row).agents]
         protocol = getattr(self.drives[drive], "protocol", {})
         return static_parts(protocol, self.origin(drive), np.array(places, np.float64))
 
     def ego_id(self, state: ReviewState) -> int:
-        """Return the agent that detects in this state."""
+        """Id of the agent that detects under a state."""
         ids = [agent.agent_id for agent in self._raw(state.drive, state.frame).agents]
         return state.ego_id if state.ego_id in ids else ids[0]
 
     def view(self, state: ReviewState) -> FrameView:
-        """Return what is drawn of a state."""
+        """Frame as drawn under a state."""
         frame = self._frame(state)
         ego_id = self.ego_id(state)
         review_from_world = np.eye(4)
@@ -167,22 +145,24 @@ class ReviewModel:
             agents=agents,
             truth=truth,
             agent_of=agent_of,
-            layers={**_no_boxes(), CHOSEN: truth[truth.object_id == state.object_id]},
+            layers={**_no_boxes(), SELECTED: truth[truth.object_id == state.object_id]},
             linked=links(agents) if state.cooperative else np.zeros((0, 2, 3)),
             layers_off=state.layers_off,
             color_by=state.color_by,
             point_size_m=state.point_size_m,
-            facts=facts_of(frame, state.object_id, ego_id, [agent.title for agent in agents]),
+            details=object_details(frame, state.object_id, ego_id, [agent.title for agent in agents]),
         )
         if self.detector is None:
             evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)
-            return replace(view, layers={**view.layers, FOUND: truth[evaluated], OTHER_BOXES: truth[~evaluated]})
-        return self._judged_view(view, state, review_from_world @ frame.agent(ego_id).sweep.world_from_lidar)
+            return replace(
+                view, layers={**view.layers, DETECTED_TRUTH: truth[evaluated], OTHER_TRUTH: truth[~evaluated]}
+            )
+        return self._with_detections(view, state, review_from_world @ frame.agent(ego_id).sweep.world_from_lidar)
 
     def _agent_views(
         self, frame: Frame, state: ReviewState, ego_id: int, review_from_world: NDArray[np.float64]
     ) -> tuple[AgentView, ...]:
-        """Return the sweeps as they are drawn; the same objects while nothing that they depend on changes."""
+        """Agents as drawn; the same objects while their settings stay."""
         key = (state.drive, state.frame, self._condition(state), ego_id, state.hidden, state.color_by, state.max_points)
         rows = range(len(frame.agents))
         return _remember(
@@ -192,37 +172,39 @@ class ReviewModel:
             lambda: tuple(agent_view(frame, row, state, ego_id, review_from_world) for row in rows),
         )
 
-    def _judged_view(self, view: FrameView, state: ReviewState, review_from_lidar: NDArray[np.float64]) -> FrameView:
+    def _with_detections(
+        self, view: FrameView, state: ReviewState, review_from_lidar: NDArray[np.float64]
+    ) -> FrameView:
         found = self._detections(state)
         matches = found.at(state.iou)
         kept = matches.kept(state.threshold)
         boxes = found.detections.boxes[:kept].transform(review_from_lidar)
-        right = matches.right[:kept]
-        # The truth is drawn as the frame has it; only which of it was found comes from the ego's frame.
+        tp = matches.tp[:kept]
+        # Boxes are drawn from the frame; the ego's sample only says which of them are detected.
         found_ids = found.truth.object_id[matches.found(state.threshold)]
-        judged = np.isin(view.truth.object_id, found.truth.object_id)
+        evaluated = np.isin(view.truth.object_id, found.truth.object_id)
         hit = np.isin(view.truth.object_id, found_ids)
         layers = {
             **view.layers,
-            OTHER_BOXES: view.truth[~judged],
-            FOUND: view.truth[judged & hit],
-            MISSED_BOXES: view.truth[judged & ~hit],
-            RIGHT_BOXES: boxes[right],
-            WRONG_BOXES: boxes[~right],
+            OTHER_TRUTH: view.truth[~evaluated],
+            DETECTED_TRUTH: view.truth[evaluated & hit],
+            FALSE_NEGATIVES: view.truth[evaluated & ~hit],
+            TRUE_POSITIVES: boxes[tp],
+            FALSE_POSITIVES: boxes[~tp],
         }
         seen, seen_frames = self._seen(state)
         return replace(view, layers=layers, counts=matches.counts(state.threshold), seen=seen, seen_frames=seen_frames)
 
     def counts(self, state: ReviewState) -> Counts | None:
-        """Return TP, FP and FN of a state; None without a detector."""
+        """Counts of TP, FP and FN under a state; None without a detector."""
         if self.detector is None:
             return None
         return self._detections(state).at(state.iou).counts(state.threshold)
 
     def _seen(self, state: ReviewState) -> tuple[Counts, int]:
-        """Sum the counts of all frames of the drive whose detections are known in this setting."""
+        """Sum the counts of the frames with cached detections under these settings."""
         keys = (self._key(replace(state, frame=row)) for row in range(self.frame_count(state.drive)))
-        known = [self._found[key] for key in keys if key in self._found]
+        known = [self._detected[key] for key in keys if key in self._detected]
         counts = (found.at(state.iou).counts(state.threshold) for found in known)
         return sum(counts, Counts()), len(known)
 
@@ -230,15 +212,15 @@ class ReviewModel:
         return (state.drive, state.frame, self._condition(state), state.ego_id, state.cooperative)
 
     def _condition(self, state: ReviewState) -> Hashable:
-        """Return what of the state decides how the sweeps are corrupted."""
+        """Cache key of the corruption."""
         if state.corruption == CLEAN:
             return CLEAN
         known = CORRUPTIONS.get(state.corruption)
         ego = state.ego_id if known is not None and known.spares_ego else None
         return (state.corruption, state.severity, state.family, ego)
 
-    def _detections(self, state: ReviewState) -> _Found:
-        def detect() -> _Found:
+    def _detections(self, state: ReviewState) -> _FrameDetections:
+        def detect() -> _FrameDetections:
             detector = self.detector
             if detector is None:
                 raise ValueError("no detector")
@@ -249,9 +231,9 @@ class ReviewModel:
                 max_agents=getattr(detector.settings, "max_agents", 5),
                 cooperative=state.cooperative,
             )
-            return _Found(detector.detect(sample), sample.boxes)
+            return _FrameDetections(detector.detect(sample), sample.boxes)
 
-        return _remember(self._found, self._key(state), _DETECTIONS_KEPT, detect)
+        return _remember(self._detected, self._key(state), _DETECTIONS_KEPT, detect)
 
     def _raw(self, drive: int, row: int) -> Frame:
         return _remember(self._frames, (drive, row), _FRAMES_KEPT, lambda: self.drives[drive].read(row))
@@ -270,7 +252,7 @@ class ReviewModel:
 
 
 def _remember(cache: "OrderedDict[Hashable, T]", key: Hashable, limit: int, make: Callable[[], T]) -> T:
-    """Return the cached value of `key`, made when it is missing; the value unused for longest leaves a full cache."""
+    """Return the cached value of `key`, made when missing; a full cache drops the least recently used."""
     if key not in cache:
         cache[key] = make()
     cache.move_to_end(key)
@@ -287,13 +269,13 @@ def open_model(root: Path, checkpoint: Path | None = None) -> ReviewModel:
     """Open all drives at or below a folder, and a detector.
 
     Raises:
-        DataError: the folder is missing, or holds no drive.
+        DataError: the folder is missing or holds no drive.
         CheckpointError: the checkpoint cannot be loaded.
     """
     drives: list[Drive] = [*open_drives(Path(root))]
     if checkpoint is None:
         return ReviewModel(drives)
-    # Torch takes seconds to import and is not needed to look at the truth.
+    # Torch takes seconds to import; ground truth alone does without.
     from dsrc.models.storage.checkpoint import load_student
 
     return ReviewModel(drives, load_student(Path(checkpoint)))

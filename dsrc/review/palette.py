@@ -1,4 +1,4 @@
-"""Colours of the review page: one meaning per colour, readable with a colour vision deficiency."""
+"""Colours of the review page, one meaning each, for all kinds of colour vision."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ from sensors.sweep import ATTENUATED, KEPT, MOVED, SCATTERED
 Rgb = tuple[int, int, int]
 
 # Neighbours differ in lightness as well as hue (after Okabe and Ito 2008), and none is the green, red or amber
-# that judges a detection.
+# of TP, FP and FN.
 AGENT_COLORS: tuple[Rgb, ...] = (
     (56, 189, 255),
     (255, 98, 205),
@@ -22,10 +22,10 @@ AGENT_COLORS: tuple[Rgb, ...] = (
 
 TRUTH: Rgb = (226, 232, 240)
 OTHER: Rgb = (112, 122, 140)
-CHOSEN: Rgb = (255, 255, 255)
-RIGHT: Rgb = (70, 208, 60)
-WRONG: Rgb = (250, 58, 64)
-MISSED: Rgb = (242, 166, 34)
+SELECTED: Rgb = (255, 255, 255)
+TP: Rgb = (70, 208, 60)
+FP: Rgb = (250, 58, 64)
+FN: Rgb = (242, 166, 34)
 BACKGROUND: Rgb = (10, 12, 17)
 
 FATE_COLORS: dict[int, Rgb] = {
@@ -34,9 +34,9 @@ FATE_COLORS: dict[int, Rgb] = {
     MOVED: (214, 112, 255),
     SCATTERED: (255, 140, 40),
 }
-"""Colours of what a corruption did to a point."""
+"""Colours of points by `Sweep.fate`."""
 FATE_NAMES = {KEPT: "untouched", ATTENUATED: "dimmer", MOVED: "moved", SCATTERED: "made by the corruption"}
-"""The same in words."""
+"""Names of the same."""
 
 # Nine stops of each map, dark to bright; interpolated to 256 colours below.
 _VIRIDIS = "46085c 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725"
@@ -60,10 +60,10 @@ _FIT = (0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081)
 _EXPOSURE = 1.0 / 0.6
 
 
-def before_tone_mapping(rgb: Rgb) -> Rgb:
-    """Return the colour to send so that the viewer, which maps tones as films do, shows `rgb` or comes near it.
+def inverse_tone_mapping(rgb: Rgb) -> Rgb:
+    """Colour that the viewer's tone mapping turns into `rgb`, as nearly as it can.
 
-    The viewer maps lines and meshes, but not points; sent as they are, saturated colours turn pale.
+    The viewer maps lines and meshes but not points; unmapped, saturated colours turn pale.
     """
     shown = np.array(rgb, np.float64) / 255.0
     linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
@@ -79,7 +79,7 @@ def before_tone_mapping(rgb: Rgb) -> Rgb:
 
 
 def agent_color(row: int) -> Rgb:
-    """Return the colour of the agent in this row of its frame."""
+    """Colour of the agent in a row of its frame."""
     return AGENT_COLORS[row % len(AGENT_COLORS)]
 
 

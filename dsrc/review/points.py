@@ -1,4 +1,4 @@
-"""Which points of a sweep are drawn, and in which colour."""
+"""Points of a sweep as drawn: subsampling and colours."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,11 +8,11 @@ from dsrc.review.state import ColorBy
 from sensors.sweep import Sweep
 
 FLOAT16_LIMIT_M = 1000.0
-"""Points farther than this are not drawn: the wire format is float16, whose steps are 0.5 m there."""
+"""Greatest coordinate that is drawn, m: the wire format is float16, with steps of 0.5 m there."""
 
 
-def thin(sweep: Sweep, max_points: int) -> NDArray[np.intp]:
-    """Return the rows of at most `max_points` points, ascending.
+def subsample(sweep: Sweep, max_points: int) -> NDArray[np.intp]:
+    """Rows of at most `max_points` points, ascending.
 
     Points on actors come first. Of the rest whole rings are left out and the others thinned along the ring by
     distance, so that the dense ground beside the sensor pays for the far field and the pattern of rings stays.
@@ -37,7 +37,7 @@ def thin(sweep: Sweep, max_points: int) -> NDArray[np.intp]:
 
 
 def _strided(far: NDArray[np.floating], budget: int) -> NDArray[np.intp]:
-    """Return rows of every k-th point, k falling with the distance `far` (P,), as many as the budget allows."""
+    """Rows of every k-th point, k falling with the distance `far` (P,), within the budget."""
     order = np.arange(len(far))
 
     def kept(reach: float) -> NDArray[np.bool_]:
@@ -50,12 +50,12 @@ def _strided(far: NDArray[np.floating], budget: int) -> NDArray[np.intp]:
     return np.flatnonzero(kept(high))[:budget]
 
 
-def paint(sweep: Sweep, color_by: ColorBy, agent_rgb: Rgb, ground_z: float) -> NDArray[np.uint8]:
-    """Return (P, 3) colours of the points.
+def point_colors(sweep: Sweep, color_by: ColorBy, agent_rgb: Rgb, ground_z: float) -> NDArray[np.uint8]:
+    """(P, 3) uint8 colours of the points.
 
     Args:
         sweep: the points that are drawn.
-        color_by: the meaning of the colour.
+        color_by: quantity shown by the colour.
         agent_rgb: the agent's colour.
         ground_z: height of the road in the sensor frame, m.
     """

@@ -1,4 +1,4 @@
-"""Line drawings of boxes, so that right, wrong and missed differ in form as well as in colour."""
+"""Line drawings of boxes: TP, FP and FN differ in form as well as in colour."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +21,17 @@ CUBE_FACES = np.array(
 
 
 def edges(boxes: Boxes) -> NDArray[np.float32]:
-    """Return (13 N, 2, 3) lines: the twelve edges and a tick forward from the front, which shows the heading."""
+    """(13 N, 2, 3) lines: the twelve edges and a tick forward from the front, which shows the heading."""
     return np.concatenate([_pick(boxes, _EDGES), _ticks(boxes)]).astype(np.float32)
 
 
 def crossed(boxes: Boxes) -> NDArray[np.float32]:
-    """Return (15 N, 2, 3) lines: as `edges`, with a cross on the roof."""
+    """(15 N, 2, 3) lines: as `edges`, with a cross on the roof."""
     return np.concatenate([edges(boxes), _pick(boxes, _ROOF_CROSS).astype(np.float32)])
 
 
 def dashed(boxes: Boxes, dash_m: float = 0.45) -> NDArray[np.float32]:
-    """Return the lines of `edges` as dashes of about `dash_m` with gaps of the same length."""
+    """(K, 2, 3) lines of `edges` as dashes of about `dash_m` with gaps of the same length."""
     lines = edges(boxes)
     if len(lines) == 0:
         return lines
@@ -47,7 +47,7 @@ def dashed(boxes: Boxes, dash_m: float = 0.45) -> NDArray[np.float32]:
 
 
 def quaternions(yaw: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return (N, 4) w, x, y, z quaternions of turns about z."""
+    """(N, 4) w, x, y, z quaternions of turns about z."""
     zero = np.zeros_like(yaw)
     return np.stack([np.cos(0.5 * yaw), zero, zero, np.sin(0.5 * yaw)], axis=1).astype(np.float32)
 

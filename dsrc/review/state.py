@@ -1,4 +1,4 @@
-"""ReviewState: what a reviewer looks at, as one frozen value."""
+"""ReviewState: settings of a review page as one frozen value."""
 
 from dataclasses import dataclass, field
 from typing import Literal, get_args
@@ -12,28 +12,28 @@ COLOR_BY: tuple[ColorBy, ...] = get_args(ColorBy)
 IOU_THRESHOLDS = (0.3, 0.5, 0.7)
 
 SHOWN_LAYERS = ("truth", "detections", "bodies", "world", "links", "labels")
-"""Groups of things on the page that can be switched off."""
+"""Layers of the page that can be switched off."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReviewState:
-    """One state of the page; everything that is drawn follows from it.
+    """State of the page: drive, frame, corruption, detection settings, colours, layers.
 
     Attributes:
         drive: row of the drive.
         frame: row of the frame in the drive.
-        ego_id: the agent that detects; None = the first of the frame.
-        cooperative: whether the ego hears its collaborators.
+        ego_id: the agent that detects; None for the first of the frame.
+        cooperative: detect with the collaborators' clouds; else with the ego's alone.
         corruption: `clean` or a kind of `sensors.corruptions`.
         severity: 1 to 5.
         family: of the corruption's settings.
-        threshold: detections below this score are not shown.
-        iou: bird's-eye IoU from which a detection counts as right.
-        color_by: what the colour of a point means.
-        hidden: agents whose points are not drawn.
-        layers_off: layers that are not drawn, of `SHOWN_LAYERS`.
-        object_id: the object that the page tells about, None for none.
-        max_points: at most this many points per agent are drawn.
+        threshold: least score of a shown detection.
+        iou: least bird's-eye IoU of a true positive.
+        color_by: quantity shown by the colour of a point.
+        hidden: agents with hidden points.
+        layers_off: hidden layers, of `SHOWN_LAYERS`.
+        object_id: the selected object, or None.
+        max_points: most points drawn per agent.
         point_size_m: side of a drawn point, m.
     """
 

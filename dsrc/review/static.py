@@ -1,4 +1,4 @@
-"""What does not move: the meshes of the world that a drive was recorded in, and the shapes of bodies."""
+"""Static world of a drive as coloured meshes, and unit meshes of bodies."""
 
 import logging
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ log = logging.getLogger(__name__)
 
 
 SINK_M = 0.12
-"""The drawn world lies this much below the real one, so that points on the road lie on top of it."""
+"""Depth of the drawn world below the real one, m: points on the road stay visible."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticPart:
-    """One mesh of one colour.
+    """Mesh of one colour.
 
     Attributes:
-        name: of its node.
+        name: name of its node.
         vertices: (V, 3) float32, review frame.
         faces: (F, 3) uint32.
-        rgb: its colour.
-        opacity: None is opaque.
+        rgb: colour.
+        opacity: None for opaque.
     """
 
     name: str
@@ -39,20 +39,20 @@ class StaticPart:
 
 @cache
 def body_shape(class_name: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Return the (V, 3) vertices and (F, 3) faces of a body of length, width and height 1, standing on z = 0."""
-    from sim.bodies.choice import body_mesh, models_for, plain_models_for
+    """(V, 3) vertices and (F, 3) faces of a body of length, width and height 1, standing on z = 0."""
+    from sim.bodies.choice import body_mesh, models_for, generic_models_for
 
     try:
         mesh = body_mesh(models_for(class_name)[0], (1.0, 1.0, 1.0))
     except ScenarioError:
-        # SUMO, whose cars these are, need not be installed to look at a drive.
-        mesh = body_mesh(plain_models_for(class_name)[0], (1.0, 1.0, 1.0))
+        # The cars are SUMO's, which reviewing a drive does not need.
+        mesh = body_mesh(generic_models_for(class_name)[0], (1.0, 1.0, 1.0))
     return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
 
 
 @dataclass(frozen=True, slots=True)
-class _Look:
-    """Materials that are drawn as one mesh, and how."""
+class _MaterialStyle:
+    """Drawing style of some materials: one mesh, colour and opacity."""
 
     name: str
     materials: tuple[str, ...]
@@ -60,27 +60,27 @@ class _Look:
     opacity: float | None = None
 
 
-# Dark and unsaturated: the world is the stage, colours belong to agents and verdicts.
-_LOOKS = (
-    _Look("roads", ("asphalt", "gravel"), (30, 34, 42)),
-    _Look("markings", ("marking",), (118, 126, 140)),
-    _Look("pavements", ("pavement", "kerb"), (44, 49, 60)),
-    _Look("green", ("ground", "hedge", "leaves", "bark"), (24, 38, 36)),
-    _Look("buildings", ("brick", "plaster", "concrete", "roof", "glass"), (52, 60, 78), 0.55),
+# Dark and unsaturated: bright colours belong to agents and to TP, FP and FN.
+_MATERIAL_STYLES = (
+    _MaterialStyle("roads", ("asphalt", "gravel"), (30, 34, 42)),
+    _MaterialStyle("markings", ("marking",), (118, 126, 140)),
+    _MaterialStyle("pavements", ("pavement", "kerb"), (44, 49, 60)),
+    _MaterialStyle("green", ("ground", "hedge", "leaves", "bark"), (24, 38, 36)),
+    _MaterialStyle("buildings", ("brick", "plaster", "concrete", "roof", "glass"), (52, 60, 78), 0.55),
 )
-_REST = _Look("furniture", (), (72, 80, 96))
+_REST = _MaterialStyle("furniture", (), (72, 80, 96))
 
 
 def static_parts(
     protocol: dict, origin: NDArray[np.float64], places: NDArray[np.float64], radius_m: float = 160.0
 ) -> list[StaticPart]:
-    """Rebuild the static world of a drive, as far as it lies near the agents; empty when that is not possible.
+    """Rebuild the static world of a drive near the agents; empty when that is not possible.
 
     Args:
-        protocol: content of the drive's `data_protocol.yaml`, {} when it has none.
+        protocol: content of the drive's `data_protocol.yaml`, {} without one.
         origin: (3,) world position of the review frame's origin, m.
-        places: (N, 2) world positions near which the world is wanted, m.
-        radius_m: how near.
+        places: (N, 2) world positions whose surroundings are drawn, m.
+        radius_m: radius of the surroundings.
     """
     own = protocol.get("testbed")
     if not isinstance(own, dict) or "scenario" not in own:
@@ -88,7 +88,7 @@ def static_parts(
     try:
         mesh = _world(own["scenario"], int(own.get("seed", 0)))
     except (UserError, ImportError, ValueError) as error:
-        # The drive is complete without it: a page without houses is better than no page.
+        # The drive is complete without it.
         log.warning("the static world is not drawn: %s", error)
         return []
     return split_by_material(mesh, origin, places, radius_m)
@@ -106,7 +106,7 @@ def _world(scenario: dict, seed: int) -> Any:
 def split_by_material(
     mesh: Any, origin: NDArray[np.float64], places: NDArray[np.float64], radius_m: float
 ) -> list[StaticPart]:
-    """Cut a world mesh to the surroundings of `places` (N, 2) and split it into the parts that are drawn alike."""
+    """Cut a world mesh to the surroundings of `places` (N, 2) and split it by drawing style."""
     from sim.mesh.materials import MATERIALS
 
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
@@ -114,15 +114,15 @@ def split_by_material(
     near = np.zeros(len(faces), bool)
     for place in places:
         near |= np.hypot(*(middle - place).T) <= radius_m
-    look_of = {name: row for row, look in enumerate(_LOOKS) for name in look.materials}
-    look_of_material = np.array([look_of.get(m.name, len(_LOOKS)) for m in MATERIALS])
-    group = look_of_material[np.asarray(mesh.face_attributes["material"])]
+    style_of = {name: row for row, style in enumerate(_MATERIAL_STYLES) for name in style.materials}
+    style_of_material = np.array([style_of.get(m.name, len(_MATERIAL_STYLES)) for m in MATERIALS])
+    group = style_of_material[np.asarray(mesh.face_attributes["material"])]
     parts = []
-    for row, look in enumerate((*_LOOKS, _REST)):
-        chosen = faces[near & (group == row)]
-        if len(chosen) == 0:
+    for row, style in enumerate((*_MATERIAL_STYLES, _REST)):
+        group_faces = faces[near & (group == row)]
+        if len(group_faces) == 0:
             continue
-        used, flat = np.unique(chosen, return_inverse=True)
+        used, flat = np.unique(group_faces, return_inverse=True)
         moved = (vertices[used] - origin - [0.0, 0.0, SINK_M]).astype(np.float32)
-        parts.append(StaticPart(look.name, moved, flat.reshape(-1, 3).astype(np.uint32), look.rgb, look.opacity))
+        parts.append(StaticPart(style.name, moved, flat.reshape(-1, 3).astype(np.uint32), style.rgb, style.opacity))
     return parts

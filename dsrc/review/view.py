@@ -1,4 +1,4 @@
-"""FrameView: everything that is drawn of one state, as plain arrays. Nothing here knows the viewer."""
+"""FrameView: drawing of one state as plain arrays, independent of the viewer."""
 
 from dataclasses import dataclass, field
 
@@ -11,30 +11,29 @@ from dsrc.review.state import ColorBy
 from sensors.frame import AgentKind
 from sim.boxes import Boxes
 
-FOUND, MISSED_BOXES, OTHER_BOXES = "truth/found", "truth/missed", "truth/other"
-RIGHT_BOXES, WRONG_BOXES = "detections/right", "detections/wrong"
-CHOSEN = "chosen/object"
-LAYERS = (OTHER_BOXES, FOUND, MISSED_BOXES, RIGHT_BOXES, WRONG_BOXES, CHOSEN)
-"""Names of the box layers: other truth (not judged), truth found, truth missed (FN), right (TP) and wrong (FP), and the
-object that the page tells about."""
+DETECTED_TRUTH, FALSE_NEGATIVES, OTHER_TRUTH = "truth/detected", "truth/fn", "truth/other"
+TRUE_POSITIVES, FALSE_POSITIVES = "detections/tp", "detections/fp"
+SELECTED = "selected/object"
+LAYERS = (OTHER_TRUTH, DETECTED_TRUTH, FALSE_NEGATIVES, TRUE_POSITIVES, FALSE_POSITIVES, SELECTED)
+"""Names of the box layers: truth left out of the evaluation, detected truth, FN, TP, FP, the selected object."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentView:
-    """One agent's sweep as it is drawn.
+    """Agent as drawn: pose, points and colours.
 
     Attributes:
         agent_id: the agent.
         kind: `vehicle` or `roadside`.
-        is_ego: whether it is the one that detects.
-        visible: whether its points are drawn.
-        rgb: its own colour.
+        is_ego: True for the agent that detects.
+        visible: False hides its points.
+        rgb: colour of the agent.
         review_from_lidar: (4, 4) float64 pose of the sensor in the review frame.
         review_from_body: (4, 4) float64 pose of the carrier.
         points: (P, 3) float32 in the sensor frame, m.
         colors: (P, 3) uint8.
         total: points of the sweep before thinning.
-        lost: points that a corruption took from it.
+        lost: points lost to a corruption.
     """
 
     agent_id: int
@@ -51,18 +50,18 @@ class AgentView:
 
     @property
     def title(self) -> str:
-        """Name for people."""
+        """Displayed name."""
         return f"{'roadside unit' if self.kind == 'roadside' else 'vehicle'} {abs(self.agent_id)}"
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
-    """What one agent has on an object.
+class ObjectVisibility:
+    """Visibility of one object from one agent.
 
     Attributes:
-        agent: its name for people.
+        agent: displayed name of the agent.
         points: its LiDAR points on the object, before any corruption.
-        fraction: visible fraction, NaN where there is none, see `sensors.scan.visibility`.
+        fraction: visible fraction, NaN where unknown, see `sensors.scan.visibility`.
     """
 
     agent: str
@@ -71,18 +70,18 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True)
-class ObjectFacts:
-    """What the ground truth says of one object.
+class ObjectDetails:
+    """Ground truth of one object.
 
     Attributes:
         object_id: the object.
         class_name: of `sim.boxes.CLASSES`.
         speed: m/s.
-        acceleration: along its heading, m/s2; NaN where nobody knows.
-        lights: names of what is lit, see `sim.traffic.base.SIGNALS`.
-        lane: name of its lane, "" for none.
+        acceleration: along its heading, m/s2; NaN where unknown.
+        lights: names of the lights that are on, see `sim.traffic.base.SIGNALS`.
+        lane: name of its lane, "" off the lanes.
         seen_by: `BY_EGO`, `BY_HELPER` or `BY_NOBODY`, see `Frame.seen_by`.
-        sightings: of the agents in the order of the frame.
+        visibility: from each agent, in the order of the frame.
     """
 
     object_id: int
@@ -92,12 +91,12 @@ class ObjectFacts:
     lights: tuple[str, ...]
     lane: str
     seen_by: int
-    sightings: tuple[Sighting, ...]
+    visibility: tuple[ObjectVisibility, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameView:
-    """One frame as it is drawn, in the review frame: the world, moved to where the drive's first ego started.
+    """Frame as drawn, in the review frame: the world frame moved to the start of the drive's first ego.
 
     Attributes:
         drive: name of the drive.
@@ -105,17 +104,16 @@ class FrameView:
         time_s: simulation time, s.
         agents: their sweeps, in the order of the frame.
         truth: N objects of the frame, agents' bodies included.
-        agent_of: (N,) int64 row of the agent that an object carries, -1 for none.
+        agent_of: (N,) int64 row of the agent on an object, -1 without one.
         layers: the boxes of each of `LAYERS`.
-        linked: (K, 2, 3) float64 lines from the ego's sensor to those of the agents that it hears.
-        layers_off: groups of layers that are not drawn.
-        color_by: what the colour of a point means.
+        linked: (K, 2, 3) float64 lines from the ego's sensor to its collaborators'.
+        layers_off: hidden layers.
+        color_by: quantity shown by the colour of a point.
         point_size_m: side of a drawn point, m.
         counts: TP, FP, FN of this frame; None without a detector.
-        seen: the same, summed over all frames of the drive that were looked at in this setting.
-        seen_frames: how many those are.
-        note: a sentence on the state, "" for none.
-        facts: of the object that the page tells about, None when there is none in this frame.
+        seen: their sum over the frames of the drive viewed so far with these settings.
+        seen_frames: number of these frames.
+        details: of the selected object; None when the frame lacks it.
     """
 
     drive: str
@@ -132,8 +130,7 @@ class FrameView:
     counts: Counts | None = None
     seen: Counts = field(default_factory=Counts)
     seen_frames: int = 0
-    note: str = ""
-    facts: ObjectFacts | None = None
+    details: ObjectDetails | None = None
 
     @property
     def ego(self) -> AgentView:

@@ -1,4 +1,4 @@
-"""The live page: one state, one worker thread, and the latest state wins."""
+"""Live review page: one state, one worker thread, the latest state is drawn."""
 
 import logging
 import threading
@@ -14,29 +14,29 @@ import viser
 from dsrc.review.matching import Counts
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page import cameras
-from dsrc.review.page.cameras import Pose
+from dsrc.review.page.cameras import CameraPose
 from dsrc.review.page.panels import Panels
 from dsrc.review.page.scene import SceneWriter, set_start_camera
 from dsrc.review.page.server import LOOPBACK, address, check_port, start_server, stop_server
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
-from sensors.corruptions import CLEAN, Family, check_corruption
+from sensors.corruptions import CLEAN, Family, require_corruption
 from sim.errors import UserError
 
 log = logging.getLogger(__name__)
 
 
 class ReviewApp:
-    """A review page.
+    """Live review page.
 
-    Callbacks of viser run in a pool of threads: all that they do is to replace the state. One worker thread turns
-    the newest state into a drawing, and skips those that were replaced in the meantime.
+    Callbacks of viser run in a pool of threads and only replace the state. One worker thread draws the newest state
+    and skips older ones.
 
     Attributes:
-        state: what the page is asked to show.
-        view: what it shows, None before the first drawing.
-        last_corruption: the corruption that was chosen last, "" for none yet.
-        url: its address.
+        state: newest settings.
+        view: last drawn frame, None before the first.
+        last_corruption: last corruption other than `clean`, "" before the first.
+        url: address of the page.
     """
 
     def __init__(self, model: ReviewModel, server: viser.ViserServer, state: ReviewState | None = None) -> None:
@@ -47,7 +47,7 @@ class ReviewApp:
         self.url = address(server)
         self.last_corruption = "" if self.state.corruption == CLEAN else self.state.corruption
         self._camera: Camera = "free"
-        # The worker and the search for the next mistake use the caches of the model in turn.
+        # Shared by the worker and the search for the next error.
         self._using_model = threading.Lock()
         self._playing_speed: float | None = None
         self._changed = threading.Condition()
@@ -64,7 +64,7 @@ class ReviewApp:
             thread.start()
 
     def update(self, **changes: Any) -> None:
-        """Replace fields of the state and have it drawn; does nothing when they have these values already."""
+        """Replace fields of the state and draw it, if any of them changed."""
         with self._changed:
             state = replace(self.state, **changes)
             if state.drive != self.state.drive:
@@ -78,7 +78,7 @@ class ReviewApp:
             self._changed.notify_all()
 
     def step(self, frames: int, wrap: bool = False) -> None:
-        """Go forward by some frames, backward if negative; stop at the ends or go around."""
+        """Step by a number of frames, backward if negative; stop at the ends or wrap around."""
         with self._changed:
             count = self.model.frame_count(self.state.drive)
             frame = self.state.frame + frames
@@ -86,27 +86,27 @@ class ReviewApp:
 
     @property
     def playing(self) -> bool:
-        """Whether the frames advance by themselves."""
+        """Whether the drive is playing."""
         return self._playing_speed is not None
 
     def play(self, speed: float | None) -> None:
-        """Advance at a multiple of real time; None pauses."""
+        """Play at a multiple of real time; None pauses."""
         with self._changed:
             self._playing_speed = speed
             self._changed.notify_all()
         self._panels.show_playing(speed is not None)
 
     def toggle_play(self) -> None:
-        """Play, or pause."""
-        self.play(None if self.playing else self._panels.chosen_speed)
+        """Play or pause."""
+        self.play(None if self.playing else self._panels.selected_speed)
 
     def counts(self, state: ReviewState) -> Counts | None:
-        """Return TP, FP and FN of another state, without drawing it; None without a detector."""
+        """Counts of TP, FP and FN under another state, not drawn; None without a detector."""
         with self._using_model:
             return self.model.counts(state)
 
     def set_camera(self, camera: Camera) -> None:
-        """Take a camera preset; chase and bird's eye follow the ego from then on, free stays where it is."""
+        """Select a camera preset; chase and bird's eye follow the ego, free stays."""
         self._camera = camera
         view = self.view
         if view is None or camera == "free":
@@ -115,7 +115,7 @@ class ReviewApp:
         self._move_cameras(pose)
 
     def reset_camera(self) -> None:
-        """Go back to the first look at a drive."""
+        """Restore the camera of the start."""
         self._camera = "free"
         if self.view is not None:
             self._move_cameras(cameras.overview(self.view))
@@ -156,7 +156,7 @@ class ReviewApp:
                 self._writer.clear()
             self._draw(state)
             if state.drive != placed:
-                # After the first picture: rebuilding a city takes longer than drawing a frame.
+                # After the first frame: rebuilding a city takes longer than drawing.
                 self._place_world(state.drive)
                 placed = state.drive
             with self._changed:
@@ -168,11 +168,11 @@ class ReviewApp:
             with self._using_model:
                 view = self.model.view(state)
         except UserError as error:
-            self._panels.complain(str(error))
+            self._panels.show_error(str(error))
             return
         except Exception:
-            log.exception("frame %d cannot be shown", state.frame)
-            self._panels.complain(f"frame {state.frame} cannot be shown; the log has the reason")
+            log.exception("frame %d cannot be drawn", state.frame)
+            self._panels.show_error(f"frame {state.frame} cannot be drawn; see the log")
             return
         before, self.view = self.view, view
         with self.server.atomic():
@@ -190,12 +190,12 @@ class ReviewApp:
             with self._using_model:
                 parts = self.model.static_parts(drive)
         except UserError as error:
-            self._panels.complain(str(error))
+            self._panels.show_error(str(error))
             parts = []
         with self.server.atomic():
             self._writer.place_static(parts)
 
-    def _move_cameras(self, pose: Pose) -> None:
+    def _move_cameras(self, pose: CameraPose) -> None:
         for client in self.server.get_clients().values():
             with client.atomic():
                 client.camera.up_direction = pose.up
@@ -212,7 +212,7 @@ class ReviewApp:
                 client.camera.look_at = look_at
 
     def _tick(self) -> None:
-        """Advance the frame while playing; a frame that takes longer than its time is waited for, not skipped."""
+        """Advance the frame while playing; slow frames are waited for, not skipped."""
         while True:
             with self._changed:
                 ready = self._changed.wait_for(
@@ -242,29 +242,29 @@ def serve(
     announce: Callable[[str], None] | None = None,
     family: Family = "physical",
 ) -> ReviewApp:
-    """Open a review page on drives.
+    """Serve a review page of drives.
 
     Args:
         drives_root: folder of drives, or one drive.
-        checkpoint: a detector whose detections are drawn and judged.
-        host: address to listen on; the loopback unless somebody asks for more.
+        checkpoint: detector file; its detections are drawn and matched with the truth.
+        host: address to listen on; default: the loopback.
         port: default: a free one.
-        corruption: the corruption to begin with.
+        corruption: initial corruption.
         severity: 1 to 5.
         open_browser: open the page in the user's browser.
         block: serve until interrupted; otherwise return the running page.
-        announce: called with the address of the page as soon as it answers.
+        announce: called with the address of the page once it answers.
         family: of the corruption's settings.
 
     Returns:
-        The page; its `url` is where it is, `close` ends it.
+        The page; `url` is its address, `close` ends it.
 
     Raises:
         DataError: there is no drive.
         SettingsError: the corruption is unknown, or the port taken.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    check_corruption(corruption, severity, family)
+    require_corruption(corruption, severity, family)
     if port is not None:
         check_port(host, port)
     model = open_model(Path(drives_root), checkpoint)

@@ -1,4 +1,4 @@
-"""Where the camera stands: chase, bird's eye, and how it follows the ego."""
+"""Camera poses: overview, chase and bird's eye, and motion with the ego."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,8 @@ FOV_RAD = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pose:
-    """A camera: (3,) position, (3,) point looked at and (3,) up direction, review frame."""
+class CameraPose:
+    """Pose of a camera: (3,) position, (3,) point looked at and (3,) up direction, review frame."""
 
     position: NDArray[np.float64]
     look_at: NDArray[np.float64]
@@ -21,31 +21,31 @@ class Pose:
 
 
 def _heading(view: FrameView) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the ego's place (3,) and its heading (3,) in the plane."""
+    """Position (3,) of the ego and its heading (3,) in the plane."""
     body = view.ego.review_from_body
     yaw = float(pose_angles(body)[0])
     return body[:3, 3], np.array([np.cos(yaw), np.sin(yaw), 0.0])
 
 
-def chase(view: FrameView, distance_m: float = 34.0, height_m: float = 21.0, ahead_m: float = 14.0) -> Pose:
-    """Return the pose behind and above the ego, looking ahead of it."""
+def chase(view: FrameView, distance_m: float = 34.0, height_m: float = 21.0, ahead_m: float = 14.0) -> CameraPose:
+    """Pose behind and above the ego, looking ahead of it."""
     place, forward = _heading(view)
     up = np.array([0.0, 0.0, 1.0])
-    return Pose(place - distance_m * forward + height_m * up, place + ahead_m * forward, up)
+    return CameraPose(place - distance_m * forward + height_m * up, place + ahead_m * forward, up)
 
 
-def birds_eye(view: FrameView, height_m: float = 110.0) -> Pose:
-    """Return the pose above the ego, its heading upwards on the screen.
+def birds_eye(view: FrameView, height_m: float = 110.0) -> CameraPose:
+    """Pose above the ego, its heading upwards on the screen.
 
     The viewer has perspective cameras that orbit about an up direction: a small tilt keeps that defined.
     """
     place, forward = _heading(view)
     up = np.array([0.0, 0.0, 1.0])
-    return Pose(place + height_m * up - 0.02 * height_m * forward, place, up)
+    return CameraPose(place + height_m * up - 0.02 * height_m * forward, place, up)
 
 
-def overview(view: FrameView) -> Pose:
-    """Return the pose of a first glance: higher and to the side, with the cooperating agents in sight."""
+def overview(view: FrameView) -> CameraPose:
+    """Pose of the start: high and to the side, with the cooperating agents in view."""
     place, forward = _heading(view)
     agents = np.array([agent.review_from_body[:3, 3] for agent in view.agents])
     near = agents[np.linalg.norm((agents - place)[:, :2], axis=1) < 80.0]
@@ -53,16 +53,16 @@ def overview(view: FrameView) -> Pose:
     spread = float(np.clip(np.linalg.norm((near - middle)[:, :2], axis=1).max(initial=0.0), 22.0, 50.0))
     left = np.array([-forward[1], forward[0], 0.0])
     up = np.array([0.0, 0.0, 1.0])
-    return Pose(middle + spread * (-1.5 * forward + 0.6 * left + 1.15 * up), middle + 0.15 * spread * forward, up)
+    return CameraPose(middle + spread * (-1.5 * forward + 0.6 * left + 1.15 * up), middle + 0.15 * spread * forward, up)
 
 
 def followed(position: NDArray[np.float64], before: FrameView, after: FrameView, turn: bool) -> NDArray[np.float64]:
-    """Return a point that keeps its place relative to the ego from one frame to another.
+    """Point moved with the ego from one frame to another.
 
     Args:
         position: (3,) review frame.
-        before: the frame in which the point is right.
-        after: the frame for which it is wanted.
+        before: frame of the given point.
+        after: frame of the returned point.
         turn: turn it with the ego's heading too.
     """
     place, forward = _heading(before)

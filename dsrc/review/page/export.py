@@ -1,4 +1,4 @@
-"""One self-contained animated page of a drive."""
+"""Export of a drive as one self-contained animated HTML page."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,8 +6,8 @@ from pathlib import Path
 import viser
 
 from dsrc.review.model import ReviewModel, open_model
-from dsrc.review.page.cameras import Pose, birds_eye, chase, overview
-from dsrc.review.page.overlay import Camera, add_overlay, frame_texts
+from dsrc.review.page.cameras import CameraPose, birds_eye, chase, overview
+from dsrc.review.page.overlay import CameraButton, add_overlay, frame_texts
 from dsrc.review.page.scene import SceneWriter, set_start_camera
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ColorBy, ReviewState
@@ -16,16 +16,16 @@ from sim.errors import SettingsError, complaint
 from sim.files import write_file
 
 ROOT = "/drive"
-"""The frame that everything hangs below; moving it lets the camera of an exported page follow the ego."""
+"""Root frame of the scene; moving it lets the camera of an exported page follow the ego."""
 
 MAX_POINTS = 44_000
-"""Points of one frame of a page: what rings and objects need to be recognised, and a laptop draws easily."""
+"""Most points of one frame: enough to recognise rings and objects, few enough for a laptop."""
 PAGE_POINTS = 40 * MAX_POINTS
-"""Points of a whole page: about 10 MB."""
+"""Most points of a page: about 10 MB."""
 POINT_SIZE_M = 0.13
-"""Thinned clouds need larger points, m."""
+"""Side of a drawn point, m: thinned clouds need larger ones."""
 POINT_STEP_M = 1.0 / 32.0
-"""Points are rounded to what float16 resolves beyond 32 m; a quarter of the page is saved."""
+"""Rounding of points, m: the resolution of float16 beyond 32 m; saves a quarter of the page."""
 
 
 def export_html(
@@ -47,15 +47,15 @@ def export_html(
     Args:
         root: folder of drives, or one drive.
         out: the page.
-        checkpoint: a detector whose detections are drawn and judged.
+        checkpoint: detector file; its detections are drawn and matched with the truth.
         corruption: `clean` or a kind of corruption.
         severity: 1 to 5.
-        frames: a slice of the drive's frames, or how many from the first.
-        max_points: points per frame, all agents together; default: so many that the page stays below 12 MB.
+        frames: slice of the drive's frames, or number of frames from the first.
+        max_points: points per frame, all agents together; default: for a page below 12 MB.
         drive: row of the drive below `root`.
-        threshold: detections below this score are left out.
+        threshold: least score of a drawn detection.
         follow: keep the ego where it starts on the screen.
-        color_by: what the colour of a point means.
+        color_by: quantity shown by the colour of a point.
         family: of the corruption's settings.
 
     Returns:
@@ -69,7 +69,7 @@ def export_html(
     require_corruption(corruption, severity, family)
     model = open_model(root, checkpoint)
     if not 0 <= drive < len(model.drives):
-        raise SettingsError(complaint("export", "drive", f"0 to {len(model.drives) - 1}", drive))
+        raise SettingsError(complaint("view", "drive", f"0 to {len(model.drives) - 1}", drive))
     rows = _rows(model, drive, frames)
     budget = min(MAX_POINTS, PAGE_POINTS // len(rows)) if max_points is None else max_points
     per_agent = max(budget // len(model.first_frame(drive).agents), 1)
@@ -89,10 +89,10 @@ def export_html(
 def _rows(model: ReviewModel, drive: int, frames: slice | int) -> list[int]:
     count = model.frame_count(drive)
     if isinstance(frames, int) and frames < 1:
-        raise SettingsError(complaint("export", "frames", "at least 1", frames))
+        raise SettingsError(complaint("view", "frames", "at least 1", frames))
     rows = list(range(count))[frames if isinstance(frames, slice) else slice(frames)]
     if not rows:
-        raise SettingsError(complaint("export", "frames", f"some of the drive's {count}", str(frames)))
+        raise SettingsError(complaint("view", "frames", f"some of the drive's {count}", str(frames)))
     return rows
 
 
@@ -121,7 +121,7 @@ def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewSt
         serializer.insert_sleep(interval_s)
         view = model.view(state)
         if follow:
-            # The camera of the page stands still, so the world moves below the ego instead.
+            # The camera of the page is fixed: the world moves instead.
             root.position = first.ego.review_from_body[:3, 3] - view.ego.review_from_body[:3, 3]
         writer.write(view)
         texts.append(frame_texts(view))
@@ -142,7 +142,7 @@ def _subtitle(model: ReviewModel, state: ReviewState) -> str:
     return f"{weather} · score ≥ {state.threshold:g} · IoU ≥ {state.iou:g}"
 
 
-def _button(name: str, key: str, pose: Pose) -> Camera:
+def _button(name: str, key: str, pose: CameraPose) -> CameraButton:
     x, y, z = pose.position.tolist()
     u, v, w = pose.look_at.tolist()
-    return Camera(name, key, (x, y, z), (u, v, w))
+    return CameraButton(name, key, (x, y, z), (u, v, w))

@@ -1,4 +1,4 @@
-"""What an exported page shows beside the scene: title, legend, counts of the playing frame, camera buttons.
+"""Overlay of an exported page: title, legend, counts of the playing frame, camera buttons.
 
 viser leaves its panels out of exported pages, so these are plain HTML. They read the time from the slider of the
 player; where a later viser has none, the counts of the first frame stay.
@@ -10,7 +10,7 @@ from html import escape
 
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
-from dsrc.review.view import OTHER_BOXES, FrameView
+from dsrc.review.view import OTHER_TRUTH, FrameView
 
 _CSS = """
 #review{position:fixed;z-index:5;left:16px;top:14px;max-width:min(330px,80vw);padding:14px 16px 12px;
@@ -52,8 +52,8 @@ window.addEventListener('keydown',e=>{const b=document.querySelector('#review bu
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
-    """A button that moves the camera: name, key, and position and point looked at, review frame."""
+class CameraButton:
+    """Camera button: name, key, position and point looked at, review frame."""
 
     name: str
     key: str
@@ -62,20 +62,20 @@ class Camera:
 
 
 def frame_texts(view: FrameView) -> dict[str, str]:
-    """Return the texts of the legend that change with the frame, by id."""
+    """Texts of the legend that change with the frame, by id."""
     texts = {"time": f"frame {view.index} · {view.time_s:.1f} s"}
     if view.counts is None:
-        judged = len(view.truth) - len(view.layers[OTHER_BOXES])
-        return {**texts, "objects": str(judged), "other": str(len(view.layers[OTHER_BOXES]))}
+        evaluated = len(view.truth) - len(view.layers[OTHER_TRUTH])
+        return {**texts, "objects": str(evaluated), "other": str(len(view.layers[OTHER_TRUTH]))}
     counts = view.counts
     share = [("precision", counts.precision), ("recall", counts.recall)]
-    texts |= {"right": str(counts.right), "wrong": str(counts.wrong), "missed": str(counts.missed)}
+    texts |= {"tp": str(counts.tp), "fp": str(counts.fp), "fn": str(counts.fn)}
     return texts | {name: "–" if value is None else f"{value:.2f}" for name, value in share}
 
 
 def add_overlay(
     html: str, title: str, subtitle: str, views: list[dict[str, str]], first: FrameView, interval_s: float,
-    cameras: list[Camera],
+    cameras: list[CameraButton],
 ) -> str:  # fmt: skip
     """Put the overlay into an exported page.
 
@@ -93,7 +93,7 @@ def add_overlay(
         "interval": interval_s,
         "cameras": {camera.name: [*camera.position, *camera.look_at] for camera in cameras},
     }
-    # `</` would end the script element early, whatever text a drive's name brings.
+    # `</` in a drive's name would end the script element.
     packed = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
     agents = "".join(
         _row(agent.rgb, "", escape(f"{agent.title}{' · ego' if agent.is_ego else ''}"),
@@ -108,7 +108,7 @@ def add_overlay(
     )
     body = (
         f'<style>{_CSS}</style><div id="review"><h1>{escape(title)}</h1><p>{escape(subtitle)}</p>'
-        f'<p id="review-time"></p><ul>{agents}</ul><ul>{_verdicts(first)}</ul><nav>{buttons}</nav></div>'
+        f'<p id="review-time"></p><ul>{agents}</ul><ul>{_counts_legend(first)}</ul><nav>{buttons}</nav></div>'
         f"<script>window.__REVIEW__={packed};{_JS}</script>"
     )
     head = html.index("</head>")
@@ -117,15 +117,15 @@ def add_overlay(
     return html[:end] + body + html[end:]
 
 
-def _verdicts(view: FrameView) -> str:
+def _counts_legend(view: FrameView) -> str:
     if view.counts is None:
         return _row(palette.TRUTH, "box", "ground truth", '<b id="review-objects"></b>') + _row(
-            palette.OTHER, "box", "out of sight or class", '<b id="review-other"></b>'
+            palette.OTHER, "box", "not evaluated", '<b id="review-other"></b>'
         )
     rows = [
-        (palette.RIGHT, "box", "right (TP)", "right"),
-        (palette.WRONG, "box", "wrong (FP), crossed", "wrong"),
-        (palette.MISSED, "box dash", "missed (FN), dashed", "missed"),
+        (palette.TP, "box", "true positive", "tp"),
+        (palette.FP, "box", "false positive, crossed", "fp"),
+        (palette.FN, "box dash", "false negative, dashed", "fn"),
     ]
     text = "".join(_row(rgb, kind, label, f'<b id="review-{name}"></b>') for rgb, kind, label, name in rows)
     shares = "".join(f'<li>{name}<b id="review-{name}"></b></li>' for name in ("precision", "recall"))

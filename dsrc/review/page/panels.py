@@ -1,4 +1,4 @@
-"""The panels of the live page: they build the controls and turn what happens to them into changes of the state."""
+"""Panels of the live page: controls that change the state."""
 
 from collections.abc import Callable
 from functools import partial
@@ -6,8 +6,8 @@ from typing import Any
 
 from dsrc.review.page.commands import commands
 from dsrc.review.page.protocol import Page
-from dsrc.review.report import keys_table, legend, object_report, report
 from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS, Camera, ReviewState
+from dsrc.review.texts import frame_report, keys_table, legend, object_report
 from dsrc.review.view import FrameView
 from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
 from sim.boxes import CLASSES
@@ -20,13 +20,13 @@ CAMERAS: dict[str, Camera] = {"Chase": "chase", "BEV": "bev", "Free": "free"}
 
 
 class Panels:
-    """The controls of one page. A control calls `Page.update` or its like, and draws nothing itself."""
+    """Controls of one page. A control calls methods of `Page` and draws nothing itself."""
 
     def __init__(self, app: Page) -> None:
         """Build the controls in the page of `app`."""
         self.app = app
         self.gui = app.server.gui
-        # Setting a control from here fires its callback too: values written here are not taken for the user's.
+        # Setting a control fires its callback too: values written here are not the user's.
         self._written: dict[int, Any] = {}
         self._agents: tuple[int, ...] = ()
         self.agent_boxes: dict[int, Any] = {}
@@ -47,7 +47,7 @@ class Panels:
         self._keys()
 
     def show(self, view: FrameView, state: ReviewState) -> None:
-        """Bring the controls to what is drawn."""
+        """Set the controls to the drawn state."""
         self.notice.visible = False
         last = max(self.app.model.frame_count(state.drive) - 1, 1)
         if self.frame.max != last:
@@ -63,27 +63,27 @@ class Panels:
         for handle, value in controls:
             self._write(handle, value)
         self.severity.disabled = self.family.disabled = state.corruption == CLEAN
-        self.report.content = report(view)
+        self.report.content = frame_report(view)
         self._list_objects(view, state.object_id)
-        self.object_report.content = object_report(view.facts)
+        self.object_report.content = object_report(view.details)
         self.legend.content = legend(view)
         self._list_agents(view)
         self._write(self.ego, view.ego.title)
         for agent in view.agents:
             self._write(self.agent_boxes[agent.agent_id], agent.visible)
 
-    def complain(self, text: str) -> None:
+    def show_error(self, text: str) -> None:
         """Show an error above the controls."""
         self.notice.content = f"**Error:** {text}"
         self.notice.visible = True
 
     def show_playing(self, playing: bool) -> None:
-        """Name the button by what it does next."""
+        """Label the button with its next action."""
         self.play.label = "Pause" if playing else "Play"
 
     @property
-    def chosen_speed(self) -> float:
-        """The speed that playing starts with."""
+    def selected_speed(self) -> float:
+        """Selected speed, in multiples of real time."""
         return SPEEDS[self.speed.value]
 
     def _write(self, handle: Any, value: Any) -> None:
@@ -92,7 +92,7 @@ class Panels:
             handle.value = value
 
     def _on_change(self, handle: Any, take: Callable[[Any], None]) -> None:
-        """Call `take` with the value that a user, or a program from outside, gives a control."""
+        """Call `take` with values set by a user or another program."""
 
         @handle.on_update
         def _(event: Any) -> None:
@@ -141,7 +141,7 @@ class Panels:
             self._on_change(self.iou, lambda iou: app.update(iou=float(iou)))
             self.ego = self.gui.add_dropdown("Ego", ("–",))
             self._on_change(self.ego, self._choose_ego)
-            self.cooperative = self.gui.add_checkbox("Hear collaborators", state.cooperative)
+            self.cooperative = self.gui.add_checkbox("Cooperative", state.cooperative)
             self._on_change(self.cooperative, lambda on: app.update(cooperative=on))
 
     def _object(self) -> None:
@@ -150,18 +150,18 @@ class Panels:
             self._on_change(self.object, lambda title: self.app.update(object_id=self._objects.get(title)))
             self.object_report = self.gui.add_markdown("")
 
-    def _list_objects(self, view: FrameView, chosen: int | None) -> None:
-        """Offer the objects of the frame, and the chosen one also while it is away."""
+    def _list_objects(self, view: FrameView, selected: int | None) -> None:
+        """List the objects of the frame, and the selected one even while absent."""
         truth = view.truth
         names = [CLASSES[label] for label in truth.label.tolist()]
         objects = {f"{name} {number}": number for name, number in zip(names, truth.object_id.tolist(), strict=True)}
-        if chosen is not None and chosen not in objects.values():
-            objects[f"object {chosen}"] = chosen
-        title = next((title for title, number in objects.items() if number == chosen), _NOBODY)
+        if selected is not None and selected not in objects.values():
+            objects[f"object {selected}"] = selected
+        title = next((title for title, number in objects.items() if number == selected), _NOBODY)
         if objects != self._objects:
             self._objects = objects
             if self.object.value not in objects:
-                # New options set the value, which is not the user's doing.
+                # New options set the value: not the user's.
                 self._written[id(self.object)] = _NOBODY
             self.object.options = (_NOBODY, *objects)
         self._write(self.object, title)
@@ -194,7 +194,7 @@ class Panels:
             self.gui.add_markdown(keys_table((command.label, command.key_text) for command in listed))
 
     def _list_agents(self, view: FrameView) -> None:
-        """Build the list of agents anew when the drive has others."""
+        """Rebuild the list of agents when they change."""
         agents = tuple(agent.agent_id for agent in view.agents)
         if agents == self._agents:
             return
@@ -203,7 +203,7 @@ class Panels:
             handle.remove()
         self.agent_boxes = {}
         self._titles = {agent.title: agent.agent_id for agent in view.agents}
-        # New options set the value, which is not the user's doing.
+        # New options set the value: not the user's.
         self._written[id(self.ego)] = view.agents[0].title
         self.ego.options = tuple(self._titles)
         with self._agent_folder:

@@ -1,4 +1,4 @@
-"""Page: what panels and commands may ask of a review page."""
+"""Page: protocol of a review page for panels and commands."""
 
 from typing import Any, Protocol
 
@@ -11,14 +11,14 @@ from dsrc.review.view import FrameView
 
 
 class Page(Protocol):
-    """A review page, as its controls see it.
+    """Review page as its controls use it.
 
     Attributes:
-        model: drives, detectors and their caches.
-        server: of viser.
-        state: what the page is asked to show.
-        view: what it shows, None before the first drawing.
-        last_corruption: the corruption that was chosen last, "" for none yet.
+        model: drives, detector and caches.
+        server: viser server.
+        state: newest settings.
+        view: last drawn frame, None before the first.
+        last_corruption: last corruption other than `clean`, "" before the first.
     """
 
     model: ReviewModel
@@ -28,26 +28,26 @@ class Page(Protocol):
     last_corruption: str
 
     def update(self, **changes: Any) -> None:
-        """Replace fields of the state and have it drawn."""
+        """Replace fields of the state and draw it."""
 
     def step(self, frames: int, wrap: bool = False) -> None:
-        """Go forward by some frames, backward if negative."""
+        """Step by a number of frames, backward if negative."""
 
     @property
     def playing(self) -> bool:
-        """Whether the frames advance by themselves."""
+        """Whether the drive is playing."""
 
     def play(self, speed: float | None) -> None:
-        """Advance at a multiple of real time; None pauses."""
+        """Play at a multiple of real time; None pauses."""
 
     def toggle_play(self) -> None:
-        """Play, or pause."""
+        """Play or pause."""
 
     def counts(self, state: ReviewState) -> Counts | None:
-        """Return TP, FP and FN of another state; None without a detector."""
+        """Counts of TP, FP and FN under another state; None without a detector."""
 
     def set_camera(self, camera: Camera) -> None:
-        """Take a camera preset."""
+        """Select a camera preset."""
 
     def reset_camera(self) -> None:
-        """Go back to the first look at a drive."""
+        """Restore the camera of the start."""

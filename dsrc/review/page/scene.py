@@ -1,4 +1,4 @@
-"""SceneWriter: draws FrameViews into a viser scene, one named node per thing, updated in place."""
+"""SceneWriter: FrameViews drawn into a viser scene, one named node each, updated in place."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from viser.transforms import SO3
 
 from dsrc.review import palette
-from dsrc.review.page.cameras import FOV_RAD, Pose
+from dsrc.review.page.cameras import FOV_RAD, CameraPose
 from dsrc.review.palette import Rgb
 from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
 from dsrc.review.static import StaticPart, body_shape
 from dsrc.review.view import (
-    CHOSEN,
-    FOUND,
+    DETECTED_TRUTH,
+    FALSE_NEGATIVES,
+    FALSE_POSITIVES,
     LAYERS,
-    MISSED_BOXES,
-    OTHER_BOXES,
-    RIGHT_BOXES,
-    WRONG_BOXES,
+    OTHER_TRUTH,
+    SELECTED,
+    TRUE_POSITIVES,
     AgentView,
     FrameView,
 )
@@ -29,8 +29,8 @@ from sim.boxes import CLASSES, Boxes
 
 
 @dataclass(frozen=True, slots=True)
-class Style:
-    """How a layer of boxes is drawn: colour, line width in pixels, form, and how opaque its faces are."""
+class BoxStyle:
+    """Style of a box layer: colour, line width in pixels, form, opacity of the faces."""
 
     rgb: Rgb
     thickness: float
@@ -39,19 +39,19 @@ class Style:
 
 
 STYLES = {
-    OTHER_BOXES: Style(palette.OTHER, 1.0),
-    FOUND: Style(palette.TRUTH, 1.5),
-    MISSED_BOXES: Style(palette.MISSED, 3.0, "dashed", 0.22),
-    RIGHT_BOXES: Style(palette.RIGHT, 2.5, "solid", 0.16),
-    WRONG_BOXES: Style(palette.WRONG, 3.0, "crossed", 0.22),
-    CHOSEN: Style(palette.CHOSEN, 4.0),
+    OTHER_TRUTH: BoxStyle(palette.OTHER, 1.0),
+    DETECTED_TRUTH: BoxStyle(palette.TRUTH, 1.5),
+    FALSE_NEGATIVES: BoxStyle(palette.FN, 3.0, "dashed", 0.22),
+    TRUE_POSITIVES: BoxStyle(palette.TP, 2.5, "solid", 0.16),
+    FALSE_POSITIVES: BoxStyle(palette.FP, 3.0, "crossed", 0.22),
+    SELECTED: BoxStyle(palette.SELECTED, 4.0),
 }
 _FORMS = {"solid": edges, "dashed": dashed, "crossed": crossed}
 _NO_TURN = np.array([[1.0, 0.0, 0.0, 0.0]], np.float32)
 
 
 class SceneWriter:
-    """Owns the nodes below `root`. Not thread-safe: one worker writes."""
+    """Writer of the nodes below `root`; not thread-safe."""
 
     def __init__(
         self,
@@ -60,11 +60,11 @@ class SceneWriter:
         point_step_m: float = 0.0,
         on_object: Callable[[int], None] | None = None,
     ) -> None:
-        """Prepare the light; nothing of a drive is drawn yet.
+        """Set the light; no drive is drawn yet.
 
         Args:
             server: of the page.
-            root: name that everything hangs below, "" for the top.
+            root: root node, "" for the top.
             point_step_m: round points to a grid of this step, which packs better; 0 keeps them.
             on_object: called with the id of a body that is clicked.
         """
@@ -73,14 +73,14 @@ class SceneWriter:
         self.root = root
         self.point_step_m = point_step_m
         self._nodes: dict[str, Any] = {}
-        # The view that each cloud shows: what did not change is not sent again.
+        # View of each cloud: an unchanged one is not sent again.
         self._drawn: dict[str, AgentView] = {}
         self._on_object = on_object
         self._body_ids: dict[str, NDArray[np.int64]] = {}
         self._background()
 
     def _background(self) -> None:
-        # The default environment map and tone mapping wash colours out: light the scene ourselves.
+        # The default environment map and tone mapping wash colours out.
         self.scene.configure_environment_map(None)
         self.scene.configure_default_lights(False)
         self.scene.add_light_ambient("/light/ambient", intensity=1.1)
@@ -89,7 +89,7 @@ class SceneWriter:
         self.scene.world_axes.visible = False
 
     def place_static(self, parts: list[StaticPart]) -> None:
-        """Draw the static world, or a grid when there is none."""
+        """Draw the static world, or a grid without one."""
         self._remove("world")
         frame = self._frame("world")
         frame.visible = True
@@ -130,9 +130,9 @@ class SceneWriter:
         for name in LAYERS:
             off = name.split("/")[0] in view.layers_off
             style = STYLES[name]
-            if name == FOUND and view.counts is not None:
-                # A found object lies under its green detection: a hairline is enough.
-                style = Style(style.rgb, 1.0, style.form, 0.0)
+            if name == DETECTED_TRUTH and view.counts is not None:
+                # A detected object lies under its green detection: a hairline is enough.
+                style = BoxStyle(style.rgb, 1.0, style.form, 0.0)
             self._write_boxes(name, view.layers[name], style, not off)
         self._write_links(view)
         if "world" in self._nodes:
@@ -177,7 +177,7 @@ class SceneWriter:
         self._frame("bodies").visible = "bodies" not in view.layers_off
         colors = np.full((len(view.truth), 3), (70, 78, 94), np.uint8)
         for row, agent in enumerate(view.agents):
-            colors[view.agent_of == row] = palette.before_tone_mapping(agent.rgb)
+            colors[view.agent_of == row] = palette.inverse_tone_mapping(agent.rgb)
         base = view.truth.center - [0.0, 0.0, 0.5] * view.truth.size
         for label, class_name in enumerate(CLASSES):
             rows = view.truth.label == label
@@ -204,13 +204,13 @@ class SceneWriter:
             if self._on_object is not None and event.instance_index is not None and event.instance_index < len(ids):
                 self._on_object(int(ids[event.instance_index]))
 
-    def _write_boxes(self, name: str, boxes: Boxes, style: Style, shown: bool) -> None:
+    def _write_boxes(self, name: str, boxes: Boxes, style: BoxStyle, shown: bool) -> None:
         self._frame(name.split("/")[0])
         self._frame(name).visible = shown
         self._lines(f"{name}/edges", _FORMS[style.form](boxes), style.rgb, style.thickness)
         if style.fill > 0.0:
             pose = (quaternions(boxes.yaw), boxes.center, boxes.size)
-            colors = np.tile(np.array(palette.before_tone_mapping(style.rgb), np.uint8), (len(boxes), 1))
+            colors = np.tile(np.array(palette.inverse_tone_mapping(style.rgb), np.uint8), (len(boxes), 1))
             self._batch(f"{name}/faces", (CUBE_VERTICES, CUBE_FACES), pose, colors, style.fill)
 
     def _write_links(self, view: FrameView) -> None:
@@ -224,7 +224,7 @@ class SceneWriter:
                 node.visible = False
             return
         # One colour for all: viser shows colours per vertex too pale, as if they were linear.
-        color = np.array(palette.before_tone_mapping(rgb), np.uint8)
+        color = np.array(palette.inverse_tone_mapping(rgb), np.uint8)
         if node is None:
             self._nodes[name] = self.scene.add_line_segments(
                 f"{self.root}/{name}", lines, color, thickness=thickness, thickness_units="screen"
@@ -284,15 +284,15 @@ class SceneWriter:
 
 
 def _backdrop() -> NDArray[np.uint8]:
-    """Return the picture behind the scene: a night sky, a little brighter at the horizon's height."""
+    """Background image: a night sky, brighter at the horizon."""
     height = np.linspace(0.0, 1.0, 256)[:, None, None]
     glow = np.exp(-(((height - 0.22) / 0.25) ** 2))
     rgb = np.array(palette.BACKGROUND, np.float64) + glow * np.array([12.0, 17.0, 30.0])
     return np.repeat(np.clip(rgb, 0, 255).astype(np.uint8), 4, axis=1)
 
 
-def set_start_camera(server: viser.ViserServer, pose: Pose) -> None:
-    """Put the camera of pages that open from now on, and of exported pages, to a pose."""
+def set_start_camera(server: viser.ViserServer, pose: CameraPose) -> None:
+    """Set the initial camera of pages opened later and of exported pages."""
     camera = server.initial_camera
     camera.position, camera.look_at, camera.up = tuple(pose.position), tuple(pose.look_at), tuple(pose.up)
     camera.fov = FOV_RAD

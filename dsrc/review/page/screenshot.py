@@ -1,4 +1,4 @@
-"""Pictures of a page by a headless Chromium, spoken to over its DevTools protocol."""
+"""Screenshots of a page by headless Chromium over the DevTools protocol."""
 
 import base64
 import json
@@ -15,7 +15,7 @@ from typing import Any
 from sim.errors import DataError, SettingsError
 from sim.files import write_file
 
-# Software rendering by name, so that a later Chromium cannot fall back to no WebGL at all.
+# Software rendering by name: a later Chromium may otherwise have no WebGL.
 _FLAGS = (
     "--headless=new",
     "--no-sandbox",
@@ -41,12 +41,12 @@ if(window.__VISER_EMBED_DATA__)window.dispatchEvent(new KeyboardEvent('keydown',
 
 
 def find_chromium() -> str | None:
-    """Return the path of an installed Chromium, None when there is none."""
+    """Path of an installed Chromium, None without one."""
     return next((path for name in _NAMES if (path := shutil.which(name))), None)
 
 
-class Page:
-    """One open page of a browser."""
+class BrowserPage:
+    """Open page of a browser."""
 
     def __init__(self, socket: Any) -> None:
         """Take the page's DevTools connection."""
@@ -72,7 +72,7 @@ class Page:
         return result["result"].get("value")
 
     def wait_for(self, script: str, timeout_s: float) -> None:
-        """Wait until JavaScript is true; TimeoutError when it does not become so."""
+        """Wait until a JavaScript expression is true; TimeoutError after `timeout_s`."""
         end = time.monotonic() + timeout_s
         while not self.evaluate(f"Boolean({script})"):
             if time.monotonic() > end:
@@ -80,13 +80,13 @@ class Page:
             time.sleep(0.1)
 
     def png(self) -> bytes:
-        """Return a picture of what the page shows."""
+        """PNG of the page."""
         return base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"])
 
 
 @contextmanager
-def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str | None = None) -> Iterator[Page]:
-    """Open an address in a browser of our own, which ends with the block.
+def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str | None = None) -> Iterator[BrowserPage]:
+    """Open an address in a new browser, closed at the end of the block.
 
     Args:
         address: URL.
@@ -112,7 +112,7 @@ def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str |
         browser = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             with connect(_page_socket(browser, Path(profile)), max_size=None) as socket:
-                page = Page(socket)
+                page = BrowserPage(socket)
                 page.send("Page.enable")
                 page.send("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1,
                           mobile=False)  # fmt: skip
@@ -128,7 +128,7 @@ def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str |
 
 
 def _page_socket(browser: subprocess.Popen, profile: Path) -> str:
-    """Return the DevTools address of the browser's one page."""
+    """DevTools address of the browser's one page."""
     import urllib.request
 
     note = profile / "DevToolsActivePort"
@@ -160,9 +160,9 @@ def screenshot(
         url_or_file: URL, or path of an HTML file.
         out_png: the picture.
         size: width and height in pixels.
-        settle_s: time for the scene to be drawn after the canvas is there.
-        pause: stop an exported page where it is: software rendering is slower than its player.
-        script: JavaScript to run before that, to press a button of the page.
+        settle_s: time for drawing once the canvas exists, s.
+        pause: pause an exported page: software rendering is slower than its player.
+        script: JavaScript to run first, such as a click on a button.
 
     Raises:
         DataError: the file is missing.

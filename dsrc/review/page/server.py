@@ -1,4 +1,4 @@
-"""Starting viser: on the loopback, on a port that is really ours, without its banner."""
+"""viser server on the loopback, on a checked port, without its banner."""
 
 import contextlib
 import io
@@ -12,18 +12,18 @@ LOOPBACK = "127.0.0.1"
 
 
 def free_port(host: str = LOOPBACK) -> int:
-    """Return a port that nobody listens on."""
+    """Free port of a host."""
     with socket.socket() as probe:
         probe.bind((host, 0))
         return int(probe.getsockname()[1])
 
 
 def check_port(host: str, port: int) -> None:
-    """Raise SettingsError unless we can listen on this port; viser would silently take the next one."""
+    """Raise SettingsError for a port in use; viser would silently take the next one."""
     if not 1 <= port <= 65535:
         raise SettingsError(complaint("view", "port", "1 to 65535", port))
     with socket.socket() as probe:
-        # As servers do: a port in TIME_WAIT is free, one that somebody listens on is not.
+        # As servers do: a port in TIME_WAIT is free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
@@ -45,13 +45,13 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> viser.ViserSe
     except OSError as error:
         raise SettingsError(complaint("view", "host", "an address of this machine", f"{host} ({error})")) from None
     check_port(host, wanted)
-    # viser announces itself on standard output, which belongs to the results of the command line.
+    # viser prints a banner to standard output, which belongs to the command's results.
     with contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host=host, port=wanted, label="Review", verbose=False)
 
 
 def address(server: viser.ViserServer) -> str:
-    """Return the URL of the page."""
+    """URL of the page."""
     return f"http://{server.get_host()}:{server.get_port()}"
 
 

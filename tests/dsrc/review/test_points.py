@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, MISSED, RIGHT, WRONG, before_tone_mapping
-from dsrc.review.points import paint, thin
+from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, FN, FP, TP, inverse_tone_mapping
+from dsrc.review.points import point_colors, subsample
 from dsrc.review.state import COLOR_BY
 from sensors.sweep import KEPT, SCATTERED, make_sweep
 
@@ -19,7 +19,7 @@ def ground(n: int = 20_000, actors: int = 500):
 
 @pytest.mark.parametrize("limit", [1, 50, 999, 7000, 19_999, 20_000, 50_000])
 def test_thinning_keeps_the_limit_and_the_order(limit):
-    rows = thin(ground(), limit)
+    rows = subsample(ground(), limit)
     assert len(rows) <= limit
     assert (np.diff(rows) > 0).all()
     assert len(rows) >= min(limit, 20_000) // 2
@@ -27,42 +27,47 @@ def test_thinning_keeps_the_limit_and_the_order(limit):
 
 def test_thinning_keeps_points_on_actors_before_the_ground():
     sweep = ground()
-    rows = thin(sweep, 3000)
+    rows = subsample(sweep, 3000)
     assert np.count_nonzero(sweep.object_id[rows] >= 0) == 500
 
 
 def test_thinning_takes_more_from_what_is_near():
     sweep = ground(actors=0)
-    share = [np.isin(np.flatnonzero(band), thin(sweep, 4000)).mean() for band in (sweep.range < 20, sweep.range > 60)]
+    share = [
+        np.isin(np.flatnonzero(band), subsample(sweep, 4000)).mean() for band in (sweep.range < 20, sweep.range > 60)
+    ]
     assert share[0] < share[1]
 
 
 def test_points_that_float16_cannot_hold_are_not_drawn():
     sweep = make_sweep(np.array([[1.0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0], [70_000.0, 0, 0]]))
-    assert thin(sweep, 100).tolist() == [0]
+    assert subsample(sweep, 100).tolist() == [0]
 
 
 @pytest.mark.parametrize("color_by", COLOR_BY)
 def test_every_colouring_gives_one_colour_per_point(color_by):
     for sweep in (ground(100), ground(0, 0)):
-        colors = paint(sweep, color_by, AGENT_COLORS[0], -1.8)
+        colors = point_colors(sweep, color_by, AGENT_COLORS[0], -1.8)
         assert colors.shape == (len(sweep), 3) and colors.dtype == np.uint8
 
 
 def test_actors_shine_in_their_agents_colour_and_the_ground_is_dim():
-    colors = paint(ground(1000, 10), "agent", (200, 100, 50), -1.8)
+    colors = point_colors(ground(1000, 10), "agent", (200, 100, 50), -1.8)
     assert (colors[:10] == (200, 100, 50)).all()
     assert colors[10:].max() < 100
 
 
 def test_fates_have_their_colours():
     sweep = make_sweep(np.zeros((2, 3)), fate=np.array([KEPT, SCATTERED]))
-    assert paint(sweep, "fate", (1, 2, 3), 0.0).tolist() == [list(FATE_COLORS[KEPT]), list(FATE_COLORS[SCATTERED])]
+    assert point_colors(sweep, "fate", (1, 2, 3), 0.0).tolist() == [
+        list(FATE_COLORS[KEPT]),
+        list(FATE_COLORS[SCATTERED]),
+    ]
 
 
 def test_tone_mapping_is_undone_as_far_as_colours_can_be_sent():
     # three.js 0.17x shows a line of (106, 114, 129) as (112, 122, 140).
-    assert np.abs(np.array(before_tone_mapping((112, 122, 140))) - (106, 114, 129)).max() <= 1
-    for red, green, blue in [(0, 0, 0), (255, 255, 255), (0, 255, 0), RIGHT, WRONG, MISSED]:
-        assert all(0 <= c <= 255 for c in before_tone_mapping((red, green, blue)))
-    assert max(before_tone_mapping((0, 0, 0))) < 12
+    assert np.abs(np.array(inverse_tone_mapping((112, 122, 140))) - (106, 114, 129)).max() <= 1
+    for red, green, blue in [(0, 0, 0), (255, 255, 255), (0, 255, 0), TP, FP, FN]:
+        assert all(0 <= c <= 255 for c in inverse_tone_mapping((red, green, blue)))
+    assert max(inverse_tone_mapping((0, 0, 0))) < 12

@@ -36,7 +36,7 @@ def test_an_exported_page_plays_all_frames_with_named_nodes(page):
     recorded = recording(page.read_text())
     assert recorded["durationSeconds"] == pytest.approx(0.4)
     names = {m[1].get("name") for m in recorded["messages"]}
-    for name in ("agents/ego_vehicle_1000/lidar/points", "truth/missed/edges", "detections/right/edges", "bodies/car"):
+    for name in ("agents/ego_vehicle_1000/lidar/points", "truth/fn/edges", "detections/tp/edges", "bodies/car"):
         assert f"/drive/{name}" in names
     times = {m[0] for m in recorded["messages"] if m[1].get("name", "").endswith("1000/lidar/points")}
     assert len(times) == 4
@@ -55,8 +55,8 @@ def test_the_legend_holds_the_counts_of_every_frame(page, model):
     data = json.loads(re.search(r"__REVIEW__=(\{.*?\});", page.read_text())[1])
     assert len(data["frames"]) == 4
     counts = model.view(ReviewState(frame=2)).counts
-    assert data["frames"][2]["missed"] == str(counts.missed)
-    assert data["frames"][2]["right"] == str(counts.right)
+    assert data["frames"][2]["fn"] == str(counts.fn)
+    assert data["frames"][2]["tp"] == str(counts.tp)
     assert len(data["cameras"]) == 3
 
 
@@ -114,7 +114,7 @@ def near(image: np.ndarray, rgb: palette.Rgb) -> int:
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_right_wrong_and_missed_are_seen_in_their_colours(model, tmp_path):
+def test_tp_fp_and_fn_are_seen_in_their_colours(model, tmp_path):
     quiet = frozenset({"bodies", "labels", "links"})
     state = ReviewState(threshold=0.0, hidden=frozenset({1000, 1002, -1}), layers_off=quiet)
     app = ReviewApp(model, start_server(), state)
@@ -131,11 +131,11 @@ def test_right_wrong_and_missed_are_seen_in_their_colours(model, tmp_path):
             # The first picture can come before the browser has built all nodes.
             time.sleep(1.0)
             image = client.get_render(**render)
-            assert min(near(image, rgb) for rgb in (palette.RIGHT, palette.WRONG, palette.MISSED)) > 15
+            assert min(near(image, rgb) for rgb in (palette.TP, palette.FP, palette.FN)) > 15
             app.update(threshold=1.0)
             app.wait_drawn()
             image = client.get_render(**render)
-            assert near(image, palette.RIGHT) == 0 and near(image, palette.MISSED) > 50
+            assert near(image, palette.TP) == 0 and near(image, palette.FN) > 50
     finally:
         app.close()
 
@@ -148,7 +148,7 @@ def test_an_exported_page_shows_the_scene_and_its_legend(page, tmp_path):
     picture = screenshot(page, tmp_path / "page.png", (640, 400), settle_s=3.0)
     image = (imread(picture) * 255).astype(np.uint8)
     assert image.shape[:2] == (400, 640)
-    assert near(image[:, 340:], palette.RIGHT) > 15
+    assert near(image[:, 340:], palette.TP) > 15
 
 
 def test_pictures_leave_no_browser_behind(tmp_path, monkeypatch):

@@ -1,21 +1,21 @@
-"""What the ground truth of a frame says of one object."""
+"""Details of one object in the ground truth of a frame."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from dsrc.review.view import ObjectFacts, Sighting
+from dsrc.review.view import ObjectDetails, ObjectVisibility
 from sensors.frame import Frame
 from sim.boxes import CLASSES
 from sim.traffic.base import lit
 
 
-def facts_of(frame: Frame, object_id: int | None, ego_id: int, titles: Sequence[str]) -> ObjectFacts | None:
-    """Return the facts of an object; None when the frame does not have it.
+def object_details(frame: Frame, object_id: int | None, ego_id: int, titles: Sequence[str]) -> ObjectDetails | None:
+    """Return the details of an object; None when the frame lacks it.
 
     Args:
         frame: the frame.
-        object_id: of whom, None for nobody.
+        object_id: the object, or None.
         ego_id: the agent that detects.
         titles: names of the agents, in the order of the frame.
     """
@@ -24,7 +24,7 @@ def facts_of(frame: Frame, object_id: int | None, ego_id: int, titles: Sequence[
         return None
     row = int(found[0])
     yaw = frame.truth.yaw[row]
-    return ObjectFacts(
+    return ObjectDetails(
         object_id=int(frame.truth.object_id[row]),
         class_name=CLASSES[frame.truth.label[row]],
         speed=float(np.hypot(*frame.velocity[row])),
@@ -32,8 +32,8 @@ def facts_of(frame: Frame, object_id: int | None, ego_id: int, titles: Sequence[
         lights=lit(int(frame.signals[row])),
         lane=frame.lane[row],
         seen_by=int(frame.seen_by(ego_id)[row]),
-        sightings=tuple(
-            Sighting(title, int(points), float(fraction))
+        visibility=tuple(
+            ObjectVisibility(title, int(points), float(fraction))
             for title, points, fraction in zip(
                 titles, frame.points_on[:, row], frame.visible_fraction[:, row], strict=True
             )

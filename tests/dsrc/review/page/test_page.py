@@ -10,7 +10,7 @@ import pytest
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp, serve
-from dsrc.review.page.commands import commands, next_mistake
+from dsrc.review.page.commands import commands, next_error
 from dsrc.review.page.scene import SceneWriter
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
@@ -52,7 +52,7 @@ def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(server, mod
         node(server, "/agents/vehicle_1002/lidar").position, view.agents[1].review_from_lidar[:3, 3]
     )
     assert node(server, "/agents/roadside_unit_1/label").text == "roadside unit 1"
-    assert len(node(server, "/detections/right/edges").points) == 13 * view.counts.right
+    assert len(node(server, "/detections/tp/edges").points) == 13 * view.counts.tp
     assert len(node(server, "/bodies/car").batched_positions) == len(view.truth)
 
 
@@ -60,15 +60,15 @@ def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server, model):
     writer = SceneWriter(server)
     for threshold, shown in ((0.0, True), (1.0, False), (0.0, True)):
         writer.write(model.view(ReviewState(threshold=threshold)))
-        assert node(server, "/detections/wrong/edges").visible is shown
-        assert node(server, "/detections/wrong/faces").visible is shown
+        assert node(server, "/detections/fp/edges").visible is shown
+        assert node(server, "/detections/fp/faces").visible is shown
 
 
 def test_layers_can_be_switched_off(server, model):
     writer = SceneWriter(server)
     writer.place_static([])
     writer.write(model.view(ReviewState(layers_off=frozenset(SHOWN_LAYERS))))
-    names = ("/truth/found", "/detections/right", "/bodies", "/world", "/links", "/agents/vehicle_1002/label")
+    names = ("/truth/detected", "/detections/tp", "/bodies", "/world", "/links", "/agents/vehicle_1002/label")
     assert [node(server, name).visible for name in names] == [False] * 6
     assert node(server, "/agents/vehicle_1002/lidar/points").visible
 
@@ -94,16 +94,16 @@ def test_the_sliders_move_the_page(app):
     app._panels.frame.value = 5
     wait_for(lambda: app.state.frame == 5)
     assert app.wait_drawn().index == 5
-    before = len(node(app.server, "/detections/right/edges").points)
+    before = len(node(app.server, "/detections/tp/edges").points)
     app._panels.threshold.value = 0.8
     wait_for(lambda: app.state.threshold == 0.8)
-    assert app.wait_drawn().counts.missed > 1
-    assert len(node(app.server, "/detections/right/edges").points) < before
+    assert app.wait_drawn().counts.fn > 1
+    assert len(node(app.server, "/detections/tp/edges").points) < before
 
 
 def test_the_report_counts_what_is_drawn(app):
     counts = app.view.counts
-    assert f"| this frame | {counts.right} | {counts.wrong} | {counts.missed} |" in app._panels.report.content
+    assert f"| this frame | {counts.tp} | {counts.fp} | {counts.fn} |" in app._panels.report.content
 
 
 def test_a_dropdown_brings_a_corruption(app, fake_fog):
@@ -131,7 +131,7 @@ def test_an_agents_box_hides_its_points(app):
     assert not node(app.server, "/agents/vehicle_1002/lidar/points").visible
 
 
-def test_another_ego_is_chosen_by_name(app, detector):
+def test_another_ego_is_selected_by_name(app, detector):
     assert app._panels.ego.value == "vehicle 1000"
     app._panels.ego.value = "vehicle 1002"
     wait_for(lambda: app.state.ego_id == 1002)
@@ -229,27 +229,27 @@ def test_commands_change_the_page(app, fake_fog):
     assert app.state.hidden == {1000, -1}
     by_label["Points of all agents"]()
     assert app.state.hidden == frozenset()
-    by_label["Points by the next meaning"]()
+    by_label["Next colour of the points"]()
     assert app.state.color_by == "intensity"
-    for label in ("Camera: chase the ego", "Camera: bird's eye", "Camera: as at the start"):
+    for label in ("Camera: chase the ego", "Camera: bird's eye", "Camera: reset"):
         by_label[label]()
     app.wait_drawn()
 
 
-def test_the_next_mistake_is_the_next_frame_with_one(app):
-    next_mistake(app, 1)
+def test_the_next_error_is_the_next_frame_with_an_fp_or_fn(app):
+    next_error(app, 1)
     assert app.state.frame == 1
-    next_mistake(app, -1)
+    next_error(app, -1)
     assert app.state.frame == 0
 
 
 def test_serve_opens_a_folder_of_drives(tmp_path, frame):
     for index in (0, 1):
         write_frame(tmp_path / "drive", replace(frame, index=index))
-    told = []
-    app = serve(tmp_path, block=False, announce=told.append)
+    announced = []
+    app = serve(tmp_path, block=False, announce=announced.append)
     try:
-        assert told == [app.url]
+        assert announced == [app.url]
         assert app.wait_drawn().drive == "drive"
     finally:
         app.close()
@@ -276,15 +276,15 @@ def test_a_busy_port_is_one_line(tmp_path):
         start_server("256.1.1.1")
 
 
-def test_an_object_is_chosen_in_the_list_or_by_a_click(app):
+def test_an_object_is_selected_in_the_list_or_by_a_click(app):
     app._panels.object.value = "car 1003"
     view = app.wait_drawn()
-    assert app.state.object_id == 1003 and view.facts.object_id == 1003
+    assert app.state.object_id == 1003 and view.details.object_id == 1003
     assert "**car 1003**" in app._panels.object_report.content
     app._writer._on_object(1004)
-    assert app.wait_drawn().facts.object_id == 1004
+    assert app.wait_drawn().details.object_id == 1004
     assert app._panels.object.value == "car 1004"
     app.step(1)
-    assert app.wait_drawn().facts.object_id == 1004
+    assert app.wait_drawn().details.object_id == 1004
     app._panels.object.value = "none"
-    assert app.wait_drawn().facts is None
+    assert app.wait_drawn().details is None

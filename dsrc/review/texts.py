@@ -1,4 +1,4 @@
-"""The texts of the live page: counts, legend and keys."""
+"""Texts of the live page: counts, object details, legend and keys."""
 
 import math
 from collections.abc import Iterable
@@ -6,22 +6,21 @@ from html import escape
 
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
-from dsrc.review.view import OTHER_BOXES, AgentView, FrameView, ObjectFacts
+from dsrc.review.view import OTHER_TRUTH, AgentView, FrameView, ObjectDetails
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
 
-_SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by a helper only", BY_NOBODY: "seen by nobody"}
+_SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by a collaborator only", BY_NOBODY: "not seen"}
 
 
-def report(view: FrameView) -> str:
-    """Return the markdown of a frame: when it is, and how well it was seen."""
+def frame_report(view: FrameView) -> str:
+    """Markdown of a frame: number, time, TP, FP, FN, precision and recall."""
     head = f"**Frame {view.index}** · {view.time_s:.1f} s"
     if view.counts is None:
-        judged = len(view.truth) - len(view.layers[OTHER_BOXES])
-        return f"{head}\n\n{judged} vehicles in sight of an agent, {len(view.truth)} road users in all."
+        evaluated = len(view.truth) - len(view.layers[OTHER_TRUTH])
+        return f"{head}\n\n{evaluated} vehicles in sight of an agent, {len(view.truth)} road users in all."
     rows = [("this frame", view.counts), (f"{view.seen_frames} seen", view.seen)]
     table = "\n".join(
-        f"| {name} | {c.right} | {c.wrong} | {c.missed} | {_share(c.precision)} | {_share(c.recall)} |"
-        for name, c in rows
+        f"| {name} | {c.tp} | {c.fp} | {c.fn} | {_share(c.precision)} | {_share(c.recall)} |" for name, c in rows
     )
     columns = "| | TP | FP | FN | prec. | recall |\n|:--|--:|--:|--:|--:|--:|"
     return f"{head}\n\n{columns}\n{table}"
@@ -31,36 +30,36 @@ def _share(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
 
 
-def object_report(facts: ObjectFacts | None) -> str:
-    """Return the markdown of what is known of the chosen object."""
-    if facts is None:
-        return "Click a body or choose one."
+def object_report(details: ObjectDetails | None) -> str:
+    """Markdown of the selected object's details."""
+    if details is None:
+        return "Click a body or select one."
     # In a code span a lane's underscores stay what they are.
-    lane = f" · lane `{facts.lane}`" if facts.lane else ""
-    lights = f" · {', '.join(facts.lights)}" if facts.lights else ""
-    change = "" if math.isnan(facts.acceleration) else f", {facts.acceleration:+.1f} m/s²"
-    head = f"**{facts.class_name} {facts.object_id}**, {_SEEN_BY[facts.seen_by]}"
+    lane = f" · lane `{details.lane}`" if details.lane else ""
+    lights = f" · {', '.join(details.lights)}" if details.lights else ""
+    change = "" if math.isnan(details.acceleration) else f", {details.acceleration:+.1f} m/s²"
+    head = f"**{details.class_name} {details.object_id}**, {_SEEN_BY[details.seen_by]}"
     rows = "\n".join(
         f"| {s.agent} | {s.points} | {'–' if math.isnan(s.fraction) else f'{100 * s.fraction:.0f} %'} |"
-        for s in facts.sightings
+        for s in details.visibility
     )
     table = f"| | points | visible |\n|:--|--:|--:|\n{rows}"
-    return f"{head}\n\n{facts.speed:.1f} m/s{change}{lights}{lane}\n\n{table}"
+    return f"{head}\n\n{details.speed:.1f} m/s{change}{lights}{lane}\n\n{table}"
 
 
 def legend(view: FrameView) -> str:
-    """Return the HTML that says which colour is whose."""
-    agents = "".join(_entry(agent.rgb, _title(agent)) for agent in view.agents)
+    """HTML of the legend."""
+    agents = "".join(_legend_row(agent.rgb, _title(agent)) for agent in view.agents)
     if view.color_by == "fate":
-        agents += "".join(_entry(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
+        agents += "".join(_legend_row(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
     if view.counts is None:
-        return _box(agents + _entry(palette.TRUTH, "ground truth", True))
+        return _box(agents + _legend_row(palette.TRUTH, "ground truth", True))
     verdicts = (
-        (palette.RIGHT, "right (TP)"),
-        (palette.WRONG, "wrong (FP), crossed"),
-        (palette.MISSED, "missed (FN), dashed"),
+        (palette.TP, "true positive"),
+        (palette.FP, "false positive, crossed"),
+        (palette.FN, "false negative, dashed"),
     )
-    return _box(agents + "".join(_entry(rgb, text, True) for rgb, text in verdicts))
+    return _box(agents + "".join(_legend_row(rgb, text, True) for rgb, text in verdicts))
 
 
 def _title(agent: AgentView) -> str:
@@ -76,7 +75,7 @@ def _box(rows: str) -> str:
     return f'<div style="padding:.2em 1em .4em;font-size:.82em;line-height:1.6">{rows}</div>'
 
 
-def _entry(rgb: Rgb, text: str, outlined: bool = False) -> str:
+def _legend_row(rgb: Rgb, text: str, outlined: bool = False) -> str:
     color = f"rgb({rgb[0]},{rgb[1]},{rgb[2]})"
     fill = f"border:2px solid {color};border-radius:2px" if outlined else f"background:{color};border-radius:50%"
     mark = f'<span style="display:inline-block;width:.7em;height:.7em;box-sizing:border-box;{fill}"></span>'
@@ -84,6 +83,6 @@ def _entry(rgb: Rgb, text: str, outlined: bool = False) -> str:
 
 
 def keys_table(commands: Iterable[tuple[str, str]]) -> str:
-    """Return the markdown table of (label, key)."""
+    """Markdown table of (label, key) pairs."""
     rows = "\n".join(f"| `{key}` | {label} |" for label, key in commands)
     return f"| key | |\n|:--|:--|\n{rows}\n\nCtrl-K opens all commands."

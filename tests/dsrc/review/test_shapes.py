@@ -21,7 +21,7 @@ def test_a_box_is_twelve_edges_and_a_tick_along_its_heading():
     assert np.arctan2(tick[1], tick[0]) == pytest.approx(0.7, abs=1e-5) and tick[2] == pytest.approx(0.0)
 
 
-def test_right_wrong_and_missed_differ_in_form():
+def test_tp_fp_and_fn_differ_in_form():
     assert len(crossed(TURNED)) == len(edges(TURNED)) + 4
     solid, broken = edges(TURNED), dashed(TURNED)
     length = [np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum() for lines in (solid, broken)]
@@ -44,11 +44,11 @@ def test_a_quaternion_turns_about_z():
     np.testing.assert_allclose(quaternions(np.array([0.0, np.pi / 2])), [[1, 0, 0, 0], [2**-0.5, 0, 0, 2**-0.5]], 1e-6)
 
 
-def test_two_detections_of_one_object_are_one_right_and_one_wrong():
+def test_two_detections_of_one_object_are_one_tp_and_one_fp():
     truth = Boxes.from_array([[0.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0], [20.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0]])
     twice = Detections(truth[np.array([0, 0])], np.array([0.8, 0.6], np.float32))
     matches = match(twice, truth, 0.5)
-    assert matches.right.tolist() == [True, False]
+    assert matches.tp.tolist() == [True, False]
     assert matches.counts(0.0) == Counts(1, 1, 1)
     assert matches.counts(0.7) == Counts(1, 0, 1)
     assert matches.found(0.0).tolist() == [True, False]

@@ -5,9 +5,17 @@ import numpy as np
 import pytest
 
 from dsrc.review.model import ReviewModel, open_model
-from dsrc.review.report import legend, object_report
 from dsrc.review.state import ReviewState
-from dsrc.review.view import CHOSEN, FOUND, LAYERS, MISSED_BOXES, OTHER_BOXES, RIGHT_BOXES, WRONG_BOXES
+from dsrc.review.texts import legend, object_report
+from dsrc.review.view import (
+    DETECTED_TRUTH,
+    FALSE_NEGATIVES,
+    FALSE_POSITIVES,
+    LAYERS,
+    OTHER_TRUTH,
+    SELECTED,
+    TRUE_POSITIVES,
+)
 from sensors.frame import BY_EGO, BY_HELPER
 from sim.errors import DataError
 from sim.geometry import transform_points
@@ -26,36 +34,38 @@ def test_drawn_points_survive_float16_although_the_world_is_far_away(truth_model
         assert np.abs(agent.points.astype(np.float16) - agent.points).max() < 0.04
 
 
-def test_without_a_detector_there_is_only_truth_and_no_verdict(truth_model):
+def test_without_a_detector_there_is_only_truth_and_no_counts(truth_model):
     view = truth_model.view(ReviewState())
     assert view.counts is None
-    assert len(view.layers[RIGHT_BOXES]) == len(view.layers[WRONG_BOXES]) == len(view.layers[MISSED_BOXES]) == 0
+    assert (
+        len(view.layers[TRUE_POSITIVES]) == len(view.layers[FALSE_POSITIVES]) == len(view.layers[FALSE_NEGATIVES]) == 0
+    )
     # The ego's own body is not an object that it could detect.
-    assert view.layers[FOUND].object_id.tolist() == [1001, 1002, 1003, 1004, 1005]
-    assert view.layers[OTHER_BOXES].object_id.tolist() == [1000]
+    assert view.layers[DETECTED_TRUTH].object_id.tolist() == [1001, 1002, 1003, 1004, 1005]
+    assert view.layers[OTHER_TRUTH].object_id.tolist() == [1000]
 
 
-def test_boxes_are_told_apart_as_right_wrong_and_missed(model):
+def test_boxes_are_classified_as_tp_fp_and_fn(model):
     view = model.view(ReviewState(threshold=0.0))
-    objects = len(view.layers[FOUND]) + len(view.layers[MISSED_BOXES])
-    assert (view.counts.right, view.counts.wrong, view.counts.missed) == (objects - 1, 1, 1)
-    assert len(view.layers[RIGHT_BOXES]) == objects - 1 and len(view.layers[WRONG_BOXES]) == 1
-    assert sum(len(view.layers[name]) for name in (FOUND, MISSED_BOXES, OTHER_BOXES)) == len(view.truth)
-    assert view.counts.precision == pytest.approx(view.counts.right / (view.counts.right + 1))
+    objects = len(view.layers[DETECTED_TRUTH]) + len(view.layers[FALSE_NEGATIVES])
+    assert (view.counts.tp, view.counts.fp, view.counts.fn) == (objects - 1, 1, 1)
+    assert len(view.layers[TRUE_POSITIVES]) == objects - 1 and len(view.layers[FALSE_POSITIVES]) == 1
+    assert sum(len(view.layers[name]) for name in (DETECTED_TRUTH, FALSE_NEGATIVES, OTHER_TRUTH)) == len(view.truth)
+    assert view.counts.precision == pytest.approx(view.counts.tp / (view.counts.tp + 1))
     assert set(view.layers) == set(LAYERS)
 
 
-def test_right_detections_are_drawn_on_the_objects_that_they_found(model):
+def test_true_positives_are_drawn_on_their_objects(model):
     view = model.view(ReviewState(frame=3))
-    np.testing.assert_allclose(view.layers[RIGHT_BOXES].center, view.layers[FOUND].center, atol=0.01)
+    np.testing.assert_allclose(view.layers[TRUE_POSITIVES].center, view.layers[DETECTED_TRUTH].center, atol=0.01)
 
 
 def test_the_threshold_cuts_detections_without_detecting_again(model, detector):
     counts = [model.view(ReviewState(threshold=t)).counts for t in (0.0, 0.5, 0.7, 1.0)]
     assert len(detector.samples) == 1
-    assert [c.wrong for c in counts] == [1, 0, 0, 0]
-    assert counts[0].right == counts[1].right > counts[2].right > counts[3].right == 0
-    assert all(c.right + c.missed == counts[0].right + counts[0].missed for c in counts)
+    assert [c.fp for c in counts] == [1, 0, 0, 0]
+    assert counts[0].tp == counts[1].tp > counts[2].tp > counts[3].tp == 0
+    assert all(c.tp + c.fn == counts[0].tp + counts[0].fn for c in counts)
 
 
 def test_a_corruption_changes_what_is_drawn_and_what_the_detector_gets_once(model, detector, fake_fog):
@@ -96,7 +106,7 @@ def test_an_error_relative_to_the_ego_follows_the_ego(truth_model):
     assert poses == {1000: [True, False, False], 1002: [False, True, False]}
 
 
-def test_counts_sum_over_the_frames_that_were_looked_at(model):
+def test_counts_sum_over_the_viewed_frames(model):
     first = model.view(ReviewState(frame=0))
     second = model.view(ReviewState(frame=1))
     assert (first.seen_frames, second.seen_frames) == (1, 2)
@@ -108,7 +118,7 @@ def test_another_ego_detects_from_its_own_place(model, detector):
     assert detector.samples[0].agent_ids == (1002,)
 
 
-def test_a_hidden_agent_has_no_points_and_still_speaks(model, detector):
+def test_a_hidden_agent_has_no_points_and_is_still_detected_with(model, detector):
     view = model.view(ReviewState(hidden=frozenset({1002})))
     assert len(view.agents[1].points) == 0 and not view.agents[1].visible
     assert 1002 in detector.samples[0].agent_ids
@@ -120,7 +130,7 @@ def test_frames_are_read_once(truth_model, drive):
     assert sorted(drive.reads) == [0, 1]
 
 
-def test_links_join_the_ego_with_those_it_hears(model):
+def test_links_join_the_ego_with_its_collaborators(model):
     view = model.view(ReviewState())
     assert view.linked.shape == (2, 2, 3)
     assert len(model.view(ReviewState(cooperative=False)).linked) == 0
@@ -136,25 +146,30 @@ def test_wrong_input_is_one_line(tmp_path, drive):
         ReviewModel([drive])
 
 
-def test_the_facts_of_an_object_say_who_sees_it_and_what_it_does(truth_model):
+def test_object_details_give_motion_lights_and_visibility(truth_model):
     view = truth_model.view(ReviewState(object_id=1003))
-    facts = view.facts
-    assert (facts.object_id, facts.class_name, facts.lane, facts.lights) == (1003, "car", "main_0", ("brake light",))
-    assert facts.speed == pytest.approx(3.0) and facts.acceleration == pytest.approx(-2.5)
-    assert [s.points for s in facts.sightings] == [40, 40, 40]
-    assert [s.fraction for s in facts.sightings] == [0.25, 1.0, 0.5]
-    assert facts.seen_by == BY_EGO
-    assert view.layers[CHOSEN].object_id.tolist() == [1003]
-    assert truth_model.view(ReviewState(object_id=1000)).facts.seen_by == BY_HELPER  # the ego's own body
+    details = view.details
+    assert (details.object_id, details.class_name, details.lane, details.lights) == (
+        1003,
+        "car",
+        "main_0",
+        ("brake light",),
+    )
+    assert details.speed == pytest.approx(3.0) and details.acceleration == pytest.approx(-2.5)
+    assert [s.points for s in details.visibility] == [40, 40, 40]
+    assert [s.fraction for s in details.visibility] == [0.25, 1.0, 0.5]
+    assert details.seen_by == BY_EGO
+    assert view.layers[SELECTED].object_id.tolist() == [1003]
+    assert truth_model.view(ReviewState(object_id=1000)).details.seen_by == BY_HELPER  # the ego's own body
     gone = truth_model.view(ReviewState(object_id=77))
-    assert gone.facts is None and len(gone.layers[CHOSEN]) == 0
-    assert truth_model.view(ReviewState()).facts is None
+    assert gone.details is None and len(gone.layers[SELECTED]) == 0
+    assert truth_model.view(ReviewState()).details is None
 
 
-def test_the_facts_are_told_in_words(truth_model):
-    text = object_report(truth_model.view(ReviewState(object_id=1003)).facts)
+def test_object_details_as_text(truth_model):
+    text = object_report(truth_model.view(ReviewState(object_id=1003)).details)
     assert "**car 1003**, seen by the ego" in text
     assert "3.0 m/s, -2.5 m/s² · brake light · lane `main_0`" in text
     assert "| vehicle 1000 | 40 | 25 % |" in text
-    unknown = object_report(truth_model.view(ReviewState(object_id=1005)).facts)
+    unknown = object_report(truth_model.view(ReviewState(object_id=1005)).details)
     assert "seen by the ego\n\n0.0 m/s\n\n" in unknown and "| roadside unit 1 | 40 | – |" in unknown
