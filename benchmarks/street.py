@@ -18,7 +18,7 @@ from sensors.spec import LidarSpec
 from sim.bodies.choice import MODELS, body_mesh
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import pose_matrix, transform_points
-from sim.mesh.solids import Piece, box, join, move, piece, to_mesh, tube
+from sim.mesh.solids import MeshPart, box, join, mesh_part, move, to_mesh, tube
 from sim.traffic.base import Actors
 from sim.vehicle_types import TYPES
 from sim.world.furniture.kerbside import lamp_post
@@ -66,7 +66,7 @@ def street_world(seed: int = 1) -> trimesh.Trimesh:
 
 def city(triangles: int, seed: int = 1) -> trimesh.Trimesh:
     """Return at least so many triangles: districts like `street_world`, each of its own seed, in rows of five."""
-    districts: list[Piece] = []
+    districts: list[MeshPart] = []
     found = 0
     while found < triangles:
         row, column = divmod(len(districts), 5)
@@ -76,25 +76,25 @@ def city(triangles: int, seed: int = 1) -> trimesh.Trimesh:
     return to_mesh(join(districts))
 
 
-def _district(rng: np.random.Generator) -> Piece:
+def _district(rng: np.random.Generator) -> MeshPart:
     return join([*_sheets(), *_markings(), *_houses(rng), *_verge(rng)])
 
 
-def _sheets() -> list[Piece]:
+def _sheets() -> list[MeshPart]:
     """Return roads, pavements and yards as grids of cells of 1.5 to 2 m, and the kerbs between them."""
     strips = _strips()
-    pieces = []
+    parts = []
     for x_low, x_high, across in strips:
         for y_low, y_high, along in strips:
             on_road = "road" in (across, along)
             material = "asphalt" if on_road else "pavement" if "walk" in (across, along) else "ground"
             z = 0.0 if on_road else _KERB_M
-            pieces.append(_sheet(np.array([x_low, y_low]), np.array([x_high, y_high]), z, material))
+            parts.append(_sheet(np.array([x_low, y_low]), np.array([x_high, y_high]), z, material))
     for low, high, kind in strips:
         if kind != "road":
             edges = [road + side * HALF_ROAD_M for road in ROADS_M for side in (-1.0, 1.0)]
-            pieces.extend(_both_ways([_kerb(np.array([low, edge]), np.array([high, edge])) for edge in edges]))
-    return pieces
+            parts.extend(_both_ways([_kerb(np.array([low, edge]), np.array([high, edge])) for edge in edges]))
+    return parts
 
 
 def _strips() -> list[tuple[float, float, str]]:
@@ -107,7 +107,7 @@ def _strips() -> list[tuple[float, float, str]]:
     return list(zip(ends, ends[1:], ("yard", *kinds * len(ROADS_M)), strict=False))
 
 
-def _sheet(low: NDArray[np.float64], high: NDArray[np.float64], z: float, material: str) -> Piece:
+def _sheet(low: NDArray[np.float64], high: NDArray[np.float64], z: float, material: str) -> MeshPart:
     """Return a level rectangle of nearly square cells, two triangles each."""
     cells = np.ceil((high - low) / _CELL_M - 1e-9).astype(int)
     x, y = (np.linspace(low[k], high[k], cells[k] + 1) for k in range(2))
@@ -115,12 +115,12 @@ def _sheet(low: NDArray[np.float64], high: NDArray[np.float64], z: float, materi
     corner = (np.arange(cells[0])[:, None] * (cells[1] + 1) + np.arange(cells[1])).ravel()
     right, up, both = corner + cells[1] + 1, corner + 1, corner + cells[1] + 2
     faces = np.concatenate([np.column_stack([corner, right, both]), np.column_stack([corner, both, up])])
-    return piece(np.column_stack([grid, np.full(len(grid), z)]), faces, material)
+    return mesh_part(np.column_stack([grid, np.full(len(grid), z)]), faces, material)
 
 
-def _kerb(start: NDArray[np.float64], end: NDArray[np.float64]) -> Piece:
+def _kerb(start: NDArray[np.float64], end: NDArray[np.float64]) -> MeshPart:
     corners = [(*start, 0.0), (*end, 0.0), (*end, _KERB_M), (*start, _KERB_M)]
-    return piece(corners, [[0, 1, 2], [0, 2, 3]], "kerb")
+    return mesh_part(corners, [[0, 1, 2], [0, 2, 3]], "kerb")
 
 
 def _quads(count: int) -> NDArray[np.int64]:
@@ -129,25 +129,25 @@ def _quads(count: int) -> NDArray[np.int64]:
     return np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
 
 
-def _both_ways(parts: list[Piece]) -> list[Piece]:
+def _both_ways(parts: list[MeshPart]) -> list[MeshPart]:
     """Return what lies along the roads in x, and the same along the roads in y."""
     return [*parts, *(move(part, yaw=0.5 * np.pi) for part in parts)]
 
 
-def _markings() -> list[Piece]:
+def _markings() -> list[MeshPart]:
     """Return dashes between the lanes of all roads, 5 mm above them: surfaces at one height have no order."""
     low = np.array([[x, road + line - 0.06] for x in np.arange(-196.0, 196.0, 9.0) for road in ROADS_M
                     for line in (-4.0, 0.0, 4.0) if np.abs(np.array(ROADS_M) - x).min() > 12.0])  # fmt: skip
     size = np.array([3.0, 0.12])
     corners = low[:, None] + size * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     vertices = np.concatenate([corners.reshape(-1, 2), np.full((4 * len(low), 1), 0.005)], axis=1)
-    return _both_ways([piece(vertices, _quads(len(low)), "marking")])
+    return _both_ways([mesh_part(vertices, _quads(len(low)), "marking")])
 
 
-def _houses(rng: np.random.Generator) -> list[Piece]:
+def _houses(rng: np.random.Generator) -> list[MeshPart]:
     """Return rows of houses on both sides of every road."""
     set_back = HALF_ROAD_M + _WALK_M + 1.0
-    pieces = []
+    parts = []
     for turned in (False, True):
         # At the corners of a block the rows along x come first.
         clear = set_back + (_HOUSE_DEPTH_M + 1.0 if turned else 0.0)
@@ -156,8 +156,8 @@ def _houses(rng: np.random.Generator) -> list[Piece]:
                 house = _house(end - start, int(rng.integers(3, 6)), rng)
                 place = (start if side > 0.0 else end, road + side * set_back, 0.0)
                 house = move(house, place, 0.0 if side > 0.0 else np.pi)
-                pieces.append(move(house, yaw=0.5 * np.pi) if turned else house)
-    return pieces
+                parts.append(move(house, yaw=0.5 * np.pi) if turned else house)
+    return parts
 
 
 def _between(clear_m: float) -> list[tuple[float, float]]:
@@ -178,14 +178,14 @@ def _plots(low: float, high: float, rng: np.random.Generator) -> list[tuple[floa
     return plots
 
 
-def _house(length_m: float, storeys: int, rng: np.random.Generator) -> Piece:
+def _house(length_m: float, storeys: int, rng: np.random.Generator) -> MeshPart:
     """Return a house whose front lies on the x axis from 0 to its length and looks along -y."""
     height = _STOREY_M * storeys
     wall = ("brick", "plaster", "concrete")[int(rng.integers(3))]
     body = box((0.0, 0.0, 0.0), (length_m, _HOUSE_DEPTH_M, height), wall)
     # The box's own front gives way to the one with windows.
     front = (body.vertices[body.faces][:, :, 1] == 0.0).all(axis=1)
-    shell = Piece(body.vertices, body.faces[~front], body.material[~front])
+    shell = MeshPart(body.vertices, body.faces[~front], body.material[~front])
     columns = max(1, int(length_m / _WINDOW_EVERY_M))
     unit = _window(wall)
     cells = [
@@ -197,7 +197,7 @@ def _house(length_m: float, storeys: int, rng: np.random.Generator) -> Piece:
 
 
 @lru_cache(maxsize=8)
-def _window(wall: str) -> Piece:
+def _window(wall: str) -> MeshPart:
     """Return one by one metre of wall in x and z with a pane that lies deeper: 18 triangles."""
     outer = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     hole = np.array([[0.25, 0.3], [0.75, 0.3], [0.75, 0.8], [0.25, 0.8]])
@@ -211,30 +211,30 @@ def _window(wall: str) -> Piece:
             (here + ring, there + ring + 4, here + ring + 4),
         )
     ]
-    frame = piece(np.concatenate(loops), np.concatenate(faces), wall)
-    return join([frame, piece(loops[2], [[0, 1, 2], [0, 2, 3]], "glass")])
+    frame = mesh_part(np.concatenate(loops), np.concatenate(faces), wall)
+    return join([frame, mesh_part(loops[2], [[0, 1, 2], [0, 2, 3]], "glass")])
 
 
-def _verge(rng: np.random.Generator) -> list[Piece]:
+def _verge(rng: np.random.Generator) -> list[MeshPart]:
     """Return trees and lamps on the pavements."""
     aside = HALF_ROAD_M + 0.8
-    pieces = []
+    parts = []
     for turned in (False, True):
         for (low, high), road, side in product(_between(HALF_ROAD_M + _WALK_M + 4.0), ROADS_M, (-1.0, 1.0)):
             y = road + side * aside
-            parts = [
+            row = [
                 move(_tree(rng), (x, y, _KERB_M), rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.8, 1.2))
                 for x in np.arange(low, high, _TREE_EVERY_M)
             ]
-            parts += [
+            row += [
                 move(lamp_post(), (x, y, _KERB_M), -side * 0.5 * np.pi)
                 for x in np.arange(low + 5.0, high, _LAMP_EVERY_M)
             ]
-            pieces += [move(part, yaw=0.5 * np.pi) for part in parts] if turned else parts
-    return pieces
+            parts += [move(part, yaw=0.5 * np.pi) for part in row] if turned else row
+    return parts
 
 
-def _tree(rng: np.random.Generator) -> Piece:
+def _tree(rng: np.random.Generator) -> MeshPart:
     """Return a trunk and a crown of square leaf cards that look anywhere."""
     place = rng.normal(size=(_LEAVES, 3))
     place *= (rng.uniform(0.2, 1.0, (_LEAVES, 1)) ** (1.0 / 3.0)) / np.linalg.norm(place, axis=1, keepdims=True)
@@ -244,7 +244,7 @@ def _tree(rng: np.random.Generator) -> Piece:
     middle = place * np.array([1.7, 1.7, 1.4]) + np.array([0.0, 0.0, 4.2])
     corners = np.stack([middle - first - second, middle + first - second, middle + first + second,
                         middle - first + second], axis=1)  # fmt: skip
-    leaves = piece(corners.reshape(-1, 3), _quads(_LEAVES), "leaves")
+    leaves = mesh_part(corners.reshape(-1, 3), _quads(_LEAVES), "leaves")
     return join([tube([0.0, 0.0, 0.0], [0.0, 0.0, 3.4], (0.16, 0.11), "bark"), leaves])
 
 

@@ -14,12 +14,12 @@ import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sim.radio import PRESETS, Channel, Instant, Sight, delivery_probability, get_channel, packet_count
+from sim.radio import PRESETS, Channel, Obstruction, RadioSnapshot, delivery_probability, get_channel, packet_count
 
 RADIO = ("its-g5-6", "its-g5-27", "c-v2x")
 COLOURS = dict(zip(RADIO, ("#0072b2", "#d55e00", "#009e73"), strict=True))
-STYLES = {Sight.FREE: "-", Sight.VEHICLE: "--", Sight.BUILDING: ":"}
-NAMES = {Sight.FREE: "free", Sight.VEHICLE: "a vehicle between", Sight.BUILDING: "a building between"}
+STYLES = {Obstruction.FREE: "-", Obstruction.VEHICLE: "--", Obstruction.BUILDING: ":"}
+NAMES = {Obstruction.FREE: "free", Obstruction.VEHICLE: "a vehicle between", Obstruction.BUILDING: "a building between"}
 SIZES = {"boxes of 10 objects": 506, "features, compressed to 1.06 Mb": 132_500, "a cloud of 60,000 points": 960_000}
 
 
@@ -82,10 +82,10 @@ def _measured(name: str, count: int, size: int) -> tuple[float, float]:
     channel = Channel(PRESETS[name], 0, 0.1)
     angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     place = np.stack([30.0 * np.cos(angle), 30.0 * np.sin(angle), np.full(count, 1.9)], axis=1)
-    first = Instant(0, tuple(range(count)), place, (size,) * count, np.zeros((count, count), np.int8))
+    first = RadioSnapshot(0, tuple(range(count)), place, (size,) * count, np.zeros((count, count), np.int8))
     drive = [changed(first, index=index) for index in range(60)]
     links = [channel.newest(drive[now::-1], sender, 0) for now in range(25, 60) for sender in range(1, count)]
-    ages = [link.age_s for link in links if link.heard]
+    ages = [link.age_s for link in links if link.received]
     return float(np.mean(ages)) if ages else np.nan, len(ages) / len(links)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of the places: each from above and from the driver's seat of its ego, a few seconds into its drive.
+"""Pictures of the places, from above and from the ego's driver's seat, a few seconds into a drive.
 
 Usage:
     python examples/places.py --out docs/pictures/scenarios
@@ -41,17 +41,17 @@ MIDDLES_M = {
 """What the picture from above shows of scenarios whose roads are one junction; elsewhere its middle is the ego."""
 
 SHADE = 0.55
-"""Light that a face has away from the sun."""
+"""Ambient light of faces turned away from the sun."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Everything as triangles.
+    """Scene as triangles.
 
     Attributes:
-        scene: for rays.
-        normal: (F, 3) of the triangles.
-        rgb: (F, 3) their colours.
+        scene: ray casting scene.
+        normal: (F, 3) normals of the triangles.
+        rgb: (F, 3) colours of the triangles.
     """
 
     scene: RayScene
@@ -60,7 +60,7 @@ class Stage:
 
     @classmethod
     def of(cls, mesh: trimesh.Trimesh) -> "Stage":
-        """Return a mesh with the materials of the world as a stage."""
+        """Return the scene of a mesh with the materials of the world."""
         corners = mesh.vertices[mesh.faces]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -86,7 +86,7 @@ def main() -> None:
 
 
 def places() -> list[str]:
-    """Return the names of the scenarios that are places: those without an encounter of their own."""
+    """Return the names of the scenarios without an encounter."""
     return [name for name in list_scenarios() if load_scenario(name).conflict is None]
 
 
@@ -117,7 +117,7 @@ def draw(scenario: Scenario, seed: int, out: Path) -> list[Path]:
 
 
 def _on_the_way(now: Actors, scenario: Scenario) -> int:
-    """Return the id of a car or van that drives towards the middle of what happens, some way before it."""
+    """Return the id of a car or van that approaches the centre of the area."""
     xy = now.boxes.center[:, :2]
     area = np.array(scenario.network.area_m or (*xy.min(axis=0), *xy.max(axis=0)))
     to_focus = np.array(scenario.demand.focus_m or 0.5 * (area[:2] + area[2:])) - xy
@@ -157,10 +157,10 @@ def picture(stage: Stage, eye: NDArray, target: NDArray, field_of_view_deg: floa
     """Return (H, W, 3) pixels seen by a camera, with the sun's shadows, each the mean of four rays.
 
     Args:
-        stage: what there is.
-        eye: (3,) place of the camera, m.
-        target: (3,) what is in the middle of the picture, m.
-        field_of_view_deg: of its width.
+        stage: scene.
+        eye: (3,) position of the camera, m.
+        target: (3,) centre of the picture, m.
+        field_of_view_deg: horizontal field of view.
     """
     width, height = SIZE[0] * 2, SIZE[1] * 2
     forward = (target - eye) / np.linalg.norm(target - eye)

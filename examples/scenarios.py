@@ -1,4 +1,4 @@
-"""Pictures of the encounters at the moment of reveal: from above and from the driver's seat of the ego.
+"""Pictures of the encounters at the moment of reveal, from above and from the ego's driver's seat.
 
 Usage:
     python examples/scenarios.py --out docs/pictures/scenarios
@@ -16,10 +16,10 @@ from PIL import Image, ImageDraw
 from places import SIZE, Stage, picture
 from places import _everything as everything
 
-from sensors.recording.encounter_check import Proof, settle
+from sensors.recording.encounter_check import Proof, find_encounter
 from sim.boxes import Boxes
 from sim.catalog.load import list_scenarios, load_scenario
-from sim.encounters import KINDS, instance_of
+from sim.encounters import ENCOUNTERS, encounter_of
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
@@ -51,14 +51,14 @@ def main() -> None:
 
 
 def encounters() -> list[str]:
-    """Return the shipped scenarios with an encounter: the twelve on roads of their own, then those on maps."""
-    mapped = [name for name in list_scenarios() if name not in KINDS and load_scenario(name).conflict is not None]
-    return [*KINDS, *mapped]
+    """Return the shipped scenarios with an encounter: twelve on made roads, then those on maps."""
+    mapped = [name for name in list_scenarios() if name not in ENCOUNTERS and load_scenario(name).conflict is not None]
+    return [*ENCOUNTERS, *mapped]
 
 
 def measured(scenario: Scenario, seeds: int) -> str:
-    """Return a row of a table: how many draws were used and not, and when who sees the conflict actor first."""
-    found = [settle(scenario, seed) for seed in range(1, seeds + 1)]
+    """Return a table row: used and rejected draws, times of first detection, first helper."""
+    found = [find_encounter(scenario, seed) for seed in range(1, seeds + 1)]
     rejected = sum((Counter(one.rejected) for one in found), Counter())
     proofs = [one.proof for one in found]
     helpers = Counter(proof.helper for proof in proofs).most_common()
@@ -82,11 +82,11 @@ def _spread(values: list[float | None]) -> str:
 
 
 def draw(scenario: Scenario, seed: int, out: Path) -> list[Path]:
-    """Draw an encounter at the moment when the ego first sees what it will collide with; return the files."""
-    found = settle(scenario, seed)
+    """Draw an encounter at the first detection of the conflict actor by the ego; return the files."""
+    found = find_encounter(scenario, seed)
     now = _at_reveal(found.scenario, seed, found.proof)
     world = build_world(found.scenario, seed)
-    layout = instance_of(found.scenario, seed).layout
+    layout = encounter_of(found.scenario, seed).layout
     roles = {one.name: one.roles for one in layout.actors}
     row = now.row(FIRST_ID)
     center, yaw = now.boxes.center[row], float(now.boxes.yaw[row])
@@ -117,13 +117,13 @@ def draw(scenario: Scenario, seed: int, out: Path) -> list[Path]:
 
 
 def _turned(yaw: float, offset: NDArray[np.float64]) -> float:
-    """Return how far the driver's head turns so that what is at an offset comes into sight, rad."""
+    """Return the head rotation that brings an offset into view, rad."""
     aside = float(wrap_angle(np.arctan2(offset[1], offset[0]) - yaw))
     return float(np.sign(aside)) * max(0.0, abs(aside) - np.radians(34.0))
 
 
 def _at_reveal(scenario: Scenario, seed: int, proof: Proof) -> Actors:
-    """Return the actors when the ego first sees the conflict actor."""
+    """Return the actors at the first detection of the conflict actor by the ego."""
     assert proof.hit_s is not None
     reveal_s = proof.hit_s - (proof.ego_ttc_s or 0.1)
     with ScriptedTraffic(scenario, seed) as traffic:

@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from sim.geometry import pose_matrix, transform_points, wrap_angle
 
 CLASSES = ("car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian")
-"""Names of the labels, by index."""
+"""Class names by label index."""
 
 VEHICLES = ("car", "van", "truck", "bus")
-"""The classes that the detection benchmark counts as vehicles, as OPV2V and DAIR-V2X do."""
+"""Classes that detection counts as vehicles, as in OPV2V and DAIR-V2X."""
 
 # Corner order of the OPV2V tools: front right, front left, rear left, rear right; bottom, then top.
 _CORNER_SIGNS = np.array(
@@ -29,7 +29,7 @@ class Boxes:
         size: (N, 3) float64 full length (along the heading), width and height, m.
         yaw: (N,) float64 heading, rad in (-pi, pi].
         label: (N,) int64 index into `CLASSES`.
-        object_id: (N,) int64, the same for one actor in all frames and agents; -1 unknown.
+        object_id: (N,) int64, equal for one actor in all frames and agents; -1 unknown.
     """
 
     center: NDArray[np.float64]
@@ -47,7 +47,7 @@ class Boxes:
 
     @classmethod
     def from_array(cls, array: ArrayLike, label: ArrayLike | None = None, object_id: ArrayLike | None = None) -> Self:
-        """Make boxes of (N, 7) rows x, y, z, l, w, h, yaw; without labels they are cars, without ids -1."""
+        """Boxes from (N, 7) rows x, y, z, l, w, h, yaw; cars by default, with ids of -1."""
         array = np.asarray(array, dtype=np.float64).reshape(-1, 7)
         n = len(array)
         return cls(
@@ -60,7 +60,7 @@ class Boxes:
 
     @classmethod
     def zeros(cls) -> Self:
-        """Return no boxes."""
+        """Empty boxes."""
         return cls.from_array(np.zeros((0, 7)))
 
     def __len__(self) -> int:
@@ -77,7 +77,7 @@ class Boxes:
 
     @property
     def is_vehicle(self) -> NDArray[np.bool_]:
-        """(N,) whether the class is one that the benchmark counts as a vehicle."""
+        """(N,) mask of `VEHICLES`."""
         return np.isin(self.label, [CLASSES.index(name) for name in VEHICLES])
 
     def corners(self) -> NDArray[np.float64]:
@@ -90,7 +90,7 @@ class Boxes:
         return self.corners()[:, :4, :2]
 
     def transform(self, destination_from_source: ArrayLike) -> Self:
-        """Move boxes to another frame and keep them upright: a tilt turns the heading but not the box.
+        """Boxes in another frame, still upright: a tilt turns the heading but not the box.
 
         The heading becomes the direction of the transformed x axis in the destination's x-y plane.
         """
@@ -103,11 +103,11 @@ class Boxes:
         )
 
     def contains(self, points: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Return (N, P) whether each of (P, 3) points lies in each rotated box, faces included.
+        """Return the (N, P) mask of (P, 3) points inside each rotated box, faces included.
 
         Args:
             points: (P, 3) in the boxes' frame, m.
-            margin: grow every face outwards by this, m.
+            margin: outward growth of every face, m.
         """
         points = np.asarray(points, np.float64)
         inside = np.zeros((len(self), len(points)), bool)

@@ -1,4 +1,4 @@
-"""Which boxes overlap: our own collision test, because SUMO's misses what happens off its lanes."""
+"""Collision test of boxes: SUMO's own test misses contacts off its lanes."""
 
 from dataclasses import replace
 
@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 from sim.boxes import Boxes
 
 _TOUCH_M = 1e-9
-"""Depth up to which footprints only touch."""
+"""Overlap depth up to which footprints only touch, m."""
 
 
 def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (...,) whether rectangular footprints (..., 4, 2) overlap, by the separating axis theorem.
+    """Return the (...,) overlap mask of rectangular footprints (..., 4, 2), by the separating axis theorem.
 
-    Footprints that only touch, or have no area, do not overlap.
+    Touching footprints and footprints without an area do not overlap.
 
     Args:
         a: corners in the order of `Boxes.bev_polygons`, m.
-        b: others in the same frame; leading axes are broadcast.
+        b: the others, in the same frame; leading axes are broadcast.
     """
     apart = np.zeros(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), bool)
     for polygon in (a, b):
@@ -33,7 +33,7 @@ def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]
 
 
 def height_gap(a: Boxes, b: Boxes) -> NDArray[np.float64]:
-    """Return (N,) free height between boxes of equal rows, m; negative where they share heights.
+    """Return the (N,) vertical gap between boxes of equal rows, m; negative where heights overlap.
 
     Args:
         a: N boxes, or one that is compared with all of `b`.
@@ -43,7 +43,7 @@ def height_gap(a: Boxes, b: Boxes) -> NDArray[np.float64]:
 
 
 def collide(a: Boxes, b: Boxes) -> NDArray[np.bool_]:
-    """Return (N,) whether upright boxes of equal rows share more than a touching face.
+    """Return the (N,) collision mask of upright boxes of equal rows; touching faces do not collide.
 
     Args:
         a: N boxes, or one that is compared with all of `b`.
@@ -53,11 +53,11 @@ def collide(a: Boxes, b: Boxes) -> NDArray[np.bool_]:
 
 
 def overlapping_pairs(boxes: Boxes, margin: float = 0.0) -> NDArray[np.int64]:
-    """Find all pairs of upright boxes that share more than a touching face.
+    """Return all pairs of colliding upright boxes.
 
     Args:
         boxes: N boxes in one frame.
-        margin: grow every footprint on all sides by this, m; a negative one shrinks it, at most to nothing.
+        margin: growth of every footprint on all sides, m; negative shrinks it, at most to a point.
 
     Returns:
         (K, 2) rows into `boxes`, first < second, in ascending order.

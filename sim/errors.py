@@ -1,4 +1,4 @@
-"""One class per failure that a user can cause.
+"""Error classes: one per failure that a user can cause.
 
 The command line prints such an error as one line and exits with code 2; everything else is a bug and keeps its
 stack trace. A message names the file, the field, what was expected, what was found and the nearest right name.
@@ -10,27 +10,27 @@ from pathlib import Path
 
 
 class UserError(Exception):
-    """A failure caused by input: reported in one line, without a stack trace."""
+    """Failure caused by input: reported in one line, without a stack trace."""
 
 
 class ScenarioError(UserError):
-    """A scenario, or a file it names, is missing or wrong."""
+    """Scenario, or a file that it names, missing or invalid."""
 
 
 class TrafficError(UserError):
-    """A traffic simulation cannot run as asked."""
+    """Traffic simulation that cannot run as requested."""
 
 
 class DataError(UserError):
-    """A dataset, or one file of it, is missing or wrong."""
+    """Dataset, or one of its files, missing or invalid."""
 
 
 class CheckpointError(UserError):
-    """A checkpoint is missing, damaged or of another model."""
+    """Checkpoint missing, damaged or of another model."""
 
 
 class SettingsError(UserError):
-    """A setting or a command-line value is out of its range."""
+    """Setting or command-line value out of its range."""
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
@@ -43,8 +43,13 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
 
 
 def complaint(file: Path | str, field: str, expected: str, found: object, hint: str = "") -> str:
-    """Compose the one line of a bad value: file, field, expected, found and an optional hint."""
+    """Return the one-line message of a bad value: file, field, expected, found and an optional hint."""
     shown = found if isinstance(found, str) else repr(found)
     if len(shown) > 80:
         shown = shown[:77] + "..."
     return f"{file}: {field}: expected {expected}, found {shown}{hint}"
+
+
+def unreadable(file: Path | str, what: str, error: Exception) -> str:
+    """Return the one-line message of a file that a parser refuses."""
+    return f"{file}: not a readable {what}: {' '.join(str(error).split())}"

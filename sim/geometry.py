@@ -1,4 +1,4 @@
-"""Rigid transforms, angles and the conversions between the conventions of SUMO, CARLA and ours.
+"""Rigid transforms, angles, and conversions from and to the conventions of SUMO and CARLA.
 
 Ours is right-handed ENU: metres, z up, yaw counter-clockwise from +x in radians. A transform is a float64 4 x 4
 matrix named destination_from_source, so that `world_from_lidar @ points` reads as it acts. Nothing outside this
@@ -22,7 +22,7 @@ def wrap_angle(angle: ArrayLike) -> Array:
 
 
 def pose_matrix(xyz: ArrayLike, yaw: ArrayLike = 0.0, pitch: ArrayLike = 0.0, roll: ArrayLike = 0.0) -> Array:
-    """Return parent_from_body for bodies at `xyz` turned by Rz(yaw) Ry(pitch) Rx(roll).
+    """Return parent_from_body of bodies at `xyz` rotated by Rz(yaw) Ry(pitch) Rx(roll).
 
     Args:
         xyz: (..., 3) position in the parent frame, m.
@@ -77,7 +77,7 @@ def invert(matrix: ArrayLike) -> Array:
 
 
 def nearest_rotation(matrix: ArrayLike) -> Array:
-    """Return the rotation (3, 3) next to a matrix that nearly is one; what is exact to 1e-12 stays bit for bit.
+    """Return the rotation (3, 3) nearest to a matrix; a rotation exact to 1e-12 stays bit for bit.
 
     The orthogonal Procrustes problem: P. Schoenemann, Psychometrika 31 (1966).
     """
@@ -85,7 +85,7 @@ def nearest_rotation(matrix: ArrayLike) -> Array:
     if np.allclose(m @ m.T, np.eye(3), rtol=0.0, atol=1e-12) and np.linalg.det(m) > 0.0:
         return m.copy()
     u, _, v = np.linalg.svd(m)
-    # A mirror is turned into the rotation next to it.
+    # A reflection becomes the nearest rotation.
     u[:, -1] *= np.sign(np.linalg.det(u @ v))
     return np.asarray(u @ v)
 
@@ -103,7 +103,7 @@ def transform_points(destination_from_source: ArrayLike, points: ArrayLike) -> N
 def center_from_sumo(
     front_xyz: ArrayLike, angle_deg: ArrayLike, slope_deg: ArrayLike, length: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """Convert SUMO's vehicle reference to ours.
+    """Convert SUMO's vehicle pose to the centre of the footprint.
 
     SUMO gives the centre of the front bumper at road level, an angle in degrees clockwise from north, and the
     slope of the road in degrees, positive uphill.
@@ -123,19 +123,6 @@ def center_from_sumo(
     half = 0.5 * np.asarray(length, np.float64)
     forward = np.stack([np.cos(slope) * np.cos(yaw), np.cos(slope) * np.sin(yaw), np.sin(slope)], axis=-1)
     return front - half[..., None] * forward, yaw, -slope
-
-
-def sumo_from_center(
-    base_xyz: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, length: ArrayLike
-) -> tuple[Array, Array, Array]:
-    """Return SUMO's (front_xyz, angle_deg in [0, 360), slope_deg), the inverse of `center_from_sumo`."""
-    base, yaw = np.asarray(base_xyz, np.float64), np.asarray(yaw, np.float64)
-    slope = -np.asarray(pitch, np.float64)
-    half = 0.5 * np.asarray(length, np.float64)
-    forward = np.stack([np.cos(slope) * np.cos(yaw), np.cos(slope) * np.sin(yaw), np.sin(slope)], axis=-1)
-    # Twice: the remainder of a tiny negative angle rounds to 360.
-    angle_deg = np.mod(np.mod(90.0 - np.degrees(yaw), 360.0), 360.0)
-    return base + half[..., None] * forward, angle_deg, np.degrees(slope)
 
 
 def carla_matrix(pose: ArrayLike) -> Array:

@@ -1,6 +1,6 @@
-"""Compact files of whole numbers: .npz archives with small numbers in planes of bytes, compressed by LZMA.
+"""Packed integer files: .npz archives of byte planes, compressed by LZMA.
 
-numpy reads such an archive as any other. Equal arrays give equal bytes.
+numpy reads them as any other archive. Equal arrays give equal bytes.
 """
 
 import io
@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import DataError, complaint
+from sim.errors import DataError, complaint, unreadable
 from sim.files import replacing
 
 
 def packed(values: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return (B, N) planes of bytes, the lowest first, as many as the largest of (N,) numbers needs.
+    """Return (B, N) byte planes of (N,) integers, lowest first; B fits the largest.
 
-    The sign goes to the lowest bit, so that small numbers of either sign leave the higher planes zero.
+    The sign goes to the lowest bit (zigzag), so that small numbers of either sign leave the higher planes zero.
     """
     unsigned = ((values << 1) ^ (values >> 63)).astype("<u8")
     planes = unsigned.view(np.uint8).reshape(-1, 8).T
@@ -28,7 +28,7 @@ def packed(values: NDArray[np.int64]) -> NDArray[np.uint8]:
 
 
 def unpacked(planes: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return the (N,) numbers of `packed`."""
+    """Return the (N,) integers of byte planes, the inverse of `packed`."""
     wide = np.zeros((planes.shape[1], 8), np.uint8)
     wide[:, : len(planes)] = planes.T[:, :8]
     unsigned = wide.view("<u8").ravel()
@@ -45,11 +45,11 @@ def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
 
 
 def read_arrays(path: Path, what: str) -> dict[str, NDArray]:
-    """Read a .npz.
+    """Read the arrays of a .npz.
 
     Args:
         path: of the file.
-        what: it should be, for messages.
+        what: expected content, for messages.
 
     Raises:
         DataError: the file is missing or damaged.
@@ -62,4 +62,4 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray]:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (*broken, zipfile.BadZipFile, zlib.error, lzma.LZMAError) as error:
-        raise DataError(f"{path}: not a readable {what}: {' '.join(str(error).split())}") from None
+        raise DataError(unreadable(path, what, error)) from None

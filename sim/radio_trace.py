@@ -1,4 +1,4 @@
-"""Recorded channels: delays and losses of a CSV file."""
+"""Recorded channel traces: delay and packet loss from a CSV file."""
 
 import csv
 import math
@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from sim.errors import DataError, complaint
+from sim.errors import DataError, complaint, unreadable
 
 _COLUMNS = {"time_s": (-math.inf, math.inf), "delay_s": (0.0, math.inf), "loss": (0.0, 1.0)}
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """One line: from `time_s` on, messages of `sender` to `receiver` (None: any) are so late and so often lost.
+class TraceRow:
+    """Delay and loss of messages from `sender` to `receiver`, from `time_s` on.
 
     Attributes:
-        time_s: from the start of the drive, s.
-        sender: id of an agent.
-        receiver: id of an agent.
-        delay_s: s.
-        loss: share of the packets.
+        time_s: time since the start of the drive, s.
+        sender: id of an agent; None: any.
+        receiver: id of an agent; None: any.
+        delay_s: delay, s.
+        loss: share of lost packets.
     """
 
     time_s: float
@@ -32,20 +32,20 @@ class Row:
 
 
 class Trace:
-    """What a file says.
+    """Channel trace: delay and loss over time.
 
     Args:
-        rows: in order of time.
+        rows: rows in order of time.
     """
 
-    def __init__(self, rows: tuple[Row, ...]) -> None:
+    def __init__(self, rows: tuple[TraceRow, ...]) -> None:
         self._rows = rows
-        self._links: dict[tuple[int, int], tuple[list[float], list[Row]]] = {}
+        self._links: dict[tuple[int, int], tuple[list[float], list[TraceRow]]] = {}
 
     def at(self, time_s: float, sender: int, receiver: int) -> tuple[float, float]:
-        """Return delay, s, and share lost, of the last row for a link that is not later; of the first one before it.
+        """Return delay, s, and loss of a link: its last row up to a time, else its first.
 
-        A link that the trace does not know loses everything.
+        A link without rows loses everything.
         """
         if (sender, receiver) not in self._links:
             own = [r for r in self._rows if r.sender in (None, sender) and r.receiver in (None, receiver)]
@@ -67,7 +67,7 @@ def read_trace(path: str) -> Trace:
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: not a readable CSV file: {' '.join(str(error).split())}") from None
+        raise DataError(unreadable(path, "CSV file", error)) from None
     reader = csv.DictReader(text.splitlines())
     names = [name.strip() for name in reader.fieldnames or []]
     for name in _COLUMNS:
@@ -80,10 +80,10 @@ def read_trace(path: str) -> Trace:
     return Trace(tuple(sorted(rows, key=lambda row: row.time_s)))
 
 
-def _row(path: str, line: int, row: dict[str, str]) -> Row:
+def _row(path: str, line: int, row: dict[str, str]) -> TraceRow:
     values = {name: _number(path, line, name, row.get(name)) for name in _COLUMNS}
     ends = {name: _agent(path, line, name, row.get(name)) for name in ("sender", "receiver")}
-    return Row(values["time_s"], ends["sender"], ends["receiver"], values["delay_s"], values["loss"])
+    return TraceRow(values["time_s"], ends["sender"], ends["receiver"], values["delay_s"], values["loss"])
 
 
 def _number(path: str, line: int, name: str, text: str | None) -> float:

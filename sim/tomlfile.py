@@ -1,4 +1,4 @@
-"""TOML files of settings: read into validated structs, and every mistake told in one line."""
+"""TOML settings: read into validated structs, with one-line errors."""
 
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -13,15 +13,15 @@ Settings = TypeVar("Settings", bound=msgspec.Struct)
 
 
 def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Settings:
-    """Read a file into a struct.
+    """Read a TOML file into a struct.
 
     Args:
         path: of the file.
-        kind: the struct; tables in it are structs, tuples or dicts of structs.
-        error: what to raise.
+        kind: struct class; its tables are structs, tuples or dicts of structs.
+        error: class of error to raise.
 
     Raises:
-        UserError: of the class `error`: the file cannot be read, a key is unknown, a value is missing or wrong.
+        UserError: of the class `error`: the file is unreadable, a key unknown, or a value missing or wrong.
     """
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -40,12 +40,12 @@ def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Setti
 
 
 def dotted(keys: Iterable[str | int]) -> str:
-    """Return keys as people write them: `network.signals[0].phases`."""
+    """Return the dotted form of keys: `network.signals[0].phases`."""
     return "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).lstrip(".")
 
 
 def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Iterator[tuple[tuple, Any]]:
-    """Yield ((path of keys), struct) for every key of nested tables that the struct does not have."""
+    """Yield ((path of keys), struct) for every key unknown to the struct of its table."""
     if isinstance(raw, list) and get_origin(kind) is tuple:
         for index, item in enumerate(raw):
             yield from _unknown_keys(item, get_args(kind)[0], (*where, index))
@@ -63,10 +63,7 @@ def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Itera
 
 
 def _named(raw: dict, kind: type[msgspec.Struct]) -> str:
-    """Return msgspec's message of what is wrong below a table of tables, with the name of the one; "" for elsewhere.
-
-    msgspec itself writes `[...]` for it.
-    """
+    """Return msgspec's message of an error below a table of tables, with its key in place of `[...]`; "" elsewhere."""
     for name, hint in get_type_hints(kind).items():
         below = raw.get(name)
         if get_origin(hint) is dict and isinstance(below, dict):
@@ -80,7 +77,7 @@ def _named(raw: dict, kind: type[msgspec.Struct]) -> str:
 
 
 def _explain(path: Path, raw: dict, message: str) -> str:
-    """Turn a message of msgspec into our line: it says `Expected X, got Y - at `$.a.b[0]``."""
+    """Return the one-line form of a msgspec message `Expected X, got Y - at `$.a.b[0]``."""
     text, _, pointer = message.partition(" - at ")
     field = pointer.strip("`").removeprefix("$").lstrip(".").replace("[...]", "")
     if "missing required field" in text:

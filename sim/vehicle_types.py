@@ -1,4 +1,4 @@
-"""The types of road users: SUMO class, label, size and driving style of each, so that no two streets look alike."""
+"""Types of road users: SUMO class, label, size and driving limits of each."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,12 @@ from sim.boxes import CLASSES
 
 @dataclass(frozen=True, slots=True)
 class VehicleType:
-    """One SUMO vType with our label.
+    """SUMO vType with its label.
 
     Attributes:
         name: id of the vType.
         label: class name, one of `sim.boxes.CLASSES`.
-        vclass: SUMO's class: which lanes may be used.
+        vclass: SUMO's vehicle class, which decides on the lanes it may use.
         size: length, width, height of the box, m.
         weight: share within its label.
         speed_mps: top speed, m/s.
@@ -33,10 +33,10 @@ class VehicleType:
         return CLASSES.index(self.label)
 
     def xml(self) -> str:
-        """Return the vType element.
+        """Return the vType element of a SUMO route file.
 
-        A pedestrian keeps SUMO's own body, since its space on the pavement is not the space that its swinging arms and
-        legs fill. Others move sideways at no more than 0.15 of their speed: SUMO would let standing cars slide.
+        Pedestrians keep SUMO's own size: the space they take on a pavement is not the box around swinging limbs. Others
+        move sideways at no more than 0.15 of their speed: SUMO would let standing cars slide.
         """
         if self.label == "pedestrian":
             return f'<vType id="{self.name}" vClass="pedestrian" maxSpeed="{self.speed_mps}" speedDev="0.1"/>'
@@ -81,7 +81,7 @@ TYPES: dict[str, VehicleType] = {
         ("person_child", "pedestrian", "pedestrian", (0.45, 0.45, 1.25), 0.2, 1.2, (1.5, 2.0, 5.0)),
     )
 }
-"""All types by name."""
+"""Vehicle types by name."""
 
 
 def types_of(label: str) -> list[VehicleType]:

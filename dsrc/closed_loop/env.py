@@ -13,14 +13,14 @@ from dsrc.closed_loop.idm import IdmSettings
 from dsrc.closed_loop.metrics import time_to_collision
 from dsrc.closed_loop.perception import Perception, TruthPerception
 from dsrc.closed_loop.tracker import Tracker
-from sensors.recording.encounter_check import settled
+from sensors.recording.encounter_check import with_proven_encounter
 from sim.boxes import CLASSES, Boxes, concatenate
 from sim.catalog.load import load_scenario
 from sim.collisions import collide
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario
-from sim.traffic.base import Actors
+from sim.traffic.base import Actors, DrivableTraffic
 
 Observation = dict[str, NDArray[np.float32]]
 
@@ -43,8 +43,8 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     Reward: progress of the step in metres, minus 100 at a collision.
 
-    A conflict is the seed's first draw that is proven to hide it, see `sensors.recording.encounter_check`; what a helper claims that is not
-    there is added to what a cooperative perception gives.
+    An encounter is the seed's first draw whose proof holds, see `sensors.recording.encounter_check`. False objects that
+    a helper claims are added to the boxes of a cooperative perception.
 
     An episode ends with a collision (oriented boxes of truth) or when the ego leaves the road network, and is cut
     after `duration_s`.
@@ -83,7 +83,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
             }
         )
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
-        self._traffic: Any = None
+        self._traffic: DrivableTraffic | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict]:
         """Start the scenario with the traffic of `seed` and choose the ego; one seed, one episode.
@@ -96,15 +96,15 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         self.close()
         episode_seed = int(self.np_random.integers(2**31)) if seed is None else seed
-        scenario = settled(self.scenario, episode_seed)
-        self._traffic = open_traffic(scenario, episode_seed)
-        self._ego_id = choose_ego(self._traffic, scenario)
-        self._before = self._traffic.actors
+        scenario = with_proven_encounter(self.scenario, episode_seed)
+        self._traffic = traffic = open_traffic(scenario, episode_seed)
+        self._ego_id = choose_ego(traffic, scenario)
+        self._before = traffic.actors
         self._tracker = Tracker()
         self.perception.reset(scenario, self._ego_id, episode_seed)
         self._min_ttc, self._progress, self._last_speed = math.inf, 0.0, 0.0
-        self._traffic.command_speed(self._ego_id, self._speed())
-        actors = self._traffic.step()
+        traffic.command(self._ego_id, self._speed())
+        actors = traffic.step()
         self._start_s = actors.time_s
         return self._observe(actors), self._info(actors, collided_with=())
 
@@ -112,10 +112,10 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Accelerate for one traffic step, then sense, detect and track."""
         acceleration = float(np.clip(action[0], -1.0, 1.0))
         acceleration *= self.idm.max_acceleration if acceleration > 0.0 else self.idm.max_deceleration
-        self._before = self._traffic.actors
+        self._before = self.traffic.actors
         was = self._ego(self._before)
-        self._traffic.command_speed(self._ego_id, max(0.0, self._speed() + acceleration * self._traffic.step_s))
-        actors = self._traffic.step()
+        self.traffic.command(self._ego_id, max(0.0, self._speed() + acceleration * self.traffic.step_s))
+        actors = self.traffic.step()
         if self._ego_id not in actors.boxes.object_id:
             return (
                 self._observation(FREE, Boxes.zeros(), np.zeros((0, 2)), None),
@@ -134,6 +134,13 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         truncated = actors.time_s - self._start_s >= self.duration_s - 1e-6
         return observation, moved - 100.0 * terminated, terminated, truncated, self._info(actors, collided_with)
 
+    @property
+    def traffic(self) -> DrivableTraffic:
+        """The running traffic; ResetNeeded before `reset` and after `close`."""
+        if self._traffic is None:
+            raise gym.error.ResetNeeded("expected an environment that was reset, found one without running traffic")
+        return self._traffic
+
     def close(self) -> None:
         """End the simulation."""
         if self._traffic is not None:
@@ -145,7 +152,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         return actors.boxes[row : row + 1]
 
     def _speed(self) -> float:
-        return self._traffic.speed(self._ego_id)
+        return self.traffic.speed(self._ego_id)
 
     def _others(self, actors: Actors) -> NDArray[np.bool_]:
         near = np.linalg.norm(actors.boxes.center[:, :2] - self._ego(actors).center[0, :2], axis=1) < 80.0
@@ -165,21 +172,21 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         perceived = concatenate([self.perception.perceive(self._before, actors), self._claimed()])
         boxes, velocity = self._tracker.update(perceived, actors.time_s)
         ego = self._ego(actors)
-        path = self._traffic.route(self._ego_id, LOOK_AHEAD)
+        path = self.traffic.route(self._ego_id, LOOK_AHEAD)
         obstacle = nearest_obstacle(path, boxes, ego.size[0, 0], ego.size[0, 1])
         return self._observation(obstacle, boxes, velocity, ego)
 
     def _claimed(self) -> Boxes:
-        """Return what helpers claim and is not there; an ego that listens to nobody is not deceived."""
-        if not getattr(self.perception, "cooperative", False) or not hasattr(self._traffic, "claims"):
+        """Return the ghosts that helpers report to a cooperative ego."""
+        if not self.perception.cooperative:
             return Boxes.zeros()
-        return concatenate([claimed.boxes for claimed in self._traffic.claims().values()])
+        return concatenate([claimed.boxes for claimed in self.traffic.claims().values()])
 
     def _observation(
         self, obstacle: Obstacle, boxes: Boxes, velocity: NDArray[np.float64], ego: Boxes | None
     ) -> Observation:
         self._last_speed = speed = self._last_speed if ego is None else self._speed()
-        desired = 0.0 if ego is None else self._traffic.allowed_speed(self._ego_id)
+        desired = 0.0 if ego is None else self.traffic.limits(self._ego_id).speed_mps
         lead = speed
         if obstacle.row >= 0:
             lead = float(velocity[obstacle.row] @ [math.cos(obstacle.heading), math.sin(obstacle.heading)])
@@ -206,7 +213,7 @@ class CoopDrivingEnv(gym.Env[Observation, NDArray[np.float32]]):
         }
 
 
-def choose_ego(traffic: Any, scenario: Scenario) -> int:
+def choose_ego(traffic: DrivableTraffic, scenario: Scenario) -> int:
     """Return the first vehicle that the scenario names, else the car or van with the longest way left inside its area.
 
     Of cars and vans one that moves is taken, if there is one; a parked car goes nowhere.

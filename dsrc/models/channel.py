@@ -65,7 +65,7 @@ class Receiver:
         ego_from_world = invert(frames[0].agent(ego).sweep.world_from_lidar)
         rows, poses, clouds, lost = [0], [sample.ego_from_agent[0]], [sample.clouds[0]], [_ALL_ARRIVED]
         for row, link in enumerate(links, start=1):
-            if not link.heard:
+            if not link.received:
                 continue
             sent = frames[position - link.sent]
             sender = sent.agent(link.sender)

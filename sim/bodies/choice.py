@@ -1,21 +1,19 @@
-"""Bodies of road users: which models a class has, and a mesh of any model at any size.
+"""Body models of road users: names by class, and the mesh of a model at any size.
 
-Body frame: x forward, y left, z up, the origin in the middle of the footprint at road level. The extents of a mesh
-are exactly the box of its road user.
+Body frame: x forward, y left, z up, origin in the middle of the footprint at road level. The extents of a mesh are
+exactly the box of its road user.
 """
 
-import zlib
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from sim.errors import SettingsError, did_you_mean
+from sim.streams import Stream, random_generator
 
 if TYPE_CHECKING:
     import trimesh
 
-    from sim.mesh.solids import Piece
+    from sim.mesh.solids import MeshPart
 
 _PAINTS = ("silver", "white", "black", "blue", "red")
 _CLOTHES = ("light", "dark")
@@ -29,9 +27,9 @@ MODELS: dict[str, tuple[str, ...]] = {
     "bicycle": tuple(f"bicycle:{cloth}" for cloth in _CLOTHES),
     "pedestrian": tuple(f"pedestrian-{pose}:{cloth}" for pose in ("walking", "standing") for cloth in _CLOTHES),
 }
-"""Names of the models by class: the shape and, after a colon, its paint or clothes."""
+"""Model names by class: shape, colon, paint or clothes."""
 
-_PLAIN: dict[str, tuple[str, ...]] = {
+_GENERIC: dict[str, tuple[str, ...]] = {
     "car": tuple(f"{shape}:{paint}" for shape in ("saloon", "hatchback") for paint in _PAINTS),
     "van": tuple(f"panel_van:{paint}" for paint in _PAINTS),
 }
@@ -41,7 +39,7 @@ def models_for(class_name: str) -> tuple[str, ...]:
     """Return the models of a class.
 
     Raises:
-        SettingsError: there is no such class.
+        SettingsError: the class is unknown.
     """
     if class_name not in MODELS:
         raise SettingsError(f"unknown class '{class_name}'{did_you_mean(class_name, MODELS)}")
@@ -49,23 +47,23 @@ def models_for(class_name: str) -> tuple[str, ...]:
 
 
 def choose_model(class_name: str, name: str, seed: int) -> str:
-    """Choose the body of the road user `name`: the same in every run with this seed, whenever it appears."""
+    """Return the body model of the road user `name`: a function of its name and the seed alone."""
     models = models_for(class_name)
-    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+    rng = random_generator(seed, Stream.BODY_MODEL, name)
     return models[int(rng.integers(len(models)))]
 
 
-def plain_models_for(class_name: str) -> tuple[str, ...]:
-    """Return models of a class that need no file of SUMO's; raises as `models_for`."""
-    return _PLAIN.get(class_name) or models_for(class_name)
+def generic_models_for(class_name: str) -> tuple[str, ...]:
+    """Return the models of a class that work without SUMO's files; raises as `models_for`."""
+    return _GENERIC.get(class_name) or models_for(class_name)
 
 
 @lru_cache(maxsize=1024)
 def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trimesh":
-    """Return the mesh of a model scaled to a size; it is shared, so do not change it.
+    """Return the mesh of a model scaled to a size; shared, so do not modify it.
 
     Args:
-        model: a name of `MODELS`, or a plain one.
+        model: a name of `MODELS` or `generic_models_for`.
         size_lwh: length along x, width and height, m.
 
     Returns:
@@ -74,7 +72,7 @@ def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trim
     Raises:
         SettingsError: the model is unknown or the size is not positive.
     """
-    known = [name for models in (MODELS, _PLAIN) for names in models.values() for name in names]
+    known = [name for models in (MODELS, _GENERIC) for names in models.values() for name in names]
     if model not in known:
         raise SettingsError(f"unknown model '{model}'{did_you_mean(model, known)}")
     if len(size_lwh) != 3 or not all(0.0 < value < 100.0 for value in size_lwh):
@@ -85,11 +83,9 @@ def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trim
 
 
 @lru_cache(maxsize=64)
-def _shape(model: str) -> "Piece":
-    """Return the piece of a model in its own proportions, in the body frame."""
-    from sim.bodies import generic as plain
-    from sim.bodies import people
-    from sim.bodies import trucks as heavy
+def _shape(model: str) -> "MeshPart":
+    """Return the mesh part of a model in its own proportions, in the body frame."""
+    from sim.bodies import generic, people, trucks
 
     shape, _, variant = model.partition(":")
     if shape.startswith("car-"):
@@ -97,11 +93,11 @@ def _shape(model: str) -> "Piece":
 
         return sumo_car(shape, f"paint_{variant}")
     if shape in ("saloon", "hatchback", "panel_van"):
-        return getattr(plain, shape)(f"paint_{variant}")
+        return getattr(generic, shape)(f"paint_{variant}")
     if shape.startswith("pedestrian-"):
         return people.pedestrian(f"cloth_{variant}", walking=shape.endswith("walking"))
     if shape == "bicycle":
         return people.bicycle(f"cloth_{variant}")
     if shape == "motorcycle":
         return people.motorcycle(f"paint_{variant}")
-    return heavy.truck(f"paint_{variant}") if shape == "truck" else heavy.bus(f"paint_{variant}")
+    return trucks.truck(f"paint_{variant}") if shape == "truck" else trucks.bus(f"paint_{variant}")

@@ -1,9 +1,9 @@
-"""Cars and vans put together from closed solids: they need no file of another package."""
+"""Generic cars and vans of closed solids, which need no files of other packages."""
 
-from sim.mesh.solids import Piece, box, join, prism, tube
+from sim.mesh.solids import MeshPart, box, join, prism, tube
 
 
-def saloon(paint: str) -> Piece:
+def saloon(paint: str) -> MeshPart:
     """Return a saloon of about 4.6 x 1.8 x 1.45 m in the body frame."""
     body = prism(
         [[-2.26, 0.22], [2.22, 0.22], [2.30, 0.45], [2.24, 0.66], [1.05, 0.88], [-1.65, 0.92], [-2.28, 0.88]],
@@ -22,7 +22,7 @@ def saloon(paint: str) -> Piece:
     return join([body, cabin, *screens, *panes, *_trim(2.30, 0.90, 0.66), *_wheels((1.36, -1.34), 0.90, 0.31)])
 
 
-def hatchback(paint: str) -> Piece:
+def hatchback(paint: str) -> MeshPart:
     """Return a hatchback of about 4.1 x 1.75 x 1.5 m in the body frame."""
     body = prism(
         [[-2.00, 0.24], [1.98, 0.24], [2.05, 0.46], [1.98, 0.68], [0.95, 0.92], [-1.98, 0.95], [-2.05, 0.60]],
@@ -41,7 +41,7 @@ def hatchback(paint: str) -> Piece:
     return join([body, cabin, *screens, *panes, *_trim(2.05, 0.87, 0.68), *_wheels((1.25, -1.22), 0.87, 0.30)])
 
 
-def panel_van(paint: str) -> Piece:
+def panel_van(paint: str) -> MeshPart:
     """Return a van of about 5.3 x 2.0 x 2.1 m in the body frame."""
     body = prism(
         [[-2.62, 0.28], [2.58, 0.28], [2.66, 0.52], [2.60, 0.95], [-2.66, 0.95]],
@@ -61,7 +61,7 @@ def panel_van(paint: str) -> Piece:
     )
 
 
-def _wheels(axles: tuple[float, ...], half_width: float, radius: float) -> list[Piece]:
+def _wheels(axles: tuple[float, ...], half_width: float, radius: float) -> list[MeshPart]:
     return [
         tube([x, y, radius], [x, y + 0.22, radius], (radius, radius), "tyre", 14)
         for x in axles
@@ -69,26 +69,26 @@ def _wheels(axles: tuple[float, ...], half_width: float, radius: float) -> list[
     ]
 
 
-def _trim(half_length: float, half_width: float, lamps_at: float) -> list[Piece]:
-    """Return lamps, plates and mirrors; the front is lower than the rear, as bonnets are."""
-    pieces = []
+def _trim(half_length: float, half_width: float, lamps_at: float) -> list[MeshPart]:
+    """Return lamps, plates and mirrors; front lamps lie lower, as bonnets do."""
+    parts = []
     for side in (-1.0, 1.0):
         outer, inner = side * (half_width - 0.08), side * (half_width - 0.42)
         low, high = min(outer, inner), max(outer, inner)
-        pieces.append(
+        parts.append(
             box([half_length - 0.16, low, lamps_at - 0.16], [half_length - 0.02, high, lamps_at - 0.04], "head_lamp")
         )
-        pieces.append(
+        parts.append(
             box([-half_length - 0.01, low, lamps_at], [-half_length + 0.06, high, lamps_at + 0.14], "tail_lamp")
         )
         mirror = side * half_width
-        pieces.append(
+        parts.append(
             box(
                 [0.62, min(mirror, mirror + 0.1 * side), 0.90],
                 [0.76, max(mirror, mirror + 0.1 * side), 1.04],
                 "plastic",
             )
         )
-    pieces.append(box([half_length - 0.04, -0.26, 0.40], [half_length + 0.01, 0.26, 0.51], "plate"))
-    pieces.append(box([-half_length - 0.01, -0.26, 0.56], [-half_length + 0.03, 0.26, 0.67], "plate"))
-    return pieces
+    parts.append(box([half_length - 0.04, -0.26, 0.40], [half_length + 0.01, 0.26, 0.51], "plate"))
+    parts.append(box([-half_length - 0.01, -0.26, 0.56], [-half_length + 0.03, 0.26, 0.67], "plate"))
+    return parts

@@ -1,12 +1,12 @@
-"""Pedestrians, riders and what they ride, put together from closed solids."""
+"""Pedestrians, cyclists and motorcyclists of closed solids."""
 
-from sim.mesh.solids import Piece, box, ellipsoid, join, prism, ring, tube
+from sim.mesh.solids import MeshPart, box, ellipsoid, join, prism, ring, tube
 
 Point = tuple[float, float, float]
 
 
-def _limb(points: list[Point], radii: list[float], material: str) -> list[Piece]:
-    """Return an arm or leg along some joints, with a ball at each inner joint."""
+def _limb(points: list[Point], radii: list[float], material: str) -> list[MeshPart]:
+    """Return a limb along its joints, with a ball at each inner joint."""
     parts = [
         tube(a, b, (ra, rb), material, 6)
         for a, b, ra, rb in zip(points[:-1], points[1:], radii[:-1], radii[1:], strict=True)
@@ -15,11 +15,7 @@ def _limb(points: list[Point], radii: list[float], material: str) -> list[Piece]
     return parts + balls
 
 
-def _mirror(points: list[Point]) -> list[Point]:
-    return [(x, -y, z) for x, y, z in points]
-
-
-def _head(x: float, z: float) -> list[Piece]:
+def _head(x: float, z: float) -> list[MeshPart]:
     """Return face and hair around the middle of a head."""
     return [
         ellipsoid((x + 0.012, 0.0, z - 0.015), (0.095, 0.078, 0.120), "skin"),
@@ -27,11 +23,11 @@ def _head(x: float, z: float) -> list[Piece]:
     ]
 
 
-def pedestrian(cloth: str, *, walking: bool) -> Piece:
+def pedestrian(cloth: str, *, walking: bool) -> MeshPart:
     """Return a person of about 1.75 m in the body frame, in stride or at rest."""
     other = "cloth_dark" if cloth == "cloth_light" else "cloth_light"
     step = 1.0 if walking else 0.0
-    # At rest one hand holds a telephone and one foot stands before the other.
+    # At rest one hand holds a telephone and one foot is in front of the other.
     legs = [
         [(0.0, 0.09, 0.92), (0.14 * step + 0.01, 0.095, 0.50), (0.21 * step + 0.05, 0.10, 0.09)],
         [
@@ -44,7 +40,7 @@ def pedestrian(cloth: str, *, walking: bool) -> Piece:
         [(0.0, 0.20, 1.42), (-0.10 * step, 0.25, 1.14), (0.22 - 0.30 * step, 0.22, 1.12 - 0.26 * step)],
         [(0.0, -0.20, 1.42), (0.08 * step, -0.25, 1.14), (0.24 * step, -0.24, 0.86 + 0.06 * step)],
     ]
-    parts: list[Piece] = []
+    parts: list[MeshPart] = []
     for leg in legs:
         foot = leg[-1]
         parts += _limb(leg, [0.085, 0.062, 0.045], other)
@@ -72,8 +68,8 @@ def _rider(
     feet: tuple[Point, Point],
     top: str,
     trousers: str,
-) -> list[Piece]:
-    """Return somebody who sits: torso from hip to shoulder, both hands on a bar, knees and feet on each side."""
+) -> list[MeshPart]:
+    """Return a seated rider: torso from hip to shoulder, both hands on a bar, knees and feet on each side."""
     parts = [
         tube(hip, shoulder, (0.15, 0.19), top, 8),
         ellipsoid(hip, (0.16, 0.17, 0.13), trousers),
@@ -93,7 +89,7 @@ def _rider(
     return parts
 
 
-def bicycle(cloth: str) -> Piece:
+def bicycle(cloth: str) -> MeshPart:
     """Return a bicycle with its rider of about 1.75 x 0.6 x 1.75 m in the body frame."""
     radius, front, rear = 0.34, 0.54, -0.52
     crank, seat, head = (-0.08, 0.0, 0.30), (-0.25, 0.0, 0.92), (0.40, 0.0, 0.88)
@@ -117,7 +113,7 @@ def bicycle(cloth: str) -> Piece:
     return join([*wheels, *spokes, *frame, handle, saddle, *rider, neck, *_head(0.08, 1.63)])
 
 
-def motorcycle(paint: str) -> Piece:
+def motorcycle(paint: str) -> MeshPart:
     """Return a motorcycle with its rider of about 2.1 x 0.8 x 1.6 m in the body frame."""
     radius, front, rear = 0.32, 0.74, -0.70
     wheels = [tube((x, -0.07, radius), (x, 0.07, radius), (radius, radius), "tyre", 14) for x in (front, rear)]

@@ -1,9 +1,9 @@
-"""Trucks and buses, put together from closed solids."""
+"""Trucks and buses of closed solids."""
 
-from sim.mesh.solids import Piece, box, join, prism, tube
+from sim.mesh.solids import MeshPart, box, join, prism, tube
 
 
-def _wheels(axles: tuple[float, ...], half_width: float, radius: float) -> list[Piece]:
+def _wheels(axles: tuple[float, ...], half_width: float, radius: float) -> list[MeshPart]:
     """Return a wheel on each side of each axle, standing on the road."""
     return [
         tube([x, y, radius], [x, y + side * 0.32, radius], (radius, radius), "tyre", 14)
@@ -12,7 +12,7 @@ def _wheels(axles: tuple[float, ...], half_width: float, radius: float) -> list[
     ]
 
 
-def truck(paint: str) -> Piece:
+def truck(paint: str) -> MeshPart:
     """Return a box truck of about 8.6 x 2.5 x 3.5 m in the body frame."""
     cab = prism(
         [[2.55, 0.45], [4.28, 0.45], [4.30, 1.20], [3.95, 2.45], [3.75, 2.62], [2.55, 2.62]], -1.15, 1.15, paint
@@ -37,7 +37,7 @@ def truck(paint: str) -> Piece:
     )
 
 
-def bus(paint: str) -> Piece:
+def bus(paint: str) -> MeshPart:
     """Return a city bus of about 12 x 2.55 x 3.1 m in the body frame."""
     outline = [
         [-5.95, 0.32],

@@ -1,4 +1,4 @@
-"""Values of a scenario that its types and ranges cannot exclude."""
+"""Consistency checks of a scenario, beyond types and ranges."""
 
 import math
 from collections.abc import Iterator
@@ -6,17 +6,17 @@ from pathlib import Path
 
 import msgspec
 
-from sim.encounters import KINDS
+from sim.encounters import ENCOUNTERS
 from sim.errors import did_you_mean
 from sim.roads.tools import sumo_tools
 from sim.roads.wheels import wheel_folders
-from sim.scenario import MOTOR_CLASSES, SIGNAL_LETTERS, ConflictSpec, Scenario
+from sim.scenario import MOTOR_CLASSES, SIGNAL_LETTERS, EncounterSpec, Scenario
 from sim.tomlfile import dotted
 from sim.traffic.highway.roads import ENVIRONMENTS
 
 
 def wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, object, str]]:
-    """Yield (field, expected, found, hint) for values that types and ranges cannot exclude."""
+    """Yield (field, expected, found, hint) of every inconsistent value."""
     network, demand = scenario.network, scenario.demand
     for field, value in _floats(msgspec.to_builtins(scenario), ()):
         if not math.isfinite(value):
@@ -64,18 +64,18 @@ def wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, obj
             yield f"agents.roadside[{index}].xyz_m", "a height above the ground > 0", list(unit.xyz_m), ""
 
 
-def _wrong_conflict(conflict: ConflictSpec, given: str) -> Iterator[tuple[str, str, object, str]]:
-    if conflict.kind not in KINDS:
-        yield "conflict.kind", "a known encounter", conflict.kind, did_you_mean(conflict.kind, KINDS)
+def _wrong_conflict(conflict: EncounterSpec, given: str) -> Iterator[tuple[str, str, object, str]]:
+    if conflict.kind not in ENCOUNTERS:
+        yield "conflict.kind", "a known encounter", conflict.kind, did_you_mean(conflict.kind, ENCOUNTERS)
         return
-    roles = KINDS[conflict.kind].roles
+    roles = ENCOUNTERS[conflict.kind].roles
     if given and not roles:
-        mapped = ", ".join(name for name, kind in KINDS.items() if kind.roles)
+        mapped = ", ".join(name for name, kind in ENCOUNTERS.items() if kind.roles)
         yield "network", f"none for {conflict.kind}; on a map there are {mapped}", given, ""
     elif set(conflict.streets) != (set(roles) if given else set()):
         expected = f"the lanes of {', '.join(roles)}" if given else "none without a network"
         yield "conflict.streets", expected, ", ".join(conflict.streets) or "none", ""
-    known = {parameter.name: parameter for parameter in KINDS[conflict.kind].parameters}
+    known = {parameter.name: parameter for parameter in ENCOUNTERS[conflict.kind].parameters}
     for name, value in conflict.parameters.items():
         field = f"conflict.parameters.{name}"
         if name not in known:

@@ -1,4 +1,4 @@
-"""A user's map becomes a scenario: a folder with a scenario.toml, the converted network and what stands beside it."""
+"""Map import: a scenario folder with scenario.toml, converted network and roadside objects."""
 
 import re
 import shutil
@@ -7,13 +7,13 @@ from pathlib import Path
 
 from sim.errors import ScenarioError, complaint
 from sim.roads.convert import ConvertedMap, convert_map, map_kind
-from sim.roads.focus import Focus, beside_junction, densest_junction
+from sim.roads.focus import JunctionArea, beside_junction, densest_junction
 
 _OSM = "Map data (c) OpenStreetMap contributors, ODbL 1.0"
 
 
 def import_map(source: Path, name: str = "", out: Path | None = None) -> Path:
-    """Make a scenario of a map, with traffic around its busiest junction.
+    """Import a map as a scenario, with traffic around its busiest junction.
 
     Args:
         source: a .net.xml(.gz), an OpenStreetMap extract (.osm, .osm.gz, .osm.bz2, .osm.pbf) or OpenDRIVE (.xodr).
@@ -24,17 +24,17 @@ def import_map(source: Path, name: str = "", out: Path | None = None) -> Path:
         The folder: `dsrc generate FOLDER` takes it.
 
     Raises:
-        ScenarioError: the file is missing, of no known kind, refused by netconvert or without a road for cars; or the
-            folder holds something already.
+        ScenarioError: the file is missing, of an unknown format, refused by netconvert or without a road for cars; or
+            the folder is not empty.
     """
     source = Path(source)
     kind = map_kind(source)
     name = name or _as_name(source.name[: -len(kind)])
     if not re.fullmatch("[A-Za-z0-9_-]+", name):
-        raise ScenarioError(complaint("scenarios import", "name", "letters, digits, _ and -", name))
+        raise ScenarioError(complaint("scenario import", "name", "letters, digits, _ and -", name))
     folder = Path(out) if out is not None else Path(name)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ScenarioError(complaint(folder, "scenarios import", "a folder that is empty or not there", "files"))
+        raise ScenarioError(complaint(folder, "scenario import", "a folder that is empty or not there", "files"))
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as work:
         made = Path(work) / "made"
@@ -100,8 +100,8 @@ def _scenario(source: Path, kind: str, name: str, found: ConvertedMap) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _demand(focus: Focus) -> list[str]:
-    """Return a demand that the lanes of the area can carry."""
+def _demand(focus: JunctionArea) -> list[str]:
+    """Return the demand that the lanes of the area can carry."""
     vehicles = min(max(450.0 * focus.lanes_km, 600.0), 3000.0)
     return [
         "[demand]",

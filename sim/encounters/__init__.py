@@ -1,42 +1,45 @@
-"""The twelve encounters in which cooperation decides: each hides a road user from the ego until it is too late.
+"""Encounters: twelve safety-critical situations with a road user occluded from the ego.
 
 They follow the pre-crash typology of vehicle-to-vehicle safety (IMA, LTA, EEBL, FCW, BSW/LCW, DNPW: Najm et al.,
 *Pre-Crash Scenario Typology for Crash Avoidance Research*, DOT HS 810 767, 2007) and Euro NCAP's obstructed
-pedestrian. An instance is drawn from a seed and the number of a draw; `sensors.recording.encounter_check` looks for the first draw of a
-seed that keeps its promise.
+pedestrian. An encounter is drawn from a seed and a draw number; `sensors.recording.encounter_check` finds the first
+draw of a seed whose occlusion is verified by ray casting.
 """
 
-import zlib
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
-from sim.encounters import crossing, following, turning, walking
-from sim.encounters import on_map as mapped
-from sim.encounters.lane_paths import streets_of
+from sim.encounters import crossing, following, on_map, turning, walking
+from sim.encounters.lane_paths import lane_paths_of
 from sim.encounters.networks import write_roads
-from sim.encounters.types import Ghost, Instance, Kind, Parameter, without
+from sim.encounters.types import Encounter, EncounterType, Ghost, Parameter, without
 from sim.errors import ScenarioError, complaint
 from sim.roads.networks import names_network, read_network, resolve_network
 from sim.scenario import AgentRule, Scenario
+from sim.streams import Stream, random_generator
 
-KINDS: dict[str, Kind] = {**crossing.KINDS, **turning.KINDS, **following.KINDS, **walking.KINDS}
+ENCOUNTERS: dict[str, EncounterType] = {
+    **crossing.ENCOUNTERS,
+    **turning.ENCOUNTERS,
+    **following.ENCOUNTERS,
+    **walking.ENCOUNTERS,
+}
 for _name, _roles, _on_streets in (
-    ("lta_truck", mapped.LTA_ROLES, mapped.lta_truck),
-    ("red_light_runner", mapped.RUNNER_ROLES, mapped.red_light_runner),
+    ("lta_truck", on_map.LTA_ROLES, on_map.lta_truck),
+    ("red_light_runner", on_map.RUNNER_ROLES, on_map.red_light_runner),
 ):
-    KINDS[_name] = replace(KINDS[_name], roles=_roles, on_streets=_on_streets)
-"""All encounters by their ids."""
+    ENCOUNTERS[_name] = replace(ENCOUNTERS[_name], roles=_roles, on_streets=_on_streets)
+"""Encounter types by id."""
 
 
-def instance_of(scenario: Scenario, seed: int) -> Instance:
-    """Return the encounter of a scenario that has one: the same for equal seeds and settings.
+def encounter_of(scenario: Scenario, seed: int) -> Encounter:
+    """Return the encounter of a scenario, a function of seed and settings.
 
     Raises:
-        ScenarioError: the scenario has no conflict, or one of its values is out of its range.
+        ScenarioError: the scenario has no encounter, or a value is out of its range.
     """
     if scenario.conflict is None:
         raise ScenarioError(complaint(scenario.name, "conflict", "one of an encounter", "none"))
@@ -44,62 +47,62 @@ def instance_of(scenario: Scenario, seed: int) -> Instance:
 
 
 @lru_cache(maxsize=32)
-def _made(scenario_json: bytes, seed: int) -> Instance:
+def _made(scenario_json: bytes, seed: int) -> Encounter:
     scenario = msgspec.json.decode(scenario_json, type=Scenario)
     spec = scenario.conflict
     assert spec is not None
-    kind = KINDS[spec.kind]
+    kind = ENCOUNTERS[spec.kind]
     values = {p.name: _draw(p, spec.parameters.get(p.name, p.draw), seed, spec.draw) for p in kind.parameters}
-    looks = np.random.default_rng([seed, spec.draw, zlib.crc32(b"looks")])
+    appearance = random_generator(seed, Stream.ENCOUNTER_LAYOUT, spec.draw, "looks")
     if spec.streets and kind.on_streets is not None:
         net = read_network(resolve_network(scenario, seed))
-        layout = kind.on_streets(values, looks, streets_of(scenario.name, net, spec.streets))
+        layout = kind.on_streets(values, appearance, lane_paths_of(scenario.name, net, spec.streets))
     else:
-        layout = kind.lay_out(values, looks)
+        layout = kind.lay_out(values, appearance)
     if spec.control == "no_occluder":
-        return Instance(spec.kind, values, without(layout, "occluder"))
+        return Encounter(spec.kind, values, without(layout, "occluder"))
     if spec.control == "no_conflict":
-        return Instance(spec.kind, values, without(layout, "conflict"))
+        return Encounter(spec.kind, values, without(layout, "conflict"))
     if spec.control == "ghost":
         claimed = next(someone for someone in layout.actors if "conflict" in someone.roles)
         helpers = [someone.name for someone in layout.actors if "helper" in someone.roles]
         ghost = Ghost(replace(claimed, name="ghost"), helpers[0] if helpers else "roadside")
-        return Instance(spec.kind, values, without(layout, "conflict"), (ghost,))
-    return Instance(spec.kind, values, layout)
+        return Encounter(spec.kind, values, without(layout, "conflict"), (ghost,))
+    return Encounter(spec.kind, values, layout)
 
 
 def _draw(parameter: Parameter, given: float | tuple[float, float], seed: int, draw: int) -> float:
-    """Return the value of one parameter; each has a stream of its own, so that fixing one leaves the others."""
+    """Return the value of one parameter, from its own random stream: fixing one leaves the others unchanged."""
     low, high = given if isinstance(given, tuple) else (given, given)
-    rng = np.random.default_rng([seed, draw, zlib.crc32(parameter.name.encode())])
+    rng = random_generator(seed, Stream.ENCOUNTER_PARAMETER, draw, parameter.name)
     if parameter.whole:
         return float(rng.integers(round(low), round(high) + 1))
     return round(float(rng.uniform(low, high)), 3)
 
 
-def network_of(scenario: Scenario, seed: int) -> Path:
-    """Return the .net.xml(.gz) file of a scenario: the roads that its encounter brings where it names none itself.
+def network_file(scenario: Scenario, seed: int) -> Path:
+    """Return the .net.xml(.gz) file of a scenario: its own network, else the roads of its encounter.
 
     Raises:
         ScenarioError: see `sim.roads.networks.resolve_network`.
     """
     if scenario.conflict is None or names_network(scenario):
         return resolve_network(scenario, seed)
-    roads = instance_of(scenario, seed).layout.roads
+    roads = encounter_of(scenario, seed).layout.roads
     if roads is None:
         raise ScenarioError(complaint(scenario.name, "network", "one of shipped, generate, file", "none of them"))
     return write_roads(scenario.name, roads)
 
 
-def laid_out(scenario: Scenario, seed: int) -> Scenario:
-    """Return a scenario whose area and agents are those of its encounter; any other as it is.
+def with_encounter(scenario: Scenario, seed: int) -> Scenario:
+    """Return a scenario with the area and agents of its encounter; unchanged without an encounter.
 
     Raises:
-        ScenarioError: see `instance_of`.
+        ScenarioError: see `encounter_of`.
     """
     if scenario.conflict is None:
         return scenario
-    instance = instance_of(scenario, seed)
+    instance = encounter_of(scenario, seed)
     names = tuple(dict.fromkeys([*instance.names("ego"), *instance.names("helper")]))
     agents: AgentRule = msgspec.structs.replace(
         scenario.agents,
@@ -111,4 +114,4 @@ def laid_out(scenario: Scenario, seed: int) -> Scenario:
     return msgspec.structs.replace(scenario, agents=agents, network=network)
 
 
-__all__ = ["KINDS", "Instance", "instance_of", "laid_out", "network_of"]
+__all__ = ["ENCOUNTERS", "Instance", "encounter_of", "with_encounter", "network_file"]

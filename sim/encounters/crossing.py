@@ -1,4 +1,4 @@
-"""Encounters at crossings: a road user comes from the side, hidden by a house, a queue or a stopped neighbour."""
+"""Crossing encounters: a road user from the side, occluded by a house, a queue or a stopped neighbour."""
 
 from collections.abc import Mapping
 
@@ -16,11 +16,11 @@ from sim.encounters.draw import (
     block,
     corner_house,
     pick,
-    through,
+    straight_path,
 )
-from sim.encounters.networks import LANE_M, Arm, Lane, junction
-from sim.encounters.paths import Pace, Pen
-from sim.encounters.types import HIT_S, Actor, Kind, Layout, Parameter, actor, standing
+from sim.encounters.networks import LANE_M, Arm, LaneSpec, junction
+from sim.encounters.paths import PathBuilder, SpeedProfile
+from sim.encounters.types import HIT_S, EncounterType, Layout, Parameter, ScriptedActor, actor, standing
 from sim.scenario import RoadsideUnit
 from sim.vehicle_types import TYPES
 
@@ -33,11 +33,11 @@ def ima_building(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     """A car comes from behind the house at the corner of a crossing without signals."""
     ego_mps, car_mps, side = p["ego_mps"], p["conflict_mps"], 1.0 if p["from_left"] else -1.0
     x = -side * _HALF
-    ego_way, ego_at = through(x, -_HALF, EAST, ego_mps)
-    car_way, car_at = through(x, -_HALF, -side * NORTH, car_mps)
+    ego_path, ego_at = straight_path(x, -_HALF, EAST, ego_mps)
+    car_path, car_at = straight_path(x, -_HALF, -side * NORTH, car_mps)
     actors = (
-        actor("ego", "ego", pick(CARS, rng), ego_way, ego_mps, at_m=ego_at, at_s=HIT_S),
-        actor("conflict", "conflict", pick(CARS, rng), car_way, car_mps, at_m=car_at, at_s=HIT_S + p["jitter_s"]),
+        actor("ego", "ego", pick(CARS, rng), ego_path, ego_mps, at_m=ego_at, at_s=HIT_S),
+        actor("conflict", "conflict", pick(CARS, rng), car_path, car_mps, at_m=car_at, at_s=HIT_S + p["jitter_s"]),
         standing("crossing_car", "helper", pick(CARS, rng), -x, -side * 14.0, side * NORTH),
     )
     edge = LANE_M + p["setback_m"]
@@ -58,20 +58,20 @@ def ima_queue(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     ego_mps, speed = p["ego_mps"], p["conflict_mps"]
     cycling = speed < 6.5
     meet = (_HALF, -_HALF)
-    ego_way, ego_at = through(*meet, EAST, ego_mps)
-    way, at = through(*meet, NORTH, speed)
+    ego_path, ego_at = straight_path(*meet, EAST, ego_mps)
+    path, at = straight_path(*meet, NORTH, speed)
     kind = pick(("bicycle_city", "bicycle_fast") if cycling else CARS, rng)
     actors = [
-        actor("ego", "ego", pick(CARS, rng), ego_way, ego_mps, at_m=ego_at, at_s=HIT_S),
-        actor("conflict", "conflict", kind, way, speed, at_m=at, at_s=HIT_S + p["jitter_s"]),
+        actor("ego", "ego", pick(CARS, rng), ego_path, ego_mps, at_m=ego_at, at_s=HIT_S),
+        actor("conflict", "conflict", kind, path, speed, at_m=at, at_s=HIT_S + p["jitter_s"]),
         *_queue(round(p["queue"]), p["gap_m"], -_HALF - LANE_M, rng),
     ]
-    # Farther down the side street houses hide it, with the queue and without.
+    # Farther down the side street houses occlude it, with the queue and without.
     along_ego, along_other = HIT_S * ego_mps + 20.0, HIT_S * speed + 20.0
     edge = 2.0 * LANE_M + 5.0
     house = corner_house(-11.0, -edge, -along_ego, -along_other, float(rng.uniform(8.0, 14.0)), occluder=False)
     clear = block(-LANE_M, -2.0 * LANE_M, -11.0 - along_ego, -edge - along_other)
-    two = (Lane(), Lane())
+    two = (LaneSpec(), LaneSpec())
     arms = {
         "w": Arm(WEST, HIT_S * ego_mps + 60.0, two, two, priority=2),
         "e": Arm(EAST, AFTER_S * ego_mps + 60.0, two, two, priority=2),
@@ -82,7 +82,7 @@ def ima_queue(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     return Layout(junction(arms, radius_m=4.0), tuple(actors), (house,), (unit,), clear=clear)
 
 
-def _queue(count: int, gap_m: float, y: float, rng: np.random.Generator) -> list[Actor]:
+def _queue(count: int, gap_m: float, y: float, rng: np.random.Generator) -> list[ScriptedActor]:
     """Return vehicles that stand before the junction at the origin, the first of them connected."""
     queue, front = [], -8.0
     for row in range(count):
@@ -98,12 +98,12 @@ def red_light_runner(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     """A car runs a red light from behind a corner house and a lorry that waits in the lane beside the ego's."""
     ego_mps, car_mps = p["ego_mps"], p["conflict_mps"]
     meet = (_HALF, -_HALF)
-    ego_way, ego_at = through(*meet, EAST, ego_mps)
-    car_way, car_at = through(*meet, NORTH, car_mps)
+    ego_path, ego_at = straight_path(*meet, EAST, ego_mps)
+    car_path, car_at = straight_path(*meet, NORTH, car_mps)
     mate = pick(("van_box", "truck_light", "truck_box"), rng)
     actors = (
-        actor("ego", "ego", pick(CARS, rng), ego_way, ego_mps, at_m=ego_at, at_s=HIT_S),
-        actor("conflict", "conflict", pick(CARS, rng), car_way, car_mps, at_m=car_at, at_s=HIT_S + p["jitter_s"]),
+        actor("ego", "ego", pick(CARS, rng), ego_path, ego_mps, at_m=ego_at, at_s=HIT_S),
+        actor("conflict", "conflict", pick(CARS, rng), car_path, car_mps, at_m=car_at, at_s=HIT_S + p["jitter_s"]),
         standing("lane_mate", "occluder", mate, -8.5 - 0.5 * TYPES[mate].size[0], -_HALF - LANE_M, lights=1),
         _stopping_car(HIT_S - 12.0 / car_mps - p["after_red_s"], rng),
     )
@@ -112,7 +112,7 @@ def red_light_runner(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     corner = LANE_M + p["setback_m"]
     house = corner_house(-corner, -edge, -along_ego, -along_car, float(rng.uniform(9.0, 15.0)))
     clear = block(-LANE_M, -2.0 * LANE_M, -corner - along_ego - 15.0, -edge - along_car - 15.0)
-    two = (Lane(), Lane())
+    two = (LaneSpec(), LaneSpec())
     arms = {
         "w": Arm(WEST, HIT_S * ego_mps + 60.0, two, two),
         "e": Arm(EAST, AFTER_S * ego_mps + 60.0, two, two),
@@ -123,15 +123,15 @@ def red_light_runner(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     return Layout(junction(arms, "traffic_light", 4.0), actors, (house,), (unit,), clear=clear)
 
 
-def _stopping_car(red_s: float, rng: np.random.Generator) -> Actor:
-    """Return a connected car on the opposite arm that brakes for the light that turned red, and stands 2.5 s later."""
-    way = Pen(-_HALF, 90.0, SOUTH).straight(110.0).way()
-    pace = Pace.change(7.0, 0.0, red_s - 0.3, 2.5)
-    return actor("crossing_car", "helper", pick(CARS, rng), way, pace, at_m=90.0 - 14.0, at_s=red_s + 2.5)
+def _stopping_car(red_s: float, rng: np.random.Generator) -> ScriptedActor:
+    """Return a connected car on the opposite arm that brakes for a red light, standing 2.5 s after it."""
+    path = PathBuilder(-_HALF, 90.0, SOUTH).straight(110.0).path()
+    pace = SpeedProfile.change(7.0, 0.0, red_s - 0.3, 2.5)
+    return actor("crossing_car", "helper", pick(CARS, rng), path, pace, at_m=90.0 - 14.0, at_s=red_s + 2.5)
 
 
-KINDS = {
-    "ima_building": Kind(
+ENCOUNTERS = {
+    "ima_building": EncounterType(
         "A car crosses from behind the house at a corner without signals.",
         (
             Parameter("ego_mps", 8.0, 17.0, (11.0, 17.0), "speed of the ego"),
@@ -143,7 +143,7 @@ KINDS = {
         ),
         ima_building,
     ),
-    "ima_queue": Kind(
+    "ima_queue": EncounterType(
         "A car or bicycle crosses through the gap before a standing queue in the next lane.",
         (
             Parameter("ego_mps", 6.0, 17.0, (12.0, 17.0), "speed of the ego"),
@@ -154,7 +154,7 @@ KINDS = {
         ),
         ima_queue,
     ),
-    "red_light_runner": Kind(
+    "red_light_runner": EncounterType(
         "A car runs a red light from behind a house and a stopped lorry.",
         (
             Parameter("ego_mps", 8.0, 17.0, (11.0, 17.0), "speed of the ego, which has green"),

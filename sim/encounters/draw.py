@@ -1,48 +1,48 @@
-"""What encounters are drawn with: bodies, straight ways, houses and hedges."""
+"""Building blocks of encounters: vehicle types, straight paths, houses and hedges."""
 
 from collections.abc import Sequence
 
 import numpy as np
 import shapely
 
-from sim.encounters.paths import Array, Pen, Way
+from sim.encounters.paths import PathBuilder, ReferencePath
 from sim.encounters.types import HIT_S, Parameter, Structure
+from sim.geometry import Array
 
 CARS = ("car_small", "car_compact", "car_saloon", "car_estate", "car_suv")
 VANS = ("van_people", "van_box")
-TRUCKS = ("truck_light", "truck_box", "truck_heavy")
 
 EAST, NORTH, WEST, SOUTH = 0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi
 
 AFTER_S = 9.0
-"""Ways lead on for so long after the moment of the crash: who does not crash has somewhere to go."""
+"""Duration of paths after the time of the crash, s, for actors that do not crash."""
 
 SPARE_M = 12.0
 
-JITTER = Parameter("jitter_s", -0.5, 0.5, (-0.15, 0.15), "how much later the conflict actor is where the ways cross")
+JITTER = Parameter("jitter_s", -0.5, 0.5, (-0.15, 0.15), "delay of the conflict actor at the crossing of the paths")
 
 
 def pick(names: Sequence[str], rng: np.random.Generator) -> str:
-    """Return one of the names."""
+    """Draw one of the names."""
     return names[int(rng.integers(len(names)))]
 
 
-def through(x: float, y: float, heading: float, speed_mps: float) -> tuple[Way, float]:
-    """Return a straight way over (x, y) for somebody who is there at `HIT_S`, and where on it that place is, m."""
+def straight_path(x: float, y: float, heading: float, speed_mps: float) -> tuple[ReferencePath, float]:
+    """Return a straight path that reaches (x, y) at `HIT_S`, and the distance of that point along it, m."""
     before = speed_mps * HIT_S + SPARE_M
-    pen = Pen(x - before * np.cos(heading), y - before * np.sin(heading), heading)
-    return pen.straight(before + speed_mps * AFTER_S + SPARE_M).way(), before
+    pen = PathBuilder(x - before * np.cos(heading), y - before * np.sin(heading), heading)
+    return pen.straight(before + speed_mps * AFTER_S + SPARE_M).path(), before
 
 
 def block(x: float, y: float, other_x: float, other_y: float) -> shapely.Polygon:
-    """Return the rectangle between two opposite corners, whichever they are."""
+    """Return the rectangle between any two opposite corners."""
     return shapely.box(min(x, other_x), min(y, other_y), max(x, other_x), max(y, other_y))
 
 
 def corner_house(
     x: float, y: float, along_x: float, along_y: float, height_m: float, occluder: bool = True
 ) -> Structure:
-    """Return a house of two wings, `along_x` and `along_y` from a corner, with signs; 12 m deep."""
+    """Return a house of two wings, 12 m deep, with signed lengths `along_x` and `along_y` from a corner."""
     dx, dy = np.copysign(12.0, along_x), np.copysign(12.0, along_y)
     outline = block(x, y, x + along_x, y + dy) | block(x, y, x + dx, y + along_y)
     return Structure("building", outline, height_m, occluder)

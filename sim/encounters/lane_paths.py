@@ -1,4 +1,4 @@
-"""Ways along the lanes of a real network: encounters where the map has the right junction."""
+"""Paths along the lanes of a real network, for encounters on a map."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,28 +7,29 @@ from typing import Any
 import numpy as np
 import shapely
 
-from sim.encounters.paths import Array, Way
+from sim.encounters.paths import ReferencePath
 from sim.errors import ScenarioError, complaint, did_you_mean
+from sim.geometry import Array
 
 BEFORE_M, AFTER_M = 160.0, 200.0
-"""Ways reach so far back from the junction and on beyond it, when the network does."""
+"""Length of paths before and after the junction, m, network permitting."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Street:
-    """A way through a junction.
+class LanePath:
+    """Path through a junction.
 
     Attributes:
-        way: along the lanes.
-        stop_m: where on it the lane before the junction ends.
+        path: path along the lanes.
+        stop_m: distance along it of the end of the approach lane, m.
     """
 
-    way: Way
+    path: ReferencePath
     stop_m: float
 
 
-def streets_of(name: str, net: Any, given: Mapping[str, Sequence[str]]) -> dict[str, Street]:
-    """Return the ways of roles through a junction, from (lane before it, lane after it) of each.
+def lane_paths_of(name: str, net: Any, given: Mapping[str, Sequence[str]]) -> dict[str, LanePath]:
+    """Return the paths of roles through a junction, from (approach lane, exit lane) of each.
 
     Args:
         name: of the scenario, for messages.
@@ -65,14 +66,14 @@ def streets_of(name: str, net: Any, given: Mapping[str, Sequence[str]]) -> dict[
             link_on = min(links, key=lambda link: _bend(last, link.getToLane()))
             last = link_on.getToLane()
             after = np.concatenate([after, _inside(net, link_on), _shape(last)])
-        way = Way.through(np.concatenate([before, _inside(net, link), after]), 6.0)
-        found[role] = Street(way, way.nearest(before[-1, :2]))
+        path = ReferencePath.through(np.concatenate([before, _inside(net, link), after]), 6.0)
+        found[role] = LanePath(path, path.nearest(before[-1, :2]))
     return found
 
 
-def meeting(one: Way, other: Way) -> Array:
-    """Return (2,) where two ways cross first along the first; the middle of where they are nearest when they do not."""
-    lines = [shapely.LineString(way.points[:, :2]) for way in (one, other)]
+def meeting(one: ReferencePath, other: ReferencePath) -> Array:
+    """Return the (2,) first crossing of two paths, along the first one; without a crossing, the middle of the gap."""
+    lines = [shapely.LineString(path.points[:, :2]) for path in (one, other)]
     crossing = shapely.get_coordinates(lines[0] & lines[1])
     if len(crossing):
         return min(crossing, key=one.nearest)
@@ -85,14 +86,14 @@ def _shape(lane: Any) -> Array:
 
 def _inside(net: Any, link: Any) -> Array:
     """Return the lanes within a junction that a link follows."""
-    pieces = [np.zeros((0, 3))]
+    parts = [np.zeros((0, 3))]
     via = link.getViaLaneID()
     while via:
         lane = net.getLane(via)
-        pieces.append(_shape(lane))
+        parts.append(_shape(lane))
         onward = [other.getViaLaneID() for other in lane.getOutgoing()]
         via = onward[0] if onward else ""
-    return np.concatenate(pieces)
+    return np.concatenate(parts)
 
 
 def _length(line: Array) -> float:
@@ -105,7 +106,7 @@ def _direction(line: Array) -> Array:
 
 
 def _bend(lane: Any, onward: Any) -> float:
-    """Return how little one lane goes on in the direction of another, 0 for straight on."""
+    """Return the turn from one lane into another, 1 - cos of the angle: 0 for straight on."""
     return 1.0 - float(_direction(_shape(lane)[-2:]) @ _direction(_shape(onward)[:2]))
 
 
@@ -114,7 +115,7 @@ def _leads(link: Any, place: Array) -> bool:
 
 
 def _straightest(lanes: Sequence[Any], place: Array, lane: Any) -> Any:
-    """Return the lane that leads to another most nearly straight; None without any."""
+    """Return the straightest predecessor of a lane; None without any."""
     real = [back for back in lanes if not back.getID().startswith(":")]
     real = [back for back in real if any(_leads(link, place) for link in back.getOutgoing())]
     return min(real, key=lambda back: _bend(back, lane), default=None)

@@ -1,4 +1,4 @@
-"""Made road networks: nodes and edges written as SUMO's plain XML and joined by netconvert, once per content."""
+"""Road networks of encounters: nodes and edges in SUMO's plain XML, built by netconvert and cached."""
 
 import math
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ _OPTIONS: dict[str, Option] = {"offset.disable-normalization": True, "no-turnaro
 
 
 @dataclass(frozen=True, slots=True)
-class Lane:
-    """One lane of an edge: its width, m, and who may use it ("" for all motor traffic, or `bicycle`)."""
+class LaneSpec:
+    """Lane of an edge: width, m, and permitted vehicle class ("" for all motor traffic, or `bicycle`)."""
 
     width: float = LANE_M
     allow: str = ""
@@ -23,7 +23,7 @@ class Lane:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A junction or an end: id, place, SUMO's type."""
+    """Junction or dead end: id, position, SUMO's type."""
 
     name: str
     x: float
@@ -34,30 +34,30 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """A one-way road; its lanes lie right of the line from node to node, the rightmost first.
+    """One-way road; its lanes lie right of the line from node to node, rightmost first.
 
     Attributes:
         name: id.
         start: id of a node.
         end: id of a node.
         lanes: from the right.
-        speed_mps: limit.
-        priority: the higher has the right of way.
-        shape: places in between, m.
+        speed_mps: limit, m/s.
+        priority: the higher one has right of way.
+        shape: intermediate points, m.
     """
 
     name: str
     start: str
     end: str
-    lanes: tuple[Lane, ...] = (Lane(),)
+    lanes: tuple[LaneSpec, ...] = (LaneSpec(),)
     speed_mps: float = 13.89
     priority: int = 1
     shape: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Roads:
-    """A network to be made."""
+class PlainNetwork:
+    """Road network in SUMO's plain form: nodes and edges."""
 
     nodes: tuple[Node, ...]
     edges: tuple[Edge, ...]
@@ -65,7 +65,7 @@ class Roads:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """One arm of a junction at the origin.
+    """Arm of a junction at the origin.
 
     Attributes:
         bearing: direction from the junction, rad.
@@ -78,13 +78,13 @@ class Arm:
 
     bearing: float
     length_m: float = 160.0
-    to: tuple[Lane, ...] = (Lane(),)
-    away: tuple[Lane, ...] = (Lane(),)
+    to: tuple[LaneSpec, ...] = (LaneSpec(),)
+    away: tuple[LaneSpec, ...] = (LaneSpec(),)
     speed_mps: float = 13.89
     priority: int = 1
 
 
-def junction(arms: dict[str, Arm], kind: str = "priority", radius_m: float = 6.0) -> Roads:
+def junction(arms: dict[str, Arm], kind: str = "priority", radius_m: float = 6.0) -> PlainNetwork:
     """Return a junction at the origin with arms of these names; its edges are `NAME_in` and `NAME_out`."""
     nodes, edges = [Node("c", 0.0, 0.0, kind, radius_m)], []
     for name, arm in arms.items():
@@ -94,18 +94,18 @@ def junction(arms: dict[str, Arm], kind: str = "priority", radius_m: float = 6.0
             edges.append(Edge(f"{name}_in", name, "c", arm.to, arm.speed_mps, arm.priority))
         if arm.away:
             edges.append(Edge(f"{name}_out", "c", name, arm.away, arm.speed_mps, arm.priority))
-    return Roads(tuple(nodes), tuple(edges))
+    return PlainNetwork(tuple(nodes), tuple(edges))
 
 
-def write_roads(name: str, roads: Roads) -> Path:
-    """Return the .net.xml of made roads from the cache, made when it is not there; equal roads make equal bytes.
+def write_roads(name: str, roads: PlainNetwork) -> Path:
+    """Return the cached .net.xml of roads; equal roads give equal bytes.
 
     Args:
-        name: of the scenario, the beginning of the file's.
+        name: name of the scenario, prefix of the file name.
         roads: nodes and edges.
 
     Raises:
-        ScenarioError: netconvert refuses them.
+        ScenarioError: netconvert fails.
     """
     plain = {"node": _nodes_xml(roads), "edge": _edges_xml(roads)}
 
@@ -122,7 +122,7 @@ def write_roads(name: str, roads: Roads) -> Path:
     return cached("networks", name, ".net.xml", [plain, list(_OPTIONS.items())], make)
 
 
-def _nodes_xml(roads: Roads) -> str:
+def _nodes_xml(roads: PlainNetwork) -> str:
     rows = [
         f'<node id={quoteattr(node.name)} x="{node.x:.3f}" y="{node.y:.3f}" type="{node.kind}" '
         f'radius="{node.radius_m:.2f}"/>'
@@ -131,7 +131,7 @@ def _nodes_xml(roads: Roads) -> str:
     return "<nodes>\n" + "\n".join(rows) + "\n</nodes>\n"
 
 
-def _edges_xml(roads: Roads) -> str:
+def _edges_xml(roads: PlainNetwork) -> str:
     rows = []
     for edge in roads.edges:
         shape = ""

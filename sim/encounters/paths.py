@@ -1,27 +1,27 @@
-"""Ways of scripted actors: smooth lines in the plane, and speeds along them."""
+"""Paths and speed profiles of scripted actors."""
 
 import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from sim.geometry import Array
 
 _GRAIN_M = 0.25
 _SMOOTH_M = 3.0
-"""Bends begin and end over this length: a car's heading has no corners and its yaw rate no jumps."""
+"""Smoothing length of corners, m: continuous heading and yaw rate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
-    """A line to move along.
+class ReferencePath:
+    """Path of an actor, resampled and smooth.
 
     Attributes:
         points: (K, 3) m, about `_GRAIN_M` apart.
         along: (K,) distance from its start, m.
-        heading: (K,) direction at each point, rad, without jumps by full turns.
+        heading: (K,) direction at each point, rad, unwrapped.
         pitch: (K,) slope there, rad, positive downhill as for bodies.
     """
 
@@ -32,7 +32,7 @@ class Way:
 
     @classmethod
     def through(cls, points: ArrayLike, smooth_m: float = _SMOOTH_M) -> Self:
-        """Return a way along a (K, 2) or (K, 3) line, its corners rounded over about `smooth_m`."""
+        """Path along a (K, 2) or (K, 3) line, with corners rounded over about `smooth_m`."""
         line = np.asarray(points, np.float64)
         if line.shape[1] == 2:
             line = np.column_stack([line, np.zeros(len(line))])
@@ -59,13 +59,13 @@ class Way:
         return float(self.along[-1])
 
     def at(self, along_m: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return (..., 3) places, (...) headings and (...) pitches at distances along the way; it ends at its ends."""
+        """Return (..., 3) positions, (...) headings and pitches at distances along the path, clamped to its ends."""
         where = np.asarray(along_m, np.float64)
         xyz = np.stack([np.interp(where, self.along, self.points[:, k]) for k in range(3)], axis=-1)
         return xyz, np.interp(where, self.along, self.heading), np.interp(where, self.along, self.pitch)
 
     def nearest(self, xy: ArrayLike) -> float:
-        """Return the distance along the way of the point nearest to (2,) a place, m."""
+        """Return the distance along the path of the point nearest to a (2,) position, m."""
         start, step = self.points[:-1, :2], np.diff(self.points[:, :2], axis=0)
         share = ((np.asarray(xy, np.float64) - start) * step).sum(1) / np.maximum((step**2).sum(1), 1e-12)
         share = np.clip(share, 0.0, 1.0)
@@ -74,12 +74,12 @@ class Way:
         return float(self.along[row] + share[row] * (self.along[row + 1] - self.along[row]))
 
     def beside(self, left_m: float) -> Array:
-        """Return (K, 2) the line `left_m` to the left of the way."""
+        """Return the (K, 2) line offset `left_m` to the left of the path."""
         normal = np.column_stack([-np.sin(self.heading), np.cos(self.heading)])
         return self.points[:, :2] + left_m * normal
 
 
-class Pen:
+class PathBuilder:
     """Draws a way piece by piece: `Pen(x, y, heading).straight(50).turn(8, -pi / 2).way()`."""
 
     def __init__(self, x: float, y: float, heading: float = 0.0) -> None:
@@ -88,11 +88,11 @@ class Pen:
         self._points = [self.place]
 
     def straight(self, length_m: float) -> Self:
-        """Go on."""
+        """Append a straight line."""
         return self._add(np.linspace(0.0, max(length_m, 1e-3), max(2, round(length_m / _GRAIN_M)))[1:], None)
 
     def turn(self, radius_m: float, angle: float) -> Self:
-        """Go round by an angle, rad, positive to the left."""
+        """Append an arc by an angle, rad, positive to the left."""
         phi = np.linspace(0.0, abs(angle), max(3, round(radius_m * abs(angle) / _GRAIN_M)))[1:]
         side = math.copysign(radius_m, angle)
         self._add(radius_m * np.sin(phi), side * (1.0 - np.cos(phi)))
@@ -100,13 +100,13 @@ class Pen:
         return self
 
     def shift(self, left_m: float, length_m: float) -> Self:
-        """Change to a lane `left_m` to the left, or to the right when it is negative, over `length_m`."""
+        """Append a lane change of `left_m` to the left (negative: right) over `length_m`."""
         share = np.linspace(0.0, 1.0, max(5, round(length_m / _GRAIN_M)))[1:]
         return self._add(length_m * share, left_m * share**3 * (10.0 - 15.0 * share + 6.0 * share**2))
 
-    def way(self, smooth_m: float = _SMOOTH_M) -> Way:
-        """Return what was drawn."""
-        return Way.through(np.array(self._points), smooth_m)
+    def path(self, smooth_m: float = _SMOOTH_M) -> ReferencePath:
+        """Return the path drawn so far."""
+        return ReferencePath.through(np.array(self._points), smooth_m)
 
     def _add(self, ahead: Array, left: Array | None) -> Self:
         c, s = math.cos(self.heading), math.sin(self.heading)
@@ -118,8 +118,8 @@ class Pen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pace:
-    """Speed over time, straight between knots and constant beyond them.
+class SpeedProfile:
+    """Speed over time, piecewise linear between knots and constant beyond them.
 
     Attributes:
         time_s: (K,) ascending, s.
@@ -131,12 +131,12 @@ class Pace:
 
     @classmethod
     def steady(cls, speed_mps: float) -> Self:
-        """Return one speed for ever."""
+        """Constant speed."""
         return cls(np.zeros(1), np.array([speed_mps], np.float64))
 
     @classmethod
     def change(cls, before_mps: float, after_mps: float, start_s: float, rate_mps2: float) -> Self:
-        """Return one speed until `start_s`, and from then on a steady change at `rate_mps2` > 0 to another."""
+        """Constant speed until `start_s`, then a change at `rate_mps2` > 0 to another."""
         lasts = max(abs(after_mps - before_mps) / rate_mps2, 1e-6)
         return cls(np.array([start_s, start_s + lasts]), np.array([before_mps, after_mps], np.float64))
 
@@ -145,7 +145,7 @@ class Pace:
         return np.interp(np.asarray(time_s, np.float64), self.time_s, self.speed_mps)
 
     def distance(self, time_s: ArrayLike) -> Array:
-        """Return how far one gets from time 0 on, m; negative before."""
+        """Return the distance travelled since time 0, m; negative before."""
         return self._integral(time_s) - self._integral(0.0)
 
     def _integral(self, time_s: ArrayLike) -> Array:
@@ -154,7 +154,7 @@ class Pace:
         grown = np.concatenate([[0.0], np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(knots))])
         row = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(knots) - 1)
         since = time - knots[row]
-        # Before the first knot and after the last the speed stays what it is there.
+        # Before the first knot and after the last the speed is constant.
         return grown[row] + since * 0.5 * (speeds[row] + np.interp(time, knots, speeds))
 
 
@@ -168,7 +168,7 @@ def _resampled(line: Array) -> Array:
 
 
 def _averaged(line: Array, reach: int) -> Array:
-    # The ends go on straight, so that a way begins and ends where it was drawn.
+    # The ends are extended straight, so that a path keeps its end points.
     first, last = line[0] - line[1], line[-1] - line[-2]
     before = line[0] + first * np.arange(reach, 0, -1)[:, None]
     after = line[-1] + last * np.arange(1, reach + 1)[:, None]

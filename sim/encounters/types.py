@@ -1,4 +1,4 @@
-"""What one encounter consists of: roads, things that stand beside them, actors with their ways, roadside units."""
+"""Encounter data types: actors with their paths, structures, roads, roadside units, parameters."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -8,65 +8,65 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from sim.encounters.lane_paths import Street
-from sim.encounters.networks import Roads
-from sim.encounters.paths import Pace, Way
+from sim.encounters.lane_paths import LanePath
+from sim.encounters.networks import PlainNetwork
+from sim.encounters.paths import ReferencePath, SpeedProfile
 from sim.scenario import Area, RoadsideUnit
 from sim.vehicle_types import TYPES, VehicleType
 
 Role = Literal["ego", "conflict", "occluder", "helper", "jam", "other"]
-"""What actors are there for; a `jam` stands because of the conflict actor, and goes when that goes."""
+"""Roles of actors; a `jam` queues behind the conflict actor and disappears with it."""
 
 HIT_S = 6.0
-"""When ego and conflict actor reach the place where their ways cross, s after the start."""
+"""Time at which ego and conflict actor reach the crossing of their paths, s after the start."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Actor:
-    """One scripted road user.
+class ScriptedActor:
+    """Scripted road user.
 
     Attributes:
-        name: unique; `ego` and `conflict` are those.
-        roles: what it is there for.
+        name: unique name; `ego` and `conflict` are reserved.
+        roles: its roles.
         type_name: one of `sim.vehicle_types.TYPES`.
-        way: of the middle of its footprint.
-        start_m: where on its way it is at time 0, m; may be negative, before it appears.
-        pace: its speed.
-        size: length, width, height instead of the type's, m.
-        lights: (bits of signals, from, to): indicators and the like, s.
-        parked: stands with its engine off: no brake lights.
+        path: path of the centre of its footprint.
+        start_m: distance along its path at time 0, m; negative before it appears.
+        pace: its speed over time.
+        size: length, width, height in place of the type's, m.
+        lights: (bits of signals, from, to), times in s.
+        parked: engine off, without brake lights.
     """
 
     name: str
     roles: frozenset[Role]
     type_name: str
-    way: Way
+    path: ReferencePath
     start_m: float
-    pace: Pace
+    pace: SpeedProfile
     size: tuple[float, float, float] | None = None
     lights: tuple[tuple[int, float, float], ...] = ()
     parked: bool = False
 
     @property
     def kind(self) -> VehicleType:
-        """Its type, of its own size."""
+        """Vehicle type, with its own size."""
         kind = TYPES[self.type_name]
         return kind if self.size is None else replace(kind, size=self.size)
 
     def place(self, time_s: float | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where on its way it is when nothing disturbs it, m."""
+        """Return the scripted distance along its path at a time, m."""
         return self.start_m + self.pace.distance(time_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Structure:
-    """Something solid beside the road.
+    """Solid structure beside the road.
 
     Attributes:
-        kind: what it looks like.
+        kind: appearance.
         outline: footprint in the world, m.
-        height_m: of its top above the road.
-        occluder: hides the conflict, and goes away in the control without an occluder.
+        height_m: height of its top above the road, m.
+        occluder: occludes the conflict actor, and is absent in the control `no_occluder`.
     """
 
     kind: Literal["building", "hedge", "wall"]
@@ -77,33 +77,33 @@ class Structure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ghost:
-    """A road user that a helper claims and that is not there.
+    """False report: a road user that a helper reports although it does not exist.
 
     Attributes:
-        actor: what is claimed; its name is `ghost`.
+        actor: reported road user, named `ghost`.
         claimed_by: name of the helper, or `roadside` for the first roadside unit.
     """
 
-    actor: Actor
+    actor: ScriptedActor
     claimed_by: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """An encounter as its scenario draws it, complete and without a control.
+    """Layout of an encounter, before a control condition is applied.
 
     Attributes:
-        roads: the road network; None when the scenario names one.
+        roads: road network; None when the scenario names one.
         actors: the ego first.
-        structures: solid things.
+        structures: solid structures.
         units: roadside units.
-        focus: (2,) where it happens, m.
-        reach_m: the part of the world that matters extends so far from the focus.
-        clear: no houses, trees or lamps are made up here, which would hide what the scenario means to show.
+        focus: (2,) point of the crash, m.
+        reach_m: half the side of the relevant area around the focus, m.
+        clear: ground without generated houses, trees or lamps, which would add occlusion.
     """
 
-    roads: Roads | None
-    actors: tuple[Actor, ...]
+    roads: PlainNetwork | None
+    actors: tuple[ScriptedActor, ...]
     structures: tuple[Structure, ...] = ()
     units: tuple[RoadsideUnit, ...] = ()
     focus: tuple[float, float] = (0.0, 0.0)
@@ -112,14 +112,14 @@ class Layout:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Instance:
-    """One drawn encounter, its control applied.
+class Encounter:
+    """Drawn encounter, with its control condition applied.
 
     Attributes:
-        kind: id of the scenario.
-        parameters: the drawn values.
-        layout: roads, actors and structures that are there.
-        ghosts: what is claimed and is not there.
+        kind: id of the encounter type.
+        parameters: drawn values.
+        layout: roads, actors and structures.
+        ghosts: false reports.
     """
 
     kind: str
@@ -129,26 +129,26 @@ class Instance:
 
     @property
     def area(self) -> Area:
-        """(x_min, y_min, x_max, y_max) of the part of the world that matters, m."""
+        """(x_min, y_min, x_max, y_max) of the relevant area, m."""
         (x, y), reach = self.layout.focus, self.layout.reach_m
         return (x - reach, y - reach, x + reach, y + reach)
 
     def names(self, role: Role) -> tuple[str, ...]:
-        """Return the names of the actors of a role, in their order."""
+        """Return the names of the actors of a role, in order."""
         return tuple(actor.name for actor in self.layout.actors if role in actor.roles)
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A number that varies between the instances of a scenario.
+    """Parameter of an encounter type.
 
     Attributes:
         name: key in the scenario file, with its unit.
-        low: least that is accepted.
-        high: most.
-        draw: range that it is drawn from when the file does not say.
-        what: its meaning in a few words.
-        whole: drawn and given as a whole number.
+        low: smallest accepted value.
+        high: largest accepted value.
+        draw: default range to draw from.
+        what: description.
+        whole: whole numbers only.
     """
 
     name: str
@@ -160,52 +160,52 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """A scenario: its parameters and how it is laid out.
+class EncounterType:
+    """Encounter type: its parameters and its layout function.
 
     Attributes:
-        summary: what happens, in a line.
-        parameters: what varies.
-        lay_out: drawn values and random numbers for the looks -> the encounter.
-        roles: whose ways a scenario names when it is to happen on a map; none when it cannot.
-        on_streets: the same along those ways.
+        summary: what happens, in one line.
+        parameters: parameters to draw.
+        lay_out: (drawn values, generator of appearance) -> layout.
+        roles: roles whose lanes a scenario names to place the encounter on a map; empty: made roads only.
+        on_streets: layout function along those lanes.
     """
 
     summary: str
     parameters: tuple[Parameter, ...]
     lay_out: Callable[[Mapping[str, float], np.random.Generator], Layout]
     roles: tuple[str, ...] = ()
-    on_streets: Callable[[Mapping[str, float], np.random.Generator, Mapping[str, Street]], Layout] | None = None
+    on_streets: Callable[[Mapping[str, float], np.random.Generator, Mapping[str, LanePath]], Layout] | None = None
 
 
 def actor(
     name: str,
     roles: str,
     type_name: str,
-    way: Way,
-    pace: Pace | float,
+    path: ReferencePath,
+    pace: SpeedProfile | float,
     *,
     at_m: float,
     at_s: float = 0.0,
     size: tuple[float, float, float] | None = None,
     lights: tuple[tuple[int, float, float], ...] = (),
-) -> Actor:
-    """Return an actor that is `at_m` along its way at time `at_s`.
+) -> ScriptedActor:
+    """Return an actor that is `at_m` along its path at time `at_s`.
 
     Args:
-        name: see `Actor`.
+        name: see `ScriptedActor`.
         roles: separated by spaces.
-        type_name: see `Actor`.
-        way: see `Actor`.
-        pace: or one speed, m/s.
-        at_m: place on the way, m.
-        at_s: when it is there, s.
-        size: see `Actor`.
-        lights: see `Actor`.
+        type_name: see `ScriptedActor`.
+        path: see `ScriptedActor`.
+        pace: speed profile, or a constant speed, m/s.
+        at_m: distance along the path, m.
+        at_s: time there, s.
+        size: see `ScriptedActor`.
+        lights: see `ScriptedActor`.
     """
-    steady = pace if isinstance(pace, Pace) else Pace.steady(pace)
+    steady = pace if isinstance(pace, SpeedProfile) else SpeedProfile.steady(pace)
     start_m = at_m - float(steady.distance(at_s))
-    return Actor(name, frozenset(roles.split()), type_name, way, start_m, steady, size, lights)  # type: ignore[arg-type]
+    return ScriptedActor(name, frozenset(roles.split()), type_name, path, start_m, steady, size, lights)  # type: ignore[arg-type]
 
 
 def standing(
@@ -219,17 +219,17 @@ def standing(
     size: tuple[float, float, float] | None = None,
     lights: int = 0,
     parked: bool = False,
-) -> Actor:
-    """Return an actor that stands with the middle of its footprint at (x, y)."""
+) -> ScriptedActor:
+    """Return a standing actor with the centre of its footprint at (x, y)."""
     c, s = np.cos(heading), np.sin(heading)
-    way = Way.through(np.array([[x - c, y - s], [x + c, y + s]]), 0.0)
+    path = ReferencePath.through(np.array([[x - c, y - s], [x + c, y + s]]), 0.0)
     on = ((lights, -np.inf, np.inf),) if lights else ()
-    still = Pace.steady(0.0)
-    return Actor(name, frozenset(roles.split()), type_name, way, 1.0, still, size, on, parked)  # type: ignore[arg-type]
+    still = SpeedProfile.steady(0.0)
+    return ScriptedActor(name, frozenset(roles.split()), type_name, path, 1.0, still, size, on, parked)  # type: ignore[arg-type]
 
 
 def without(layout: Layout, role: Role) -> Layout:
-    """Return the encounter without the actors of a role, and without the structures that hide when it is `occluder`."""
+    """Return a layout without the actors of a role; for `occluder` also without occluding structures."""
     structures = layout.structures
     if role == "occluder":
         structures = tuple(structure for structure in structures if not structure.occluder)

@@ -1,22 +1,22 @@
-"""Surfaces: how much of a 905 nm pulse each one sends back, and the colour it has on a screen."""
+"""Surface materials: reflectivity at 905 nm and display colour."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 Finish = Literal["diffuse", "beads", "retro", "glass"]
-"""How light comes back: from a rough surface, from paint with glass beads in it, from a retro-reflector (to where it
-came from, whatever the angle), or only from a mirror that is hit squarely."""
+"""Reflection models: rough surface, paint with glass beads, retro-reflector (back to the source at any angle), and
+mirror (back at normal incidence only)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """One kind of surface.
+    """Material of a surface.
 
     Attributes:
         name: unique key.
-        reflectivity: share of the light at 905 nm that comes back, diffuse and at normal incidence, in [0, 1].
-        finish: how it comes back.
-        wets: takes up a film of water and darkens; metal, glass, lacquer and plates shed it.
+        reflectivity: diffuse reflectivity at 905 nm and normal incidence, in [0, 1].
+        finish: reflection model.
+        wets: holds a film of water and darkens; metal, glass, lacquer and plates shed it.
         rgb: colour for pictures, each in [0, 255].
     """
 
@@ -63,11 +63,11 @@ MATERIALS: tuple[Material, ...] = (
     Material("cloth_light", 0.55, "diffuse", True, (196, 186, 166)),
     Material("cloth_dark", 0.25, "diffuse", True, (50, 58, 84)),
 )
-"""All materials; a face carries the index of its own. New ones are appended: files of points hold the index."""
+"""Materials by index, which every face carries. New ones are appended: point cloud files hold the index."""
 
 _INDEX = {material.name: index for index, material in enumerate(MATERIALS)}
 
 
 def material_index(name: str) -> int:
-    """Return the index of a material in `MATERIALS`; KeyError when there is none of that name."""
+    """Return the index of a material in `MATERIALS`; KeyError for an unknown name."""
     return _INDEX[name]

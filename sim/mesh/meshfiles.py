@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import ScenarioError, complaint
+from sim.errors import ScenarioError, complaint, unreadable
 
 # Chunk ids of a .3ds file: https://en.wikipedia.org/wiki/.3ds
 _NESTED = (0x4D4D, 0x3D3D, 0x4100)
@@ -18,7 +18,7 @@ _OBJECT, _VERTICES, _FACES, _FACE_MATERIAL = 0x4000, 0x4110, 0x4120, 0x4130
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshFile:
-    """Triangles as they stand in a file, in its own axes.
+    """Triangles of a mesh file, in its own axes.
 
     Attributes:
         vertices: (V, 3) float64.
@@ -35,7 +35,7 @@ def read_3ds(path: Path) -> MeshFile:
     """Read all triangles of a .3ds file.
 
     Raises:
-        ScenarioError: the file is missing, cut short or of another kind.
+        ScenarioError: the file is missing, truncated or of another format.
     """
     try:
         data = path.read_bytes()
@@ -43,7 +43,7 @@ def read_3ds(path: Path) -> MeshFile:
             raise ScenarioError(complaint(path, "first chunk", "4D4D of a .3ds file", data[:2].hex()))
         return _collect_3ds(data)
     except (OSError, struct.error, ValueError, IndexError) as error:
-        raise ScenarioError(f"{path}: not a readable .3ds file: {' '.join(str(error).split())}") from None
+        raise ScenarioError(unreadable(path, ".3ds file", error)) from None
 
 
 def _collect_3ds(data: bytes) -> MeshFile:
@@ -75,7 +75,7 @@ def _chunks_3ds(data: bytes, start: int, end: int) -> Iterator[tuple[int, int]]:
         kind, length = struct.unpack_from("<HI", data, start)
         stop = start + length
         if length < 6 or stop > end:
-            raise ValueError(f"chunk {kind:04X} at byte {start} is longer than what holds it")
+            raise ValueError(f"chunk {kind:04X} at byte {start} is longer than its parent")
         yield kind, start + 6
         if kind in _NESTED:
             yield from _chunks_3ds(data, start + 6, stop)
@@ -111,5 +111,5 @@ def read_obj(path: Path) -> MeshFile:
         if mesh.faces.shape[1:] != (3,) or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
             raise ValueError("it holds no triangles, or corners without a vertex")
     except (OSError, ValueError, IndexError) as error:
-        raise ScenarioError(f"{path}: not a readable .obj file: {' '.join(str(error).split())}") from None
+        raise ScenarioError(unreadable(path, ".obj file", error)) from None
     return mesh

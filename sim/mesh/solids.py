@@ -1,4 +1,4 @@
-"""Building blocks of meshes: closed solids, lifted polygons and strips, each with a material per face."""
+"""Mesh primitives: closed solids, lifted polygons and strips, with a material per face."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,15 +9,15 @@ import shapely
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
+from sim.geometry import Array
 from sim.mesh.materials import material_index
 
-Array = NDArray[np.float64]
 Height = Callable[[Array], Array]
-"""(N, 2) places in the world -> (N,) height of the road there, m."""
+"""Height field: (N, 2) world positions -> (N,) height of the road, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class MeshPart:
     """Triangles with materials.
 
     Attributes:
@@ -31,56 +31,56 @@ class Piece:
     material: NDArray[np.uint8]
 
 
-def piece(vertices: ArrayLike, faces: ArrayLike, material: str) -> Piece:
-    """Return triangles of one material."""
+def mesh_part(vertices: ArrayLike, faces: ArrayLike, material: str) -> MeshPart:
+    """Mesh part of one material."""
     faces = np.asarray(faces, np.int64).reshape(-1, 3)
     filled = np.full(len(faces), material_index(material), np.uint8)
-    return Piece(np.asarray(vertices, np.float64).reshape(-1, 3), faces, filled)
+    return MeshPart(np.asarray(vertices, np.float64).reshape(-1, 3), faces, filled)
 
 
-def join(pieces: Sequence[Piece]) -> Piece:
-    """Stack pieces into one; without any, return one without triangles."""
-    if not pieces:
-        return piece(np.zeros((0, 3)), np.zeros((0, 3)), "ground")
-    offset = np.cumsum([0] + [len(p.vertices) for p in pieces[:-1]])
-    return Piece(
-        np.concatenate([p.vertices for p in pieces]),
-        np.concatenate([p.faces + o for p, o in zip(pieces, offset, strict=True)]),
-        np.concatenate([p.material for p in pieces]),
+def join(parts: Sequence[MeshPart]) -> MeshPart:
+    """Concatenate mesh parts; an empty sequence gives an empty part."""
+    if not parts:
+        return mesh_part(np.zeros((0, 3)), np.zeros((0, 3)), "ground")
+    offset = np.cumsum([0] + [len(p.vertices) for p in parts[:-1]])
+    return MeshPart(
+        np.concatenate([p.vertices for p in parts]),
+        np.concatenate([p.faces + o for p, o in zip(parts, offset, strict=True)]),
+        np.concatenate([p.material for p in parts]),
     )
 
 
-def to_mesh(whole: Piece) -> trimesh.Trimesh:
-    """Return a Trimesh with `face_attributes["material"]`, vertices and faces exactly as they are."""
+def to_mesh(whole: MeshPart) -> trimesh.Trimesh:
+    """Return the Trimesh of a part, unprocessed, with `face_attributes["material"]`."""
     return trimesh.Trimesh(
         vertices=whole.vertices, faces=whole.faces, face_attributes={"material": whole.material}, process=False
     )
 
 
-def move(part: Piece, xyz: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0, scale: ArrayLike = 1.0) -> Piece:
-    """Scale a piece per axis about the origin, turn it about z and shift it."""
+def move(part: MeshPart, xyz: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0, scale: ArrayLike = 1.0) -> MeshPart:
+    """Scale a mesh part per axis about the origin, rotate it about z and translate it."""
     c, s = np.cos(yaw), np.sin(yaw)
     turned = (part.vertices * np.asarray(scale, np.float64)) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    return Piece(turned + np.asarray(xyz, np.float64), part.faces, part.material)
+    return MeshPart(turned + np.asarray(xyz, np.float64), part.faces, part.material)
 
 
-def fit(part: Piece, size: ArrayLike) -> Piece:
-    """Scale a piece per axis so that it fills x and y in [-size / 2, size / 2] and z in [0, size] exactly."""
+def fit(part: MeshPart, size: ArrayLike) -> MeshPart:
+    """Scale a mesh part per axis to exactly x and y in [-size / 2, size / 2] and z in [0, size]."""
     size = np.asarray(size, np.float64)
     low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
     share = (part.vertices - low) / (high - low)
-    return Piece((share - np.array([0.5, 0.5, 0.0])) * size, part.faces, part.material)
+    return MeshPart((share - np.array([0.5, 0.5, 0.0])) * size, part.faces, part.material)
 
 
-def box(low: ArrayLike, high: ArrayLike, material: str) -> Piece:
+def box(low: ArrayLike, high: ArrayLike, material: str) -> MeshPart:
     """Return the closed box between two corners."""
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
     profile = np.array([[low[0], low[2]], [high[0], low[2]], [high[0], high[2]], [low[0], high[2]]])
     return prism(profile, low[1], high[1], material)
 
 
-def prism(profile: ArrayLike, y_low: float, y_high: float, material: str) -> Piece:
-    """Return the closed solid of a convex x-z outline, counter-clockwise in x-z, drawn along y."""
+def prism(profile: ArrayLike, y_low: float, y_high: float, material: str) -> MeshPart:
+    """Return the extrusion along y of a convex x-z outline, counter-clockwise in x-z."""
     profile = np.asarray(profile, np.float64)
     n = len(profile)
     rings = [np.column_stack([profile[:, 0], np.full(n, y), profile[:, 1]]) for y in (y_low, y_high)]
@@ -88,7 +88,7 @@ def prism(profile: ArrayLike, y_low: float, y_high: float, material: str) -> Pie
     fan = np.column_stack([np.zeros(n - 2, int), np.arange(1, n - 1), np.arange(2, n)])
     # The outline runs counter-clockwise seen from -y, so the cap there keeps its order and the other one turns.
     faces = [fan, fan[:, ::-1] + n, *_band(here, there, here + n, there + n)]
-    return piece(np.concatenate(rings), np.concatenate(faces), material)
+    return mesh_part(np.concatenate(rings), np.concatenate(faces), material)
 
 
 def _band(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> tuple[NDArray, NDArray]:
@@ -96,7 +96,7 @@ def _band(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> tuple[NDArray, NDAr
     return np.column_stack([a, c, b]), np.column_stack([b, c, d])
 
 
-def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], material: str, sides: int = 6) -> Piece:
+def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], material: str, sides: int = 6) -> MeshPart:
     """Return a closed cylinder or cone stump from one point to another.
 
     Args:
@@ -108,7 +108,7 @@ def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], material:
     """
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     axis = (end - start) / np.linalg.norm(end - start)
-    # Any direction that is not along the axis gives a frame around it.
+    # Any direction off the axis gives a frame around it.
     first = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
     first /= np.linalg.norm(first)
     angle = 2.0 * np.pi * np.arange(sides) / sides
@@ -117,7 +117,7 @@ def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], material:
     fan = np.column_stack([np.zeros(sides - 2, int), np.arange(1, sides - 1), np.arange(2, sides)])
     sides_up = [face[:, ::-1] for face in _band(here, there, here + sides, there + sides)]
     faces = np.concatenate([fan[:, ::-1], fan + sides, *sides_up])
-    return piece(np.concatenate([start + radii[0] * around, end + radii[1] * around]), faces, material)
+    return mesh_part(np.concatenate([start + radii[0] * around, end + radii[1] * around]), faces, material)
 
 
 @lru_cache(maxsize=4)
@@ -126,13 +126,13 @@ def _ball(subdivisions: int) -> tuple[Array, NDArray[np.int64]]:
     return np.array(ball.vertices), np.array(ball.faces)
 
 
-def ellipsoid(center: ArrayLike, radii: ArrayLike, material: str, subdivisions: int = 1) -> Piece:
+def ellipsoid(center: ArrayLike, radii: ArrayLike, material: str, subdivisions: int = 1) -> MeshPart:
     """Return a closed ellipsoid along the axes; 1 subdivision is 80 triangles."""
     vertices, faces = _ball(subdivisions)
-    return piece(vertices * np.asarray(radii, np.float64) + np.asarray(center, np.float64), faces, material)
+    return mesh_part(vertices * np.asarray(radii, np.float64) + np.asarray(center, np.float64), faces, material)
 
 
-def ring(center: ArrayLike, radius: float, thickness: float, material: str, sides: int = 14) -> Piece:
+def ring(center: ArrayLike, radius: float, thickness: float, material: str, sides: int = 14) -> MeshPart:
     """Return a closed square-section ring in the x-z plane: the tyre and rim of a bicycle."""
     center = np.asarray(center, np.float64)
     angle = 2.0 * np.pi * np.arange(sides) / sides
@@ -144,37 +144,37 @@ def ring(center: ArrayLike, radius: float, thickness: float, material: str, side
     for loop in range(4):
         a, b = loop * sides, (loop + 1) % 4 * sides
         faces += _band(here + a, there + a, here + b, there + b)
-    return piece(np.concatenate(loops), np.concatenate(faces), material)
+    return mesh_part(np.concatenate(loops), np.concatenate(faces), material)
 
 
-def strip(left: Array, right: Array, height: Height, lift_m: float, material: str) -> Piece:
-    """Return the upward band between two lines of K points each, (K, 2), that lie left and right of a way."""
+def strip(left: Array, right: Array, height: Height, lift_m: float, material: str) -> MeshPart:
+    """Return the upward strip between the left and right border lines of a way, (K, 2) each."""
     k = len(left)
     flat = np.concatenate([left, right])
     vertices = np.column_stack([flat, height(flat) + lift_m])
     row = np.arange(k - 1)
     faces = np.concatenate([np.column_stack([row, row + k, row + k + 1]), np.column_stack([row, row + k + 1, row + 1])])
-    return piece(vertices, faces, material)
+    return mesh_part(vertices, faces, material)
 
 
 def rings_of(shape: shapely.Geometry) -> list[shapely.Polygon]:
-    """Return the polygons of any shape, without slivers of under 1 cm^2."""
+    """Return the polygons of any geometry, without slivers under 1 cm^2."""
     return [p for p in shapely.get_parts(shape) if p.geom_type == "Polygon" and p.area > 1e-4]
 
 
-def carpet(shape: shapely.Geometry, height: Height, lift_m: float, material: str) -> Piece:
-    """Return a polygon, or several, as a surface that lies `lift_m` above the road."""
-    pieces = []
+def carpet(shape: shapely.Geometry, height: Height, lift_m: float, material: str) -> MeshPart:
+    """Return the triangulated surface of polygons, `lift_m` above the road."""
+    parts = []
     for polygon in rings_of(shape):
         flat, faces = _triangles(polygon)
-        pieces.append(piece(np.column_stack([flat, np.full(len(flat), lift_m)]), faces, material))
-    whole = join(pieces)
+        parts.append(mesh_part(np.column_stack([flat, np.full(len(flat), lift_m)]), faces, material))
+    whole = join(parts)
     whole.vertices[:, 2] += height(whole.vertices[:, :2])
     return whole
 
 
-def slab(shape: shapely.Geometry, height: Height, top_m: float, wall: str, top: str, depth_m: float = 0.0) -> Piece:
-    """Return polygons pulled up to a solid without a floor: kerbs, walls, blocks.
+def slab(shape: shapely.Geometry, height: Height, top_m: float, wall: str, top: str, depth_m: float = 0.0) -> MeshPart:
+    """Return extruded polygons without a floor: kerbs, walls, blocks.
 
     Args:
         shape: outline in the world, m.
@@ -184,7 +184,7 @@ def slab(shape: shapely.Geometry, height: Height, top_m: float, wall: str, top: 
         top: material of the upper face.
         depth_m: how far the sides reach below the road.
     """
-    pieces = [carpet(shape, height, top_m, top)]
+    parts = [carpet(shape, height, top_m, top)]
     for polygon in rings_of(shape):
         polygon = shapely.geometry.polygon.orient(polygon)
         for line in (polygon.exterior, *polygon.interiors):
@@ -196,8 +196,8 @@ def slab(shape: shapely.Geometry, height: Height, top_m: float, wall: str, top: 
             )
             faces = _band(k, k + 1, k + len(around), k + 1 + len(around))
             # Outlines run with the inside on their left, so the right of the way is outside.
-            pieces.append(piece(vertices, np.concatenate(faces)[:, ::-1], wall))
-    return join(pieces)
+            parts.append(mesh_part(vertices, np.concatenate(faces)[:, ::-1], wall))
+    return join(parts)
 
 
 def _triangles(polygon: shapely.Polygon) -> tuple[Array, NDArray[np.int64]]:

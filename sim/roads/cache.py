@@ -1,4 +1,4 @@
-"""The folder of everything that is made or fetched once."""
+"""Cache folder of generated and fetched files."""
 
 import hashlib
 import json
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def cache_folder() -> Path:
-    """Return the folder: $DSRC_CACHE, else dsrc-testbed in the user's cache."""
+    """Return the cache folder: $DSRC_CACHE, else dsrc-testbed in the user's cache."""
     base = os.environ.get("DSRC_CACHE")
     if base:
         return Path(base)
@@ -18,14 +18,14 @@ def cache_folder() -> Path:
 
 
 def cached(kind: str, name: str, ending: str, key: object, make: Callable[[Path], None]) -> Path:
-    """Return a file or folder of the cache, made once per key; other processes may make it at the same time.
+    """Return a cached file or folder, made once per key; safe with other processes.
 
     Args:
-        kind: folder of the cache.
-        name: begins the name of the file.
-        ending: of its name.
-        key: everything that its content depends on, but for the version of eclipse-sumo, which is added.
-        make: makes it at the path that it is given.
+        kind: subfolder of the cache.
+        name: prefix of the file name.
+        ending: suffix of the file name.
+        key: everything that the content depends on; the version of eclipse-sumo is added.
+        make: creates the file or folder at a given path.
     """
     digest = hashlib.sha256(json.dumps([key, version("eclipse-sumo")]).encode()).hexdigest()[:16]
     folder = cache_folder() / kind

@@ -1,4 +1,4 @@
-"""A user's map as a SUMO network and a file of polygons: what netconvert and polyconvert of eclipse-sumo make of it."""
+"""Map conversion by netconvert and polyconvert: a SUMO network and its polygons."""
 
 import bz2
 import gzip
@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from sim.errors import ScenarioError, complaint
+from sim.errors import ScenarioError, complaint, unreadable
 from sim.roads import kerbside, rounding
 from sim.roads.pbf import pbf_to_xml
 from sim.roads.tools import Option, drop_header, run_tool, sumo_home
 
-KINDS = (".net.xml", ".net.xml.gz", ".osm", ".osm.xml", ".osm.gz", ".osm.bz2", ".osm.pbf", ".pbf", ".xodr")
-"""Endings of files that can be converted."""
+MAP_SUFFIXES = (".net.xml", ".net.xml.gz", ".osm", ".osm.xml", ".osm.gz", ".osm.bz2", ".osm.pbf", ".pbf", ".xodr")
+"""File name suffixes of convertible maps."""
 
 ROUND: dict[str, Option] = {
     "junctions.internal-link-detail": 20,
@@ -25,7 +25,7 @@ ROUND: dict[str, Option] = {
     "offset.disable-normalization": True,
     "no-warnings": True,
 }
-"""How the junctions of a network are built: smooth lanes, on which nobody feels more than 3.5 m/s2."""
+"""Junction options of netconvert: smooth lanes, with at most 3.5 m/s2 of lateral acceleration."""
 
 _FROM_OSM: dict[str, Option] = ROUND | {
     "offset.disable-normalization": False,
@@ -40,7 +40,7 @@ _FROM_OSM: dict[str, Option] = ROUND | {
     "tls.join": True,
     "keep-edges.by-vclass": "passenger",
     "remove-edges.isolated": True,
-    # Quiet streets keep the place beside them for parked cars.
+    # Quiet streets keep the space beside them for parked cars.
     "sidewalks.guess": True,
     "sidewalks.guess.min-speed": 8.5,
     "crossings.guess": True,
@@ -51,11 +51,11 @@ _OSM_TYPES = ("osmNetconvert", "osmNetconvertUrbanDe", "osmNetconvertPedestrians
 _OPENDRIVE_TYPES = ("opendriveNetconvert", "opendriveNetconvertPedestrians", "opendriveNetconvertBicycle")
 
 _THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.street_lamp", "man_made.utility_pole")
-"""What is taken from a map beside its roads, by key or by key and value of its tags."""
+"""Roadside objects taken from a map, by tag key or by key and value."""
 
 _CODE = (__file__, rounding.__file__, kerbside.__file__)
 CONVERSION = hashlib.sha256(b"".join(Path(file).read_bytes() for file in _CODE)).hexdigest()
-"""Changes with the code that converts, so that files which it made otherwise are not taken from the cache."""
+"""Version of the conversion, part of the cache key: bump it with the code."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class ConvertedMap:
 
     Attributes:
         net: the .net.xml.
-        polygons: the .poly.xml with buildings and what else stands there; None when the map has none.
+        polygons: the .poly.xml with buildings and other objects; None when the map has none.
     """
 
     net: Path
@@ -72,37 +72,37 @@ class ConvertedMap:
 
     @classmethod
     def of(cls, folder: Path) -> Self:
-        """Return what `convert_map` wrote into a folder."""
+        """Return the files that `convert_map` wrote into a folder."""
         polygons = folder / "map.poly.xml"
         return cls(folder / "map.net.xml", polygons if polygons.is_file() else None)
 
 
 def map_kind(path: Path) -> str:
-    """Return which of `KINDS` a file is by its name.
+    """Return the one of `MAP_SUFFIXES` that a file name ends in.
 
     Raises:
-        ScenarioError: it is none of them.
+        ScenarioError: the suffix is unknown.
     """
-    found = [kind for kind in KINDS if path.name.lower().endswith(kind)]
+    found = [kind for kind in MAP_SUFFIXES if path.name.lower().endswith(kind)]
     if not found:
-        raise ScenarioError(complaint(path, "map", f"a name that ends in {', '.join(KINDS)}", path.name))
+        raise ScenarioError(complaint(path, "map", f"a name that ends in {', '.join(MAP_SUFFIXES)}", path.name))
     return max(found, key=len)
 
 
 def is_network(path: Path) -> bool:
-    """Whether a file is a SUMO network by its name."""
+    """Return whether the name of a file is that of a SUMO network."""
     return map_kind(path).startswith(".net.xml")
 
 
 def convert_map(source: Path, folder: Path) -> ConvertedMap:
-    """Convert a map into `map.net.xml` and, where it knows what stands beside the roads, `map.poly.xml`.
+    """Convert a map to `map.net.xml` and, if it has roadside objects, `map.poly.xml`.
 
     Args:
         source: a SUMO network, an OpenStreetMap extract or an OpenDRIVE file.
-        folder: where to write.
+        folder: output folder.
 
     Raises:
-        ScenarioError: the file is missing, of no known kind, or netconvert refuses it.
+        ScenarioError: the file is missing, of an unknown format, or refused by netconvert.
     """
     kind = map_kind(source)
     if not source.is_file():
@@ -130,12 +130,12 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
 
 
 def _type_maps(*names: str) -> str:
-    """Return the files of SUMO that tell what a kind of road or lane is for."""
+    """Return SUMO's type files of road and lane classes."""
     return ",".join(str(sumo_home() / "data" / "typemap" / f"{name}.typ.xml") for name in names)
 
 
 def _plain_osm(source: Path, kind: str, work: Path) -> Path:
-    """Return an extract as plain XML, the only form that SUMO's programs read."""
+    """Return an extract as plain XML, the only format that SUMO's programs read."""
     if kind in (".osm", ".osm.xml"):
         return source
     target = work / "map.osm"
@@ -146,12 +146,12 @@ def _plain_osm(source: Path, kind: str, work: Path) -> Path:
         with (gzip if kind.endswith(".gz") else bz2).open(source) as packed, target.open("wb") as plain:
             shutil.copyfileobj(packed, plain)
     except (OSError, EOFError, zlib.error) as error:
-        raise ScenarioError(f"{source}: not a readable {kind} file: {' '.join(str(error).split())}") from None
+        raise ScenarioError(unreadable(source, f"{kind} file", error)) from None
     return target
 
 
 def _has_heights(osm: Path) -> bool:
-    """Whether most nodes have a height: where few have one, roads would jump up to it and down again."""
+    """Return whether most nodes have a height: with few, roads would jump up to them and down again."""
     text = osm.read_bytes()
     return text.count(b'k="ele"') > 0.5 * text.count(b"<node ") > 0
 

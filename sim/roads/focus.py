@@ -1,4 +1,4 @@
-"""Where in a network something happens: the junction that most traffic meets at, and the area around it."""
+"""Busiest junction of a network, and the area around it."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,23 +8,23 @@ from shapely.geometry import LineString, Point
 from shapely.ops import unary_union
 
 HALF_M = 150.0
-"""Half the side of an area that is cut out around a junction."""
+"""Half the side of the area around a junction, m."""
 
 _NEAR_M = 120.0
 _CAR = "passenger"
 
 
 @dataclass(frozen=True, slots=True)
-class Focus:
-    """A junction and its surroundings.
+class JunctionArea:
+    """Junction and the area around it.
 
     Attributes:
-        xy: its place, m.
+        xy: position of the junction, m.
         area_m: (x_min, y_min, x_max, y_max) around it, m.
         lanes_km: lanes for cars in the area, km.
-        junctions: that have three or more streets in the area.
-        signals: of these those with traffic lights.
-        walk, cycle: there are footways and lanes for bicycles.
+        junctions: number of junctions of three or more streets in the area.
+        signals: number of those with traffic lights.
+        walk, cycle: whether there are footways and bicycle lanes.
     """
 
     xy: tuple[float, float]
@@ -36,8 +36,8 @@ class Focus:
     cycle: bool
 
 
-def densest_junction(net: Any) -> Focus | None:
-    """Return the junction with the most lanes for cars around it, lights preferred; None when no car can drive.
+def densest_junction(net: Any) -> JunctionArea | None:
+    """Return the junction with the most car lanes around it, signalised ones preferred; None without car lanes.
 
     Args:
         net: `sumolib.net.Net`.
@@ -50,7 +50,7 @@ def densest_junction(net: Any) -> Focus | None:
     weight = np.array([_weight(node) for node in nodes.values()])
     near = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) < _NEAR_M
     score = weight + 0.3 * near @ weight
-    # A junction at the border of the map has streets that end at once.
+    # Streets of a junction at the border of the map end at once.
     x_min, y_min, x_max, y_max = net.getBoundary()
     rim = np.minimum.reduce([xy[:, 0] - x_min, x_max - xy[:, 0], xy[:, 1] - y_min, y_max - xy[:, 1]])
     score *= np.clip(rim / HALF_M, 0.2, 1.0)
@@ -58,8 +58,8 @@ def densest_junction(net: Any) -> Focus | None:
     return around(net, (float(xy[best, 0]), float(xy[best, 1])))
 
 
-def around(net: Any, xy: tuple[float, float], half_m: float = HALF_M) -> Focus:
-    """Return what is within a square around a place, no larger than the network."""
+def around(net: Any, xy: tuple[float, float], half_m: float = HALF_M) -> JunctionArea:
+    """Return the area of a square around a position, clipped to the network."""
     low_x, low_y, high_x, high_y = net.getBoundary()
     area = (
         round(max(xy[0] - half_m, low_x), 1), round(max(xy[1] - half_m, low_y), 1),
@@ -73,7 +73,7 @@ def around(net: Any, xy: tuple[float, float], half_m: float = HALF_M) -> Focus:
     lanes = [lane for edge in edges for lane in edge.getLanes()]
     nodes = [node for node in net.getNodes() if inside(node.getCoord()) and _weight(node) > 0]
     length = sum(LineString([p[:2] for p in lane.getShape()]).length for lane in lanes if lane.allows(_CAR))
-    return Focus(
+    return JunctionArea(
         xy=(round(xy[0], 1), round(xy[1], 1)),
         area_m=area,
         lanes_km=length / 1000.0,
@@ -85,7 +85,7 @@ def around(net: Any, xy: tuple[float, float], half_m: float = HALF_M) -> Focus:
 
 
 def _weight(node: Any) -> float:
-    """Return how much meets at a junction: its lanes for cars, times the streets that they come from beyond one."""
+    """Return the traffic weight of a junction: its car lanes by speed, 0 with fewer than three streets."""
     incoming = [edge for edge in node.getIncoming() if edge.allows(_CAR)]
     streets = {edge.getFromNode().getID() for edge in incoming}
     streets |= {edge.getToNode().getID() for edge in node.getOutgoing() if edge.allows(_CAR)}
@@ -96,10 +96,7 @@ def _weight(node: Any) -> float:
 
 
 def beside_junction(net: Any, xy: tuple[float, float]) -> tuple[float, float, float] | None:
-    """Return x, y and the heading in degrees of a roadside unit that looks at a junction from beside its lanes.
-
-    None where the lanes leave no room within 35 m.
-    """
+    """Return x, y and heading in degrees of a roadside unit facing a junction; None without room within 35 m."""
     lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes() if len(lane.getShape()) > 1]
     lines = [(LineString([p[:2] for p in lane.getShape()]), 0.5 * lane.getWidth()) for lane in lanes]
     cover = unary_union([line.buffer(half) for line, half in lines if line.distance(Point(xy)) < 80.0])

@@ -1,4 +1,4 @@
-"""Room for parked cars: footways that keep away from the carriageway between junctions, as kerbs do where cars park."""
+"""Parking bays: footways moved away from the carriageway between junctions to make room."""
 
 import re
 from pathlib import Path
@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from sim.geometry import Array
 from sim.roads.polygons import has_buildings, read_outlines
-from sim.roads.rounding import Array, line_of, text_of
+from sim.roads.rounding import line_of, text_of
 
 ROOM_M = 2.5
-"""How far a footway moves away from the carriageway."""
+"""Shift of a footway away from the carriageway, m."""
 
 _STAY_M, _SHIFT_M = 7.0, 5.0
-"""A footway stays where it is so close to its ends, and takes so long to move aside."""
+"""Unshifted length at each end of a footway, and length of the transition, m."""
 
 _LEAST_M = 45.0
 _CAR_LANES = 2
@@ -25,7 +26,7 @@ _ATTRIBUTE = re.compile(r' (\w+)="([^"]*)"')
 def with_room_to_park(text: str, houses: list[shapely.Geometry]) -> str:
     """Return the text of a .net.xml whose footways make room for parked cars on streets of at most 50 km/h.
 
-    Ends of footways stay, so that crossings still meet them; nothing moves into a house or another street.
+    Ends of footways stay, so that crossings still meet them; no footway moves into a house or another street.
 
     Args:
         text: of the network.
@@ -40,7 +41,7 @@ def with_room_to_park(text: str, houses: list[shapely.Geometry]) -> str:
     for lanes in streets.values():
         line = _aside(lanes)
         if line is not None:
-            # Where it stays it touches the lane beside it.
+            # Unshifted, it touches the lane beside it.
             free = _band(lanes[0] | {"shape": text_of(line)}).buffer(-0.2)
             if not len(tree.query(free, predicate="intersects")):
                 moved[lanes[0]["id"]] = text_of(line)
@@ -58,7 +59,7 @@ def _band(lane: dict[str, str]) -> shapely.Polygon:
 
 
 def _aside(lanes: list[dict[str, str]]) -> Array | None:
-    """Return the line of a footway moved aside; None where the street is not one for parking."""
+    """Return the shifted line of a footway; None on streets without parking."""
     foot, beside = lanes[0], lanes[1] if len(lanes) > 1 else {}
     if foot.get("allow") != "pedestrian" or "passenger" in beside.get("disallow", "").split():
         return None
@@ -82,7 +83,7 @@ def _aside(lanes: list[dict[str, str]]) -> Array | None:
 
 
 def houses_of(polygons: Path | None) -> list[shapely.Geometry]:
-    """Return the outlines of the buildings of a .poly.xml file; none without one."""
+    """Return the building outlines of a .poly.xml file; empty without a file."""
     if polygons is None or not has_buildings(polygons):
         return []
     return [outline.shape for outline in read_outlines(polygons)]

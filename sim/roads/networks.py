@@ -1,4 +1,4 @@
-"""Road networks: those inside eclipse-sumo or another package, made by netgenerate, or a user's own file."""
+"""Road networks: shipped with eclipse-sumo or another package, generated, or a user's file."""
 
 import hashlib
 import os
@@ -6,7 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from sim.errors import ScenarioError, complaint
+from sim.errors import ScenarioError, complaint, unreadable
 from sim.roads.cache import cached
 from sim.roads.convert import CONVERSION, ConvertedMap, convert_map, is_network
 from sim.roads.tools import Option, drop_header, run_tool, sumo_tools
@@ -15,20 +15,20 @@ from sim.scenario import Scenario
 
 
 def names_network(scenario: Scenario) -> bool:
-    """Return whether a scenario names a network of SUMO's; an encounter may bring roads of its own instead."""
+    """Return whether a scenario names a SUMO network; an encounter may have its own roads instead."""
     network = scenario.network
     return bool(network.shipped or network.generate or network.file or network.wheel)
 
 
 def resolve_network(scenario: Scenario, seed: int) -> Path:
-    """Return the .net.xml(.gz) file of a scenario, making it in the cache when it is not there yet.
+    """Return the .net.xml(.gz) file of a scenario, made in the cache if missing.
 
     Args:
         scenario: names the network.
-        seed: for the random options of netgenerate; real networks do not depend on it.
+        seed: of netgenerate's random options; real networks do not depend on it.
 
     Raises:
-        ScenarioError: the scenario names no network, its file is missing, or netgenerate or netconvert refuses it.
+        ScenarioError: the scenario names no network, its file is missing, or netgenerate or netconvert fails.
     """
     network = scenario.network
     if not names_network(scenario):
@@ -45,10 +45,10 @@ def resolve_network(scenario: Scenario, seed: int) -> Path:
 
 
 def resolve_polygons(scenario: Scenario) -> Path | None:
-    """Return the .poly.xml file of a scenario, making it in the cache when it is not there yet; None without one.
+    """Return the .poly.xml file of a scenario, made in the cache if missing; None without polygons.
 
     Raises:
-        ScenarioError: a map of which it is to be made is missing or cannot be converted.
+        ScenarioError: its map is missing or cannot be converted.
     """
     network = scenario.network
     if network.polygons:
@@ -60,7 +60,7 @@ def resolve_polygons(scenario: Scenario) -> Path | None:
 
 
 def read_network(path: Path | str) -> Any:
-    """Read a network with its internal (junction) lanes; the last few are kept in memory.
+    """Read a network with its internal (junction) lanes; recent ones are cached in memory.
 
     Returns:
         `sumolib.net.Net`; coordinates are SUMO's, which are ours: x east, y north, m.
@@ -78,7 +78,7 @@ def _read(path: str, _changed_ns: int) -> Any:
     try:
         net = sumolib.net.readNet(path, withInternal=True)
     except Exception as error:  # sumolib passes on whatever its XML reader raises
-        raise ScenarioError(f"{path}: not a readable SUMO network: {' '.join(str(error).split())}") from None
+        raise ScenarioError(unreadable(path, "SUMO network", error)) from None
     if not net.getEdges():
         raise ScenarioError(complaint(path, "network", "at least one edge", "none"))
     return net
@@ -105,7 +105,7 @@ def resolve_trips(scenario: Scenario) -> Path:
 
 
 def _converted(path: Path) -> ConvertedMap:
-    """Convert a map, or build the junctions of a network anew, once."""
+    """Return a converted map, or a network with rebuilt junctions, from the cache."""
 
     def make(made: Path) -> None:
         made.mkdir()

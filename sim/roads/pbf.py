@@ -1,4 +1,4 @@
-"""OpenStreetMap's binary files (.osm.pbf) as its XML, which netconvert and polyconvert read.
+"""OpenStreetMap binary files (.osm.pbf), converted to OSM XML for netconvert and polyconvert.
 
 Format: https://wiki.openstreetmap.org/wiki/PBF_Format
 """
@@ -12,20 +12,20 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import ScenarioError
+from sim.errors import ScenarioError, unreadable
 
 _MEMBER = ("node", "way", "relation")
 _NANODEGREE = 1e-9
 
 Fields = dict[int, list]
-"""Number of a field -> its values in their order: int, or bytes of what is longer."""
+"""Fields of a message: field number -> values in order, int or bytes."""
 
 
 def pbf_to_xml(source: Path, target: Path) -> None:
     """Write the nodes, ways and relations of a .osm.pbf file as OSM XML.
 
     Raises:
-        ScenarioError: the file is missing, cut short or of another kind.
+        ScenarioError: the file is missing, truncated or of another format.
     """
     try:
         data = source.read_bytes()
@@ -34,7 +34,7 @@ def pbf_to_xml(source: Path, target: Path) -> None:
         if not lines:
             raise ValueError("it holds no nodes")
     except (OSError, struct.error, zlib.error, ValueError, IndexError, KeyError) as error:
-        raise ScenarioError(f"{source}: not a readable .osm.pbf file: {' '.join(str(error).split())}") from None
+        raise ScenarioError(unreadable(source, ".osm.pbf file", error)) from None
     head = '<?xml version="1.0" encoding="UTF-8"?>\n<osm version="0.6">\n'
     target.write_text(head + "".join(lines) + "</osm>\n", encoding="utf-8")
 
@@ -57,7 +57,7 @@ def _blobs(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _fields(data: bytes) -> Fields:
-    """Split a message of protocol buffers."""
+    """Return the fields of a protocol buffers message."""
     found: Fields = {}
     at = 0
     while at < len(data):
@@ -90,7 +90,7 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
 
 
 def _packed(fields: Fields, number: int) -> NDArray[np.int64]:
-    """Return the (N,) unsigned numbers of a packed field."""
+    """Return the (N,) unsigned integers of a packed field."""
     raw = np.frombuffer(b"".join(fields.get(number, [])), np.uint8)
     last = raw < 0x80
     first = np.concatenate([[True], last[:-1]])[: len(raw)]
@@ -109,7 +109,7 @@ def _deltas(fields: Fields, number: int) -> list[int]:
 
 
 def _block(data: bytes, element: int) -> Iterator[str]:
-    """Yield the XML of one kind of element of a block."""
+    """Yield the XML of one element type of a block."""
     block = _fields(data)
     strings = [quoteattr(text.decode("utf-8", "replace")) for text in _fields(block[1][0]).get(1, [])]
     granularity = block.get(17, [100])[0] * _NANODEGREE
@@ -161,4 +161,4 @@ def _tags(message: Fields, strings: list[str]) -> str:
 
 
 _ELEMENTS = {1: _node, 2: _dense, 3: _way, 4: _relation}
-"""Readers by the number of the element in its group; XML wants them in this order."""
+"""Element readers by field number of the group, in the order that XML requires."""

@@ -1,4 +1,4 @@
-"""Building outlines of .poly.xml files, as SUMO's polyconvert takes them from OpenStreetMap."""
+"""Building outlines of .poly.xml files, as written by SUMO's polyconvert."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -9,23 +9,23 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from sim.errors import ScenarioError, complaint
+from sim.errors import ScenarioError, complaint, unreadable
 from sim.mesh.solids import rings_of
 
 STOREY_M = 3.0
-"""Height of a storey."""
+"""Height of a storey, m."""
 
 _BELIEVED_M = (2.0, 400.0)
-"""Heights outside of these are mistakes of the map."""
+"""Plausible range of heights, m; others are errors of the map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outline:
-    """One building of a .poly.xml file.
+class BuildingOutline:
+    """Building of a .poly.xml file.
 
     Attributes:
         shape: valid polygon or polygons in the coordinates of the network, m.
-        height_m: as the file tells it, m; None when it does not.
+        height_m: m; None where the file does not give it.
     """
 
     shape: shapely.Geometry
@@ -33,7 +33,7 @@ class Outline:
 
 
 def has_buildings(path: Path) -> bool:
-    """Whether a .poly.xml file has any building; a map may have only trees.
+    """Return whether a .poly.xml file has any building; a map may have only trees.
 
     Raises:
         ScenarioError: the file is missing or not text.
@@ -41,22 +41,22 @@ def has_buildings(path: Path) -> bool:
     try:
         return ' type="building' in path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: not a readable .poly.xml file: {' '.join(str(error).split())}") from None
+        raise ScenarioError(unreadable(path, ".poly.xml file", error)) from None
 
 
-def read_outlines(path: Path) -> list[Outline]:
+def read_outlines(path: Path) -> list[BuildingOutline]:
     """Read the buildings of a .poly.xml file: polygons whose type begins with `building`.
 
     Roofs on posts (`building.roof`) have no walls and are left out, as are polygons without an area. Crossing outlines
     are repaired.
 
     Raises:
-        ScenarioError: the file is missing, not of this kind or holds no building.
+        ScenarioError: the file is missing, of another format or without buildings.
     """
     try:
         root = ET.fromstring(path.read_bytes())
     except (OSError, ET.ParseError, ValueError, LookupError) as error:
-        raise ScenarioError(f"{path}: not a readable .poly.xml file: {' '.join(str(error).split())}") from None
+        raise ScenarioError(unreadable(path, ".poly.xml file", error)) from None
     outlines = []
     for poly in root.iter("poly"):
         kind = poly.get("type", "")
@@ -68,7 +68,7 @@ def read_outlines(path: Path) -> list[Outline]:
             raise ScenarioError(complaint(path, f"poly '{poly.get('id')}': geo", expected, "degrees"))
         shape = _valid(_corners(path, poly))
         if not shape.is_empty:
-            outlines.append(Outline(shape, _height(poly)))
+            outlines.append(BuildingOutline(shape, _height(poly)))
     if not outlines:
         raise ScenarioError(complaint(path, "poly", "at least one with a type that begins with 'building'", "none"))
     return outlines
@@ -88,14 +88,14 @@ def _corners(path: Path, poly: ET.Element) -> NDArray[np.float64]:
 
 
 def _valid(corners: NDArray[np.float64]) -> shapely.Geometry:
-    """Return the area within (K, 2) corners as valid polygons; empty when there is none."""
+    """Return the area within (K, 2) corners as valid polygons; may be empty."""
     if len(corners) < 3:
         return shapely.Polygon()
     return shapely.union_all(rings_of(shapely.make_valid(shapely.Polygon(corners))))
 
 
 def _height(poly: ET.Element) -> float | None:
-    """Return the height of a building from its parameters, m; None when they do not tell a likely one."""
+    """Return the height of a building from its parameters, m; None without a plausible value."""
     given = {param.get("key", ""): param.get("value", "") for param in poly.iter("param")}
     for key, unit_m in (("height", 1.0), ("building:levels", STOREY_M)):
         try:

@@ -1,33 +1,32 @@
-"""Round bends and slow turns: SUMO turns a vehicle at once where the middle line of its lane has a corner."""
+"""Rounding of lane corners, where SUMO would turn vehicles on the spot, and turning speeds."""
 
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sim.geometry import Array
 
 REACH_M = 5.0
-"""A corner is rounded from so far before it to so far behind it, less where the next corner is nearer."""
+"""Rounding distance before and after a corner, m; less where the next corner is nearer."""
 
 TURN_RADPS = 1.4
-"""Nobody turns faster than this: junctions whose lanes ask for more are driven through more slowly."""
+"""Highest yaw rate, rad/s: tighter junction lanes get a lower speed."""
 
 _BODY_M = 4.0
-"""A car turns about as much as its lane does over its own length."""
+"""Length over which the turn of a lane is measured, m: that of a car."""
 
 _STEPS = 6
 _NEVER_HALF = 0.48
 _SLOWEST_MPS = 3.0
 _SHORT_M = 150.0
-"""A street that is not longer gets the speed of its narrowest bend, a longer one keeps its own."""
+"""Longest street that gets the speed of its tightest bend, m; longer ones keep their limit."""
 
 _LANE = re.compile(r'<lane id="([^"]+)"[^>]*? speed="([^"]+)" length="([^"]+)"[^>]*? shape="([^"]*)"')
 _LINK = re.compile(r'<connection from="([^"]+)" to="([^"]+)" fromLane="(\d+)" toLane="(\d+)"[^>]*? via="([^"]+)"')
 
 
 def rounded_network(text: str) -> str:
-    """Return the text of a .net.xml with round bends, and with speeds at which they can be driven.
+    """Return the text of a .net.xml with rounded bends, and speeds at which they can be driven.
 
     The first and last corner of a lane stay where they are, so that it still meets its neighbours; the lanes within
     junctions, which netconvert has made round, keep their shapes.
@@ -54,7 +53,7 @@ def rounded_network(text: str) -> str:
 
 
 def rounded(line: Array) -> Array:
-    """Replace the inner corners of a (K, 2) or (K, 3) line by parabolas that touch both of its legs."""
+    """Replace the inner corners of a (K, 2) or (K, 3) line by parabolas tangent to both legs."""
     length = np.hypot(*np.diff(line[:, :2], axis=0).T)
     share = np.linspace(0.0, 1.0, _STEPS + 1)[:, None]
     parts = [line[:1]]
@@ -78,7 +77,7 @@ def line_of(shape: str) -> Array:
 
 
 def text_of(line: Array) -> str:
-    """Return corners as the shape of a lane."""
+    """Return the shape attribute of lane corners."""
     return " ".join(",".join(f"{value:.3f}" for value in corner) for corner in line.tolist())
 
 
@@ -87,14 +86,14 @@ def _length(line: Array) -> float:
 
 
 def _tail(line: Array) -> Array:
-    """Return the last metres of a line, (K, 2), as far as a body reaches."""
+    """Return the last metres of a line, (K, 2), over the length of a body."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
     at = np.unique(np.concatenate([[max(along[-1] - _BODY_M, 0.0)], along[along > along[-1] - _BODY_M]]))
     return np.column_stack([np.interp(at, along, line[:, k]) for k in (0, 1)])
 
 
 def _limit(line: Array) -> float:
-    """Return the speed at which nobody on a line turns faster than `TURN_RADPS`, m/s."""
+    """Return the highest speed on a line within `TURN_RADPS`, m/s."""
     way = np.diff(line[:, :2], axis=0)
     length = np.hypot(*way.T)
     way, length = way[length > 1e-3], length[length > 1e-3]

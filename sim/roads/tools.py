@@ -1,4 +1,4 @@
-"""The programs of eclipse-sumo that make networks and polygons."""
+"""Command-line tools of eclipse-sumo: netconvert, netgenerate, polyconvert."""
 
 import os
 import subprocess
@@ -37,17 +37,17 @@ def run_tool(name: str, options: Mapping[str, Option], made: Path, what: str) ->
     Args:
         name: of the program.
         options: long option -> value.
-        made: the file that must be there afterwards.
-        what: begins the message when it is not, such as the file that was to be converted.
+        made: expected output file.
+        what: begins the error message, such as the file to convert.
 
     Raises:
-        ScenarioError: the program refuses its input; the message holds what it said.
+        ScenarioError: the program fails; the message holds its output.
     """
     binary = sumo_home() / "bin" / (f"{name}.exe" if sys.platform == "win32" else name)
     arguments = [
         f"--{key}={str(value).lower() if isinstance(value, bool) else value}" for key, value in options.items()
     ]
-    # Without it the programs look for their projections elsewhere and complain.
+    # Without it the programs search for projections elsewhere and warn.
     places = {"PROJ_DATA": str(sumo_home() / "data" / "proj")}
     done = subprocess.run(
         [str(binary), *arguments], capture_output=True, text=True, check=False, env=os.environ | places
@@ -59,7 +59,7 @@ def run_tool(name: str, options: Mapping[str, Option], made: Path, what: str) ->
 
 
 def drop_header(path: Path) -> None:
-    """Take the comment with the date and the paths of the run out of a made file: its bytes depend on options only."""
+    """Remove the comment with date and paths from a made file: its bytes depend on options only."""
     text = path.read_text(encoding="utf-8")
     start, end = text.find("<!--"), text.find("-->")
     if 0 <= start < end:

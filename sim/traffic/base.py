@@ -1,7 +1,7 @@
-"""The Traffic protocol and the table of actors that every backend yields."""
+"""Traffic protocols, and the table of actors that every backend yields."""
 
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,35 +10,35 @@ from sim.boxes import Boxes
 from sim.geometry import pose_matrix
 
 SIGNALS = {"right indicator": 1, "left indicator": 2, "hazard lights": 4, "brake light": 8}
-"""Bits of `Actors.signals` by what is lit; SUMO sets others that nobody here reads."""
+"""Vehicle lights by name: bits of `Actors.signals`. SUMO sets others, which are not used."""
 
 PARKED = "parked"
-"""Names of actors that stand for the whole drive and never move begin so."""
+"""Name prefix of parked cars, which stand for the whole drive."""
 
 POSITION_M, ANGLE_RAD, VELOCITY_MPS, ACCELERATION_MPS2, TIME_S = 1e-3, 1e-5, 1e-3, 1e-2, 1e-6
-"""Steps to which traffic is rounded when it is recorded, so that a log of whole numbers replays it bit for bit."""
+"""Resolution of recorded traffic: a log of whole numbers replays it bit for bit."""
 
 
 def lit(signals: int) -> tuple[str, ...]:
-    """Return the names of what is lit, in the order of `SIGNALS`."""
+    """Return the names of the lights that are on, in the order of `SIGNALS`."""
     return tuple(name for name, bit in SIGNALS.items() if signals & bit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actors:
-    """All actors at one instant, world frame, rows sorted by object id.
+    """Road users at one instant, world frame, rows sorted by object id.
 
     Attributes:
         time_s: simulation time, s.
         boxes: N boxes (geometric centre); label, object id (>= 1000) and size included.
         pitch: (N,) float64 rad, positive lowers the front; boxes ignore it, bodies and sensors do not.
         velocity: (N, 2) float64 m/s in the world, from the motion of the box centre.
-        acceleration: (N, 2) float64 m/s2 in the world, the change of `velocity` since the step before; zero for who has
-            just appeared.
+        acceleration: (N, 2) float64 m/s2 in the world, the change of `velocity` since the step before; zero in the
+            first step of an actor.
         model: (N,) names of body meshes, see `sim.bodies.choice`.
         name: (N,) names in the traffic simulation.
-        signals: (N,) int32 bits of `SIGNALS`, as SUMO has them.
-        lane: (N,) names of the lanes in the road network, "" off the road and for people who walk on none.
+        signals: (N,) int32 bits of `SIGNALS`, as in SUMO.
+        lane: (N,) ids of lanes in the road network, "" off the lanes.
     """
 
     time_s: float
@@ -61,18 +61,18 @@ class Actors:
         return pose_matrix(base, self.boxes.yaw, self.pitch)
 
     def row(self, object_id: int) -> int:
-        """Return the row of an object; KeyError when it is not on the road."""
+        """Return the row of an object; KeyError for an object that is not on the road."""
         row = int(np.searchsorted(self.boxes.object_id, object_id))
         if row == len(self) or self.boxes.object_id[row] != object_id:
             raise KeyError(object_id)
         return row
 
     def parked(self) -> NDArray[np.bool_]:
-        """Return (N,) which actors stand parked for the whole drive."""
+        """Return the (N,) mask of parked cars."""
         return np.array([name.startswith(PARKED) for name in self.name], bool)
 
     def joined(self, later: "Actors") -> "Actors":
-        """Return these actors followed by others, whose ids are all higher, at the others' time."""
+        """Return these actors and later ones, whose ids are all higher, at the time of the later ones."""
         ours, theirs = self.boxes, later.boxes
         return Actors(
             time_s=later.time_s,
@@ -93,7 +93,7 @@ class Actors:
         )
 
     def rounded(self) -> Self:
-        """Return the actors in whole steps of `POSITION_M` and the like; rounding again changes no bit.
+        """Return the actors rounded to the recorded resolution (`POSITION_M` etc.); idempotent.
 
         Raises:
             ValueError: a value is not finite.
@@ -115,24 +115,24 @@ class Actors:
 
 
 def snapped(values: NDArray[np.float64] | np.float64, step: float) -> NDArray[np.float64]:
-    """Round to whole steps; ValueError for values that are not finite."""
+    """Return values rounded to multiples of a step; ValueError for values that are not finite."""
     return from_steps(in_steps(values, step), step)
 
 
 def in_steps(values: NDArray[np.float64] | np.float64, step: float) -> NDArray[np.int64]:
-    """Return how many whole steps values are, rounded; ValueError for values that are not finite."""
+    """Return values as numbers of steps, rounded; ValueError for values that are not finite."""
     if not np.isfinite(values).all():
         raise ValueError("a position, angle, speed or acceleration in the traffic is not finite")
     return np.rint(np.asarray(values, np.float64) * round(1.0 / step)).astype(np.int64)
 
 
 def from_steps(count: NDArray[np.int64], step: float) -> NDArray[np.float64]:
-    """Return the values of whole steps: the float next to the decimal number."""
+    """Return the values of numbers of steps: the float nearest to the decimal number."""
     return count / np.float64(round(1.0 / step))
 
 
 class Traffic(Protocol):
-    """A traffic backend: a context manager that moves all actors in steps of `step_s`."""
+    """Traffic backend: a context manager that moves all actors in steps of `step_s`."""
 
     step_s: float
 
@@ -142,7 +142,7 @@ class Traffic(Protocol):
         ...
 
     def step(self) -> Actors:
-        """Advance by `step_s` and return the actors then."""
+        """Advance by `step_s` and return the actors."""
         ...
 
     def close(self) -> None:
@@ -152,3 +152,79 @@ class Traffic(Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *exc: object) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of a vehicle where it is.
+
+    Attributes:
+        speed_mps: highest speed allowed there, m/s.
+        acceleration_mps2: strongest acceleration, m/s2.
+        deceleration_mps2: full brake, m/s2: the emergency deceleration of its type, the same in every backend.
+    """
+
+    speed_mps: float
+    acceleration_mps2: float
+    deceleration_mps2: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrafficLight:
+    """Traffic light ahead of a vehicle.
+
+    Attributes:
+        state: signal state.
+        distance_m: from the front bumper to the stop line, m.
+    """
+
+    state: Literal["red", "red and yellow", "yellow", "green", "off"]
+    distance_m: float
+
+
+class DrivableTraffic(Traffic, Protocol):
+    """Traffic whose vehicles can be driven from outside.
+
+    All methods raise KeyError for an object that is not on the road, and TrafficError for one that cannot be driven: a
+    pedestrian or a parked car.
+    """
+
+    def command(self, object_id: int, speed_mps: float | None) -> None:
+        """Drive a vehicle at this speed from the next step on, as far as its `limits` of acceleration allow.
+
+        It keeps its route and its lane; keeping distance and giving way are up to the caller.
+
+        Args:
+            object_id: a vehicle on the road.
+            speed_mps: m/s >= 0; None gives the vehicle back to its driver or script.
+
+        Raises:
+            ValueError: the speed is negative or not finite.
+        """
+        ...
+
+    def speed(self, object_id: int) -> float:
+        """Return the odometer reading of a vehicle: its speed along its lane, m/s."""
+        ...
+
+    def route(self, object_id: int, ahead_m: float) -> NDArray[np.float64]:
+        """Return the (K, 2) world polyline that a vehicle will follow, from its centre over the next `ahead_m` m."""
+        ...
+
+    def limits(self, object_id: int) -> Limits:
+        """Return the limits of speed and acceleration of a vehicle where it is."""
+        ...
+
+    def signals(self, object_id: int) -> tuple[TrafficLight, ...]:
+        """Return the traffic lights on the route of a vehicle, nearest first; empty where the backend has none."""
+        ...
+
+    def claims(self) -> dict[str, Actors]:
+        """Return the objects that helpers report now although they do not exist, by the name of the helper."""
+        ...
+
+
+def check_command(speed_mps: float | None) -> None:
+    """Raise ValueError unless a commanded speed is None, or finite and >= 0."""
+    if speed_mps is not None and not (np.isfinite(speed_mps) and speed_mps >= 0.0):
+        raise ValueError(f"speed_mps must be finite and >= 0, got {speed_mps}")

@@ -1,8 +1,8 @@
-"""The traffic log: all actors of a run in one file, from which the same run can be played back without SUMO.
+"""Traffic log: the actors of a run in one file, replayed without SUMO.
 
-The file holds whole numbers (`Actors.rounded`), object after object in order of time, each as the difference from what
-the numbers before it let expect: a position that its speed stays, a velocity what the positions give, an acceleration
-what the velocities give. What is left is small, and compresses to a few bytes per actor and step.
+The file holds whole numbers (`Actors.rounded`), object by object in order of time, as residuals of a prediction: a
+position at constant speed, a velocity from the positions, an acceleration from the velocities. The residuals are small
+and compress to a few bytes per actor and step.
 """
 
 from dataclasses import replace
@@ -32,18 +32,18 @@ VERSION = 3
 
 # Columns of the file: per object (in order of id), per lane (in order of name), per run of consecutive steps of one
 # object (in order of object, then step), and per actor and step (run after run), packed. Files of version 2 held
-# floating-point numbers step by step: such a drive is generated anew.
+# floating-point numbers step by step: such a drive has to be generated again.
 _OBJECTS = {"id": "i8", "label": "i8", "size": "i8", "name": "U", "model": "U"}
 _RUNS = {"object": "i8", "start": "i8", "length": "i8"}
 _ROWS = ("x", "y", "z", "yaw", "pitch", "vx", "vy", "ax", "ay", "signals", "lane")
 
 
 class TrafficLog:
-    """The actors of consecutive steps, rounded, to append to and to write, or read from a file.
+    """Rounded actors of consecutive steps, appended or read from a file.
 
     Args:
         step_s: time between two entries, s.
-        about: plain values that say what was simulated, kept in the file.
+        about: metadata of the simulation, stored in the file.
     """
 
     def __init__(self, step_s: float, about: dict | None = None) -> None:
@@ -59,7 +59,7 @@ class TrafficLog:
         return self._entries[index]
 
     def append(self, actors: Actors) -> None:
-        """Add the actors of the next step; what an object is must not change."""
+        """Add the actors of the next step; class, size, name and model of an object must not change."""
         actors = actors.rounded()
         boxes = actors.boxes
         for row, object_id in enumerate(boxes.object_id.tolist()):
@@ -69,7 +69,7 @@ class TrafficLog:
         self._entries.append(actors)
 
     def within(self, area: Area) -> Self:
-        """Return the log of those objects that are at least once inside (x_min, y_min, x_max, y_max), m."""
+        """Return the log of the objects that enter (x_min, y_min, x_max, y_max), m, at least once."""
         low, high = np.array(area[:2]), np.array(area[2:])
         inside = [
             a.boxes.object_id[((a.boxes.center[:, :2] >= low) & (a.boxes.center[:, :2] <= high)).all(axis=1)]
@@ -82,14 +82,14 @@ class TrafficLog:
         return log
 
     def save(self, path: Path | str) -> Path:
-        """Write the log as a .npz in one piece; equal logs give equal bytes."""
+        """Write the log as a .npz, atomically; equal logs give equal bytes."""
         path = Path(path)
         write_arrays(path, self._columns())
         return path
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
-        """Read a log.
+        """Read a log from a .npz.
 
         Raises:
             DataError: the file is missing, damaged or no traffic log.
@@ -167,7 +167,7 @@ def _rows_of(actors: Actors, rows: NDArray[np.int64]) -> Actors:
 
 
 def _folded(rows: dict[str, NDArray[np.int64]], length: NDArray[np.int64], step_s: float) -> dict[str, NDArray]:
-    """Return the packed columns: what is left of the rows when what can be expected is taken away."""
+    """Return the packed columns: residuals of the rows after prediction."""
     moved = {axis: _changes(rows[axis], length) for axis in "xy"}
     turned = {axis: _changes(rows[f"v{axis}"], length) for axis in "xy"}
     left = {
@@ -180,7 +180,7 @@ def _folded(rows: dict[str, NDArray[np.int64]], length: NDArray[np.int64], step_
 
 
 def _unfolded(columns: dict[str, NDArray]) -> dict[str, NDArray[np.int64]]:
-    """Return the rows again, and the object and step of each."""
+    """Return the rows of packed columns, with the object and step of each."""
     length, step_s = columns["run/length"], float(columns["step_s"])
     rows = {name: unpacked(columns[f"row/{name}"]) for name in _ROWS}
     for name in ("x", "y", "yaw"):
@@ -199,12 +199,12 @@ def _unfolded(columns: dict[str, NDArray]) -> dict[str, NDArray[np.int64]]:
 
 
 def _first(length: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where each run begins."""
+    """Return the first row of each run."""
     return np.cumsum(length) - length
 
 
 def _changes(values: NDArray[np.int64], length: NDArray[np.int64], keep: bool = False) -> NDArray[np.int64]:
-    """Return differences within each run; at its beginning 0, or the value itself to `keep` it."""
+    """Return differences within each run; its first is 0, or the value itself with `keep`."""
     change = np.diff(values, prepend=0)
     first = _first(length)
     change[first] = values[first] if keep else 0
@@ -212,24 +212,24 @@ def _changes(values: NDArray[np.int64], length: NDArray[np.int64], keep: bool = 
 
 
 def _sums(changes: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the values of which `_changes` with `keep` took the differences."""
+    """Return the values of differences, the inverse of `_changes` with `keep`."""
     total = np.cumsum(changes)
     first = _first(length)
     return total - np.repeat(total[first] - changes[first], length)
 
 
 def _speed(moved: NDArray[np.int64], step_s: float) -> NDArray[np.int64]:
-    """Return velocities, in their steps, of changes of position in theirs."""
+    """Return velocities of position changes, both in steps."""
     return np.rint(moved * (POSITION_M / VELOCITY_MPS / step_s)).astype(np.int64)
 
 
 def _gain(turned: NDArray[np.int64], step_s: float) -> NDArray[np.int64]:
-    """Return accelerations, in their steps, of changes of velocity in theirs."""
+    """Return accelerations of velocity changes, both in steps."""
     return np.rint(turned * (VELOCITY_MPS / ACCELERATION_MPS2 / step_s)).astype(np.int64)
 
 
 def read_log_columns(path: Path) -> dict[str, NDArray]:
-    """Read the arrays of a log and refuse those that do not fit together; see `TrafficLog.load`."""
+    """Read and check the arrays of a log, see `TrafficLog.load`."""
     columns = read_arrays(path, "traffic log")
     if int(columns.get("version", np.array(-1))) != VERSION:
         found = columns.get("version", "none")

@@ -1,18 +1,18 @@
-"""Which backend moves the traffic of a scenario."""
+"""Traffic backend of a scenario: script, highway-env or SUMO."""
 
 from sim.scenario import Scenario
-from sim.traffic.base import Traffic
+from sim.traffic.base import DrivableTraffic
 
 
-def open_traffic(scenario: Scenario, seed: int) -> Traffic:
-    """Start the traffic of a scenario: its script when it is a conflict, highway-env on its roads, else SUMO.
+def open_traffic(scenario: Scenario, seed: int) -> DrivableTraffic:
+    """Start the traffic of a scenario: the script of an encounter, highway-env on its roads, else SUMO.
 
     Args:
-        scenario: what to simulate.
-        seed: of everything random; equal seeds give equal actors in every process.
+        scenario: scenario to simulate.
+        seed: root seed; equal seeds give equal actors in every process.
 
     Raises:
-        ScenarioError: network, demand or conflict cannot be made.
+        ScenarioError: network, demand or encounter is invalid.
         TrafficError: the backend cannot run.
     """
     if scenario.conflict is not None:

@@ -1,45 +1,42 @@
-"""Parked cars: seeded, at the kerbs of streets where there is room for a bay between the lane and what is beside it."""
+"""Parked cars in bays at the kerb, seeded."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
-from sim.geometry import wrap_angle
+from sim.geometry import Array, wrap_angle
 from sim.roads.kerbside import houses_of
 from sim.roads.networks import resolve_polygons
 from sim.scenario import Scenario
+from sim.streams import Stream, random_generator
 from sim.vehicle_types import TYPES, VehicleType
 
-Array = NDArray[np.float64]
-
 NEAR_M = 120.0
-"""Cars are parked so far around `network.area_m`."""
+"""Margin around `network.area_m` within which cars are parked, m."""
 
 BAY_M = (6.2, 2.2)
-"""Length and width of a bay."""
+"""Length and width of a bay, m."""
 
 _FROM_END_M = 15.0
-"""Nobody parks so close to a junction: who turns must see."""
+"""Distance of bays from junctions, m, for the view of turning drivers."""
 
 _FROM_LANE_M = 0.35
 _SPEED_MPS = (5.0, 14.5)
 _BEND_RAD = 0.12
 _UNIT_CLEAR_M = 4.0
-_STREAM = 0xCA7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParkedCars:
-    """P cars that stand beside lanes.
+    """P parked cars beside lanes.
 
     Attributes:
-        base: (P, 3) middles of their footprints on the road, m.
+        base: (P, 3) centres of their footprints on the road, m.
         yaw: (P,) rad.
         kind: (P,) their types.
-        bays: what they stand on, free bays between them included.
+        bays: polygons of all bays, empty ones included.
     """
 
     base: Array
@@ -60,10 +57,10 @@ def parked_cars(scenario: Scenario, net: Any, seed: int) -> ParkedCars:
     Args:
         scenario: gives the rate, the area and the roadside units.
         net: `sumolib.net.Net`.
-        seed: equal seeds park equal cars.
+        seed: root seed.
     """
     share = scenario.demand.parked_per_km * BAY_M[0] / 1000.0
-    rng = np.random.default_rng([seed, _STREAM])
+    rng = random_generator(seed, Stream.PARKED_CARS)
     base, yaw, kinds, bays = [], [], [], []
     if share > 0:
         lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
@@ -73,7 +70,7 @@ def parked_cars(scenario: Scenario, net: Any, seed: int) -> ParkedCars:
             if lane is None or not taken.reaches(lane):
                 continue
             for middle, heading, bay in _slots(lane):
-                # Drawn for every bay, so that no car changes with what is taken elsewhere.
+                # Drawn for every bay, so that no car depends on bays elsewhere.
                 lot, kind = float(rng.uniform()), _draw(rng)
                 aside, along = rng.uniform(0.0, 0.15), rng.uniform(-0.3, 0.3)
                 turned = float(wrap_angle(heading + rng.normal(0.0, 0.015)))
@@ -96,7 +93,7 @@ def parked_cars(scenario: Scenario, net: Any, seed: int) -> ParkedCars:
 
 
 class _Ground:
-    """What is taken: lanes, junctions, places around roadside units, other bays and all beyond the area."""
+    """Occupied ground: lanes, junctions, surroundings of roadside units, other bays, and all beyond the area."""
 
     def __init__(self, net: Any, lanes: list[Any], scenario: Scenario) -> None:
         area = scenario.network.area_m or net.getBoundary()
@@ -115,11 +112,11 @@ class _Ground:
         self._bays: list[shapely.Polygon] = []
 
     def reaches(self, lane: Any) -> bool:
-        """Tell whether a lane lies within the area and its surroundings."""
+        """Return whether a lane lies within the area and its margin."""
         return bool(self._frame.intersects(shapely.LineString([corner[:2] for corner in lane.getShape()])))
 
     def claim(self, bay: shapely.Polygon) -> bool:
-        """Tell whether a bay is free and, when it is, take it."""
+        """Occupy a bay; False if it is not free."""
         core = bay.buffer(-0.1)
         if not self._frame.contains(core) or len(self._tree.query(core, predicate="intersects")):
             return False
@@ -130,7 +127,7 @@ class _Ground:
 
 
 def _slots(lane: Any) -> list[tuple[Array, float, shapely.Polygon]]:
-    """Return (middle on the lane's line, heading, bay) along a lane where it is straight."""
+    """Return (centre on the lane's line, heading, bay) along the straight parts of a lane."""
     line = np.array(lane.getShape3D(), np.float64)
     step = np.hypot(*np.diff(line[:, :2], axis=0).T)
     along = np.concatenate([[0.0], np.cumsum(step)])
@@ -153,7 +150,7 @@ def _slots(lane: Any) -> list[tuple[Array, float, shapely.Polygon]]:
 
 
 def _kerb_lane(edge: Any) -> Any | None:
-    """Return the outermost lane for cars of a street with nothing but footways beside it; None of other streets."""
+    """Return the outermost car lane of a street with only footways beside it; None for other streets."""
     if not _SPEED_MPS[0] <= edge.getSpeed() <= _SPEED_MPS[1]:
         return None
     for lane in edge.getLanes():

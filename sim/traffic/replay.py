@@ -1,4 +1,4 @@
-"""Traffic from a log: the same actors again, without SUMO."""
+"""Replay of a traffic log, without SUMO."""
 
 from pathlib import Path
 from typing import Self
@@ -9,14 +9,14 @@ from sim.traffic.log import TrafficLog
 
 
 class ReplayTraffic:
-    """Plays a traffic log back, bit for bit.
+    """Traffic replayed from a log, bit for bit.
 
     Args:
         path: the .npz that `TrafficLog.save` wrote.
-        log: what is in it, when it has been read already.
+        log: its content, if read already.
 
     Raises:
-        DataError: the file is missing, damaged, no traffic log or without a single step.
+        DataError: the file is missing, damaged, no traffic log or empty.
     """
 
     def __init__(self, path: Path | str, log: TrafficLog | None = None) -> None:
@@ -37,7 +37,7 @@ class ReplayTraffic:
         return self._log[self._index]
 
     def step(self) -> Actors:
-        """Advance by `step_s` and return the actors then.
+        """Advance by `step_s` and return the actors.
 
         Raises:
             TrafficError: the replay is closed or the log has ended.

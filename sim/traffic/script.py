@@ -1,4 +1,4 @@
-"""Scripted traffic: the actors of an encounter move as their script says, until somebody drives the ego or crashes."""
+"""Scripted traffic: the actors of an encounter follow their script until the ego is driven or a crash happens."""
 
 import math
 from dataclasses import dataclass, field
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from sim.bodies.choice import choose_model
 from sim.boxes import Boxes
 from sim.collisions import overlapping_pairs
-from sim.encounters import instance_of, network_of
-from sim.encounters.types import Actor
+from sim.encounters import encounter_of, network_file
+from sim.encounters.types import ScriptedActor
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
 from sim.roads.networks import read_network
 from sim.scenario import Scenario
-from sim.traffic.base import SIGNALS, Actors
+from sim.traffic.base import SIGNALS, Actors, Limits, TrafficLight, check_command
 
 FIRST_ID = 1000
 """Object id of the ego; the other actors follow in the order of the encounter."""
 
 BRAKES_LIT_MPS2 = 0.3
-"""A slowing harder than this lights the brakes."""
+"""Deceleration above which brake lights are on."""
 
 _ALARMED_MPS2 = 6.0
 _REACTION_S = 0.5
@@ -34,22 +34,22 @@ _LANE_EVERY_M = 1.0
 
 @dataclass(slots=True)
 class _Mover:
-    """One actor and where it is.
+    """State of one actor.
 
     Attributes:
         actor: its script.
-        object_id: of its box.
-        model: its body.
-        lanes: names of the lanes every `_LANE_EVERY_M` along its way.
-        at_m: place on its way.
+        object_id: id of its box.
+        model: body model.
+        lanes: ids of the lanes every `_LANE_EVERY_M` along its path.
+        at_m: distance along its path, m.
         speed: m/s.
-        follows: it is where its script has it.
-        crashed: it has hit something and stands.
-        commanded: speed that somebody asks for, m/s.
-        history: its places one and two steps ago.
+        follows: still on its script.
+        crashed: stopped by a crash.
+        commanded: commanded speed, m/s.
+        history: positions one and two steps ago.
     """
 
-    actor: Actor
+    actor: ScriptedActor
     object_id: int
     model: str
     lanes: tuple[str, ...]
@@ -61,31 +61,31 @@ class _Mover:
     history: list[NDArray[np.float64]] = field(default_factory=list)
 
     @property
-    def on_way(self) -> bool:
+    def on_path(self) -> bool:
         """Whether it has appeared and not yet left."""
-        return 0.0 <= self.at_m < self.actor.way.length
+        return 0.0 <= self.at_m < self.actor.path.length
 
 
 class ScriptedTraffic:
-    """The encounter of a scenario, moved along fixed ways: `with ScriptedTraffic(scenario, seed) as traffic: ...`.
+    """Encounter of a scenario, moved along fixed paths: `with ScriptedTraffic(scenario, seed) as traffic: ...`.
 
-    Every actor keeps its way. It keeps its script's speeds too until the ego is driven by commands or a crash happens;
-    from then on all but the conflict actor mind who is before them on their way, and a crash makes everybody brake.
-    Those who crash stop dead and stay where they are.
+    Every actor keeps its path. It also keeps the speeds of its script until the ego is driven by commands or a crash
+    happens; from then on all but the conflict actor follow the vehicle ahead on their path, and a crash makes everybody
+    brake. Crashed actors stop at once and stay.
 
     Args:
-        scenario: has a conflict.
-        seed: of the encounter and the looks; equal seeds give equal actors in every process.
+        scenario: scenario with an encounter.
+        seed: root seed; equal seeds give equal actors in every process.
 
     Raises:
-        ScenarioError: the encounter or its roads cannot be made.
+        ScenarioError: the encounter or its roads are invalid.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.step_s = scenario.step_s
         self.crashes: list[tuple[float, str, str]] = []
-        """(time, first, second) of every crash so far, by the names of the actors."""
-        self._instance = instance_of(scenario, seed)
+        """Crashes so far: time in s and names of both actors."""
+        self._instance = encounter_of(scenario, seed)
         self._lanes = _Lanes(scenario, seed)
         self._steps = 0
         self._disturbed = False
@@ -96,7 +96,7 @@ class ScriptedTraffic:
         self._ghosts = [self._start(one, FIRST_ID + 900 + row, seed) for row, one in enumerate(claimed)]
         for back in (2, 1):
             for mover in (*self._movers, *self._ghosts):
-                place, _, _ = mover.actor.way.at(float(mover.actor.place(-back * self.step_s)))
+                place, _, _ = mover.actor.path.at(float(mover.actor.place(-back * self.step_s)))
                 mover.history.append(place[:2])
         self._actors = self._read(self._movers)
 
@@ -113,21 +113,21 @@ class ScriptedTraffic:
         return round(self._steps * self.step_s, 6)
 
     def claims(self) -> dict[str, Actors]:
-        """Return what helpers claim now and is not there, by the name of the helper."""
+        """Return the ghosts that helpers report now, by the name of the helper."""
         claims: dict[str, Actors] = {}
         for ghost, mover in zip(self._instance.ghosts, self._ghosts, strict=True):
-            if mover.on_way:
+            if mover.on_path:
                 claims[ghost.claimed_by] = self._read([mover])
         return claims
 
     def step(self) -> Actors:
-        """Advance by `step_s` and return the actors then."""
+        """Advance by `step_s` and return the actors."""
         if not self._open:
             raise TrafficError("this scripted traffic is closed")
         before = self._actors
         self._steps += 1
         for mover in (*self._movers, *self._ghosts):
-            place, _, _ = mover.actor.way.at(mover.at_m)
+            place, _, _ = mover.actor.path.at(mover.at_m)
             mover.history = [mover.history[-1], place[:2]]
             self._move(mover, before)
         actors = self._read(self._movers)
@@ -146,16 +146,10 @@ class ScriptedTraffic:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def command_speed(self, object_id: int, speed_mps: float | None) -> None:
-        """Drive an actor at this speed from the next step on, as far as its acceleration limits allow.
-
-        Args:
-            object_id: an actor that is there.
-            speed_mps: m/s >= 0; None gives it back to its script, whose speed at its place it then keeps.
-        """
+    def command(self, object_id: int, speed_mps: float | None) -> None:
+        """Drive an actor, see `DrivableTraffic.command`; given back, it keeps its script's speed at each place."""
+        check_command(speed_mps)
         mover = self._mover(object_id)
-        if speed_mps is not None and not (np.isfinite(speed_mps) and speed_mps >= 0.0):
-            raise ValueError(f"speed_mps must be finite and >= 0, got {speed_mps}")
         mover.commanded = speed_mps
         mover.follows = False
         self._disturbed = True
@@ -163,19 +157,26 @@ class ScriptedTraffic:
     def route(self, object_id: int, ahead_m: float) -> NDArray[np.float64]:
         """Return the (K, 2) world polyline that an actor will follow, from its centre over the next `ahead_m` m."""
         mover = self._mover(object_id)
-        way, end = mover.actor.way, min(mover.at_m + ahead_m, mover.actor.way.length)
+        path, end = mover.actor.path, min(mover.at_m + ahead_m, mover.actor.path.length)
         at = np.linspace(mover.at_m, end, max(2, math.ceil(end - mover.at_m)))
-        return way.at(at)[0][:, :2]
+        return path.at(at)[0][:, :2]
 
     def speed(self, object_id: int) -> float:
-        """Return an actor's speed along its way, m/s: what its own odometer shows."""
+        """Return the odometer reading of an actor: its speed along its path, m/s."""
         return self._mover(object_id).speed
 
-    def allowed_speed(self, object_id: int) -> float:
-        """Return the speed that the script has for an actor where it is, m/s."""
-        return self._scripted_speed(self._mover(object_id))
+    def limits(self, object_id: int) -> Limits:
+        """Return the limits of an actor where it is; the allowed speed is its script's."""
+        mover = self._mover(object_id)
+        strongest, _, emergency = mover.actor.kind.accel_mps2
+        return Limits(self._scripted_speed(mover), strongest, emergency)
 
-    def _start(self, actor: Actor, object_id: int, seed: int) -> _Mover:
+    def signals(self, object_id: int) -> tuple[TrafficLight, ...]:
+        """Return no traffic lights: the script has none."""
+        self._mover(object_id)
+        return ()
+
+    def _start(self, actor: ScriptedActor, object_id: int, seed: int) -> _Mover:
         return _Mover(
             actor=actor,
             object_id=object_id,
@@ -187,7 +188,7 @@ class ScriptedTraffic:
 
     def _mover(self, object_id: int) -> _Mover:
         for mover in self._movers:
-            if mover.object_id == object_id and mover.on_way:
+            if mover.object_id == object_id and mover.on_path:
                 return mover
         raise KeyError(object_id)
 
@@ -210,26 +211,26 @@ class ScriptedTraffic:
         mover.speed = speed
 
     def _scripted_speed(self, mover: _Mover) -> float:
-        """Return the speed that the script has at the place where an actor is."""
+        """Return the scripted speed at the position of an actor."""
         times = np.arange(-5.0, 40.0, 0.1)
         places = mover.actor.place(times)
-        # A script that stands still for a while is left where it goes on.
+        # A scripted stop is skipped: the last time at a position counts.
         row = int(np.searchsorted(places, mover.at_m, side="right"))
         return float(mover.actor.pace.at(times[min(row, len(times) - 1)]))
 
     def _limit(self, mover: _Mover, before: Actors) -> float:
-        """Return the speed at which an actor can still stop behind what is before it on its way, m/s."""
+        """Return the safe speed of an actor behind the body ahead on its path, m/s."""
         if mover.commanded is not None or ("conflict" in mover.actor.roles and not self.crashes):
             return math.inf
         if mover.object_id not in before.boxes.object_id:
             return math.inf
         limit = max(0.0, mover.speed - _ALARMED_MPS2 * self.step_s) if self.crashes else math.inf
-        way, kind = mover.actor.way, mover.actor.kind
+        path, kind = mover.actor.path, mover.actor.kind
         length, width, _ = kind.size
-        inside = (way.along >= mover.at_m) & (way.along <= mover.at_m + _LOOK_AHEAD_M)
+        inside = (path.along >= mover.at_m) & (path.along <= mover.at_m + _LOOK_AHEAD_M)
         if inside.sum() < 2:
             return limit
-        line = shapely.LineString(way.points[inside, :2])
+        line = shapely.LineString(path.points[inside, :2])
         strip = line.buffer(0.5 * width + _BESIDE_M, cap_style="flat")
         for row in np.flatnonzero(before.boxes.object_id != mover.object_id):
             body = shapely.Polygon(before.boxes[row : row + 1].bev_polygons()[0])
@@ -239,16 +240,16 @@ class ScriptedTraffic:
             gap = float(np.min(shapely.line_locate_point(line, corners))) - 0.5 * length - 1.0
             if gap < -0.5 * length:
                 continue  # it is beside or behind
-            heading = way.at(mover.at_m + max(gap, 0.0))[1]
+            heading = path.at(mover.at_m + max(gap, 0.0))[1]
             lead = max(0.0, float(before.velocity[row] @ [np.cos(heading), np.sin(heading)]))
             brakes = kind.accel_mps2[1]
-            # Krauss: what still stops behind a leader that brakes as hard.
+            # Krauss: safe speed behind a leader that brakes as hard.
             square = (brakes * _REACTION_S) ** 2 + lead**2 + 2.0 * brakes * max(gap, 0.0)
             limit = min(limit, -brakes * _REACTION_S + math.sqrt(square))
         return max(limit, 0.0)
 
     def _crash(self, actors: Actors) -> bool:
-        """Stop those whose bodies overlap; tell whether somebody did."""
+        """Stop actors with overlapping bodies; return whether there is a new crash."""
         found = False
         by_id = {mover.object_id: mover for mover in self._movers}
         for first, second in overlapping_pairs(actors.boxes):
@@ -262,12 +263,12 @@ class ScriptedTraffic:
         return found
 
     def _read(self, movers: list[_Mover]) -> Actors:
-        movers = [mover for mover in movers if mover.on_way]
+        movers = [mover for mover in movers if mover.on_path]
         n = len(movers)
         boxes = np.zeros((n, 7))
         pitch, velocity, acceleration = np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))
         for row, mover in enumerate(movers):
-            place, heading, slope = mover.actor.way.at(mover.at_m)
+            place, heading, slope = mover.actor.path.at(mover.at_m)
             size = mover.actor.kind.size
             boxes[row] = (*place[:2], place[2] + 0.5 * size[2], *size, wrap_angle(heading))
             pitch[row] = slope
@@ -291,7 +292,7 @@ class ScriptedTraffic:
         )
 
     def _lights(self, mover: _Mover, acceleration: NDArray[np.float64]) -> int:
-        """Return what is lit: the script's indicators, the brakes of who slows or waits, hazards after a crash."""
+        """Return the lights: scripted indicators, brake lights when slowing or waiting, hazards after a crash."""
         actor = mover.actor
         if actor.kind.label in ("pedestrian", "bicycle"):
             return 0
@@ -299,24 +300,24 @@ class ScriptedTraffic:
         for lit, start, end in actor.lights:
             if start <= self.time_s < end:
                 bits |= lit
-        heading = mover.actor.way.at(mover.at_m)[1]
+        heading = mover.actor.path.at(mover.at_m)[1]
         slows = float(acceleration @ [np.cos(heading), np.sin(heading)]) < -BRAKES_LIT_MPS2
         if not actor.parked and (slows or mover.speed < 0.05):
             bits |= SIGNALS["brake light"]
         return bits | SIGNALS["hazard lights"] if mover.crashed else bits
 
 
-def _ids(actors: tuple[Actor, ...]) -> dict[str, int]:
-    """Return the object ids of actors: those of the ego and the conflict actor are the same in all controls."""
+def _ids(actors: tuple[ScriptedActor, ...]) -> dict[str, int]:
+    """Return the object ids of actors; the ego and the conflict actor have the same ids in all controls."""
     others = [one.name for one in actors if one.name not in ("ego", "conflict")]
     return {"ego": FIRST_ID, "conflict": FIRST_ID + 1} | {name: FIRST_ID + 2 + k for k, name in enumerate(others)}
 
 
 class _Lanes:
-    """Finds the lanes below ways."""
+    """Lookup of the lanes below paths."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
-        net = read_network(network_of(scenario, seed))
+        net = read_network(network_file(scenario, seed))
         lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
         lanes = [lane for lane in lanes if len(lane.getShape()) > 1]
         self._names = [lane.getID() for lane in lanes]
@@ -324,13 +325,13 @@ class _Lanes:
         self._lines = [shapely.LineString(np.array(lane.getShape())[:, :2]) for lane in lanes]
         self._tree = shapely.STRtree(self._lines)
 
-    def along(self, actor: Actor) -> tuple[str, ...]:
-        """Return the lane at every `_LANE_EVERY_M` of an actor's way, "" where there is none.
+    def along(self, actor: ScriptedActor) -> tuple[str, ...]:
+        """Return the lane at every `_LANE_EVERY_M` of an actor's path, "" off the lanes.
 
-        Of several it is the nearest that leads the same way.
+        Of several lanes the nearest one in the same direction counts.
         """
-        at = np.arange(0.0, actor.way.length + _LANE_EVERY_M, _LANE_EVERY_M)
-        places, headings, _ = actor.way.at(at)
+        at = np.arange(0.0, actor.path.length + _LANE_EVERY_M, _LANE_EVERY_M)
+        places, headings, _ = actor.path.at(at)
         points = shapely.points(places[:, :2])
         found: list[tuple[float, str]] = [(math.inf, "")] * len(at)
         for place, line in self._tree.query(points, predicate="dwithin", distance=2.5).T:

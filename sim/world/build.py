@@ -1,38 +1,37 @@
-"""The static world of a scenario as one mesh."""
+"""Static world of a scenario as one mesh."""
 
 import numpy as np
 import shapely
 import trimesh
 from numpy.typing import NDArray
 
-from sim.encounters import network_of
+from sim.encounters import network_file
 from sim.mesh.solids import join, to_mesh
 from sim.roads.networks import read_network, resolve_polygons
 from sim.roads.polygons import has_buildings
 from sim.roads.tools import sumo_tools
 from sim.scenario import Scenario
+from sim.streams import Stream, random_generator
 from sim.traffic.parking import parked_cars
 from sim.world.buildings.footprints import outlined
-from sim.world.buildings.houses import Town, blocks, city_mesh, guard_rails
-from sim.world.encounter_site import conflict_site
+from sim.world.buildings.houses import Buildings, blocks, city_mesh, guard_rails
+from sim.world.encounter_site import encounter_site
 from sim.world.furniture.kerbside import furniture
-from sim.world.furniture.map_objects import Mapped, read_mapped
+from sim.world.furniture.map_objects import MapObjects, read_map_objects
 from sim.world.roads.markings import markings
 from sim.world.roads.streets import Streets, read_streets
 from sim.world.roads.surfaces import surfaces
 
 MARGIN_M = 120.0
-"""How far beyond `network.area_m` the world is built: the reach of a sensor."""
-
-_BLOCKS, _FURNITURE, _OUTLINES = 1, 2, 3
+"""Margin of the world beyond `network.area_m`, m: the range of a sensor."""
 
 
 def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
-    """Build everything that does not move, in the coordinates of the SUMO network.
+    """Build the static world in the coordinates of the SUMO network.
 
     Args:
         scenario: names the network, the city mesh or the polygons, and the area.
-        seed: of houses, heights and trees that no map tells; roads and places of real buildings do not depend on it.
+        seed: root seed of generated houses, heights and trees; roads and mapped buildings do not depend on it.
 
     Returns:
         A mesh whose `face_attributes["material"]` is (F,) uint8 indices into `sim.mesh.materials.MATERIALS`.
@@ -44,33 +43,35 @@ def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
         from sim.world.highway import highway_world
 
         return highway_world(scenario, seed)
-    net = read_network(network_of(scenario, seed))
+    net = read_network(network_file(scenario, seed))
     bays = parked_cars(scenario, net, seed).bays
     streets = read_streets(net, scenario.network.area_m, MARGIN_M, bays)
     units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
-    site = conflict_site(scenario, seed, streets)
+    site = encounter_site(scenario, seed, streets)
     town = _town(scenario, streets, units, seed, site.footprint | site.clear)
-    rng = np.random.default_rng([seed, _FURNITURE])
+    rng = random_generator(seed, Stream.FURNITURE)
     polygons = resolve_polygons(scenario)
-    mapped = Mapped() if polygons is None else read_mapped(polygons)
+    map_objects = MapObjects() if polygons is None else read_map_objects(polygons)
     things = furniture(
         streets,
         town.footprint | site.footprint,
         units,
         rng,
         clear=site.clear,
-        mapped=mapped,
+        map_objects=map_objects,
         front_gardens=scenario.network.front_gardens,
     )
-    solid = [*town.pieces, *site.pieces, guard_rails(streets)]
+    solid = [*town.parts, *site.parts, guard_rails(streets)]
     return to_mesh(join([*surfaces(streets), *markings(streets), *solid, *things]))
 
 
-def _town(scenario: Scenario, streets: Streets, units: NDArray[np.float64], seed: int, clear: shapely.Geometry) -> Town:
+def _town(
+    scenario: Scenario, streets: Streets, units: NDArray[np.float64], seed: int, clear: shapely.Geometry
+) -> Buildings:
     """Return the buildings: the scenario's city mesh or polygons, or seeded blocks when it has neither."""
     if scenario.network.city_mesh:
         return city_mesh(sumo_tools() / scenario.network.city_mesh, streets)
     path = resolve_polygons(scenario)
     if path is not None and has_buildings(path):
-        return outlined(path, streets, np.random.default_rng([seed, _OUTLINES]))
-    return blocks(streets, units, np.random.default_rng([seed, _BLOCKS]), clear)
+        return outlined(path, streets, random_generator(seed, Stream.BUILDING_FOOTPRINTS))
+    return blocks(streets, units, random_generator(seed, Stream.BUILDING_BLOCKS), clear)

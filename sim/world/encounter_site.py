@@ -1,55 +1,53 @@
-"""The site of an encounter: the solid things that a conflict brings, and where nothing else may stand."""
+"""Site of an encounter: its structures, and the ground kept clear of generated objects."""
 
 from dataclasses import dataclass
 
-import numpy as np
 import shapely
 
 from sim.encounters.types import Structure
-from sim.mesh.solids import Piece, slab
+from sim.mesh.solids import MeshPart, slab
 from sim.scenario import Scenario
+from sim.streams import Stream, random_generator
 from sim.world.buildings.facades import WALLS
 from sim.world.buildings.houses import walled
 from sim.world.roads.streets import Streets
 
-_SITE = 4
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Site:
-    """What a conflict puts into the world.
+class EncounterSite:
+    """Structures of an encounter.
 
     Attributes:
         pieces: triangles of its structures.
         footprint: polygon of all of them.
-        clear: no houses, lamps or trees are made up here.
+        clear: ground without generated houses, lamps or trees.
     """
 
-    pieces: tuple[Piece, ...]
+    parts: tuple[MeshPart, ...]
     footprint: shapely.Geometry
     clear: shapely.Geometry
 
 
-def conflict_site(scenario: Scenario, seed: int, streets: Streets) -> Site:
-    """Return the site of a scenario's conflict; an empty one without a conflict.
+def encounter_site(scenario: Scenario, seed: int, streets: Streets) -> EncounterSite:
+    """Return the site of a scenario's encounter; empty without an encounter.
 
     Raises:
-        ScenarioError: the conflict cannot be laid out.
+        ScenarioError: the encounter is invalid.
     """
     if scenario.conflict is None:
-        return Site((), shapely.Polygon(), shapely.Polygon())
-    from sim.encounters import instance_of
+        return EncounterSite((), shapely.Polygon(), shapely.Polygon())
+    from sim.encounters import encounter_of
 
-    layout = instance_of(scenario, seed).layout
-    rng = np.random.default_rng([seed, _SITE])
-    pieces: list[Piece] = []
+    layout = encounter_of(scenario, seed).layout
+    rng = random_generator(seed, Stream.ENCOUNTER_SITE)
+    parts: list[MeshPart] = []
     for structure in layout.structures:
-        pieces += _solid(structure, streets, WALLS[int(rng.integers(len(WALLS)))])
+        parts += _solid(structure, streets, WALLS[int(rng.integers(len(WALLS)))])
     footprint = shapely.union_all([structure.outline for structure in layout.structures])
-    return Site(tuple(pieces), footprint, layout.clear)
+    return EncounterSite(tuple(parts), footprint, layout.clear)
 
 
-def _solid(structure: Structure, streets: Streets, wall: str) -> list[Piece]:
+def _solid(structure: Structure, streets: Streets, wall: str) -> list[MeshPart]:
     if structure.kind == "building":
         return walled(structure.outline, streets, structure.height_m, wall)
     material = {"hedge": "hedge", "wall": "brick"}[structure.kind]

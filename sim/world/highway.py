@@ -1,12 +1,14 @@
-"""The static world along the roads of highway-env: their lanes and lines, and what stands beside streets elsewhere."""
+"""Static world along the roads of highway-env: lanes, paint, buildings and roadside furniture."""
 
 import numpy as np
 import shapely
 import trimesh
 
-from sim.mesh.solids import Array, Piece, join, strip, to_mesh
+from sim.geometry import Array
+from sim.mesh.solids import MeshPart, join, strip, to_mesh
 from sim.scenario import Scenario
-from sim.traffic.highway.roads import RoadLane, Roads, read_roads
+from sim.streams import Stream, random_generator
+from sim.traffic.highway.roads import LaneNetwork, RoadLane, read_roads
 from sim.world.buildings.houses import blocks, guard_rails
 from sim.world.furniture.kerbside import furniture
 from sim.world.roads.markings import LIFT_M, cut_line, dashes, offset
@@ -16,38 +18,37 @@ from sim.world.roads.terrain import level_land
 
 _MARGIN_M = 120.0
 _ON_M = 300.0
-"""Roads go on so far beyond the lanes of the environment: nobody drives there, but a road does not end in a field."""
+"""Length of road without traffic beyond the lanes of the environment, m."""
 
 _MOTORWAY_MPS = 30.0
 _LINE_M = 0.12
 _DASH_M, _GAP_M = 3.0, 6.0
 _ISLAND_M2 = 3000.0
-_BLOCKS, _FURNITURE = 1, 2
 
 
 def highway_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
-    """Build everything that does not move along the roads of an environment; needs nothing of SUMO.
+    """Build the static world along the roads of an environment, without SUMO.
 
     Args:
         scenario: names the environment.
-        seed: of houses and trees.
+        seed: root seed of houses and trees.
 
     Returns:
         As `sim.world.build.build_world`.
 
     Raises:
-        ScenarioError: there is no such environment, or highway-env is not installed.
+        ScenarioError: the environment is unknown, or highway-env is not installed.
     """
     roads = read_roads(scenario.network.highway_env)
     streets = highway_streets(roads, scenario.network.area_m)
     units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
-    town = blocks(streets, units, np.random.default_rng([seed, _BLOCKS]), _islands(streets))
-    things = furniture(streets, town.footprint, units, np.random.default_rng([seed, _FURNITURE]))
-    return to_mesh(join([*surfaces(streets), *_paint(roads, streets), *town.pieces, guard_rails(streets), *things]))
+    town = blocks(streets, units, random_generator(seed, Stream.BUILDING_BLOCKS), _islands(streets))
+    things = furniture(streets, town.footprint, units, random_generator(seed, Stream.FURNITURE))
+    return to_mesh(join([*surfaces(streets), *_paint(roads, streets), *town.parts, guard_rails(streets), *things]))
 
 
-def highway_streets(roads: Roads, area: tuple[float, float, float, float] | None) -> Streets:
-    """Return the lanes of an environment and the ground that they cover, on level land."""
+def highway_streets(roads: LaneNetwork, area: tuple[float, float, float, float] | None) -> Streets:
+    """Return the lanes of an environment and the ground they cover, on level terrain."""
     lanes = (*roads.lanes, *roads.unused)
     points = np.concatenate([lane.line for lane in lanes])
     low, high = (np.array(area[:2]), np.array(area[2:])) if area else (points.min(axis=0), points.max(axis=0))
@@ -68,13 +69,13 @@ def highway_streets(roads: Roads, area: tuple[float, float, float, float] | None
     return Streets(area, window, drawn, road, nothing, nothing, level_land(window, 0.0))
 
 
-def number_of(roads: Roads, lane: RoadLane) -> int | None:
+def number_of(roads: LaneNetwork, lane: RoadLane) -> int | None:
     """Return the number of a lane, None for an unused one."""
     return roads.number(lane.index)
 
 
-def _drawn(number: int | None, lane: RoadLane, roads: Roads) -> Array:
-    """Return the line of a lane, gone on straight where the roads begin and end."""
+def _drawn(number: int | None, lane: RoadLane, roads: LaneNetwork) -> Array:
+    """Return the line of a lane, extended straight where the roads begin and end."""
     line = lane.line
     if number is None or number in roads.entries:
         line = np.concatenate([[line[0] - _ON_M * _unit(line[1] - line[0])], line])
@@ -83,7 +84,7 @@ def _drawn(number: int | None, lane: RoadLane, roads: Roads) -> Array:
     return line
 
 
-def _lane(number: int, lane: RoadLane, roads: Roads) -> Lane:
+def _lane(number: int, lane: RoadLane, roads: LaneNetwork) -> Lane:
     line = _drawn(number, lane, roads)
     middle = len(lane.line) // 2
     left = offset(lane.line, 0.5 * lane.width + 1.0)[middle]
@@ -116,31 +117,31 @@ def _strip(line: Array, width: float) -> shapely.Geometry:
 
 
 def _islands(streets: Streets) -> shapely.Geometry:
-    """Return the small pieces of land that roads enclose: grass and trees, no house."""
+    """Return the traffic islands: small areas enclosed by roads, with grass and trees, without houses."""
     rings = [ring for part in shapely.get_parts(streets.road) for ring in getattr(part, "interiors", ())]
     return shapely.unary_union([shapely.Polygon(ring) for ring in rings if shapely.Polygon(ring).area < _ISLAND_M2])
 
 
-def _paint(roads: Roads, streets: Streets) -> list[Piece]:
-    """Return the lines of all lanes as highway-env draws them, but none across another lane."""
+def _paint(roads: LaneNetwork, streets: Streets) -> list[MeshPart]:
+    """Return the lane lines as highway-env draws them, except across other lanes."""
     frame = shapely.box(*streets.window).buffer(-1.0)
     lanes = [(number_of(roads, lane), lane) for lane in (*roads.lanes, *roads.unused)]
     lines = [_drawn(number, lane, roads) for number, lane in lanes]
     inner = [
         shapely.LineString(line).buffer(0.5 * lane.width - 0.3) for line, (_, lane) in zip(lines, lanes, strict=True)
     ]
-    pieces = []
+    parts = []
     for row, (line, (_, lane)) in enumerate(zip(lines, lanes, strict=True)):
         others = shapely.unary_union([shape for other, shape in enumerate(inner) if other != row])
         for kind, side in zip(lane.borders, (1.0, -1.0), strict=True):
             border = shapely.LineString(offset(line, side * (0.5 * lane.width - 0.5 * _LINE_M)))
             for part in shapely.get_parts((border & frame) - others):
                 if part.geom_type == "LineString" and part.length > 1.0:
-                    pieces += _bands(np.asarray(part.coords), kind, streets)
-    return pieces
+                    parts += _bands(np.asarray(part.coords), kind, streets)
+    return parts
 
 
-def _bands(line: Array, kind: str, streets: Streets) -> list[Piece]:
+def _bands(line: Array, kind: str, streets: Streets) -> list[MeshPart]:
     length = float(np.hypot(*np.diff(line, axis=0).T).sum())
     cuts = {"none": [], "solid": [cut_line(line, 0.0, length)], "dashed": dashes(line, _DASH_M, _GAP_M)}[kind]
     return [

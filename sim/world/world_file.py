@@ -1,6 +1,6 @@
-"""The world of a drive in one small file: what does not move, and the bodies that are made of files of eclipse-sumo.
+"""World file: static world of a drive, and the body shapes from files of eclipse-sumo.
 
-Whole millimetres, packed: it travels to a machine without the maps, meshes and programs that built it.
+Whole millimetres, packed: usable on a machine without the maps, meshes and programs that built it.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,28 +21,27 @@ from sim.traffic.base import from_steps, in_steps
 
 VERSION = 1
 GRID_M = 1e-3
-"""Vertices are rounded to this; markings lie a centimetre above their road."""
+"""Resolution of vertices, m; markings lie a centimetre above their road."""
 _UNIT_GRID = 1e-5
-"""Vertices of bodies, whose box is a unit cube, are rounded to this: a twentieth of a millimetre of a car."""
+"""Resolution of body vertices in a unit cube: a twentieth of a millimetre of a car."""
 
 _STATIC = "static"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """What a file holds.
+    """Content of a world file.
 
     Attributes:
-        static: what does not move, with `face_attributes["material"]`.
-        shapes: shape of a body -> its piece in a unit box, painted with the paint of `sim.mesh.materials` that any
-            model of it replaces.
+        static: static mesh, with `face_attributes["material"]`.
+        shapes: body shape -> its mesh part in a unit box, in a placeholder paint that `body_mesh` replaces.
     """
 
     static: trimesh.Trimesh
     shapes: Mapping[str, MeshPart]
 
     def body_mesh(self, model: str, size_lwh: tuple[float, float, float]) -> trimesh.Trimesh:
-        """Return the mesh of a body, of a kept shape if there is one; see `sim.bodies.choice.body_mesh`."""
+        """Return the mesh of a body, of a stored shape if present; see `sim.bodies.choice.body_mesh`."""
         shape, _, paint = model.partition(":")
         if shape not in self.shapes:
             return body_mesh(model, size_lwh)
@@ -53,13 +52,13 @@ class World:
 
 
 def shapes_of(models: Iterable[str]) -> dict[str, MeshPart]:
-    """Return the shapes among those of some models that only a file of eclipse-sumo can tell."""
+    """Return the body shapes of models that need files of eclipse-sumo."""
     shapes = sorted({model.partition(":")[0] for model in models})
     return {shape: _sumo_shape(shape) for shape in shapes if shape.startswith("car-")}
 
 
 def save_world(static: trimesh.Trimesh, shapes: Mapping[str, MeshPart], path: Path) -> Path:
-    """Write a world in one piece; equal worlds give equal bytes.
+    """Write a world file atomically; equal worlds give equal bytes.
 
     Args:
         static: triangles with `face_attributes["material"]`.
@@ -76,7 +75,7 @@ def save_world(static: trimesh.Trimesh, shapes: Mapping[str, MeshPart], path: Pa
 
 
 def load_world(path: Path) -> World:
-    """Read a world.
+    """Read a world file.
 
     Raises:
         DataError: the file is missing, damaged or no world.

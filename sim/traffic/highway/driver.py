@@ -1,9 +1,9 @@
-"""A driver on highway-env's roads: its bicycle model and its choice of lanes (MOBIL), with eyes and hands of ours.
+"""Driver on highway-env's roads: its bicycle model and lane changes (MOBIL), with our own perception and steering.
 
-highway-env's drivers see the vehicle ahead on the lanes that are theirs, all of one size, give way at one junction
-only, take bends at any speed and change lanes at 40 m/s2. Ours follow what stands or drives on their way, whatever lane
-it is on, slow down for bends, stop where the way crosses or meets one that goes first (`sim.traffic.highway.perception`), and
-steer towards a point ahead on their way no faster than tyres and hands allow.
+highway-env's drivers perceive the vehicle ahead on their own lanes only, all of one size, give way at one junction
+only, take bends at any speed and change lanes at 40 m/s2. Ours follow any body on their path, whatever its lane, slow
+down for bends, give way where paths cross or merge (`sim.traffic.highway.perception`), and steer towards a point ahead
+within limits of lateral acceleration.
 """
 
 from typing import Any
@@ -13,139 +13,146 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from sim.traffic.highway.roads import LaneIndex, RoadLane, Roads, to_world
+from sim.traffic.highway.roads import LaneIndex, LaneNetwork, RoadLane, to_world
 from sim.vehicle_types import VehicleType
 
 _SIDE_MPS2 = 4.0
 _TIGHTEST = 0.22
-"""Sharpest bend that a vehicle can drive, 1/m."""
+"""Largest curvature that a vehicle can drive, 1/m."""
 _AHEAD_S = 0.7
 _BETWEEN_M, _CHANGE_M = 0.8, 16.0
 _PULL_OUT_M = 9.0
 
 
-class Extra(IDMVehicle):
-    """A vehicle of highway-env's own; some environments change the constants of the class that they are given."""
+class EnvironmentVehicle(IDMVehicle):
+    """Vehicle class handed to highway-env: some environments change constants of the class they are given."""
 
 
 class Driver(IDMVehicle):
-    """One vehicle with its driver.
+    """Vehicle with its driver.
 
     Attributes:
-        number: counts the drivers from 0.
-        kind: its type.
-        roads: where it drives.
-        lane_number: number of the lane that it is heading for.
-        goal: number of the lane where it leaves the roads, None on a closed track.
-        eager: its wanted speed as a share of the limit.
-        pull: acceleration that it is going to apply, m/s2.
-        commanded: speed that somebody else has chosen, m/s; None when it chooses.
-        sight: (K, 2) points of its way in the world and (K,) their distances along it, m.
+        number: running number of the driver, from 0.
+        kind: vehicle type.
+        roads: lane network.
+        lane_number: number of its target lane.
+        goal: number of its exit lane, None on a closed track.
+        speed_factor: desired speed as a share of the limit.
+        planned_mps2: acceleration to apply next, m/s2.
+        commanded: speed commanded from outside, m/s; None without a command.
+        path_ahead: (K, 2) points of the path ahead in the world and (K,) their distances along it, m.
     """
 
-    # How near to others highway-env's drivers change lanes; its own values ask for gaps of 45 m in a town.
+    # Gaps for lane changes; highway-env's own values require 45 m in a town.
     target_lane_index: LaneIndex
     DISTANCE_WANTED = 7.0
     TIME_WANTED = 1.0
     LANE_CHANGE_MAX_BRAKING_IMPOSED = 3.0
 
     def __init__(
-        self, road: Any, roads: Roads, lane_number: int, along: float, kind: VehicleType, number: int, eager: float
+        self,
+        road: Any,
+        roads: LaneNetwork,
+        lane_number: int,
+        along: float,
+        kind: VehicleType,
+        number: int,
+        speed_factor: float,
     ) -> None:
-        """Put a driver on a lane, `along` m after its start, at the speed that it wants there."""
-        # Before anything else: highway-env's geometry of a vehicle is of its class.
+        """Put a driver on a lane, `along` m after its start, at its desired speed."""
+        # First of all: highway-env takes the size of a vehicle from its class.
         self.LENGTH, self.WIDTH = kind.size[0], kind.size[1]
         lane = roads.lanes[lane_number]
-        self.kind, self.number, self.roads, self.eager = kind, number, roads, eager
+        self.kind, self.number, self.roads, self.speed_factor = kind, number, roads, speed_factor
         self.lane_number = lane_number
         self.goal: int | None = None
-        self.pull = 0.0
+        self.planned_mps2 = 0.0
         self.commanded: float | None = None
-        self.sight: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self.path_ahead: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._slip = 0.0
         super().__init__(
             road,
             lane.lane.position(along, 0.0),
             heading=lane.lane.heading_at(along),
-            speed=self.wanted(lane),
+            speed=self.desired_speed(lane),
             target_lane_index=lane.index,
             enable_lane_change=roads.changes_lanes,
         )
-        self._way = roads.way(lane_number, None) or []
+        self._route_ahead = roads.route(lane_number, None) or []
 
-    def wanted(self, lane: RoadLane) -> float:
-        """Return the speed that it wants on a straight lane, m/s."""
-        return min(self.eager * lane.limit, self.kind.speed_mps)
+    def desired_speed(self, lane: RoadLane) -> float:
+        """Return the desired speed on a straight lane, m/s."""
+        return min(self.speed_factor * lane.limit, self.kind.speed_mps)
 
     @property
-    def wanted_here(self) -> float:
-        """Speed that it wants on the lane that it is heading for, m/s."""
-        return self.wanted(self.roads.lanes[self.lane_number])
+    def desired_speed_here(self) -> float:
+        """Desired speed on the target lane, m/s."""
+        return self.desired_speed(self.roads.lanes[self.lane_number])
 
     @property
     def along(self) -> float:
-        """Where it is along the lane that it is heading for, m."""
+        """Distance along the target lane, m."""
         return self.roads.lanes[self.lane_number].along_at(to_world(self.position))
 
     @property
     def must_leave(self) -> bool:
-        """Whether its lane ends and it has to change to the one on its left."""
+        """Whether its lane ends, so that it has to merge to the left."""
         lane = self.roads.lanes[self.lane_number]
         return bool(lane.lane.forbidden) and lane.index[2] > 0
 
     @property
-    def aside(self) -> float:
-        """How far it is from the middle of the lane that it is heading for, m."""
+    def lateral_offset(self) -> float:
+        """Lateral distance from the centre of the target lane, m."""
         lane = self.roads.lanes[self.lane_number]
         return float(np.sqrt(((lane.line - to_world(self.position)) ** 2).sum(axis=1).min()))
 
     @property
-    def room(self) -> float:
-        """How far its front bumper is from where it has to wait at the end of such a lane, m."""
+    def merge_room_m(self) -> float:
+        """Distance from the front bumper to the waiting point at the end of a merging lane, m."""
         return float(self.roads.lanes[self.lane_number].along[-1]) - self.along - 0.5 * self.LENGTH - _PULL_OUT_M
 
     @property
     def has_left(self) -> bool:
-        """Whether it is at the end of the last lane."""
+        """Whether it has reached the end of the last lane."""
         lane = self.roads.lanes[self.lane_number]
         return not lane.after and self.along > lane.along[-1] - 1.0
 
-    def way(self, ahead_m: float) -> list[int]:
-        """Return the numbers of the lanes ahead, the one that it is heading for first, over at least `ahead_m` m."""
+    def lanes_ahead(self, ahead_m: float) -> list[int]:
+        """Return the numbers of the lanes ahead, target lane first, over at least `ahead_m` m."""
         lanes = self.roads.lanes
-        found = [self.lane_number, *self._way]
+        found = [self.lane_number, *self._route_ahead]
         length = sum(lanes[number].along[-1] for number in found) - self.along
-        while length < ahead_m and (more := self.roads.way(found[-1], None)):
+        while length < ahead_m and (more := self.roads.route(found[-1], None)):
             found += more
             length += lanes[more[0]].along[-1]
         return found
 
     def send_to(self, goal: int | None) -> bool:
-        """Plan the way to a lane; False, and nothing is changed, when none leads there."""
-        way = self.roads.way(self.lane_number, goal)
-        if way is None:
+        """Plan the route to a lane; False, without effect, if there is none."""
+        route = self.roads.route(self.lane_number, goal)
+        if route is None:
             return False
-        self.goal, self._way = goal, way
+        self.goal, self._route_ahead = goal, route
         return True
 
     def drive(self, step_s: float) -> None:
-        """Apply `pull`, steer along the way and choose the lane to head for."""
+        """Apply `planned_mps2`, steer along the path and choose the target lane."""
         slip = self._towards(step_s)
-        Vehicle.act(self, {"steering": float(np.arctan(2.0 * np.tan(slip))), "acceleration": self.pull})
-        # What highway-env's drivers think of one another when they change lanes.
-        self.target_speed = self.wanted_here
+        Vehicle.act(self, {"steering": float(np.arctan(2.0 * np.tan(slip))), "acceleration": self.planned_mps2})
+        # Used by highway-env's lane change model (MOBIL).
+        self.target_speed = self.desired_speed_here
         self.follow_road()
         if self.enable_lane_change and self.commanded is None:
             self._change_lane()
 
     def _towards(self, step_s: float) -> float:
-        """Return the angle between motion and heading, in highway-env's sense, that leads to a point ahead."""
-        if self.sight is None:
+        """Return the slip angle, in highway-env's sense, that leads to a point ahead (pure pursuit)."""
+        if self.path_ahead is None:
             return 0.0
-        points, along = self.sight
+        points, along = self.path_ahead
         ahead = np.clip(_AHEAD_S * self.speed, 4.0, 25.0)
-        if self.enable_lane_change and self.aside > _BETWEEN_M:
-            # From lane to lane it goes gently, or it would swing beyond the lane that it wants.
+        if self.enable_lane_change and self.lateral_offset > _BETWEEN_M:
+            # A longer look-ahead during lane changes avoids overshoot.
             ahead = max(ahead, _CHANGE_M)
         away = np.array([np.interp(ahead, along, points[:, axis]) for axis in (0, 1)]) - to_world(self.position)
         # To the left of the heading in our world is to the right in highway-env's.
@@ -158,22 +165,22 @@ class Driver(IDMVehicle):
         return self._slip
 
     def step(self, dt: float) -> None:
-        """Move; nobody drives backwards."""
+        """Move by one time step, never backwards."""
         self.action["acceleration"] = max(self.action["acceleration"], -self.speed / dt)
         super().step(dt)
 
     def follow_road(self) -> None:
-        """Head for the next lane of the way where this one ends."""
+        """Switch to the next lane of the route at the end of this one."""
         lane = self.roads.lanes[self.lane_number]
         if lane.after and self.along > lane.along[-1] - 0.5:
-            if not self._way:
-                self._way = self.roads.way(self.lane_number, None) or []
-            self._head_for(self._way.pop(0))
+            if not self._route_ahead:
+                self._route_ahead = self.roads.route(self.lane_number, None) or []
+            self._head_for(self._route_ahead.pop(0))
 
     def _change_lane(self) -> None:
         before = self.target_lane_index
         lane = self.roads.lanes[self.lane_number]
-        # With a route highway-env's drivers change to its lane as soon as that is safe, not only to be faster.
+        # With a route, highway-env's drivers change to its lane as soon as it is safe, not only to gain speed.
         self.route = [(*lane.index[:2], lane.index[2] - 1)] if self.must_leave else None
         self.change_lane_policy()
         number = self.roads.number(self.target_lane_index)
@@ -182,8 +189,8 @@ class Driver(IDMVehicle):
             return
         self._head_for(number)
         if not self.send_to(self.goal):
-            # Its goal is the exit of another lane of the same road.
-            ends = [n for n in self.roads.exits if self.roads.way(number, n) is not None]
+            # The new lane has another exit.
+            ends = [n for n in self.roads.exits if self.roads.route(number, n) is not None]
             self.send_to(ends[0] if ends else None)
 
     def _head_for(self, number: int) -> None:

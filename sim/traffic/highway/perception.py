@@ -1,7 +1,7 @@
-"""What drivers see on highway-env's roads: who is in the way, who goes first, and how hard to brake for it.
+"""Perception of drivers on highway-env's roads: bodies on the path, right of way, and the resulting acceleration.
 
-Everything is measured along the ways of the drivers: lines of points about a metre apart, from where a vehicle is along
-the lanes that it will take.
+Distances are measured along the path of a driver: points one metre apart from its position along the lanes of its
+route.
 """
 
 from collections.abc import Sequence
@@ -10,16 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.geometry import Array
 from sim.traffic.highway.driver import Driver
-from sim.traffic.highway.roads import Roads, to_world
+from sim.traffic.highway.roads import LaneNetwork, to_world
 
 AHEAD_M = 80.0
-"""How far drivers look."""
+"""Look-ahead of drivers, m."""
 
 _SPEED_UP_MPS2, _SLOW_MPS2, _HARD_MPS2 = 1.8, 2.0, 7.0
 _EASY_MPS2 = 1.5
 _COMMITTED_MPS2 = 5.0
-"""Who would have to brake harder than this to give way, goes."""
+"""Deceleration above which a driver no longer gives way, m/s2."""
 _POINT_M = 1.0
 _PASS_M = 3.9
 _YIELD_MPS2 = 1.5
@@ -27,26 +28,24 @@ _PULLING_M = 0.9
 _STANDING_GAP_M, _HEADWAY_S = 2.0, 1.3
 _BESIDE_M = 0.5
 _LINE_M = 1.5
-"""Who gives way stops so far before the common part of two ways."""
+"""Stopping distance before the common part of two paths, m."""
 _CROSSING_S = 1.0
 _FAR_S = 4.0
 _MERGING_S = 2.0
 _SHARP_RAD = np.radians(50.0)
 _LOOK_M = 50.0
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
-    """What lies ahead of a driver.
+class PathAhead:
+    """Path ahead of a driver.
 
     Attributes:
-        points: (K, 2) in the world, m, the first one where the vehicle is.
-        along: (K,) distance from there along the way, m.
+        points: (K, 2) in the world, m, from the position of the vehicle.
+        along: (K,) distance from there along the path, m.
         heading: (K,) rad.
         limit: (K,) highest speed, m/s.
-        priority: (K,) of the lanes.
+        priority: (K,) priority of the lanes.
     """
 
     points: Array
@@ -56,27 +55,29 @@ class Way:
     priority: NDArray[np.int64]
 
 
-def way_of(driver: Driver, numbers: Sequence[int], start_m: float) -> Way:
-    """Return the way along some lanes, from `start_m` m along the first of them."""
+def path_ahead(driver: Driver, numbers: Sequence[int], start_m: float) -> PathAhead:
+    """Return the path along lanes, from `start_m` m along the first of them."""
     here = to_world(driver.position)
     lanes = [driver.roads.lanes[number] for number in numbers]
     rows = [slice(int(np.searchsorted(lanes[0].along, start_m, side="right")), None)] + [slice(None)] * (len(lanes) - 1)
     cut = list(zip(lanes, rows, strict=True))
     line = np.concatenate([here[None], *(lane.line[part] for lane, part in cut)])
     heading = np.concatenate([[-driver.heading], *(lane.heading[part] for lane, part in cut)])
-    own = [np.full(1, driver.wanted(lanes[0]))]
-    speed = np.concatenate([*own, *(np.minimum(lane.curve_mps[part], driver.wanted(lane)) for lane, part in cut)])
+    own = [np.full(1, driver.desired_speed(lanes[0]))]
+    speed = np.concatenate(
+        [*own, *(np.minimum(lane.curve_mps[part], driver.desired_speed(lane)) for lane, part in cut)]
+    )
     priority = np.concatenate([np.full(len(lane.line[part]), lane.priority) for lane, part in cut])
     step = np.hypot(*np.diff(line, axis=0).T)
     bend = np.abs(np.diff(np.unwrap(heading)))
-    # Where two lanes meet at an angle the way bends within their gap; the first steps may be a change of lanes.
+    # Where two lanes meet at an angle the path bends within their gap; the first steps may be a lane change.
     sharp = np.flatnonzero((bend > 0.2) & (np.arange(len(step)) > 3))
     speed[sharp + 1] = np.minimum(speed[sharp + 1], np.sqrt(2.5 * np.maximum(step[sharp], 4.0) / bend[sharp]))
-    # Evenly spaced, because lanes may begin metres beside the end of those before them.
+    # Evenly spaced, because lanes may begin metres beside the end of their predecessors.
     known = np.concatenate([[0.0], np.cumsum(step)])
     along = np.arange(0.0, max(min(float(known[-1]), AHEAD_M), 1.0) + 1e-9, _POINT_M)
     owner = np.clip(np.searchsorted(known, along, side="right") - 1, 0, len(known) - 1)
-    return Way(
+    return PathAhead(
         points=np.column_stack([np.interp(along, known, line[:, axis]) for axis in (0, 1)]),
         along=along,
         heading=np.interp(along, known, np.unwrap(heading)),
@@ -86,10 +87,10 @@ def way_of(driver: Driver, numbers: Sequence[int], start_m: float) -> Way:
 
 
 class Junction:
-    """Who may drive into the junction: those whose ways through it do not meet."""
+    """Right of way at junctions: drivers on disjoint junction lanes enter together."""
 
-    def __init__(self, roads: Roads) -> None:
-        """Find out which ways through the junctions meet."""
+    def __init__(self, roads: LaneNetwork) -> None:
+        """Find the conflicting junction lanes."""
         self._roads = roads
         self._granted: dict[int, int] = {}
         self._meets: set[tuple[int, int]] = set()
@@ -103,7 +104,7 @@ class Junction:
                         self._meets.add((a, b))
 
     def stops(self, drivers: Sequence[Driver]) -> Array:
-        """Return (N,) distances from the front bumpers to where drivers wait, inf for those who may go."""
+        """Return (N,) distances from front bumpers to the stop lines of waiting drivers, inf for the others."""
         self._forget(drivers)
         asking = sorted((entry for d in drivers if (entry := self._asks(d)) is not None), key=lambda entry: entry[:3])
         first_of_lane: set[int] = set()
@@ -123,9 +124,9 @@ class Junction:
         return stops
 
     def _asks(self, driver: Driver) -> tuple[int, float, int, Driver, int] | None:
-        """Return (rank, distance, number, driver, lane) of one who comes to a junction and may not go yet."""
+        """Return (rank, distance, number, driver, lane) of a driver that waits for a grant, else None."""
         lane = self._roads.lanes[driver.lane_number]
-        ahead = driver.way(_LOOK_M)
+        ahead = driver.lanes_ahead(_LOOK_M)
         if lane.through_junction or driver.number in self._granted or len(ahead) < 2:
             return None
         inside = self._roads.lanes[ahead[1]]
@@ -135,7 +136,7 @@ class Junction:
         return -inside.priority, away_m, driver.number, driver, ahead[1]
 
     def _has_room(self, lane: int, drivers: Sequence[Driver]) -> bool:
-        """Return whether nobody stands where a way through the junction ends."""
+        """Return whether the exit of a junction lane is free."""
         (after,) = self._roads.lanes[lane].after[:1] or (None,)
         return not any(d.lane_number == after and d.speed < 2.0 and d.along < 12.0 for d in drivers)
 
@@ -145,36 +146,37 @@ class Junction:
 
 
 def _is_past(driver: Driver, lane: int) -> bool:
-    """Return whether a driver has left a way through a junction with his whole vehicle."""
+    """Return whether the whole vehicle of a driver has left a junction lane."""
     now, inside = driver.roads.lanes[driver.lane_number], driver.roads.lanes[lane]
     return now.index[0] == inside.index[1] and driver.along > 0.5 * driver.LENGTH + 0.5
 
 
 def decide(drivers: Sequence[Driver], step_s: float, junction: Junction) -> None:
-    """Choose the acceleration of every driver for the next step."""
-    ways = [way_of(driver, driver.way(AHEAD_M), driver.along) for driver in drivers]
+    """Set the acceleration `planned_mps2` of every driver for the next step."""
+    paths = [path_ahead(driver, driver.lanes_ahead(AHEAD_M), driver.along) for driver in drivers]
     outlines, owner = _outlines(drivers)
     velocity = np.array([d.speed * np.array([np.cos(d.heading), -np.sin(d.heading)]) for d in drivers]).reshape(-1, 2)
-    stops = np.minimum(_stops(drivers, ways), junction.stops(drivers))
-    for row, (driver, way) in enumerate(zip(drivers, ways, strict=True)):
-        driver.sight = way.points, way.along
+    stops = np.minimum(_stops(drivers, paths), junction.stops(drivers))
+    for row, (driver, path) in enumerate(zip(drivers, paths, strict=True)):
+        driver.path_ahead = path.points, path.along
         if driver.commanded is not None:
             wish = (driver.commanded - driver.speed) / step_s
-            driver.pull = float(np.clip(wish, -driver.kind.accel_mps2[1], driver.kind.accel_mps2[0]))
+            strongest, _, emergency = driver.kind.accel_mps2
+            driver.planned_mps2 = float(np.clip(wish, -emergency, strongest))
             continue
-        pull = min(_free(driver, way, stops[row]), _follow(row, driver, way, outlines, owner, velocity))
+        planned_mps2 = min(_free(driver, path, stops[row]), _follow(row, driver, path, outlines, owner, velocity))
         current = driver.roads.number(driver.lane_index)
         if current is not None and current != driver.lane_number:
-            # Between two lanes it minds the vehicle ahead on either.
-            own = way_of(driver, [current], driver.roads.lanes[current].along_at(to_world(driver.position)))
-            pull = min(pull, _follow(row, driver, own, outlines, owner, velocity))
+            # Between two lanes it follows the vehicle ahead on either.
+            own = path_ahead(driver, [current], driver.roads.lanes[current].along_at(to_world(driver.position)))
+            planned_mps2 = min(planned_mps2, _follow(row, driver, own, outlines, owner, velocity))
         if _has_neighbour(driver, drivers):
-            pull = min(pull, -_YIELD_MPS2)
-        driver.pull = float(np.clip(pull, -_HARD_MPS2, _SPEED_UP_MPS2))
+            planned_mps2 = min(planned_mps2, -_YIELD_MPS2)
+        driver.planned_mps2 = float(np.clip(planned_mps2, -_HARD_MPS2, _SPEED_UP_MPS2))
 
 
 def _outlines(drivers: Sequence[Driver]) -> tuple[Array, NDArray[np.int64]]:
-    """Return (M, 2) points around the bodies and (M,) whose they are."""
+    """Return (M, 2) points around the bodies and the (M,) rows of their drivers."""
     points, owner = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
     for row, driver in enumerate(drivers):
         along = np.linspace(-0.5, 0.5, max(3, int(np.ceil(driver.LENGTH / 1.5)) + 1)) * driver.LENGTH
@@ -186,39 +188,41 @@ def _outlines(drivers: Sequence[Driver]) -> tuple[Array, NDArray[np.int64]]:
     return np.concatenate(points), np.concatenate(owner)
 
 
-def free_speed(way: Way) -> float:
-    """Return the speed from which a driver can still slow down for every bend of his way, m/s."""
-    return float(np.sqrt(way.limit**2 + 2.0 * _EASY_MPS2 * way.along).min())
+def free_speed(path: PathAhead) -> float:
+    """Return the speed from which a driver can still slow down for every bend of the path, m/s."""
+    return float(np.sqrt(path.limit**2 + 2.0 * _EASY_MPS2 * path.along).min())
 
 
-def _free(driver: Driver, way: Way, stop_m: float) -> float:
-    """Return the acceleration on an empty road that bends and, `stop_m` m ahead, may have to be left free."""
-    wanted = free_speed(way)
+def _free(driver: Driver, path: PathAhead, stop_m: float) -> float:
+    """Return the free-road acceleration, with bends and a stop `stop_m` m ahead (inf: none)."""
+    wanted = free_speed(path)
     stop_m = max(stop_m, 0.05)
     if np.isfinite(stop_m):
         wanted = min(wanted, float(np.sqrt(2.0 * _SLOW_MPS2 * stop_m)))
-    pull = _SPEED_UP_MPS2 * (1.0 - (driver.speed / max(wanted, 0.1)) ** 4)
-    pull = max(pull, -3.0)
+    planned_mps2 = _SPEED_UP_MPS2 * (1.0 - (driver.speed / max(wanted, 0.1)) ** 4)
+    planned_mps2 = max(planned_mps2, -3.0)
     needed = driver.speed**2 / (2.0 * stop_m)
-    return min(pull, -needed) if needed > _SLOW_MPS2 else pull
+    return min(planned_mps2, -needed) if needed > _SLOW_MPS2 else planned_mps2
 
 
-def _follow(row: int, driver: Driver, way: Way, outlines: Array, owner: NDArray[np.int64], velocity: Array) -> float:
-    """Return the acceleration of the Intelligent Driver Model behind the first body that is in the way."""
-    near = (owner != row) & (np.abs(outlines - way.points[0]).max(axis=1) < AHEAD_M)
+def _follow(
+    row: int, driver: Driver, path: PathAhead, outlines: Array, owner: NDArray[np.int64], velocity: Array
+) -> float:
+    """Return the acceleration of the Intelligent Driver Model behind the first body on the path."""
+    near = (owner != row) & (np.abs(outlines - path.points[0]).max(axis=1) < AHEAD_M)
     points, whose = outlines[near], owner[near]
     if len(points) == 0:
         return np.inf
-    away = np.hypot(way.points[:, None, 0] - points[None, :, 0], way.points[:, None, 1] - points[None, :, 1])
+    away = np.hypot(path.points[:, None, 0] - points[None, :, 0], path.points[:, None, 1] - points[None, :, 1])
     place = away.argmin(axis=0)
-    in_way = away[place, np.arange(len(points))] < 0.5 * driver.WIDTH + _BESIDE_M
-    in_way &= way.along[place] > 0.5 * driver.LENGTH - 0.5  # what is beside it cannot be helped
-    if not in_way.any():
+    on_path = away[place, np.arange(len(points))] < 0.5 * driver.WIDTH + _BESIDE_M
+    on_path &= path.along[place] > 0.5 * driver.LENGTH - 0.5  # not beside it
+    if not on_path.any():
         return np.inf
-    first = np.flatnonzero(in_way)[way.along[place[in_way]].argmin()]
+    first = np.flatnonzero(on_path)[path.along[place[on_path]].argmin()]
     at, other = place[first], whose[first]
-    gap = max(float(way.along[at]) - 0.5 * driver.LENGTH, 0.1)
-    its_speed = float(velocity[other] @ [np.cos(way.heading[at]), np.sin(way.heading[at])])
+    gap = max(float(path.along[at]) - 0.5 * driver.LENGTH, 0.1)
+    its_speed = float(velocity[other] @ [np.cos(path.heading[at]), np.sin(path.heading[at])])
     closing = driver.speed - max(its_speed, 0.0)
     wish = _STANDING_GAP_M + max(
         0.0, driver.speed * _HEADWAY_S + driver.speed * closing / (2.0 * np.sqrt(_SPEED_UP_MPS2 * _SLOW_MPS2))
@@ -226,30 +230,35 @@ def _follow(row: int, driver: Driver, way: Way, outlines: Array, owner: NDArray[
     return _SPEED_UP_MPS2 * (1.0 - (wish / gap) ** 2)
 
 
-def _stops(drivers: Sequence[Driver], ways: Sequence[Way]) -> Array:
-    """Return (N,) distances from the front bumpers to where drivers give way, inf for those who need not."""
+def _stops(drivers: Sequence[Driver], paths: Sequence[PathAhead]) -> Array:
+    """Return (N,) distances from front bumpers to the points where drivers give way, inf for the others."""
     stops = np.full(len(drivers), np.inf)
     if any(lane.through_junction for driver in drivers[:1] for lane in driver.roads.lanes):
-        return stops  # the junction knows
+        return stops  # see `Junction`
     for i in range(len(drivers)):
         for j in range(i + 1, len(drivers)):
-            if np.abs(ways[i].points[0] - ways[j].points[0]).max() > 2.0 * _LOOK_M:
+            if np.abs(paths[i].points[0] - paths[j].points[0]).max() > 2.0 * _LOOK_M:
                 continue
-            who, stop_m = _gives_way(drivers[i], ways[i], drivers[j], ways[j])
+            who, stop_m = _gives_way(drivers[i], paths[i], drivers[j], paths[j])
             if who:
                 row = i if who < 0 else j
                 if drivers[row].must_leave:
-                    # It needs room to pull out, and once it does it does not stop between two lanes.
-                    stop_m = np.inf if drivers[row].aside > _PULLING_M else min(stop_m, max(drivers[row].room, 0.05))
+                    # It needs room to pull out, and does not stop between two lanes.
+                    stop_m = (
+                        np.inf
+                        if drivers[row].lateral_offset > _PULLING_M
+                        else min(stop_m, max(drivers[row].merge_room_m, 0.05))
+                    )
                 stops[row] = min(stops[row], stop_m)
     return stops
 
 
-def _gives_way(a: Driver, way_a: Way, b: Driver, way_b: Way) -> tuple[int, float]:
-    """Return who of two gives way, -1 the first, 1 the second, 0 nobody, and how far before his bumper."""
-    ka, kb = int(np.searchsorted(way_a.along, _LOOK_M)), int(np.searchsorted(way_b.along, _LOOK_M))
+def _gives_way(a: Driver, path_a: PathAhead, b: Driver, path_b: PathAhead) -> tuple[int, float]:
+    """Return which of two drivers gives way (-1 first, 1 second, 0 neither) and the distance to the stop, m."""
+    ka, kb = int(np.searchsorted(path_a.along, _LOOK_M)), int(np.searchsorted(path_b.along, _LOOK_M))
     away = np.hypot(
-        way_a.points[:ka, None, 0] - way_b.points[None, :kb, 0], way_a.points[:ka, None, 1] - way_b.points[None, :kb, 1]
+        path_a.points[:ka, None, 0] - path_b.points[None, :kb, 0],
+        path_a.points[:ka, None, 1] - path_b.points[None, :kb, 1],
     )
     close = away < 0.5 * (a.WIDTH + b.WIDTH) + 0.3
     if not close.any():
@@ -257,20 +266,20 @@ def _gives_way(a: Driver, way_a: Way, b: Driver, way_b: Way) -> tuple[int, float
     rows, columns = np.flatnonzero(close.any(axis=1)), np.flatnonzero(close.any(axis=0))
     first = int(rows[0]), int(columns[0])
     distance = (
-        float(way_a.along[first[0]]) - 0.5 * a.LENGTH - _LINE_M,
-        float(way_b.along[first[1]]) - 0.5 * b.LENGTH - _LINE_M,
+        float(path_a.along[first[0]]) - 0.5 * a.LENGTH - _LINE_M,
+        float(path_b.along[first[1]]) - 0.5 * b.LENGTH - _LINE_M,
     )
     if 0 in first:
-        return 0, np.inf  # one is there already, where the other one sees it in his way
+        return 0, np.inf  # one is there already, on the path of the other
     if min(distance) < -_LINE_M - 0.2:
-        # One has begun to enter: the other one waits, if he still can.
+        # One has begun to enter: the other waits if it still can.
         return (1, distance[1]) if distance[0] < distance[1] else (-1, distance[0])
-    turn = abs((way_a.heading[first[0]] - way_b.heading[first[1]] + np.pi) % (2.0 * np.pi) - np.pi)
-    order = (-way_a.priority[max(first[0] - 2, 0)], a.number), (-way_b.priority[max(first[1] - 2, 0)], b.number)
+    turn = abs((path_a.heading[first[0]] - path_b.heading[first[1]] + np.pi) % (2.0 * np.pi) - np.pi)
+    order = (-path_a.priority[max(first[0] - 2, 0)], a.number), (-path_b.priority[max(first[1] - 2, 0)], b.number)
     enter = _time(a, distance[0]), _time(b, distance[1])
     leave = (
-        _time(a, float(way_a.along[_last(rows)]) + 0.5 * a.LENGTH),
-        _time(b, float(way_b.along[_last(columns)]) + 0.5 * b.LENGTH),
+        _time(a, float(path_a.along[_last(rows)]) + 0.5 * a.LENGTH),
+        _time(b, float(path_b.along[_last(columns)]) + 0.5 * b.LENGTH),
     )
     drivers = a, b
     early = 0 if enter[0] < enter[1] else 1
@@ -278,9 +287,9 @@ def _gives_way(a: Driver, way_a: Way, b: Driver, way_b: Way) -> tuple[int, float
     loser = late if order[0][0] == order[1][0] else int(order[1] > order[0])
     if loser == early:
         if turn < _SHARP_RAD:
-            # Who comes first needs the more room the faster the other one comes from behind.
+            # The first needs the more room the faster the other approaches from behind.
             reached = min(
-                np.sqrt(drivers[early].speed ** 2 + 3.0 * max(distance[early], 0.0)), drivers[early].wanted_here
+                np.sqrt(drivers[early].speed ** 2 + 3.0 * max(distance[early], 0.0)), drivers[early].desired_speed_here
             )
             free = enter[late] - enter[early] > _MERGING_S + max(0.0, drivers[late].speed - reached) / 4.0
         else:
@@ -298,7 +307,7 @@ def _gives_way(a: Driver, way_a: Way, b: Driver, way_b: Way) -> tuple[int, float
 
 
 def _has_neighbour(driver: Driver, drivers: Sequence[Driver]) -> bool:
-    """Return whether somebody drives beside one who has to leave his lane, so that he had better fall back."""
+    """Return whether a vehicle drives beside a driver who has to merge."""
     if not driver.must_leave or driver.speed < 6.0:
         return False
     beside = driver.roads.number((*driver.target_lane_index[:2], driver.target_lane_index[2] - 1))
@@ -307,14 +316,14 @@ def _has_neighbour(driver: Driver, drivers: Sequence[Driver]) -> bool:
 
 
 def _last(rows: NDArray[np.int64]) -> int:
-    """Return the last of the rows that follow the first without a gap."""
+    """Return the last of the consecutive rows from the first."""
     gaps = np.flatnonzero(np.diff(rows) > 1)
     return int(rows[gaps[0]] if len(gaps) else rows[-1])
 
 
 def _time(driver: Driver, distance: float) -> float:
-    """Return when a driver that speeds up, as far as he wants, has gone a distance, s."""
-    top = max(driver.wanted_here, driver.speed, 1.0)
+    """Return the time to cover a distance while accelerating to the desired speed, s."""
+    top = max(driver.desired_speed_here, driver.speed, 1.0)
     until_top = (top - driver.speed) / 1.5
     gained = driver.speed * until_top + 0.75 * until_top**2
     if gained >= distance:

@@ -1,4 +1,4 @@
-"""The roads of highway-env's environments: its lanes as sampled lines, which of them lead on to which, who gives way.
+"""Lane networks of highway-env's environments: sampled lanes, successors, right of way.
 
 highway-env's plane has x forward and y to the right (down on its screen), and headings turn clockwise: our world is
 (x, -y) and our yaw is minus its heading. Lines here are in our world.
@@ -20,29 +20,29 @@ from sim.errors import ScenarioError, did_you_mean
 LaneIndex = tuple[str, str, int]
 
 SAMPLE_M = 1.0
-"""Distance of the points of a lane's line, m, at most."""
+"""Largest distance between points of a lane, m."""
 
 _JOIN_M = 7.0
-"""A lane leads on to one that begins within this of its end: the exits of a roundabout begin at its border."""
+"""Largest gap between a lane and its successor, m: the exits of a roundabout begin at its border."""
 _JOIN_RAD = np.radians(60.0)
 _SIDE_MPS2 = 2.5
 
 _LINES = ("none", "dashed", "solid", "solid")
-"""What highway-env's `LineType` draws, by its number."""
+"""Line styles by number of highway-env's `LineType`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """What we know of an environment beside its lanes.
+    """Properties of an environment beside its lanes.
 
     Attributes:
         description: in a few words.
-        changes_lanes: whether drivers do.
-        motorway: whether guard rails stand beside it instead of kerbs and houses.
-        unused: lanes that nobody is sent along: the roads overlap there.
-        longest_m: lanes are cut off after this length, m.
-        first: names the lanes whose traffic goes first: `priority` those that highway-env says, `circle` round ones,
-            `through` those that are not forbidden to change to.
+        changes_lanes: whether drivers change lanes.
+        motorway: guard rails instead of kerbs and houses.
+        unused: lanes without traffic, where roads overlap.
+        longest_m: length at which lanes are cut off, m.
+        first: lanes with right of way: `priority` as in highway-env, `circle` the round ones, `through` those that are
+            not forbidden to change to.
     """
 
     description: str
@@ -62,27 +62,27 @@ ENVIRONMENTS: dict[str, Environment] = {
     # Overtaking goes along the lane of the oncoming traffic.
     "two-way-v0": Environment("a road with a lane in each direction", unused=(("a", "b", 0),)),
 }
-"""The environments of highway-env that can be roads of a scenario."""
+"""Supported environments of highway-env by id."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadLane:
-    """One lane.
+    """Lane of highway-env, sampled.
 
     Attributes:
         index: highway-env's (from, to, number from the left).
         count: lanes of its road, itself included.
-        lane: highway-env's own.
-        line: (K, 2) centre line in our world, m, points `SAMPLE_M` apart at most.
+        lane: the lane object of highway-env.
+        line: (K, 2) centre line in the world, m, points `SAMPLE_M` apart at most.
         along: (K,) lengths along it in highway-env's coordinates, m.
-        heading: (K,) in our world, rad.
+        heading: (K,) in the world, rad.
         curve_mps: (K,) speed at which a bend is comfortable, m/s.
         width: m.
         limit: m/s.
-        borders: what is painted along its left and its right border: "none", "dashed" or "solid".
-        priority: traffic on a lane of greater priority goes first.
-        after: numbers of the lanes that it leads on to.
-        through_junction: it crosses others.
+        borders: line style of its left and right border: "none", "dashed" or "solid".
+        priority: the higher one has right of way.
+        after: numbers of its successors.
+        through_junction: whether it crosses other lanes.
     """
 
     index: LaneIndex
@@ -105,7 +105,7 @@ class RoadLane:
         return f"{self.edge}_{self.count - 1 - self.index[2]}"
 
     def along_at(self, xy: NDArray[np.float64]) -> float:
-        """Return how far along the lane (2,) a place in our world is, m; highway-env's own wraps in long arcs."""
+        """Return the distance along the lane of a (2,) world position, m; highway-env's own wraps in long arcs."""
         row = int(((self.line - xy) ** 2).sum(axis=1).argmin())
         forward = np.array([np.cos(self.heading[row]), np.sin(self.heading[row])])
         return float(self.along[row] + (xy - self.line[row]) @ forward)
@@ -117,15 +117,15 @@ class RoadLane:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Roads:
-    """The roads of one environment.
+class LaneNetwork:
+    """Lane network of one environment.
 
     Attributes:
-        network: highway-env's.
-        objects: what stands on the road, such as the end of a lane.
-        lanes: those that are used.
-        unused: those that nobody is sent along; their borders are painted all the same.
-        changes_lanes: whether drivers do.
+        network: the road network object of highway-env.
+        objects: obstacles on the road, such as the end of a lane.
+        lanes: lanes with traffic.
+        unused: lanes without traffic, whose borders are painted all the same.
+        changes_lanes: whether drivers change lanes.
         motorway: see `Environment`.
     """
 
@@ -138,23 +138,23 @@ class Roads:
 
     @property
     def entries(self) -> tuple[int, ...]:
-        """Numbers of the lanes that nothing leads to."""
+        """Numbers of the lanes without a predecessor."""
         reached = {number for lane in self.lanes for number in lane.after}
         return tuple(number for number in range(len(self.lanes)) if number not in reached)
 
     @property
     def exits(self) -> tuple[int, ...]:
-        """Numbers of the lanes that lead nowhere."""
+        """Numbers of the lanes without a successor."""
         return tuple(number for number, lane in enumerate(self.lanes) if not lane.after)
 
     def number(self, index: LaneIndex) -> int | None:
-        """Return the number of a lane; None for one that is not used."""
+        """Return the number of a lane; None for an unused one."""
         return next((number for number, lane in enumerate(self.lanes) if lane.index == tuple(index)), None)
 
-    def way(self, start: int, goal: int | None) -> list[int] | None:
-        """Return the lanes from one to another, without the first; None when there is no way.
+    def route(self, start: int, goal: int | None) -> list[int] | None:
+        """Return the route from a lane to another, without the first lane; None if there is no route.
 
-        Without a goal the way is one lane that comes next, the first of them.
+        Without a goal it is the first successor alone.
         """
         if goal is None:
             return list(self.lanes[start].after[:1])
@@ -167,21 +167,21 @@ class Roads:
                     waiting.append(number)
         if goal not in before:
             return None
-        way: list[int] = []
+        route: list[int] = []
         while goal != start:
-            way.append(goal)
+            route.append(goal)
             goal = before[goal]
-        return way[::-1]
+        return route[::-1]
 
 
 def to_world(xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (..., 2) places of highway-env's plane in our world, or the other way round."""
+    """Convert (..., 2) positions between highway-env's plane and the world, in either direction."""
     return np.asarray(xy, np.float64) * [1.0, -1.0]
 
 
 @lru_cache(maxsize=8)
-def read_roads(environment: str) -> Roads:
-    """Return the roads of an environment of highway-env.
+def read_roads(environment: str) -> LaneNetwork:
+    """Read the lane network of an environment of highway-env.
 
     Raises:
         ScenarioError: there is no such environment, or highway-env is not installed.
@@ -191,7 +191,7 @@ def read_roads(environment: str) -> Roads:
         raise ScenarioError(f"network.highway_env: expected an environment of highway-env, found '{environment}'{hint}")
     known = ENVIRONMENTS[environment]
     road = _road(environment)
-    # Those that are used come first, so that their numbers are their rows.
+    # Used lanes come first, so that their numbers are their rows.
     every = sorted(road.network.lanes_dict().items(), key=lambda entry: tuple(entry[0]) in known.unused)
     used = sum(tuple(index) not in known.unused for index, _ in every)
     found = every[:used]
@@ -216,22 +216,22 @@ def read_roads(environment: str) -> Roads:
         for number, ((index, lane), (line, along, heading)) in enumerate(zip(every, samples, strict=True))
     )
     objects = tuple(road.objects)
-    return Roads(road.network, objects, lanes[:used], lanes[used:], known.changes_lanes, known.motorway)
+    return LaneNetwork(road.network, objects, lanes[:used], lanes[used:], known.changes_lanes, known.motorway)
 
 
 def _road(environment: str) -> Any:
-    """Return highway-env's road of an environment, whose own vehicles are of no use to us."""
-    # pygame, which highway-env draws with, greets on standard output.
+    """Return highway-env's road of an environment; its vehicles are ignored."""
+    # pygame, which highway-env imports, prints a greeting.
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     try:
         import gymnasium
         import highway_env  # noqa: F401  it registers its environments
     except ImportError as error:
         raise ScenarioError(f"network.highway_env: highway-env is not installed ({error})") from None
-    # A class of our own, since some environments change the constants of the class of their vehicles for good.
-    config = {"other_vehicles_type": "sim.traffic.highway.driver.Extra"}
+    # A separate class, because some environments change constants of their vehicle class for good.
+    config = {"other_vehicles_type": "sim.traffic.highway.driver.EnvironmentVehicle"}
     with warnings.catch_warnings():
-        # Of most environments a newer version looks for neighbours differently; the roads are the same.
+        # Newer versions of most environments differ in the search for neighbours only.
         warnings.simplefilter("ignore")
         env = gymnasium.make(environment, config=config, disable_env_checker=True)
         env.reset(seed=0)
@@ -244,7 +244,7 @@ _Samples = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def _samples(lane: Any, length: float) -> _Samples:
-    """Return (K, 2) points, (K,) lengths along and (K,) headings of a lane, in our world."""
+    """Return (K, 2) points, (K,) lengths along and (K,) headings of a lane in the world."""
     along = np.linspace(0.0, length, max(2, int(np.ceil(length / SAMPLE_M)) + 1))
     line = to_world(np.array([lane.position(s, 0.0) for s in along]))
     return line, along, -np.array([lane.heading_at(s) for s in along], np.float64)
@@ -264,7 +264,7 @@ def _priority(first: str, lane: Any) -> int:
 
 
 def _after(number: int, found: Sequence[tuple[LaneIndex, Any]], ends: Sequence[tuple]) -> tuple[int, ...]:
-    """Return the lanes that one leads on to: the nearest of each road that begins where it ends."""
+    """Return the successors of a lane: the nearest of each road that begins at its end."""
     (_, node, _), (_, end, _, heading) = found[number][0], ends[number]
     nearest: dict[str, tuple[float, int]] = {}
     for other, ((start_node, to, _), _) in enumerate(found):
@@ -277,7 +277,7 @@ def _after(number: int, found: Sequence[tuple[LaneIndex, Any]], ends: Sequence[t
 
 
 def _crosses(number: int, samples: Sequence[_Samples]) -> bool:
-    """Return whether a lane meets another one between its own ends at an angle, as only lanes of a junction do."""
+    """Return whether a lane crosses another at an angle between its ends, as only junction lanes do."""
     line, _, heading = samples[number]
     for other, (others, _, other_heading) in enumerate(samples):
         if other == number:

@@ -1,19 +1,20 @@
-"""Traffic on the roads of highway-env, without SUMO: its lanes, its vehicle model and its lane changes."""
+"""Traffic on highway-env's roads, without SUMO: its lanes, vehicle model and lane changes."""
 
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies.choice import plain_models_for
+from sim.bodies.choice import generic_models_for
 from sim.boxes import Boxes
 from sim.errors import ScenarioError, TrafficError, complaint
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario
-from sim.traffic.base import SIGNALS, Actors
+from sim.streams import Stream, random_generator
+from sim.traffic.base import SIGNALS, Actors, Limits, TrafficLight, check_command
 from sim.traffic.highway.driver import Driver
-from sim.traffic.highway.perception import AHEAD_M, Junction, decide, free_speed, way_of
-from sim.traffic.highway.roads import Roads, read_roads, to_world
+from sim.traffic.highway.perception import AHEAD_M, Junction, decide, free_speed, path_ahead
+from sim.traffic.highway.roads import LaneNetwork, read_roads, to_world
 from sim.vehicle_types import VehicleType, types_of
 
 FIRST_ID = 1000
@@ -27,18 +28,17 @@ _TURN_AHEAD_M = 30.0
 
 
 class HighwayTraffic:
-    """Vehicles on the roads of an environment of highway-env.
+    """Traffic on the roads of an environment of highway-env.
 
-    The environment gives the lanes. Its few vehicles are replaced by as many as the scenario's demand asks for, of its
-    classes and their sizes, on the way to a random exit; those who leave are gone, and new ones come where roads begin.
-    A closed track has `demand.max_vehicles` on it for good.
+    The environment gives the lanes. Its vehicles are replaced by those of the scenario's demand, each with a random
+    exit; vehicles leave at exits and enter where roads begin. A closed track always holds `demand.max_vehicles`.
 
     Args:
-        scenario: what to simulate; the warm-up has passed when the object exists.
-        seed: of everything random; equal seeds give equal actors in every process.
+        scenario: scenario to simulate; the constructor runs its warm-up.
+        seed: root seed; equal seeds give equal actors in every process.
 
     Raises:
-        ScenarioError: there is no such environment, highway-env is missing, or the demand has people or bicycles.
+        ScenarioError: the environment is unknown, highway-env is missing, or the demand has pedestrians or bicycles.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
@@ -52,8 +52,8 @@ class HighwayTraffic:
                 scenario.name, "demand.bicycles_per_hour, persons_per_hour", "0 with highway_env", found
             )
             raise ScenarioError(message)
-        self._roads: Roads = read_roads(scenario.network.highway_env)
-        self._rng = np.random.default_rng(np.random.SeedSequence(seed))
+        self._roads: LaneNetwork = read_roads(scenario.network.highway_env)
+        self._rng = random_generator(seed, Stream.HIGHWAY_TRAFFIC)
         self._road = Road(
             network=self._roads.network,
             road_objects=list(self._roads.objects),
@@ -82,7 +82,7 @@ class HighwayTraffic:
         return self._actors
 
     def step(self) -> Actors:
-        """Advance by `step_s` and return the actors then."""
+        """Advance by `step_s` and return the actors."""
         self._advance()
         self._actors = self._read()
         return self._actors
@@ -97,37 +97,40 @@ class HighwayTraffic:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def command_speed(self, object_id: int, speed_mps: float | None) -> None:
-        """Drive a vehicle at this speed from the next step on, as far as its acceleration limits allow.
-
-        It keeps its way and its lane, but no distance, and gives way to nobody: that is for the caller.
-
-        Args:
-            object_id: a vehicle on the road.
-            speed_mps: m/s >= 0; None gives the vehicle back to its driver.
-        """
-        if speed_mps is not None and not (np.isfinite(speed_mps) and speed_mps >= 0.0):
-            raise ValueError(f"speed_mps must be finite and >= 0, got {speed_mps}")
+    def command(self, object_id: int, speed_mps: float | None) -> None:
+        """Drive a vehicle, see `DrivableTraffic.command`."""
+        check_command(speed_mps)
         self._driver(object_id).commanded = None if speed_mps is None else float(speed_mps)
 
     def route(self, object_id: int, ahead_m: float) -> NDArray[np.float64]:
         """Return the (K, 2) world polyline that a vehicle will follow, from its centre over the next `ahead_m` m."""
         driver = self._driver(object_id)
-        way = way_of(driver, driver.way(ahead_m), driver.along)
-        length = min(ahead_m, float(way.along[-1]))
-        inside = way.along < length - 1e-6
-        end = [np.interp(length, way.along, way.points[:, axis]) for axis in (0, 1)]
-        return np.concatenate([way.points[inside], [end]])
+        path = path_ahead(driver, driver.lanes_ahead(ahead_m), driver.along)
+        length = min(ahead_m, float(path.along[-1]))
+        inside = path.along < length - 1e-6
+        end = [np.interp(length, path.along, path.points[:, axis]) for axis in (0, 1)]
+        return np.concatenate([path.points[inside], [end]])
 
     def speed(self, object_id: int) -> float:
-        """Return a vehicle's speed along its lane, m/s."""
+        """Return the odometer reading of a vehicle: its speed along its lane, m/s."""
         return float(self._driver(object_id).speed)
 
-    def allowed_speed(self, object_id: int) -> float:
-        """Return the speed that a vehicle may drive where it is, m/s: the limit, or less in a bend."""
+    def limits(self, object_id: int) -> Limits:
+        """Return the limits of a vehicle where it is; the allowed speed is lower in a bend."""
         driver = self._driver(object_id)
         lane = self._roads.lanes[driver.lane_number]
-        return float(min(lane.limit, np.interp(driver.along, lane.along, lane.curve_mps)))
+        allowed_mps = float(min(lane.limit, np.interp(driver.along, lane.along, lane.curve_mps)))
+        strongest, _, emergency = driver.kind.accel_mps2
+        return Limits(allowed_mps, strongest, emergency)
+
+    def signals(self, object_id: int) -> tuple[TrafficLight, ...]:
+        """Return no traffic lights: roads of highway-env have none."""
+        self._driver(object_id)
+        return ()
+
+    def claims(self) -> dict[str, Actors]:
+        """Return no claims: vehicles of highway-env report what exists."""
+        return {}
 
     def _driver(self, object_id: int) -> Driver:
         for driver in self._road.vehicles:
@@ -151,44 +154,44 @@ class HighwayTraffic:
         self._arrivals()
 
     def _headway(self) -> float:
-        """Draw the time until the next vehicle comes to one entry, s."""
+        """Draw the time until the next arrival at an entry, s."""
         entries = len(self._roads.entries)
         if not entries or self._demand.vehicles_per_hour == 0.0:
             return float("inf")
         return float(self._rng.exponential(3600.0 * entries / self._demand.vehicles_per_hour))
 
     def _arrivals(self) -> None:
-        """Let vehicles onto the road where it begins, as soon as there is room."""
+        """Insert vehicles at the entries as soon as there is room."""
         for number in self._roads.entries:
             if self._time_s < self._next_s[number] or len(self._road.vehicles) >= self._demand.max_vehicles:
                 continue
-            kind, eager = self._draw()
+            kind, speed_factor = self._draw()
             if self._is_free(number, 0.5 * kind.size[0], kind, moving=True):
-                self._put(number, 0.5 * kind.size[0], kind, eager)
+                self._put(number, 0.5 * kind.size[0], kind, speed_factor)
                 self._next_s[number] = self._time_s + self._headway()
 
     def _fill(self) -> None:
-        """Put vehicles on all lanes, as dense as they will be later."""
+        """Put vehicles on all lanes at the density of the demand."""
         lanes = self._roads.lanes
         length = sum(float(lane.along[-1]) for lane in lanes)
         for number, lane in enumerate(lanes):
             if lane.through_junction or (self._roads.exits and not self._goals(number)):
-                continue  # from the inner lane of a roundabout nobody gets out
+                continue  # the inner lane of a roundabout has no exit
             rate = self._demand.vehicles_per_hour / 3600.0 / max(len(self._roads.entries), 1)
             mean = lane.limit / max(rate, 1e-6) if self._roads.entries else length / self._demand.max_vehicles
             at = float(self._rng.uniform(2.0, max(mean, 12.0)))
-            # Nobody starts so near to a junction that he could not stop.
+            # No vehicle starts too near to a junction to stop.
             ends = any(lanes[after].through_junction for after in lane.after)
             while (
                 at < lane.along[-1] - (40.0 if ends else 3.0) and len(self._road.vehicles) < self._demand.max_vehicles
             ):
-                kind, eager = self._draw()
+                kind, speed_factor = self._draw()
                 if self._is_free(number, at, kind, moving=False):
-                    self._put(number, at, kind, eager)
+                    self._put(number, at, kind, speed_factor)
                 at += kind.size[0] + _GAP_M + float(self._rng.exponential(max(mean - 12.0, 1.0)))
 
     def _draw(self) -> tuple[VehicleType, float]:
-        """Draw a type and how fast its driver likes to go."""
+        """Draw a vehicle type and the desired speed of its driver as a share of the limit."""
         labels = sorted(self._demand.type_mix)
         weights = np.array([self._demand.type_mix[label] for label in labels])
         kinds = types_of(labels[int(self._rng.choice(len(labels), p=weights / weights.sum()))])
@@ -197,7 +200,7 @@ class HighwayTraffic:
         return kind, float(np.clip(self._rng.normal(0.95, 0.08), 0.75, 1.1))
 
     def _is_free(self, number: int, along: float, kind: VehicleType, *, moving: bool) -> bool:
-        """Return whether a vehicle can appear on a lane; one that comes in motion needs more room ahead."""
+        """Return whether a vehicle fits at a place of a lane; a moving one needs more room ahead."""
         lane = self._roads.lanes[number]
         place = np.array(lane.lane.position(along, 0.0))
         speed = lane.limit if moving else 0.0
@@ -208,21 +211,21 @@ class HighwayTraffic:
                 return False
         return True
 
-    def _put(self, number: int, along: float, kind: VehicleType, eager: float) -> None:
-        driver = Driver(self._road, self._roads, number, along, kind, self._made, eager)
-        models = plain_models_for(kind.label)
+    def _put(self, number: int, along: float, kind: VehicleType, speed_factor: float) -> None:
+        driver = Driver(self._road, self._roads, number, along, kind, self._made, speed_factor)
+        models = generic_models_for(kind.label)
         self._models.append(models[int(self._rng.integers(len(models)))])
         self._made += 1
         goals = self._goals(number)
         driver.send_to(goals[int(self._rng.integers(len(goals)))] if goals else None)
-        driver.speed = free_speed(way_of(driver, driver.way(AHEAD_M), along))
+        driver.speed = free_speed(path_ahead(driver, driver.lanes_ahead(AHEAD_M), along))
         self._road.vehicles.append(driver)
 
     def _goals(self, number: int) -> list[int]:
-        """Return the exits that can be reached from a lane, but not back where it begins."""
+        """Return the exits reachable from a lane, except at its own start."""
         start = self._roads.lanes[number].line[0]
         ends = [(goal, self._roads.lanes[goal].line[-1]) for goal in self._roads.exits]
-        return [g for g, end in ends if np.hypot(*(end - start)) > 12.0 and self._roads.way(number, g) is not None]
+        return [g for g, end in ends if np.hypot(*(end - start)) > 12.0 and self._roads.route(number, g) is not None]
 
     def _read(self) -> Actors:
         drivers = sorted(self._road.vehicles, key=lambda driver: driver.number)
@@ -251,7 +254,7 @@ class HighwayTraffic:
     def _changes(
         self, drivers: list[Driver], xy: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return (N, 2) velocities and accelerations from the last step's; newcomers move along their heading."""
+        """Return (N, 2) velocities and accelerations from the last step, or from speed and heading in the first."""
         velocity, acceleration = np.zeros((2, len(drivers), 2))
         before, self._last = self._last, {}
         for row, driver in enumerate(drivers):
@@ -265,7 +268,7 @@ class HighwayTraffic:
         return velocity, acceleration
 
     def _lane(self, driver: Driver) -> str:
-        """Name the lane that a vehicle is on: the one it heads for, or the one it is still leaving."""
+        """Return the name of the lane below a vehicle: its target lane, or the one it is still leaving."""
         nearest = self._roads.number(driver.lane_index)
         heading_for = self._roads.lanes[driver.lane_number]
         if nearest is not None and self._roads.lanes[nearest].edge == heading_for.edge:
@@ -274,15 +277,15 @@ class HighwayTraffic:
 
 
 def _signals(driver: Driver) -> int:
-    """Return the lights of a vehicle: it brakes, changes lanes or turns."""
-    lights = SIGNALS["brake light"] if driver.pull < _BRAKES_MPS2 else 0
+    """Return the lights of a vehicle: brake lights, and indicators of lane changes and turns."""
+    lights = SIGNALS["brake light"] if driver.planned_mps2 < _BRAKES_MPS2 else 0
     lane = driver.roads.lanes[driver.lane_number]
     turn = 0.0
     if driver.lane_index[:2] == driver.target_lane_index[:2] and driver.lane_index != driver.target_lane_index:
         turn = float(driver.lane_index[2] - driver.target_lane_index[2])
     else:
         ahead = lane.along[-1] - driver.along
-        numbers = [driver.lane_number] if lane.through_junction else driver.way(AHEAD_M)[1:2]
+        numbers = [driver.lane_number] if lane.through_junction else driver.lanes_ahead(AHEAD_M)[1:2]
         for number in numbers if lane.through_junction or ahead < _TURN_AHEAD_M else ():
             heading = np.unwrap(driver.roads.lanes[number].heading)
             turn = float(heading[-1] - heading[0])

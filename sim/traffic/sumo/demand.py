@@ -1,4 +1,4 @@
-"""Seeded trips: who drives, rides or walks from where to where, when, in a vehicle of which type."""
+"""SUMO demand: seeded trips of vehicles, bicycles and pedestrians as a .rou.xml."""
 
 import gzip
 import xml.etree.ElementTree as ET
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.errors import ScenarioError, complaint
+from sim.errors import ScenarioError, complaint, unreadable
 from sim.files import write_file
 from sim.roads.networks import resolve_trips
 from sim.scenario import Scenario
@@ -18,7 +18,7 @@ from sim.traffic.sumo.routes import Routes, candidate_routes, walkable_edges
 from sim.vehicle_types import TYPES, VehicleType, types_of
 
 AFTER_S = 1800.0
-"""Trips go on for so long after the nominal end, since a run may be continued."""
+"""Duration of trips after the nominal end, s, for runs that continue."""
 
 
 def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
@@ -30,7 +30,7 @@ def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
         scenario: gives rates, mix, area and duration.
         net: `sumolib.net.Net` of the scenario.
         seed: equal seeds write equal bytes.
-        path: the .rou.xml to write; it appears in one piece.
+        path: the .rou.xml, written atomically.
 
     Raises:
         ScenarioError: a class that the scenario asks for has no route in the network.
@@ -61,7 +61,7 @@ def _vehicles(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: flo
 
 
 def _recorded(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
-    """Yield the recorded trips from a time on that the seed draws, in bodies of our own types."""
+    """Yield the recorded trips from a seeded start time on, in vehicles of `sim.vehicle_types`."""
     demand = scenario.demand
     labels = sorted(name for name, weight in demand.type_mix.items() if weight > 0)
     weights = np.array([demand.type_mix[name] for name in labels])
@@ -82,10 +82,10 @@ def _recorded(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: flo
 
 
 def _read_trips(path: Path) -> list[tuple[float, list[str], bool]]:
-    """Return (departure in s, edges, whether these are all edges of the way) of the trips of a .rou.xml(.gz) file.
+    """Return (departure in s, edges, whether the route is complete) of the trips of a .rou.xml(.gz) file.
 
     Raises:
-        ScenarioError: the file is not of this kind, or holds no trips.
+        ScenarioError: the file is of another format or without trips.
     """
     try:
         raw = path.read_bytes()
@@ -99,7 +99,7 @@ def _read_trips(path: Path) -> list[tuple[float, list[str], bool]]:
             elif element.tag == "trip" and element.get("from") and element.get("to"):
                 found.append((float(depart), [element.get("from", ""), element.get("to", "")], False))
     except (OSError, EOFError, ET.ParseError, ValueError, zlib.error) as error:
-        raise ScenarioError(f"{path}: not a readable .rou.xml file: {' '.join(str(error).split())}") from None
+        raise ScenarioError(unreadable(path, ".rou.xml file", error)) from None
     if not found:
         raise ScenarioError(complaint(path, "demand.trips", "vehicles with routes, or trips with from and to", "none"))
     return sorted(found)
@@ -125,7 +125,7 @@ def _vehicle(
 
 
 def _persons(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
-    """Walk between two random points of one stretch of connected sidewalks and footways."""
+    """Yield walks between two random points of connected sidewalks and footways."""
     if scenario.demand.persons_per_hour == 0:
         return
     stretches = walkable_edges(net, scenario.network.area_m)

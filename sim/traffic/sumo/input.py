@@ -1,4 +1,4 @@
-"""What SUMO is started with: options and signal programs."""
+"""SUMO input: options and signal programs."""
 
 from typing import Any
 
@@ -26,14 +26,14 @@ def sumo_options(scenario: Scenario, seed: int) -> list[str]:
 
 
 def check_signals(scenario: Scenario, net: Any) -> None:
-    """Refuse signal programs that do not fit the network: SUMO would only say that something went wrong, or nothing.
+    """Check signal programs against the network: SUMO's own messages are vague or missing.
 
     Args:
         scenario: gives the programs.
         net: `sumolib.net.Net`.
 
     Raises:
-        ScenarioError: a program's junction has no signals, two programs, or another number of them.
+        ScenarioError: the junction of a program has no signals, two programs, or another number of signals.
     """
     signals = {
         light.getID(): 1 + max(link for _, _, link in light.getConnections()) for light in net.getTrafficLights()
@@ -56,7 +56,7 @@ def check_signals(scenario: Scenario, net: Any) -> None:
 
 
 def signals_xml(programs: tuple[SignalProgram, ...]) -> str:
-    """Return an additional file with the signal programs of a scenario."""
+    """Return SUMO's additional file with the signal programs of a scenario."""
     lines = ["<additional>"]
     for program in programs:
         lines.append(

@@ -1,4 +1,4 @@
-"""The lanes ahead of a SUMO vehicle as a polyline in the world."""
+"""Path of a SUMO vehicle along the lanes ahead, as a world polyline."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def lane_path(sumo: Any, vehicle: str, centre: NDArray[np.float64], ahead_m: float) -> NDArray[np.float64]:
-    """Follow a vehicle's route lane by lane, junctions included.
+    """Return the path of a vehicle along its route, lane by lane, junctions included.
 
     Args:
         sumo: the libsumo module of the running simulation.
@@ -39,7 +39,7 @@ def lane_path(sumo: Any, vehicle: str, centre: NDArray[np.float64], ahead_m: flo
 
 
 def _next_lane(sumo: Any, lane: str, edges: tuple[str, ...], index: int, internal: bool) -> tuple[str, int]:
-    """Return the next lane, junction lanes included, and by how many edges of the route that moves on."""
+    """Return the next lane, junction lanes included, and the number of route edges passed."""
     if internal:
         links = sumo.lane.getLinks(lane)
         if not links:
@@ -47,7 +47,7 @@ def _next_lane(sumo: Any, lane: str, edges: tuple[str, ...], index: int, interna
         target, via = links[0][0], links[0][4]
         return (via, 0) if via else (target, 0)
     edge = sumo.lane.getEdgeID(lane)
-    # A vehicle on a lane that does not lead on will change to one that does: take the nearest.
+    # A vehicle on a lane without a link to its next edge will change lanes: take the nearest that has one.
     position = edges.index(edge, index) if edge in edges[index:] else index
     if position + 1 >= len(edges):
         return "", 0

@@ -1,16 +1,16 @@
-"""How a commanded SUMO vehicle stops at red lights within its brakes."""
+"""Red-light stop of commanded SUMO vehicles, at comfortable deceleration."""
 
 import math
 from typing import Any
 
 STOP_M = 0.5
-"""Gap between the bumper and the line, m."""
+"""Gap between bumper and stop line, m."""
 
 
 def red_light_speed(sumo: Any, vehicle: str, decel_mps2: float, step_s: float) -> float:
     """Return the highest speed from which a vehicle still stops comfortably before a light that is not green.
 
-    Who is too close to stop when the light changes drives on.
+    A vehicle too close to stop when the light changes drives on.
 
     Args:
         sumo: the libsumo module of the running simulation.

@@ -1,4 +1,4 @@
-"""Candidate routes through a network, or through one part of it, and the stretches where people can walk."""
+"""Candidate routes through a network or an area of it, and connected footways."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from shapely.geometry import LineString, Point, box
 Area = tuple[float, float, float, float]
 
 MARGIN_M = 150.0
-"""Trips through an area begin and end on edges that reach within this distance of it."""
+"""Margin around an area on whose edges trips begin and end, m."""
 
 _ANYWHERE = 60
-"""About so many edges are the ends of trips where there are no gates."""
+"""Approximate number of trip ends in an area without gates."""
 
 FOCUS_M = 40.0
-"""A trip that passes this far from the focus is chosen e times less often than one that meets it."""
+"""Distance from the focus at which a trip is e times less likely, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,11 +33,11 @@ class Routes:
 
 @lru_cache(maxsize=32)
 def candidate_routes(net: Any, vclass: str, area: Area | None, focus: tuple[float, float] | None) -> Routes:
-    """Find the fastest routes between the gates of an area that touch it.
+    """Return the fastest routes between the gates of an area that touch it.
 
-    A gate is where traffic enters or leaves: an edge that nothing within the zone (the area and a margin) precedes,
-    or follows. Where no way leads from gate to gate, as in a ring, traffic begins and ends anywhere. A route is the
-    likelier the more lanes its gates have and the nearer it passes to the focus.
+    A gate is an edge where traffic enters or leaves: one without a predecessor, or a successor, within the zone (the
+    area and a margin). Where no route leads from gate to gate, as in a ring, traffic begins and ends anywhere. A route
+    is the likelier the more lanes its gates have and the nearer it passes to the focus.
 
     Args:
         net: `sumolib.net.Net`.
@@ -74,7 +74,7 @@ def _between(
     area: Area | None,
     focus: tuple[float, float] | None,
 ) -> Routes:
-    """Return the routes from any of some edges to any of others, given by their rows."""
+    """Return the routes from any start edge to any goal edge, given by rows."""
     if not origins or not goals:
         return Routes((), np.zeros(0))
     _, before = dijkstra(graph, indices=origins, return_predecessors=True)
@@ -83,7 +83,7 @@ def _between(
     for start, tree in zip(origins, before, strict=True):
         for goal in goals:
             if edges[goal].getToNode() is edges[start].getFromNode():
-                continue  # nobody drives round the block to come back
+                continue  # no round trips
             path = _trace(tree, start, goal)
             if len(path) > 1 and (area is None or any(shapes[row].intersects(box(*area)) for row in path)):
                 off = min(shapes[row].distance(Point(focus)) for row in path) if focus else 0.0
@@ -95,9 +95,9 @@ def _between(
 
 @lru_cache(maxsize=8)
 def walkable_edges(net: Any, area: Area | None) -> tuple[tuple[Any, ...], ...]:
-    """Group the edges near an area that have a sidewalk or are a footway into stretches connected on foot.
+    """Return groups of connected sidewalk and footway edges near an area.
 
-    Where a network has walking areas and crossings they make the connections, else common junctions do, as in SUMO.
+    Walking areas and crossings connect edges where the network has them, else shared junctions do, as in SUMO.
     """
     every = sorted(net.getEdges(withInternal=True), key=lambda e: e.getID())
     paved = [e for e in every if e.getFunction() != "internal" and any(map(_is_pavement, e.getLanes()))]
@@ -136,7 +136,7 @@ def _shared_junctions(paved: list) -> Iterator[tuple[int, int]]:
 
 
 def _near(edge: Any, area: Area | None, margin: float) -> bool:
-    """Whether an end of the edge, or the edge itself, reaches into the area grown by a margin."""
+    """Return whether an edge reaches into the area with its margin."""
     if area is None:
         return True
     zone = box(*area).buffer(margin, join_style="mitre")
@@ -144,7 +144,7 @@ def _near(edge: Any, area: Area | None, margin: float) -> bool:
 
 
 def _next(edge: Any, vclass: str) -> Iterator[Any]:
-    """Yield the edges that a vehicle may go on to; nobody plans a U-turn."""
+    """Yield the successors of an edge for a vehicle class, without U-turns."""
     for other, connections in edge.getOutgoing().items():
         turns_back = edge.getFromNode() is other.getToNode() and edge.getToNode() is other.getFromNode()
         if not turns_back and any(c.getFromLane().allows(vclass) and c.getToLane().allows(vclass) for c in connections):
@@ -152,7 +152,7 @@ def _next(edge: Any, vclass: str) -> Iterator[Any]:
 
 
 def _trace(tree: NDArray[np.integer], start: int, goal: int) -> list[int]:
-    """Walk back from goal to start in a tree of predecessors; empty when there is no way."""
+    """Return the path from start to goal in a tree of predecessors; may be empty."""
     path = [goal]
     while path[-1] != start:
         if tree[path[-1]] < 0:

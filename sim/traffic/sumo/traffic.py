@@ -1,10 +1,10 @@
-"""Traffic by SUMO, in this process: the only module that knows libsumo."""
+"""SUMO traffic in process: the only module that imports libsumo."""
 
 import tempfile
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from sim.errors import TrafficError
 from sim.geometry import center_from_sumo
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario
-from sim.traffic.base import PARKED, Actors
+from sim.traffic.base import PARKED, Actors, Limits, TrafficLight, check_command
 from sim.traffic.parking import parked_cars
 from sim.traffic.sumo.demand import write_demand
 from sim.traffic.sumo.input import check_signals, signals_xml, sumo_options
@@ -26,22 +26,28 @@ from sim.vehicle_types import TYPES, VehicleType
 FIRST_ID = 1000
 """Object id of the first road user that appears."""
 
-# Bits of SUMO's speed mode: keep the limits of acceleration (2) and braking (4), ignore who has the right of way also
-# inside a junction (32); without the safe speed (1) and the right of way (8) what the driver did not perceive has
-# consequences. SUMO's stop at red lights (16) is left out too: without the safe speed it brakes at 14 m/s2.
-_OWN_SPEED_MODE = 2 | 4 | 32
+# Bits of SUMO's speed mode: keep the limit of acceleration (2), ignore the right of way also inside a junction (32);
+# without the safe speed (1) and the right of way (8), missed road users have consequences. SUMO's limit of braking (4)
+# is the comfortable one: `_advance` applies the emergency deceleration instead. SUMO's stop at red lights (16) is left
+# out too: without the safe speed it brakes at 14 m/s2.
+_OWN_SPEED_MODE = 2 | 32
 _SUMO_SPEED_MODE = 31
 
-# A body turns as if its hind wheels, so far behind its front bumper, followed it without slipping: SUMO itself turns it
-# with the corners of its lane. The middle of the box would turn fastest, the rear axle would let the front swing out.
+# A body turns as if trailing wheels followed its front bumper without slip, at this share of its length behind it: SUMO
+# itself turns it with the corners of its lane. The middle of the box would turn too fast, the rear axle would swing the
+# front out.
 _TRAIL, _LEAST_TRAIL_M = 0.65, 1.8
+
+_LIGHT_STATES: dict[str, Literal["red", "red and yellow", "yellow", "green"]] = {
+    "r": "red", "u": "red and yellow", "y": "yellow", "Y": "yellow", "g": "green", "G": "green",
+}  # fmt: skip
 
 _running = threading.Lock()
 
 
 @dataclass(slots=True)
 class _RoadUser:
-    """What stays the same for one road user, and where it was a step ago."""
+    """Constant properties of a road user, and its state one step ago."""
 
     object_id: int
     name: str
@@ -54,16 +60,16 @@ class _RoadUser:
 
 
 class SumoTraffic:
-    """A running SUMO simulation of a scenario: `with SumoTraffic(scenario, seed) as traffic: traffic.step()`.
+    """Running SUMO simulation of a scenario: `with SumoTraffic(scenario, seed) as traffic: traffic.step()`.
 
-    libsumo holds one simulation per process and would silently replace it by a second; here a second is an error.
+    libsumo holds one simulation per process and silently replaces it by a second; here a second one is an error.
 
     Args:
-        scenario: what to simulate; the warm-up has passed when the object exists.
-        seed: of the trips, the drivers and the looks; equal seeds give equal actors in every process.
+        scenario: scenario to simulate; the constructor runs its warm-up.
+        seed: root seed of trips, drivers and body models; equal seeds give equal actors in every process.
 
     Raises:
-        ScenarioError: network or demand cannot be made.
+        ScenarioError: network or demand is invalid.
         TrafficError: a simulation already runs in this process, or SUMO refuses the input.
     """
 
@@ -96,7 +102,7 @@ class SumoTraffic:
         return self._actors
 
     def step(self) -> Actors:
-        """Advance by `step_s` and return the actors then."""
+        """Advance by `step_s` and return the actors."""
         self._advance()
         self._actors = self._read()
         return self._actors
@@ -118,24 +124,15 @@ class SumoTraffic:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def command_speed(self, object_id: int, speed_mps: float | None) -> None:
-        """Drive a vehicle at this speed from the next step on, as far as its acceleration limits allow.
-
-        The vehicle keeps its route and its lanes and stops at red lights, but it does not keep its distance and gives
-        way to nobody: that is for the caller.
-
-        Args:
-            object_id: a vehicle on the road.
-            speed_mps: m/s >= 0; None gives the vehicle back to SUMO's driver.
-        """
+    def command(self, object_id: int, speed_mps: float | None) -> None:
+        """Drive a vehicle, see `DrivableTraffic.command`; it stops at red lights whatever the command."""
+        check_command(speed_mps)
         name = self._vehicle(object_id)
         if speed_mps is None:
             self._sumo.vehicle.setSpeedMode(name, _SUMO_SPEED_MODE)
             self._sumo.vehicle.setSpeed(name, -1.0)
             self._commanded.pop(name, None)
             return
-        if not (np.isfinite(speed_mps) and speed_mps >= 0.0):
-            raise ValueError(f"speed_mps must be finite and >= 0, got {speed_mps}")
         if name not in self._commanded:
             self._sumo.vehicle.setSpeedMode(name, _OWN_SPEED_MODE)
         self._commanded[name] = float(speed_mps)
@@ -147,12 +144,23 @@ class SumoTraffic:
         return lane_path(self._sumo, name, centre, ahead_m)
 
     def speed(self, object_id: int) -> float:
-        """Return a vehicle's speed along its lane, m/s: what its own odometer shows."""
+        """Return the odometer reading of a vehicle: its speed along its lane, m/s."""
         return float(self._sumo.vehicle.getSpeed(self._vehicle(object_id)))
 
-    def allowed_speed(self, object_id: int) -> float:
-        """Return the speed that a vehicle may drive where it is, m/s."""
-        return float(self._sumo.vehicle.getAllowedSpeed(self._vehicle(object_id)))
+    def limits(self, object_id: int) -> Limits:
+        """Return the limits of a vehicle where it is; its driver's share of the speed limit is included."""
+        name = self._vehicle(object_id)
+        strongest, _, emergency = self._users[name].kind.accel_mps2
+        return Limits(float(self._sumo.vehicle.getAllowedSpeed(name)), strongest, emergency)
+
+    def signals(self, object_id: int) -> tuple[TrafficLight, ...]:
+        """Return the traffic lights on the route of a vehicle, nearest first."""
+        lights = self._sumo.vehicle.getNextTLS(self._vehicle(object_id))
+        return tuple(TrafficLight(_LIGHT_STATES.get(state, "off"), float(gap_m)) for _, _, gap_m, state in lights)
+
+    def claims(self) -> dict[str, Actors]:
+        """Return no claims: SUMO's vehicles report what exists."""
+        return {}
 
     def _vehicle(self, object_id: int) -> str:
         row = self.actors.row(object_id)
@@ -191,7 +199,7 @@ class SumoTraffic:
                 raise TrafficError(f"{scenario.name}: SUMO does not start: {text}") from None
 
     def _park(self, scenario: Scenario, net: Any) -> None:
-        """Give the parked cars the first ids; SUMO knows nothing of them."""
+        """Give the parked cars the first ids; they are not in SUMO."""
         cars = parked_cars(scenario, net, self._seed)
         users: list[_RoadUser] = []
         for kind in cars.kind:
@@ -230,8 +238,10 @@ class SumoTraffic:
         if not self._open:
             raise TrafficError("this SUMO simulation is closed")
         for name, speed_mps in self._commanded.items():
-            limit_mps = red_light_speed(self._sumo, name, self._users[name].kind.accel_mps2[1], self.step_s)
-            self._sumo.vehicle.setSpeed(name, min(speed_mps, limit_mps))
+            _, comfortable, emergency = self._users[name].kind.accel_mps2
+            limit_mps = red_light_speed(self._sumo, name, comfortable, self.step_s)
+            least_mps = self._sumo.vehicle.getSpeed(name) - emergency * self.step_s
+            self._sumo.vehicle.setSpeed(name, max(min(speed_mps, limit_mps), least_mps, 0.0))
         try:
             self._sumo.simulationStep()
         except Exception as error:  # see _start
@@ -249,7 +259,7 @@ class SumoTraffic:
         self._users[name] = _RoadUser(FIRST_ID + len(self._users), name, kind, model, is_person)
 
     def _read(self) -> Actors:
-        """Read all positions with plain getters: in process they are faster than subscriptions."""
+        """Return the current actors, by plain getters: in process they are faster than subscriptions."""
         vehicle, person = self._sumo.vehicle, self._sumo.person
         users = [self._users[name] for name in (*vehicle.getIDList(), *person.getIDList())]
         users.sort(key=lambda user: user.object_id)
@@ -291,7 +301,7 @@ class SumoTraffic:
     def _velocities(
         self, users: list[_RoadUser], base: NDArray[np.float64], yaw: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return (N, 2) m/s from the last step's centres; newcomers move at their speed along their heading."""
+        """Return (N, 2) velocities, m/s, from the last step's centres, or from speed and heading in the first step."""
         velocity = np.zeros((len(users), 2))
         for row, user in enumerate(users):
             if user.last_xy is not None:
@@ -303,7 +313,7 @@ class SumoTraffic:
         return velocity
 
     def _accelerations(self, users: list[_RoadUser], velocity: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (N, 2) m/s2 from the last step's velocities; zero for newcomers."""
+        """Return (N, 2) accelerations, m/s2, from the last step's velocities; zero in the first step."""
         acceleration = np.zeros_like(velocity)
         for row, user in enumerate(users):
             if user.last_velocity is not None:
@@ -313,12 +323,12 @@ class SumoTraffic:
 
 
 def _follow(user: _RoadUser, front: NDArray[np.float64], angle_deg: float) -> float:
-    """Draw the hind wheels of a vehicle after its front and return its heading, both angles as SUMO has them.
+    """Move the trailing wheels of a vehicle and return its heading, in SUMO's degrees.
 
     Args:
-        user: whose `trail` moves along.
+        user: road user, whose `trail` is updated.
         front: (2,) front bumper, m.
-        angle_deg: SUMO's heading, which a newcomer has.
+        angle_deg: SUMO's heading, used in the first step.
     """
     if user.is_person:
         return angle_deg

@@ -1,14 +1,16 @@
-"""Windows and wall colours: what makes a block of walls look like houses to a camera and to a laser."""
+"""Facades: windows and wall colours of houses."""
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from sim.mesh.solids import Array, Piece, join, piece
+from sim.geometry import Array
+from sim.mesh.solids import MeshPart, join, mesh_part
 from sim.roads.polygons import STOREY_M
+from sim.streams import Stream, random_generator
 
 WALLS = ("brick", "plaster", "concrete")
-"""Materials of walls."""
+"""Wall materials."""
 
 _EVERY_M = 2.6
 _WIDTH_M = 1.3
@@ -17,11 +19,11 @@ _PROUD_M = 0.03
 _MARGIN_M = 1.2
 
 
-def windows(ends: Array, low: Array, high: Array) -> Piece:
-    """Return rows of panes on upright rectangular walls, a little proud of them.
+def windows(ends: Array, low: Array, high: Array) -> MeshPart:
+    """Return rows of window panes on upright rectangular walls, slightly in front of them.
 
     Args:
-        ends: (W, 2, 2) ends of each wall seen from above, the outside on the right of the way from first to second.
+        ends: (W, 2, 2) ends of each wall seen from above, the outside on the right from first to second.
         low: (W,) height of the foot, m.
         high: (W,) height of the top, m.
     """
@@ -32,7 +34,7 @@ def windows(ends: Array, low: Array, high: Array) -> Piece:
     quads = np.concatenate(corners)
     first = 4 * np.arange(len(quads))[:, None]
     faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
-    return piece(quads.reshape(-1, 3), faces, "glass")
+    return mesh_part(quads.reshape(-1, 3), faces, "glass")
 
 
 def _panes(wall: Array, low: float, high: float) -> Array:
@@ -55,9 +57,9 @@ def _panes(wall: Array, low: float, high: float) -> Array:
 
 
 def wall_rectangles(triangles: Array, footprint: shapely.Geometry) -> tuple[Array, Array, Array]:
-    """Return (ends, low, high) as `windows` takes them of the walls that (F, 3, 3) upright triangles make.
+    """Return the rectangular walls of (F, 3, 3) upright triangles, as arguments of `windows`.
 
-    A wall counts when its triangles fill a rectangle and just one of its sides is outside of the footprint.
+    A wall counts if its triangles fill a rectangle and exactly one of its sides is outside of the footprint.
     """
     flat = triangles[:, :, :2]
     pairs = np.stack([flat, np.roll(flat, -1, axis=1)], axis=2)
@@ -81,7 +83,7 @@ def wall_rectangles(triangles: Array, footprint: shapely.Geometry) -> tuple[Arra
 
 
 def _face_outside(walls: Array, length: Array, footprint: shapely.Geometry) -> tuple[Array, NDArray[np.bool_]]:
-    """Turn walls so that their right is outside; tell which have exactly one side outside."""
+    """Return walls oriented with the outside on their right, and the mask of those with exactly one side outside."""
     way = (walls[:, 1] - walls[:, 0]) / np.maximum(length, 1e-9)[:, None]
     middle, aside = walls.mean(axis=1), 0.4 * np.column_stack([way[:, 1], -way[:, 0]])
     shapely.prepare(footprint)
@@ -92,10 +94,10 @@ def _face_outside(walls: Array, length: Array, footprint: shapely.Geometry) -> t
 
 
 def colours(centers: Array, footprint: shapely.Geometry) -> NDArray[np.str_]:
-    """Return (N,) wall materials of (N, 2) places: one for each house, the same in every run."""
+    """Return (N,) wall materials at (N, 2) positions: one per house, independent of the seed."""
     houses = [part for part in shapely.get_parts(footprint) if part.geom_type == "Polygon"]
     if not houses or not len(centers):
         return np.full(len(centers), WALLS[0], dtype="U16")
-    chosen = np.random.default_rng(len(houses)).integers(len(WALLS), size=len(houses))
+    chosen = random_generator(len(houses), Stream.FACADES).integers(len(WALLS), size=len(houses))
     nearest = shapely.STRtree(houses).nearest(shapely.points(centers))
     return np.array(WALLS, dtype="U16")[chosen[nearest]]

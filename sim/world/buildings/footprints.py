@@ -1,50 +1,50 @@
-"""Buildings from outlines: the polygons that SUMO's polyconvert takes from OpenStreetMap, pulled up to solids."""
+"""Buildings extruded from footprints of .poly.xml files."""
 
 from pathlib import Path
 
 import numpy as np
 import shapely
 
-from sim.mesh.solids import Piece, rings_of
+from sim.mesh.solids import MeshPart, rings_of
 from sim.roads.polygons import read_outlines
 from sim.world.buildings.facades import WALLS
-from sim.world.buildings.houses import Town, walled
+from sim.world.buildings.houses import Buildings, walled
 from sim.world.roads.streets import Streets
 
 _LOWEST_M, _HIGHEST_M = 9.0, 18.0
-"""Heights of buildings that the file does not tell."""
+"""Range of heights for buildings without one in the file, m."""
 
 _FROM_LANE_M = 0.5
 _NARROW_M = 1.0
-"""What is left of a building beside a lane and is narrower than this is dropped."""
+"""Smallest width of a building clipped beside a lane, m; slivers are dropped."""
 
 
-def outlined(path: Path, streets: Streets, rng: np.random.Generator) -> Town:
-    """Return the buildings of a .poly.xml file within the window; they end where lanes and footways lead through.
+def outlined(path: Path, streets: Streets, rng: np.random.Generator) -> Buildings:
+    """Return the buildings of a .poly.xml file within the window, clipped at lanes and footways.
 
     Args:
         path: the file.
         streets: lanes and polygons.
-        rng: chooses walls, and heights that the file does not tell.
+        rng: generator of walls, and of heights that the file lacks.
 
     Raises:
-        ScenarioError: the file is missing, not of this kind or holds no building.
+        ScenarioError: the file is missing, of another format or without buildings.
     """
     frame = shapely.box(*streets.window)
     taken = (streets.road | streets.walk | streets.rail).buffer(_FROM_LANE_M)
     houses: list[shapely.Polygon] = []
-    pieces: list[Piece] = []
+    parts: list[MeshPart] = []
     for outline in read_outlines(path):
-        # Drawn for every building of the file, so that none changes when another leaves the window.
+        # Drawn for every building of the file, so that none depends on the window.
         guess, wall = float(rng.uniform(_LOWEST_M, _HIGHEST_M)), WALLS[int(rng.integers(len(WALLS)))]
         if not outline.shape.intersects(frame):
             continue
-        parts = rings_of(_without_slivers((outline.shape & frame) - taken))
-        for part in parts:
-            pieces += walled(part, streets, guess if outline.height_m is None else outline.height_m, wall)
-        houses += parts
-        taken |= shapely.unary_union(parts)
-    return Town(tuple(pieces), shapely.unary_union(houses))
+        polygons = rings_of(_without_slivers((outline.shape & frame) - taken))
+        for polygon in polygons:
+            parts += walled(polygon, streets, guess if outline.height_m is None else outline.height_m, wall)
+        houses += polygons
+        taken |= shapely.unary_union(polygons)
+    return Buildings(tuple(parts), shapely.unary_union(houses))
 
 
 def _without_slivers(shape: shapely.Geometry) -> shapely.Geometry:

@@ -1,4 +1,4 @@
-"""Buildings: those of a real city mesh, else seeded blocks along the streets of a town."""
+"""Buildings: a real city mesh, or seeded houses along the streets of a town."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,8 +8,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from sim.geometry import Array
 from sim.mesh.meshfiles import read_3ds
-from sim.mesh.solids import Array, Piece, join, piece, slab
+from sim.mesh.solids import MeshPart, join, mesh_part, slab
 from sim.roads.polygons import STOREY_M
 from sim.world.buildings.facades import WALLS, colours, wall_rectangles, windows
 from sim.world.roads.markings import cut_line, offset
@@ -17,19 +18,19 @@ from sim.world.roads.streets import Streets
 from sim.world.roads.surfaces import TOWN_SPEED_MPS
 
 CLEARANCE_M = 4.5
-"""Height over a lane below which nothing may stand."""
+"""Clearance above lanes, m."""
 
 _PAVED_BELOW_M = 0.02
-"""How far yards and car parks of the mesh lie below our road, which is not to meet them at one height."""
+"""Depth of the mesh's yards and car parks below the road, m, to avoid coplanar surfaces."""
 
 _UNIT_CLEAR_M = 8.0
 _NO_HOUSE_M = 60.0
-"""No houses are made up this close to a motorway."""
+"""Distance of generated houses from motorways, m."""
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
-    """Where a city mesh (y up) stands in the network: turned counter-clockwise about the vertical, then shifted."""
+class MeshPlacement:
+    """Placement of a city mesh (y up): counter-clockwise rotation about the vertical, then translation."""
 
     x_m: float
     y_m: float
@@ -37,10 +38,10 @@ class Placement:
     materials: tuple[tuple[str, str], ...]
 
 
-# Placement as in tools/game/bs3d/view_B.xml of SUMO; what its numbered materials show was found by their areas,
-# heights and slopes. Its roads are drawn narrower than SUMO's lanes, so ours lie above them.
+# Placement as in tools/game/bs3d/view_B.xml of SUMO; its numbered materials were identified by areas, heights and
+# slopes. Its roads are narrower than SUMO's lanes, so ours lie above them.
 PLACEMENTS = {
-    "bs3.3ds": Placement(
+    "bs3.3ds": MeshPlacement(
         660.0, 679.0, 1.30,
         (
             ("Material - 19", "brick"), ("Material - 20", "roof"), ("Material - 15", "kerb"),
@@ -49,24 +50,24 @@ PLACEMENTS = {
         ),
     )
 }  # fmt: skip
-"""City meshes by file name; one that is not listed keeps its origin and takes every face for a plaster wall."""
+"""City meshes by file name; others keep their origin, with plaster on every face."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Town:
-    """Buildings and what they cover.
+class Buildings:
+    """Buildings and their footprint.
 
     Attributes:
         pieces: their triangles.
         footprint: polygon of all of them.
     """
 
-    pieces: tuple[Piece, ...]
+    parts: tuple[MeshPart, ...]
     footprint: shapely.Geometry
 
 
-def city_mesh(path: Path, streets: Streets) -> Town:
-    """Return the buildings, hedges and kerbs of a mesh that touch the window and stand on no lane.
+def city_mesh(path: Path, streets: Streets) -> Buildings:
+    """Return the buildings, hedges and kerbs of a mesh within the window and off the lanes.
 
     Raises:
         ScenarioError: the file is not a readable mesh.
@@ -78,8 +79,8 @@ def city_mesh(path: Path, streets: Streets) -> Town:
     triangles, material = triangles[near], material[near]
     footprints = _footprints(triangles)
     shapely.prepare(streets.road)
-    # A roof over the street stays, a wall across it goes: the lanes are driven on whatever the mesh says. Of its
-    # pavings only yards and car parks are left, as its roads lie under ours.
+    # Roofs over the street stay, walls across it are removed, since lanes carry traffic. Of the paved surfaces only
+    # yards and car parks remain, as the mesh's roads lie under ours.
     paved = np.isin(material, ["asphalt", "pavement"])
     low = triangles[:, :, 2].min(axis=1) < CLEARANCE_M
     keep = ~(low & shapely.intersects(streets.road, footprints))
@@ -91,21 +92,21 @@ def city_mesh(path: Path, streets: Streets) -> Town:
     walls = material == "brick"
     panes = windows(*wall_rectangles(triangles[walls], footprint))
     material[walls] = colours(centers[walls], footprint)
-    pieces = [panes]
+    parts = [panes]
     for name in sorted(set(material)):
         chosen = triangles[material == name]
-        pieces.append(piece(chosen, np.arange(3 * len(chosen)), name))
-    return Town(tuple(pieces), footprint)
+        parts.append(mesh_part(chosen, np.arange(3 * len(chosen)), name))
+    return Buildings(tuple(parts), footprint)
 
 
 @lru_cache(maxsize=1)
 def _placed(path: Path) -> tuple[Array, NDArray[np.str_]]:
-    """Return (F, 3, 3) triangles in the world and (F,) our materials of a mesh file, without what we do not use."""
+    """Return the used triangles of a mesh file, (F, 3, 3) in the world, and their (F,) materials."""
     file = read_3ds(path)
     placement = PLACEMENTS.get(path.name)
     if placement is None:
         name_of = dict.fromkeys(map(str, set(file.group)), "plaster")
-        placement = Placement(0.0, 0.0, 0.0, tuple(name_of.items()))
+        placement = MeshPlacement(0.0, 0.0, 0.0, tuple(name_of.items()))
     yaw = np.radians(placement.yaw_deg)
     c, s = np.cos(yaw), np.sin(yaw)
     x, y, z = file.vertices[:, 0], -file.vertices[:, 2], file.vertices[:, 1]
@@ -118,20 +119,22 @@ def _placed(path: Path) -> tuple[Array, NDArray[np.str_]]:
 
 
 def _footprints(triangles: Array) -> NDArray[np.object_]:
-    """Return (F,) shapes that triangles cover from above: polygons, or thin ones for upright walls."""
+    """Return (F,) footprints of triangles seen from above; thin polygons for upright walls."""
     flat = triangles[:, :, :2]
     hull = shapely.convex_hull(shapely.multipoints([shapely.points(row) for row in flat]))
     return shapely.buffer(hull, 0.02, quad_segs=1)
 
 
-def blocks(streets: Streets, units: Array, rng: np.random.Generator, clear: shapely.Geometry | None = None) -> Town:
-    """Return seeded houses along the streets of a town, none of them on a lane, a footway or a junction.
+def blocks(
+    streets: Streets, units: Array, rng: np.random.Generator, clear: shapely.Geometry | None = None
+) -> Buildings:
+    """Return seeded houses along the streets of a town, off lanes, footways and junctions.
 
     Args:
         streets: lanes and polygons.
-        units: (U, 3) roadside sensors, around which the view stays free.
-        rng: chooses places, sizes and walls.
-        clear: no house stands here.
+        units: (U, 3) roadside sensors, whose surroundings stay clear.
+        rng: generator of positions, sizes and walls.
+        clear: ground without houses.
     """
     fast = [shapely.LineString(lane.line) for lane in streets.lanes if lane.speed > TOWN_SPEED_MPS]
     near_fast = shapely.unary_union(fast).buffer(_NO_HOUSE_M)
@@ -140,7 +143,7 @@ def blocks(streets: Streets, units: Array, rng: np.random.Generator, clear: shap
     blocked = blocked if clear is None else blocked | clear
     shapely.prepare(blocked)
     taken: list[shapely.Polygon] = []
-    pieces: list[Piece] = []
+    parts: list[MeshPart] = []
     for front in _fronts(streets):
         length = shapely.LineString(front).length
         at = float(rng.uniform(4.0, 10.0))
@@ -156,11 +159,11 @@ def blocks(streets: Streets, units: Array, rng: np.random.Generator, clear: shap
             if any((taken[row] & house).area > 0.5 for row in tree.query(house)):
                 continue
             taken.append(house)
-            pieces += walled(house, streets, STOREY_M * storeys + 0.8, wall)
-    return Town(tuple(pieces), shapely.unary_union(taken))
+            parts += walled(house, streets, STOREY_M * storeys + 0.8, wall)
+    return Buildings(tuple(parts), shapely.unary_union(taken))
 
 
-def walled(house: shapely.Polygon, streets: Streets, height_m: float, wall: str) -> list[Piece]:
+def walled(house: shapely.Polygon, streets: Streets, height_m: float, wall: str) -> list[MeshPart]:
     """Return walls, a flat roof and windows over a footprint."""
     corners = np.asarray(shapely.geometry.polygon.orient(house).exterior.coords)
     ends = np.stack([corners[:-1], corners[1:]], axis=1)
@@ -172,7 +175,7 @@ def walled(house: shapely.Polygon, streets: Streets, height_m: float, wall: str)
 
 
 def _fronts(streets: Streets) -> list[Array]:
-    """Return the lines along which houses stand, each with its street on its right."""
+    """Return the front lines of houses, each with its street on the right."""
     fronts = []
     for lane in streets.lanes:
         if lane.kind != "road" or lane.internal or not 8.0 <= lane.speed <= TOWN_SPEED_MPS:
@@ -186,7 +189,7 @@ def _fronts(streets: Streets) -> list[Array]:
 
 
 def _rectangle(front: Array, start_m: float, width_m: float, setback_m: float, depth_m: float) -> shapely.Polygon:
-    """Return a footprint left of a front line, its street side along the chord of `width_m`."""
+    """Return a house footprint left of a front line, its street side along the chord of `width_m`."""
     cut = cut_line(front, start_m, start_m + width_m)
     way = cut[-1] - cut[0]
     way /= max(float(np.hypot(*way)), 1e-9)
@@ -195,8 +198,8 @@ def _rectangle(front: Array, start_m: float, width_m: float, setback_m: float, d
     return shapely.Polygon([*near, *far[::-1]])
 
 
-def guard_rails(streets: Streets) -> Piece:
-    """Return the steel rails along roads that are too fast for kerbs."""
+def guard_rails(streets: Streets) -> MeshPart:
+    """Return the guard rails along roads that are too fast for kerbs."""
     fast = [lane for lane in streets.lanes if lane.kind == "road" and lane.speed > TOWN_SPEED_MPS]
     if not fast:
         return join([])

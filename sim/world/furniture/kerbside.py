@@ -1,12 +1,13 @@
-"""What stands beside the road: lamp posts, traffic lights, signs and trees."""
+"""Roadside furniture: lamp posts, traffic lights, signs and trees."""
 
 import numpy as np
 import shapely
 
+from sim.geometry import Array
 from sim.mesh.materials import material_index
-from sim.mesh.solids import Array, Piece, box, join, move, piece, tube
+from sim.mesh.solids import MeshPart, box, join, mesh_part, move, tube
 from sim.world.furniture.barriers import barrier
-from sim.world.furniture.map_objects import Mapped
+from sim.world.furniture.map_objects import MapObjects
 from sim.world.roads.markings import cut_line, offset
 from sim.world.roads.streets import Lane, Streets
 from sim.world.roads.surfaces import TOWN_SPEED_MPS
@@ -18,14 +19,14 @@ _UNIT_CLEAR_M = 12.0
 _FROM_CORNER_M = 14.0
 _BEYOND = ((0.9, False), (1.4, False), (2.0, False))
 _ON_PAVEMENT = ((1.0, True), (3.0, True), (4.5, True))
-"""Places of a traffic light, m from the edge of its approach, and whether on a footway too."""
+"""Candidate positions of a traffic light: distance from the edge of its approach, m, and whether footways count."""
 _CROWN_OVER_ROAD_M = 4.8
 _POLES = {"pole": (8.0, 0.12), "bollard": (0.9, 0.08)}
-"""Height and radius of what is only a post, m."""
+"""Height and radius of posts, m."""
 
 
 class _Places:
-    """Where something may still be put: not on a lane, not in a building, not on something else."""
+    """Free ground: off lanes, buildings and other objects."""
 
     def __init__(self, streets: Streets, footprint: shapely.Geometry, units: Array) -> None:
         self.road = streets.road | streets.rail
@@ -47,7 +48,7 @@ class _Places:
         *,
         on_walk: bool = False,
     ) -> bool:
-        """Tell whether a thing fits at (2,) and, when it does, remember it."""
+        """Occupy a (2,) position; False if it is not free."""
         point = shapely.Point(xy)
         if not self.frame.contains(point) or (not on_walk and shapely.dwithin(self.walk, point, 0.3)):
             return False
@@ -67,65 +68,65 @@ def furniture(
     units: Array,
     rng: np.random.Generator,
     clear: shapely.Geometry | None = None,
-    mapped: Mapped | None = None,
+    map_objects: MapObjects | None = None,
     front_gardens: float = 0.0,
-) -> list[Piece]:
-    """Return everything that stands beside the road; nothing stands on a lane or hangs over one.
+) -> list[MeshPart]:
+    """Return the furniture beside the road, none of it on or above a lane.
 
     Args:
         streets: lanes and polygons.
         footprint: of the buildings.
-        units: (U, 3) roadside sensors, which get a mast and a free view.
-        rng: chooses and shapes trees.
-        clear: no lamp and no tree stands here.
-        mapped: what a map tells; lamps and trees are made up only where it tells of none.
+        units: (U, 3) roadside sensors, which get a mast and a clear view.
+        rng: generator of trees.
+        clear: ground without lamps and trees.
+        map_objects: objects of a map; lamps and trees are generated only if it has none.
         front_gardens: share of the street fronts with a hedge or a fence.
     """
-    mapped = mapped or Mapped()
+    map_objects = map_objects or MapObjects()
     places = _Places(streets, footprint, units)
     things = [*(_mast(unit, streets) for unit in units), *_signals(streets, places)]
     if clear is not None:
         places.footprint |= clear
         shapely.prepare(places.footprint)
-    for kind, line, height_m in mapped.barriers:
+    for kind, line, height_m in map_objects.barriers:
         things += barrier(kind, line, height_m, streets)
-    things += _of_points(streets, places, mapped.points, rng)
-    if "lamp" not in mapped.points:
+    things += _of_points(streets, places, map_objects.points, rng)
+    if "lamp" not in map_objects.points:
         things += _lamps(streets, places)
     if front_gardens > 0:
         things += _gardens(streets, places, front_gardens, rng)
-    return things if "tree" in mapped.points else [*things, *_trees(streets, places, rng)]
+    return things if "tree" in map_objects.points else [*things, *_trees(streets, places, rng)]
 
 
-def _of_points(streets: Streets, places: _Places, points: dict[str, Array], rng: np.random.Generator) -> list[Piece]:
-    """Return the lamps, poles, bollards and trees of a map that stand on no lane and in no house."""
-    pieces = []
+def _of_points(streets: Streets, places: _Places, points: dict[str, Array], rng: np.random.Generator) -> list[MeshPart]:
+    """Return the lamps, poles, bollards and trees of a map, off lanes and houses."""
+    parts = []
     for xy in points.get("lamp", np.zeros((0, 2))):
         near = shapely.get_coordinates(shapely.shortest_line(shapely.Point(xy), places.road))
         if len(near) and places.free(xy, 0.3, 0.2, 0.5, 2.0, on_walk=True):
             yaw = float(np.arctan2(*(near[1] - near[0])[::-1]))
-            pieces.append(move(lamp_post(), _base(streets, xy), yaw))
+            parts.append(move(lamp_post(), _base(streets, xy), yaw))
     for kind, (height_m, radius_m) in _POLES.items():
         for xy in points.get(kind, np.zeros((0, 2))):
             if places.free(xy, 0.3, 0.1, 0.3, 1.0, on_walk=True):
                 foot = _base(streets, xy)
                 top = [foot[0], foot[1], foot[2] + height_m]
-                pieces.append(tube(foot, top, (radius_m, radius_m), "metal", 8))
+                parts.append(tube(foot, top, (radius_m, radius_m), "metal", 8))
     for xy in points.get("tree", np.zeros((0, 2))):
         size = rng.uniform(0.8, 1.25)
         shape = tree(rng, size)
         if places.free(xy, 0.5, 0.5, 1.0, 3.0, on_walk=True):
-            # The crown of a tree at the kerb has been cut until lorries fit below it.
+            # Crowns at the kerb are pruned to let lorries pass.
             over = shapely.dwithin(places.road, shapely.Point(xy), 2.1 * size + 0.3)
             leaves = shape.faces[shape.material == material_index("leaves")]
             tall = _CROWN_OVER_ROAD_M / float(shape.vertices[leaves, 2].min()) if over else 1.0
-            pieces.append(move(shape, _base(streets, xy), scale=(1.0, 1.0, max(tall, 1.0))))
-    return pieces
+            parts.append(move(shape, _base(streets, xy), scale=(1.0, 1.0, max(tall, 1.0))))
+    return parts
 
 
-def _gardens(streets: Streets, places: _Places, share: float, rng: np.random.Generator) -> list[Piece]:
-    """Return seeded hedges, fences and walls in front of houses, none of them where drivers look into a junction."""
-    pieces = []
+def _gardens(streets: Streets, places: _Places, share: float, rng: np.random.Generator) -> list[MeshPart]:
+    """Return seeded hedges, fences and walls in front of houses, away from sight lines at junctions."""
+    parts = []
     for lane, side in _edges(streets):
         if lane.speed > TOWN_SPEED_MPS:
             continue
@@ -139,24 +140,24 @@ def _gardens(streets: Streets, places: _Places, share: float, rng: np.random.Gen
             end = min(at + length, _length(line) - _FROM_CORNER_M)
             if lot < share:
                 part = shapely.LineString(cut_line(line, at, end)) - places.footprint.buffer(0.6)
-                pieces += barrier(kind, part, height_m, streets)
+                parts += barrier(kind, part, height_m, streets)
             at = end + gap
-    return pieces
+    return parts
 
 
 def _base(streets: Streets, xy: Array) -> Array:
     return np.array([xy[0], xy[1], float(streets.height(xy[None])[0])])
 
 
-def _mast(unit: Array, streets: Streets) -> Piece:
-    """Return the mast below a roadside sensor, which itself stays free."""
+def _mast(unit: Array, streets: Streets) -> MeshPart:
+    """Return the mast below a roadside sensor."""
     foot = _base(streets, unit[:2])
     return tube(foot, foot + np.array([0.0, 0.0, max(unit[2] - 0.25, 0.3)]), (0.09, 0.06), "metal", 8)
 
 
-def _signals(streets: Streets, places: _Places) -> list[Piece]:
+def _signals(streets: Streets, places: _Places) -> list[MeshPart]:
     """Return a traffic light on the right of each approach that ends at one."""
-    pieces = []
+    parts = []
     for lane in streets.lanes:
         if lane.kind != "road" or lane.internal or lane.stop != "signal" or lane.index != 0 or lane.speed < 8.0:
             continue
@@ -166,12 +167,12 @@ def _signals(streets: Streets, places: _Places) -> list[Piece]:
         for aside, on_walk in (*_BEYOND, (0.4 - lane.verge, True), *_ON_PAVEMENT):
             xy = end + (0.5 * lane.width + lane.verge + aside) * np.array([way[1], -way[0]])
             if places.free(xy, 0.3 if on_walk else 0.6, 0.3 if on_walk else 0.5, 1.0, 1.0, on_walk=on_walk):
-                pieces.append(move(traffic_light(), _base(streets, xy), float(np.arctan2(way[1], way[0]))))
+                parts.append(move(traffic_light(), _base(streets, xy), float(np.arctan2(way[1], way[0]))))
                 break
-    return pieces
+    return parts
 
 
-def traffic_light() -> Piece:
+def traffic_light() -> MeshPart:
     """Return a traffic light at the origin that faces drivers who come along +x."""
     post = tube([0.0, 0.0, 0.0], [0.0, 0.0, 3.45], (0.07, 0.06), "metal", 8)
     head = box([-0.30, -0.16, 2.45], [-0.08, 0.16, 3.40], "dark_metal")
@@ -179,21 +180,21 @@ def traffic_light() -> Piece:
     return join([post, head, *lamps])
 
 
-def lamp_post() -> Piece:
+def lamp_post() -> MeshPart:
     """Return a street lamp at the origin with its head towards +x."""
     post = tube([0.0, 0.0, 0.0], [0.0, 0.0, 6.4], (0.09, 0.05), "metal", 8)
     return join([post, box([-0.15, -0.12, 6.4], [0.40, 0.12, 6.52], "dark_metal")])
 
 
-def sign() -> Piece:
+def sign() -> MeshPart:
     """Return a road sign at the origin that faces drivers who come along +x."""
     post = tube([0.0, 0.0, 0.0], [0.0, 0.0, 2.7], (0.035, 0.035), "metal", 6)
     return join([post, box([-0.06, -0.3, 2.05], [-0.04, 0.3, 2.65], "sign")])
 
 
-def _lamps(streets: Streets, places: _Places) -> list[Piece]:
-    """Return lamps and, between some of them, signs along the right side of each street of a town."""
-    pieces = []
+def _lamps(streets: Streets, places: _Places) -> list[MeshPart]:
+    """Return lamps, with signs between some of them, along the right side of each street of a town."""
+    parts = []
     for lane in _kerbside(streets):
         line = offset(lane.line, -0.5 * lane.width - lane.verge - 0.8)
         for number, at in enumerate(np.arange(8.0, _length(line) - 4.0, 0.5 * _LAMP_EVERY_M)):
@@ -202,15 +203,15 @@ def _lamps(streets: Streets, places: _Places) -> list[Piece]:
                 continue
             yaw = float(np.arctan2(*(ahead - here)[::-1]))
             if number % 2 == 0:
-                pieces.append(move(lamp_post(), _base(streets, here), yaw + np.pi))
+                parts.append(move(lamp_post(), _base(streets, here), yaw + np.pi))
             elif number % 8 == 1:
-                pieces.append(move(sign(), _base(streets, here), yaw))
-    return pieces
+                parts.append(move(sign(), _base(streets, here), yaw))
+    return parts
 
 
-def _trees(streets: Streets, places: _Places, rng: np.random.Generator) -> list[Piece]:
-    """Return trees in a row along the streets and loose ones behind it."""
-    pieces = []
+def _trees(streets: Streets, places: _Places, rng: np.random.Generator) -> list[MeshPart]:
+    """Return a row of trees along the streets and scattered ones behind it."""
+    parts = []
     for lane, side in _edges(streets):
         for row, chance in ((3.4, 0.55), (9.0, 0.35), (16.0, 0.35)):
             line = offset(lane.line, side * (0.5 * lane.width + lane.verge + row))
@@ -219,12 +220,12 @@ def _trees(streets: Streets, places: _Places, rng: np.random.Generator) -> list[
                 xy = cut_line(line, at, at + 0.5)[0] + shake
                 radius = 2.1 * size
                 if lot < chance and places.free(xy, radius + 0.5, radius + 0.4, 2.0 * radius, _UNIT_CLEAR_M):
-                    pieces.append(move(tree(rng, size), _base(streets, xy)))
-    return pieces
+                    parts.append(move(tree(rng, size), _base(streets, xy)))
+    return parts
 
 
-def tree(rng: np.random.Generator, size: float) -> Piece:
-    """Return a tree of about 7 m times `size` at the origin: a trunk and loose leaves that rays pass between."""
+def tree(rng: np.random.Generator, size: float) -> MeshPart:
+    """Return a tree of about 7 m times `size` at the origin: a trunk and scattered leaves, with gaps for rays."""
     trunk = tube([0.0, 0.0, -0.1], [0.0, 0.0, 4.6 * size], (0.17 * size, 0.08 * size), "bark", 6)
     direction = rng.normal(size=(_LEAVES_PER_TREE, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
@@ -234,9 +235,9 @@ def tree(rng: np.random.Generator, size: float) -> Piece:
     corner *= 0.55 * size / np.linalg.norm(corner, axis=2, keepdims=True)
     leaves = center[:, None, :] + corner
     flat = np.hypot(leaves[..., 0], leaves[..., 1])
-    # No leaf reaches beyond the crown: the place of a tree is chosen by its radius.
+    # No leaf reaches beyond the crown, whose radius decides on the position of a tree.
     leaves[..., :2] *= np.minimum(1.0, 2.1 * size / np.maximum(flat, 1e-9))[..., None]
-    return join([trunk, piece(leaves, np.arange(3 * _LEAVES_PER_TREE), "leaves")])
+    return join([trunk, mesh_part(leaves, np.arange(3 * _LEAVES_PER_TREE), "leaves")])
 
 
 def _kerbside(streets: Streets) -> list[Lane]:
@@ -245,7 +246,7 @@ def _kerbside(streets: Streets) -> list[Lane]:
 
 
 def _edges(streets: Streets) -> list[tuple[Lane, float]]:
-    """Return the outer lanes of all streets and the side on which the street ends: -1 right, 1 left."""
+    """Return the outer lanes of all streets and the side of the kerb: -1 right, 1 left."""
     lanes = [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal and lane.speed >= 8.0]
     right = [(lane, -1.0) for lane in lanes if lane.index == 0]
     left = [(lane, 1.0) for lane in lanes if lane.index == lane.count - 1 and not lane.opposite]

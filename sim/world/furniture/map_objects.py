@@ -1,4 +1,4 @@
-"""What a map tells of the things beside its roads: trees, lamps, poles, bollards, hedges, fences and walls."""
+"""Roadside objects of a map: trees, lamps, poles, bollards, hedges, fences and walls."""
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from sim.errors import ScenarioError
-from sim.mesh.solids import Array
+from sim.errors import ScenarioError, unreadable
+from sim.geometry import Array
 from sim.world.furniture.barriers import HEIGHT_M
 
 _POINTS = {
@@ -22,23 +22,23 @@ _BELIEVED_M = (0.3, 6.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mapped:
-    """Things of a map in the coordinates of the network.
+class MapObjects:
+    """Roadside objects in the coordinates of the network.
 
     Attributes:
-        points: "tree", "lamp", "pole" or "bollard" -> (N, 2) places, m.
-        barriers: (kind, line, height in m) of what stands along lines.
+        points: "tree", "lamp", "pole" or "bollard" -> (N, 2) positions, m.
+        barriers: (kind, line, height in m) of each.
     """
 
     points: dict[str, Array] = field(default_factory=dict)
     barriers: tuple[tuple[str, shapely.LineString, float], ...] = ()
 
 
-def read_mapped(path: Path) -> Mapped:
-    """Read the things of a .poly.xml file that are no buildings; those that nobody knows how to build are left out.
+def read_map_objects(path: Path) -> MapObjects:
+    """Read the supported objects of a .poly.xml file, buildings excepted.
 
     Raises:
-        ScenarioError: the file is missing or not of this kind.
+        ScenarioError: the file is missing or of another format.
     """
     try:
         root = ET.fromstring(path.read_bytes())
@@ -64,8 +64,8 @@ def read_mapped(path: Path) -> Mapped:
             else:
                 barriers.append((name, line, _height(poly, HEIGHT_M[name])))
     except (OSError, ET.ParseError, ValueError, LookupError) as error:
-        raise ScenarioError(f"{path}: not a readable .poly.xml file: {' '.join(str(error).split())}") from None
-    return Mapped({kind: np.array(places) for kind, places in found.items()}, tuple(barriers))
+        raise ScenarioError(unreadable(path, ".poly.xml file", error)) from None
+    return MapObjects({kind: np.array(places) for kind, places in found.items()}, tuple(barriers))
 
 
 def _height(poly: ET.Element, usual_m: float) -> float:

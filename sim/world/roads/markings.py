@@ -1,21 +1,22 @@
-"""Paint on the road: lane lines, centre lines, edge lines, stop lines and zebra crossings."""
+"""Road markings: lane lines, centre lines, edge lines, stop lines and zebra crossings."""
 
 import numpy as np
 import shapely
 
-from sim.mesh.solids import Array, Piece, carpet, strip
+from sim.geometry import Array
+from sim.mesh.solids import MeshPart, carpet, strip
 from sim.world.roads.streets import Lane, Streets
 from sim.world.roads.surfaces import TOWN_SPEED_MPS
 
 LIFT_M = 0.01
-"""How far paint lies above the road: rays must not see two surfaces at one height."""
+"""Height of paint above the road, m, to avoid coplanar surfaces."""
 
 _LINE_M = 0.12
 _STOP_M = 0.5
 
 
-def markings(streets: Streets) -> list[Piece]:
-    """Return the paint of all lanes."""
+def markings(streets: Streets) -> list[MeshPart]:
+    """Return the markings of all lanes."""
     frame = shapely.box(*streets.window)
     lines: list[tuple[Array, float]] = []
     for lane in streets.lanes:
@@ -32,7 +33,7 @@ def markings(streets: Streets) -> list[Piece]:
 
 
 def _lane_lines(lane: Lane) -> list[tuple[Array, float]]:
-    """Return (line, width) of what is painted for one lane: its left border, its right edge, its end."""
+    """Return (line, width) of the markings of a lane: left border, right edge, end."""
     fast = lane.speed > TOWN_SPEED_MPS
     dash, gap = (6.0, 12.0) if fast else (3.0, 6.0)
     found: list[tuple[Array, float]] = []
@@ -59,19 +60,19 @@ def _lane_lines(lane: Lane) -> list[tuple[Array, float]]:
 
 
 def _zebra(lane: Lane) -> list[tuple[Array, float]]:
-    """Return the bars of a crossing: half a metre of paint in each metre of its line, across the whole way."""
+    """Return the bars of a zebra crossing: half a metre of paint in each metre, across its width."""
     return [(cut, lane.width) for cut in dashes(lane.line, 0.5, 0.5)]
 
 
 def dashes(line: Array, dash_m: float, gap_m: float) -> list[Array]:
-    """Return the painted pieces of a (K, 2) line, the first after half a gap."""
+    """Return the dashes of a (K, 2) line, the first after half a gap."""
     length = _length(line)
     starts = np.arange(0.5 * gap_m, length - dash_m, dash_m + gap_m)
     return [cut_line(line, start, start + dash_m) for start in starts]
 
 
 def cut_line(line: Array, start_m: float, end_m: float) -> Array:
-    """Return the part of a (K, 2) line between two lengths along it."""
+    """Return the part of a (K, 2) line between two distances along it."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     inside = (along > start_m + 1e-3) & (along < end_m - 1e-3)
     at = np.concatenate([[start_m], along[inside], [end_m]])
@@ -79,7 +80,7 @@ def cut_line(line: Array, start_m: float, end_m: float) -> Array:
 
 
 def offset(line: Array, left_m: float) -> Array:
-    """Return a (K, 2) line moved to its left, corners mitred."""
+    """Return a (K, 2) line offset to its left, with mitred corners."""
     way = np.diff(line, axis=0)
     way /= np.maximum(np.hypot(*way.T), 1e-9)[:, None]
     normal = np.column_stack([-way[:, 1], way[:, 0]])

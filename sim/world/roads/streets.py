@@ -1,4 +1,4 @@
-"""What the world is built upon: the lanes and junctions of a network near an area, as lines and polygons."""
+"""Lanes and junctions of a network near an area, as lines and polygons."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from sim.mesh.solids import Array
+from sim.geometry import Array
 from sim.world.roads.terrain import Terrain, land
 
 Area = tuple[float, float, float, float]
@@ -15,24 +15,24 @@ _ROAD_CLASSES = ("passenger", "delivery", "bus", "truck", "motorcycle", "taxi", 
 _WALK_WIDTH_M = 2.6
 
 NOTHING = shapely.Polygon()
-"""A shape without an area."""
+"""Empty polygon."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lane:
-    """One lane near the area.
+    """Lane near the area.
 
     Attributes:
         kind: "road", "bicycle" (part of a carriageway), "walk", "rail" or "crossing".
         line: (K, 2) centre line, m.
         width: m.
-        edge: id of the edge it belongs to.
+        edge: id of its edge.
         index: from the right among the lanes of its kind, 0 first.
         count: lanes of its kind on the edge.
-        verge: width of the lanes of other kinds on its right, sidewalks and the like, m.
-        internal: it leads through a junction.
+        verge: width of lanes of other kinds on its right, such as sidewalks, m.
+        internal: it lies in a junction.
         speed: limit, m/s.
-        stop: how it ends: "signal", "yield" or "".
+        stop: control at its end: "signal", "yield" or "".
         opposite: the edge has a partner in the other direction along its left side.
         beside_road: the edge has lanes for motor vehicles.
     """
@@ -53,17 +53,17 @@ class Lane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Streets:
-    """Lanes near an area and the ground they cover.
+    """Lanes near an area, and the ground they cover.
 
     Attributes:
         area: (x_min, y_min, x_max, y_max) the part that carries agents, m.
         window: the wider part that is meshed.
         lanes: all lanes that touch the window.
         road: polygon of the carriageways and of the junctions between them.
-        walk: polygon of footways and crossings, where they do not lie on the road.
+        walk: polygon of footways and crossings off the road.
         rail: polygon of tracks off the road.
-        terrain: the land and the heights of all that stands on it.
-        bays: where cars may park beside the lanes, a part of the road.
+        terrain: height field.
+        bays: polygon of parking bays, a part of the road.
     """
 
     area: Area
@@ -76,18 +76,18 @@ class Streets:
     bays: shapely.Geometry = NOTHING
 
     def height(self, xy: Array) -> Array:
-        """Return (N,) height of the road, or of the land between roads, at (N, 2) places."""
+        """Return (N,) height of the road or the terrain at (N, 2) positions."""
         return self.terrain.height(xy)
 
 
 def read_streets(net: Any, area: Area | None, margin_m: float, bays: shapely.Geometry = NOTHING) -> Streets:
-    """Collect what lies within `margin_m` of an area (of the whole network without one) from a sumolib network.
+    """Read the lanes within `margin_m` of an area (default: the whole network) from a sumolib network.
 
     Args:
         net: `sumolib.net.Net`.
         area: x_min, y_min, x_max, y_max, m.
-        margin_m: around it.
-        bays: where cars may park beside the lanes, which is part of the road.
+        margin_m: margin around it, m.
+        bays: polygon of parking bays, a part of the road.
     """
     low_x, low_y, high_x, high_y = area or net.getBoundary()
     area = (float(low_x), float(low_y), float(high_x), float(high_y))
@@ -149,7 +149,7 @@ def _lane(edge: Any, lane: Any, kinds: list[str], line: Array, opposite: bool) -
 
 
 def _stop(edge: Any, lane: Any) -> str:
-    """Tell how a lane ends at its junction."""
+    """Return the control at the end of a lane: "signal", "yield" or ""."""
     if edge.getToNode().getType().startswith("traffic_light"):
         return "signal"
     states = {link.getState() for link in lane.getOutgoing() if hasattr(link, "getState")}
@@ -195,5 +195,5 @@ def _walking_areas(edges: list[Any], frame: shapely.Geometry) -> shapely.Geometr
 
 
 def _close(shape: shapely.Geometry, gap_m: float = 0.4) -> shapely.Geometry:
-    """Close gaps between lanes that belong together and drop corners that nobody would see."""
+    """Close gaps between adjacent lanes and drop corners too small to matter."""
     return shape.buffer(gap_m, join_style="mitre").buffer(-gap_m, join_style="mitre").simplify(0.03).buffer(0)

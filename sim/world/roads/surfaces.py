@@ -1,15 +1,15 @@
-"""Surfaces to drive and walk on: carriageway, pavement, kerb, track and the ground around them."""
+"""Road surfaces: carriageway, pavement, kerb, track and surrounding ground."""
 
 import shapely
 
-from sim.mesh.solids import Piece, carpet, piece, slab
+from sim.mesh.solids import MeshPart, carpet, mesh_part, slab
 from sim.world.roads.streets import Streets
 
 GROUND_BELOW_M = 0.05
-"""How far the ground lies below the road."""
+"""Depth of the ground below the road, m."""
 
 TOWN_SPEED_MPS = 21.0
-"""Roads up to this limit have kerbs and pavements; faster ones have guard rails."""
+"""Highest speed limit of roads with kerbs and pavements, m/s; faster ones have guard rails."""
 
 _PAVEMENT_WIDTH_M = 2.5
 _KERB_WIDTH_M = 0.15
@@ -17,7 +17,7 @@ _KERB_HEIGHT_M = 0.10
 _GAUGE_M = 1.435
 
 
-def surfaces(streets: Streets) -> list[Piece]:
+def surfaces(streets: Streets) -> list[MeshPart]:
     """Return carriageways, pavements with kerbs, tracks and the ground."""
     height = streets.height
     walk, cut = pavement(streets), streets.terrain.cut
@@ -49,7 +49,7 @@ def _in_town(speed: float) -> bool:
 
 
 def _kerbs(streets: Streets) -> shapely.Geometry:
-    """Return the stones along the carriageways of a town; none where somebody walks or drives across."""
+    """Return the kerbs along the carriageways of a town, with gaps at crossings."""
     town = [lane for lane in streets.lanes if lane.kind == "road" and _in_town(lane.speed)]
     reach = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width + 1.0) for lane in town])
     outline = streets.road.buffer(_KERB_WIDTH_M, join_style="mitre") - streets.road
@@ -64,7 +64,7 @@ def _kerbs(streets: Streets) -> shapely.Geometry:
     return (outline & reach & shapely.box(*streets.window)) - shapely.unary_union(openings)
 
 
-def _tracks(streets: Streets) -> list[Piece]:
+def _tracks(streets: Streets) -> list[MeshPart]:
     """Return the two rails of each track off the road."""
     lines = [shapely.LineString(lane.line) for lane in streets.lanes if lane.kind == "rail" and not lane.internal]
     rails = [
@@ -76,6 +76,6 @@ def _tracks(streets: Streets) -> list[Piece]:
     return [slab(bars, streets.height, 0.12, "metal", "metal", 0.02)] if not bars.is_empty else []
 
 
-def ground(streets: Streets) -> Piece:
-    """Return the land below everything."""
-    return piece(streets.terrain.nodes - [0.0, 0.0, GROUND_BELOW_M], streets.terrain.faces, "ground")
+def ground(streets: Streets) -> MeshPart:
+    """Return the ground below everything."""
+    return mesh_part(streets.terrain.nodes - [0.0, 0.0, GROUND_BELOW_M], streets.terrain.faces, "ground")

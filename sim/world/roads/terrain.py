@@ -1,4 +1,4 @@
-"""The lie of the land: one surface of triangles that carries roads, paint, kerbs, houses and trees."""
+"""Terrain: one triangulated surface below roads, paint, kerbs, houses and trees."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from sim.mesh.solids import Array, rings_of
+from sim.geometry import Array
+from sim.mesh.solids import rings_of
 
 BEYOND_M = 250.0
-"""How far the land goes on beyond the window that is built upon."""
+"""Margin of the terrain beyond the built window, m."""
 
 CELL_M = 4.0
-"""Distance of the nodes on and beside roads where the land is not flat."""
+"""Distance of nodes on and beside roads on uneven terrain, m."""
 
 _BESIDE_M = 8.0
 _RIM_M = 50.0
@@ -26,12 +27,12 @@ Window = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terrain:
-    """A surface over the plane, the height of the road wherever there is one.
+    """Height field over the plane, equal to the height of roads.
 
     Attributes:
         nodes: (N, 3) m, the corner of least x and y first, that of greatest last.
         faces: (F, 3) rows of `nodes`, counter-clockwise seen from above.
-        slopes: heights between the nodes; None where all lie on one level.
+        slopes: height interpolation between the nodes; None for level terrain.
     """
 
     nodes: Array
@@ -40,17 +41,17 @@ class Terrain:
 
     @property
     def flat(self) -> bool:
-        """Whether all of it lies on one level."""
+        """Whether the terrain is level."""
         return self.slopes is None
 
     def height(self, xy: Array) -> Array:
-        """Return (N,) height at (N, 2) places; beyond the land that of its rim."""
+        """Return (N,) height at (N, 2) positions; beyond the terrain that of its rim."""
         if self.slopes is None:
             return np.full(len(xy), self.nodes[0, 2])
         return self.slopes(np.clip(xy, self.nodes[0, :2], self.nodes[-1, :2]))
 
     def cut(self, shape: shapely.Geometry) -> shapely.Geometry:
-        """Return polygons cut where the land bends, so that each part of them lies on one triangle."""
+        """Return polygons split along the edges of the terrain, each part on one triangle."""
         if self.slopes is None or shape.is_empty:
             return shape
         whole = shapely.make_valid(np.array(rings_of(shape)))
@@ -62,27 +63,27 @@ class Terrain:
         return shapely.multipolygons([ring for part in parts for ring in rings_of(part)])
 
     def follow(self, shape: shapely.Geometry) -> shapely.Geometry:
-        """Return a shape with corners so close to one another that its outline follows the land."""
+        """Return a shape with added corners, so that its outline follows the terrain."""
         return shape if self.slopes is None else shapely.segmentize(shape, CELL_M)
 
 
 def level_land(window: Window, height_m: float) -> Terrain:
-    """Return flat land around a window: two triangles."""
+    """Return level terrain around a window: two triangles."""
     low, high = _corners(window)
     nodes = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
     return Terrain(np.column_stack([nodes, np.full(4, height_m)]), np.array([[0, 2, 3], [0, 3, 1]]), None)
 
 
 def land(window: Window, lines: list[Array], covered: shapely.Geometry) -> Terrain:
-    """Return the land around a window with the heights of the lanes.
+    """Return the terrain around a window with the heights of the lanes.
 
-    On and beside the roads its nodes lie `CELL_M` apart, farther where there would be too many, and have the height of
-    the nearest point of a lane. Away from them it goes straight from road to road and to the rim.
+    On and beside roads its nodes lie `CELL_M` apart, farther where there would be too many, and have the height of the
+    nearest point of a lane. Elsewhere it interpolates linearly between roads and the rim.
 
     Args:
-        window: x_min, y_min, x_max, y_max of what is built, m.
+        window: x_min, y_min, x_max, y_max of the built window, m.
         lines: (K, 3) centre lines of lanes.
-        covered: what lanes and footways cover.
+        covered: polygon of lanes and footways.
     """
     heights = np.concatenate([line[:, 2] for line in lines]) if lines else np.zeros(1)
     if np.ptp(heights) < _FLAT_M:
@@ -104,14 +105,14 @@ def _corners(window: Window) -> tuple[Array, Array]:
 
 
 def _grid(low: Array, high: Array, cell_m: float) -> Array:
-    """Return (N, 2) places between two corners, at most `cell_m` apart along x and y, both corners among them."""
+    """Return an (N, 2) grid between two corners, included, at most `cell_m` apart along x and y."""
     count = np.ceil((high - low) / cell_m).astype(int) + 1
     x, y = np.linspace(low[0], high[0], count[0]), np.linspace(low[1], high[1], count[1])
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def _lane_heights(lines: list[Array], xy: Array) -> Array:
-    """Return (N,) height of the point of a lane that is nearest to each of (N, 2) places."""
+    """Return (N,) heights of the lane points nearest to (N, 2) positions."""
     lanes, places = np.array([shapely.LineString(line) for line in lines]), shapely.points(xy)
     nearest = lanes[shapely.STRtree(lanes).nearest(places)]
     return shapely.get_z(shapely.line_interpolate_point(nearest, shapely.line_locate_point(nearest, places)))

@@ -5,10 +5,10 @@ import pytest
 
 from dsrc.closed_loop.env import LOOK_AHEAD, CoopDrivingEnv
 from dsrc.closed_loop.episodes import idm_policy
-from sensors.recording.encounter_check import LATENCY_S, settle
+from sensors.recording.encounter_check import LATENCY_S, find_encounter
 from sim.boxes import Boxes
 from sim.catalog.load import load_scenario
-from sim.encounters import KINDS
+from sim.encounters import ENCOUNTERS
 from sim.traffic.script import FIRST_ID
 
 SEED = 1
@@ -41,9 +41,9 @@ def drive(name: str, brake_s: float = np.inf, perception: Blind | None = None):
     return info, gap
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_braking_when_a_helper_sees_it_is_in_time_and_not_braking_is_not(kind: str) -> None:
-    proof = settle(load_scenario(kind), SEED).proof
+    proof = find_encounter(load_scenario(kind), SEED).proof
     blind, _ = drive(kind)
     assert blind["ego_id"] == FIRST_ID
     assert blind["collided_with"] == (FIRST_ID + 1,)
@@ -53,7 +53,7 @@ def test_braking_when_a_helper_sees_it_is_in_time_and_not_braking_is_not(kind: s
 
 
 def test_braking_when_the_ego_itself_sees_it_is_too_late() -> None:
-    proof = settle(load_scenario("stalled_after_curve"), SEED).proof
+    proof = find_encounter(load_scenario("stalled_after_curve"), SEED).proof
     late, _ = drive("stalled_after_curve", brake_s=proof.hit_s - proof.ego_ttc_s + LATENCY_S)
     assert late["collided_with"] == (FIRST_ID + 1,)
     assert late["time_s"] > proof.hit_s

@@ -131,7 +131,7 @@ def test_a_late_channel_shows_the_collaborators_as_they_were(world: tuple[int, A
         perception.perceive(changed(before, time_s=before.time_s - 0.1), before)
         perception.perceive(before, now)
         clouds[name] = [sample.clouds for sample in detector.seen]
-        assert all(link.heard for link in perception.links)
+        assert all(link.received for link in perception.links)
     first, second = clouds["paper"]
     assert len(first) == 1 < len(second)  # nothing had arrived when the drive began
     assert len(clouds["ideal"][1]) == len(second)

@@ -66,7 +66,7 @@ def test_a_late_message_is_the_earlier_sweep_from_the_earlier_place():
 def test_ground_truth_is_that_of_now_whatever_arrives():
     silent = replace(PRESETS["ideal"], range_m=0.5)
     sample, heard, links = through(silent)
-    assert heard.agent_ids == (1000,) and not any(link.heard for link in links)
+    assert heard.agent_ids == (1000,) and not any(link.received for link in links)
     np.testing.assert_array_equal(heard.boxes.array, sample.boxes.array)
 
 
@@ -137,7 +137,7 @@ def test_the_fraction_of_a_map_that_is_lost_is_that_of_the_packets():
     for seed in range(120):
         _, heard, links = through(spec, seed=seed)
         if heard.lost:
-            for link, part in zip([k for k in links if k.heard], heard.lost[1:], strict=True):
+            for link, part in zip([k for k in links if k.received], heard.lost[1:], strict=True):
                 share = part.mean() if part.size else 0.0
                 assert (~link.arrived).mean() - 1e-9 <= share <= (~link.arrived).mean() + len(link.arrived) / 144
                 shares.append(share)
@@ -164,7 +164,7 @@ def test_clouds_lose_the_points_of_lost_packets():
     spec = replace(spec, heading_error_deg=0.0, clock_error_s=0.0, packet_bytes=16)
     sample, heard, links = through(spec, settings=object(), seed=4)
     for link in links:
-        if link.heard and link.sent == 5:
+        if link.received and link.sent == 5:
             row = heard.agent_ids.index(link.sender)
             whole = sample.clouds[sample.agent_ids.index(link.sender)]
             assert len(heard.clouds[row]) == pytest.approx(link.arrived.mean() * len(whole), rel=0.2)

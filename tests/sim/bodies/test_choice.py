@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from sim.bodies.choice import MODELS, body_mesh, models_for, plain_models_for
+from sim.bodies.choice import MODELS, body_mesh, generic_models_for, models_for
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
 from sim.mesh.materials import MATERIALS, material_index
@@ -14,8 +14,8 @@ SIZE = {
     "car": (4.71, 1.83, 1.47), "van": (5.95, 2.05, 2.6), "truck": (10.2, 2.55, 3.8), "bus": (12.0, 2.55, 3.15),
     "motorcycle": (2.2, 0.85, 1.65), "bicycle": (1.75, 0.65, 1.75), "pedestrian": (0.6, 0.58, 1.72),
 }  # fmt: skip
-PLAIN = [(name, model) for name in ("car", "van") for model in plain_models_for(name)]
-ALL = [(name, model) for name, models in MODELS.items() for model in models] + PLAIN
+GENERIC = [(name, model) for name in ("car", "van") for model in generic_models_for(name)]
+ALL = [(name, model) for name, models in MODELS.items() for model in models] + GENERIC
 OWN = [(name, model) for name, model in ALL if not model.startswith("car-")]
 
 
@@ -55,7 +55,7 @@ def test_own_meshes_are_closed_parts_that_face_outwards(name, model):
 
 @pytest.mark.parametrize("name", ["car", "van", "truck", "bus", "motorcycle"])
 def test_head_lamps_are_in_front_and_tail_lamps_behind(name):
-    for model in {*models_for(name), *plain_models_for(name)}:
+    for model in {*models_for(name), *generic_models_for(name)}:
         mesh = body_mesh(model, SIZE[name])
         x = mesh.triangles_center[:, 0]
         material = mesh.face_attributes["material"]
@@ -78,7 +78,7 @@ def test_paint_is_a_variant_of_one_shape():
 def test_plain_models_are_made_where_sumo_is_not_installed(monkeypatch):
     monkeypatch.setattr("sim.bodies.cars.sumo_home", lambda: pytest.fail("a file of SUMO was looked for"))
     for name in CLASSES:
-        for model in plain_models_for(name):
+        for model in generic_models_for(name):
             assert len(body_mesh.__wrapped__(model, SIZE[name]).faces) > 50
 
 

@@ -24,7 +24,7 @@ from sim.roads.polygons import read_outlines
 from sim.roads.tools import sumo_home
 from sim.traffic.sumo.traffic import SumoTraffic
 from sim.world.build import build_world
-from sim.world.furniture.map_objects import read_mapped
+from sim.world.furniture.map_objects import read_map_objects
 from tests.sim.world.hills import hilly_scenario
 
 M_PER_DEG = 111_194.9
@@ -139,9 +139,9 @@ def test_houses_have_the_heights_of_their_tags(folder: Path) -> None:
 
 def test_trees_lamps_poles_hedges_fences_and_walls_stand_where_the_map_has_them(folder: Path) -> None:
     scenario = load_scenario(folder)
-    mapped = read_mapped(folder / "map.poly.xml")
-    assert {kind: len(places) for kind, places in mapped.points.items()} == {"tree": 1, "lamp": 1, "pole": 1}
-    assert sorted(kind for kind, _, _ in mapped.barriers) == ["fence", "hedge", "wall"]
+    map_objects = read_map_objects(folder / "map.poly.xml")
+    assert {kind: len(places) for kind, places in map_objects.points.items()} == {"tree": 1, "lamp": 1, "pole": 1}
+    assert sorted(kind for kind, _, _ in map_objects.barriers) == ["fence", "hedge", "wall"]
     mesh = build_world(scenario, 1)
     material = mesh.face_attributes["material"]
     middle = mesh.triangles.mean(axis=1)
@@ -228,7 +228,7 @@ def test_an_opendrive_file_comes_back_as_the_streets_it_was_written_from(tmp_pat
 
 def test_the_command_makes_a_folder_that_generate_takes(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "town.osm").write_text(town(), encoding="utf-8")
-    main(["scenarios", "import", str(tmp_path / "town.osm"), "--out", str(tmp_path / "x")])
+    main(["scenario", "import", str(tmp_path / "town.osm"), "--out", str(tmp_path / "x")])
     assert f"dsrc generate {tmp_path / 'x'}" in capsys.readouterr().out
     scenario = load_scenario(tmp_path / "x")
     agents = msgspec.structs.replace(scenario.agents, lidar="debug-16")

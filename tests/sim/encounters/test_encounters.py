@@ -9,22 +9,22 @@ import shapely
 
 from sim.catalog.load import list_scenarios, load_scenario
 from sim.collisions import overlapping_pairs
-from sim.encounters import KINDS, instance_of, laid_out
-from sim.encounters.lane_paths import streets_of
-from sim.encounters.paths import Pace, Pen, Way
+from sim.encounters import ENCOUNTERS, encounter_of, network_file, with_encounter
+from sim.encounters.lane_paths import lane_paths_of
+from sim.encounters.paths import PathBuilder, ReferencePath, SpeedProfile
 from sim.errors import ScenarioError
 from sim.roads.networks import read_network, resolve_network
-from sim.scenario import AgentRule, ConflictSpec, Scenario
+from sim.scenario import AgentRule, EncounterSpec, Scenario
 from sim.world.roads.streets import read_streets
 from tests.paths import ROOT
 
 
 def encounter(kind: str, **conflict) -> Scenario:
-    spec = ConflictSpec(kind=kind, **conflict)
+    spec = EncounterSpec(kind=kind, **conflict)
     return Scenario(name=kind, description="", agents=AgentRule(), conflict=spec, warmup_s=0.0, duration_s=12.0)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_a_shipped_scenario_of_its_name_has_each_encounter(kind: str) -> None:
     assert kind in list_scenarios()
     scenario = load_scenario(kind)
@@ -32,21 +32,21 @@ def test_a_shipped_scenario_of_its_name_has_each_encounter(kind: str) -> None:
     assert scenario.warmup_s == 0.0 and scenario.description
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_parameters_are_drawn_within_their_ranges_and_from_streams_of_their_own(kind: str) -> None:
-    drawn = instance_of(encounter(kind), 7).parameters
-    for parameter in KINDS[kind].parameters:
+    drawn = encounter_of(encounter(kind), 7).parameters
+    for parameter in ENCOUNTERS[kind].parameters:
         assert parameter.low <= parameter.draw[0] <= drawn[parameter.name] <= parameter.draw[1] <= parameter.high
         if parameter.whole:
             assert drawn[parameter.name] == round(drawn[parameter.name])
-    fixed = KINDS[kind].parameters[0]
+    fixed = ENCOUNTERS[kind].parameters[0]
     value = fixed.low if not math.isclose(drawn[fixed.name], fixed.low) else fixed.high
-    others = instance_of(encounter(kind, parameters={fixed.name: value}), 7).parameters
+    others = encounter_of(encounter(kind, parameters={fixed.name: value}), 7).parameters
     assert others == drawn | {fixed.name: value}
-    assert instance_of(encounter(kind, draw=1), 7).parameters != drawn
+    assert encounter_of(encounter(kind, draw=1), 7).parameters != drawn
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_equal_seeds_lay_out_the_same_and_bodies_do_not_overlap_at_the_start(kind: str) -> None:
     from sim.traffic.script import ScriptedTraffic
 
@@ -57,11 +57,11 @@ def test_equal_seeds_lay_out_the_same_and_bodies_do_not_overlap_at_the_start(kin
     assert len(overlapping_pairs(first.boxes)) == 0
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_motor_vehicles_stay_on_the_road_and_nothing_stands_in_their_way(kind: str) -> None:
-    scenario = laid_out(encounter(kind), 3)
-    layout = instance_of(scenario, 3).layout
-    streets = read_streets(read_network(resolve_network(scenario, 3)), scenario.network.area_m, 60.0)
+    scenario = with_encounter(encounter(kind), 3)
+    layout = encounter_of(scenario, 3).layout
+    streets = read_streets(read_network(network_file(scenario, 3)), scenario.network.area_m, 60.0)
     window = shapely.box(*streets.window)
     solid = shapely.union_all([structure.outline for structure in layout.structures])
     assert (solid & streets.road).area < 0.01
@@ -69,20 +69,20 @@ def test_motor_vehicles_stay_on_the_road_and_nothing_stands_in_their_way(kind: s
         if someone.kind.label in ("pedestrian", "bicycle"):
             continue
         start = max(someone.start_m, 0.0)
-        end = min(float(someone.place(8.0)), someone.way.length)
+        end = min(float(someone.place(8.0)), someone.path.length)
         at = np.arange(start, max(end, start + 0.5), 1.0)
-        places = shapely.points(someone.way.at(at)[0][:, :2])
+        places = shapely.points(someone.path.at(at)[0][:, :2])
         inside = places[shapely.contains(window, places)]
         assert shapely.dwithin(streets.road, inside, 0.3).all(), someone.name
         assert not shapely.dwithin(solid, inside, 0.5 * someone.kind.size[1]).any(), someone.name
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_the_documents_tell_its_parameters_and_show_it(kind: str) -> None:
     docs = ROOT / "docs"
     text = (docs / "scenarios.md").read_text()
     section = text.split(f"### `{kind}`")[1].split("### `")[0]
-    for parameter in KINDS[kind].parameters:
+    for parameter in ENCOUNTERS[kind].parameters:
         low, high = parameter.draw
         assert f"| `{parameter.name}` | {low:g} to {high:g} | {parameter.low:g} to {parameter.high:g} |" in section
     for view in ("above", "ego"):
@@ -92,20 +92,20 @@ def test_the_documents_tell_its_parameters_and_show_it(kind: str) -> None:
 
 
 def test_controls_take_away_what_they_say() -> None:
-    plain = instance_of(encounter("ped_bus_stop"), 1)
+    plain = encounter_of(encounter("ped_bus_stop"), 1)
     assert plain.names("conflict") == ("conflict",) and not plain.ghosts
-    free = instance_of(encounter("ped_bus_stop", control="no_occluder"), 1)
+    free = encounter_of(encounter("ped_bus_stop", control="no_occluder"), 1)
     assert not free.names("occluder") and free.names("conflict")
-    alone = instance_of(encounter("ped_bus_stop", control="no_conflict"), 1)
+    alone = encounter_of(encounter("ped_bus_stop", control="no_conflict"), 1)
     assert not alone.names("conflict") and alone.names("occluder")
-    ghost = instance_of(encounter("ped_bus_stop", control="ghost"), 1)
+    ghost = encounter_of(encounter("ped_bus_stop", control="ghost"), 1)
     assert not ghost.names("conflict")
     assert [(one.actor.name, one.claimed_by) for one in ghost.ghosts] == [("ghost", "bus")]
     assert ghost.parameters == plain.parameters == free.parameters == alone.parameters
 
 
 def test_the_agents_are_the_ego_and_its_helpers() -> None:
-    scenario = laid_out(encounter("lta_truck"), 1)
+    scenario = with_encounter(encounter("lta_truck"), 1)
     assert scenario.agents.named == ("ego", "truck", "follower")
     assert len(scenario.agents.roadside) == 1
     assert scenario.network.area_m is not None
@@ -181,22 +181,22 @@ def test_wrong_streets_are_told_in_one_line(case: str, tmp_path) -> None:
     path = tmp_path / "scenario.toml"
     path.write_text(ON_A_MAP.replace(old, new, 1))
     with pytest.raises(ScenarioError) as caught:
-        instance_of(load_scenario(path), 1)
+        encounter_of(load_scenario(path), 1)
     for word in words:
         assert word in str(caught.value)
 
 
-def test_ways_on_a_map_follow_its_lanes(tmp_path) -> None:
+def test_paths_on_a_map_follow_its_lanes(tmp_path) -> None:
     path = tmp_path / "scenario.toml"
     path.write_text(ON_A_MAP)
     scenario = load_scenario(path)
     net = read_network(resolve_network(scenario, 1))
-    for street in streets_of("mine", net, scenario.conflict.streets).values():
-        assert street.stop_m > 100.0 and street.way.length > 300.0
-        assert np.abs(np.gradient(street.way.heading, street.way.along)).max() < 0.15
-    ego = instance_of(scenario, 1).layout.actors[0]
+    for street in lane_paths_of("mine", net, scenario.conflict.streets).values():
+        assert street.stop_m > 100.0 and street.path.length > 300.0
+        assert np.abs(np.gradient(street.path.heading, street.path.along)).max() < 0.15
+    ego = encounter_of(scenario, 1).layout.actors[0]
     stop = net.getLane("166445412_1").getShape()[-1]
-    place, _, _ = ego.way.at(ego.way.nearest(stop))
+    place, _, _ = ego.path.at(ego.path.nearest(stop))
     np.testing.assert_allclose(place[:2], stop, atol=0.3)
 
 
@@ -207,40 +207,40 @@ def test_a_scenario_without_network_and_without_conflict_is_refused(tmp_path) ->
         load_scenario(path)
 
 
-def test_a_conflict_survives_its_way_through_a_file() -> None:
+def test_an_encounter_survives_a_round_trip_through_a_file() -> None:
     scenario = encounter("ima_queue", parameters={"ego_mps": (12.0, 13.0), "queue": 3.0}, control="ghost", draw=4)
     assert msgspec.convert(msgspec.to_builtins(scenario), Scenario) == scenario
     assert msgspec.json.decode(msgspec.json.encode(scenario), type=Scenario) == scenario
 
 
-def test_a_way_turns_smoothly_and_ends_where_it_was_drawn() -> None:
-    way = Pen(0.0, 0.0).straight(30.0).turn(8.0, 0.5 * math.pi).straight(20.0).way()
-    np.testing.assert_allclose(way.points[0, :2], [0.0, 0.0], atol=1e-6)
-    np.testing.assert_allclose(way.points[-1, :2], [38.0, 28.0], atol=0.02)
-    assert way.length == pytest.approx(50.0 + 4.0 * math.pi, rel=5e-3)
-    curvature = np.gradient(way.heading, way.along)
+def test_a_path_turns_smoothly_and_ends_where_it_was_drawn() -> None:
+    path = PathBuilder(0.0, 0.0).straight(30.0).turn(8.0, 0.5 * math.pi).straight(20.0).path()
+    np.testing.assert_allclose(path.points[0, :2], [0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(path.points[-1, :2], [38.0, 28.0], atol=0.02)
+    assert path.length == pytest.approx(50.0 + 4.0 * math.pi, rel=5e-3)
+    curvature = np.gradient(path.heading, path.along)
     assert curvature.max() < 1.1 / 8.0
     assert np.abs(np.diff(curvature)).max() < 0.4 / 8.0
-    place, heading, _ = way.at(way.length)
+    place, heading, _ = path.at(path.length)
     assert heading == pytest.approx(0.5 * math.pi, abs=1e-3)
-    assert way.nearest(place[:2]) == pytest.approx(way.length)
+    assert path.nearest(place[:2]) == pytest.approx(path.length)
 
 
 def test_a_lane_change_moves_aside_and_keeps_the_heading() -> None:
-    way = Pen(0.0, 0.0).straight(10.0).shift(-3.5, 40.0).straight(10.0).way()
-    np.testing.assert_allclose(way.points[-1, :2], [60.0, -3.5], atol=0.02)
-    assert way.heading[-1] == pytest.approx(0.0, abs=1e-3)
-    assert way.heading.min() == pytest.approx(math.atan2(-3.5 * 1.875, 40.0), abs=0.02)
+    path = PathBuilder(0.0, 0.0).straight(10.0).shift(-3.5, 40.0).straight(10.0).path()
+    np.testing.assert_allclose(path.points[-1, :2], [60.0, -3.5], atol=0.02)
+    assert path.heading[-1] == pytest.approx(0.0, abs=1e-3)
+    assert path.heading.min() == pytest.approx(math.atan2(-3.5 * 1.875, 40.0), abs=0.02)
 
 
-def test_a_way_through_slopes_pitches() -> None:
-    way = Way.through([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [100.0, 0.0, 5.0]])
-    assert way.at(20.0)[2] == pytest.approx(0.0, abs=1e-6)
-    assert way.at(90.0)[2] == pytest.approx(-math.atan(0.1), abs=1e-3)
+def test_a_path_through_slopes_pitches() -> None:
+    path = ReferencePath.through([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [100.0, 0.0, 5.0]])
+    assert path.at(20.0)[2] == pytest.approx(0.0, abs=1e-6)
+    assert path.at(90.0)[2] == pytest.approx(-math.atan(0.1), abs=1e-3)
 
 
-def test_the_distance_of_a_pace_is_the_integral_of_its_speed() -> None:
-    pace = Pace.change(10.0, 4.0, 2.0, 3.0)
+def test_the_distance_of_a_speed_profile_is_the_integral_of_its_speed() -> None:
+    pace = SpeedProfile.change(10.0, 4.0, 2.0, 3.0)
     np.testing.assert_allclose(pace.at([0.0, 2.0, 3.0, 4.0, 9.0]), [10.0, 10.0, 7.0, 4.0, 4.0])
     np.testing.assert_allclose(pace.distance([-1.0, 0.0, 2.0, 4.0, 5.0]), [-10.0, 0.0, 20.0, 34.0, 38.0])
-    assert Pace.steady(3.0).distance(4.0) == pytest.approx(12.0)
+    assert SpeedProfile.steady(3.0).distance(4.0) == pytest.approx(12.0)

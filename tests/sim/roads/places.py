@@ -3,8 +3,8 @@
 import pytest
 
 from sim.catalog.load import list_scenarios, load_scenario
+from sim.encounters import network_file
 from sim.errors import ScenarioError
-from sim.roads.networks import resolve_network
 from sim.scenario import Scenario
 
 SCENARIOS = {name: load_scenario(name) for name in list_scenarios()}
@@ -23,7 +23,7 @@ def at_hand(name: str) -> Scenario:
     """Return a scenario; skip the test when its map lies in a package that cannot be fetched here."""
     scenario = SCENARIOS[name]
     try:
-        resolve_network(scenario, 1)
+        network_file(scenario, 1)
     except ScenarioError as error:
         if "cannot be fetched" in str(error):
             pytest.skip(str(error))

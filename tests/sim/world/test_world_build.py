@@ -11,7 +11,7 @@ from embreex.mesh_construction import TriangleMesh
 from sensors.recording.mounting import blocked_share, place_roadside
 from sensors.scan.scene import RayScene
 from sim.catalog.load import list_scenarios, load_scenario
-from sim.encounters import laid_out
+from sim.encounters import network_file, with_encounter
 from sim.mesh.materials import MATERIALS, material_index
 from sim.roads.networks import read_network, resolve_network
 from sim.roads.tools import sumo_home
@@ -33,8 +33,8 @@ def worlds():
 
     def of(name):
         if name not in made:
-            scenario = laid_out(at_hand(name), 1)
-            streets = read_streets(read_network(resolve_network(scenario, 1)), scenario.network.area_m, MARGIN_M)
+            scenario = with_encounter(at_hand(name), 1)
+            streets = read_streets(read_network(network_file(scenario, 1)), scenario.network.area_m, MARGIN_M)
             made[name] = build_world(scenario, 1), streets
         return made[name]
 

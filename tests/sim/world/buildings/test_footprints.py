@@ -48,7 +48,7 @@ def seed(number: int = 0) -> np.random.Generator:
 
 
 def top(path: Path, number: int = 0) -> float:
-    return float(join(outlined(path, open_field(), seed(number)).pieces).vertices[:, 2].max())
+    return float(join(outlined(path, open_field(), seed(number)).parts).vertices[:, 2].max())
 
 
 @pytest.fixture(scope="module")
@@ -72,20 +72,20 @@ def test_the_shipped_map_has_fifteen_buildings_with_walls() -> None:
 
 def test_real_buildings_stand_where_the_map_has_them_and_on_no_lane(streets: Streets) -> None:
     town = outlined(SHIPPED, streets, seed())
-    mapped = shapely.union_all([outline.shape for outline in read_outlines(SHIPPED)])
+    map_objects = shapely.union_all([outline.shape for outline in read_outlines(SHIPPED)])
     frame = shapely.box(*streets.window)
     lanes = streets.road | streets.walk | streets.rail
-    assert (town.footprint - mapped.buffer(0.05)).area < 1e-3
+    assert (town.footprint - map_objects.buffer(0.05)).area < 1e-3
     assert shapely.within(town.footprint, frame.buffer(1e-6))
     assert town.footprint.distance(lanes) > 0.4
-    free = (mapped & frame) - lanes.buffer(2.0)
+    free = (map_objects & frame) - lanes.buffer(2.0)
     assert (free - town.footprint).area < 0.01 * free.area
-    flat = join(town.pieces).vertices[:, :2]
+    flat = join(town.parts).vertices[:, :2]
     assert shapely.dwithin(town.footprint, shapely.points(flat), 0.05).all()  # panes are a little proud
 
 
 def test_walls_and_roof_close_over_the_ground(streets: Streets) -> None:
-    mesh = to_mesh(join(outlined(SHIPPED, streets, seed()).pieces))
+    mesh = to_mesh(join(outlined(SHIPPED, streets, seed()).parts))
     solid = np.isin(mesh.face_attributes["material"], [material_index(name) for name in (*WALLS, "roof")])
     corners, index = np.unique(mesh.vertices[mesh.faces[solid]].reshape(-1, 3).round(6), axis=0, return_inverse=True)
     edges = index.reshape(-1, 3)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -142,13 +142,13 @@ def test_a_road_cuts_through_and_leaves_no_slivers(tmp_path: Path) -> None:
 def test_overlapping_outlines_share_no_ground_and_the_window_crops(tmp_path: Path) -> None:
     town = outlined(write(tmp_path, poly(), poly(), poly("90,0 130,0 130,20 90,20")), open_field(), seed())
     assert town.footprint.area == pytest.approx(400.0 + 200.0, abs=0.1)
-    roof = [p.material == material_index("roof") for p in town.pieces]
+    roof = [p.material == material_index("roof") for p in town.parts]
     assert sum(rows.sum() for rows in roof) == 4
 
 
 def test_a_window_without_buildings_is_an_open_field(tmp_path: Path) -> None:
     town = outlined(write(tmp_path, poly("500,0 520,0 520,20 500,20")), open_field(), seed())
-    assert town.pieces == () and town.footprint.is_empty
+    assert town.parts == () and town.footprint.is_empty
 
 
 BROKEN = {
