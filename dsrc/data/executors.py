@@ -55,9 +55,11 @@ class Executor(Protocol):
 
     Attributes:
         threads: threads that a task may use; None for one per core.
+        chunk: frames to put into one item where they are independent; more than 1 where an item starts slowly.
     """
 
     threads: int | None
+    chunk: int
 
     def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
         """Run a task for all items and yield the results as they are ready.
@@ -78,6 +80,7 @@ class SerialExecutor:
     """One item after the other in this process."""
 
     threads: int | None = None
+    chunk = 1
 
     def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
         """See `Executor`."""
@@ -100,6 +103,7 @@ class ProcessExecutor:
     """
 
     threads: int | None = 1
+    chunk = 1
 
     def __init__(self, workers: int, retries: int = RETRIES) -> None:
         self._count, self._retries = workers, retries
@@ -157,6 +161,7 @@ class RayExecutor:
     """
 
     threads: int | None = 1
+    chunk = 16
 
     def __init__(self, workers: int, address: str = "", retries: int = RETRIES) -> None:
         try:

@@ -131,8 +131,11 @@ def _corrupt_drive(job: CorruptionJob, reader: Drive, executor: Executor) -> Ite
             _write(job, reader, frame)
             yield 1
             missing = missing[1:]
-        for _ in _each(job, missing, executor):
-            yield 1
+        chunks = [missing[k : k + executor.chunk] for k in range(0, len(missing), executor.chunk)]
+        for result in executor.run(_corrupt_frames, [(job, chunk) for chunk in chunks]):
+            if result.error is not None:
+                raise result.error
+            yield len(chunks[result.row])
         remove_leftovers(job.out)
 
 
@@ -169,17 +172,12 @@ def _protocol(job: CorruptionJob, reader: Drive) -> dict:
     return {**reader.protocol, "testbed": {**own, "corruptions": [*own.get("corruptions", []), entry]}}
 
 
-def _each(job: CorruptionJob, rows: list[int], executor: Executor) -> Iterator[None]:
-    for result in executor.run(_task, [(job, i) for i in rows]):
-        if result.error is not None:
-            raise result.error
-        yield
-
-
-def _task(item: tuple[CorruptionJob, int], report: Progress) -> None:
-    job, i = item
+def _corrupt_frames(item: tuple[CorruptionJob, list[int]], progress: Progress) -> None:
+    """Write these frames of a drive; a task."""
+    job, rows = item
     reader = _reader(job.source)
-    _write(job, reader, corrupted(job, reader, i))
+    for i in rows:
+        _write(job, reader, corrupted(job, reader, i))
 
 
 @lru_cache(maxsize=1)

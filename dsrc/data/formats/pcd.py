@@ -17,7 +17,6 @@ from dsrc.data.formats.lzf import decompress
 from sensors.spec import LidarSpec
 from sensors.sweep import Sweep, make_sweep
 from sim.errors import DataError, complaint
-from sim.files import write_file
 
 _HEADER = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _KINDS = {"F": "f", "U": "u", "I": "i"}
@@ -132,11 +131,6 @@ def _table(sweep: Sweep, dtype: np.dtype) -> NDArray[np.void]:
     for field, column in _COLUMNS.items():
         table[field] = getattr(sweep, column)
     return table
-
-
-def write_pcd(path: Path, sweep: Sweep) -> None:
-    """Write a sweep atomically."""
-    write_file(path, encode_pcd(sweep))
 
 
 def read_pcd(

@@ -4,7 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.data.formats.opv2v.reader import DriveReader, find_drives
+from dsrc.data.drives import list_drives
+from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.sample import inside_range, make_sample
 from dsrc.ops.grid import GridSpec
 from sensors.frame import count_points
@@ -18,7 +19,7 @@ GRID = GridSpec((-140.8, -40.0, -6.0, 140.8, 40.0, 3.0))
 
 def test_the_golden_tree_gives_the_references_samples(tmp_path: Path):
     mini, expected = goldens.unpack_opv2v_mini(tmp_path), goldens.load("opv2v_mini_expected")
-    frames = [r.read(i) for d in find_drives(mini) for r in [DriveReader(d)] for i in range(len(r))]
+    frames = [r.read(i) for d in list_drives(mini) for r in [DriveReader(d)] for i in range(len(r))]
     ranges = {"train": GridSpec(), "test": GridSpec((-140.0, -40.0, -3.0, 140.0, 40.0, 1.0))}
     for mode, grid in ranges.items():
         for k, frame in enumerate(frames):

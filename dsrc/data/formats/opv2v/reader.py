@@ -96,15 +96,6 @@ def write_frame(
         write_file(path, content)
 
 
-def read_frame(drive: Path, index: int, motion: Motion | None = None) -> Frame:
-    """Read the frame of this number; see `DriveReader` for many."""
-    reader = DriveReader(drive, motion)
-    if index not in reader.frames:
-        span = f"{reader.frames[0]} to {reader.frames[-1]}" if reader.frames else "no frames"
-        raise DataError(complaint(drive, "frame", span, index))
-    return reader.read(reader.frames.index(index))
-
-
 class DriveReader:
     """Random access to the frames of an OPV2V drive; see `dsrc.data.drives` for any format.
 
@@ -159,8 +150,14 @@ class DriveReader:
         return {agent: read_plan(self.drive / str(agent) / f"{self._stems[i]}.yaml") for agent in self.agents}
 
     def digest(self) -> str:
-        """Return the `data_hash` of the drive."""
-        return data_hash([self.drive])
+        """Return the SHA-256 of the annotations and of all files' names and sizes; quick, for provenance."""
+        digest = hashlib.sha256()
+        for path in sorted(p for p in self.drive.rglob("*") if p.suffix in (".yaml", ".pcd") and p.is_file()):
+            name = f"{self.drive.name}/{path.relative_to(self.drive).as_posix()}"
+            digest.update(f"{name}\0{path.stat().st_size}\0".encode())
+            if path.suffix == ".yaml":
+                digest.update(path.read_bytes())
+        return digest.hexdigest()
 
     def _agents(self) -> list[int]:
         if not self.drive.is_dir():
@@ -299,23 +296,8 @@ def _union(notes: list[Annotation]) -> tuple[Boxes, NDArray[np.float64]]:
     return boxes[first], velocity[first]
 
 
-def find_drives(root: Path) -> list[Path]:
-    """Return the drives at or below a folder (itself, its children, theirs), sorted by path.
-
-    Raises:
-        DataError: the folder is missing or holds no drive.
-    """
-    root = Path(root)
-    if not root.is_dir():
-        raise DataError(f"{root}: not a folder" if root.exists() else f"{root}: no such folder")
-    drives = drives_below(root)
-    if not drives:
-        raise DataError(complaint(root, "folder", "an OPV2V tree (drive/agent/000000.yaml)", "none"))
-    return drives
-
-
 def drives_below(root: Path) -> list[Path]:
-    """Return the drives at or below a folder, perhaps none; see `find_drives`."""
+    """Return the OPV2V drives at or below a folder (itself, its children, theirs), sorted by path."""
     return sorted(folder for folder in [root, *root.glob("*/"), *root.glob("*/*/")] if _is_drive(folder))
 
 
@@ -323,15 +305,3 @@ def _is_drive(folder: Path) -> bool:
     agents = (p for p in folder.iterdir() if _AGENT.fullmatch(p.name) and p.is_dir())
     # A drive may have a number for its name too, but its yaml is no frame.
     return any(_STEM.fullmatch(file.stem) for agent in agents for file in agent.glob("*.yaml"))
-
-
-def data_hash(drives: Sequence[Path]) -> str:
-    """Return the SHA-256 of drives' annotations and of all files' names and sizes: quick, for provenance."""
-    digest = hashlib.sha256()
-    for drive in sorted(Path(d) for d in drives):
-        for path in sorted(p for p in drive.rglob("*") if p.suffix in (".yaml", ".pcd") and p.is_file()):
-            name = f"{drive.name}/{path.relative_to(drive).as_posix()}"
-            digest.update(f"{name}\0{path.stat().st_size}\0".encode())
-            if path.suffix == ".yaml":
-                digest.update(path.read_bytes())
-    return digest.hexdigest()

@@ -12,8 +12,9 @@ import pytest
 
 from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.drive_folder import LOCK, locked
+from dsrc.data.drives import list_drives
 from dsrc.data.executors import Pool
-from dsrc.data.formats.opv2v.reader import DriveReader, find_drives
+from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.formats.opv2v.record import read_plan
 from dsrc.data.write import write_drive
 from sensors.corruptions import corrupt_frame, drive_seed
@@ -45,7 +46,7 @@ def foreign(data: Path) -> Path:
 
 def test_every_frame_is_that_of_corrupt_frame_with_the_seed_of_its_drive(data: Path, tmp_path: Path) -> None:
     drives = corrupt_dataset(data, tmp_path / "out", "motion_blur", 4, seed=5)
-    assert drives == [tmp_path / "out" / "one", tmp_path / "out" / "two"] == find_drives(tmp_path / "out")
+    assert drives == [tmp_path / "out" / "one", tmp_path / "out" / "two"] == list_drives(tmp_path / "out")
     for drive in drives:
         source, out = DriveReader(data / drive.name), DriveReader(drive)
         seed = drive_seed(5, drive.name)

@@ -6,7 +6,7 @@ import pytest
 
 from dsrc.data.formats import pcd
 from dsrc.data.formats.lzf import decompress
-from dsrc.data.formats.pcd import encode_sensor_pcd, encode_table, read_pcd, read_table, write_pcd
+from dsrc.data.formats.pcd import encode_pcd, encode_sensor_pcd, encode_table, read_pcd, read_table
 from sensors.sweep import POINT_FIELDS, UNKNOWN_MATERIAL, make_sweep
 from sim.errors import DataError
 from tests.dsrc.data.toy import toy_frame
@@ -29,7 +29,7 @@ DATA ascii
 
 @pytest.fixture
 def written(tmp_path: Path) -> Path:
-    write_pcd(tmp_path / "000000.pcd", toy_frame(0).agents[0].sweep)
+    (tmp_path / "000000.pcd").write_bytes(encode_pcd(toy_frame(0).agents[0].sweep))
     return tmp_path / "000000.pcd"
 
 
@@ -51,7 +51,7 @@ def test_opv2v_finds_a_left_handed_cloud_with_red_intensity(written: Path):
 
 
 def test_an_empty_sweep_is_a_valid_file(tmp_path: Path):
-    write_pcd(tmp_path / "a.pcd", make_sweep(np.zeros((0, 3))))
+    (tmp_path / "a.pcd").write_bytes(encode_pcd(make_sweep(np.zeros((0, 3)))))
     assert len(read_pcd(tmp_path / "a.pcd")) == 0
 
 
@@ -169,7 +169,7 @@ def test_infinite_intensity_and_a_missing_file_are_refused(written: Path):
     sweep = read_pcd(written)
     bad = sweep.intensity.copy()
     bad[3] = np.inf
-    write_pcd(written, replace(sweep, intensity=bad))
+    written.write_bytes(encode_pcd(replace(sweep, intensity=bad)))
     with pytest.raises(DataError, match="intensity of point 3"):
         read_pcd(written)
     with pytest.raises(DataError, match="file not found"):

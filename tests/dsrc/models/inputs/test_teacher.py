@@ -3,7 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.data.formats.opv2v.reader import DriveReader, find_drives
+from dsrc.data.drives import list_drives
+from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.inputs.teacher import teacher_clouds
 from dsrc.ops.grid import GridSpec
@@ -38,7 +39,7 @@ def test_hull_clouds_equal_the_references_row_by_row(golden_sample: Sample):
 
 def test_the_golden_trees_teacher_clouds_have_the_references_sizes(tmp_path: Path):
     expected, k = goldens.load("opv2v_mini_expected"), 0
-    for drive in find_drives(goldens.unpack_opv2v_mini(tmp_path)):
+    for drive in list_drives(goldens.unpack_opv2v_mini(tmp_path)):
         reader = DriveReader(drive)
         for i in range(len(reader)):
             made = teacher_clouds(make_sample(reader.read(i), None, GridSpec(), keep_ego_box=True), "hull")

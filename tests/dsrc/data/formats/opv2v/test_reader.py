@@ -11,8 +11,9 @@ import pytest
 import yaml
 
 from dsrc.data.drive_folder import write_protocol
+from dsrc.data.drives import list_drives
 from dsrc.data.formats.annotation import upright_boxes
-from dsrc.data.formats.opv2v.reader import DriveReader, data_hash, find_drives, read_frame, write_frame
+from dsrc.data.formats.opv2v.reader import DriveReader, write_frame
 from dsrc.data.formats.pcd import read_pcd
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame
@@ -51,7 +52,7 @@ def test_a_frame_reads_back_equal_to_what_was_written(drive: Path):
     reader = DriveReader(drive)
     assert reader.frames == (0, 1) and len(reader) == 2
     assert same_frames(reader.read(1), toy_frame(1))
-    assert same_frames(read_frame(drive, 0), toy_frame(0))
+    assert same_frames(DriveReader(drive).read(0), toy_frame(0))
 
 
 def test_frames_without_objects_agents_points_or_spec_are_legal(tmp_path: Path):
@@ -59,7 +60,7 @@ def test_frames_without_objects_agents_points_or_spec_are_legal(tmp_path: Path):
     empty = replace(full.agents[0], sweep=replace(full.agents[0].sweep[:0], spec=None))
     frame = Frame(7, 0.7, (empty,), Boxes.zeros(), np.zeros((0, 2)), np.zeros((1, 0), np.int32))
     write_frame(tmp_path / "d", frame)
-    assert same_frames(read_frame(tmp_path / "d", 7), frame)
+    assert same_frames(DriveReader(tmp_path / "d").read(0), frame)
 
 
 def test_old_trees_have_unknown_lanes_and_visible_fractions(drive: Path):
@@ -69,7 +70,7 @@ def test_old_trees_have_unknown_lanes_and_visible_fractions(drive: Path):
         record = json.loads(line.removeprefix("testbed: '").removesuffix("'"))
         old = json.dumps({name: value for name, value in record.items() if name not in wanted})
         path.write_text(f"testbed: '{old.replace(chr(39), chr(92) + 'u0027')}'\n{rest}")
-    frame = read_frame(drive, 0)
+    frame = DriveReader(drive).read(0)
     assert np.isnan(frame.acceleration).all() and frame.acceleration.shape == (6, 2)
     assert np.isnan(frame.visible_fraction).all() and frame.visible_fraction.shape == (3, 6)
     assert frame.lane == ("",) * 6 and not frame.signals.any()
@@ -108,15 +109,15 @@ def test_vehicles_are_those_the_agent_has_a_point_on_without_itself(drive: Path)
 def test_connected_vehicles_can_be_left_out(tmp_path: Path):
     write_frame(tmp_path / "d", toy_frame(0), connected_vehicles=False)
     assert set(plain(tmp_path / "d" / "-1" / "000000.yaml")["vehicles"]) == {1001, 1004}
-    assert same_frames(read_frame(tmp_path / "d", 0), toy_frame(0))
+    assert same_frames(DriveReader(tmp_path / "d").read(0), toy_frame(0))
 
 
 @pytest.mark.parametrize("written", MOTIONS)
 @pytest.mark.parametrize("wanted", MOTIONS)
 def test_a_drive_written_in_one_motion_reads_in_any_other(tmp_path: Path, written: Motion, wanted: Motion):
     write_frame(tmp_path / "d", toy_frame(1), motion=written)
-    assert read_frame(tmp_path / "d", 1).agents[0].sweep.motion == written
-    frame, expected = read_frame(tmp_path / "d", 1, wanted), deskew_frame(toy_frame(1), wanted)
+    assert DriveReader(tmp_path / "d").read(0).agents[0].sweep.motion == written
+    frame, expected = DriveReader(tmp_path / "d", wanted).read(0), deskew_frame(toy_frame(1), wanted)
     for mine, other in zip(frame.agents, expected.agents, strict=True):
         assert mine.sweep.motion == wanted and mine.sweep.time_s == pytest.approx(other.sweep.time_s, abs=1e-12)
         np.testing.assert_allclose(mine.sweep.points, other.sweep.points, atol=5e-5)
@@ -128,8 +129,8 @@ def test_a_drive_written_in_one_motion_reads_in_any_other(tmp_path: Path, writte
 def test_a_frame_keeps_the_paths_of_its_sensors_and_their_motion(tmp_path: Path):
     frame = deskew_frame(toy_frame(2), "raw")
     write_frame(tmp_path / "d", frame)
-    assert same_frames(read_frame(tmp_path / "d", 2), frame)
-    assert same_frames(read_frame(tmp_path / "d", 2, "raw"), frame)
+    assert same_frames(DriveReader(tmp_path / "d").read(0), frame)
+    assert same_frames(DriveReader(tmp_path / "d", "raw").read(0), frame)
 
 
 @pytest.mark.parametrize(("motion", "after"), [("start", -0.05), ("middle", 0.0), ("end", 0.05), ("raw", 0.0)])
@@ -224,7 +225,7 @@ def test_carla_boxes_match_the_reference():
 
 def test_the_golden_tree_reads_as_the_reference_reads_it(mini: Path):
     expected = goldens.load("opv2v_mini_expected")
-    drives = find_drives(mini)
+    drives = list_drives(mini)
     assert [d.name for d in drives] == ["2021_01_01_a", "2021_01_02_b_far"]
     reader = DriveReader(drives[0])
     assert reader.agents == (641, 650, -1) and reader.frames == (68, 70)
@@ -241,21 +242,21 @@ def test_the_golden_tree_reads_as_the_reference_reads_it(mini: Path):
 
 
 def test_drives_are_found_at_and_below_a_folder(mini: Path, tmp_path: Path):
-    assert find_drives(mini.parent) == find_drives(mini)
-    assert find_drives(mini / "2021_01_01_a") == [mini / "2021_01_01_a"]
+    assert list_drives(mini.parent) == list_drives(mini)
+    assert list_drives(mini / "2021_01_01_a") == [mini / "2021_01_01_a"]
     with pytest.raises(DataError, match="expected an OPV2V tree"):
-        find_drives(tmp_path)
+        list_drives(tmp_path)
     with pytest.raises(DataError, match="no such folder"):
-        find_drives(tmp_path / "nowhere")
+        list_drives(tmp_path / "nowhere")
 
 
 def test_the_hash_sees_an_edited_annotation_and_no_location(drive: Path, tmp_path: Path):
-    before = data_hash([drive])
+    before = DriveReader(drive).digest()
     copy = shutil.copytree(drive, tmp_path / "elsewhere" / "drive")
-    assert data_hash([copy]) == before
+    assert DriveReader(copy).digest() == before
     path = drive / "1000" / "000001.yaml"
     path.write_text(path.read_text().replace("ego_speed: 26", "ego_speed: 27"))
-    assert data_hash([drive]) != before
+    assert DriveReader(drive).digest() != before
 
 
 def damage(path: Path, pattern: str, replacement: str) -> None:
