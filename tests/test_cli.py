@@ -107,10 +107,10 @@ def test_a_closed_pipe_ends_a_command_quietly(words: tuple[str, ...]) -> None:
 def test_progress_without_a_terminal_is_a_line_now_and_then(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seconds = iter([0.0, 1.0, 25.0, 30.0, 31.0])
+    seconds = iter([0.0, 1.0, 25.0, 30.0, 31.0, 32.0])
     monkeypatch.setattr("dsrc.cli.progress.monotonic", lambda: next(seconds))
     with progress("work") as report:
-        for done in (0, 2, 3, 4):
+        for done in (0, 2, 3, 4, 4):
             report(done, 4)
     assert capsys.readouterr().err.splitlines() == ["work: 2 of 4, 25 s", "work: 4 of 4, 31 s"]
     monkeypatch.undo()

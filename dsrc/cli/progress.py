@@ -40,14 +40,16 @@ def log_lines(name: str) -> None:
 @contextmanager
 def _lines(label: str) -> Iterator[Report]:
     start = last = monotonic()
+    shown = 0
 
     def report(done: int, total: int) -> None:
-        nonlocal last
+        nonlocal last, shown
         now = monotonic()
-        if now - last >= LINE_EVERY_S or (done >= total and now - start >= SHORT_S):
+        ended = done >= total and now - start >= SHORT_S
+        if done != shown and (ended or now - last >= LINE_EVERY_S):
             sys.stderr.write(f"{label}: {done} of {total}, {now - start:.0f} s\n")
             sys.stderr.flush()
-            last = now
+            last, shown = now, done
 
     yield report
 
