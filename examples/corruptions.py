@@ -219,8 +219,8 @@ def dots(axes: Axes, sweep: Sweep, body_from_world: NDArray[np.float64], name: s
     if len(sweep) == 0:
         return
     points = transform_points(body_from_world, sweep.world_points)
-    look = {"s": size, "c": COLOR[name], "alpha": 0.9, "linewidths": 0, "rasterized": True}
-    axes.scatter(-points[:, 1], points[:, 0], label=name, **look)
+    markers = {"s": size, "c": COLOR[name], "alpha": 0.9, "linewidths": 0, "rasterized": True}
+    axes.scatter(-points[:, 1], points[:, 0], label=name, **markers)
 
 
 def sensor_image(axes: Axes, panel: Panel, clean: Panel) -> None:

@@ -141,7 +141,7 @@ def surface_points(sweep: Sweep) -> int:
 
 
 def _ego_row(agents: tuple[AgentFrame, ...], ego_id: int | None) -> int:
-    """Return the row of the ego; -1 when there is no such agent."""
+    """Return the row of the ego; -1 if it is not an agent."""
     if ego_id is None:
         return next((row for row, agent in enumerate(agents) if agent.kind == "vehicle"), 0)
     return next((row for row, agent in enumerate(agents) if agent.agent_id == ego_id), -1)

@@ -91,7 +91,7 @@ def _problems(run: Corrupt, seed: int, weather: bool, ordered: bool) -> Iterator
             for few, what in ((empty, "an empty sweep"), (single, "a single point")):
                 for line in _frame_problems(few, run(few, severity, seed)):
                     yield f"severity {severity}: {what}: {line}"
-        except Exception as error:  # somebody else's code can fail in any way
+        except Exception as error:  # custom code can fail in any way
             yield f"severity {severity}: raised {type(error).__name__}: {error}"
             return
         if _bytes(clean) != before:

@@ -10,7 +10,7 @@ agent's delay is the level times a factor from U(0.5, 1.5) that stays for the dr
 A sweep with timestamp t, measured at t - d, shows the scene of t - d from the pose of t. With P(t) the agent's true
 path and v the velocity of a point's surface,
 
-    p' = inv(P(t - d)) (P(t) p - v d)        in the sensor frame; the pose at the stamp, P(t), is what is reported
+    p' = inv(P(t - d)) (P(t) p - v d)        in the sensor frame; the reported pose is that of the timestamp, P(t)
 
 so houses run ahead with a moving agent by its own displacement during d, a car that drives beside it stays right, and
 for a roadside unit only moving objects are displaced. Beyond its ends, or where it is unknown, the path is extrapolated

@@ -96,12 +96,12 @@ def _last_row(sweep: Sweep, beam: NDArray[np.intp], beams: int, columns: int | N
         return beam
     key = sweep.ring.astype(np.int32) * np.int32(columns) + sweep.column
     if len(key) and (key[1:] >= key[:-1]).all():
-        # Few beams are asked for: in points that are in order they are found faster than a table of all is made.
+        # Few beams: a search in sorted points is faster than a table of all beams.
         order = np.argsort(beam)
-        asked = beam[order].astype(np.int32)
-        last = np.searchsorted(key, asked, "right") - 1
+        wanted = beam[order].astype(np.int32)
+        last = np.searchsorted(key, wanted, "right") - 1
         found = np.zeros(len(beam), np.intp)
-        found[order] = np.where(key[last] == asked, last, -1)
+        found[order] = np.where(key[last] == wanted, last, -1)
         return found
     row = np.full(beams, -1, np.int32)
     row[key] = np.arange(len(sweep), dtype=np.int32)

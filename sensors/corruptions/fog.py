@@ -94,23 +94,23 @@ def corrupt(sweep: Sweep, severity: int | Fog, rng: np.random.Generator) -> Swee
         return sweep
     rays = rays_of(sweep, fog.range_10_m, rng)
     transmission = np.exp(-2.0 * fog.extinction * rays.reach[: len(sweep)])
-    return report(rays, transmission, _answer(fog, rays, transmission, rng))
+    return report(rays, transmission, _fog_echoes(fog, rays, transmission, rng))
 
 
-def _answer(fog: Fog, rays: Rays, transmission: NDArray[np.float64], rng: np.random.Generator) -> Echo:
+def _fog_echoes(fog: Fog, rays: Rays, transmission: NDArray[np.float64], rng: np.random.Generator) -> Echo:
     """Draw the fog's echo on each ray where it could exceed the target and the threshold."""
     echo = fog_echo(fog.extinction, _pulse(rays.sweep, fog), fog.patchiness)
     strength, quantile = rays.draw(rng.standard_exponential), rays.draw(rng.random)
     scale = fog.backscatter / TARGET_BACKSCATTER
     floor = rays.floor(transmission)
-    # As strong as all the fog that there is, then as the fog before the target, where that could be enough.
-    line = np.flatnonzero(scale * echo.strongest(echo.cumulated[-1], strength) > floor)
-    near, far = rays.near[line], rays.reach[line]
+    # Candidates by the echo of all the fog, an upper bound; then the echo of the fog before the target.
+    candidate = np.flatnonzero(scale * echo.strongest(echo.cumulated[-1], strength) > floor)
+    near, far = rays.near[candidate], rays.reach[candidate]
     between = np.maximum(echo.cells(far) - echo.cells(near), 0.0)
-    answer = Echo(np.zeros(len(rays)), np.zeros(len(rays)))
-    answer.power[line] = scale * echo.strongest(between, strength[line])
-    answer.range_m[line] = echo.place(quantile[line], near, far)
-    return answer
+    echoes = Echo(np.zeros(len(rays)), np.zeros(len(rays)))
+    echoes.power[candidate] = scale * echo.strongest(between, strength[candidate])
+    echoes.range_m[candidate] = echo.place(quantile[candidate], near, far)
+    return echoes
 
 
 def _pulse(sweep: Sweep, fog: Fog) -> float:

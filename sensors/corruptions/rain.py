@@ -79,7 +79,7 @@ class Rain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 def corrupt(sweep: Sweep, severity: int | Rain, rng: np.random.Generator) -> Sweep:
     """Dim, shift, replace or remove returns; drops' lie nearer on the same rays, and on rays without a target.
 
-    What stays is `ATTENUATED`: the shift along its ray is millimetres, as any noise of the range.
+    Remaining targets are `ATTENUATED`: their shift along the ray is range noise of millimetres.
     """
     rain = severity if isinstance(severity, Rain) else Rain.severity(severity)
     if rain.rain_mm_h == 0.0:

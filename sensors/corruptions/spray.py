@@ -210,8 +210,8 @@ def _update_echoes(
 ) -> None:
     """Update `strongest` and `place` (L,) with the strongest echoes of N segments of (N, K) steps."""
     row, steps = segment.ray_row, passed.shape[1]
-    answer = _echo(passed, depth[row].astype(np.float32), pulse_m * steps / segment.span)
-    power = answer / np.maximum(along, np.float32(FULL_GAIN_M)) ** 2
+    echoes = _echo(passed, depth[row].astype(np.float32), pulse_m * steps / segment.span)
+    power = echoes / np.maximum(along, np.float32(FULL_GAIN_M)) ** 2
     best = power.argmax(axis=1)
     each = np.arange(len(row))
     stronger = power[each, best] > strongest[row]
@@ -346,21 +346,21 @@ def _echo(
         pulse_steps: (N,) length of the pulse in steps.
     """
     left = np.exp(np.float32(-2.0) * (before[:, None] + np.cumsum(passed, axis=1) - np.float32(0.5) * passed))
-    answer = np.float32(np.pi / LIDAR_RATIO_SR) * _over_pulse(passed * left, pulse_steps)
-    return np.where(answer >= np.float32(HAZE_REFLECTIVITY), answer, np.float32(0.0))
+    echoes = np.float32(np.pi / LIDAR_RATIO_SR) * _over_pulse(passed * left, pulse_steps)
+    return np.where(echoes >= np.float32(HAZE_REFLECTIVITY), echoes, np.float32(0.0))
 
 
-def _over_pulse(answer: NDArray[np.float32], steps: NDArray[np.float32]) -> NDArray[np.float32]:
+def _over_pulse(echoes: NDArray[np.float32], steps: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return (N, K) sums of (N, K) echoes over a pulse of (N,) steps around each step."""
-    count = answer.shape[1]
-    total = np.zeros((len(answer), count + 1), np.float32)
-    np.cumsum(answer, axis=1, out=total[:, 1:])
+    count = echoes.shape[1]
+    total = np.zeros((len(echoes), count + 1), np.float32)
+    np.cumsum(echoes, axis=1, out=total[:, 1:])
 
     def until(place: NDArray[np.float32]) -> NDArray[np.float32]:
         place = np.clip(place, np.float32(0.0), np.float32(count))
         low = np.minimum(place.astype(np.intp), count - 1)
         part = place - low.astype(np.float32)
-        return np.asarray(np.take_along_axis(total, low, 1) + part * np.take_along_axis(answer, low, 1))
+        return np.asarray(np.take_along_axis(total, low, 1) + part * np.take_along_axis(echoes, low, 1))
 
     middle = np.arange(count, dtype=np.float32) + np.float32(0.5)
     half = np.float32(0.5) * steps[:, None]

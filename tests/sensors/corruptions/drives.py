@@ -1,4 +1,4 @@
-"""Sweeps and drives for facts about every corruption: random ones, and a short drive through a real street."""
+"""Random sweeps, frames of one car, and a short drive through a ray-cast street."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -38,7 +38,7 @@ class World:
     clockwise: bool
 
     def sweep(self) -> Sweep:
-        """What it measures."""
+        """Sweep of the sensor in its world."""
         rng = np.random.default_rng(self.seed)
         near, far = self.ranges
         spec = LidarSpec(
@@ -94,7 +94,7 @@ worlds = st.builds(
 
 
 def one_car_frame(sweep: Sweep, index: int = 0) -> Frame:
-    """A frame whose second vehicle, a helper that drives, has this sweep; the first is the ego and has it too."""
+    """Frame of an ego and a moving collaborator with the same sweep."""
     time_s = STEP_S * index
     times = time_s + np.array([-STEP_S, 0.0, STEP_S])
     agents = []

@@ -14,11 +14,11 @@ from tests.sensors.corruptions.street import spinning, street
 SPEED = 10.0
 AGENTS = (1000, 1003, -1)
 PARKED, PARKED_RING = 1500, 8
-"""The car that stands, and the ring whose points are taken for its own."""
+"""Standing car, and the ring of its points."""
 
 
 def frame(index: int = 0, agents: tuple[int, ...] = AGENTS, sweep: Sweep | None = None) -> Frame:
-    """One instant: every agent has the same sweep of a street in its own frame and drives east, the mast stands."""
+    """Frame of agents that drive east with the same sweep of a street, and a standing mast."""
     sweep = street(spinning(16)) if sweep is None else sweep
     time_s = 0.1 * index
     ids = [*(i for i in agents if i >= 0), PARKED]

@@ -79,7 +79,7 @@ def _cloud(path: Path) -> Sweep:
 
 
 def same(a: Sweep, b: Sweep) -> bool:
-    """Whether two sweeps hold the same bytes."""
+    """Equality of the points of two sweeps, to the byte."""
     return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in POINT_FIELDS)
 
 

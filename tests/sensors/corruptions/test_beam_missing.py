@@ -1,4 +1,4 @@
-"""Beam missing: rings that are gone, the same ones all along."""
+"""Beam missing: dead rings, the same ones for a drive."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""The contract check: every corruption of both families passes, broken ones are told why."""
+"""Contract check: every corruption of both families passes, broken ones get one line per rule."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""An agent's sweep is older than its stamp: it shows what was there then, at the place where the agent is now."""
+"""Clock offset: delayed sweeps of collaborators."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ LATE_S = 0.1
 
 
 class Exactly:
-    """A generator whose draw is its middle: the sweep is late by exactly what the settings say."""
+    """Generator of the mean: the delay is exactly that of the settings."""
 
     def uniform(self, low: float, high: float) -> float:
         return 0.5 * (low + high)
@@ -66,7 +66,7 @@ def test_a_turning_agent_sees_the_world_turned() -> None:
 
 @pytest.mark.parametrize("late_s", [0.05, 0.1, 0.3])
 def test_it_is_the_sweep_that_was_measured_then(late_s: float) -> None:
-    """Against the simulation itself: a car ahead and the ground, scanned so much earlier, from where the agent was."""
+    """Against the simulation: a car ahead and the ground, scanned earlier from the earlier pose."""
     traffic = StraightTraffic(cars([[0, 0, 0], [15, 1, 0], [12, -6, 1.2]], speed=[8.0, 3.0, 5.0]), step_s=0.05)
     steps = [traffic.actors, *(traffic.step() for _ in range(9))]
     rig = Rig(toy_scenario(), scene_of(ground()), 0, vehicle_spec=ideal("debug-16"))

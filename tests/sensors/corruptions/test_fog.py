@@ -1,4 +1,4 @@
-"""Fog: extinction, echo, detection. What it shares with snow and rain is in test_medium."""
+"""Fog: extinction, echo, detection; facts shared with snow and rain are in test_medium."""
 
 import math
 

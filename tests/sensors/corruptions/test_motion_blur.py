@@ -1,4 +1,4 @@
-"""Motion blur: the sensor's own way, its shaking, and objects smeared by a slower sweep."""
+"""Motion blur: uncompensated motion, vibration, and objects smeared by a slower sweep."""
 
 import itertools
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""An agent's reported pose is off; what it measured is not."""
+"""Pose error: wrong reported poses, true measurements."""
 
 import itertools
 
@@ -23,7 +23,7 @@ def at(time_s: float, agents: int, settings: PoseError | None = None) -> np.ndar
 
 
 def offset(clean: Frame, out: Frame, row: int) -> np.ndarray:
-    """Where the agent in a row believes to be, seen from its true body."""
+    """Reported pose of the agent in a row, in its true body frame."""
     body = clean.agents[row].world_from_body
     moved = out.agents[row].sweep.world_from_lidar @ invert(clean.agents[row].sweep.world_from_lidar)
     return invert(body) @ moved @ body

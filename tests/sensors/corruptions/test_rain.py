@@ -1,4 +1,4 @@
-"""Rain: its drops, what they dim, what they return and how they blur ranges."""
+"""Rain: drops, attenuation, echoes, range noise."""
 
 import itertools
 import json

@@ -1,4 +1,4 @@
-"""Corruptions of one's own: registered by a program, or found by an entry point."""
+"""Custom corruptions: registered by a program, or found by an entry point."""
 
 import sys
 from collections.abc import Iterator

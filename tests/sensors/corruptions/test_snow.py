@@ -1,4 +1,4 @@
-"""Falling snow: its flakes, what they hide, what they return. What it shares with fog and rain is in test_medium."""
+"""Snow: flakes, attenuation, echoes; facts shared with fog and rain are in test_medium."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""Spray: what beams meet behind vehicles on a wet road."""
+"""Spray behind vehicles on a wet road."""
 
 import itertools
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The echo of fog: its waveform is the published theory's, its patches those of sampled fog."""
+"""Echo of fog: waveform of the published theory, patches of sampled fog."""
 
 import math
 from pathlib import Path

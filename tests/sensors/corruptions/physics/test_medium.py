@@ -1,4 +1,4 @@
-"""Facts that hold for fog, snow and rain alike: who is reported, where, as what."""
+"""Fog, snow and rain alike: reported returns, their places and marks."""
 
 import itertools
 import math
@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sensors.corruptions import fog, rain, snow
+from sensors.corruptions.apply import count_lost
+from sensors.corruptions.check import sweep_problems
 from sensors.corruptions.fog import Fog
 from sensors.corruptions.physics.medium import Echo, rays_of, report
 from sensors.corruptions.physics.receiver import OVERLAP_START_M, detection_threshold
@@ -28,7 +30,6 @@ from sensors.sweep import (
     KEPT,
     MOTIONS,
     MOVED,
-    POINT_FIELDS,
     SCATTERED,
     UNKNOWN_MATERIAL,
     Motion,
@@ -63,7 +64,7 @@ def beam_of(sweep: Sweep) -> np.ndarray:
 
 
 def in_open_beams(out: Sweep, clean: Sweep) -> np.ndarray:
-    """Which points are in beams that hit nothing in clear air."""
+    """Mask of points in beams that are open in clear air."""
     return ~np.isin(beam_of(out), beam_of(clean))
 
 
@@ -173,15 +174,6 @@ def test_points_lost_stay_lost_as_the_weather_worsens(medium: str) -> None:
         assert len(worse - better) <= (0 if medium == "fog" else 0.01 * len(sweep))
 
 
-@all_media
-def test_the_input_is_never_changed_and_a_seed_gives_the_same_bytes(medium: str) -> None:
-    sweep = street()
-    for name in POINT_FIELDS:
-        getattr(sweep, name).flags.writeable = False
-    assert same(through(medium, sweep, 5), through(medium, sweep, 5))
-    assert not same(through(medium, sweep, 5), through(medium, sweep, 5, seed=2))
-
-
 @pytest.mark.parametrize("medium", ["fog", "snow", "rain"])
 def test_a_beam_is_independent_of_the_targets_of_others(medium: str) -> None:
     sweep = street()
@@ -192,7 +184,7 @@ def test_a_beam_is_independent_of_the_targets_of_others(medium: str) -> None:
 
 
 @all_media
-@pytest.mark.parametrize("rings", [16, 40, 64, 128, 300])
+@pytest.mark.parametrize("rings", [16, 300])
 def test_open_beams_of_any_sensor_return_echoes(medium: str, rings: int) -> None:
     sweep = street(uneven(rings, range_10_m=60.0, range_max_m=60.0))
     out = through(medium, sweep, 5)
@@ -247,11 +239,7 @@ def test_any_sweep_of_any_sensor_stays_legal(
     sweep = street(spec)
     sweep = sweep[rng(seed).random(len(sweep)) < rng(seed + 1).random()]
     out = through(medium, sweep, level, seed)
-    for name in POINT_FIELDS:
-        assert getattr(out, name).dtype == getattr(sweep, name).dtype
-    assert np.isfinite(out.points).all()
-    assert ((out.intensity >= 0.0) & (out.intensity <= 1.0)).all()
-    assert ((out.object_id == ADDED) == (out.fate == SCATTERED)).all()
+    assert sweep_problems(sweep, count_lost(sweep, out)) == []
     assert (out.range[out.fate == SCATTERED] >= max(OVERLAP_START_M, nearest) - 1e-3).all()
     assert out.range.max(initial=0.0) <= 120.0 + 1e-3 or medium == "rain"
 

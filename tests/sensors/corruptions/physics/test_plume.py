@@ -1,4 +1,4 @@
-"""Plumes: where the spray of a vehicle is and how much light it takes."""
+"""Plumes: place and extinction of a vehicle's spray."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""The receiver of weather is the one that scans."""
+"""Receiver of weather: the same as of the scan."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Rings by elevation: found on any sensor in any order, refused where there are none."""
+"""Rings by elevation: estimated for any sensor and order, refused for clouds without rings."""
 
 import numpy as np
 import pytest

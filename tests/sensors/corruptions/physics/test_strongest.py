@@ -1,4 +1,4 @@
-"""The loudest particle of a beam: the closed form against media whose every particle is sampled."""
+"""Strongest particle of a beam: the closed form against media of sampled particles."""
 
 import math
 
@@ -29,7 +29,7 @@ def rng(seed: int = 1) -> np.random.Generator:
 
 
 def beams(reach_m: float, count: int, intensity: float = 0.0, width: float = WIDTH) -> Rays:
-    """Beams that hear everything, on targets at one range."""
+    """Beams without a detection threshold, on targets at one range."""
     sweep = on_a_ray(np.full(count, reach_m), intensity, spinning(1, 4, divergence_rad=width))
     return rays_of(sweep, math.inf, rng())
 
@@ -55,7 +55,7 @@ def test_strongest_particles_agree_with_sampled_media(reach_m: float) -> None:
     best_power, best_m = power[seen][order][first], range_m[seen][order][first]
 
     echo = strongest_particle(MEDIUM, beams(reach_m, count), np.ones(count), rng(3))
-    # Louder than what the walk of a few steps may miss in a beam that hears everything.
+    # Stronger than the walk of a few steps may miss in a beam without a threshold.
     loud = 0.002 * 0.2 / reach_m**2
     ours, theirs = echo.power > loud, best_power > loud
     assert ours.sum() > 500

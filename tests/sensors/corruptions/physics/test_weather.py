@@ -1,4 +1,4 @@
-"""One weather per scene: shared, smooth, and the same whatever is asked for first."""
+"""Drift of the weather: shared, smooth, independent of the order of frames."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What the published models made of the synthetic clouds, and how to compare with it."""
+"""Outputs of the published code on the synthetic clouds, and comparison with them."""
 
 import json
 from typing import Any
@@ -34,12 +34,12 @@ def mask(packed: NDArray[np.uint8], points: int) -> NDArray[np.bool_]:
 
 
 def by_range(points: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return how many points are in each of `RANGE_BINS_M`."""
+    """Return the number of points in each of `RANGE_BINS_M`."""
     return np.histogram(np.linalg.norm(points[:, :3].astype(np.float32), axis=1), RANGE_BINS_M)[0]
 
 
 def agrees(ours: list[Any], theirs: dict[str, Any], errors: float = 3.0, seeds: int = 20) -> bool:
-    """Return whether means over seeds are within so many standard errors of each other, nulls aside.
+    """Return whether means over seeds agree within `errors` standard errors, nulls aside.
 
     Args:
         ours: one value or list of values per seed.
@@ -56,7 +56,7 @@ def agrees(ours: list[Any], theirs: dict[str, Any], errors: float = 3.0, seeds: 
 
 
 def equals(ours: list[Any], theirs: dict[str, Any], tolerance: float = 1e-5) -> bool:
-    """Return whether mean and spread over the same seeds are the golden's, as far as its digits go, nulls aside."""
+    """Return whether mean and spread over the same seeds equal the golden's to its digits, nulls aside."""
     mine = np.array(ours, np.float64)
     for found, key in ((mine.mean(axis=0), "mean"), (mine.std(axis=0), "std")):
         expected = np.array(theirs[key], np.float64)

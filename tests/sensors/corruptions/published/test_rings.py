@@ -1,4 +1,4 @@
-"""Rings as published code guesses them."""
+"""Ring estimates of published code."""
 
 import numpy as np
 import pytest
