@@ -1,4 +1,4 @@
-"""Average precision of 2,000 frames: ours against a loop over shapely polygons that gives the same answer.
+"""Average precision of 2,000 frames: ours against a loop over shapely polygons with the same result.
 
 Frames are made from a seed: 26 to 50 vehicles in lanes, and detections as a detector's are, some 20 to 60: most
 vehicles are found, off by some decimetres and degrees, some twice, some not, and there are boxes where nothing is.
@@ -32,7 +32,7 @@ _LANE_M, _GAP_M = 3.6, 8.0
 
 
 def make_frame(rng: np.random.Generator) -> FrameResult:
-    """Return one frame: vehicles that do not touch, and what a detector says of them."""
+    """Draw a frame: vehicles that do not touch, and detections of them."""
     count = int(rng.integers(26, 51))
     # Places of a street's lanes, two of three along it; sizes of cars, vans and trucks.
     spots = rng.permutation(24 * 12)[:count]
@@ -53,7 +53,7 @@ def make_frame(rng: np.random.Generator) -> FrameResult:
 
 
 def _off(rng: np.random.Generator, boxes: NDArray[np.float64], spread_m: float) -> NDArray[np.float64]:
-    """Return boxes moved by some of `spread_m`, turned a little, of nearly their size."""
+    """Boxes displaced by about `spread_m`, turned and resized a little."""
     moved = boxes.copy()
     moved[:, :2] += rng.normal(0.0, spread_m, (len(boxes), 2))
     moved[:, 2] += rng.normal(0.0, 0.1, len(boxes))
@@ -63,16 +63,16 @@ def _off(rng: np.random.Generator, boxes: NDArray[np.float64], spread_m: float) 
 
 
 def make_frames(count: int) -> list[FrameResult]:
-    """Return frames, the same in every run."""
+    """Frames, the same in every run."""
     rng = np.random.default_rng(0)
     return [make_frame(rng) for _ in range(count)]
 
 
 def shapely_metrics(frames: Sequence[FrameResult]) -> dict[str, float]:
-    """Return what `EvalResult.metrics` does, by a loop: polygons pair by pair, matches detection by detection.
+    """Average precisions as in `EvalResult.metrics`, by a loop over pairs of polygons and over detections.
 
-    Kinder to itself than the published tools' loop, which cuts every pair anew at each threshold and asks for their
-    union too: here each pair is cut once.
+    Faster than the loop of the published tools, which intersects every pair anew at each threshold and computes the
+    union too: here each pair is intersected once.
     """
     flags: dict[tuple[str, float], list[bool]] = {(space, t): [] for space in SPACES for t in THRESHOLDS}
     scores: list[float] = []
@@ -106,7 +106,7 @@ def shapely_metrics(frames: Sequence[FrameResult]) -> dict[str, float]:
 
 
 def _overlaps(found: Boxes, truth: Boxes) -> dict[str, list[list[float]]]:
-    """Return the IoU of footprints and of volumes, pair by pair."""
+    """IoU of footprints and of volumes, pair by pair."""
     seen, real = ([Polygon(corners[:4, :2]) for corners in boxes.corners()] for boxes in (found, truth))
     plane: list[list[float]] = []
     space: list[list[float]] = []
@@ -124,7 +124,7 @@ def _overlaps(found: Boxes, truth: Boxes) -> dict[str, list[list[float]]]:
 
 
 def timed(run: Callable[[], dict[str, float]], times: int = 1) -> tuple[dict[str, float], float, float]:
-    """Return what a call gives, and the least wall and CPU seconds of some calls."""
+    """Result of a call, and the least wall and CPU seconds of several calls."""
     wall, cpu = [], []
     for _ in range(times):
         start, busy = time.perf_counter(), time.process_time()

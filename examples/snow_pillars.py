@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from dsrc.evaluation.matching import match
+from dsrc.evaluation.metrics.matching import match
 from look import put_table
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree

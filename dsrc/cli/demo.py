@@ -49,7 +49,8 @@ def run_demo(out: Path, quick: bool = False) -> None:
 
     from dsrc.closed_loop.episodes import drive_episodes
     from dsrc.data.write import generate
-    from dsrc.evaluation.run import evaluate_checkpoints
+    from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
+    from dsrc.evaluation.report.ap_table import result_table
     from dsrc.review.page.export import export_html
     from dsrc.review.page.screenshot import find_chromium, screenshot
 
@@ -63,12 +64,9 @@ def run_demo(out: Path, quick: bool = False) -> None:
             )
     dsrc, plain = CHECKPOINTS / "small-dsrc.pt", CHECKPOINTS / "small-plain.pt"
     with progress("evaluate, clean and six corruptions") as report:
-        table = evaluate_checkpoints(
-            {"DSRC (SDD+PCP+REC)": dsrc, "plain student": plain},
-            data=out / "test",
-            out=out / "results",
-            progress=report,
-        )
+        checkpoints = (f"DSRC (SDD+PCP+REC)={dsrc}", f"plain student={plain}")
+        config = Evaluation(checkpoints=checkpoints, data=out / "test", out=out / "results")
+        table = result_table(evaluate_drives(config, progress=report))
     with progress("review page") as report:
         page = export_html(out / "test", out / "review.html", checkpoint=dsrc)
         picture = screenshot(page, out / "review.png") if find_chromium() else None

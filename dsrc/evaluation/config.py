@@ -1,4 +1,4 @@
-"""The TOML of a benchmark: methods x datasets x corruptions x severities x channels, and sweeps of one quantity each.
+"""Settings of a benchmark, a TOML: methods x datasets x corruptions x severities x channels, and parameter sweeps.
 
     name = "small"
     corruptions = ["paper_six"]
@@ -29,13 +29,13 @@
     methods = ["DSRC that sends a tenth"]
     text = "Never trained to send less."
 
-    [sweeps]                          # clean frames, nothing lost or late but for the one quantity
+    [sweeps]                          # clean frames, one quantity at a time, an ideal channel otherwise
     agents = [1, 2, 3, 4, 5]
     pose_error = [0.1, 0.2, 0.4, 0.8]
     delay_s = [0.1, 0.2, 0.4]
     loss = [0.1, 0.3, 0.5]
 
-Paths are taken from the file's folder, or from the folder that one is in.
+Paths are relative to the file, or else to the current folder.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -47,7 +47,7 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from dsrc.evaluation.benchmark import PAPER_TABLE, Condition, check_numbers, corruption_kinds
+from dsrc.evaluation.detect import PAPER_TABLE, Condition, check_numbers, corruption_kinds
 from sensors.corruptions import Family
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.radio import IDEAL, ChannelSpec, get_channel
@@ -55,30 +55,32 @@ from sim.tomlfile import read_toml
 
 _Texts = Annotated[tuple[str, ...], Meta(min_length=1)]
 IN_USE = ("align_poses", "share", "bits", "score_threshold", "nms_iou")
-"""Settings of a model that its weights do not depend on."""
+"""Model settings that a trained detector can be used with at any value."""
 
 _Amounts = tuple[Annotated[float, Meta(ge=0.0)], ...]
 
 
 class MethodSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A line of the tables.
+    """Method of a benchmark, a line of its tables.
 
     Attributes:
         name: in tables.
-        detectors: detector files, one for each seed that the method was trained with.
-        use: changes of the model's settings that need no training of their own, of `IN_USE`: the same detectors that
-            send less, or that put poses right, are another method.
-        start: what its trainings began with, for a column of Table 1; "" says nothing.
+        detectors: detector files, one for each training of the method.
+        use: changed model settings, of `IN_USE`: the same detectors that send less, or that correct poses, are another
+            method.
+        start: weights that its trainings began with, for a column of Table 1; "" for unknown.
+        agents: most agents that take part, the ego included; None for the detectors' own number.
     """
 
     name: str
     detectors: _Texts
     use: dict[str, bool | int | float] = {}
     start: str = ""
+    agents: Annotated[int, Meta(ge=1)] | None = None
 
 
 class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Drives that are evaluated together.
+    """Dataset of a benchmark: drives evaluated together.
 
     Attributes:
         name: in tables.
@@ -90,39 +92,38 @@ class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class DifferenceSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A difference between two methods, for the table of intervals.
+    """Pair of methods whose difference gets intervals.
 
     Attributes:
-        method: the one whose gain is asked for.
-        baseline: the one that it is compared with.
+        method: whose gain is measured.
+        baseline: compared with.
     """
 
     method: str
     baseline: str
 
 
-class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A footnote of the tables.
+class Footnote(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Footnote of the tables.
 
     Attributes:
-        methods: whose lines carry its mark.
-        text: below each table that shows one of them.
+        methods: methods whose lines get its mark.
+        text: below each table with one of them.
     """
 
     methods: _Texts
     text: Annotated[str, Meta(min_length=1)]
 
 
-class Sweeps(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Quantities that are varied one at a time, in clean frames and without a radio in between.
+class ParameterSweeps(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameter sweeps, one quantity at a time, in clean frames with an ideal channel.
 
     Attributes:
-        methods: those that are swept; none: all.
-        agents: how many take part, the ego included.
-        pose_error: standard deviation of the collaborators' positions, m, and of their headings, degrees; another one
-            in every frame.
-        delay_s: age of what arrives, s.
-        loss: share of the packets that get lost.
+        methods: swept methods; empty: all.
+        agents: numbers of agents, the ego included.
+        pose_error: standard deviations of the collaborators' positions, m, and headings, degrees, drawn in every frame.
+        delay_s: delays of messages, s.
+        loss: packet loss rates.
     """
 
     methods: tuple[str, ...] = ()
@@ -132,13 +133,13 @@ class Sweeps(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     loss: tuple[Annotated[float, Meta(ge=0.0, le=1.0)], ...] = ()
 
 
-class Pictures(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What is drawn of single frames of the first dataset, Figures 6 and 8.
+class PictureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Pictures of single frames of the first dataset, Figures 6 and 8.
 
     Attributes:
-        teacher: detector file of DSRC's teacher, for the feature maps; "" leaves it out.
-        methods: whose detections are drawn; empty: the first three and the last.
-        percentiles: of frames by the number of true boxes that only helpers have points on, one frame for each, see
+        teacher: detector file of DSRC's teacher, for the feature maps; "" for none.
+        methods: methods of the drawn detections; empty: the first three and the last.
+        percentiles: of frames by the number of true boxes with points from helpers alone, a frame each, see
             `dsrc.evaluation.report.pictures.frames_at`.
         corruption: of the frames.
     """
@@ -150,21 +151,21 @@ class Pictures(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A file.
+    """Settings of a benchmark.
 
     Attributes:
         methods: lines of the tables, in their order.
-        datasets: each has tables of its own.
+        datasets: each with tables of its own.
         name: of the benchmark.
-        corruptions: kinds, `paper_six`, `all` or `clean`; clean frames are always there.
+        corruptions: kinds, `paper_six`, `all` or `clean`; clean frames are always evaluated.
         severities: of each corruption, 1 to 5; the tables show 3, the paper's, where it is among them.
         families: of the corruptions' settings; the tables of corruptions are written once for each.
-        channels: of the radio; the tables show `ideal`, where everything arrives and bytes are counted.
+        channels: radio channels; the tables show `ideal`, where every message arrives and bytes are counted.
         seed: of corruptions and channels.
-        limit: evaluate at most so many frames of a dataset, evenly spread.
-        differences: pairs of methods.
+        limit: most frames of a dataset, evenly spread; None for all.
+        differences: pairs of methods to compare.
         notes: footnotes, marked in their order.
-        sweeps: what else is varied.
+        sweeps: parameter sweeps.
         pictures: of single frames.
     """
 
@@ -178,30 +179,30 @@ class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     seed: int = 0
     limit: int | None = None
     differences: tuple[DifferenceSpec, ...] = ()
-    notes: tuple[Note, ...] = ()
-    sweeps: Sweeps = Sweeps()
-    pictures: Pictures = Pictures()
+    notes: tuple[Footnote, ...] = ()
+    sweeps: ParameterSweeps = ParameterSweeps()
+    pictures: PictureSpec = PictureSpec()
 
     @property
     def family(self) -> Family:
-        """First of the families, that of pictures of single frames."""
+        """First family, that of pictures of single frames."""
         return self.families[0]
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What one row of the result is of.
+    """Case of a benchmark: a method under one condition of one dataset, a row of the result.
 
     Attributes:
-        method: its name.
-        training: number of its detector, from 0.
-        dataset: its name.
+        method: name of the method.
+        training: number of the method's detector, from 0.
+        dataset: name of the dataset.
         condition: corruption, severity and family.
         channel: name of the channel.
-        agents: how many take part; None for all.
-        pose_error: see `Sweeps`, like the next two.
-        delay_s: beside what the channel takes.
-        loss: beside what the channel loses.
+        agents: most agents that take part; None for all.
+        pose_error: as in `ParameterSweeps`; 0 for the channel's.
+        delay_s: likewise.
+        loss: likewise.
     """
 
     method: str
@@ -216,11 +217,11 @@ class Case:
 
     @property
     def swept(self) -> bool:
-        """Whether it belongs to a sweep."""
+        """Whether the case belongs to a sweep."""
         return self.agents is not None or bool(self.pose_error or self.delay_s or self.loss)
 
     def spec(self) -> ChannelSpec:
-        """Return the settings of the channel."""
+        """Settings of the channel, those of the sweep included."""
         spec = get_channel(self.channel)
         if self.pose_error:
             spec = replace(spec, position_error_m=self.pose_error, heading_error_deg=self.pose_error)
@@ -230,10 +231,10 @@ class Case:
 
 
 def read_benchmark(path: Path) -> Benchmark:
-    """Read the file of a benchmark; its paths become such that can be opened from here.
+    """Read and check the TOML of a benchmark; its paths are resolved.
 
     Raises:
-        SettingsError: it is not valid; one line says what and where.
+        SettingsError: the file is invalid; one line names the field.
     """
     plan = read_toml(path, Benchmark, SettingsError)
 
@@ -250,17 +251,17 @@ def read_benchmark(path: Path) -> Benchmark:
 
 
 def plan_of(what: Sequence[str], data: Sequence[str], flags: Mapping[str, Any], sweeps: Mapping[str, Any]) -> Benchmark:
-    """Return the benchmark that the command line describes.
+    """Benchmark of the command line.
 
     Args:
         what: a TOML file, or detector files; `name=path` gives one its name, and one name given to several files is a
             method with several trainings.
         data: folders of drives, a dataset each; `name=folder` names one.
-        flags: further fields of `Benchmark`, with `family` for a single one of `families`; None for what was not said.
-        sweeps: likewise of `Sweeps`.
+        flags: further fields of `Benchmark`, with `family` for a single one of `families`; None for the default.
+        sweeps: fields of `ParameterSweeps`, likewise.
 
     Raises:
-        SettingsError: it is not valid, or a file and flags both describe it.
+        SettingsError: invalid settings, or a file together with flags.
     """
     given = {name: value for name, value in flags.items() if value is not None}
     swept = {name: value for name, value in sweeps.items() if value is not None}
@@ -292,7 +293,7 @@ def plan_of(what: Sequence[str], data: Sequence[str], flags: Mapping[str, Any], 
 
 
 def _grouped(field: str, texts: Sequence[str]) -> dict[str, list[str]]:
-    """Return paths by name; only paths whose names were given share one."""
+    """Paths by name; only paths with a given name can share one."""
     groups: dict[str, list[str]] = {}
     for (name, path), text in zip(named(texts), texts, strict=True):
         if name in groups and split_name(text)[0] != name:
@@ -303,7 +304,7 @@ def _grouped(field: str, texts: Sequence[str]) -> dict[str, list[str]]:
 
 
 def named(texts: Sequence[str]) -> list[tuple[str, str]]:
-    """Return names and paths: `name=path` as it says, else the file's stem, its folder before it where stems repeat."""
+    """Names and paths: the name of `name=path`, else the stem, with the folder before it where stems repeat."""
     split = [split_name(text) for text in texts]
     stems = [Path(path).stem for name, path in split if not name]
 
@@ -314,13 +315,13 @@ def named(texts: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def split_name(text: str) -> tuple[str, str]:
-    """Return name and path of `name=path`, "" and the path of a path alone, whose folders may hold a `=`."""
+    """Name and path of `name=path`; "" and the path without a name. Folders may have a `=` in them."""
     name, equals, path = text.partition("=")
     return (name, path) if equals and path and not {"/", "\\"} & set(name) else ("", text)
 
 
 def check(plan: Benchmark, where: str) -> None:
-    """Raise SettingsError where names repeat or do not exist, or numbers are out of range; `where` is for messages."""
+    """Raise SettingsError for repeated or unknown names and numbers out of range; `where` begins the message."""
     names = [method.name for method in plan.methods]
     for field, given in (
         ("methods", names),
@@ -368,10 +369,10 @@ def check(plan: Benchmark, where: str) -> None:
 
 
 def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
-    """Return the benchmark of those detectors whose files are there, and the paths of the others.
+    """Benchmark of the detectors whose files exist, and the missing paths.
 
     Raises:
-        SettingsError: there is none.
+        SettingsError: all files are missing.
     """
     absent = [path for method in plan.methods for path in method.detectors if not Path(path).is_file()]
     kept = [(method, tuple(path for path in method.detectors if path not in absent)) for method in plan.methods]
@@ -381,7 +382,7 @@ def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
     names = [method.name for method in methods]
     sweeps = replace(plan.sweeps, methods=tuple(name for name in plan.sweeps.methods if name in names))
     if plan.sweeps.methods and not sweeps.methods:
-        sweeps = Sweeps()
+        sweeps = ParameterSweeps()
     pictures = replace(plan.pictures, methods=tuple(name for name in plan.pictures.methods if name in names))
     if pictures.teacher and not Path(pictures.teacher).is_file():
         absent.append(pictures.teacher)
@@ -394,7 +395,7 @@ def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
 
 
 def conditions_of(plan: Benchmark) -> list[Condition]:
-    """Return clean, then, family by family, every corruption at every severity."""
+    """Conditions: clean, then, family by family, every corruption at every severity."""
     return [
         Condition(),
         *(
@@ -407,7 +408,7 @@ def conditions_of(plan: Benchmark) -> list[Condition]:
 
 
 def cases_of(plan: Benchmark) -> list[Case]:
-    """Return the rows of the result, each once."""
+    """Cases of a benchmark, each once."""
     return list(dict.fromkeys(_cases(plan)))
 
 

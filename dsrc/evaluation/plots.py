@@ -1,7 +1,7 @@
-"""Figures of a result: AP per condition, mCE against mean AP, precision over recall, AP over whatever is varied.
+"""Figures of results: AP per condition, mCE against mean AP, precision over recall, AP over a swept quantity.
 
-A method has one look in all figures of a result. Markers and names at the lines tell methods apart in grey too; bars
-stand in the order of their legend.
+A method has one style in all figures of a result. Markers and names at the lines distinguish methods in grey too; bars
+are in the order of their legend.
 """
 
 import io
@@ -24,24 +24,24 @@ from matplotlib.ticker import MaxNLocator
 from dsrc.evaluation.metrics.ap import Space, envelope, metric_name
 from dsrc.evaluation.metrics.intervals import IOUS, Difference
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row, condition_title, conditions_of, find_row, methods_of
-from dsrc.evaluation.table import Sheet, Stat
+from dsrc.evaluation.table import ResultTable, Stat
 
 COLORS = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#6B6B6B",
     "#882255", "#332288", "#999933", "#000000",
 )  # fmt: skip
-"""Distinct with any colour vision: seven of Okabe and Ito (2008), then of Tol's muted scheme (2021), and black."""
+"""Colours for any colour vision: seven of Okabe and Ito (2008), then of Tol's muted scheme (2021), and black."""
 _INK, _GRID, _FRAME = "#22272E", "#E3E6EA", "#9AA3AD"
 _MARKERS = "osD^vPX<>"
 _DASHES = ("-", "--", ":")
 _MOST_BARS = 6
 _NAME_IN = 0.17  # from a line of 8 points to the next
 _WIDTH_IN = 9.0
-"""Of most figures: nine hundred pixels, as wide as a README, leave letters of 8 points legible."""
+"""Width of most figures: nine hundred pixels, as wide as a README, leave letters of 8 points legible."""
 
 
-class Look(NamedTuple):
-    """How a method is drawn.
+class Style(NamedTuple):
+    """Style of a method in figures.
 
     Attributes:
         color: of its lines, markers and bars.
@@ -56,37 +56,37 @@ class Look(NamedTuple):
     face: str
 
     def line(self) -> dict[str, Any]:
-        """Return what draws a line with its markers."""
+        """Arguments of matplotlib for a line with markers."""
         return {**self.point(), "linestyle": self.dashes, "linewidth": 1.6}
 
     def point(self) -> dict[str, Any]:
-        """Return what draws markers alone."""
+        """Arguments of matplotlib for markers alone."""
         shape = {"marker": self.marker, "markersize": 6.5, "markerfacecolor": self.face, "markeredgewidth": 1.2}
         return {"color": self.color, "linestyle": "", **shape}
 
     def bar(self) -> dict[str, Any]:
-        """Return what draws bars: hatched where the markers are hollow."""
+        """Arguments of matplotlib for bars: hatched where the markers are hollow."""
         return {"facecolor": self.color, "edgecolor": "white", "hatch": "" if self.face == self.color else "///"}
 
 
-def looks_of(methods: Sequence[str]) -> dict[str, Look]:
-    """Return a look for each of all methods of a result, no two alike; figures of some of them take theirs from it."""
-    looks = {}
+def styles_of(methods: Sequence[str]) -> dict[str, Style]:
+    """Styles of all methods of a result, no two alike; figures of some methods take theirs from it."""
+    styles = {}
     for i, method in enumerate(dict.fromkeys(methods)):
         turn, color = i // len(COLORS), COLORS[i % len(COLORS)]
-        looks[method] = Look(
+        styles[method] = Style(
             color,
             _MARKERS[i % len(_MARKERS)],
             _DASHES[turn % len(_DASHES)],
             "white" if turn % 2 else color,
         )
-    return looks
+    return styles
 
 
 @contextmanager
-def styled() -> Iterator[None]:
-    """Set the look while a figure is made and drawn; global settings stay as they were."""
-    look: dict[Any, Any] = {
+def figure_style() -> Iterator[None]:
+    """Set matplotlib's style while a figure is made and drawn; global settings stay unchanged."""
+    style: dict[Any, Any] = {
         "font.family": "DejaVu Sans",
         "font.size": 9,
         "text.color": _INK,
@@ -108,12 +108,12 @@ def styled() -> Iterator[None]:
         "figure.titleweight": "bold",
         "figure.facecolor": "white",
     }
-    with mpl.rc_context(look):
+    with mpl.rc_context(style):
         yield
 
 
 def panels(width: float, height: float, rows: int = 1, columns: int = 1, title: str = "") -> tuple[Figure, list[Axes]]:
-    """Return a figure of a size, inches, and its panels row by row."""
+    """Figure of a size, inches, and its panels row by row."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     if title:
@@ -121,26 +121,26 @@ def panels(width: float, height: float, rows: int = 1, columns: int = 1, title: 
     return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
 
 
-def map_of_sheet(sheet: Sheet) -> Figure:
-    """Draw a sheet's columns of AP as numbers on a scale of colours, a panel per IoU; the best of a column is bold."""
+def table_heatmap(sheet: ResultTable) -> Figure:
+    """Draw a table's columns of AP as a heat map with numbers, a panel per IoU; the best of a column is bold."""
     shown = [i for i, column in enumerate(sheet.columns) if column.better == "high" and len(column.parts) == len(IOUS)]
     values = [[[line.cells[i][part].mean for i in shown] for line in sheet.lines] for part in range(len(IOUS))]
     return _map(sheet.title, [line.title for line in sheet.lines], [sheet.columns[i].title for i in shown], values)
 
 
 _CMAP = "cividis"
-"""Even steps of lightness for any colour vision and in grey."""
+"""Colour map of even steps of lightness, for any colour vision and in grey."""
 
 
 def _map(
     title: str, lines: Sequence[str], columns: Sequence[str], values: Sequence[Sequence[Sequence[float]]]
 ) -> Figure:
-    """Draw (IoU, line, column) AP; a column of means stands apart."""
+    """Draw a heat map of (IoU, line, column) AP; a column of means stands apart."""
     percent = 100 * np.array(values, float).reshape(len(IOUS), len(lines), len(columns))
     known = percent[np.isfinite(percent)]
     scale = Normalize(*((known.min(), known.max()) if known.size else (0.0, 100.0)))
     places = np.arange(len(columns)) + 0.25 * np.isin(columns, ["mAP", "mean AP"])
-    with styled():
+    with figure_style():
         figure, parts = panels(_WIDTH_IN, 1.9 + 0.24 * len(lines), columns=2, title=title)
         for axes, iou, numbers in zip(parts, IOUS, percent, strict=True):
             for x, column in zip(places, numbers.T, strict=True):
@@ -164,7 +164,7 @@ def _map(
 
 
 def _cell(axes: Axes, x: float, y: float, value: float, text: str, *, bold: bool) -> None:
-    """Draw a number on its colour, black or white, whichever can be read; without one, on white."""
+    """Draw a number on its colour, in black or white, whichever is legible; a missing one on white."""
     color = (1.0, 1.0, 1.0) if text == "-" else mpl.colormaps[_CMAP](float(value))[:3]
     axes.add_patch(Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=color, linewidth=0))
     ink = "white" if np.dot(color, (0.299, 0.587, 0.114)) < 0.5 else "black"
@@ -173,9 +173,9 @@ def _cell(axes: Axes, x: float, y: float, value: float, text: str, *, bold: bool
 
 
 def corruption_bars(
-    rows: Sequence[Row], space: Space = "bev", looks: Mapping[str, Look] | None = None, title: str = ""
+    rows: Sequence[Row], space: Space = "bev", styles: Mapping[str, Style] | None = None, title: str = ""
 ) -> Figure:
-    """Draw AP, a panel per IoU, a group per condition and a bar per method; many methods as numbers on colours."""
+    """Draw AP as bars, a panel per IoU, a group per condition, a bar per method; many methods as a heat map."""
     methods, conditions = methods_of(rows), conditions_of(rows)
     title = title or f"Detection under corruption ({_space_title(space)})"
     titles = [condition_title(c) for c in conditions]
@@ -184,12 +184,12 @@ def corruption_bars(
     ]
     if len(methods) > _MOST_BARS:
         return _map(title, methods, titles, values)
-    looks = looks or looks_of(methods)
-    with styled():
+    styles = styles or styles_of(methods)
+    with figure_style():
         figure, parts = panels(_WIDTH_IN, 5.2, rows=2, title=title)
         for axes, iou, of_methods in zip(parts, IOUS, values, strict=True):
             series = {method: [Stat(value) for value in line] for method, line in zip(methods, of_methods, strict=True)}
-            _grouped(axes, titles, series, [looks[m].bar() for m in methods])
+            _grouped(axes, titles, series, [styles[m].bar() for m in methods])
             axes.set_title(f"IoU {iou}")
             axes.set_ylabel("average precision, %")
         _legend(figure, parts[0], below=True)
@@ -199,7 +199,7 @@ def corruption_bars(
 def mean_bars(rows: Sequence[Row], space: Space = "bev", title: str = "") -> Figure:
     """Draw AP under each condition as the mean over all methods, as the paper's Figure 4."""
     methods, conditions = methods_of(rows), conditions_of(rows)
-    with styled():
+    with figure_style():
         figure, (axes,) = panels(_WIDTH_IN, 3.4, title=title)
         series = {}
         for iou in IOUS:
@@ -212,12 +212,12 @@ def mean_bars(rows: Sequence[Row], space: Space = "bev", title: str = "") -> Fig
 
 
 _SHADES = [{"facecolor": color} for color in ("#9CC7E4", "#4A93C4", "#0B4F80")]
-"""For bars that are no methods: one hue, from light to dark."""
+"""Fills of bars that are not methods: one hue, from light to dark."""
 
 
-def bars_of_sheet(sheet: Sheet) -> Figure:
-    """Draw the columns of a sheet of AP as bars, a group per line, a panel per IoU."""
-    with styled():
+def table_bars(sheet: ResultTable) -> Figure:
+    """Draw the columns of a table of AP as bars, a group per line, a panel per IoU."""
+    with figure_style():
         figure, parts = panels(_WIDTH_IN, 5.2, rows=2, title=sheet.title)
         for part, (axes, iou) in enumerate(zip(parts, IOUS, strict=True)):
             series = {c.title: [line.cells[k][part] for line in sheet.lines] for k, c in enumerate(sheet.columns)}
@@ -249,21 +249,21 @@ def _grouped(
     axes.set(ylim=(0, 108), yticks=range(0, 101, 20))
 
 
-def lines_of_sheet(
-    sheet: Sheet, label: str, places: Sequence[float], looks: Mapping[str, Look] | None = None
+def table_lines(
+    sheet: ResultTable, label: str, places: Sequence[float], styles: Mapping[str, Style] | None = None
 ) -> Figure:
-    """Draw the first columns of a sheet from left to right, a line per line with its name at its end, a panel per IoU.
+    """Draw the first columns of a table over their places, a curve per line with its name at its end, a panel per IoU.
 
     Args:
-        sheet: whose cells are AP at IoU 0.5 and 0.7.
+        sheet: table of AP at IoU 0.5 and 0.7.
         label: of the horizontal axis.
-        places: where each of them stands on it.
-        looks: of the lines.
+        places: of the columns on it.
+        styles: of the lines.
     """
     columns = len(places)
-    looks = looks or looks_of([line.label for line in sheet.lines])
+    styles = styles or styles_of([line.label for line in sheet.lines])
     ticks = [column.title.replace(", ", "\n").replace(" + ", "\n+ ") for column in sheet.columns[:columns]]
-    with styled():
+    with figure_style():
         figure, parts = panels(_WIDTH_IN, max(4.0, 1.5 + _NAME_IN * len(sheet.lines)), columns=2, title=sheet.title)
         for part, (axes, iou) in enumerate(zip(parts, IOUS, strict=True)):
             for line in sheet.lines:
@@ -272,26 +272,26 @@ def lines_of_sheet(
                 axes.errorbar(
                     places, [100 * s.mean for s in stats],
                     yerr=None if all(map(math.isnan, spreads)) else spreads,
-                    capsize=2.5, label=line.label, **looks[line.label].line(),
+                    capsize=2.5, label=line.label, **styles[line.label].line(),
                 )  # fmt: skip
             axes.set_xticks(places, ticks)
             axes.set_title(f"IoU {iou}")
             axes.set_xlabel(label)
             ends = {line.label: 100 * line.cells[columns - 1][part].mean for line in sheet.lines}
-            _name_ends(axes, places[-1], ends, looks)
+            _name_ends(axes, places[-1], ends, styles)
         parts[0].set_ylabel("average precision, %")
     return figure
 
 
-def _name_ends(axes: Axes, x: float, ends: Mapping[str, float], looks: Mapping[str, Look]) -> None:
-    """Write the names of lines at their right ends, one below the other, and lead to each from its end at (x, y)."""
+def _name_ends(axes: Axes, x: float, ends: Mapping[str, float], styles: Mapping[str, Style]) -> None:
+    """Label the curves at their right ends (x, y), one label below the other, with leader lines."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high)
     known = sorted((name for name, y in ends.items() if not math.isnan(y)), key=lambda name: ends[name])
     step = _NAME_IN / (axes.get_figure(root=True).get_figheight() - 1.3)  # type: ignore[union-attr]
     heights = apart([(ends[name] - low) / (high - low) for name in known], step)
     for name, height in zip(known, heights, strict=True):
-        leader = {"arrowstyle": "-", "color": looks[name].color, "linewidth": 0.8, "relpos": (0, 0.5)}
+        leader = {"arrowstyle": "-", "color": styles[name].color, "linewidth": 0.8, "relpos": (0, 0.5)}
         leader |= {"patchA": None, "shrinkA": 2, "shrinkB": 4}
         axes.annotate(
             name, (x, ends[name]), (1.09, height), textcoords="axes fraction", va="center", fontsize=8,
@@ -300,7 +300,7 @@ def _name_ends(axes: Axes, x: float, ends: Mapping[str, float], looks: Mapping[s
 
 
 def apart(wanted: Sequence[float], step: float) -> list[float]:
-    """Return ascending places in 0 to 1, a step apart where there is room; those that must give way do so together."""
+    """Ascending places in 0 to 1, at least a step apart where there is room; neighbours that collide move together."""
     groups: list[list[float]] = []
 
     def middle(group: list[float]) -> float:
@@ -323,7 +323,7 @@ def difference_dots(differences: Sequence[Difference], title: str = "") -> Figur
     pairs = list(dict.fromkeys((one.method, one.baseline) for one in differences))
     conditions = list(dict.fromkeys(one.condition for one in differences))
     height = 0.9 + len(pairs) * (0.8 + 0.24 * len(conditions))
-    with styled():
+    with figure_style():
         figure, parts = panels(_WIDTH_IN, height, rows=max(len(pairs), 1), columns=len(IOUS), title=title)
         wanted = [(pair, iou) for pair in pairs for iou in IOUS]
         for axes, (pair, iou) in zip(parts, wanted, strict=False):
@@ -358,21 +358,21 @@ def _interval(axes: Axes, y: float, one: Difference, *, named: bool) -> None:
 
 
 def traffic_scatter(
-    points: Mapping[str, tuple[float, float, float]], looks: Mapping[str, Look] | None = None, title: str = ""
+    points: Mapping[str, tuple[float, float, float]], styles: Mapping[str, Style] | None = None, title: str = ""
 ) -> Figure:
-    """Draw AP against what is sent, one panel per IoU.
+    """Draw AP against bytes sent, a panel per IoU.
 
     Args:
-        points: by method kB per frame, AP at IoU 0.5 and AP at 0.7.
-        looks: of the methods.
+        points: kB per frame, AP at IoU 0.5 and AP at 0.7, by method.
+        styles: of the methods.
         title: of the figure.
     """
-    looks = looks or looks_of(list(points))
-    with styled():
+    styles = styles or styles_of(list(points))
+    with figure_style():
         figure, parts = panels(_WIDTH_IN, max(3.8, 0.6 + 0.19 * len(points)), columns=2, title=title)
         for part, (axes, iou) in enumerate(zip(parts, IOUS, strict=True)):
             for name, values in points.items():
-                axes.plot([values[0]], [100 * values[1 + part]], label=name, **looks[name].point())
+                axes.plot([values[0]], [100 * values[1 + part]], label=name, **styles[name].point())
             axes.margins(0.15)
             axes.set_xscale("symlog", linthresh=0.1)
             axes.set_xlim(-0.05, 10.0 * max([0.1, *(sent for sent, *_ in points.values())]))
@@ -384,12 +384,12 @@ def traffic_scatter(
 
 
 def robustness_scatter(
-    rows: Sequence[Row], space: Space = "bev", looks: Mapping[str, Look] | None = None, title: str = ""
+    rows: Sequence[Row], space: Space = "bev", styles: Mapping[str, Style] | None = None, title: str = ""
 ) -> Figure:
     """Draw mean AP over clean and all corruptions against mCE, one panel per IoU, as the paper's Figure 5."""
     methods = methods_of(rows)
-    looks = looks or looks_of(methods)
-    with styled():
+    styles = styles or styles_of(methods)
+    with figure_style():
         figure, parts = panels(_WIDTH_IN, max(3.8, 0.6 + 0.19 * len(methods)), columns=2, title=title)
         for axes, iou in zip(parts, IOUS, strict=True):
             name = metric_name(space, iou)
@@ -397,7 +397,7 @@ def robustness_scatter(
                 x = _metric(find_row(rows, method, MCE), name)
                 y = _metric(find_row(rows, method, MEAN_AP), name)
                 if not (math.isnan(x) or math.isnan(y)):
-                    axes.plot([100 * x], [100 * y], label=method, **looks[method].point())
+                    axes.plot([100 * x], [100 * y], label=method, **styles[method].point())
             axes.margins(0.15)
             axes.set_title(f"IoU {iou}")
             axes.set_xlabel("mCE, % of the clean AP lost (left is better)")
@@ -407,21 +407,21 @@ def robustness_scatter(
 
 
 def precision_recall_curves(rows: Sequence[Row], condition: str = CLEAN, space: Space = "bev") -> Figure:
-    """Draw precision over recall of each method that still has its curves, one panel per IoU."""
-    looks = looks_of(methods_of(rows))
-    with styled():
+    """Draw precision over recall of each method whose row has curves, a panel per IoU."""
+    styles = styles_of(methods_of(rows))
+    with figure_style():
         figure, parts = panels(_WIDTH_IN, 3.8, columns=2)
         for axes, iou in zip(parts, IOUS, strict=True):
-            for method, look in looks.items():
+            for method, style in styles.items():
                 row = find_row(rows, method, condition)
                 if row is None or row.result is None or (space, iou) not in row.result.curves:
                     continue
                 curve = row.result.curves[space, iou]
                 recall, precision = envelope(curve.recall, curve.precision)
                 axes.plot(
-                    recall[:-1], precision[:-1], color=look.color, linestyle=look.dashes, linewidth=2, label=method
+                    recall[:-1], precision[:-1], color=style.color, linestyle=style.dashes, linewidth=2, label=method
                 )
-                axes.plot(curve.recall, curve.precision, color=look.color, linewidth=0.7, alpha=0.5)
+                axes.plot(curve.recall, curve.precision, color=style.color, linewidth=0.7, alpha=0.5)
             axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", title=f"IoU {iou}")
         parts[0].set_ylabel(f"precision, {condition_title(condition)} ({_space_title(space)})")
         _legend(figure, parts[0])
@@ -429,11 +429,11 @@ def precision_recall_curves(rows: Sequence[Row], condition: str = CLEAN, space: 
 
 
 def training_curves(epochs: Sequence[Mapping[str, str]], title: str = "") -> Figure:
-    """Draw the parts of the loss, the validations' average precision and the learning rate over the epochs.
+    """Draw the parts of the loss, average precision in validation and learning rate over the epochs.
 
     Args:
-        epochs: rows of a training's `metrics.csv`; what an epoch lacks is empty or missing.
-        title: which training it is, and on what.
+        epochs: rows of a training's `metrics.csv`; numbers may be empty or missing.
+        title: of the figure.
     """
     names = list(dict.fromkeys(name for row in epochs for name in row))
     parts = [name for name in names if name.startswith("train/") and name != "train/loss"]
@@ -442,15 +442,15 @@ def training_curves(epochs: Sequence[Mapping[str, str]], title: str = "") -> Fig
         "Average precision in validation, %": [name for name in names if name.startswith("val/ap_")],
         "Learning rate": ["lr"],
     }
-    with styled():
+    with figure_style():
         figure, axes = panels(13.0, 3.8, columns=3, title=title)
         for panel, (heading, shown) in zip(axes, shown_in.items(), strict=True):
             scale = 100.0 if heading.endswith("%") else 1.0
-            for name, look in looks_of(shown).items():
+            for name, style in styles_of(shown).items():
                 known = [(int(row["epoch"]) + 1, scale * float(row[name])) for row in epochs if row.get(name)]
                 label = name.removeprefix("train/").removeprefix("val/ap_").replace("_", " ")
                 label = f"IoU 0.{label[-2:-1]}, bird's eye" if name.startswith("val/ap_bev_") else label
-                panel.plot(*zip(*known, strict=True), label=label, **{**look.line(), "markersize": 4.0})
+                panel.plot(*zip(*known, strict=True), label=label, **{**style.line(), "markersize": 4.0})
             panel.set(title=heading, xlabel="epoch")
             panel.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
             if len(shown) > 1:
@@ -462,16 +462,16 @@ def training_curves(epochs: Sequence[Mapping[str, str]], title: str = "") -> Fig
 
 
 def png_bytes(figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int = 150) -> bytes:
-    """Return a figure as PNG; `made_by` goes into its description, where image tools show it."""
+    """PNG of a figure; `made_by` goes into its description, where image tools show it."""
     description = json.dumps(made_by or {}, sort_keys=True)
     buffer = io.BytesIO()
-    with styled():
+    with figure_style():
         figure.savefig(buffer, format="png", dpi=dpi, metadata={"Description": description})
     return buffer.getvalue()
 
 
 def _legend(figure: Figure, axes: Axes, *, below: bool = False) -> None:
-    """Name what is drawn, outside the panels: at their right or below them."""
+    """Add a legend outside the panels, at their right or below them."""
     handles, labels = axes.get_legend_handles_labels()
     if handles and below:
         figure.legend(handles, labels, loc="outside lower center", ncols=min(len(handles), 4))

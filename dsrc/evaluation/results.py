@@ -1,4 +1,4 @@
-"""Row: one line of a result, the result of one method under one condition or a summary over all of them."""
+"""Rows of results: one method under one condition, or a summary over all conditions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,21 +17,21 @@ MEAN_CORRUPTED = "mean_corrupted"
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of a result.
+    """Result of a method under a condition, or a summary.
 
     Attributes:
-        method: name of the detector as shown.
+        method: name as shown.
         condition: `clean`, a corruption, or a summary: `mean_ap` over clean and all corruptions, `mce`.
         severity: of the corruption, 1 to 5; 0 for clean and for summaries.
-        frames: frames evaluated.
-        truth: ground-truth boxes in them.
-        detections: detected boxes.
+        frames: number of frames.
+        truth: number of ground-truth boxes.
+        detections: number of detected boxes.
         metrics: average precisions by name, see `metric_name`; in an `mce` row the mean corruption errors of them.
-        seconds_per_frame: median time of one detection; never in a result file, since it differs from run to run.
-        bytes_per_frame: that the collaborators sent, mean over the frames; None without a channel.
-        message_age_s: of what the ego used of them, mean over the messages; None without a channel or a message.
-        heard: share of the collaborators of whom it had any; likewise.
-        result: the curves behind the metrics; None in a summary and in a row read from a file.
+        seconds_per_frame: median time of a detection; not in result files, for it differs between runs.
+        bytes_per_frame: bytes sent by collaborators, mean over the frames; None without a channel.
+        message_age_s: age of the messages used, mean; None without a channel or a message.
+        heard: share of collaborators with a message used; None without a channel or a collaborator.
+        result: curves behind the metrics; None where they are not kept.
     """
 
     method: str
@@ -56,16 +56,16 @@ def make_row(
     seconds: NDArray[np.float64] | None = None,
     traffic: NDArray[np.float64] | None = None,
 ) -> Row:
-    """Return the row of a result.
+    """Row of a result.
 
     Args:
         method: name.
         condition: `clean` or a corruption.
         severity: 0 for clean.
         result: of all its frames.
-        seconds: (F,) that the detection in each frame took.
-        traffic: (F, 4) of each frame: bytes sent, collaborators, how many of them were heard, the sum of the ages of
-            their messages, s; None without a channel.
+        seconds: (F,) time of the detection in each frame.
+        traffic: (F, 4) of each frame: bytes sent, collaborators, collaborators with a message used, sum of the ages of
+            these messages, s; None without a channel.
     """
     sent, others, heard, age_s = (None,) * 4 if traffic is None else traffic.sum(axis=0).tolist()
     return Row(
@@ -85,7 +85,7 @@ def make_row(
 
 
 def summary_rows(rows: Sequence[Row]) -> list[Row]:
-    """Return the `mean_ap` and the `mce` row of each method; none for a method without clean and corrupted rows."""
+    """The `mean_ap` and the `mce` row of each method that has clean and corrupted rows."""
     summaries = []
     for method in methods_of(rows):
         own = {row.condition: row for row in rows if row.method == method}
@@ -103,21 +103,21 @@ def summary_rows(rows: Sequence[Row]) -> list[Row]:
 
 
 def methods_of(rows: Sequence[Row]) -> list[str]:
-    """Return the names of the methods in the order of their first rows."""
+    """Names of the methods, in the order of their first rows."""
     return list(dict.fromkeys(row.method for row in rows))
 
 
 def conditions_of(rows: Sequence[Row]) -> list[str]:
-    """Return the conditions in the order of their first rows, summaries left out."""
+    """Conditions without summaries, in the order of their first rows."""
     return [c for c in dict.fromkeys(row.condition for row in rows) if c not in (MEAN_AP, MCE)]
 
 
 def find_row(rows: Sequence[Row], method: str, condition: str) -> Row | None:
-    """Return the row of a method under a condition, None when there is none."""
+    """Row of a method under a condition; None if missing."""
     return next((row for row in rows if row.method == method and row.condition == condition), None)
 
 
 def condition_title(condition: str) -> str:
-    """Return a condition as people read it."""
+    """Title of a condition in tables and figures."""
     titles = {MEAN_AP: "mean AP", MCE: "mCE", MEAN_CORRUPTED: "mean of the corruptions"}
     return titles.get(condition, condition.replace("_", " "))

@@ -1,4 +1,4 @@
-"""Sheet: a table of means and spreads, as Markdown, CSV and for the terminal."""
+"""Tables of means and spreads: Markdown, CSV and for the terminal."""
 
 import csv
 import io
@@ -17,10 +17,10 @@ from rich.text import Text
 
 
 class Stat(NamedTuple):
-    """A number that may come from several trainings.
+    """Mean and spread of a number over trainings.
 
     Attributes:
-        mean: NaN for none.
+        mean: NaN for no training.
         spread: standard deviation between the trainings; NaN for fewer than two.
     """
 
@@ -29,14 +29,14 @@ class Stat(NamedTuple):
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Self:
-        """Return the mean and the spread of values; NaN among them makes both NaN."""
+        """Mean and spread of values; NaN among them makes both NaN."""
         if not values:
             return cls(math.nan)
         spread = statistics.stdev(values) if len(values) > 1 and all(map(math.isfinite, values)) else math.nan
         return cls(sum(values) / len(values), spread)
 
     def text(self, scale: float, digits: int) -> str:
-        """Return it as people read it."""
+        """Text of the mean and its spread; "-" for NaN."""
         if math.isnan(self.mean):
             return "-"
         spread = "" if math.isnan(self.spread) else f" ± {scale * self.spread:.{digits}f}"
@@ -45,14 +45,14 @@ class Stat(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a sheet.
+    """Column of a table.
 
     Attributes:
-        title: above it.
-        parts: what its cells hold: average precisions at these IoU, or one number without a name.
-        better: which is the best of a column; none of a column of other facts.
-        scale: factor for the reader; 100 for percent.
-        digits: behind the point.
+        title: head of the column.
+        parts: names of the numbers in a cell: average precisions at these IoU, or "" for a single number.
+        better: which end is the best of a column; "" for neither.
+        scale: factor of the text; 100 for percent.
+        digits: decimals.
     """
 
     title: str
@@ -63,14 +63,14 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """A line of a sheet.
+class TableRow:
+    """Line of a table.
 
     Attributes:
-        label: what it is of; a key in CSV and in figures.
+        label: of the line; its key in CSV and in figures.
         cells: one per column, a number for each of the column's parts.
-        mark: of footnotes, shown behind the label.
-        words: in the sheet's columns of words.
+        mark: footnote marks, shown after the label.
+        words: texts in the table's text columns.
     """
 
     label: str
@@ -80,23 +80,23 @@ class Line:
 
     @property
     def title(self) -> str:
-        """The label with its mark."""
+        """Label with its footnote marks."""
         return f"{self.label} {self.mark}" if self.mark else self.label
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
-    """A table.
+class ResultTable:
+    """Table of results, with text columns left of the numbers.
 
     Attributes:
-        name: of its files and of its place in a document.
+        name: of its files and of its section in a document.
         title: one line.
-        note: what a reader has to know.
-        head: title of the labels.
-        columns: as many as each line has cells.
+        note: explanation below the table.
+        head: head of the labels.
+        columns: one per cell of a line.
         lines: from top to bottom.
-        words: titles of columns of words, left of the numbers.
-        footnotes: one for each mark that the sheet shows, the mark first.
+        words: heads of the text columns.
+        footnotes: one for each mark in the table, the mark first.
     """
 
     name: str
@@ -104,12 +104,12 @@ class Sheet:
     note: str
     head: str
     columns: tuple[Column, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[TableRow, ...]
     words: tuple[str, ...] = ()
     footnotes: tuple[str, ...] = ()
 
     def markdown(self) -> str:
-        """Return the title, the table with the best of each column in bold, the note and the footnotes."""
+        """Markdown: title, table with the best of each column in bold, footnotes and note."""
         rows = [
             [self.head, *self.words, *(column.title for column in self.columns)],
             ["---", *("---" for _ in self.words), *("---:" for _ in self.columns)],
@@ -119,7 +119,7 @@ class Sheet:
         return "\n\n".join(parts) + "\n"
 
     def csv(self) -> str:
-        """Return CSV with a column for each number and one for its spread, unscaled."""
+        """CSV with a column for each number and one for its spread, unscaled."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         names = [f"{column.title} {part}".strip() for column in self.columns for part in column.parts]
@@ -131,12 +131,12 @@ class Sheet:
         return text.getvalue()
 
     def terminal(self, columns: int, width: int = 80) -> Group:
-        """Return the first columns for a terminal of a width, in as many tables one below the other as it needs.
+        """Table for a terminal: the first columns, split into several tables one below the other where too wide.
 
-        Means alone are shown, the parts of a cell one below the other; long labels are broken.
+        Only means, the parts of a cell one below the other; long labels are broken.
         """
         lines = [
-            Line(line.title, tuple(tuple(Stat(stat.mean) for stat in cell) for cell in line.cells))
+            TableRow(line.title, tuple(tuple(Stat(stat.mean) for stat in cell) for cell in line.cells))
             for line in self.lines
         ]
         plain = [self._texts(line, "", "", "\n") for line in lines]
@@ -166,8 +166,8 @@ class Sheet:
         above = (Text(self.title, style="bold"), Text(f"In a cell, from above: IoU {', '.join(parts)}; %."))
         return Group(*above, *tables, *map(Text, self.footnotes))
 
-    def _texts(self, line: Line, before: str, after: str, between: str = " / ") -> list[str]:
-        """Return the cells of a line as people read them, what is best between two marks."""
+    def _texts(self, line: TableRow, before: str, after: str, between: str = " / ") -> list[str]:
+        """Texts of the cells of a line, the best numbers between two marks."""
         texts = []
         for number, (column, cell) in enumerate(zip(self.columns, line.cells, strict=True)):
             shown = [stat.text(column.scale, column.digits) for stat in cell]
@@ -176,7 +176,7 @@ class Sheet:
         return texts
 
     def _is_best(self, column: int, part: int, stat: Stat) -> bool:
-        """Return whether a number is the best of several in its column, as far as its digits are shown."""
+        """Whether a number is the best of several in its column, to the shown digits."""
         about = self.columns[column]
         means = [line.cells[column][part].mean for line in self.lines]
         known = [mean for mean in means if not math.isnan(mean)]
@@ -187,5 +187,5 @@ class Sheet:
 
 
 def markdown_table(rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table of rows of texts, the heads and their rule first."""
+    """Markdown table of rows of texts, heads and rule first."""
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)

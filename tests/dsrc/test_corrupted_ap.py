@@ -1,15 +1,14 @@
 """The worse the paper's six corruptions are, the less a shipped detector finds on drives that it has never seen."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from dsrc.cli.demo import CHECKPOINTS
 from dsrc.data.write import generate
-from dsrc.evaluation.benchmark import Method, run_benchmark
-from dsrc.models.storage.checkpoint import load_detector
+from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
 from sensors.corruptions import PAPER_SIX, SEVERITIES
 
 FRAMES, SEEDS = 6, (901, 902, 903)
@@ -24,11 +23,13 @@ NOISE = 0.09
 def figures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[float]]:
     """The clean figure, and for each of the six one per severity."""
     out = tmp_path_factory.mktemp("test")
-    drives: list[Path] = [generate("braunschweig", out, frames=FRAMES, seed=s, interval_s=4.0) for s in SEEDS]
-    methods = [Method("small", load_detector(CHECKPOINTS / "small-plain.pt"))]
+    for seed in SEEDS:
+        generate("braunschweig", out / "data", frames=FRAMES, seed=seed, interval_s=4.0)
+    checkpoints = (str(CHECKPOINTS / "small-plain.pt"),)
+    config = Evaluation(checkpoints=checkpoints, data=out / "data", out=out / "results", ego_alone=False)
     found: dict[str, list[float]] = {"clean": [], **{kind: [] for kind in PAPER_SIX}}
     for severity in SEVERITIES:
-        for row in run_benchmark(methods, drives, PAPER_SIX, severity):
+        for row in evaluate_drives(replace(config, severity=severity)):
             if row.condition in found:
                 found[row.condition].append(float(np.mean([row.metrics[name] for name in METRICS])))
     return found

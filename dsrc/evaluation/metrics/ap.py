@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.evaluation.metrics.matching import first_come
+from dsrc.evaluation.metrics.matching import match_greedily
 from dsrc.ops.detections import Detections
 from dsrc.ops.iou import bev_iou, paired_volume_iou
 from sim.boxes import Boxes
@@ -26,35 +26,35 @@ class FrameResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """Which detections hit what, in a set of frames.
+class Matches:
+    """Matches of detections and true boxes in a set of F frames.
 
     Attributes:
-        truths: (F,) ground-truth boxes of each frame; boxes are numbered through all frames.
-        found: (F,) detections of each frame.
-        score: (D,) confidence, frame by frame and in each the most confident first.
-        matched: by ("bev" or "3d", IoU threshold) the (D,) number of the true box that each detection hits, or -1.
+        truth_counts: (F,) true boxes of each frame; boxes are numbered through all frames.
+        detection_counts: (F,) detections of each frame.
+        score: (D,) confidence, frame by frame, in each frame descending.
+        matched: (D,) number of the true box that each detection hits, or -1, by ("bev" or "3d", IoU threshold).
     """
 
-    truths: NDArray[np.int64]
-    found: NDArray[np.int64]
+    truth_counts: NDArray[np.int64]
+    detection_counts: NDArray[np.int64]
     score: NDArray[np.float32]
     matched: dict[tuple[Space, float], NDArray[np.int64]]
 
     @property
     def frames(self) -> int:
         """Number of frames."""
-        return len(self.truths)
+        return len(self.truth_counts)
 
     @property
     def truth(self) -> int:
         """Number of ground-truth boxes."""
-        return int(self.truths.sum())
+        return int(self.truth_counts.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """The result at one IoU threshold.
+    """Precision-recall curve at one IoU threshold.
 
     Attributes:
         ap: average precision over all detections sorted by confidence; NaN without any ground truth.
@@ -76,12 +76,12 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvalResult:
-    """The result of a set of frames.
+    """Average precisions of a set of frames.
 
     Attributes:
-        frames: how many.
-        truth: ground-truth boxes.
-        detections: detected boxes.
+        frames: number of frames.
+        truth: number of ground-truth boxes.
+        detections: number of detected boxes.
         curves: by ("bev" or "3d", IoU threshold).
     """
 
@@ -91,7 +91,7 @@ class EvalResult:
     curves: dict[tuple[Space, float], Curve]
 
     def metrics(self) -> dict[str, float]:
-        """Return the average precisions by name: `ap_bev_50` globally sorted, `ap_opencood_bev_50` per frame, ..."""
+        """Average precisions by name: `ap_bev_50` globally sorted, `ap_opencood_bev_50` per frame, ..."""
         named = {}
         for (space, threshold), curve in self.curves.items():
             named[metric_name(space, threshold)] = curve.ap
@@ -100,17 +100,17 @@ class EvalResult:
 
 
 def metric_name(space: Space, threshold: float, *, opencood: bool = False) -> str:
-    """Return the name of an average precision in tables and files."""
+    """Name of an average precision in tables and files."""
     return f"{'ap_opencood' if opencood else 'ap'}_{space}_{round(100 * threshold)}"
 
 
 def evaluate(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOLDS) -> EvalResult:
-    """Return the average precisions of frames at positive thresholds; changes nothing that it is given."""
-    return result_of(judge(results, thresholds))
+    """Average precisions of frames at positive IoU thresholds; the input stays unchanged."""
+    return evaluate_matches(match_frames(results, thresholds))
 
 
-def judge(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOLDS) -> Judged:
-    """Return which detections of frames hit what, at positive thresholds."""
+def match_frames(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOLDS) -> Matches:
+    """Match the detections of frames with their true boxes, at positive IoU thresholds."""
     found = [frame.detections.boxes.array for frame in results]
     truth = [frame.truth.array for frame in results]
     score = np.concatenate([np.zeros(0, np.float32), *(frame.detections.score for frame in results)])
@@ -128,12 +128,12 @@ def judge(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOL
         iou, at, box = overlaps[space][order], place[pairs.detection][order], pairs.truth[order]
         for threshold in thresholds:
             near = iou >= threshold
-            matched[space, threshold] = first_come(at[near], box[near], len(score))
-    return Judged(_lengths(truth), _lengths(found), score[ranked], matched)
+            matched[space, threshold] = match_greedily(at[near], box[near], len(score))
+    return Matches(_lengths(truth), _lengths(found), score[ranked], matched)
 
 
-def join(parts: Sequence[Judged]) -> Judged:
-    """Return the frames of all parts, at least one, as if they had been judged together."""
+def join_matches(parts: Sequence[Matches]) -> Matches:
+    """Matches of the frames of all parts, at least one, in their order."""
     starts = np.cumsum([0, *(part.truth for part in parts)])
     matched = {
         key: np.concatenate(
@@ -141,27 +141,28 @@ def join(parts: Sequence[Judged]) -> Judged:
         )
         for key in parts[0].matched
     }
-    truths, found, score = (np.concatenate([getattr(p, name) for p in parts]) for name in ("truths", "found", "score"))
-    return Judged(truths, found, score, matched)
+    fields = ("truth_counts", "detection_counts", "score")
+    truth_counts, detection_counts, score = (np.concatenate([getattr(p, name) for p in parts]) for name in fields)
+    return Matches(truth_counts, detection_counts, score, matched)
 
 
-def result_of(judged: Judged, among: NDArray[np.bool_] | None = None) -> EvalResult:
-    """Return the average precisions of frames that were judged.
+def evaluate_matches(matches: Matches, among: NDArray[np.bool_] | None = None) -> EvalResult:
+    """Average precisions of matched frames.
 
     Args:
-        judged: which detections hit what.
-        among: (N,) of the true boxes, those that are asked for; detections of others count neither way.
+        matches: of detections and true boxes.
+        among: (N,) true boxes to count; detections of the others count neither way.
     """
-    n_truth = judged.truth if among is None else int(among.sum())
+    n_truth = matches.truth if among is None else int(among.sum())
     curves: dict[tuple[Space, float], Curve] = {}
-    for key, box in judged.matched.items():
+    for key, box in matches.matched.items():
         asked = np.ones(len(box), bool) if among is None else (box < 0) | np.append(among, False)[box]
-        curves[key] = _curve(box[asked] >= 0, judged.score[asked], n_truth)
-    return EvalResult(frames=judged.frames, truth=n_truth, detections=len(judged.score), curves=curves)
+        curves[key] = _curve(box[asked] >= 0, matches.score[asked], n_truth)
+    return EvalResult(frames=matches.frames, truth=n_truth, detections=len(matches.score), curves=curves)
 
 
 class _Pairs(NamedTuple):
-    """The detections and boxes whose footprints overlap, (K,) rows in all frames' and their IoU."""
+    """Pairs of detections and true boxes with overlapping footprints: (K,) rows over all frames, and IoU."""
 
     detection: NDArray[np.int64]
     truth: NDArray[np.int64]
@@ -190,7 +191,7 @@ def _stacked(boxes: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def _curve(hit: NDArray[np.bool_], score: NDArray[np.float32], n_truth: int) -> Curve:
-    """Rank detections, which come frame by frame, in both orders."""
+    """Curve of detections, given frame by frame, with the average precision of both orders."""
     order = np.argsort(-score, kind="stable")
     recall, precision = precision_recall(hit[order], n_truth)
     return Curve(
@@ -204,7 +205,7 @@ def _curve(hit: NDArray[np.bool_], score: NDArray[np.float32], n_truth: int) -> 
 
 
 def precision_recall(hit: NDArray[np.bool_], n_truth: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (D,) recall and precision after each of D ranked detections."""
+    """(D,) recall and precision after each of D ranked detections."""
     hits = np.cumsum(hit)
     return hits / max(n_truth, 1), hits / np.arange(1, len(hit) + 1)
 
@@ -212,14 +213,14 @@ def precision_recall(hit: NDArray[np.bool_], n_truth: int) -> tuple[NDArray[np.f
 def envelope(
     recall: NDArray[np.float64], precision: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (D + 2,) recall from 0 to 1 and the precision made to fall monotonically, as VOC 2010 does."""
+    """(D + 2,) recall from 0 to 1 and monotonically falling precision, as in VOC 2010."""
     recall = np.concatenate([[0.0], recall, [1.0]])
     precision = np.concatenate([[0.0], precision, [0.0]])
     return recall, np.maximum.accumulate(precision[::-1])[::-1]
 
 
 def average_precision(recall: NDArray[np.float64], precision: NDArray[np.float64], n_truth: int) -> float:
-    """Return the area under the envelope at every recall (VOC 2010); NaN where there was nothing to find."""
+    """Average precision: area under the envelope at every recall (VOC 2010); NaN without ground truth."""
     if n_truth == 0:
         return float("nan")
     recall, precision = envelope(recall, precision)

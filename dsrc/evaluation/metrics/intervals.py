@@ -7,9 +7,9 @@ of all frames in the order of falling confidence, in frame f(k), hit (h_k = 1) o
     TP_k = sum over j <= k of w_f(j) h_j        n_k = sum over j <= k of w_f(j)
     AP = sum over k of w_f(k) h_k (max over j >= k of TP_j / n_j) / sum over f of w_f N_f
 
-This is the area under the envelope of `dsrc.evaluation.metrics.ap`, of each frame copied w_f times; only hits need be looked
-at, for precision falls from one to the next. The interval of a difference lies between two quantiles of its values
-over the resamples, and both methods are evaluated on the same resamples.
+This is the area under the envelope of `dsrc.evaluation.metrics.ap`, of each frame copied w_f times; only hits need be
+looked at, for precision falls from one to the next. The interval of a difference lies between two quantiles of its
+values over the resamples, and both methods are evaluated on the same resamples.
 
 Source: B. Efron, Bootstrap methods: another look at the jackknife, Annals of Statistics 7 (1979), 1-26; B. Efron and
 R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapter 13, for the percentile interval; T. C. Hesterberg,
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from dsrc.evaluation.metrics.ap import Judged
+from dsrc.evaluation.metrics.ap import Matches
 from dsrc.evaluation.table import Stat
 
 RESAMPLES = 1000
@@ -36,11 +36,11 @@ IOUS = (0.5, 0.7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hits:
-    """Ranked detections of F frames.
+class RankedDetections:
+    """Detections of F frames, most confident first.
 
     Attributes:
-        frame: (D,) number of each detection's frame, the most confident detection of all frames first.
+        frame: (D,) number of each detection's frame.
         hit: (T, D) true positives at each of T IoU thresholds.
         truths: (F,) ground-truth boxes of each frame.
     """
@@ -50,12 +50,12 @@ class Hits:
     truths: NDArray[np.int64]
 
     @classmethod
-    def of(cls, judged: Judged, ious: Sequence[float] = IOUS) -> "Hits":
-        """Return the detections that were judged, in bird's-eye view; ties stay in the order of the frames."""
-        order = np.argsort(-judged.score, kind="stable")
-        frame = np.repeat(np.arange(judged.frames, dtype=np.int32), judged.found)
-        hit = np.stack([judged.matched["bev", iou] >= 0 for iou in ious])
-        return cls(frame[order], hit[:, order], judged.truths)
+    def of(cls, matches: Matches, ious: Sequence[float] = IOUS) -> "RankedDetections":
+        """Rank the detections by their matches in bird's-eye view; ties stay in the order of the frames."""
+        order = np.argsort(-matches.score, kind="stable")
+        frame = np.repeat(np.arange(matches.frames, dtype=np.int32), matches.detection_counts)
+        hit = np.stack([matches.matched["bev", iou] >= 0 for iou in ious])
+        return cls(frame[order], hit[:, order], matches.truth_counts)
 
 
 class Interval(NamedTuple):
@@ -71,12 +71,12 @@ class Interval(NamedTuple):
 
 
 def draw_weights(group: NDArray[np.int64], count: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return (count, F) how often each frame is in each resample.
+    """Draw (count, F) multiplicities of the frames in each resample.
 
     Args:
-        group: (F,) number of what is drawn as a whole, from 0: each frame's own number, or that of its drive.
-        count: resamples.
-        rng: the only randomness.
+        group: (F,) number, from 0, of the unit drawn as a whole: the frame itself or its drive.
+        count: number of resamples.
+        rng: generator.
     """
     n = int(group.max(initial=-1)) + 1
     if n == 0:
@@ -86,31 +86,33 @@ def draw_weights(group: NDArray[np.int64], count: int, rng: np.random.Generator)
     return times[:, group].astype(np.float32)
 
 
-def average_precisions(hits: Hits, weights: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return (T, R) the average precision at each threshold of each resample; NaN where it holds no true box.
+def resampled_ap(ranked: RankedDetections, weights: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(T, R) average precision at each threshold in each resample; NaN for one without a true box.
 
     Args:
-        hits: ranked detections.
+        ranked: ranked detections.
         weights: (R, F) see `draw_weights`.
     """
-    return np.stack([_average_precision(hits, ranks, weights) for ranks in map(np.flatnonzero, hits.hit)])
+    return np.stack([_resampled_ap(ranked, ranks, weights) for ranks in map(np.flatnonzero, ranked.hit)])
 
 
-def _average_precision(hits: Hits, ranks: NDArray[np.intp], weights: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return (R,) the average precision of the detections whose (H,) ranks are hits.
+def _resampled_ap(
+    ranked: RankedDetections, ranks: NDArray[np.intp], weights: NDArray[np.float32]
+) -> NDArray[np.float64]:
+    """(R,) average precision of detections whose (H,) ranks are true positives.
 
     Counts are whole numbers far below 2^24, exact in float32 and in any order of summation.
     """
-    total = weights.astype(np.float64) @ hits.truths
+    total = weights.astype(np.float64) @ ranked.truths
     # (F, H): detections of each frame up to each hit, itself included.
-    reached = np.zeros((len(hits.truths), len(ranks) + 1), np.float32)
-    np.add.at(reached, (hits.frame, np.searchsorted(ranks, np.arange(len(hits.frame)))), 1.0)
+    reached = np.zeros((len(ranked.truths), len(ranks) + 1), np.float32)
+    np.add.at(reached, (ranked.frame, np.searchsorted(ranks, np.arange(len(ranked.frame)))), 1.0)
     reached = np.cumsum(reached[:, :-1], axis=1)
     area = np.zeros(len(weights))
     for start in range(0, len(weights), _CHUNK):
         part = weights[start : start + _CHUNK]
-        own, found = np.take(part, hits.frame[ranks], axis=1), part @ reached
-        # Before the first detection that was drawn, 0 of 0: such hits have no weight.
+        own, found = np.take(part, ranked.frame[ranks], axis=1), part @ reached
+        # 0 of 0 before the first drawn detection: such hits have no weight.
         precision = np.cumsum(own, axis=1, dtype=np.float64) / np.maximum(found, 1.0)
         envelope = np.maximum.accumulate(precision[:, ::-1], axis=1)[:, ::-1]
         area[start : start + _CHUNK] = (own * envelope).sum(axis=1)
@@ -118,15 +120,15 @@ def _average_precision(hits: Hits, ranks: NDArray[np.intp], weights: NDArray[np.
 
 
 def percentile_interval(values: NDArray[np.float64], units: int, level: float = LEVEL) -> Interval:
-    """Return the expanded percentile interval of (R,) values in resamples; undefined ones are left out.
+    """Expanded percentile interval of (R,) values in resamples; undefined values are left out.
 
     The quantiles lie further out than those of the percentile interval by as much as Student's interval of a mean is
     wider than the resamples of few units: at 7 units 0.4 % and 99.6 % for a level of 95 %.
 
     Args:
         values: one per resample.
-        units: frames or drives that were drawn from; fewer than two say nothing.
-        level: share of the samples whose interval shall hold the truth.
+        units: number of frames or drives drawn from; fewer than two have no interval.
+        level: share of samples whose interval holds the true value.
     """
     known = values[np.isfinite(values)]
     if not known.size or units < 2:
@@ -138,11 +140,11 @@ def percentile_interval(values: NDArray[np.float64], units: int, level: float = 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A method less a baseline under one condition.
+    """Difference of a method and its baseline under one condition.
 
     Attributes:
-        method: its name.
-        baseline: likewise.
+        method: name of the method.
+        baseline: name of the baseline.
         condition: `clean`, a corruption, `mean_corrupted` or `mce`, of which less is better.
         iou: bird's-eye IoU threshold.
         value: difference in average precision or mCE, means over the trainings; its spread is that of the trainings'
@@ -165,7 +167,7 @@ class Difference:
         return self.by_frame.excludes_zero and self.by_drive.excludes_zero
 
     def listed(self) -> dict[str, Any]:
-        """Return it as JSON's types; unknown numbers are None."""
+        """Fields as JSON types; unknown numbers are None."""
         numbers = {"difference": self.value.mean, "spread": self.value.spread}
         for name, interval in (("by_frame", self.by_frame), ("by_drive", self.by_drive)):
             numbers |= {f"{name}_low": interval.low, f"{name}_high": interval.high}

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 
 class Match(NamedTuple):
-    """The outcome for the D detections of one frame, best first.
+    """Match of the D detections of one frame, most confident first.
 
     Attributes:
-        truth: (D,) int64 row of the matched ground truth, -1 for a false positive.
-        order: (D,) int64 row of the detection: `truth[i]` is the fate of detection `order[i]`.
+        truth: (D,) int64 row of the matched true box, -1 for a false positive.
+        order: (D,) int64 row of the detection: `truth[i]` belongs to detection `order[i]`.
     """
 
     truth: NDArray[np.int64]
@@ -24,10 +24,10 @@ class Match(NamedTuple):
 
 
 def match(iou: NDArray[np.floating], scores: NDArray[np.floating], threshold: float) -> Match:
-    """Let each detection, best first, take the ground truth that it overlaps most of those still free.
+    """Match detections, most confident first, each with the free true box that it overlaps most.
 
-    It is a true positive when that overlap reaches the threshold. (VOC differs: there a detection whose best ground
-    truth is taken is false even if it overlaps another one enough.)
+    It is a true positive when that overlap reaches the threshold. (VOC differs: there a detection whose best true box
+    is taken is false even if it overlaps another one enough.)
 
     Args:
         iou: (D, N) overlaps.
@@ -38,16 +38,16 @@ def match(iou: NDArray[np.floating], scores: NDArray[np.floating], threshold: fl
     ranked = np.asarray(iou)[order]
     place, truth = np.nonzero(ranked >= threshold)
     best_first = np.lexsort((-ranked[place, truth], place))
-    return Match(first_come(place[best_first], truth[best_first], len(order)), order)
+    return Match(match_greedily(place[best_first], truth[best_first], len(order)), order)
 
 
-def first_come(place: NDArray[np.integer], truth: NDArray[np.integer], places: int) -> NDArray[np.int64]:
-    """Return (places,) int64 the truth that each detection gets, -1 for none.
+def match_greedily(place: NDArray[np.integer], truth: NDArray[np.integer], places: int) -> NDArray[np.int64]:
+    """Match pairs greedily: (places,) int64 true box of each detection, -1 for none.
 
     Args:
-        place: (K,) of the detections in pairs that overlap enough, ascending.
-        truth: (K,) of the pairs; those of one detection by overlap, most first.
-        places: how many detections there are.
+        place: (K,) detections of the pairs that overlap enough, ascending.
+        truth: (K,) true boxes of the pairs; those of one detection by overlap, descending.
+        places: number of detections.
     """
     matched = np.full(places, -1, np.int64)
     taken: set[int] = set()

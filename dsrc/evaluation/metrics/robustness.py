@@ -1,4 +1,4 @@
-"""What corruptions cost: corruption errors, their mean, and the mean average precision."""
+"""Robustness: corruption errors, their mean, and mean average precision."""
 
 import math
 from collections.abc import Mapping
@@ -7,9 +7,9 @@ import numpy as np
 
 
 def corruption_errors(clean: float, by_corruption: Mapping[str, float]) -> dict[str, float]:
-    """Return for each corruption the share of the clean average precision that is lost, (clean - corrupted) / clean.
+    """Corruption errors: the share of the clean average precision lost, (clean - corrupted) / clean.
 
-    Source: the DSRC paper, equation 10. NaN where the clean average precision is 0 or NaN: nothing can be lost.
+    Source: the DSRC paper, equation 10. NaN where the clean average precision is 0 or NaN.
     """
     if not clean > 0:
         return dict.fromkeys(by_corruption, math.nan)
@@ -17,15 +17,15 @@ def corruption_errors(clean: float, by_corruption: Mapping[str, float]) -> dict[
 
 
 def mce(clean: float, by_corruption: Mapping[str, float]) -> float:
-    """Return the mean corruption error; smaller is better, NaN without corruptions.
+    """Mean corruption error; smaller is better, NaN without corruptions.
 
-    It compares a detector with itself only: one that finds little when all is well has little to lose. Read it
-    together with `mean_ap`.
+    It compares a detector with itself: one that finds little in clean frames has little to lose. Read it together with
+    `mean_ap`.
     """
     errors = corruption_errors(clean, by_corruption)
     return float(np.mean(list(errors.values()))) if errors else math.nan
 
 
 def mean_ap(clean: float, by_corruption: Mapping[str, float]) -> float:
-    """Return the mean average precision over the clean frames and every corruption."""
+    """Mean average precision over clean frames and all corruptions."""
     return float(np.mean([clean, *by_corruption.values()]))

@@ -1,4 +1,4 @@
-"""Differences between pairs of methods with their intervals: which of them the frames and drives can resolve."""
+"""Differences between pairs of methods, with intervals by frame and by drive."""
 
 import csv
 import io
@@ -16,31 +16,31 @@ from dsrc.evaluation.metrics.intervals import (
     RESAMPLES,
     Difference,
     Interval,
-    average_precisions,
     draw_weights,
     percentile_interval,
+    resampled_ap,
 )
-from dsrc.evaluation.report.paper_tables import View, made_of
+from dsrc.evaluation.report.paper_tables import DatasetResults, sample_note
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_CORRUPTED, condition_title
 from dsrc.evaluation.table import Stat, markdown_table
 
 SEED = 0
-"""Of the resamples: the same rows have the same intervals."""
+"""Seed of the resamples: the same rows have the same intervals."""
 
 _Metrics = dict[str, NDArray[np.float64]]
-"""By condition the (S, T, R) AP, or mCE, of each of S trainings at each IoU in each resample."""
+"""(S, T, R) AP, or mCE, of each training at each IoU threshold in each resample, by condition."""
 
 _HEADS = ("Difference", "Condition", *(f"{t}{iou}" for iou in IOUS for t in ("AP@", "by frame, ", "by drive, ")))
 
 
 @dataclass(frozen=True, slots=True)
 class DifferenceTable:
-    """The differences of a dataset under one family of corruptions.
+    """Table of differences in a dataset under one family of corruptions.
 
     Attributes:
         title: one line.
-        note: what a reader has to know.
-        marked: by method its name with the marks of its footnotes.
+        note: explanation below the table.
+        marked: names of methods with their footnote marks.
         footnotes: of the methods.
         differences: by pair, condition and IoU, in this order.
     """
@@ -52,7 +52,7 @@ class DifferenceTable:
     differences: tuple[Difference, ...]
 
     def markdown(self) -> str:
-        """Return the title, the table with what excludes 0 in bold, what is resolved, the footnotes and the note."""
+        """Markdown: title, table with intervals that exclude 0 in bold, resolved differences, footnotes and note."""
         rows = [list(_HEADS), ["---", "---", *("---:" for _ in _HEADS[2:])]]
         for start in range(0, len(self.differences), len(IOUS)):
             group = self.differences[start : start + len(IOUS)]
@@ -62,7 +62,7 @@ class DifferenceTable:
         return "\n\n".join(parts) + "\n"
 
     def csv(self) -> str:
-        """Return CSV with a line per difference, unscaled; unknown numbers are empty."""
+        """CSV with a line per difference, unscaled; unknown numbers are empty."""
         text = io.StringIO()
         listed = [one.listed() for one in self.differences]
         writer = csv.DictWriter(text, list(listed[0]) if listed else [], lineterminator="\n")
@@ -71,7 +71,7 @@ class DifferenceTable:
         return text.getvalue()
 
     def claims(self) -> str:
-        """Return in a sentence which differences both intervals resolve."""
+        """Sentence that lists the differences resolved by both intervals."""
         found: dict[str, list[str]] = {}
         for one in self.differences:
             if one.resolved:
@@ -86,52 +86,55 @@ class DifferenceTable:
         return f"{self.marked[one.method]} − {self.marked[one.baseline]}"
 
 
-def difference_table(view: View, pairs: Sequence[DifferenceSpec], drives: Sequence[int]) -> DifferenceTable:
-    """Return the differences of pairs of methods in clean frames, under each corruption, in their mean and in mCE.
+def difference_table(
+    results: DatasetResults, pairs: Sequence[DifferenceSpec], drives: Sequence[int]
+) -> DifferenceTable:
+    """Differences of pairs of methods in clean frames, under each corruption, in their mean and in mCE.
 
     Args:
-        view: the rows, with the detections of the pairs' methods.
+        results: of the dataset, with the detections of the pairs' methods.
         pairs: methods and their baselines.
-        drives: (D,) evaluated frames of each drive; one without any is none.
+        drives: (D,) evaluated frames of each drive; drives without any are left out.
     """
     drives = [frames for frames in drives if frames]
     methods = list(dict.fromkeys(name for pair in pairs for name in (pair.method, pair.baseline)))
-    by_frame = _resampled(view, methods, np.arange(sum(drives)))
-    by_drive = _resampled(view, methods, np.repeat(np.arange(len(drives)), drives))
+    by_frame = _resampled(results, methods, np.arange(sum(drives)))
+    by_drive = _resampled(results, methods, np.repeat(np.arange(len(drives)), drives))
     units = sum(drives), len(drives)
-    found = tuple(one for pair in pairs for one in _differences(view, pair, by_frame, by_drive, units))
+    found = tuple(one for pair in pairs for one in _differences(results, pair, by_frame, by_drive, units))
     note = (
-        f"Method less baseline, points of average precision in bird's-eye view, sorted over all frames. {view.level} "
+        "Method less baseline, points of average precision in bird's-eye view, sorted over all frames. "
+        f"{results.level} "
         f"mCE: share of the clean AP lost, less is better. In brackets the {LEVEL:.0%} interval of {RESAMPLES} "
         f"resamples of {sum(drives)} frames and of {len(drives)} drives (expanded percentile bootstrap): both methods "
         "on the same resamples, AP computed anew in each. Bold: the interval excludes 0, as one of twenty does by "
         "chance; of a difference, both do. Frames of one drive are alike, so the interval by frame is too narrow for "
         "other drives. The trainings of a method are averaged in each resample, so what another training would change "
         "is in neither interval; where the seeds of both methods are the same, ± is the standard deviation of the "
-        f"difference between seeds.{made_of(view, methods, spread=False)}"
+        f"difference between seeds.{sample_note(results, methods, spread=False)}"
     )
-    marked = {name: view.marked(name, name) for name in methods}
-    return DifferenceTable(f"Differences, {view.titled}", note, marked, view.footnotes(methods), found)
+    marked = {name: results.marked(name, name) for name in methods}
+    return DifferenceTable(f"Differences, {results.titled}", note, marked, results.footnotes(methods), found)
 
 
 def _differences(
-    view: View,
+    results: DatasetResults,
     pair: DifferenceSpec,
     by_frame: Mapping[str, _Metrics],
     by_drive: Mapping[str, _Metrics],
     units: tuple[int, int],
 ) -> list[Difference]:
-    """Return the differences of a pair, by condition and IoU.
+    """Differences of a pair, by condition and IoU.
 
     Args:
-        view: the rows.
+        results: the rows.
         pair: its methods.
         by_frame: metrics of methods in the sample, then in resamples of its frames.
         by_drive: likewise, of its drives.
         units: numbers of frames and drives.
     """
     names = (pair.method, pair.baseline)
-    orders = _orders([one.seed for one in view.trained[name]] for name in names)
+    orders = _orders([one.seed for one in results.trained[name]] for name in names)
     listed = []
     for condition in by_frame[pair.method]:
         for k, iou in enumerate(IOUS):
@@ -149,34 +152,34 @@ def _differences(
 
 
 def _orders(seeds: Iterable[list[int | None]]) -> list[NDArray[np.intp]] | None:
-    """Return for two methods the order of their trainings by seed; None where they have other seeds or unknown ones."""
+    """Order by seed of two methods' trainings; None where their seeds differ or are unknown."""
     known = [np.array([math.nan if seed is None else seed for seed in own], np.float64) for own in seeds]
     orders = [np.argsort(own, kind="stable") for own in known]
     ordered = [own[order] for own, order in zip(known, orders, strict=True)]
     return orders if np.array_equal(ordered[0], ordered[1]) else None
 
 
-def _resampled(view: View, methods: Sequence[str], group: NDArray[np.int64]) -> dict[str, _Metrics]:
-    """Return the metrics of methods in the sample itself, then in its resamples.
+def _resampled(results: DatasetResults, methods: Sequence[str], group: NDArray[np.int64]) -> dict[str, _Metrics]:
+    """Metrics of methods in the sample itself, then in its resamples.
 
     Args:
-        view: the rows.
+        results: the rows.
         methods: names.
         group: see `draw_weights`.
     """
     drawn = draw_weights(group, RESAMPLES, np.random.default_rng(SEED))
     weights = np.concatenate([np.ones((1, len(group)), np.float32), drawn])
-    return {method: _metrics(view, method, weights) for method in methods}
+    return {method: _metrics(results, method, weights) for method in methods}
 
 
-def _metrics(view: View, method: str, weights: NDArray[np.float32]) -> _Metrics:
-    """Return the metrics of a method in resamples of (R, F) weights."""
+def _metrics(results: DatasetResults, method: str, weights: NDArray[np.float32]) -> _Metrics:
+    """Metrics of a method in resamples of (R, F) weights."""
     found = {
-        kind: np.stack([average_precisions(e.hits, weights) for e in view.found(method, kind) if e.hits is not None])
-        for kind in (CLEAN, *view.kinds())
+        kind: np.stack([resampled_ap(e.ranked, weights) for e in results.found(method, kind) if e.ranked is not None])
+        for kind in (CLEAN, *results.kinds())
     }
-    if view.kinds():
-        clean, corrupted = found[CLEAN], np.stack([found[kind] for kind in view.kinds()])
+    if results.kinds():
+        clean, corrupted = found[CLEAN], np.stack([found[kind] for kind in results.kinds()])
         lost = np.divide(clean - corrupted, clean, out=np.full(corrupted.shape, math.nan), where=clean > 0)
         found |= {MEAN_CORRUPTED: corrupted.mean(axis=0), MCE: lost.mean(axis=0)}
     return found
@@ -192,7 +195,7 @@ def _signed(value: float) -> str:
 
 
 def _texts(one: Difference) -> tuple[str, str, str]:
-    """Return a difference and its intervals as people read them."""
+    """Texts of a difference and its intervals."""
     spread = "" if math.isnan(one.value.spread) else f" ± {100 * one.value.spread:.1f}"
     value = f"{_signed(one.value.mean)}{spread}"
     return f"**{value}**" if one.resolved else value, _bounds(one.by_frame), _bounds(one.by_drive)

@@ -1,4 +1,4 @@
-"""The numbers of the paper's Tables 1 to 4 on OPV2V, as sheets to lie beside ours.
+"""Published numbers: the paper's Tables 1 to 4 on OPV2V, shown below ours.
 
 Source: DSRC, arXiv 2412.10739. AP at IoU 0.5 / 0.7 in percent, detections sorted inside their frames, as its authors
 say in issue 2 of their repository. mCE is computed here from its numbers by its equation 10, and mAP is the mean over
@@ -7,7 +7,7 @@ clean and corrupted frames.
 
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
 from dsrc.evaluation.results import condition_title
-from dsrc.evaluation.table import Column, Line, Sheet, Stat
+from dsrc.evaluation.table import Column, ResultTable, Stat, TableRow
 from sensors.corruptions import PAPER_SIX
 
 _TABLE_1 = """
@@ -46,27 +46,27 @@ _TWICE = "F-Cooper has the same numbers under fog and crosstalk, and under beam 
 _CONDITIONS = tuple(condition_title(kind).capitalize() for kind in ("clean", *PAPER_SIX))
 
 
-def paper_sheets() -> dict[str, Sheet]:
-    """Return the paper's tables by the names of ours."""
+def published_tables() -> dict[str, ResultTable]:
+    """The paper's tables, by the names of ours."""
     corrupted = (
         *(Column(t, digits=2) for t in _CONDITIONS),
         Column("mCE", better="low", digits=2),
         Column("mAP", digits=2),
     )
-    one = tuple(Line(name, (*cells, *_summaries(cells))) for name, cells in _read(_TABLE_1).items())
-    two = tuple(Line(name, tuple(cells)) for name, cells in _read(_TABLE_2).items())
+    one = tuple(TableRow(name, (*cells, *_summaries(cells))) for name, cells in _read(_TABLE_1).items())
+    two = tuple(TableRow(name, tuple(cells)) for name, cells in _read(_TABLE_2).items())
     titles = {1: "Clean and corrupted frames", 2: "Parts of DSRC", 3: "DSRC around the maximum", 4: "A single vehicle"}
     named = {number: f"The paper's Table {number}, OPV2V. {title}" for number, title in titles.items()}
     return {
-        "table_1": Sheet("table_1", named[1], f"{_NOTE} {_TWICE}", "Method", corrupted, one),
-        "table_2": Sheet("table_2", named[2], _NOTE, "Parts", (Column("Mean with clean", digits=2),), two),
-        "table_3": _turned("table_3", named[3], _TABLE_3),
-        "table_4": _turned("table_4", named[4], _TABLE_4),
+        "table_1": ResultTable("table_1", named[1], f"{_NOTE} {_TWICE}", "Method", corrupted, one),
+        "table_2": ResultTable("table_2", named[2], _NOTE, "Parts", (Column("Mean with clean", digits=2),), two),
+        "table_3": _transposed("table_3", named[3], _TABLE_3),
+        "table_4": _transposed("table_4", named[4], _TABLE_4),
     }
 
 
 def _read(text: str) -> dict[str, list[tuple[Stat, ...]]]:
-    """Return the cells of each line."""
+    """Cells of each line of a table, by its label."""
     lines = {}
     for line in text.strip().splitlines():
         name, _, numbers = line.partition("|")
@@ -75,7 +75,7 @@ def _read(text: str) -> dict[str, list[tuple[Stat, ...]]]:
 
 
 def _summaries(cells: list[tuple[Stat, ...]]) -> tuple[tuple[Stat, ...], tuple[Stat, ...]]:
-    """Return mCE and mean AP of a line that holds all conditions."""
+    """MCE and mean AP of a line with all conditions."""
     columns = [[cell[part].mean for cell in cells] for part in range(2)]
     by_kind = [dict(zip(PAPER_SIX, column[1:], strict=True)) for column in columns]
     errors = tuple(Stat(mce(column[0], kinds)) for column, kinds in zip(columns, by_kind, strict=True))
@@ -83,11 +83,13 @@ def _summaries(cells: list[tuple[Stat, ...]]) -> tuple[tuple[Stat, ...], tuple[S
     return errors, means
 
 
-def _turned(name: str, title: str, text: str) -> Sheet:
-    """Return a sheet of conditions over methods."""
+def _transposed(name: str, title: str, text: str) -> ResultTable:
+    """Table with conditions as lines and methods as columns."""
     methods = {label: [*cells, *_summaries(cells)] for label, cells in _read(text).items()}
     lines = tuple(
-        Line(label, tuple(cells[row] for cells in methods.values()))
+        TableRow(label, tuple(cells[row] for cells in methods.values()))
         for row, label in enumerate((*_CONDITIONS, "mCE", "mAP"))
     )
-    return Sheet(name, title, _NOTE, "Condition", tuple(Column(label, better="", digits=2) for label in methods), lines)
+    return ResultTable(
+        name, title, _NOTE, "Condition", tuple(Column(label, better="", digits=2) for label in methods), lines
+    )

@@ -1,10 +1,14 @@
-"""A detector made of the truth, a corruption made of a number, and a drive made of formulas."""
+"""Fakes: a detector that reads the truth, a corruption by a number, and a drive from formulas."""
 
 from types import SimpleNamespace
 
 import numpy as np
 
+from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.evaluation.detect import Condition, corruption_kinds, evaluate_drive, frame_positions, join_results
+from dsrc.evaluation.metrics.ap import evaluate_matches
+from dsrc.evaluation.results import make_row, summary_rows
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from tests.dsrc.data.toy import toy_frame
@@ -44,3 +48,20 @@ def write_drives(root, drives=2, frames=3):
             write_frame(path, toy_frame(index, seed=drive))
         paths.append(path)
     return paths
+
+
+def detect_all(methods, drives, corruptions=("clean",), severity=3, seed=0, limit=None, count_frame=lambda: None):
+    """Return rows by condition and method, then the summaries: methods in frames of drives, clean and corrupted."""
+    conditions = [Condition(), *(Condition(kind, severity) for kind in corruption_kinds(corruptions))]
+    readers = [open_drive(drive) for drive in drives]
+    parts = {}
+    for reader, positions in zip(readers, frame_positions(readers, limit), strict=True):
+        work = dict.fromkeys(conditions, methods)
+        for key, result in evaluate_drive(reader, positions, work, seed, count_frame).items():
+            parts.setdefault(key, []).append(result)
+    rows = []
+    for (condition, name), several in parts.items():
+        whole = join_results(several)
+        found = evaluate_matches(whole.matches)
+        rows.append(make_row(name, condition.kind, condition.severity, found, whole.seconds, whole.traffic))
+    return [*rows, *summary_rows(rows)]

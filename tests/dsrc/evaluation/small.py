@@ -1,4 +1,4 @@
-"""Drives, detectors of which only the heads are fitted, and a plan: all within seconds."""
+"""Small benchmark: drives, detectors with fitted heads alone, and a plan, all within seconds."""
 
 from functools import lru_cache
 from pathlib import Path

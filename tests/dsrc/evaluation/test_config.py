@@ -1,11 +1,11 @@
-"""The file of a benchmark: what it says is what is run, and a mistake in it is one line."""
+"""Benchmark TOML: it is run as written, and a mistake in it is one line."""
 
 from pathlib import Path
 
 import pytest
 
-from dsrc.evaluation.benchmark import Condition
 from dsrc.evaluation.config import available, cases_of, plan_of, read_benchmark
+from dsrc.evaluation.detect import Condition
 from dsrc.training.recipes import METHODS
 from sim.errors import SettingsError
 from tests.paths import ROOT
@@ -96,7 +96,7 @@ def test_both_families_are_run_and_clean_frames_once(tmp_path):
         plan_of((str(written(tmp_path)),), (), {"family": "paper"}, {})
 
 
-def test_differences_and_notes_of_methods_that_are_not_there_are_left_out(tmp_path):
+def test_differences_and_notes_of_missing_methods_are_left_out(tmp_path):
     plan = read_benchmark(written(tmp_path, GOOD.replace("[sweeps]", PAIR)))
     assert (plan.differences[0].method, plan.differences[0].baseline) == ("DSRC", "Late")
     (tmp_path / "a.pt").write_bytes(b"")
@@ -146,7 +146,7 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path, old, new, words):
     assert all(word in text for word in words), text
 
 
-def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path):
+def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(SettingsError, match=r"none\.toml: expected a TOML file, found no such file or directory$"):
         read_benchmark(tmp_path / "none.toml")
 
@@ -199,7 +199,7 @@ def test_a_file_and_flags_do_not_both_describe_it(tmp_path):
         plan_of(("a.pt",), ("data",), {}, {"agents": (0,)})
 
 
-def test_detectors_that_are_not_there_yet_can_be_left_out(tmp_path):
+def test_missing_detectors_can_be_left_out(tmp_path):
     (tmp_path / "b.pt").write_bytes(b"")
     plan = read_benchmark(written(tmp_path, GOOD.replace("[sweeps]", '[pictures]\nteacher = "t.pt"\n\n[sweeps]')))
     part, absent = available(plan)

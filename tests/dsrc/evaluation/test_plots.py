@@ -10,20 +10,20 @@ from dsrc.evaluation.metrics.ap import FrameResult, evaluate
 from dsrc.evaluation.plots import (
     COLORS,
     apart,
-    bars_of_sheet,
     corruption_bars,
-    lines_of_sheet,
-    looks_of,
-    map_of_sheet,
     mean_bars,
     png_bytes,
     precision_recall_curves,
     robustness_scatter,
+    styles_of,
+    table_bars,
+    table_heatmap,
+    table_lines,
     traffic_scatter,
     training_curves,
 )
 from dsrc.evaluation.results import Row, make_row, summary_rows
-from dsrc.evaluation.table import Column, Line, Sheet, Stat
+from dsrc.evaluation.table import Column, ResultTable, Stat, TableRow
 from dsrc.ops.detections import Detections
 from sim.boxes import Boxes
 
@@ -39,8 +39,8 @@ def some_rows(methods=("dsrc", "plain", "ego alone")):
 
 def some_sheet(labels=("dsrc", "plain", "ego alone"), columns=("clean", "fog", "snow")):
     values = [[(Stat(0.9 - 0.1 * c - 0.05 * m), Stat(0.7 - 0.1 * c)) for c in range(len(columns))] for m in range(9)]
-    lines = tuple(Line(label, tuple(cells)) for label, cells in zip(labels, values, strict=False))
-    return Sheet("x", "A title", "", "Method", tuple(map(Column, columns)), lines)
+    lines = tuple(TableRow(label, tuple(cells)) for label, cells in zip(labels, values, strict=False))
+    return ResultTable("x", "A title", "", "Method", tuple(map(Column, columns)), lines)
 
 
 def test_a_bar_per_method_condition_and_iou():
@@ -52,37 +52,39 @@ def test_a_bar_per_method_condition_and_iou():
         assert len(axes.texts) == 3 * 3 and {f"{height:.1f}" for height in heights} < {t.get_text() for t in axes.texts}
 
 
-def test_a_method_has_one_look_in_all_figures_whoever_else_is_in_them():
+def test_a_method_has_one_style_in_all_figures():
     methods = [f"method {i}" for i in range(22)]
-    looks = looks_of(methods)
-    assert len(set(looks.values())) == 22
-    assert len({(look.color, look.marker) for look in looks.values()}) == 22
+    styles = styles_of(methods)
+    assert len(set(styles.values())) == 22
+    assert len({(style.color, style.marker) for style in styles.values()}) == 22
     some = methods[15:18]
     figures = [
-        corruption_bars(some_rows(some), looks=looks),
-        robustness_scatter(some_rows(some), looks=looks),
-        lines_of_sheet(some_sheet(some), "x", [0, 1, 2], looks),
-        traffic_scatter({name: (10.0, 0.8, 0.6) for name in reversed(some)}, looks),
+        corruption_bars(some_rows(some), styles=styles),
+        robustness_scatter(some_rows(some), styles=styles),
+        table_lines(some_sheet(some), "x", [0, 1, 2], styles),
+        traffic_scatter({name: (10.0, 0.8, 0.6) for name in reversed(some)}, styles),
     ]
     for figure in figures[:2] + figures[3:]:
         for axes in figure.axes:
             for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
                 color = handle.patches[0].get_facecolor() if hasattr(handle, "patches") else handle.get_color()
-                assert to_hex(color) == to_hex(looks[name].color)
+                assert to_hex(color) == to_hex(styles[name].color)
     for axes in figures[2].axes:
         for container in axes.containers:
-            look, line = looks[container.get_label()], container.lines[0]
-            assert (line.get_color(), line.get_marker(), line.get_linestyle()) == look[:3]
+            style, line = styles[container.get_label()], container.lines[0]
+            assert (line.get_color(), line.get_marker(), line.get_linestyle()) == style[:3]
 
 
 def test_a_map_holds_every_number_with_the_best_in_bold():
-    first, second = map_of_sheet(some_sheet()).axes[:2]
+    first, second = table_heatmap(some_sheet()).axes[:2]
     assert [t.get_text() for t in first.texts] == "90.0 85.0 80.0 80.0 75.0 70.0 70.0 65.0 60.0".split()
     assert [t.get_text() for t in first.texts if t.get_fontweight() == "bold"] == ["90.0", "80.0", "70.0"]
     assert len(second.texts) == 9 and first.get_title(loc="left") == "IoU 0.5"
     assert [t.get_text() for t in first.get_yticklabels()] == ["dsrc", "plain", "ego alone"]
-    lacking = Sheet("x", "", "", "", (Column("clean"), Column("ms", ("",))), (Line("a", ((Stat(np.nan),) * 2, ())),))
-    assert [t.get_text() for t in map_of_sheet(lacking).axes[0].texts] == ["-"]
+    lacking = ResultTable(
+        "x", "", "", "", (Column("clean"), Column("ms", ("",))), (TableRow("a", ((Stat(np.nan),) * 2, ())),)
+    )
+    assert [t.get_text() for t in table_heatmap(lacking).axes[0].texts] == ["-"]
     # Bars of many methods could not be told apart: they are numbers too.
     many = corruption_bars(some_rows(tuple("abcdefghij"))).axes[0]
     assert len(many.texts) == 30
@@ -90,7 +92,7 @@ def test_a_map_holds_every_number_with_the_best_in_bold():
 
 def test_bars_of_a_sheet_stand_in_groups_of_its_lines():
     sheet = some_sheet(("none", "SDD", "SDD + PCP"))
-    for axes in bars_of_sheet(sheet).axes:
+    for axes in table_bars(sheet).axes:
         assert [t.get_text() for t in axes.get_xticklabels()] == ["none", "SDD", "SDD + PCP"]
         assert len(axes.containers) == 3  # one for each column
     (axes,) = mean_bars(some_rows()).axes
@@ -104,7 +106,7 @@ def test_names_at_the_ends_of_lines_keep_their_distance_and_their_order():
     np.testing.assert_allclose(apart([0.99, 1.0], 0.1), [0.9, 1.0])
     crowd = np.array(apart(sorted(np.random.default_rng(0).uniform(0.4, 0.6, 15)), 0.06))
     assert (np.diff(crowd) > 0.06 - 1e-9).all() and crowd.min() >= 0 and crowd.max() <= 1
-    figure = lines_of_sheet(some_sheet(), "s", [0, 1, 2])
+    figure = table_lines(some_sheet(), "s", [0, 1, 2])
     for axes in figure.axes:
         assert {t.get_text() for t in axes.texts} == {"dsrc", "plain", "ego alone"}
 
@@ -164,11 +166,11 @@ def test_a_training_is_drawn_with_gaps_where_it_was_not_validated():
 
 def test_curves_are_drawn_where_their_values_are_and_one_training_has_no_spread():
     lines = (
-        Line("one", tuple((Stat(0.5), Stat(0.4)) for _ in range(3))),
-        Line("three", tuple((Stat(0.6, 0.1), Stat(0.3, 0.1)) for _ in range(3))),
+        TableRow("one", tuple((Stat(0.5), Stat(0.4)) for _ in range(3))),
+        TableRow("three", tuple((Stat(0.6, 0.1), Stat(0.3, 0.1)) for _ in range(3))),
     )
-    sheet = Sheet("loss", "Loss", "", "Method", tuple(map(Column, ("0", "0.1", "0.5"))), lines)
-    for axes in lines_of_sheet(sheet, "share", [0, 0.1, 0.5]).axes:
+    sheet = ResultTable("loss", "Loss", "", "Method", tuple(map(Column, ("0", "0.1", "0.5"))), lines)
+    for axes in table_lines(sheet, "share", [0, 0.1, 0.5]).axes:
         assert list(axes.get_xticks()) == [0, 0.1, 0.5]
         one, three = axes.containers
         assert list(one.lines[0].get_xdata()) == [0, 0.1, 0.5]

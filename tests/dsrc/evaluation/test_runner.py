@@ -1,4 +1,4 @@
-"""A benchmark goes on where it stopped, makes what is missing and nothing else, and ends with the same bytes."""
+"""An interrupted benchmark resumes, computes only missing cells, and ends with the same bytes."""
 
 import shutil
 from dataclasses import replace as changed
@@ -9,17 +9,18 @@ import pytest
 from msgspec.structs import replace
 
 from dsrc.data.drives import list_drives
-from dsrc.evaluation import runner
-from dsrc.evaluation.benchmark import Condition, Method, run_benchmark
-from dsrc.evaluation.cache import SOURCES, CellSettings, code_hash, described, of_channel, read_cell
-from dsrc.evaluation.config import Sweeps
+from dsrc.data.executors import Pool
+from dsrc.evaluation import cells, runner
+from dsrc.evaluation.cache import CellSettings, channel_settings, condition_settings, read_cell
+from dsrc.evaluation.config import ParameterSweeps
+from dsrc.evaluation.detect import Condition, Method
 from dsrc.evaluation.report.report import write_report
-from dsrc.evaluation.runner import Outcome, run_plan
+from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from dsrc.models.storage.checkpoint import load_student
 from sim.errors import CheckpointError, DataError, SettingsError
 from sim.radio import PRESETS
+from tests.dsrc.evaluation.fakes import detect_all
 from tests.dsrc.evaluation.small import make_plan, write_detector, write_drives
-from tests.paths import ROOT
 
 TWO = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "alone": [("no-collaboration", 0)]}
 
@@ -40,15 +41,15 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plan(root: Path):
-    sweeps = Sweeps(agents=(1, 2), pose_error=(0.0, 0.5), delay_s=(0.1,), loss=(0.9,))
+    sweeps = ParameterSweeps(agents=(1, 2), pose_error=(0.0, 0.5), delay_s=(0.1,), loss=(0.9,))
     return make_plan(root, TWO, corruptions=("fog", "beam_missing"), sweeps=sweeps)
 
 
 @pytest.fixture(scope="module")
-def done(plan, root: Path) -> tuple[Path, Outcome]:
-    outcome = run_plan(plan, root / "done")
-    write_report(outcome, root / "done")
-    return root / "done", outcome
+def done(plan, root: Path) -> tuple[Path, BenchmarkResult]:
+    result = run_plan(plan, root / "done")
+    write_report(result, root / "done")
+    return root / "done", result
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -58,14 +59,12 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_row_of_a_benchmark_says_what_an_evaluation_says(done, plan, root):
-    _, outcome = done
+    _, result = done
     detector = load_student(root / "dsrc_1.pt")
-    direct = run_benchmark(
+    direct = detect_all(
         [Method("DSRC", detector, channel=PRESETS["ideal"])], list_drives(root / "test"), plan.corruptions
     )
-    rows = {
-        e.case.condition.kind: e.row for e in outcome.entries[:9] if (e.case.method, e.case.training) == ("DSRC", 1)
-    }
+    rows = {e.case.condition.kind: e.row for e in result.entries[:9] if (e.case.method, e.case.training) == ("DSRC", 1)}
     assert set(rows) == {"clean", "fog", "beam_missing"}
     for row in direct[:3]:
         assert rows[row.condition].metrics.items() >= row.metrics.items()
@@ -73,85 +72,87 @@ def test_a_row_of_a_benchmark_says_what_an_evaluation_says(done, plan, root):
     assert any(row.metrics["ap_bev_30"] > 0 for row in direct)
 
 
-def test_killed_and_started_again_it_ends_with_the_same_bytes(done, plan, root, monkeypatch):
+def test_an_interrupted_run_resumes_to_the_same_bytes(done, plan, root, monkeypatch):
     out, written = root / "killed", []
-    whole, write = files(done[0]), runner.write_cell
+    whole, write = files(done[0]), cells.write_cell
 
-    def dies(folder, settings, tally):
+    def dies(folder, settings, result):
         if len(written) % 5 == 4:
             written.append("died")
             raise KeyboardInterrupt
         written.append(settings.key)
-        write(folder, settings, tally)
+        write(folder, settings, result)
 
-    monkeypatch.setattr(runner, "write_cell", dies)
+    monkeypatch.setattr(cells, "write_cell", dies)
     deaths = 0
     while True:
         try:
-            outcome = run_plan(plan, out)
+            result = run_plan(plan, out)
         except KeyboardInterrupt:
             deaths += 1
             continue
         break
     assert deaths >= 3
-    write_report(outcome, out)
+    write_report(result, out)
     assert files(out) == whole
 
 
-def test_what_is_done_is_not_done_again(done, plan):
-    out, outcome = done
+def test_finished_cells_are_not_computed_again(done, plan):
+    out, result = done
     before = {path: path.stat().st_mtime_ns for path in out.glob("cells/*")}
-    assert outcome.made == len(before) / 2 > 0
+    assert result.made == len(before) / 2 > 0
     again = run_plan(plan, out)
     assert again.made == 0
     assert {path: path.stat().st_mtime_ns for path in out.glob("cells/*")} == before
-    assert again.entries == outcome.entries
+    assert again.entries == result.entries
 
 
 def test_a_method_that_is_added_costs_its_own_cells_alone(done, plan, root, monkeypatch):
-    out, outcome = shutil.copytree(done[0], root / "more"), done[1]
+    out, result = shutil.copytree(done[0], root / "more"), done[1]
     more = make_plan(root, {**TWO, "late": [("late", 0)]}, corruptions=plan.corruptions, sweeps=plan.sweeps)
-    made, write = [], runner.write_cell
-    monkeypatch.setattr(runner, "write_cell", lambda f, s, t: (made.append(s.detector), write(f, s, t)))
+    made, write = [], cells.write_cell
+    monkeypatch.setattr(cells, "write_cell", lambda f, s, t: (made.append(s.detector), write(f, s, t)))
     after = run_plan(more, out)
     assert set(made) == {after.trained["late"][0].sha256}
     old = [entry for entry in after.entries if entry.case.method != "late"]
-    assert old == outcome.entries
+    assert old == result.entries
     # A name is no setting: called otherwise, nothing is made anew.
-    renamed = replace(plan, methods=tuple(replace(m, name=m.name + "!") for m in plan.methods), sweeps=Sweeps())
+    renamed = replace(
+        plan, methods=tuple(replace(m, name=m.name + "!") for m in plan.methods), sweeps=ParameterSweeps()
+    )
     assert run_plan(renamed, out).made == 0
 
 
 def test_two_processes_find_what_one_does(done, plan, root):
-    outcome = run_plan(plan, root / "two", workers=2)
-    write_report(outcome, root / "two")
+    result = run_plan(plan, root / "two", Pool(workers=2))
+    write_report(result, root / "two")
     assert files(root / "two") == files(done[0])
 
 
 def test_units_of_few_frames_give_the_same_rows(done, plan, root, monkeypatch):
     monkeypatch.setattr(runner, "CHUNK", 1)
-    outcome = run_plan(plan, root / "chunks")
-    rows = [entry.row for entry in outcome.entries]
+    result = run_plan(plan, root / "chunks")
+    rows = [entry.row for entry in result.entries]
     assert rows == [entry.row for entry in done[1].entries]
-    assert len(outcome.entries[0].cells) == 4
+    assert len(result.entries[0].cells) == 4
 
 
-def test_who_is_alone_is_the_same_through_every_channel(done):
-    _, outcome = done
-    alone = [e for e in outcome.entries if e.case.method == "alone" and e.case.condition.kind == "clean"]
+def test_the_ego_alone_is_the_same_through_every_channel(done):
+    _, result = done
+    alone = [e for e in result.entries if e.case.method == "alone" and e.case.condition.kind == "clean"]
     assert len(alone) > 3 and len({entry.cells for entry in alone}) == 1
     assert all(entry.row.bytes_per_frame == 0.0 for entry in alone)
-    one = next(e.row for e in outcome.entries if (e.case.method, e.case.agents) == ("DSRC", 1))
+    one = next(e.row for e in result.entries if (e.case.method, e.case.agents) == ("DSRC", 1))
     assert one.bytes_per_frame == 0.0
-    two = next(e.row for e in outcome.entries if (e.case.method, e.case.agents) == ("DSRC", 2))
+    two = next(e.row for e in result.entries if (e.case.method, e.case.agents) == ("DSRC", 2))
     assert two.bytes_per_frame > 0.0 and two.truth == one.truth
 
 
 def test_a_sweep_changes_what_arrives(done):
-    _, outcome = done
+    _, result = done
     rows = {
         (e.case.pose_error, e.case.delay_s, e.case.loss): e.row
-        for e in outcome.entries
+        for e in result.entries
         if (e.case.method, e.case.training, e.case.condition.kind, e.case.agents) == ("DSRC", 0, "clean", None)
     }
     assert set(rows) == {(0, 0, 0), (0.5, 0, 0), (0, 0.1, 0), (0, 0, 0.9)}
@@ -168,11 +169,12 @@ SETTINGS = CellSettings(
     drive="drive_0",
     data="cd",
     positions=(0, 1),
-    condition=described(Condition("fog", 3)),
+    condition=condition_settings(Condition("fog", 3)),
     seed=0,
-    channel=of_channel(PRESETS["ideal"]),
+    channel=channel_settings(PRESETS["ideal"]),
     agents=5,
     device="cpu",
+    engine="fused",
     versions={"torch": "2"},
     code="ef",
 )
@@ -186,16 +188,17 @@ SETTINGS = CellSettings(
         {"drive": "drive_1"},
         {"data": "dc"},
         {"positions": (0, 2)},
-        {"condition": described(Condition("fog", 4))},
-        {"condition": described(Condition("fog", 3, "paper"))},
-        {"condition": described(Condition("snow", 3))},
-        {"condition": described(Condition())},
+        {"condition": condition_settings(Condition("fog", 4))},
+        {"condition": condition_settings(Condition("fog", 3, "paper"))},
+        {"condition": condition_settings(Condition("snow", 3))},
+        {"condition": condition_settings(Condition())},
         {"seed": 1},
         {"channel": None},
-        {"channel": of_channel(PRESETS["c-v2x"])},
-        {"channel": of_channel(replace(PRESETS["ideal"], packet_loss=0.1))},
+        {"channel": channel_settings(PRESETS["c-v2x"])},
+        {"channel": channel_settings(replace(PRESETS["ideal"], packet_loss=0.1))},
         {"agents": 4},
         {"device": "cuda"},
+        {"engine": "bf16"},
         {"versions": {"torch": "3"}},
         {"code": "fe"},
     ],
@@ -206,12 +209,12 @@ def test_every_setting_has_cells_of_its_own(change):
 
 
 def test_a_channel_is_what_it_does_and_not_its_name(tmp_path):
-    assert of_channel(replace(PRESETS["ideal"], name="other")) == of_channel(PRESETS["ideal"])
+    assert channel_settings(replace(PRESETS["ideal"], name="other")) == channel_settings(PRESETS["ideal"])
     trace = tmp_path / "trace.csv"
     trace.write_text("time_s,delay_s,loss\n0,0.1,0\n")
-    one = of_channel(replace(PRESETS["trace"], trace=str(trace)))
+    one = channel_settings(replace(PRESETS["trace"], trace=str(trace)))
     trace.write_text("time_s,delay_s,loss\n0,0.2,0\n")
-    assert of_channel(replace(PRESETS["trace"], trace=str(trace))) != one
+    assert channel_settings(replace(PRESETS["trace"], trace=str(trace))) != one
 
 
 def test_a_damaged_cell_is_named(done, root):
@@ -222,7 +225,7 @@ def test_a_damaged_cell_is_named(done, root):
         read_cell(root, path.stem)
 
 
-def test_cells_that_are_damaged_are_made_anew_to_the_same_bytes(done, plan, root):
+def test_damaged_cells_are_computed_again_to_the_same_bytes(done, plan, root):
     out = shutil.copytree(done[0], root / "damaged")
     short, wrong, empty, times = sorted((out / "cells").glob("*.npz"))[:4]
     before = {path: path.read_bytes() for path in (short, wrong, empty, times)}
@@ -231,36 +234,21 @@ def test_cells_that_are_damaged_are_made_anew_to_the_same_bytes(done, plan, root
     wrong.write_bytes(before[wrong][:middle] + bytes(40) + before[wrong][middle + 40 :])
     empty.write_bytes(b"")
     times.with_suffix(".seconds").write_bytes(b"\xff\x00")
-    outcome = run_plan(plan, out)
-    assert outcome.made == 4 and outcome.entries == done[1].entries
+    result = run_plan(plan, out)
+    assert result.made == 4 and result.entries == done[1].entries
     assert {path: path.read_bytes() for path in before} == before
-
-
-def test_code_that_changes_has_cells_of_its_own(tmp_path):
-    assert all((ROOT / source).exists() for source in SOURCES)
-    code = {source if source.endswith(".py") else f"{source}/a/b.py" for source in SOURCES}
-    for path in code:
-        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / path).write_text("x = 1\n")
-    hash_of = code_hash.__wrapped__
-    hashes = {hash_of(tmp_path)}
-    for path in code:
-        (tmp_path / path).write_text("x = 2\n")
-        hashes.add(hash_of(tmp_path))
-    (tmp_path / "sensors" / "corruptions" / "new.py").write_text("")
-    assert len(hashes | {hash_of(tmp_path)}) == len(SOURCES) + 2
 
 
 def test_a_cell_reads_back(done):
     key = done[1].entries[0].cells[0]
-    tally = read_cell(done[0] / "cells", key)
-    assert tally.judged.frames == len(tally.seconds) == 2
-    assert tally.ego_share.shape == (tally.judged.truth,)
-    assert all(m.max(initial=-1) < tally.judged.truth for m in tally.judged.matched.values())
-    assert np.all(np.isfinite(tally.judged.score))
+    result = read_cell(done[0] / "cells", key)
+    assert result.matches.frames == len(result.seconds) == 2
+    assert result.ego_share.shape == (result.matches.truth,)
+    assert all(m.max(initial=-1) < result.matches.truth for m in result.matches.matched.values())
+    assert np.all(np.isfinite(result.matches.score))
 
 
-def test_what_is_wrong_is_told_before_the_work(plan, root):
+def test_mistakes_are_reported_before_the_work(plan, root):
     missing = replace(plan, methods=(replace(plan.methods[0], detectors=(str(root / "none.pt"),)),))
     with pytest.raises(CheckpointError, match=r"none\.pt"):
         run_plan(missing, root / "wrong")
@@ -273,11 +261,11 @@ def test_what_is_wrong_is_told_before_the_work(plan, root):
 def test_a_method_may_use_the_same_detectors_otherwise(done, plan, root):
     out = shutil.copytree(done[0], root / "otherwise")
     picky = replace(plan.methods[0], name="picky", use={"score_threshold": 0.6})
-    both = replace(plan, methods=(plan.methods[0], picky), corruptions=("clean",), sweeps=Sweeps())
-    outcome = run_plan(both, out)
-    assert outcome.made == 2 * 2  # two trainings on two drives; the other method's cells are there
-    assert outcome.trained["picky"][0].settings.score_threshold == 0.6
-    rows = {(entry.case.method, entry.case.training): entry.row for entry in outcome.entries}
+    both = replace(plan, methods=(plan.methods[0], picky), corruptions=("clean",), sweeps=ParameterSweeps())
+    result = run_plan(both, out)
+    assert result.made == 2 * 2  # two trainings on two drives; the other method's cells are there
+    assert result.trained["picky"][0].settings.score_threshold == 0.6
+    rows = {(entry.case.method, entry.case.training): entry.row for entry in result.entries}
     assert 0 < rows["picky", 0].detections < rows["DSRC", 0].detections
     with pytest.raises(SettingsError, match=r"dsrc_0\.pt: use: .*score_threshold"):
         run_plan(replace(both, methods=(replace(picky, use={"score_threshold": 2.0}),)), out)

@@ -10,11 +10,11 @@ from dsrc.evaluation.metrics.ap import (
     average_precision,
     envelope,
     evaluate,
-    join,
-    judge,
+    evaluate_matches,
+    join_matches,
+    match_frames,
     metric_name,
     precision_recall,
-    result_of,
 )
 from dsrc.evaluation.metrics.matching import match
 from dsrc.ops.detections import Detections
@@ -137,14 +137,17 @@ def test_ap_equals_brute_force_on_random_sets(seed):
 
 def test_frames_may_be_judged_in_parts_and_asked_for_some_boxes_only():
     frames = random_frames(np.random.default_rng(11), 9)
-    whole, parts = judge(frames), join([judge(frames[:4]), judge([]), judge(frames[4:])])
-    assert result_of(parts).metrics() == result_of(whole).metrics() == evaluate(frames).metrics()
-    assert result_of(whole, np.ones(whole.truth, bool)).metrics() == evaluate(frames).metrics()
+    whole, parts = (
+        match_frames(frames),
+        join_matches([match_frames(frames[:4]), match_frames([]), match_frames(frames[4:])]),
+    )
+    assert evaluate_matches(parts).metrics() == evaluate_matches(whole).metrics() == evaluate(frames).metrics()
+    assert evaluate_matches(whole, np.ones(whole.truth, bool)).metrics() == evaluate(frames).metrics()
     hit = np.isin(np.arange(whole.truth), whole.matched["bev", 0.5])
-    missed = result_of(whole, ~hit)
+    missed = evaluate_matches(whole, ~hit)
     assert missed.truth == (~hit).sum() and missed.curves["bev", 0.5].hits == 0
     # Of those that were hit all are found; what hit no box at all is as wrong as before.
-    found = result_of(whole, hit).curves["bev", 0.5]
+    found = evaluate_matches(whole, hit).curves["bev", 0.5]
     assert found.hits == hit.sum() and found.recall[-1] == 1.0
     assert len(found.score) == len(whole.score)
 

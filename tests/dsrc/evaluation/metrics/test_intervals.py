@@ -1,4 +1,4 @@
-"""Intervals: of copied frames, by brute force, what the weights of frames say; and what is known of intervals."""
+"""Intervals: resampled AP equals that of copied frames, and properties of the intervals."""
 
 import math
 
@@ -6,19 +6,25 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dsrc.evaluation.metrics.ap import Judged, join, judge, result_of
-from dsrc.evaluation.metrics.intervals import Hits, Interval, average_precisions, draw_weights, percentile_interval
+from dsrc.evaluation.metrics.ap import Matches, evaluate_matches, join_matches, match_frames
+from dsrc.evaluation.metrics.intervals import (
+    Interval,
+    RankedDetections,
+    draw_weights,
+    percentile_interval,
+    resampled_ap,
+)
 from tests.dsrc.evaluation.metrics.test_ap import random_frames
 
 
-def difference(a: Hits, b: Hits, group, seed=0, count=400) -> Interval:
+def difference(a: RankedDetections, b: RankedDetections, group, seed=0, count=400) -> Interval:
     """Return the interval of the difference in AP@0.5."""
     weights = draw_weights(np.asarray(group), count, np.random.default_rng(seed))
-    values = (average_precisions(a, weights) - average_precisions(b, weights))[0]
+    values = (resampled_ap(a, weights) - resampled_ap(b, weights))[0]
     return percentile_interval(values, len(np.unique(group)))
 
 
-def judged_of(frames: int, skill: float, seed: int) -> Judged:
+def judged_of(frames: int, skill: float, seed: int) -> Matches:
     """Return ten boxes a frame, each found with a chance of `skill`, and ten scores of which the hits' are higher."""
     rng = np.random.default_rng(seed)
     hit = rng.uniform(size=(frames, 10)) < skill
@@ -27,18 +33,18 @@ def judged_of(frames: int, skill: float, seed: int) -> Judged:
     hit, score = (np.take_along_axis(values, order, axis=1) for values in (hit, score))
     box = np.where(hit, np.arange(hit.size).reshape(hit.shape), -1).ravel()
     counts = np.full(frames, 10)
-    return Judged(counts, counts, score.ravel(), {("bev", 0.5): box, ("bev", 0.7): box})
+    return Matches(counts, counts, score.ravel(), {("bev", 0.5): box, ("bev", 0.7): box})
 
 
-def made_up(frames: int, skill: float, seed: int) -> Hits:
-    return Hits.of(judged_of(frames, skill, seed))
+def made_up(frames: int, skill: float, seed: int) -> RankedDetections:
+    return RankedDetections.of(judged_of(frames, skill, seed))
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_each_frame_once_is_the_average_precision_itself(seed):
-    judged = judge(random_frames(np.random.default_rng(seed), 30))
-    found = average_precisions(Hits.of(judged, (0.3, 0.5, 0.7)), np.ones((1, 30), np.float32))
-    curves = result_of(judged).curves
+    judged = match_frames(random_frames(np.random.default_rng(seed), 30))
+    found = resampled_ap(RankedDetections.of(judged, (0.3, 0.5, 0.7)), np.ones((1, 30), np.float32))
+    curves = evaluate_matches(judged).curves
     assert found[:, 0] == pytest.approx([curves["bev", iou].ap for iou in (0.3, 0.5, 0.7)], abs=1e-12)
 
 
@@ -48,16 +54,16 @@ def test_weights_say_what_copies_of_the_frames_say(seed):
     frames = random_frames(rng, 12)
     # No two detections of a frame are equally sure, so that the order of the copies does not matter.
     weights = draw_weights(np.array([0, 0, 0, 1, 1, 2, 3, 3, 4, 4, 4, 5]), 20, rng)
-    found = average_precisions(Hits.of(judge(frames)), weights)
+    found = resampled_ap(RankedDetections.of(match_frames(frames)), weights)
     for row, times in enumerate(weights.astype(int)):
         copies = [frame for frame, n in zip(frames, times, strict=True) for _ in range(n)]
-        curves = result_of(judge(copies)).curves
+        curves = evaluate_matches(match_frames(copies)).curves
         assert found[:, row] == pytest.approx([curves["bev", iou].ap for iou in (0.5, 0.7)], abs=1e-12)
 
 
 def test_a_case_that_can_be_counted_by_hand():
     # Frame 0: a hit at 0.9 and a miss at 0.5 of two boxes; frame 1: a miss at 0.8 and a hit at 0.7 of one box.
-    judged = Judged(
+    judged = Matches(
         np.array([2, 1]),
         np.array([2, 2]),
         np.array([0.9, 0.5, 0.8, 0.7], np.float32),
@@ -66,7 +72,7 @@ def test_a_case_that_can_be_counted_by_hand():
     weights = np.array([[1, 1], [2, 0], [0, 2], [3, 1]], np.float32)
     # Of three boxes one at precision 1 and one at 2/3; one in two; at 1/2; of seven boxes three at 1 and one at 4/5.
     expected = [(1 + 2 / 3) / 3, 1 / 2, 1 / 2, (3 + 4 / 5) / 7]
-    np.testing.assert_allclose(average_precisions(Hits.of(judged), weights), [expected, expected], atol=1e-12)
+    np.testing.assert_allclose(resampled_ap(RankedDetections.of(judged), weights), [expected, expected], atol=1e-12)
 
 
 def test_a_resample_has_as_many_frames_or_drives_as_there_are():
@@ -115,8 +121,8 @@ def test_of_a_mean_of_few_normal_values_the_interval_is_students(units):
 
 
 def test_frames_of_a_drive_that_are_alike_widen_the_interval_by_drive():
-    def alike(skills: list[float], seed: int) -> Hits:
-        return Hits.of(join([judged_of(20, skill, seed + k) for k, skill in enumerate(skills)]))
+    def alike(skills: list[float], seed: int) -> RankedDetections:
+        return RankedDetections.of(join_matches([judged_of(20, skill, seed + k) for k, skill in enumerate(skills)]))
 
     a, b = alike([0.9, 0.2, 0.9, 0.2, 0.9, 0.2], 0), alike([0.2, 0.9, 0.9, 0.2, 0.2, 0.9], 50)
     by_frame, by_drive = difference(a, b, np.arange(120)), difference(a, b, np.repeat(np.arange(6), 20))
@@ -126,11 +132,11 @@ def test_frames_of_a_drive_that_are_alike_widen_the_interval_by_drive():
 def test_where_nothing_is_found_it_is_0_and_where_nothing_is_there_unknown():
     nothing = np.zeros(0, np.float32)
     nowhere = {("bev", iou): np.zeros(0, np.int64) for iou in (0.5, 0.7)}
-    hits = Hits.of(Judged(np.array([3, 0]), np.array([0, 0]), nothing, nowhere))
-    np.testing.assert_array_equal(average_precisions(hits, np.array([[1, 1], [0, 2]], np.float32))[0], [0.0, math.nan])
+    hits = RankedDetections.of(Matches(np.array([3, 0]), np.array([0, 0]), nothing, nowhere))
+    np.testing.assert_array_equal(resampled_ap(hits, np.array([[1, 1], [0, 2]], np.float32))[0], [0.0, math.nan])
     assert percentile_interval(np.array([math.nan, 1.0, 3.0]), 9, 1.0) == (1.0, 3.0)
     for values, units in (([math.nan], 9), ([1.0, 1.0], 1)):
         unknown = percentile_interval(np.array(values), units)
         assert math.isnan(unknown.low) and not unknown.excludes_zero
-    empty = Hits.of(join([judge([])]))
-    assert np.isnan(average_precisions(empty, draw_weights(np.zeros(0, np.int64), 2, np.random.default_rng(0)))).all()
+    empty = RankedDetections.of(join_matches([match_frames([])]))
+    assert np.isnan(resampled_ap(empty, draw_weights(np.zeros(0, np.int64), 2, np.random.default_rng(0)))).all()

@@ -1,4 +1,4 @@
-"""The table of differences: what the rows say, with what the frames and the drives can resolve of it."""
+"""Table of differences: values of the rows, with intervals by frame and by drive."""
 
 import csv
 import io
@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from dsrc.evaluation.config import DifferenceSpec, Note, Sweeps
-from dsrc.evaluation.metrics.ap import result_of
-from dsrc.evaluation.metrics.intervals import Hits
+from dsrc.evaluation.config import DifferenceSpec, Footnote, ParameterSweeps
+from dsrc.evaluation.metrics.ap import evaluate_matches
+from dsrc.evaluation.metrics.intervals import RankedDetections
 from dsrc.evaluation.metrics.robustness import mce
 from dsrc.evaluation.plots import difference_dots
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
-from dsrc.evaluation.report.paper_tables import View
+from dsrc.evaluation.report.paper_tables import DatasetResults
 from dsrc.evaluation.report.report import write_report
-from dsrc.evaluation.runner import Outcome, run_plan
+from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from tests.dsrc.evaluation.metrics.test_intervals import judged_of
 from tests.dsrc.evaluation.report.test_paper_tables import outcome_of
 from tests.dsrc.evaluation.small import make_plan, write_drives
@@ -29,53 +29,53 @@ LOSS = {"clean": 0.0, "fog": 0.1, "snow": 0.4}
 PAIRS = (DifferenceSpec(method="dsrc", baseline="attfuse"), DifferenceSpec(method="late", baseline="attfuse"))
 
 
-def found_in(frames: tuple[int, ...], trainings: int = 1, **settings: object) -> Outcome:
+def found_in(frames: tuple[int, ...], trainings: int = 1, **settings: object) -> BenchmarkResult:
     """Return detections, ten boxes a frame, whose AP under a corruption is worse; and rows that say the same."""
-    outcome = outcome_of(dict.fromkeys(SKILL, trainings), corruptions=("fog", "snow"), differences=PAIRS, **settings)
+    result = outcome_of(dict.fromkeys(SKILL, trainings), corruptions=("fog", "snow"), differences=PAIRS, **settings)
     entries = []
-    for entry in outcome.entries:
+    for entry in result.entries:
         case = entry.case
         seed = 100 * case.training + 10 * list(SKILL).index(case.method) + list(LOSS).index(case.condition.kind)
         judged = judged_of(sum(frames), SKILL[case.method] - LOSS[case.condition.kind], seed)
-        curves = result_of(judged).curves
+        curves = evaluate_matches(judged).curves
         metrics = {**entry.row.metrics, "ap_bev_50": curves["bev", 0.5].ap, "ap_bev_70": curves["bev", 0.7].ap}
-        entries.append(changed(entry, row=changed(entry.row, metrics=metrics), hits=Hits.of(judged)))
-    return changed(outcome, entries=entries, frames={"made up": frames})
+        entries.append(changed(entry, row=changed(entry.row, metrics=metrics), ranked=RankedDetections.of(judged)))
+    return changed(result, entries=entries, frames={"made up": frames})
 
 
-def table_of(outcome: Outcome) -> DifferenceTable:
-    return difference_table(View.of(outcome, "made up"), outcome.plan.differences, outcome.frames["made up"])
+def table_of(result: BenchmarkResult) -> DifferenceTable:
+    return difference_table(DatasetResults.of(result, "made up"), result.plan.differences, result.frames["made up"])
 
 
 @pytest.fixture(scope="module")
-def outcome() -> Outcome:
+def result() -> BenchmarkResult:
     return found_in((20, 15, 15, 10), trainings=2)
 
 
 @pytest.fixture(scope="module")
-def table(outcome) -> DifferenceTable:
-    return table_of(outcome)
+def table(result) -> DifferenceTable:
+    return table_of(result)
 
 
-def test_the_differences_are_those_of_the_rows(outcome, table):
-    view = View.of(outcome, "made up")
+def test_the_differences_are_those_of_the_rows(result, table):
+    results = DatasetResults.of(result, "made up")
     own = {(one.method, one.condition, one.iou): one for one in table.differences}
     assert len(own) == len(table.differences) == 2 * 5 * 2
 
     def ap(method: str, kind: str) -> float:
-        return float(np.mean([row.metrics["ap_bev_50"] for row in view.rows(method, kind)]))
+        return float(np.mean([row.metrics["ap_bev_50"] for row in results.rows(method, kind)]))
 
     for method in ("dsrc", "late"):
         for kind in LOSS:
             assert own[method, kind, 0.5].value.mean == pytest.approx(ap(method, kind) - ap("attfuse", kind), abs=1e-12)
         mean = np.mean([ap(method, kind) - ap("attfuse", kind) for kind in ("fog", "snow")])
         assert own[method, "mean_corrupted", 0.5].value.mean == pytest.approx(mean, abs=1e-12)
-        errors = [view.summary(name, mce)[0].mean for name in (method, "attfuse")]
+        errors = [results.summary(name, mce)[0].mean for name in (method, "attfuse")]
         assert own[method, "mce", 0.5].value.mean == pytest.approx(errors[0] - errors[1], abs=1e-12)
     clean = own["dsrc", "clean", 0.5]
     each = [
         a.metrics["ap_bev_50"] - b.metrics["ap_bev_50"]
-        for a, b in zip(view.rows("dsrc"), view.rows("attfuse"), strict=True)
+        for a, b in zip(results.rows("dsrc"), results.rows("attfuse"), strict=True)
     ]
     assert clean.value.spread == pytest.approx(np.std(each, ddof=1))
     for one in table.differences:
@@ -107,13 +107,13 @@ def test_bold_is_what_excludes_0(table):
             assert f"{100 * one.value.mean:+.1f}" in group[0] and f"{100 * one.by_drive.low:+.1f}" in group[2]
 
 
-def test_the_same_rows_have_the_same_intervals_whatever_else_is_asked_for(outcome, table):
-    alone = changed(outcome, plan=replace(outcome.plan, differences=PAIRS[1:]))
+def test_the_same_rows_have_the_same_intervals_whatever_else_is_asked_for(result, table):
+    alone = changed(result, plan=replace(result.plan, differences=PAIRS[1:]))
     assert table_of(alone).differences == table.differences[10:]
 
 
-def test_a_drive_without_a_frame_is_none(outcome, table):
-    assert table_of(changed(outcome, frames={"made up": (20, 0, 15, 15, 10)})) == table
+def test_a_drive_without_a_frame_is_none(result, table):
+    assert table_of(changed(result, frames={"made up": (20, 0, 15, 15, 10)})) == table
 
 
 def test_of_a_single_drive_nothing_is_known_by_drive():
@@ -125,24 +125,24 @@ def test_of_a_single_drive_nothing_is_known_by_drive():
     assert next(csv.DictReader(io.StringIO(table.csv())))["by_drive_low"] == ""
 
 
-def test_trainings_are_paired_by_their_seeds_or_not_at_all(outcome, table):
-    swapped = {**outcome.trained, "dsrc": [changed(one, seed=1 - i) for i, one in enumerate(outcome.trained["dsrc"])]}
-    crossed = table_of(changed(outcome, trained=swapped)).differences[0]
+def test_trainings_are_paired_by_their_seeds_or_not_at_all(result, table):
+    swapped = {**result.trained, "dsrc": [changed(one, seed=1 - i) for i, one in enumerate(result.trained["dsrc"])]}
+    crossed = table_of(changed(result, trained=swapped)).differences[0]
     a, b = (
-        [entry.row.metrics["ap_bev_50"] for entry in View.of(outcome, "made up").found(name)]
+        [entry.row.metrics["ap_bev_50"] for entry in DatasetResults.of(result, "made up").found(name)]
         for name in ("dsrc", "attfuse")
     )
     assert crossed.value.mean == table.differences[0].value.mean
     assert crossed.value.spread == pytest.approx(np.std([a[1] - b[0], a[0] - b[1]], ddof=1))
     for seeds in ((0, 7), (None, None)):
-        others = [changed(one, seed=seed) for one, seed in zip(outcome.trained["dsrc"], seeds, strict=True)]
-        unpaired = table_of(changed(outcome, trained={**outcome.trained, "dsrc": others})).differences[0]
+        others = [changed(one, seed=seed) for one, seed in zip(result.trained["dsrc"], seeds, strict=True)]
+        unpaired = table_of(changed(result, trained={**result.trained, "dsrc": others})).differences[0]
         assert math.isnan(unpaired.value.spread)
 
 
-def test_footnotes_and_provenance_are_below_the_table(outcome):
-    note = Note(methods=("dsrc",), text="To be made anew.")
-    text = table_of(changed(outcome, plan=replace(outcome.plan, notes=(note,)))).markdown()
+def test_footnotes_and_provenance_are_below_the_table(result):
+    note = Footnote(methods=("dsrc",), text="To be made anew.")
+    text = table_of(changed(result, plan=replace(result.plan, notes=(note,)))).markdown()
     assert "| dsrc † − attfuse | Clean |" in text and "\n† To be made anew.\n" in text
     assert "60 frames and of 4 drives" in text and "1000 resamples" in text
 
@@ -163,11 +163,11 @@ def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path):
     pair = DifferenceSpec(method="DSRC", baseline="plain")
     settings = {"corruptions": ("beam_missing",), "differences": (pair,), "families": ("physical", "paper")}
     methods = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "plain": [("attfuse", 0)], "alone": [("no-collaboration", 0)]}
-    outcome = run_plan(make_plan(tmp_path, methods, sweeps=Sweeps(loss=(0.5,)), **settings), tmp_path / "out")
-    assert outcome.frames == {"made up": (2, 2)}
-    kept = [entry for entry in outcome.entries if entry.hits is not None]
+    result = run_plan(make_plan(tmp_path, methods, sweeps=ParameterSweeps(loss=(0.5,)), **settings), tmp_path / "out")
+    assert result.frames == {"made up": (2, 2)}
+    kept = [entry for entry in result.entries if entry.ranked is not None]
     assert {(entry.case.method, entry.case.loss) for entry in kept} == {("DSRC", 0.0), ("plain", 0.0)}
-    names = {block.name for block in write_report(outcome, tmp_path / "out")}
+    names = {block.name for block in write_report(result, tmp_path / "out")}
     wanted = {"differences", "table_1", "table_1_opencood", "figure_5"}
     assert names >= {f"made-up/{name}{suffix}" for name in wanted for suffix in ("", "_paper")}
     assert {"made-up/visibility", "made-up/loss"} <= names and "made-up/loss_paper" not in names
@@ -178,7 +178,7 @@ def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path):
     for family in ("physical", "paper"):
         rows = {
             (e.case.method, e.case.training): e.row.metrics["ap_bev_50"]
-            for e in outcome.entries
+            for e in result.entries
             if (e.case.condition.kind, e.case.condition.family, e.case.loss) == ("beam_missing", family, 0.0)
         }
         one = next(d for d in listed if (d["family"], d["condition"], d["iou"]) == (family, "beam_missing", 0.5))

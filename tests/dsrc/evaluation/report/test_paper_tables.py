@@ -1,4 +1,4 @@
-"""Tables of rows made by hand: every number is where it belongs, and what is missing is said."""
+"""Tables of hand-made rows: every number is in its place, and missing methods are listed."""
 
 import csv
 import io
@@ -10,24 +10,24 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from dsrc.evaluation.benchmark import Condition
-from dsrc.evaluation.config import Benchmark, Case, DatasetSpec, MethodSpec, Note, Sweeps, cases_of
+from dsrc.evaluation.config import Benchmark, Case, DatasetSpec, Footnote, MethodSpec, ParameterSweeps, cases_of
+from dsrc.evaluation.detect import Condition
 from dsrc.evaluation.report.paper_tables import (
-    View,
-    averaged,
+    DatasetResults,
+    averaged_methods,
     axes_of,
-    compared,
+    compared_methods,
     mean_corrupted,
-    sheets_of,
-    sweep_sheet,
+    sweep_table,
     table_1,
     table_2,
     table_3,
     table_4,
+    tables_of,
 )
 from dsrc.evaluation.report.report import publish, write_report
 from dsrc.evaluation.results import Row
-from dsrc.evaluation.runner import Entry, Outcome, Trained
+from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.evaluation.table import Stat
 from dsrc.training.recipes import METHODS, debug, of_method
 
@@ -60,12 +60,12 @@ def number(case: Case, k: int) -> float:
     return values[KINDS.index(case.condition.kind)] / 100 - 0.01 * less
 
 
-def outcome_of(methods: dict[str, int], **settings: object) -> Outcome:
-    """Return rows for methods with so many trainings each."""
+def outcome_of(methods: dict[str, int], **settings: object) -> BenchmarkResult:
+    """Return rows for methods, by name their number of trainings."""
     specs = tuple(MethodSpec(name=n, detectors=tuple(f"{n}{i}" for i in range(k))) for n, k in methods.items())
     plan = Benchmark(methods=specs, datasets=(DatasetSpec(name="made up", drives=("x",)),), **settings)
     trained = {
-        name: [Trained(Path(f"{name}{i}.pt"), f"{name}{i}", settings_of(name), i, {}) for i in range(count)]
+        name: [TrainedDetector(Path(f"{name}{i}.pt"), f"{name}{i}", settings_of(name), i, {}) for i in range(count)]
         for name, count in methods.items()
     }
     entries = []
@@ -74,12 +74,12 @@ def outcome_of(methods: dict[str, int], **settings: object) -> Outcome:
         metrics |= {"ap_opencood_bev_50": metrics["ap_bev_50"] - 0.1, "ap_opencood_bev_70": 0.0}
         condition = case.condition
         row = Row(case.method, condition.kind, condition.severity, 10, 40, 35, metrics, 0.02, 1500.0, 0.0, 1.0)
-        entries.append(Entry(case, row, ("ab",)))
-    return Outcome(plan, trained, {"made up": {"drive": "cd"}}, {"made up": (10,)}, entries, 0)
+        entries.append(CaseResult(case, row, ("ab",)))
+    return BenchmarkResult(plan, trained, {"made up": {"drive": "cd"}}, {"made up": (10,)}, entries, 0)
 
 
-def view_of(methods: dict[str, int], **settings: object) -> View:
-    return View.of(outcome_of(methods, **settings), "made up")
+def view_of(methods: dict[str, int], **settings: object) -> DatasetResults:
+    return DatasetResults.of(outcome_of(methods, **settings), "made up")
 
 
 def test_table_1_has_the_papers_mce_and_mean_of_the_papers_numbers():
@@ -122,8 +122,8 @@ def test_the_other_order_has_its_own_table():
 
 
 def test_table_2_goes_from_none_to_all_parts_and_says_which_are_missing():
-    view = view_of({"attfuse": 1, "sdd only": 1, "no rec": 1, "dsrc": 1})
-    sheet = table_2(view)
+    results = view_of({"attfuse": 1, "sdd only": 1, "no rec": 1, "dsrc": 1})
+    sheet = table_2(results)
     assert [line.label for line in sheet.lines] == ["none", "SDD", "SDD + PCP", "SDD + PCP + REC"]
     assert "Left out, for want of a method: PCP." in sheet.note
     corrupted, whole = sheet.lines[-1].cells[1:]
@@ -131,7 +131,7 @@ def test_table_2_goes_from_none_to_all_parts_and_says_which_are_missing():
     assert 100 * whole[0].mean == pytest.approx(85.54, abs=0.01)
     assert mean_corrupted(0.9, {"fog": 0.5, "snow": 0.3}) == 0.4
     # Half a DSRC is no method of Table 1.
-    assert [line.label for line in table_1(view).lines] == ["attfuse", "dsrc"]
+    assert [line.label for line in table_1(results).lines] == ["attfuse", "dsrc"]
     assert table_2(view_of({"attfuse": 1})) == (
         "Table 2 is left out: it needs a method with attention, SDD, PCP and REC (dsrc)."
     )
@@ -139,8 +139,8 @@ def test_table_2_goes_from_none_to_all_parts_and_says_which_are_missing():
 
 
 def test_tables_3_and_4_find_their_pairs_by_what_methods_are():
-    view = view_of({"dsrc": 1, "f-cooper": 1, "dsrc-max": 1, "attfuse": 1, "no-collaboration": 1, "dsrc-alone": 1})
-    three, four = table_3(view), table_4(view)
+    results = view_of({"dsrc": 1, "f-cooper": 1, "dsrc-max": 1, "attfuse": 1, "no-collaboration": 1, "dsrc-alone": 1})
+    three, four = table_3(results), table_4(results)
     titles = [column.title for column in three.columns]
     assert titles == ["Maximum", "Maximum + DSRC", "Attention", "Attention + DSRC"]
     clean = three.lines[0]
@@ -154,31 +154,31 @@ def test_tables_3_and_4_find_their_pairs_by_what_methods_are():
 
 
 def test_a_plain_method_of_other_sizes_is_not_taken_for_the_base():
-    outcome = outcome_of({"attfuse": 1, "dsrc": 1})
+    result = outcome_of({"attfuse": 1, "dsrc": 1})
     wider = replace(settings_of("attfuse"), shrink_channels=128)
-    outcome.trained["attfuse"][0] = Trained(Path("x.pt"), "x", wider, 0, {})
-    assert "none" in table_2(View.of(outcome, "made up"))
+    result.trained["attfuse"][0] = TrainedDetector(Path("x.pt"), "x", wider, 0, {})
+    assert "none" in table_2(DatasetResults.of(result, "made up"))
 
 
 def test_curves_hold_what_is_varied_in_ascending_order():
-    outcome = outcome_of({"dsrc": 2}, sweeps=Sweeps(agents=(3, 1, 2), pose_error=(0.4, 0.2)))
-    agents, errors = axes_of(outcome)
-    view = View.of(outcome, "made up")
-    assert [column.title for column in sweep_sheet(view, agents).columns] == ["1", "2", "3"]
-    line = sweep_sheet(view, agents).lines[0]
+    result = outcome_of({"dsrc": 2}, sweeps=ParameterSweeps(agents=(3, 1, 2), pose_error=(0.4, 0.2)))
+    agents, errors = axes_of(result)
+    results = DatasetResults.of(result, "made up")
+    assert [column.title for column in sweep_table(results, agents).columns] == ["1", "2", "3"]
+    line = sweep_table(results, agents).lines[0]
     assert [cell[0].mean for cell in line.cells] == pytest.approx([0.9258 - 0.005 - 0.01 * (5 - n) for n in (1, 2, 3)])
     assert agents.places == [1, 2, 3] and errors.places == [0, 0.2, 0.4]
     assert [text for text, _ in errors.values] == ["0", "0.2", "0.4"]
-    line = sweep_sheet(view, errors).lines[0]
+    line = sweep_table(results, errors).lines[0]
     assert [cell[0].mean for cell in line.cells] == pytest.approx([0.9208, 0.9008, 0.8808])
 
 
 def test_a_severity_that_is_not_the_papers_is_shown_where_it_is_the_only_one():
-    view = view_of({"dsrc": 1}, severities=(5, 1), corruptions=("fog",))
-    assert view.severity == 5 and view.kinds() == ["fog"]
+    results = view_of({"dsrc": 1}, severities=(5, 1), corruptions=("fog",))
+    assert results.severity == 5 and results.kinds() == ["fog"]
     assert view_of({"dsrc": 1}, severities=(1, 3)).severity == 3
-    assert len(view.rows("dsrc", "fog")) == 1 and view.rows("dsrc", "fog", severity=2) == []
-    entry = view.entries[-1]
+    assert len(results.rows("dsrc", "fog")) == 1 and results.rows("dsrc", "fog", severity=2) == []
+    entry = results.entries[-1]
     assert entry.case.condition == Condition("fog", 1)
 
 
@@ -190,11 +190,13 @@ def test_clean_frames_alone_have_no_mce():
 
 def test_every_table_says_what_its_numbers_come_from():
     methods = {"late": 1, "where2comm": 1, "attfuse": 1, "dsrc": 3, "f-cooper": 1, "dsrc-max": 1}
-    outcome = outcome_of(methods, severities=(1, 3), sweeps=Sweeps(agents=(1, 2)), channels=("ideal", "its-g5-6"))
-    for name, several in outcome.trained.items():
-        outcome.trained[name] = [changed(one, recipe="debug") for one in several]
+    result = outcome_of(
+        methods, severities=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)), channels=("ideal", "its-g5-6")
+    )
+    for name, several in result.trained.items():
+        result.trained[name] = [changed(one, recipe="debug") for one in several]
     x0, y0, _, x1, y1, _ = settings_of("dsrc").grid.range_m
-    sheets = {sheet.name: sheet for sheet in sheets_of(outcome, "made up") if not isinstance(sheet, str)}
+    sheets = {sheet.name: sheet for sheet in tables_of(result, "made up") if not isinstance(sheet, str)}
     assert {"table_1", "table_2", "table_3", "agents", "channels", "severity"} <= set(sheets)
     for sheet in sheets.values():
         assert "10 frames with 40 boxes" in sheet.note
@@ -204,29 +206,29 @@ def test_every_table_says_what_its_numbers_come_from():
         assert "That of where2comm is an upper bound" in sheets[name].note
         assert "That of late is of the objects of the ground truth" in sheets[name].note
     assert "upper bound" not in sheets["agents"].note
-    view = View.of(outcome, "made up")
-    outcome.trained["late"] = [changed(one, recipe="", seed=None) for one in outcome.trained["late"]]
-    assert "not known (late)" in table_1(view).note
+    results = DatasetResults.of(result, "made up")
+    result.trained["late"] = [changed(one, recipe="", seed=None) for one in result.trained["late"]]
+    assert "not known (late)" in table_1(results).note
 
 
 def test_figure_4_is_the_mean_of_methods_that_are_different():
-    outcome = outcome_of({"late": 1, "f-cooper": 1, "dsrc": 1, "dsrc-max": 1, "dsrc-alone": 1, "v2vnet": 1})
-    outcome.trained["dsrc, its clouds thinned"] = outcome.trained["dsrc"]
-    outcome.trained["late"][0] = changed(outcome.trained["late"][0], use={"bits": 8})
-    view = View.of(outcome, "made up")
-    assert averaged(view) == ["f-cooper", "dsrc", "v2vnet"]
-    assert len(compared(view)) == 7
+    result = outcome_of({"late": 1, "f-cooper": 1, "dsrc": 1, "dsrc-max": 1, "dsrc-alone": 1, "v2vnet": 1})
+    result.trained["dsrc, its clouds thinned"] = result.trained["dsrc"]
+    result.trained["late"][0] = changed(result.trained["late"][0], use={"bits": 8})
+    results = DatasetResults.of(result, "made up")
+    assert averaged_methods(results) == ["f-cooper", "dsrc", "v2vnet"]
+    assert len(compared_methods(results)) == 7
 
 
 def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
     notes = (
-        Note(methods=("dsrc", "no rec"), text="To be made anew."),
-        Note(methods=("late",), text="Early, too."),
-        Note(methods=("dsrc",), text="Twice."),
+        Footnote(methods=("dsrc", "no rec"), text="To be made anew."),
+        Footnote(methods=("late",), text="Early, too."),
+        Footnote(methods=("dsrc",), text="Twice."),
     )
     methods = {"late": 1, "attfuse": 1, "no rec": 1, "dsrc": 1, "f-cooper": 1, "dsrc-max": 1}
-    outcome = outcome_of(methods, notes=notes, severities=(1, 3), sweeps=Sweeps(agents=(1, 2)))
-    sheets = {sheet.name: sheet for sheet in sheets_of(outcome, "made up") if not isinstance(sheet, str)}
+    result = outcome_of(methods, notes=notes, severities=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)))
+    sheets = {sheet.name: sheet for sheet in tables_of(result, "made up") if not isinstance(sheet, str)}
     for name in ("table_1", "table_1_opencood", "severity", "agents"):
         text = sheets[name].markdown()
         assert "| dsrc †. | " in text and "| late ‡ | " in text and "| attfuse | " in text
@@ -237,15 +239,15 @@ def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
     assert [c.title for c in three.columns] == ["Maximum", "Maximum + DSRC", "Attention", "Attention + DSRC †."]
     # Keys of CSV and of figures stay the methods' names.
     assert [row["Method"] for row in csv.DictReader(io.StringIO(sheets["table_1"].csv()))][-3] == "dsrc"
-    assert write_report(outcome, tmp_path)
+    assert write_report(result, tmp_path)
 
 
 def test_a_start_has_a_column_where_a_method_says_so():
-    outcome = outcome_of({"v2vnet": 1, "dsrc": 1})
-    assert not table_1(View.of(outcome, "made up")).words
-    first, second = outcome.plan.methods
-    plan = replace(outcome.plan, methods=(replace(first, start="own, maximum"), second))
-    sheet = table_1(View.of(changed(outcome, plan=plan), "made up"))
+    result = outcome_of({"v2vnet": 1, "dsrc": 1})
+    assert not table_1(DatasetResults.of(result, "made up")).words
+    first, second = result.plan.methods
+    plan = replace(result.plan, methods=(replace(first, start="own, maximum"), second))
+    sheet = table_1(DatasetResults.of(changed(result, plan=plan), "made up"))
     text = sheet.markdown().splitlines()
     assert text[2].startswith("| Method | Start | Clean |")
     assert text[4].startswith("| v2vnet | own, maximum | 92.3") and text[5].startswith("| dsrc |  | **92.6**")
@@ -255,15 +257,16 @@ def test_a_start_has_a_column_where_a_method_says_so():
 
 
 def test_each_family_of_corruptions_has_its_own_table_1():
-    outcome = outcome_of({"dsrc": 1, "attfuse": 1}, families=("physical", "paper"), corruptions=("fog", "snow"))
+    result = outcome_of({"dsrc": 1, "attfuse": 1}, families=("physical", "paper"), corruptions=("fog", "snow"))
     weaker = [
         changed(e, row=changed(e.row, metrics={name: v / 2 for name, v in e.row.metrics.items()}))
         if e.case.condition.family == "paper"
         else e
-        for e in outcome.entries
+        for e in result.entries
     ]
     physical, paper = (
-        table_1(View.of(changed(outcome, entries=weaker), "made up", family)) for family in ("physical", "paper")
+        table_1(DatasetResults.of(changed(result, entries=weaker), "made up", family))
+        for family in ("physical", "paper")
     )
     assert [column.title for column in physical.columns] == [column.title for column in paper.columns]
     for ours, theirs in zip(physical.lines, paper.lines, strict=True):
@@ -275,43 +278,45 @@ def test_each_family_of_corruptions_has_its_own_table_1():
 
 
 def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
-    outcome = outcome_of(dict.fromkeys(METHODS, 1), name="Small", severities=(1, 3), sweeps=Sweeps(agents=(1, 2)))
+    result = outcome_of(
+        dict.fromkeys(METHODS, 1), name="Small", severities=(1, 3), sweeps=ParameterSweeps(agents=(1, 2))
+    )
     out, document = tmp_path / "out", tmp_path / "docs" / "results.md"
-    blocks = write_report(outcome, out)
+    sections = write_report(result, out)
     names = {path.name for path in (out / "made-up").iterdir()}
     for table in ("table_1", "table_2", "table_3", "table_4", "agents", "severity"):
         assert {f"{table}.md", f"{table}.csv", f"{table}.png"} <= names
     assert {"figure_4.png", "figure_5.png", "traffic.png"} <= names
-    assert len([sheet for sheet in sheets_of(outcome, "made up") if isinstance(sheet, str)]) == 1  # visibility
+    assert len([sheet for sheet in tables_of(result, "made up") if isinstance(sheet, str)]) == 1  # visibility
     document.parent.mkdir()
     (out / "made-up" / "stale.csv").write_text("of a run before")
     begin, end = (f"<!-- {word} small/made-up/table_1 -->" for word in ("begin", "end"))
     document.write_text(f"# Results\n\nBefore.\n\n{begin}\nold\n{end}\n\nAfter.\n")
-    folder = publish(blocks, out, document, "Small")
+    folder = publish(sections, out, document, "Small")
     text = document.read_text()
     assert "old" not in text and text.index("Before.") < text.index("| dsrc |") < text.index("After.")
     assert "(results/small/made-up/table_1.png)" in text
     assert (folder / "results.json").read_bytes() == (out / "results.json").read_bytes()
     assert folder == tmp_path / "docs" / "results" / "small"
-    publish(blocks, out, document, "Small")
+    publish(sections, out, document, "Small")
     assert document.read_text() == text
-    written = {name for block in blocks for name in block.files} | {"results.json", "results.csv", "timings.csv"}
+    written = {name for block in sections for name in block.files} | {"results.json", "results.csv", "timings.csv"}
     assert "made-up/table_1.csv" in written and "made-up/figure_4.png" in written
     assert {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} == written
 
 
 def test_parts_of_dsrc_alone_are_reported_too(tmp_path):
-    outcome = outcome_of({"dsrc": 1})
+    result = outcome_of({"dsrc": 1})
     parts = replace(settings_of("dsrc"), pcp=False, rec=False)
-    outcome.trained["dsrc"] = [changed(one, settings=parts) for one in outcome.trained["dsrc"]]
-    assert compared(View.of(outcome, "made up")) == []
-    assert write_report(outcome, tmp_path)
+    result.trained["dsrc"] = [changed(one, settings=parts) for one in result.trained["dsrc"]]
+    assert compared_methods(DatasetResults.of(result, "made up")) == []
+    assert write_report(result, tmp_path)
 
 
 def test_results_may_lie_in_the_documents_own_folder(tmp_path):
     out = tmp_path / "results" / "small"
-    blocks = write_report(outcome_of({"dsrc": 1}, name="Small"), out)
+    sections = write_report(outcome_of({"dsrc": 1}, name="Small"), out)
     before = (out / "results.json").read_bytes()
-    assert publish(blocks, out, tmp_path / "results.md", "Small") == out
+    assert publish(sections, out, tmp_path / "results.md", "Small") == out
     assert (out / "results.json").read_bytes() == before
-    assert (tmp_path / "results" / blocks[0].picture).name == "table_1.png"
+    assert (tmp_path / "results" / sections[0].picture).name == "table_1.png"

@@ -16,7 +16,7 @@ from PIL import Image
 
 from dsrc.__main__ import main
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.evaluation.config import Pictures
+from dsrc.evaluation.config import PictureSpec
 from dsrc.evaluation.plots import png_bytes
 from dsrc.evaluation.report.pictures import (
     AGENT,
@@ -24,16 +24,16 @@ from dsrc.evaluation.report.pictures import (
     HELPED,
     TRUTH,
     check_pictures,
-    counted,
     detection_figure,
-    evidence,
     feature_figure,
     firing_channels,
     frames_at,
+    match_counts,
     only_helpers_see,
     project,
+    read_drawn_frames,
     spread_samples,
-    take_shots,
+    vehicle_evidence,
     write_pictures,
 )
 from dsrc.evaluation.runner import run_plan
@@ -58,13 +58,13 @@ def plan(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def shots(plan):
-    return take_shots(plan, GRID)
+def drawn_frames(plan):
+    return read_drawn_frames(plan, GRID)
 
 
 @pytest.fixture(scope="module")
-def shot(shots):
-    return shots[1]
+def drawn_frame(drawn_frames):
+    return drawn_frames[1]
 
 
 @pytest.fixture(scope="module")
@@ -101,46 +101,48 @@ def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path):
     for name, cars in fewer.items():
         for index, count in enumerate(cars):
             write_frame(tmp_path / "test" / name, hidden_from_the_ego(frame(index, **POINTS), count))
-    plan = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=Pictures(percentiles=(0, 20, 40, 60, 80, 81, 100)))
+    plan = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=PictureSpec(percentiles=(0, 20, 40, 60, 80, 81, 100)))
     places = [(reader.drive.name, position) for _, reader, position in frames_at(plan, GRID)]
     # In order: none lost in the first of a and the second of b, one in two frames of a, two in the first of b.
     assert places == [("a", 0), ("a", 0), ("b", 1), ("a", 1), ("a", 2), ("b", 0), ("b", 0)]
-    shots = take_shots(plan, GRID)
-    helped = [int(only_helpers_see(one.sample).sum()) for one in shots]
+    drawn_frames = read_drawn_frames(plan, GRID)
+    helped = [int(only_helpers_see(one.sample).sum()) for one in drawn_frames]
     assert [count - helped[0] for count in helped] == [0, 0, 0, 1, 1, 2, 2]
-    ego_ids = [set(one.sample.agent_boxes[0].object_id) for one in shots]
-    for one, ids in zip(shots, ego_ids, strict=True):
+    ego_ids = [set(one.sample.agent_boxes[0].object_id) for one in drawn_frames]
+    for one, ids in zip(drawn_frames, ego_ids, strict=True):
         assert ids.isdisjoint(one.sample.boxes.object_id[only_helpers_see(one.sample)])
 
 
 def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_other(tmp_path):
     for index in range(2):
         write_frame(tmp_path / "test" / "alone", frame(index, **POINTS).of_agents([0]))
-    everywhere = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=Pictures(percentiles=(0, 50, 100)))
+    everywhere = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=PictureSpec(percentiles=(0, 50, 100)))
     assert [position for _, _, position in frames_at(everywhere, GRID)] == [0, 0, 1]
-    assert not any(only_helpers_see(one.sample).any() for one in take_shots(everywhere, GRID))
+    assert not any(only_helpers_see(one.sample).any() for one in read_drawn_frames(everywhere, GRID))
     write_frame(tmp_path / "test" / "together", frame(0, **POINTS))
     assert {reader.drive.name for _, reader, _ in frames_at(everywhere, GRID)} == {"together"}
 
 
 def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan):
-    (first, *_, last) = frames_at(replace(plan, limit=2, pictures=Pictures(percentiles=(1, 100))), GRID)
+    (first, *_, last) = frames_at(replace(plan, limit=2, pictures=PictureSpec(percentiles=(1, 100))), GRID)
     assert {(reader.drive.name, position) for _, reader, position in (first, last)} == {("drive_0", 0), ("drive_1", 2)}
-    clean, foggy = (take_shots(replace(plan, pictures=Pictures(corruption=kind)), GRID)[0] for kind in ("clean", "fog"))
+    clean, foggy = (
+        read_drawn_frames(replace(plan, pictures=PictureSpec(corruption=kind)), GRID)[0] for kind in ("clean", "fog")
+    )
     assert foggy.title == clean.title.replace("clean", "fog")
     assert foggy.sample.clouds[0].shape != clean.sample.clouds[0].shape
     np.testing.assert_array_equal(foggy.sample.boxes.array, clean.sample.boxes.array)
     np.testing.assert_array_equal(only_helpers_see(foggy.sample), only_helpers_see(clean.sample))
 
 
-def test_what_cannot_be_drawn_is_told_before_the_work(plan, teacher, tmp_path):
-    check_pictures(replace(plan, pictures=Pictures(teacher=teacher)))
+def test_pictures_that_cannot_be_drawn_are_reported_before_the_work(plan, teacher, tmp_path):
+    check_pictures(replace(plan, pictures=PictureSpec(teacher=teacher)))
     student = plan.methods[0].detectors[0]
     for pictures, words in (
-        (Pictures(teacher="none.pt"), "none.pt: no such"),
-        (Pictures(teacher=student), "settings.role: expected teacher"),
+        (PictureSpec(teacher="none.pt"), "none.pt: no such"),
+        (PictureSpec(teacher=student), "settings.role: expected teacher"),
         (
-            Pictures(teacher=teacher_of("v2vnet", tmp_path)),
+            PictureSpec(teacher=teacher_of("v2vnet", tmp_path)),
             "v2vnet.pt: detector: fusion: expected .* found 'attention'",
         ),
     ):
@@ -164,18 +166,21 @@ def test_what_lies_where_a_camera_looks_is_in_the_middle_and_higher_is_up():
     assert seen[3, 2] == -10.0  # behind
 
 
-def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(shots):
-    found = {name: [make_detector(name).detect(shot.sample) for shot in shots] for name in ("dsrc", "attfuse")}
-    figure = detection_figure(shots, found, GRID)
-    panels = np.array(figure.axes).reshape(2, 2, len(shots))
+def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(drawn_frames):
+    found = {
+        name: [make_detector(name).detect(drawn_frame.sample) for drawn_frame in drawn_frames]
+        for name in ("dsrc", "attfuse")
+    }
+    figure = detection_figure(drawn_frames, found, GRID)
+    panels = np.array(figure.axes).reshape(2, 2, len(drawn_frames))
     x0, y0, _, x1, y1, _ = GRID.range_m
     for row, of_method in enumerate(found.values()):
-        for column, (shot, detections) in enumerate(zip(shots, of_method, strict=True)):
-            detections = detections[bev_iou(detections.boxes.array, shot.ego.array).max(axis=1) < 0.5]
+        for column, (drawn_frame, detections) in enumerate(zip(drawn_frames, of_method, strict=True)):
+            detections = detections[bev_iou(detections.boxes.array, drawn_frame.ego.array).max(axis=1) < 0.5]
             assert len(detections)
             scene, above = panels[row, :, column]
-            helped = only_helpers_see(shot.sample)
-            boxes = shot.sample.boxes
+            helped = only_helpers_see(drawn_frame.sample)
+            boxes = drawn_frame.sample.boxes
             for drawn, color in ((boxes[~helped], TRUTH), (boxes[helped], HELPED), (detections.boxes, FOUND)):
                 assert len(lines_of(scene, color)) == 12 * len(drawn)
                 outlines = lines_of(above, color)[: len(drawn)]
@@ -184,21 +189,21 @@ def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(shots):
             low, high = np.array([scene.get_xlim(), scene.get_ylim()]).T
             seen = np.concatenate(lines_of(scene, TRUTH))
             assert (seen >= low).all() and (seen <= high).all()  # nothing is cut off
-            assert counted(detections, boxes) in scene.get_title(loc="left")
+            assert match_counts(detections, boxes) in scene.get_title(loc="left")
     assert [panel.get_ylabel() for panel in panels[:, 0, 0]] == ["dsrc", "attfuse"]
-    for shot, panel in zip(shots, panels[0, 0], strict=True):
-        assert panel.get_title(loc="left").startswith(f"Percentile {shot.percentile}\n{shot.title}\n")
+    for drawn_frame, panel in zip(drawn_frames, panels[0, 0], strict=True):
+        assert panel.get_title(loc="left").startswith(f"Percentile {drawn_frame.percentile}\n{drawn_frame.title}\n")
     assert len(png_bytes(figure, dpi=40)) > 5000
 
 
-def test_a_detection_of_the_ego_itself_is_neither_a_hit_nor_false(shot):
-    truth, ego = shot.sample.boxes, shot.ego
+def test_a_detection_of_the_ego_itself_is_neither_a_hit_nor_false(drawn_frame):
+    truth, ego = drawn_frame.sample.boxes, drawn_frame.ego
     assert len(ego) == 1 and len(truth) > 1
     np.testing.assert_allclose(ego.center[0, :2], [0, 0], atol=2.0)
     far = Boxes.from_array([[30, 20, -1, 4, 2, 1.5, 0]])
     boxes = Boxes.from_array(np.concatenate([truth.array[1:], ego.array, far.array]))
     found = Detections(boxes, np.linspace(0.9, 0.5, len(boxes), dtype=np.float32))
-    figure = detection_figure([shot], {"some": [found]}, GRID)
+    figure = detection_figure([drawn_frame], {"some": [found]}, GRID)
     title = figure.axes[0].get_title(loc="left").splitlines()[-1]
     assert title == f"{len(truth) - 1} hit, 1 missed, 1 false, and the ego itself"
     for axes, edges in zip(figure.axes, (12, 2), strict=True):
@@ -221,47 +226,54 @@ def with_head(detector, change):
     return other
 
 
-def test_evidence_is_what_speaks_for_a_vehicle_and_nothing_else(shot):
+def test_evidence_is_what_speaks_for_a_vehicle_and_nothing_else(drawn_frame):
     detector = make_detector("dsrc")
     bias = detector.cls_head.bias.detach().numpy()[:, None, None]
-    seen = evidence(detector, shot.sample)
+    seen = vehicle_evidence(detector, drawn_frame.sample)
     assert seen.shape == (GRID.height // 2, GRID.width // 2) and seen.min() >= 0 and seen.max() > 0
-    assert (seen >= (logits_of(detector, shot.sample) - bias).max(axis=0) - 1e-4).all()
+    assert (seen >= (logits_of(detector, drawn_frame.sample) - bias).max(axis=0) - 1e-4).all()
     # Where nothing speaks against a vehicle, it is all of the logit but the bias, of the anchor with more of it.
     willing = with_head(detector, torch.abs)
     np.testing.assert_allclose(
-        evidence(willing, shot.sample), (logits_of(willing, shot.sample) - bias).max(axis=0), rtol=1e-3, atol=1e-3
+        vehicle_evidence(willing, drawn_frame.sample),
+        (logits_of(willing, drawn_frame.sample) - bias).max(axis=0),
+        rtol=1e-3,
+        atol=1e-3,
     )
     # However large the features are: a head that takes all of them for background has no evidence.
-    assert not evidence(with_head(detector, lambda weight: -weight.abs()), shot.sample).any()
+    assert not vehicle_evidence(with_head(detector, lambda weight: -weight.abs()), drawn_frame.sample).any()
 
 
-def test_evidence_before_fusion_is_the_egos_own(shot):
+def test_evidence_before_fusion_is_the_egos_own(drawn_frame):
     detector = make_detector("dsrc")
-    alone = evidence(detector, shot.sample, fused=False)
-    np.testing.assert_allclose(alone, evidence(with_fusion(detector, "none"), shot.sample), rtol=1e-4, atol=1e-5)
-    assert not np.allclose(alone, evidence(detector, shot.sample), rtol=0.01)
+    alone = vehicle_evidence(detector, drawn_frame.sample, fused=False)
+    np.testing.assert_allclose(
+        alone, vehicle_evidence(with_fusion(detector, "none"), drawn_frame.sample), rtol=1e-4, atol=1e-5
+    )
+    assert not np.allclose(alone, vehicle_evidence(detector, drawn_frame.sample), rtol=0.01)
 
 
-def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(shot):
+def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(drawn_frame):
     settings = replace(make_detector("dsrc").settings, role="teacher", fusion="none", rec=False)
     with torch.random.fork_rng():
         torch.manual_seed(0)
         teacher = Detector(settings).eval()
     without = dataclasses.replace(
-        shot.sample, **{name: getattr(shot.sample, name)[:1] for name in ("clouds", "agent_boxes", "agent_ids")}
+        drawn_frame.sample,
+        **{name: getattr(drawn_frame.sample, name)[:1] for name in ("clouds", "agent_boxes", "agent_ids")},
     )
     np.testing.assert_array_equal(
-        evidence(teacher, without) > 0, evidence(with_fusion(teacher, "attention"), without) > 0
+        vehicle_evidence(teacher, without) > 0, vehicle_evidence(with_fusion(teacher, "attention"), without) > 0
     )
     assert not np.allclose(
-        evidence(with_fusion(teacher, "attention"), without), evidence(with_fusion(teacher, "attention"), shot.sample)
+        vehicle_evidence(with_fusion(teacher, "attention"), without),
+        vehicle_evidence(with_fusion(teacher, "attention"), drawn_frame.sample),
     )
 
 
-def test_channels_that_never_fire_are_counted_over_all_frames(shots):
+def test_channels_that_never_fire_are_counted_over_all_frames(drawn_frames):
     detector = copy.deepcopy(make_detector("dsrc"))
-    samples = [shot.sample for shot in shots]
+    samples = [drawn_frame.sample for drawn_frame in drawn_frames]
     last = [layer for layer in detector.shrink if getattr(layer, "bias", None) is not None][-1]
     each = [firing_channels(detector, [sample]) for sample in samples]
     np.testing.assert_array_equal(firing_channels(detector, samples), np.logical_or.reduce(each))
@@ -271,38 +283,41 @@ def test_channels_that_never_fire_are_counted_over_all_frames(shots):
     assert not fired[3] and fired[4]
 
 
-def test_all_maps_have_one_scale_and_one_colour_bar(shots):
+def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames):
     student = make_detector("dsrc")
-    maps = {"student": partial(evidence, student), "twice": lambda sample: 2 * evidence(student, sample)}
-    figure = feature_figure(shots, maps, GRID)
-    panels = np.array(figure.axes[: 3 * len(shots)]).reshape(3, len(shots))
-    (bar,) = figure.axes[3 * len(shots) :]
+    maps = {
+        "student": partial(vehicle_evidence, student),
+        "twice": lambda sample: 2 * vehicle_evidence(student, sample),
+    }
+    figure = feature_figure(drawn_frames, maps, GRID)
+    panels = np.array(figure.axes[: 3 * len(drawn_frames)]).reshape(3, len(drawn_frames))
+    (bar,) = figure.axes[3 * len(drawn_frames) :]
     assert "logits" in bar.get_ylabel() and "99.8th percentile" in bar.get_ylabel()
-    values = [[seen(shot.sample) for shot in shots] for seen in maps.values()]
+    values = [[seen(drawn_frame.sample) for drawn_frame in drawn_frames] for seen in maps.values()]
     for row, of_network in enumerate(values):
-        for shot, panel, seen in zip(shots, panels[1 + row], of_network, strict=True):
+        for drawn_frame, panel, seen in zip(drawn_frames, panels[1 + row], of_network, strict=True):
             (image,) = panel.get_images()
             np.testing.assert_allclose(image.get_array(), seen)
             assert image.get_clim() == pytest.approx((0.0, np.quantile(values, 0.998)))
             # Columns go along x: the picture has the grid's extent with its first row at the bottom.
             assert tuple(image.get_extent()) == (GRID.range_m[0], GRID.range_m[3], GRID.range_m[1], GRID.range_m[4])
             assert image.origin == "lower"
-            helped = only_helpers_see(shot.sample)
+            helped = only_helpers_see(drawn_frame.sample)
             assert len(lines_of(panel, TRUTH)) == 2 * (~helped).sum()
             assert len(lines_of(panel, HELPED)) == 2 * helped.sum()
     assert [panel.get_ylabel() for panel in panels[:, 0]] == ["LiDAR points of\nall agents", "student", "twice"]
 
 
 def test_figures_6_and_8_are_written_with_what_made_them(plan, teacher, tmp_path):
-    drawn = replace(plan, corruptions=("clean",), limit=2, pictures=Pictures(teacher=teacher, percentiles=(50,)))
-    outcome = run_plan(drawn, tmp_path)
-    figure_6, channels, figure_8 = blocks = write_pictures(outcome, tmp_path)
-    assert [block.name for block in blocks] == [f"made-up/{name}" for name in ("figure_6", "channels", "figure_8")]
+    drawn = replace(plan, corruptions=("clean",), limit=2, pictures=PictureSpec(teacher=teacher, percentiles=(50,)))
+    result = run_plan(drawn, tmp_path)
+    figure_6, channels, figure_8 = sections = write_pictures(result, tmp_path)
+    assert [block.name for block in sections] == [f"made-up/{name}" for name in ("figure_6", "channels", "figure_8")]
     for block in (figure_6, figure_8):
         with Image.open(tmp_path / block.picture) as image:
-            assert json.loads(image.text["Description"])["settings"]["datasets"] == outcome.drives
+            assert json.loads(image.text["Description"])["settings"]["datasets"] == result.drives
         assert "evaluated frames with true boxes that only helpers have points on" in block.text
-        assert take_shots(drawn, GRID)[0].title in block.text
+        assert read_drawn_frames(drawn, GRID)[0].title in block.text
     assert "trained with the fusion 'none'" in figure_6.text
     width = make_detector("dsrc").cls_head.in_channels
     for name, method in (("baseline: plain", "attfuse"), ("student: DSRC", "dsrc")):

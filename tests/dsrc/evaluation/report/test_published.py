@@ -1,10 +1,10 @@
 import pytest
 
-from dsrc.evaluation.report.published import paper_sheets
+from dsrc.evaluation.report.published import published_tables
 
 
 def test_the_papers_tables_agree_with_each_other():
-    sheets = paper_sheets()
+    sheets = published_tables()
     one = {line.label: line.cells for line in sheets["table_1"].lines}
     assert len(one) == 10 and all(len(cells) == 9 for cells in one.values())
     # Its Table 2 ends with the mean of its Table 1's last line; its Tables 3 and 4 begin with lines of its Table 1.

@@ -4,9 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import make_sample
-from dsrc.evaluation.benchmark import Method, corruption_kinds, first_agents, run_benchmark
+from dsrc.evaluation.detect import Method, corruption_kinds, first_agents, frame_positions, warn_of_slow_drives
 from dsrc.evaluation.results import find_row
 from dsrc.ops.detections import Detections
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed
@@ -14,7 +15,7 @@ from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from sim.radio import PRESETS
 from tests.dsrc.data.toy import toy_frame
-from tests.dsrc.evaluation.fakes import GRID, PointCounter, halve, write_drives
+from tests.dsrc.evaluation.fakes import GRID, PointCounter, detect_all, halve, write_drives
 
 KINDS = {"fog": None, "snow": None}
 registered = CORRUPTIONS
@@ -31,8 +32,8 @@ def drives(tmp_path_factory):
     return write_drives(tmp_path_factory.mktemp("drives"))
 
 
-def test_one_row_per_method_and_condition_and_two_summaries(drives):
-    rows = run_benchmark([Method("a", PointCounter()), Method("b", PointCounter(9))], drives, ("all",))
+def test_methods_and_conditions_have_a_row_each_and_two_summaries(drives):
+    rows = detect_all([Method("a", PointCounter()), Method("b", PointCounter(9))], drives, ("all",))
     labels = [(row.condition, row.method) for row in rows]
     assert labels == [
         ("clean", "a"), ("clean", "b"), ("fog", "a"), ("fog", "b"), ("snow", "a"), ("snow", "b"),
@@ -44,7 +45,7 @@ def test_one_row_per_method_and_condition_and_two_summaries(drives):
 
 
 def test_truth_stays_that_of_the_clean_frame(drives):
-    rows = run_benchmark([Method("a", PointCounter(need=20))], drives, ("fog",), severity=5)
+    rows = detect_all([Method("a", PointCounter(need=20))], drives, ("fog",), severity=5)
     clean, fog = find_row(rows, "a", "clean"), find_row(rows, "a", "fog")
     assert clean.truth == fog.truth > 0
     assert fog.detections < clean.detections
@@ -57,7 +58,7 @@ def test_truth_stays_that_of_the_clean_frame(drives):
 
 def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives):
     together, alone = PointCounter(need=90), PointCounter(need=90)
-    rows = run_benchmark([Method("all", together), Method("ego", alone, agents=1)], drives, ("clean",))
+    rows = detect_all([Method("all", together), Method("ego", alone, agents=1)], drives, ("clean",))
     assert {len(s.clouds) for s in together.seen} == {3}
     assert {len(s.clouds) for s in alone.seen} == {1}
     assert rows[0].truth == rows[1].truth
@@ -74,7 +75,7 @@ def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives):
     np.testing.assert_array_equal(first.ego_from_agent, alone.ego_from_agent)
     np.testing.assert_array_equal(first.boxes.array, alone.boxes.array)
     detectors = [PointCounter(need=60) for _ in range(3)]
-    rows = run_benchmark([Method(str(k), d, agents=k) for k, d in enumerate(detectors, 1)], drives, ("clean",))
+    rows = detect_all([Method(str(k), d, agents=k) for k, d in enumerate(detectors, 1)], drives, ("clean",))
     assert [{len(s.clouds) for s in d.seen} for d in detectors] == [{1}, {2}, {3}]
     assert len({row.truth for row in rows}) == 1
 
@@ -88,7 +89,7 @@ def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
 
     monkeypatch.setattr("sensors.corruptions.corrupt_frame", count)
     one, two = PointCounter(), PointCounter()
-    run_benchmark([Method("a", one), Method("b", two)], drives[:1], ("all",), severity=2, seed=7)
+    detect_all([Method("a", one), Method("b", two)], drives[:1], ("all",), severity=2, seed=7)
     own = drive_seed(7, "drive_0")
     assert sorted(calls) == [(i, kind, 2, own, "physical") for i in range(3) for kind in ("fog", "snow")]
     assert [a is b for a, b in zip(one.seen, two.seen, strict=True)] == [True] * 9
@@ -96,20 +97,20 @@ def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
 
 
 def test_two_runs_give_the_same_rows(drives):
-    first, second = (run_benchmark([Method("a", PointCounter())], drives, ("all",), seed=1) for _ in range(2))
+    first, second = (detect_all([Method("a", PointCounter())], drives, ("all",), seed=1) for _ in range(2))
     assert first == second
 
 
 def test_a_limit_spreads_the_frames_evenly(drives):
     detector = PointCounter()
-    run_benchmark([Method("a", detector)], drives, ("clean",), limit=3)
+    detect_all([Method("a", detector)], drives, ("clean",), limit=3)
     assert [s.key for s in detector.seen] == ["drive_0/1000/000000", "drive_0/1000/000002", "drive_1/1000/000002"]
 
 
-def test_progress_counts_to_the_total(drives):
+def test_every_frame_is_counted_under_every_condition(drives):
     told = []
-    run_benchmark([Method("a", PointCounter())], drives, ("all",), limit=2, progress=lambda *x: told.append(x))
-    assert told == [(i, 6) for i in range(1, 7)]
+    detect_all([Method("a", PointCounter())], drives, ("all",), limit=2, count_frame=lambda: told.append(1))
+    assert len(told) == 2 * 3
 
 
 def test_detections_beyond_the_range_are_not_judged(drives):
@@ -120,12 +121,12 @@ def test_detections_beyond_the_range_are_not_judged(drives):
             array = np.concatenate([far.array, inside.boxes.array])
             return Detections(Boxes.from_array(array), np.concatenate([[1.0], inside.score]).astype(np.float32))
 
-    rows = run_benchmark([Method("a", Beyond()), Method("b", PointCounter())], drives, ("clean",))
+    rows = detect_all([Method("a", Beyond()), Method("b", PointCounter())], drives, ("clean",))
     assert rows[0].metrics == rows[1].metrics
 
 
 def test_a_blind_detector_gets_zeros_and_no_mce(drives):
-    rows = run_benchmark([Method("a", PointCounter(need=10**6))], drives, ("fog",))
+    rows = detect_all([Method("a", PointCounter(need=10**6))], drives, ("fog",))
     assert find_row(rows, "a", "clean").metrics["ap_bev_50"] == 0.0
     assert math.isnan(find_row(rows, "a", "mce").metrics["ap_bev_50"])
 
@@ -145,24 +146,15 @@ def test_the_papers_six_are_six_and_all_are_all(monkeypatch):
         corruption_kinds(("pose_error",), "paper")
 
 
-def test_wrong_settings_are_told(drives):
-    methods = [Method("a", PointCounter())]
-    with pytest.raises(SettingsError, match="did you mean 'fog'"):
-        run_benchmark(methods, drives, ("fogg",))
-    with pytest.raises(SettingsError, match="severity: expected 1 to 5, found 6"):
-        run_benchmark(methods, drives, severity=6)
-    with pytest.raises(SettingsError, match="limit"):
-        run_benchmark(methods, drives, limit=0)
-    with pytest.raises(SettingsError, match="names that differ"):
-        run_benchmark(methods * 2, drives)
+def test_without_a_frame_there_is_nothing_to_evaluate():
     with pytest.raises(DataError, match="at least one frame"):
-        run_benchmark(methods, [])
+        frame_positions([], None)
 
 
 def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives):
     detector = PointCounter()
     methods = [Method("direct", detector)] + [Method(n, detector, channel=PRESETS[n]) for n in ("ideal", "paper")]
-    rows = {row.method: row for row in run_benchmark(methods, drives, ("clean",))}
+    rows = {row.method: row for row in detect_all(methods, drives, ("clean",))}
     assert rows["ideal"].metrics == rows["direct"].metrics
     assert (rows["ideal"].message_age_s, rows["ideal"].heard) == (0.0, 1.0)
     assert rows["direct"].bytes_per_frame is None
@@ -172,7 +164,7 @@ def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives):
 
 
 def test_frames_before_the_first_of_a_limit_are_heard_too(drives):
-    row = run_benchmark([Method("paper", PointCounter(), channel=PRESETS["paper"])], drives[:1], ("clean",), limit=2)[0]
+    row = detect_all([Method("paper", PointCounter(), channel=PRESETS["paper"])], drives[:1], ("clean",), limit=2)[0]
     assert row.heard == 0.5  # the first frame of the drive and the last
 
 
@@ -180,6 +172,5 @@ def test_a_channel_over_frames_far_apart_is_warned_of(tmp_path, caplog):
     for index in range(2):
         frame = toy_frame(index)
         write_frame(tmp_path / "slow", replace(frame, time_s=10.0 * index))
-    through = Method("paper", PointCounter(), channel=PRESETS["paper"])
-    run_benchmark([through], [tmp_path / "slow"], ("clean",))
+    warn_of_slow_drives([open_drive(tmp_path / "slow")])
     assert "slow: its frames are 10 s apart" in caplog.text

@@ -1,0 +1,125 @@
+"""Computation of cells: detectors on some frames of a drive under one condition, the unit of work of a benchmark.
+
+All that this module imports, at any depth, is hashed into the keys of cells, see `dsrc.evaluation.code_hash`.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+import torch
+
+from dsrc.data.drives import Drive, open_drive
+from dsrc.evaluation.cache import CellSettings, write_cell
+from dsrc.evaluation.detect import Condition, Method, evaluate_drive
+from dsrc.models.detector import Detector
+from dsrc.models.settings import ModelSettings
+from dsrc.models.storage.checkpoint import load_student
+from sim.errors import SettingsError
+from sim.radio import ChannelSpec
+
+
+@dataclass(frozen=True, slots=True)
+class CellJob:
+    """One cell to compute.
+
+    Attributes:
+        settings: of the cell.
+        path: detector file.
+        agents: most agents that take part; None for the detector's own number.
+        channel: radio channel; None where no message is sent.
+    """
+
+    settings: CellSettings
+    path: Path
+    agents: int | None
+    channel: ChannelSpec | None
+
+
+@dataclass(frozen=True, slots=True)
+class WorkUnit:
+    """Cells of the same frames under the same condition: each frame is read and corrupted once for all.
+
+    Attributes:
+        folder: of the cells.
+        drive: path of the drive.
+        positions: of the frames in the drive.
+        condition: of the sweeps.
+        seed: of corruptions and channels.
+        jobs: the cells.
+    """
+
+    folder: Path
+    drive: Path
+    positions: tuple[int, ...]
+    condition: Condition
+    seed: int
+    jobs: tuple[CellJob, ...]
+
+
+def make_cells(unit: WorkUnit, progress: Callable[[int, int], None]) -> None:
+    """Compute and write the cells of a unit of work: a task of an executor."""
+    methods = [Method(job.settings.key, _detector(job), job.agents, job.channel) for job in unit.jobs]
+    frames = 0
+
+    def count_frame() -> None:
+        nonlocal frames
+        frames += 1
+        progress(frames, len(unit.positions))
+
+    with _one_thread():
+        work = {unit.condition: methods}
+        results = evaluate_drive(_drive(unit.drive), unit.positions, work, unit.seed, count_frame)
+    for job in unit.jobs:
+        write_cell(unit.folder, job.settings, results[unit.condition, job.settings.key])
+
+
+def load_adjusted(path: Path, use: Mapping[str, bool | int | float], engine: str = "fused") -> Detector:
+    """Load a detector file, with some of its settings changed.
+
+    Args:
+        path: the file.
+        use: changes, see `MethodSpec`.
+        engine: one of `dsrc.models.storage.deploy.ENGINES`.
+
+    Raises:
+        CheckpointError: the file is missing, damaged or a teacher's.
+        SettingsError: a setting is out of its range, contradicts the others, or the engine is unknown.
+    """
+    detector = load_student(path, engine=engine)
+    if use:
+        try:
+            detector.settings = msgspec.convert({**msgspec.to_builtins(detector.settings), **use}, ModelSettings)
+        except (msgspec.ValidationError, ValueError) as error:
+            raise SettingsError(f"{path}: use: {' '.join(str(error).split())}") from None
+    return detector
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Run torch on one thread: the number of threads changes the last digits of a network's numbers."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _detector(job: CellJob) -> Detector:
+    settings, use = job.settings, tuple(sorted(job.settings.use.items()))
+    return _loaded(job.path, settings.detector, use, settings.engine).to(settings.device)
+
+
+@lru_cache(maxsize=64)
+def _loaded(path: Path, sha256: str, use: tuple[tuple[str, bool | int | float], ...], engine: str) -> Detector:
+    """Return a detector; the key has the file's hash, so that a changed file is loaded again."""
+    return load_adjusted(path, dict(use), engine)
+
+
+@lru_cache(maxsize=4)
+def _drive(path: Path) -> Drive:
+    return open_drive(path)

@@ -1,0 +1,117 @@
+"""Hash of the code that decides a cell: its modules, all that they import at any depth, and the data beside these.
+
+Imports are read from the source, also those inside functions: nothing is imported, nothing is listed by hand.
+"""
+
+import ast
+import hashlib
+import sys
+from collections.abc import Iterator
+from functools import cache
+from importlib.metadata import entry_points, packages_distributions, version
+from pathlib import Path
+
+from sim.files import file_sha256
+
+_REPOSITORY = Path(__file__).resolve().parents[2]
+ENTRY = "dsrc.evaluation.cells"
+"""Module whose functions compute a cell."""
+_EXTENSIONS = ("dsrc.corruptions", "dsrc.fusions", "dsrc.sensors")
+"""Entry point groups of packages whose code a cell can call."""
+
+
+@cache
+def code_hash(root: Path = _REPOSITORY) -> str:
+    """SHA-256 of `code_files`, their paths included, in a tree."""
+    total = hashlib.sha256()
+    for path in code_files(root):
+        total.update(f"{path.relative_to(root).as_posix()} {file_sha256(path)}\n".encode())
+    return total.hexdigest()
+
+
+@cache
+def package_versions(root: Path = _REPOSITORY) -> dict[str, str]:
+    """Versions by distribution of other packages that `code_files` import, and of those with extensions."""
+    found, known = imported_modules(root), packages_distributions()
+    imported = {name.partition(".")[0] for name in _all_imports(found)} - set(sys.stdlib_module_names)
+    others = {name for name in imported if not (root / name).is_dir()}
+    names = {distribution for name in others for distribution in known.get(name, ())}
+    names |= {point.dist.name for group in _EXTENSIONS for point in entry_points(group=group) if point.dist}
+    return {name: version(name) for name in sorted(names)}
+
+
+def code_files(root: Path = _REPOSITORY) -> list[Path]:
+    """Sources of `imported_modules` and their data, sorted.
+
+    Data are files in the folders of these modules, and below in folders without modules: tables of LiDAR presets.
+    """
+    sources = set(imported_modules(root).values())
+    return sorted(sources | {path for folder in {path.parent for path in sources} for path in _data(folder)})
+
+
+def imported_modules(root: Path, entry: str = ENTRY) -> dict[str, Path]:
+    """Files by name of a module and of all modules that it imports at any depth.
+
+    The `__init__` of a package counts too, but for those of the outermost packages, which no module inside imports.
+
+    Args:
+        root: folder of the packages; modules elsewhere are left out.
+        entry: name of the module.
+    """
+    found: dict[str, Path] = {}
+    waiting = [entry]
+    while waiting:
+        name = waiting.pop()
+        path = _source(root, name)
+        if name in found or path is None:
+            continue
+        found[name] = path
+        waiting += [name.rpartition(".")[0], *_imports(path, name)]
+    return found
+
+
+def _all_imports(modules: dict[str, Path]) -> Iterator[str]:
+    for name, path in modules.items():
+        yield from _imports(path, name)
+
+
+def _source(root: Path, name: str) -> Path | None:
+    """File of a module; None for another package's, for an outermost package and for names in a module."""
+    if "." not in name:
+        return None
+    place = root.joinpath(*name.split("."))
+    return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
+
+
+def _imports(path: Path, name: str) -> Iterator[str]:
+    """Yield the names that a module imports: modules, and names that may be modules of a package."""
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    for node in _run(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parts = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*parts, *([node.module] if node.module else [])])
+            yield base
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "import_module":
+            yield from (arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str))
+
+
+def _run(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield the nodes of a tree without those for type checkers alone."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            continue
+        yield node
+        yield from _run(node)
+
+
+def _data(folder: Path) -> Iterator[Path]:
+    for path in folder.iterdir():
+        if path.name.startswith((".", "__pycache__")):
+            continue
+        if path.is_file() and path.suffix not in (".py", ".pyc", ".md"):
+            yield path
+        elif path.is_dir() and not any(path.rglob("*.py")):
+            yield from (below for below in path.rglob("*") if below.is_file() and not below.name.startswith("."))

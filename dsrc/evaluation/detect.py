@@ -1,0 +1,309 @@
+"""Detection in the frames of a drive, clean and corrupted, and the matches with ground truth."""
+
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.drives import Drive
+from dsrc.data.sample import Sample, SampleDetector, inside_range, make_sample
+from dsrc.evaluation.metrics.ap import FrameResult, Matches, join_matches, match_frames
+from dsrc.models.channel import Receiver
+from dsrc.ops.grid import GridSpec
+from sensors import corruptions as registry
+from sensors.corruptions import CLEAN, Family, drive_seed
+from sensors.frame import Frame
+from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.radio import ChannelSpec, Link
+
+_SENSOR_S = 0.1
+_log = logging.getLogger(__name__)
+
+ALL = "all"
+"""Every corruption of a family."""
+PAPER_TABLE = "paper_six"
+"""The six corruptions of the paper's tables."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """Detector under test, with the number of agents and the channel between them.
+
+    Attributes:
+        name: unique.
+        detector: the detector.
+        agents: most agents whose clouds it gets, the ego's first; None for the number of its settings. The ground truth
+            is the same for any number.
+        channel: of the messages; without one they arrive at once and are not counted.
+    """
+
+    name: str
+    detector: SampleDetector
+    agents: int | None = None
+    channel: ChannelSpec | None = None
+
+    @property
+    def receives(self) -> bool:
+        """Whether messages arrive through a channel."""
+        return self.channel is not None and self.agents != 1
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Condition of the sweeps: kind of the corruption or `clean`, severity, 0 for clean, and family."""
+
+    kind: str = CLEAN
+    severity: int = 0
+    family: Family = "physical"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MethodResult:
+    """Result of a method in F frames with N true boxes.
+
+    Attributes:
+        matches: of its detections and the true boxes.
+        ego_share: (N,) float32 visibility from the ego: the share of its rays on a box that nothing else stops; NaN for
+            unknown.
+        seconds: (F,) time of each detection.
+        traffic: (F, 4) bytes, senders, senders received and ages of messages, see `make_row`; None without a channel.
+    """
+
+    matches: Matches
+    ego_share: NDArray[np.float32]
+    seconds: NDArray[np.float64]
+    traffic: NDArray[np.float64] | None
+
+
+def evaluate_drive(
+    reader: Drive,
+    positions: Sequence[int],
+    work: Mapping[Condition, Sequence[Method]],
+    seed: int,
+    count_frame: Callable[[], None] = lambda: None,
+) -> dict[tuple[Condition, str], MethodResult]:
+    """Evaluate methods in frames of a drive under conditions.
+
+    Each frame is read once and corrupted once per condition; all methods get the same sweeps. Ground truth is that of
+    the clean frame: an object whose points a corruption took away still counts as missed. Detections not wholly inside
+    the detector's range are left out, as such true boxes are.
+
+    Args:
+        reader: of the drive.
+        positions: of the frames.
+        work: methods of each condition, of different names.
+        seed: of corruptions and channels.
+        count_frame: called when a frame is done under a condition.
+
+    Returns:
+        Results by condition and method's name, in the order of the work.
+    """
+    name = reader.drive.name
+    own_seed = drive_seed(seed, name)
+    read = lru_cache(maxsize=3)(reader.read)
+    records = {(condition, method.name): _Record() for condition, methods in work.items() for method in methods}
+    receivers: dict[str, Receiver] = {}
+    for methods in work.values():
+        for method in methods:
+            if method.channel is not None and method.receives and method.name not in receivers:
+                settings = method.detector.settings
+                receivers[method.name] = Receiver(method.channel, own_seed, interval_of(reader), settings)
+    for i in positions:
+        recorded = _FrameHistory(read, i)
+        for condition, methods in work.items():
+            past = _FrameHistory(recorded.at, i, partial(corrupted, condition=condition, seed=own_seed))
+            samples: dict[tuple[GridSpec, int, int | None], Sample] = {}
+            for method in methods:
+                sample, record = _sample(past[0], method, samples, name), records[condition, method.name]
+                if method.name in receivers:
+                    grid = method.detector.settings.grid
+                    sample, links = receivers[method.name].receive(past, i, sample, grid)
+                    record.traffic.append(_traffic(links))
+                start = time.perf_counter()
+                found = method.detector.detect(sample)
+                record.seconds.append(time.perf_counter() - start)
+                inside = found[inside_range(found.boxes, method.detector.settings.grid)]
+                record.frames.append(FrameResult(inside, sample.boxes))
+                record.ego_share.append(_ego_share(recorded[0], sample))
+            count_frame()
+    return {key: record.result() for key, record in records.items()}
+
+
+@dataclass(slots=True)
+class _Record:
+    """Results of a method in the frames so far."""
+
+    frames: list[FrameResult] = field(default_factory=list)
+    ego_share: list[NDArray[np.float32]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    traffic: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    def result(self) -> MethodResult:
+        return MethodResult(
+            match_frames(self.frames),
+            np.concatenate([np.zeros(0, np.float32), *self.ego_share]),
+            np.array(self.seconds, np.float64),
+            np.array(self.traffic, np.float64) if self.traffic else None,
+        )
+
+
+def join_results(parts: Sequence[MethodResult]) -> MethodResult:
+    """Result of a method in the frames of all parts, at least one."""
+    traffic = [part.traffic for part in parts if part.traffic is not None]
+    return MethodResult(
+        join_matches([part.matches for part in parts]),
+        np.concatenate([part.ego_share for part in parts]),
+        np.concatenate([part.seconds for part in parts]),
+        np.concatenate(traffic) if traffic else None,
+    )
+
+
+def _traffic(links: Sequence[Link]) -> tuple[float, float, float, float]:
+    heard = [link.age_s for link in links if link.received]
+    return float(sum(link.bytes for link in links)), float(len(links)), float(len(heard)), float(sum(heard))
+
+
+def _ego_share(frame: Frame, sample: Sample) -> NDArray[np.float32]:
+    """(N,) visibility of the sample's true boxes from the ego."""
+    row = [agent.agent_id for agent in frame.agents].index(sample.agent_ids[0])
+    return frame.visible_fraction[row][np.searchsorted(frame.truth.object_id, sample.boxes.object_id)]
+
+
+def corruption_kinds(names: Sequence[str], family: Family = "physical", where: str = "evaluate") -> tuple[str, ...]:
+    """Kinds of corruption by name, in the order of `CORRUPTIONS`.
+
+    Args:
+        names: kinds, `paper_six` for those of the paper's tables, `all` for all of the family, `clean` for none.
+        family: of their settings.
+        where: begins the messages of errors.
+
+    Raises:
+        SettingsError: an unknown corruption or family, or a family without a model of the corruption.
+    """
+    groups = {CLEAN: (), PAPER_TABLE: registry.PAPER_SIX, ALL: registry.kinds_of(family)}
+    for name in names:
+        if name not in (*groups, *registry.CORRUPTIONS):
+            hint = did_you_mean(name, [*groups, *registry.CORRUPTIONS])
+            raise SettingsError(complaint(where, "corruptions", "a corruption", name, hint))
+        if name not in groups:
+            try:
+                registry.require_corruption(name, family=family)
+            except SettingsError as error:
+                raise SettingsError(f"{where}: corruptions: {error}") from None
+    wanted = {kind for name in names for kind in groups.get(name, (name,))}
+    return tuple(kind for kind in registry.CORRUPTIONS if kind in wanted)
+
+
+def corrupted(frame: Frame, condition: Condition, seed: int) -> Frame:
+    """Frame as the sensors deliver it under a condition; `seed` is the drive's."""
+    if condition.kind == CLEAN:
+        return frame
+    return registry.corrupt_frame(frame, condition.kind, condition.severity, seed, condition.family)
+
+
+class _FrameHistory(Sequence[Frame]):
+    """Frames of a drive from one back to the first, each read when it is first asked for.
+
+    Args:
+        read: function from a position in the drive to its frame.
+        position: of the latest frame.
+        transform: applied to each frame.
+    """
+
+    def __init__(
+        self, read: Callable[[int], Frame], position: int, transform: Callable[[Frame], Frame] | None = None
+    ) -> None:
+        self._read, self._position, self._transform = read, position, transform
+        self._frames: dict[int, Frame] = {}
+
+    def __len__(self) -> int:
+        return self._position + 1
+
+    def __getitem__(self, which: Any) -> Any:
+        if isinstance(which, slice):
+            return [self[k] for k in range(*which.indices(len(self)))]
+        if not 0 <= which < len(self):
+            raise IndexError(which)
+        if which not in self._frames:
+            frame = self._read(self._position - which)
+            self._frames[which] = frame if self._transform is None else self._transform(frame)
+        return self._frames[which]
+
+    def at(self, position: int) -> Frame:
+        """Return the frame at a position in the drive."""
+        return self[self._position - position]
+
+
+def warn_of_slow_drives(readers: Sequence[Drive]) -> None:
+    """Log a warning for drives whose frames are too far apart for the delays of a channel."""
+    for reader in readers:
+        step_s = interval_of(reader)
+        if step_s > _SENSOR_S + 1e-6:
+            _log.warning(
+                "%s: its frames are %g s apart: any delay up to that gives the frame before",
+                *(reader.drive, step_s),
+            )
+
+
+def interval_of(reader: Drive) -> float:
+    """Time between the first two frames of a drive, s; 0.1 s for a single frame."""
+    step = reader.read(1).time_s - reader.read(0).time_s if len(reader) > 1 else 0.0
+    return step if step > 0.0 else _SENSOR_S
+
+
+def check_numbers(where: str, severities: Sequence[int], seed: int, limit: int | None) -> None:
+    """Raise SettingsError for a number out of its range; `where` begins the message."""
+    for severity in severities:
+        if not 1 <= severity <= 5:
+            raise SettingsError(complaint(where, "severity", "1 to 5", severity))
+    if seed < 0:
+        raise SettingsError(complaint(where, "seed", "at least 0", seed))
+    if limit is not None and limit < 1:
+        raise SettingsError(complaint(where, "limit", "at least 1 frame", limit))
+
+
+def frame_positions(readers: Sequence[Drive], limit: int | None) -> list[list[int]]:
+    """Positions of the frames to evaluate in each drive: all, or `limit` of them evenly spread over all drives.
+
+    Raises:
+        DataError: no drive has a frame.
+    """
+    places = [(k, i) for k, reader in enumerate(readers) for i in range(len(reader.frames))]
+    if not places:
+        raise DataError(complaint("evaluate", "drives", "at least one frame", "none"))
+    if limit is not None and limit < len(places):
+        places = [places[i] for i in np.linspace(0, len(places) - 1, limit).round().astype(int)]
+    return [[i for drive, i in places if drive == k] for k in range(len(readers))]
+
+
+def _sample(
+    frame: Frame, method: Method, samples: dict[tuple[GridSpec, int, int | None], Sample], drive: str
+) -> Sample:
+    """Input of a method; methods with the same grid and number of agents share it."""
+    settings = method.detector.settings
+    key = (settings.grid, getattr(settings, "max_agents", 5), method.agents)
+    if key not in samples:
+        if method.agents is None:
+            sample = make_sample(frame, None, key[0], max_agents=key[1])
+            samples[key] = replace(sample, key=f"{drive}/{sample.key}")
+        else:
+            whole = _sample(frame, replace(method, agents=None), samples, drive)
+            samples[key] = first_agents(whole, method.agents)
+    return samples[key]
+
+
+def first_agents(sample: Sample, count: int) -> Sample:
+    """Sample of the first `count` agents, the ego included; ground truth stays."""
+    return replace(
+        sample,
+        agent_ids=sample.agent_ids[:count],
+        clouds=sample.clouds[:count],
+        ego_from_agent=sample.ego_from_agent[:count],
+        agent_boxes=sample.agent_boxes[:count],
+        lost=sample.lost[:count],
+    )

@@ -1,0 +1,165 @@
+"""Evaluation of detectors on one dataset, `dsrc evaluate`: a small benchmark with a table of its own."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from dsrc.data.executors import Pool, Progress
+from dsrc.evaluation.cache import read_cell
+from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
+from dsrc.evaluation.detect import PAPER_TABLE, corruption_kinds, join_results
+from dsrc.evaluation.metrics.ap import evaluate_matches
+from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
+from dsrc.evaluation.report.report import provenance_of, write_results
+from dsrc.evaluation.results import CLEAN, Row, summary_rows
+from dsrc.evaluation.runner import BenchmarkResult, CaseResult, Device, TrainedDetector, run_plan
+from sensors.corruptions import Family
+from sim.errors import SettingsError, complaint
+from sim.files import write_file
+from sim.radio import IDEAL
+
+EGO_ALONE = "ego alone"
+
+
+class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
+    """Settings of an evaluation.
+
+    Attributes:
+        checkpoints: detector files; `name=path` names one, else the file does.
+        data: a drive, or a folder of drives.
+        out: folder of the results and of the cached cells.
+        corruptions: kinds, `paper_six`, `all` or `clean`; clean frames are always evaluated.
+        severity: of each corruption, 1 to 5; 3 is the paper's.
+        family: of the corruptions' settings.
+        seed: of corruptions and channels.
+        limit: most frames, evenly spread; None for all.
+        ego_alone: also evaluate the first detector without collaborators.
+        channels: radio channels, each detector through each of them; without any, messages arrive at once and are not
+            counted.
+        engine: execution of the networks, one of `dsrc.models.storage.deploy.ENGINES`.
+        device: of the networks.
+    """
+
+    checkpoints: tuple[str, ...]
+    data: Path
+    out: Path
+    corruptions: tuple[str, ...] = (PAPER_TABLE,)
+    severity: int = 3
+    family: Family = "physical"
+    seed: int = 0
+    limit: int | None = None
+    ego_alone: bool = True
+    channels: tuple[str, ...] = ()
+    engine: str = "fused"
+    device: Device = "cpu"
+
+
+def evaluate_drives(config: Evaluation, pool: Pool | None = None, progress: Progress | None = None) -> list[Row]:
+    """Evaluate detectors, write `results.csv`, `results.json`, `timings.csv` and the plots; resume what is cached.
+
+    The results and plots are the same for the same settings; times are in `timings.csv` alone.
+
+    Args:
+        config: the settings.
+        pool: workers, of one thread each; default: one per core.
+        progress: called with detections done and detections to do.
+
+    Returns:
+        Rows by condition and method, then the `mean_ap` and `mce` row of each method; see
+        `dsrc.evaluation.report.ap_table.result_table`.
+
+    Raises:
+        UserError: a file, a drive or a setting is wrong.
+    """
+    plan = plan_of_evaluation(config)
+    result = run_plan(plan, config.out, Pool() if pool is None else pool, config.device, progress, config.engine)
+    made_by = provenance_of(result)
+    entries = list(_labelled(result, bool(config.channels)))
+    rows = [_with_curves(entry, config.out / "cells", bool(config.channels)) for entry, _ in entries]
+    summaries = summary_rows(rows)
+    write_results(config.out, made_by, [*entries, *_summary_entries(entries, summaries)])
+    rows += summaries
+    figures = {
+        "ap_per_corruption": corruption_bars(rows),
+        "mce_map": robustness_scatter(rows),
+        "precision_recall": precision_recall_curves(rows),
+    }
+    for name, figure in figures.items():
+        write_file(config.out / f"{name}.png", png_bytes(figure, made_by))
+    return rows
+
+
+def plan_of_evaluation(config: Evaluation) -> Benchmark:
+    """Benchmark of one dataset with the settings of an evaluation.
+
+    Raises:
+        SettingsError: a name repeats or is unknown, or a number is out of its range.
+    """
+    if not config.checkpoints:
+        raise SettingsError(complaint("evaluate", "checkpoints", "at least one detector", "none"))
+    files: dict[str, str] = {}
+    for name, path in named(config.checkpoints):
+        if name in files:
+            found = f"{name} for {path} too"
+            raise SettingsError(
+                complaint("evaluate", "checkpoints", "names that differ", found, "; give names: name=path")
+            )
+        files[name] = path
+    methods = [MethodSpec(name=name, detectors=(path,)) for name, path in files.items()]
+    if config.ego_alone:
+        first, path = next(iter(files.items()))
+        methods.append(MethodSpec(name=f"{first}, {EGO_ALONE}", detectors=(path,), agents=1))
+    plan = Benchmark(
+        name="evaluate",
+        methods=tuple(methods),
+        datasets=(DatasetSpec(name=config.data.name or "data", drives=(str(config.data),)),),
+        corruptions=corruption_kinds(config.corruptions, config.family) or (CLEAN,),
+        severities=(config.severity,),
+        families=(config.family,),
+        channels=config.channels or (IDEAL,),
+        seed=config.seed,
+        limit=config.limit,
+    )
+    check(plan, "evaluate")
+    return plan
+
+
+def _labelled(result: BenchmarkResult, channels: bool) -> Iterator[tuple[CaseResult, TrainedDetector]]:
+    """Yield results and detectors by condition and method, named by method and channel; the ego alone needs none."""
+    conditions = list(dict.fromkeys(entry.case.condition for entry in result.entries))
+    alone = {method.name for method in result.plan.methods if method.agents == 1}
+
+    def place(entry: CaseResult) -> tuple[int, bool]:
+        return conditions.index(entry.case.condition), entry.case.method in alone
+
+    for entry in sorted(result.entries, key=place):
+        case = entry.case
+        if case.method in alone and case.channel != result.plan.channels[0]:
+            continue
+        label = f"{case.method}, {case.channel}" if channels and case.method not in alone else case.method
+        labelled = replace(entry, case=replace(case, method=label), row=replace(entry.row, method=label))
+        yield labelled, result.trained[case.method][case.training]
+
+
+def _with_curves(entry: CaseResult, folder: Path, channels: bool) -> Row:
+    """Row of a result for tables and plots: with curves for clean frames, without traffic where none is counted."""
+    row = entry.row
+    if not channels or row.method.endswith(f", {EGO_ALONE}"):
+        row = replace(row, bytes_per_frame=None, message_age_s=None, heard=None)
+    if row.condition != CLEAN:
+        return row
+    return replace(row, result=evaluate_matches(join_results([read_cell(folder, key) for key in entry.cells]).matches))
+
+
+def _summary_entries(
+    entries: Sequence[tuple[CaseResult, TrainedDetector]], summaries: Sequence[Row]
+) -> Iterator[tuple[CaseResult, TrainedDetector]]:
+    """Yield `mean_ap` and `mce` as results of their own, of all cells of their method."""
+    for row in summaries:
+        own = [pair for pair in entries if pair[0].case.method == row.method]
+        clean, trained = own[0]
+        condition = replace(clean.case.condition, kind=row.condition)
+        cells = tuple(key for entry, _ in own for key in entry.cells)
+        yield CaseResult(replace(clean.case, condition=condition), row, cells), trained

@@ -1,0 +1,98 @@
+"""The hash of a cell's code covers every module and table that decides its numbers, and no other."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from dsrc.evaluation.code_hash import code_files, code_hash, package_versions
+from tests.paths import ROOT
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("tree")
+    for package in ("sim", "sensors", "dsrc"):
+        shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__", "*.pt"))
+    return root
+
+
+def edited(tree: Path, name: str) -> str:
+    """Return the hash of a tree with one line more in a file, which is put back."""
+    path = tree / name
+    before = path.read_bytes()
+    path.write_bytes(before + b"\n# a line more\n")
+    try:
+        return code_hash.__wrapped__(tree)
+    finally:
+        path.write_bytes(before)
+
+
+FAR = (
+    "sim/boxes.py",
+    "sim/geometry.py",
+    "sim/radio.py",
+    "sensors/sweep.py",
+    "sensors/frame.py",
+    "sensors/optics/reflectance.py",
+    "sensors/corruptions/physics/medium.py",
+    "sensors/presets/tables/vlp-16.csv",
+    "dsrc/data/points_in_boxes.py",
+    "dsrc/data/formats/pcd.py",
+    "dsrc/data/sample.py",
+    "dsrc/models/inputs/batch.py",
+    "dsrc/models/fusion/where2comm.py",
+    "dsrc/models/storage/deploy.py",
+    "dsrc/ops/nms.py",
+    "dsrc/evaluation/metrics/matching.py",
+    "dsrc/evaluation/detect.py",
+)
+OTHER = (
+    "dsrc/__init__.py",
+    "dsrc/review/state.py",
+    "dsrc/cli/main.py",
+    "dsrc/training/train.py",
+    "dsrc/evaluation/plots.py",
+    "dsrc/evaluation/report/report.py",
+    "dsrc/checkpoints/README.md",
+    "sim/traffic/sumo/traffic.py",
+)
+
+
+def test_an_edit_of_what_decides_a_number_changes_the_hash_and_no_other_does(tree):
+    whole = code_hash.__wrapped__(tree)
+    assert whole == code_hash.__wrapped__(ROOT)
+    assert len({edited(tree, name) for name in FAR} | {whole}) == len(FAR) + 1
+    assert {edited(tree, name) for name in OTHER} == {whole}
+    assert code_hash.__wrapped__(tree) == whole
+
+
+def test_imports_inside_functions_count_and_those_of_type_checkers_do_not(tmp_path):
+    sources = {
+        "dsrc/evaluation/cells.py": "from sim import near\ndef f():\n    from ..ops.far import g\n",
+        "dsrc/evaluation/other.py": "",
+        "dsrc/ops/__init__.py": "import_module('dsrc.ops.named')\n",
+        "dsrc/ops/far.py": "if TYPE_CHECKING:\n    import dsrc.ops.types\n",
+        "dsrc/ops/named.py": "import numpy\n",
+        "dsrc/ops/types.py": "",
+        "dsrc/ops/tables/a.csv": "1",
+        "dsrc/ops/cache/code.py": "",
+        "sim/near.py": "",
+        "sim/__init__.py": "import sim.unused\n",
+        "sim/unused.py": "",
+    }
+    for name, text in sources.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    found = {path.relative_to(tmp_path).as_posix() for path in code_files(tmp_path)}
+    wanted = {"cells", "ops/__init__", "ops/far", "ops/named", "ops/tables/a", "near"}
+    names = {
+        name for name in sources if name.rpartition(".")[0].partition("/")[2].removeprefix("evaluation/") in wanted
+    }
+    assert found == names and len(names) == len(wanted)
+    assert set(package_versions.__wrapped__(tmp_path)) == {"numpy"}
+
+
+def test_versions_of_packages_that_compute_are_listed():
+    assert {"numpy", "torch", "numba", "scipy", "powerboxes"} <= set(package_versions())
+    assert not {"rich", "tyro", "matplotlib", "viser"} & set(package_versions())

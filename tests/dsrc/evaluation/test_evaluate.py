@@ -1,0 +1,138 @@
+"""An evaluation is a small benchmark: its table, files and plots hold its rows and what made them."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from dsrc.data.executors import SERIAL
+from dsrc.evaluation.evaluate import Evaluation, evaluate_drives, plan_of_evaluation
+from dsrc.evaluation.results import find_row
+from sim.errors import SettingsError
+from tests.dsrc.evaluation.small import write_detector, write_drives
+
+FILES = {
+    "results.csv", "results.json", "timings.csv", "ap_per_corruption.png", "mce_map.png", "precision_recall.png",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("evaluate")
+    write_drives(root / "test", drives=1)
+    for name, method in (("small", "dsrc"), ("plain", "attfuse")):
+        write_detector(root / f"{name}.pt", method)
+    return root
+
+
+def config_of(world: Path, out: str, **settings: object) -> Evaluation:
+    checkpoints = (f"DSRC={world / 'small.pt'}", str(world / "plain.pt"))
+    return Evaluation(**{"checkpoints": checkpoints, "data": world / "test", "out": world / out, **settings})
+
+
+def files_in(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")}
+
+
+@pytest.fixture(scope="module")
+def done(world):
+    config = config_of(world, "out", corruptions=("fog", "beam_missing"), seed=4)
+    return config, evaluate_drives(config, SERIAL)
+
+
+def test_an_evaluation_writes_tables_plots_and_what_made_them(done):
+    config, rows = done
+    methods, conditions = ["DSRC", "plain", "DSRC, ego alone"], ["clean", "beam_missing", "fog"]
+    assert [(r.condition, r.method) for r in rows[:9]] == [(kind, name) for kind in conditions for name in methods]
+    assert {(r.condition, r.method) for r in rows[9:]} == {(s, name) for s in ("mean_ap", "mce") for name in methods}
+    assert all(row.bytes_per_frame is None and row.seconds_per_frame > 0 for row in rows[:9])
+    assert rows[0].metrics["ap_bev_30"] > 0 and rows[0].result.curves["bev", 0.3].ap == rows[0].metrics["ap_bev_30"]
+    assert files_in(config.out) >= FILES
+    result = json.loads((config.out / "results.json").read_text())
+    made_by = result["provenance"]
+    assert made_by["seed"] == 4 and {"python", "platform", "commit", "versions"} <= set(made_by)
+    settings = made_by["settings"]
+    assert (settings["corruptions"], settings["engine"]) == (["beam_missing", "fog"], "fused")
+    assert (
+        len(settings["methods"]["DSRC"][0]["sha256"]) == 64 and settings["methods"]["DSRC, ego alone"][0]["agents"] == 1
+    )
+    assert list(settings["datasets"]["test"]) == ["drive_0"]
+    listed = {(row["condition"], row["method"]): row for row in result["rows"]}
+    assert set(listed) == {(row.condition, row.method) for row in rows} and len(listed) == len(result["rows"])
+    for row in rows:
+        assert (
+            listed[row.condition, row.method]["metrics"].items()
+            >= {name: pytest.approx(value) for name, value in row.metrics.items() if value == value}.items()
+        )
+    with (config.out / "results.csv").open() as file:
+        assert json.loads(file.readline()[2:]) == made_by
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 3 * (3 + 2) and float(lines[0]["ap_bev_30"]) == rows[0].metrics["ap_bev_30"]
+    assert "seconds" not in lines[0]
+    times = (config.out / "timings.csv").read_text().splitlines()
+    assert times[0].endswith("frames,median_seconds_per_frame") and len(times) == 1 + 3 * 3
+    with Image.open(config.out / "mce_map.png") as image:
+        assert json.loads(image.text["Description"]) == made_by
+
+
+def test_the_ego_alone_sees_less_of_the_same_truth(done):
+    _, rows = done
+    together, alone = find_row(rows, "DSRC", "clean"), find_row(rows, "DSRC, ego alone", "clean")
+    assert together.truth == alone.truth > 0 and together.metrics != alone.metrics
+
+
+def test_two_evaluations_write_the_same_bytes_and_the_second_computes_nothing(done, world):
+    config, rows = done
+    before = {path: path.stat().st_mtime_ns for path in (config.out / "cells").iterdir()}
+    results = {name: (config.out / name).read_bytes() for name in FILES - {"timings.csv"}}
+    assert len(evaluate_drives(config, SERIAL)) == len(rows)
+    assert {path: path.stat().st_mtime_ns for path in (config.out / "cells").iterdir()} == before
+    assert {name: (config.out / name).read_bytes() for name in results} == results
+
+
+def test_clean_only_and_cooperative_only(world):
+    evaluate_drives(config_of(world, "clean", corruptions=("clean",), ego_alone=False), SERIAL)
+    rows = json.loads((world / "clean" / "results.json").read_text())["rows"]
+    assert [(row["method"], row["condition"]) for row in rows] == [("DSRC", "clean"), ("plain", "clean")]
+
+
+def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world):
+    config = config_of(world, "channels", corruptions=("clean",), channels=("ideal", "its-g5-6"))
+    rows = evaluate_drives(config, SERIAL)
+    through = [f"{name}, {channel}" for channel in config.channels for name in ("DSRC", "plain")]
+    assert [row.method for row in rows] == [*through, "DSRC, ego alone"]
+    assert all(row.bytes_per_frame > 0 for row in rows[:4]) and rows[4].bytes_per_frame is None
+    assert rows[0].heard == 1.0
+
+
+def test_checkpoints_are_named_by_their_file_or_by_hand(world):
+    def names(*texts: str) -> dict[str, str]:
+        plan = plan_of_evaluation(config_of(world, "out", checkpoints=texts, ego_alone=False))
+        return {method.name: method.detectors[0] for method in plan.methods}
+
+    assert names("runs/a/detector.pt", "runs/b/detector.pt", "late fusion=runs/c.pt") == {
+        "a/detector": "runs/a/detector.pt",
+        "b/detector": "runs/b/detector.pt",
+        "late fusion": "runs/c.pt",
+    }
+    assert names("runs/lr=0.1/d.pt") == {"d": "runs/lr=0.1/d.pt"}
+    with pytest.raises(SettingsError, match="name=path"):
+        names("x=a.pt", "x=b.pt")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"checkpoints": ()}, "at least one detector"),
+        ({"corruptions": ("fogg",)}, "did you mean 'fog'"),
+        ({"severity": 6}, "severity: expected 1 to 5, found 6"),
+        ({"limit": 0}, "limit"),
+        ({"engine": "fussed"}, "did you mean 'fused'"),
+    ],
+)
+def test_a_wrong_setting_is_named(world, settings, message):
+    with pytest.raises(SettingsError, match=message):
+        evaluate_drives(config_of(world, "wrong", **settings), SERIAL)
+    assert not (world / "wrong" / "cells").exists()
