@@ -40,7 +40,7 @@ class StaticPart:
 @cache
 def body_shape(class_name: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """(V, 3) vertices and (F, 3) faces of a body of length, width and height 1, standing on z = 0."""
-    from sim.bodies.choice import body_mesh, models_for, generic_models_for
+    from sim.bodies.choice import body_mesh, generic_models_for, models_for
 
     try:
         mesh = body_mesh(models_for(class_name)[0], (1.0, 1.0, 1.0))
