@@ -112,6 +112,15 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             Training(distilled, 2, "dsrc-alone", TEACHER, seed, LONG, (*long, *fading), TEACHER),
         )
 
+    def teacher(name: str, phase: int, *settings: str) -> tuple[Training, Training]:
+        # Attention has no weights, but a teacher of single clouds alone hardly scores what only collaborators see.
+        alone = f"{name}-alone"
+        ema = ("ema=0.998",)
+        return (
+            Training(alone, phase, "dsrc-alone", FIRST, 1, 0, (*ema, *settings), stage="teacher", passes=3),
+            Training(name, phase, "dsrc", alone, 2, SHORT, (*SLOW, *settings), stage="teacher"),
+        )
+
     def student(name: str, phase: int, method: str, seed: int = 0, *settings: str) -> Training:
         taught = method.startswith("dsrc")
         init = f"dsrc-single{halved}_s{seed}" if taught else f"single_s{seed}"
@@ -120,20 +129,16 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
 
     parts = {"sdd": ("pcp=false", "rec=false"), "pcp": ("sdd=false", "rec=false"), "sdd-pcp": ("rec=false",)}
     teachers = {"sdd": "teacher-sdd", "pcp": "teacher-pcp", "sdd-pcp": TEACHER}
-    painted = ("ema=0.998",)
     few, two = min(seeds, 3), min(seeds, 2)
     return [
         Training(FIRST, 1, "no-collaboration", settings=(), stage="plain", passes=2),
-        Training(TEACHER, 1, "dsrc-alone", FIRST, 1, settings=painted, stage="teacher", passes=3),
+        *teacher(TEACHER, 1),
         *(training for seed in range(seeds) for training in twins(seed)),
         *(student(f"{m}_s{seed}", 3, m, seed) for seed in range(seeds) for m in ("dsrc", "attfuse")),
         *(student(f"where2comm_s{seed}", 3, "where2comm", seed) for seed in range(few)),
         *(student(f"{m}_s0", 3, m) for m in ("f-cooper", "dsrc-max", "no-collaboration", "dsrc-alone")),
         *(student(f"{m}_s0", 3, m) for m in ("early", "late")),
-        *(
-            Training(f"teacher-{name}", 4, "dsrc-alone", FIRST, 1, 0, (*painted, *parts[name]), "", "teacher", 3)
-            for name in ("sdd", "pcp")
-        ),
+        *(training for name in ("sdd", "pcp") for training in teacher(f"teacher-{name}", 4, *parts[name])),
         *(
             training
             for name, settings in parts.items()

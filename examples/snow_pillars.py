@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from dsrc.evaluation.metrics.matching import match
 from look import put_table
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -22,6 +21,7 @@ from torch import nn
 from dsrc.data.drives import open_drives
 from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample, make_sample
+from dsrc.evaluation.metrics.matching import match
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate, pillars_of
 from dsrc.models.storage.checkpoint import load_detector
