@@ -387,6 +387,10 @@ def keep(out: Path, kept: Path, name: str) -> None:
             target.mkdir(parents=True, exist_ok=True)
             for part in KEPT:
                 shutil.copyfile(training.folder(out) / part, target / part)
+            # The folders of this machine mean nothing elsewhere; the hashes of their data stay.
+            made = json.loads((target / "settings.json").read_text(encoding="utf-8"))
+            made.pop("folders", None)
+            write_file(target / "settings.json", json.dumps(made, indent=2) + "\n")
 
 
 def restore(kept: Path, out: Path) -> None:
