@@ -126,6 +126,6 @@ def read_cell(folder: Path, key: str) -> MethodResult:
         times = path.with_suffix(".seconds")
         seconds = np.array(times.read_text(encoding="utf-8").split() if times.is_file() else [], np.float64)
     except (OSError, EOFError, ValueError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error):
-        hint = "; start again: it is made anew"
+        hint = "; run again to compute it anew"
         raise DataError(complaint(path, "cell", "a whole one", "a damaged one", hint)) from None
     return MethodResult(matches, ego_share, seconds, traffic if len(traffic) else None)

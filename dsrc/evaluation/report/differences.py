@@ -79,8 +79,8 @@ class DifferenceTable:
                 found.setdefault(self._pair(one), []).append(what)
         if not found:
             return "No difference is resolved: of each of them at least one interval holds 0 or is unknown."
-        told = "; ".join(f"{pair}: {', '.join(several)}" for pair, several in found.items())
-        return f"Resolved, both intervals exclude 0: {told}. No other difference is."
+        listed = "; ".join(f"{pair}: {', '.join(several)}" for pair, several in found.items())
+        return f"Resolved, both intervals exclude 0: {listed}. No other difference is."
 
     def _pair(self, one: Difference) -> str:
         return f"{self.marked[one.method]} − {self.marked[one.baseline]}"

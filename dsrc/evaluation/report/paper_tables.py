@@ -466,13 +466,6 @@ def clean_tables(results: DatasetResults, axes: Sequence[SweepAxis]) -> list[Res
     return [visibility_table(results), *(sweep_table(results, axis) for axis in axes)]
 
 
-def tables_of(result: BenchmarkResult, dataset: str) -> list[ResultTable | str]:
-    """All tables of a dataset, family by family, those of clean frames last."""
-    views = [DatasetResults.of(result, dataset, family) for family in result.plan.families]
-    sheets = [sheet for results in views for sheet in corruption_tables(results, result.plan.severities)]
-    return [*sheets, *clean_tables(views[0], axes_of(result))]
-
-
 def _missing_methods(table: str, what: str) -> str:
     return f"{table} is left out: it needs {what}."
 
@@ -525,5 +518,5 @@ def _bytes(results: DatasetResults, methods: Sequence[str]) -> str:
         "where2comm": "is an upper bound: the whole first scale, of which it sends a part",
         "late": "is of the objects of the ground truth that a sender has points on, not of its detections",
     }
-    told = [f" That of {name} {special[f]}." for name in methods if (f := results.settings[name].fusion) in special]
-    return "".join(told)
+    notes = [f" That of {name} {special[f]}." for name in methods if (f := results.settings[name].fusion) in special]
+    return "".join(notes)

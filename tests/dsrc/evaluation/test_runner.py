@@ -221,7 +221,7 @@ def test_a_damaged_cell_is_named(done, root):
     path = next((done[0] / "cells").glob("*.npz"))
     copy = root / path.name
     copy.write_bytes(path.read_bytes()[:-30])
-    with pytest.raises(DataError, match=f"{path.name}: cell: expected a whole one.*made anew"):
+    with pytest.raises(DataError, match=f"{path.name}: cell: expected a whole one.*compute it anew"):
         read_cell(root, path.stem)
 
 

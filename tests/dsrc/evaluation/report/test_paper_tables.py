@@ -16,19 +16,20 @@ from dsrc.evaluation.report.paper_tables import (
     DatasetResults,
     averaged_methods,
     axes_of,
+    clean_tables,
     compared_methods,
+    corruption_tables,
     mean_corrupted,
     sweep_table,
     table_1,
     table_2,
     table_3,
     table_4,
-    tables_of,
 )
 from dsrc.evaluation.report.report import publish, write_report
 from dsrc.evaluation.results import Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
-from dsrc.evaluation.table import Stat
+from dsrc.evaluation.table import ResultTable, Stat
 from dsrc.training.recipes import METHODS, debug, of_method
 
 # Table 1 of the paper, OPV2V, AP at IoU 0.5 and 0.7 in percent: clean and the six.
@@ -80,6 +81,11 @@ def outcome_of(methods: dict[str, int], **settings: object) -> BenchmarkResult:
 
 def view_of(methods: dict[str, int], **settings: object) -> DatasetResults:
     return DatasetResults.of(outcome_of(methods, **settings), "made up")
+
+
+def tables_of(result: BenchmarkResult, dataset: str) -> list[ResultTable | str]:
+    results = DatasetResults.of(result, dataset)
+    return [*corruption_tables(results, result.plan.severities), *clean_tables(results, axes_of(result))]
 
 
 def test_table_1_has_the_papers_mce_and_mean_of_the_papers_numbers():
