@@ -48,6 +48,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
     from rich.console import Console
 
     from dsrc.closed_loop.episodes import drive_episodes
+    from dsrc.data.executors import Pool
     from dsrc.data.write import generate
     from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
@@ -66,7 +67,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
     with progress("evaluate, clean and six corruptions") as report:
         checkpoints = (f"DSRC (SDD+PCP+REC)={dsrc}", f"plain student={plain}")
         config = Evaluation(checkpoints=checkpoints, data=out / "test", out=out / "results")
-        table = result_table(evaluate_drives(config, progress=report))
+        table = result_table(evaluate_drives(config, Pool(), report))
     with progress("review page") as report:
         page = export_html(out / "test", out / "review.html", checkpoint=dsrc)
         picture = screenshot(page, out / "review.png") if find_chromium() else None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.data.executors import Pool, Progress
+from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
 from dsrc.evaluation.detect import PAPER_TABLE, corruption_kinds, join_results
@@ -56,14 +56,14 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
     device: Device = "cpu"
 
 
-def evaluate_drives(config: Evaluation, pool: Pool | None = None, progress: Progress | None = None) -> list[Row]:
+def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress | None = None) -> list[Row]:
     """Evaluate detectors, write `results.csv`, `results.json`, `timings.csv` and the plots; resume what is cached.
 
     The results and plots are the same for the same settings; times are in `timings.csv` alone.
 
     Args:
         config: the settings.
-        pool: workers, of one thread each; default: one per core.
+        pool: workers, of one thread each; scripts with several guard their code by `if __name__ == "__main__":`.
         progress: called with detections done and detections to do.
 
     Returns:
@@ -74,7 +74,7 @@ def evaluate_drives(config: Evaluation, pool: Pool | None = None, progress: Prog
         UserError: a file, a drive or a setting is wrong.
     """
     plan = plan_of_evaluation(config)
-    result = run_plan(plan, config.out, Pool() if pool is None else pool, config.device, progress, config.engine)
+    result = run_plan(plan, config.out, pool, config.device, progress, config.engine)
     made_by = provenance_of(result)
     entries = list(_labelled(result, bool(config.channels)))
     rows = [_with_curves(entry, config.out / "cells", bool(config.channels)) for entry, _ in entries]

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from dsrc.data.executors import SERIAL
 from dsrc.evaluation.evaluate import Evaluation, evaluate_drives, plan_of_evaluation
 from dsrc.evaluation.results import find_row
 from sim.errors import SettingsError
@@ -39,7 +38,7 @@ def files_in(folder: Path) -> set[str]:
 @pytest.fixture(scope="module")
 def done(world):
     config = config_of(world, "out", corruptions=("fog", "beam_missing"), seed=4)
-    return config, evaluate_drives(config, SERIAL)
+    return config, evaluate_drives(config)
 
 
 def test_an_evaluation_writes_tables_plots_and_what_made_them(done):
@@ -87,20 +86,20 @@ def test_two_evaluations_write_the_same_bytes_and_the_second_computes_nothing(do
     config, rows = done
     before = {path: path.stat().st_mtime_ns for path in (config.out / "cells").iterdir()}
     results = {name: (config.out / name).read_bytes() for name in FILES - {"timings.csv"}}
-    assert len(evaluate_drives(config, SERIAL)) == len(rows)
+    assert len(evaluate_drives(config)) == len(rows)
     assert {path: path.stat().st_mtime_ns for path in (config.out / "cells").iterdir()} == before
     assert {name: (config.out / name).read_bytes() for name in results} == results
 
 
 def test_clean_only_and_cooperative_only(world):
-    evaluate_drives(config_of(world, "clean", corruptions=("clean",), ego_alone=False), SERIAL)
+    evaluate_drives(config_of(world, "clean", corruptions=("clean",), ego_alone=False))
     rows = json.loads((world / "clean" / "results.json").read_text())["rows"]
     assert [(row["method"], row["condition"]) for row in rows] == [("DSRC", "clean"), ("plain", "clean")]
 
 
 def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world):
     config = config_of(world, "channels", corruptions=("clean",), channels=("ideal", "its-g5-6"))
-    rows = evaluate_drives(config, SERIAL)
+    rows = evaluate_drives(config)
     through = [f"{name}, {channel}" for channel in config.channels for name in ("DSRC", "plain")]
     assert [row.method for row in rows] == [*through, "DSRC, ego alone"]
     assert all(row.bytes_per_frame > 0 for row in rows[:4]) and rows[4].bytes_per_frame is None
@@ -134,5 +133,5 @@ def test_checkpoints_are_named_by_their_file_or_by_hand(world):
 )
 def test_a_wrong_setting_is_named(world, settings, message):
     with pytest.raises(SettingsError, match=message):
-        evaluate_drives(config_of(world, "wrong", **settings), SERIAL)
+        evaluate_drives(config_of(world, "wrong", **settings))
     assert not (world / "wrong" / "cells").exists()
