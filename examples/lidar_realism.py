@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import trimesh
 from look import COLORS, FAINT, INK, new_figure, save, style
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from sensors.frame import AgentFrame, Frame
 from sensors.presets import get_lidar
 from sensors.recording.record import record
+from sensors.recording.rig import Rig
 from sensors.scan.lidar import scan
 from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec
@@ -125,10 +127,10 @@ def main() -> None:
 def frames_of(scenario_name: str, spec: LidarSpec, frames: int, seed: int) -> Iterator[Frame]:
     """Yield the frames of a drive whose vehicles all carry `spec`; roadside units are left out."""
     scenario = load_scenario(scenario_name)
+    scenario = msgspec.structs.replace(scenario, agents=msgspec.structs.replace(scenario.agents, roadside=()))
     with SumoTraffic(scenario, seed) as traffic:
         drive = record(traffic, build_world(scenario, seed), scenario, seed, frames, interval_s=1.0)
-    drive = replace(drive, vehicle_spec=spec, roadside=())
-    yield from drive
+    yield from replace(drive, rig=Rig(scenario, drive.rig.scene, seed, vehicle_spec=spec))
 
 
 def measure(frames: Iterator[Frame], spec: LidarSpec, label: str) -> Measured:

@@ -19,6 +19,7 @@ from sensors.corruptions import CORRUPTIONS, SEVERITIES, corrupt
 from sensors.frame import Frame
 from sensors.presets import LIDARS, get_lidar
 from sensors.recording.record import record
+from sensors.recording.rig import Rig
 from sensors.sweep import ADDED, SCATTERED, Sweep
 from sim.catalog.load import load_scenario
 from sim.traffic.sumo.traffic import SumoTraffic
@@ -45,7 +46,8 @@ def street(scenario_name: str, lidar: str) -> Frame:
     steps = round(AFTER_S / INTERVAL_S)
     with SumoTraffic(scenario, SEED) as traffic:
         drive = record(traffic, build_world(scenario, SEED), scenario, SEED, steps + 1, INTERVAL_S)
-    frame = replace(drive, vehicle_spec=get_lidar(lidar)).frame(steps)
+    rig = Rig(scenario, drive.rig.scene, SEED, vehicle_spec=get_lidar(lidar))
+    frame = replace(drive, rig=rig).frame(steps)
     vehicle = next(row for row, agent in enumerate(frame.agents) if agent.kind == "vehicle")
     return frame.of_agents([vehicle])
 
