@@ -36,3 +36,11 @@ def test_nothing_to_track_is_no_error() -> None:
     boxes, velocity = Tracker().update(Boxes.zeros(), 0.0)
     assert len(boxes) == 0
     assert velocity.shape == (0, 2)
+
+
+def test_a_detection_beyond_the_gate_is_another_object() -> None:
+    tracker = Tracker()
+    tracker.update(at((0.0, 0.0)), 0.0)
+    boxes, velocity = tracker.update(at((3.1, 0.0)), 0.1)
+    assert sorted(boxes.object_id) == [0, 1]
+    assert not velocity.any()
