@@ -22,7 +22,7 @@ from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand
 
 SOLID = ("brick", "plaster", "concrete", "roof", "glass", "metal", "dark_metal", "hedge", "bark", "leaves", "kerb")
 OF_SUMO = [name for name in list_scenarios() if not load_scenario(name).network.highway_env]
-# The places have tests of their own, tests/sim/places; few are looked at here too.
+# The places have tests of their own, tests/sim/roads; few are looked at here too.
 NAMES = [name for name in OF_SUMO if name not in PLACES or name in ("braunschweig", "four_way", "helsinki", "highway")]
 TOWNS = [name for name in NAMES if name in PLACES and name not in MOTORWAYS]
 
