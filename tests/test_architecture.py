@@ -15,14 +15,14 @@ def section(title: str) -> str:
     return PAGE.split(f"\n## {title}\n")[1].split("\n## ")[0]
 
 
-def test_every_room_is_listed() -> None:
-    listed = set(re.findall(r"^\| `([\w/]+)/` \|", section("Rooms"), re.MULTILINE))
+def test_every_folder_is_listed() -> None:
+    listed = set(re.findall(r"^\| `([\w/]+)/` \|", section("Folders"), re.MULTILINE))
     folders = {path.parent.relative_to(ROOT).as_posix() for path in MODULES.values()}
     top = {folder for folder in folders if folder.count("/") <= 1}
     assert top <= listed
     assert all((ROOT / folder).is_dir() for folder in listed)
     for folder in FULL:
-        assert f"`{folder}`" in section("Rooms")
+        assert f"`{folder}`" in section("Folders")
 
 
 def test_every_term_is_a_class_of_its_module() -> None:
