@@ -189,7 +189,14 @@ def main() -> None:
     parser.add_argument("--recipe", default="small", choices=sorted(RECIPES), help="default: small")
     options = parser.parse_args()
     recipe = of_method(RECIPES[options.recipe](), "dsrc")
-    found = teacher_gate(options.runs / "teacher" / "teacher", options.data, recipe)
+    teacher = options.runs / "teacher" / "teacher"
+    for path in (teacher / "detector.pt", teacher / "result.json"):
+        if not path.is_file():
+            parser.error(f"--runs: expected a finished teacher with {path}, found none")
+    for part in ("train", "validation"):
+        if not (options.data / part).is_dir():
+            parser.error(f"--data: expected a folder {part} in {options.data}, found none")
+    found = teacher_gate(teacher, options.data, recipe)
     record(options.runs, found)
     print(json.dumps(asdict(found), indent=2))
 

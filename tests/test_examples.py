@@ -174,3 +174,16 @@ def test_the_table_of_weather_takes_the_place_of_the_one_before(tmp_path: Path) 
     assert len(scattered) == 5
     assert scattered == sorted(scattered)
     assert scattered[-1] > 1.5 * scattered[0] > 0.0
+
+
+def test_the_gates_refuse_a_folder_without_a_finished_teacher_in_one_line(tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, str(ROOT / "examples/gates.py"), "--runs", str(tmp_path), "--data", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert result.returncode == 2
+    assert "--runs: expected a finished teacher with" in result.stderr.splitlines()[-1]
+    assert not list(tmp_path.iterdir())
