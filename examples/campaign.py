@@ -7,7 +7,7 @@ with weights of their own, after starts of their own; 6 extensions of the paper.
 validation drives decide whether to continue, see `examples/gates.py`.
 
 Usage:
-    python examples/campaign.py --data data/dsrc-sim --out runs                      # two CPU cores: over a day, estimated
+    python examples/campaign.py --data data/dsrc-sim --out runs   # two CPU cores: over a day, estimated
     python examples/campaign.py --data data/dsrc-sim --out runs --recipe opv2v --jobs 4 --lengthen 4   # a GPU
     python examples/campaign.py --data data/dsrc-sim --out runs --phases 1 2 --seeds 2
     python examples/campaign.py --data data/dsrc-sim --out runs --only teacher dsrc_s0 attfuse_s0
