@@ -1,0 +1,180 @@
+"""Data of the closed loop: what passes from sensing to tracking, planning, acting and judging at every step."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.boxes import Boxes
+from sim.contact import Contact
+from sim.radio import Link
+from sim.scenario import Scenario
+from sim.traffic.base import Actors, Limits, TrafficLight
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Percept:
+    """Objects that a perception reports, world frame.
+
+    Attributes:
+        time_s: instant of the measurement, s; older than the present by the latency.
+        boxes: N boxes with class; object ids of -1 unless it is the truth.
+        score: (N,) confidence, 0 to 1.
+        velocity: (N, 2) measured velocity, m/s; NaN where it is not measured.
+        links: receptions of the helpers' messages.
+    """
+
+    time_s: float
+    boxes: Boxes
+    score: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    links: tuple[Link, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracks:
+    """Confirmed tracks at the present, world frame, rows sorted by track number.
+
+    Attributes:
+        time_s: the present, s.
+        boxes: N boxes; `object_id` is the number of the track.
+        velocity: (N, 2) m/s.
+        yaw_rate: (N,) rad/s.
+        position_sd: (N,) standard deviation of the position, the larger axis, m.
+        score: (N,) confidence of the track, 0 to 1.
+        unseen_s: (N,) time since the last detection, s.
+    """
+
+    time_s: float
+    boxes: Boxes
+    velocity: NDArray[np.float64]
+    yaw_rate: NDArray[np.float64]
+    position_sd: NDArray[np.float64]
+    score: NDArray[np.float64]
+    unseen_s: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EgoState:
+    """Ego as it knows itself without any perception of others: odometry, route, limits and traffic lights.
+
+    Attributes:
+        time_s: the present, s.
+        box: one box, world frame.
+        speed_mps: along its route, m/s.
+        acceleration_mps2: change of the speed over the last step, m/s2.
+        route: (K, 2) polyline that it will follow from its centre, world frame, m.
+        limits: speed limit and limits of acceleration where it is.
+        lights: traffic lights on its route, nearest first.
+        progress_m: distance driven since the start, m.
+    """
+
+    time_s: float
+    box: Boxes
+    speed_mps: float
+    acceleration_mps2: float
+    route: NDArray[np.float64]
+    limits: Limits
+    lights: tuple[TrafficLight, ...]
+    progress_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """Decision of a driver for the next step.
+
+    Attributes:
+        acceleration_mps2: wanted change of speed, m/s2; the vehicle's limits bound it.
+        reason: what decided: `free`, `follow`, `yield`, `signal`, `emergency`, `creep` or `outside` for a policy's.
+        track: number of the decisive track, -1 without one.
+    """
+
+    acceleration_mps2: float
+    reason: str = "outside"
+    track: int = -1
+
+
+class Outcome(StrEnum):
+    """End of an episode.
+
+    Attributes:
+        ARRIVED: reached its goal, or the end of its route.
+        CRASHED: touched a road user or the world.
+        STUCK: stood too long without a red light before it.
+        TIMEOUT: the time was over before anything else happened.
+        LEFT: left the road.
+        PERCEPTION_FAILED: the perception raised an error, returned invalid boxes, or took too long.
+        DESYNCHRONISED: never met its encounter; neither a success nor a failure.
+    """
+
+    ARRIVED = "arrived"
+    CRASHED = "crashed"
+    STUCK = "stuck"
+    TIMEOUT = "timeout"
+    LEFT = "left"
+    PERCEPTION_FAILED = "perception failed"
+    DESYNCHRONISED = "desynchronised"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tick:
+    """Everything of one step of an episode.
+
+    Attributes:
+        actors: ground truth; no part of the driver sees it.
+        ego: the ego as it knows itself.
+        percept: newest percept that has arrived; None before the first and where no new one arrived in this step.
+        tracks: tracks at the present.
+        decision: decision for the step that follows.
+        claims: false objects that helpers report, by the name of the helper.
+        contact: first contact of the ego in the step before; None without one.
+    """
+
+    actors: Actors
+    ego: EgoState
+    percept: Percept | None
+    tracks: Tracks
+    decision: Decision
+    claims: dict[str, Actors] = field(default_factory=dict)
+    contact: Contact | None = None
+
+
+class Perception(Protocol):
+    """Perception of the ego.
+
+    Attributes:
+        cooperative: whether it uses messages of helpers.
+    """
+
+    cooperative: bool
+
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
+        """Begin an episode."""
+        ...
+
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
+        """Return the objects at `now`.
+
+        Args:
+            before: actors one traffic step ago.
+            now: actors now.
+            claims: false objects that helpers report now, by the name of the helper.
+        """
+        ...
+
+
+class Driver(Protocol):
+    """Driver: from the ego's own state and its tracks to an acceleration."""
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        ...
+
+    def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
+        """Return the decision for the next step."""
+        ...
