@@ -8,9 +8,8 @@ import torch
 from msgspec.structs import replace as changed
 from torch import Tensor
 
-from dsrc.models import registry
 from dsrc.models.detector import Detector
-from dsrc.models.fusion.base import AgentLayout, Fusion
+from dsrc.models.fusion import FUSIONS, AgentLayout, Fusion, register_fusion
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
 from sim.errors import SettingsError
@@ -234,11 +233,11 @@ class _Check:
 def _registered(fusion: type[Fusion]) -> Iterator[str]:
     """Register a class for the time of its check."""
     name = f"check of {fusion.__name__}"
-    registry.register_fusion(name, fusion)
+    register_fusion(name, fusion)
     try:
         yield name
     finally:
-        del registry._REGISTERED[name]
+        FUSIONS.remove(name)
 
 
 def _expect(holds: bool, line: str) -> None:

@@ -1,11 +1,12 @@
 """Settings of a detector: shape and meaning of its weights."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from dsrc.models.registry import FUSIONS
 from dsrc.ops.grid import GridSpec
 from sim.errors import did_you_mean
 
@@ -96,8 +97,9 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_extent_m: Annotated[float, Meta(gt=0)] | None = None
 
     def __post_init__(self) -> None:
-        if self.fusion not in FUSIONS:
-            raise ValueError(f"fusion: unknown '{self.fusion}'{did_you_mean(str(self.fusion), FUSIONS)}")
+        fusions = _fusions()
+        if self.fusion not in fusions:
+            raise ValueError(f"fusion: unknown '{self.fusion}'{did_you_mean(str(self.fusion), fusions)}")
         if self.grid.width % 8 or self.grid.height % 8:
             raise ValueError(f"grid: expected multiples of 8 cells, found {self.grid.width} x {self.grid.height}")
         if min(self.stage_channels) * self.base_width < 64:
@@ -141,3 +143,9 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def reconstruction_bins(self) -> int:
         """Vertical bins of the reconstruction: ten of 0.4 m over [-3, 1] m."""
         return round((self.grid.range_m[5] - self.grid.range_m[2]) / 0.4)
+
+
+def _fusions() -> Mapping[str, Any]:
+    """Return the fusion classes by name; their package, which imports this module, is imported when first needed."""
+    fusions: Mapping[str, Any] = import_module("dsrc.models.fusion").FUSIONS
+    return fusions

@@ -9,10 +9,8 @@ and is imported when `haze` is first used: by any command and in every worker pr
 """
 
 import re
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal, Protocol, get_args
 
 from sensors.corruptions import (
@@ -41,10 +39,8 @@ from sensors.corruptions.published import rain as paper_rain
 from sensors.corruptions.published import snow as paper_snow
 from sensors.corruptions.published import wet_ground as paper_wet_ground
 from sensors.sweep import Sweep
+from sim.catalog.registry import Registry, import_path, instance_of
 from sim.errors import SettingsError, complaint, did_you_mean
-
-GROUP = "dsrc.corruptions"
-"""Entry point group of packages with corruptions."""
 
 CLEAN = "clean"
 """The kind that changes nothing."""
@@ -119,34 +115,8 @@ class Corruption:
         return self.paper_settings
 
 
-class CorruptionRegistry(MutableMapping[str, Corruption]):
-    """Corruptions by kind; one of another package is imported when it is first used."""
-
-    def __init__(self, built_in: dict[str, Corruption]) -> None:
-        self._kinds = dict(built_in)
-
-    def __getitem__(self, kind: str) -> Corruption:
-        if kind not in self._kinds and kind in _installed():
-            self._kinds[kind] = _loaded(_installed()[kind])
-        return self._kinds[kind]
-
-    def __setitem__(self, kind: str, corruption: Corruption) -> None:
-        self._kinds[kind] = corruption
-
-    def __delitem__(self, kind: str) -> None:
-        del self._kinds[kind]
-
-    def __contains__(self, kind: object) -> bool:
-        return kind in self._kinds or kind in _installed()
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys((*self._kinds, *_installed())))
-
-    def __len__(self) -> int:
-        return len(list(iter(self)))
-
-
-CORRUPTIONS = CorruptionRegistry(
+CORRUPTIONS: Registry[Corruption] = Registry(
+    "dsrc.corruptions",
     {
         "beam_missing": Corruption(
             beam_missing.BeamMissing,
@@ -205,7 +175,9 @@ CORRUPTIONS = CorruptionRegistry(
         "point_dropping": Corruption(point_dropping.PointDropping, point_dropping.corrupt),
         "field_of_view": Corruption(field_of_view.FieldOfView, field_of_view.corrupt, steady=True),
         "noise": Corruption(noise.Noise, noise.corrupt),
-    }
+    },
+    instance_of(Corruption),
+    key=lambda corruption: import_path(corruption.apply or corruption.in_frame),
 )
 """Every corruption by its kind."""
 
@@ -253,17 +225,15 @@ def register_corruption(
         raise SettingsError(complaint(where, "settings", "5, of severities 1 to 5", f"{len(table.levels)}"))
     if weather and not all(hasattr(table.severity(level), "scaled") for level in SEVERITIES):
         raise SettingsError(complaint(where, "settings", "those of weather to have scaled(factor)", "none"))
-    known = CORRUPTIONS._kinds.get(name)
     if family == "paper":
-        if known is None or not _replaceable(known.paper_apply, apply):
+        known = CORRUPTIONS.get(name)
+        if known is None or import_path(known.paper_apply or apply) != import_path(apply):
             expected = "a physical kind without a published model"
             raise SettingsError(complaint(where, "name", expected, name))
         made = replace(known, paper_settings=table, paper_apply=apply)
     else:
-        if known is not None and not _replaceable(known.apply or known.in_frame, apply or in_frame):
-            raise SettingsError(complaint(where, "name", "a new one", f"'{name}', which is registered"))
         made = Corruption(table, apply, in_frame, steady=steady, weather=weather, spares_ego=spares_ego)
-    CORRUPTIONS[name] = made
+    CORRUPTIONS.register(name, made)
     return made
 
 
@@ -288,29 +258,3 @@ def require_family(family: str) -> None:
     """Raise SettingsError unless this is one of `FAMILIES`."""
     if family not in FAMILIES:
         raise SettingsError(f"unknown family of corruptions '{family}'{did_you_mean(family, FAMILIES)}")
-
-
-def _replaceable(known: Apply | None, apply: Apply | None) -> bool:
-    """Return whether a function is missing, or the same one from a module or notebook cell that ran again."""
-    return known is None or _path(known) == _path(apply)
-
-
-def _path(function: Apply | None) -> tuple[str, str]:
-    return getattr(function, "__module__", ""), getattr(function, "__qualname__", repr(function))
-
-
-@cache
-def _installed() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=GROUP)}
-
-
-def _loaded(point: EntryPoint) -> Corruption:
-    where = f"entry point {GROUP}"
-    try:
-        corruption = point.load()
-    except Exception as error:  # another package's import can fail in any way
-        found = f"{type(error).__name__}: {error}"
-        raise SettingsError(complaint(where, point.name, f"to import {point.value}", found)) from None
-    if not isinstance(corruption, Corruption):
-        raise SettingsError(complaint(where, point.name, "a Corruption", type(corruption).__name__))
-    return corruption

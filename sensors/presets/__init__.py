@@ -8,27 +8,19 @@ A sensor of another package is an entry point of the group `dsrc.sensors` that n
 and is found by every command and worker process.
 """
 
-from typing import Any
-
 from sensors.presets import datasets, hesai, livox, ouster, robosense, velodyne
 from sensors.spec import LidarSpec
-from sim.catalog.registry import Registry
+from sim.catalog.registry import Registry, instance_of
 from sim.errors import ScenarioError, SettingsError, complaint, did_you_mean
 from sim.scenario import Scenario
 
 __all__ = ["LIDARS", "get_lidar", "register_sensor", "scenario_lidars"]
 
 
-def _spec(value: Any) -> LidarSpec:
-    if not isinstance(value, LidarSpec):
-        raise TypeError(f"expected a LidarSpec, found {type(value).__name__}")
-    return value
-
-
 LIDARS: Registry[LidarSpec] = Registry(
     "dsrc.sensors",
     {spec.name: spec for maker in (datasets, velodyne, hesai, ouster, robosense, livox) for spec in maker.SPECS},
-    _spec,
+    instance_of(LidarSpec),
 )
 """LiDAR presets by name, shipped and registered."""
 

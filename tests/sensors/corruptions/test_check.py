@@ -97,6 +97,6 @@ def test_weather_never_sees_farther(monkeypatch: pytest.MonkeyPatch) -> None:
         return replace(sweep, points=sweep.points * np.float32(1.1))
 
     fog = CORRUPTIONS["fog"]
-    monkeypatch.setitem(CORRUPTIONS, "fog", Corruption(fog.settings, farther, weather=True))
+    monkeypatch.setitem(CORRUPTIONS._values, "fog", Corruption(fog.settings, farther, weather=True))
     with pytest.raises(SettingsError, match="severity 1: expected no range beyond the clean one, found "):
         check_corruption("fog")

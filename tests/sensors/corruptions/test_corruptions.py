@@ -273,7 +273,7 @@ def settings_of(monkeypatch: pytest.MonkeyPatch, kind: str, index: int, seed: in
         return getattr(plain, name)(*given)
 
     with monkeypatch.context() as patch:
-        patch.setitem(CORRUPTIONS, kind, replace(plain, **{name: spy}))
+        patch.setitem(CORRUPTIONS._values, kind, replace(plain, **{name: spy}))
         corrupt_frame(frame(index), kind, 3, seed)
     return seen
 
@@ -308,7 +308,7 @@ def test_published_models_do_not_drift(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list = []
     plain = CORRUPTIONS["fog"]
     spy = replace(plain, paper_apply=lambda *given: seen.append(given[-2]) or plain.paper_apply(*given))  # type: ignore[misc,func-returns-value]
-    monkeypatch.setitem(CORRUPTIONS, "fog", spy)
+    monkeypatch.setitem(CORRUPTIONS._values, "fog", spy)
     for index in (0, 400):
         corrupt_frame(frame(index), "fog", 3, 4, "paper")
     assert seen == [made.severity(3)] * 6
