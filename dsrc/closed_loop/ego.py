@@ -1,0 +1,78 @@
+"""Ego of an episode: choice of the vehicle, and its state as it knows itself."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.closed_loop.types import EgoState
+from sim.boxes import CLASSES
+from sim.errors import TrafficError
+from sim.scenario import Scenario
+from sim.traffic.base import Actors, DrivableTraffic
+
+LOOK_AHEAD_M = 120.0
+"""Length of the known route ahead: the stopping distance from 40 m/s at 7.5 m/s2, m."""
+
+
+def choose_ego(traffic: DrivableTraffic, scenario: Scenario) -> int:
+    """Return the first vehicle that the scenario names, else the car or van with the longest way left inside its area.
+
+    Of cars and vans one that moves is taken, if there is one; a parked car goes nowhere.
+
+    Raises:
+        TrafficError: when there is none.
+    """
+    actors = traffic.actors
+    if scenario.agents.named:
+        return _named(actors, scenario)
+    fit = np.isin(actors.boxes.label, [CLASSES.index("car"), CLASSES.index("van")]) & ~actors.parked()
+    moving = np.linalg.norm(actors.velocity, axis=1) > 2.0
+    way_left = {
+        row: _way_left(traffic.route(int(actors.boxes.object_id[row]), 300.0), scenario) for row in np.flatnonzero(fit)
+    }
+    rows = [row for row, way in way_left.items() if way > 0.0]
+    if not rows:
+        raise TrafficError(f"{scenario.name}: expected a car or van inside the area after the warm-up, found none")
+    return int(actors.boxes.object_id[max(rows, key=lambda row: (moving[row], way_left[row]))])
+
+
+def ego_state(traffic: DrivableTraffic, ego_id: int, before: EgoState | None) -> EgoState:
+    """Return the ego's state now.
+
+    Args:
+        traffic: with the ego on the road.
+        ego_id: object id of the ego.
+        before: its state one step ago; None at the start.
+    """
+    actors = traffic.actors
+    row = actors.row(ego_id)
+    box, speed = actors.boxes[row : row + 1], traffic.speed(ego_id)
+    gained, driven = 0.0, 0.0
+    if before is not None:
+        gained = (speed - before.speed_mps) / traffic.step_s
+        driven = before.progress_m + float(np.linalg.norm(box.center[0, :2] - before.box.center[0, :2]))
+    return EgoState(
+        time_s=actors.time_s,
+        box=box,
+        speed_mps=speed,
+        acceleration_mps2=gained,
+        route=traffic.route(ego_id, LOOK_AHEAD_M),
+        limits=traffic.limits(ego_id),
+        lights=traffic.signals(ego_id),
+        progress_m=driven,
+    )
+
+
+def _named(actors: Actors, scenario: Scenario) -> int:
+    name = scenario.agents.named[0]
+    if name not in actors.name:
+        raise TrafficError(f"{scenario.name}: expected the ego '{name}' on the road at the start, found it nowhere")
+    return int(actors.boxes.object_id[actors.name.index(name)])
+
+
+def _way_left(path: NDArray[np.float64], scenario: Scenario) -> float:
+    """Return how much of a route lies inside the scenario's area before it first leaves it, m."""
+    if scenario.network.area_m is not None:
+        low, high = np.array(scenario.network.area_m).reshape(2, 2)
+        inside = ((path >= low) & (path <= high)).all(axis=1)
+        path = path[: len(path) if inside.all() else int(np.argmin(inside))]
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())

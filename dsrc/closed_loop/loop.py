@@ -1,0 +1,257 @@
+"""Closed loop of one ego: sense, detect, track, decide, act, move, judge.
+
+Perception and driver never see the ground truth of a step: the perception of a detector gets sweeps, the driver gets
+tracks. One seed gives one episode, bit for bit, in every process.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from dsrc.closed_loop.driving.planner import PlanningDriver
+from dsrc.closed_loop.ego import choose_ego, ego_state
+from dsrc.closed_loop.tracking.tracker import Tracker
+from dsrc.closed_loop.types import Decision, Driver, EgoState, Outcome, Percept, Perception, Tick
+from sensors.recording.encounter_check import with_proven_encounter
+from sim.catalog.load import load_scenario
+from sim.contact import Contact, first_contact
+from sim.errors import TrafficError
+from sim.scenario import Scenario
+from sim.traffic.base import Actors, DrivableTraffic
+from sim.traffic.open import open_traffic
+
+_STILL_MPS = 0.1
+_AT_LIGHT_M = 40.0
+"""Distance to a red light within which standing is waiting, m."""
+_LOST_S = 1.0
+"""Difference of arrival at the conflict from which on an encounter is lost, s."""
+
+
+class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of the closed loop.
+
+    Attributes:
+        duration_s: longest episode, s.
+        detect_every_s: interval of detections, s, a multiple of the traffic's step; tracks are predicted between.
+        latency_s: time from a measurement to its percept, s.
+        stuck_s: time of standing without a red light after which an episode ends, s; it must have moved before.
+        perception_limit_s: longest computation of one percept, s of wall time.
+    """
+
+    duration_s: float = 20.0
+    detect_every_s: float = 0.1
+    latency_s: float = 0.0
+    stuck_s: float = 8.0
+    perception_limit_s: float = 60.0
+
+
+class ClosedLoop:
+    """Episodes of one ego with a perception and a driver.
+
+    Attributes:
+        scenario: of the current episode, with its proven encounter.
+        ticks: everything of the current episode, step by step.
+        outcome: how it ended; None while it runs.
+        message: explanation of a failed perception.
+        seconds: wall time by stage of the current episode, s.
+
+    Args:
+        scenario: name, path or struct.
+        perception: what the ego perceives.
+        driver: decides where `advance` is not given an acceleration; default: `PlanningDriver`.
+        settings: intervals and limits of time.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Scenario,
+        perception: Perception,
+        driver: Driver | None = None,
+        settings: LoopSettings | None = None,
+    ) -> None:
+        self.base = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        self.scenario = self.base
+        self.perception = perception
+        self.driver = driver or PlanningDriver()
+        self.settings = settings or LoopSettings()
+        self.ticks: list[Tick] = []
+        self.outcome: Outcome | None = None
+        self.message = ""
+        self.seconds: dict[str, float] = {}
+        self._traffic: DrivableTraffic | None = None
+
+    @property
+    def traffic(self) -> DrivableTraffic:
+        """The running traffic; TrafficError without one."""
+        if self._traffic is None:
+            raise TrafficError("expected a closed loop that was started, found one without running traffic")
+        return self._traffic
+
+    @property
+    def tick(self) -> Tick:
+        """The present step."""
+        return self.ticks[-1]
+
+    def start(self, seed: int) -> Tick:
+        """Begin the episode of a seed: open its traffic, choose the ego and perceive for the first time.
+
+        Raises:
+            ScenarioError: network, demand or encounter is invalid.
+            TrafficError: another simulation runs in this process, or no vehicle can be the ego.
+        """
+        self.close()
+        self.scenario = with_proven_encounter(self.base, seed)
+        self._traffic = traffic = open_traffic(self.scenario, seed)
+        self.ego_id = choose_ego(traffic, self.scenario)
+        self.ticks, self.outcome, self.message, self.seconds = [], None, "", {}
+        self._tracker, self._waiting, self._stood_s, self._moved = Tracker(), deque[Percept](), 0.0, False
+        self._detect_every = max(1, round(self.settings.detect_every_s / traffic.step_s))
+        self.driver.reset()
+        with self._timed("reset"):
+            self.perception.reset(self.scenario, self.ego_id, seed)
+        before = traffic.actors
+        speed = traffic.speed(self.ego_id)
+        traffic.command(self.ego_id, speed)
+        traffic.step()
+        self.start_s = traffic.actors.time_s
+        self._observe(before, ego_state(traffic, self.ego_id, None), None)
+        return self.tick
+
+    def advance(self, acceleration_mps2: float | None = None) -> Tick:
+        """Act for one traffic step, then move, judge, perceive, track and decide.
+
+        Args:
+            acceleration_mps2: in place of the driver's decision, m/s2; the vehicle's limits bound it.
+
+        Raises:
+            ValueError: the acceleration is not finite.
+            TrafficError: the episode has not begun or has ended.
+        """
+        if self.outcome is not None:
+            raise TrafficError(f"expected a running episode, found one that ended: {self.outcome.value}")
+        traffic, last = self.traffic, self.tick
+        if acceleration_mps2 is not None:
+            if not math.isfinite(acceleration_mps2):
+                raise ValueError(f"acceleration_mps2 must be finite, got {acceleration_mps2}")
+            self.ticks[-1] = last = replace(last, decision=Decision(acceleration_mps2))
+        limits = last.ego.limits
+        wanted = min(max(last.decision.acceleration_mps2, -limits.deceleration_mps2), limits.acceleration_mps2)
+        before = traffic.actors
+        with self._timed("move"):
+            traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + wanted * traffic.step_s))
+            now = traffic.step()
+        if self.ego_id not in now.boxes.object_id:
+            self.ticks.append(Tick(now, last.ego, None, last.tracks, Decision(0.0)))
+            self.outcome = self._checked(Outcome.ARRIVED)
+            return self.tick
+        with self._timed("judge"):
+            contact = first_contact(before, now, self.ego_id)
+        self._observe(before, ego_state(traffic, self.ego_id, last.ego), contact)
+        self.outcome = self.outcome or self._judge()
+        return self.tick
+
+    def run(self, seed: int) -> Outcome:
+        """Drive a whole episode by the driver's decisions and return its outcome."""
+        self.start(seed)
+        try:
+            while self.outcome is None:
+                self.advance()
+        finally:
+            self.close()
+        assert self.outcome is not None
+        return self.outcome
+
+    def close(self) -> None:
+        """End the traffic; ticks and outcome stay."""
+        if self._traffic is not None:
+            self._traffic.close()
+            self._traffic = None
+
+    def _observe(self, before: Actors, ego: EgoState, contact: Contact | None) -> None:
+        """Perceive, track and decide; append the step."""
+        traffic, now = self.traffic, self.traffic.actors
+        claims = traffic.claims()
+        with self._timed("perceive"):
+            percept = self._perceive(before, now, claims)
+        with self._timed("track"):
+            tracks = self._tracker.update(percept, now.time_s)
+        with self._timed("decide"):
+            decision = self.driver.decide(ego, tracks) if contact is None else Decision(0.0)
+        self.ticks.append(Tick(now, ego, percept, tracks, decision, claims, contact))
+
+    def _perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept | None:
+        """Return the percept that arrives now: of this instant, or of an earlier one with a latency."""
+        if len(self.ticks) % self._detect_every == 0:
+            began = time.perf_counter()
+            try:
+                percept = checked_percept(self.perception.perceive(before, now, claims))
+            except Exception as error:  # a perception of one's own may raise anything, and the campaign goes on
+                self._fail(f"{type(error).__name__}: {' '.join(str(error).split())}")
+                return None
+            if (took_s := time.perf_counter() - began) > self.settings.perception_limit_s:
+                self._fail(f"took {took_s:.0f} s, limit {self.settings.perception_limit_s:g} s")
+                return None
+            self._waiting.append(percept)
+        arrived = None
+        while self._waiting and now.time_s - self._waiting[0].time_s >= self.settings.latency_s - 1e-6:
+            arrived = self._waiting.popleft()
+        return arrived
+
+    def _fail(self, message: str) -> None:
+        self.outcome, self.message = Outcome.PERCEPTION_FAILED, message
+
+    def _judge(self) -> Outcome | None:
+        """Return how the episode ends with the present step; None while it runs."""
+        tick, traffic = self.tick, self.traffic
+        if tick.contact is not None:
+            return Outcome.CRASHED
+        goal_m = traffic.goal_m(self.ego_id)
+        if goal_m is not None and goal_m <= 0.0:
+            return self._checked(Outcome.ARRIVED)
+        still = tick.ego.speed_mps < _STILL_MPS
+        self._moved |= not still
+        lights = tick.ego.lights
+        held = bool(lights) and lights[0].state != "green" and lights[0].distance_m < _AT_LIGHT_M
+        self._stood_s = self._stood_s + traffic.step_s if still and self._moved and not held else 0.0
+        if self._stood_s >= self.settings.stuck_s - 1e-6:
+            return Outcome.STUCK
+        if tick.actors.time_s - self.start_s >= self.settings.duration_s - 1e-6:
+            return self._checked(Outcome.TIMEOUT)
+        return None
+
+    def _checked(self, outcome: Outcome) -> Outcome:
+        """Return the outcome, or that the ego never met its encounter."""
+        gap_s = self.traffic.encounter_gap_s(self.ego_id)
+        return Outcome.DESYNCHRONISED if gap_s is not None and abs(gap_s) > _LOST_S else outcome
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        began = time.perf_counter()
+        yield
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - began
+
+
+def checked_percept(percept: Percept) -> Percept:
+    """Return a percept whose values are valid.
+
+    Raises:
+        ValueError: it is no `Percept`, a value is not finite, a size is not positive, or the lengths differ.
+    """
+    if not isinstance(percept, Percept):
+        raise ValueError(f"expected a Percept, found {type(percept).__name__}")
+    boxes, n = percept.boxes, len(percept.boxes)
+    if not (np.isfinite(boxes.array).all() and np.isfinite(percept.time_s)):
+        raise ValueError("expected finite boxes, found NaN or infinity")
+    if (boxes.size <= 0.0).any():
+        raise ValueError("expected boxes with sizes > 0, found one without")
+    if percept.score.shape != (n,) or not (np.isfinite(percept.score).all()):
+        raise ValueError(f"expected {n} finite scores, found {percept.score.shape}")
+    if percept.velocity.shape != (n, 2):
+        raise ValueError(f"expected velocities of shape {(n, 2)}, found {percept.velocity.shape}")
+    return percept
