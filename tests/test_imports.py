@@ -31,10 +31,9 @@ DOORS = {
     "libsumo": ("sim/traffic/sumo/traffic.py",),
     "embreex": ("sensors/raycast/",),
     "numba": (
-        "sensors/raycast/",
-        "dsrc/data/points_in_boxes_kernel.py",
+        "sensors/compiled.py",
+        "sensors/raycast/fused/",
         "dsrc/data/formats/",
-        "dsrc/ops/",
     ),
     "highway_env": ("sim/traffic/highway/",),
 }

@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from dsrc.ops.compiled import LOOP, PART
+from sensors.compiled import compiled
 
 CELL_M, CELLS = 2.0, 128
 """Side of a cell, m, and cells along each axis before they repeat."""
@@ -13,13 +12,13 @@ GROWN_M = 1e-3
 """Growth of the boxes before they are listed: more than any rounding."""
 
 
-@njit(**PART)
+@compiled(forceinline=True)
 def _cell(place: Any) -> Any:
     """Return the number of the cell of a coordinate; cells a period apart share it."""
     return np.int64(np.floor(place / CELL_M)) & (CELLS - 1)
 
 
-@njit(**LOOP)
+@compiled()
 def pairs_inside(
     points: Any,
     matrix: Any,

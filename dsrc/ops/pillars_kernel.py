@@ -3,12 +3,11 @@
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from dsrc.ops.compiled import LOOP
+from sensors.compiled import compiled
 
 
-@njit(**LOOP)
+@compiled()
 def sort_voxels(points: Any, low: Any, size: Any, shape: Any, max_points: Any, max_voxels: Any) -> Any:
     """Sort points into voxels in first-come order; see `dsrc.ops.pillars.voxelise`.
 
@@ -57,7 +56,7 @@ def sort_voxels(points: Any, low: Any, size: Any, shape: Any, max_points: Any, m
     return order, cells[:opened], count[:opened]
 
 
-@njit(**LOOP)
+@compiled()
 def sum_cells(points: Any, low: Any, size: Any, shape: Any) -> Any:
     """Sum the points of each cell; points beyond the range count in its outermost cells.
 

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
-from dsrc.ops.compiled import LOOP, PART
+from sensors.compiled import compiled
 
 DIGITS = 19
 """Most digits that always fit into 64 bits."""
@@ -56,14 +56,14 @@ _head: Any = intrinsic(_typed_head)
 _upper: Any = intrinsic(_typed_upper)
 
 
-@njit(**PART)
+@compiled(forceinline=True)
 def _is_space(word: Any) -> Any:
     """Return whether the first byte of a word is white space."""
     byte = word & _u(0xFF)
     return byte == _u(32) or (byte >= _u(9) and byte <= _u(13))
 
 
-@njit(**PART)
+@compiled(forceinline=True)
 def _digits(word: Any, mantissa: Any) -> Any:
     """Return the number of leading digits among a word's eight bytes, and the mantissa with them appended."""
     word ^= _u(0x3030303030303030)
@@ -80,7 +80,7 @@ def _digits(word: Any, mantissa: Any) -> Any:
     return count, mantissa * _TENS[count] + (value >> _u(32))
 
 
-@njit(**PART)
+@compiled(forceinline=True)
 def _rounded(mantissa: Any, exponent: Any, high: Any, low: Any) -> Any:
     """Return the bits of the float64 next to mantissa x 10^exponent; 0 where 128 bits leave it open.
 
@@ -111,7 +111,7 @@ def _rounded(mantissa: Any, exponent: Any, high: Any, low: Any) -> Any:
     return (power << _u(52)) | (bits & _u(2**52 - 1))
 
 
-@njit(**LOOP)
+@compiled()
 def scan(words: Any, end: Any, place: Any, values: Any, bits: Any, done: Any, tens: Any, high: Any, low: Any) -> Any:
     """Read numbers of a text.
 

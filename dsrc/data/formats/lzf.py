@@ -35,11 +35,9 @@ def decompress(data: bytes, size: int) -> bytes:
 @lru_cache(maxsize=1)
 def _compiled() -> Callable[[NDArray[np.uint8], NDArray[np.uint8]], int]:
     """Return the loop compiled, a hundred times as fast."""
-    from numba import njit  # takes half a second, and most files are not compressed
+    from sensors.compiled import compiled  # takes half a second, and most files are not compressed
 
-    from dsrc.ops.compiled import LOOP
-
-    return njit(**LOOP)(_decompress)
+    return compiled()(_decompress)
 
 
 def _decompress(data: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:

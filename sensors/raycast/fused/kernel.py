@@ -6,41 +6,28 @@ through the moving bodies, then with its shortened reach through the static worl
 Shapes: R rings, B blocks of 16 columns, S sub-rays, N bodies, T instants of their motion, M materials.
 """
 
-import logging
 from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from sensors.compiled import compiled
 from sensors.optics.beams import BLOCK
 from sensors.optics.noise import ACROSS, LOST_AFTER, LOST_BEFORE, RANGE, SECOND_RANGE, UP
 from sensors.optics.reflectance import COSINE_BINS, RANGE_BINS
 from sensors.raycast.fused.embree import ANY_RAY, FORMAT_FLOAT3X4_ROW_MAJOR, INVALID, RAY_ROWS
 from sensors.sweep import STATIC
 
-log = logging.getLogger(__name__)
-
-
-def _is_cached() -> bool:
-    """Return whether numba has a writable cache folder: beside this file, or the user's own."""
-    try:
-        njit(cache=True)(_is_cached)
-    except RuntimeError:
-        log.warning("no folder to keep the compiled LiDAR in: each process compiles it anew; NUMBA_CACHE_DIR names one")
-        return False
-    return True
-
-
 _FAST = {"contract", "nsz", "reassoc", "arcp"}
-_OPTIONS: dict[str, Any] = {"nogil": True, "cache": _is_cached(), "error_model": "numpy", "fastmath": _FAST}
-_PART: dict[str, Any] = {**_OPTIONS, "forceinline": True}
-"""Options of the parts of a loop: passing dozens of arrays by value would cost more than the work itself."""
-_WORD: dict[str, Any] = {**_OPTIONS, "inline": "always"}
-"""Options of expressions: separate compilation for each mixture of integers would take longer than all else."""
+_loop = compiled(fastmath=_FAST)
+_part = compiled(fastmath=_FAST, forceinline=True)
+"""For the parts of a loop: passing dozens of arrays by value would cost more than the work itself."""
+_word = compiled(fastmath=_FAST, inline="always")
+"""For expressions: separate compilation for each mixture of integers would take longer than all else."""
 
 _DIRECTION, _TIME, _REACH, _MASK = 4, 7, 8, 9
 _NORMAL, _PRIMITIVE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
@@ -305,7 +292,7 @@ def _typed_squeeze(typing_context: Any, bits: Any, source: Any, target: Any, siz
 squeeze: Any = intrinsic(prefer_literal=True)(_typed_squeeze)
 
 
-@njit(**_WORD)
+@_word
 def _look_up(table: Any, place: Any) -> Any:
     """Return the value of a range table at a place in [0, 1], the last value beyond."""
     at = min(place, np.float32(1.0)) * np.float32(RANGE_BINS)
@@ -314,19 +301,19 @@ def _look_up(table: Any, place: Any) -> Any:
     return value + (at - np.float32(low)) * (table[low + np.uint32(1)] - value)
 
 
-@njit(**_WORD)
+@_word
 def _at(start: Any, row: Any, lane: Any) -> Any:
     """Return the place of a lane of a row; unsigned, because numba tests signed indices for negative ones."""
     return np.uint64(start) + np.uint64(row) * np.uint64(BLOCK) + np.uint64(lane)
 
 
-@njit(**_WORD)
+@_word
 def _in_packet(width: Any, part: Any, row: Any, lane: Any) -> Any:
     """Return the place of a lane of a row of a packet."""
     return (np.uint64(part) * np.uint64(RAY_ROWS) + np.uint64(row)) * np.uint64(width) + np.uint64(lane)
 
 
-@njit(**_PART)
+@_part
 def _aim(tables: Any, scratch: Any, ring: Any, block: Any, subray: Any) -> None:
     """Point the rays of a block in the sensor frame, jitter included."""
     room = scratch.room
@@ -350,7 +337,7 @@ def _aim(tables: Any, scratch: Any, ring: Any, block: Any, subray: Any) -> None:
             room[_at(_AIM, 2, lane)] = (z + e * level * level) * unit
 
 
-@njit(**_PART)
+@_part
 def _load(tables: Any, scratch: Any, ring: Any, block: Any, moving: Any) -> None:
     """Fill the packets with the aimed rays, from the sensor's place at each firing."""
     width = len(scratch.lanes)
@@ -392,7 +379,7 @@ def _load(tables: Any, scratch: Any, ring: Any, block: Any, moving: Any) -> None
                 room[_in_packet(width, part, _TIME, lane)] = min(max(time, np.float32(0.0)), np.float32(1.0))
 
 
-@njit(**_PART)
+@_part
 def _trace(world: Any, scratch: Any, moving: Any) -> None:
     """Trace the packets: the bodies first, which shortens the rays for the static world."""
     width = len(scratch.lanes)
@@ -403,7 +390,7 @@ def _trace(world: Any, scratch: Any, moving: Any) -> None:
         call(world.intersect, (scratch.valid_address, world.static, packet, world.arguments))
 
 
-@njit(**_PART)
+@_part
 def _turn_of(world: Any, slot: Any, time: Any, axis: Any) -> Any:
     """Return one axis of a body in the static solid's frame at a time of the span."""
     pose = world.body_pose
@@ -418,7 +405,7 @@ def _turn_of(world: Any, slot: Any, time: Any, axis: Any) -> Any:
     )
 
 
-@njit(**_PART)
+@_part
 def _read(world: Any, tables: Any, scratch: Any, subray: Any) -> Any:
     """Read the hits of the packets; return the number of rays that hit."""
     width = len(scratch.lanes)
@@ -487,7 +474,7 @@ def _read(world: Any, tables: Any, scratch: Any, subray: Any) -> Any:
     return hits
 
 
-@njit(**_PART)
+@_part
 def _detect(tables: Any, scratch: Any) -> None:
     """Make the one ray of each beam its echo, if it is strong enough."""
     room = scratch.room
@@ -497,7 +484,7 @@ def _detect(tables: Any, scratch: Any) -> None:
             room[_at(_DISTANCE, 0, lane)] = np.float32(np.inf)
 
 
-@njit(**_OPTIONS)
+@_loop
 def _merge(tables: Any, scratch: Any, subrays: int, order: Any, margins: Any, found: Any) -> None:
     """Merge the sub-rays of each beam into echoes and choose those that are reported.
 
@@ -580,7 +567,7 @@ def _merge(tables: Any, scratch: Any, subrays: int, order: Any, margins: Any, fo
         number[_at(_OBJECT, 1, lane)], scratch.material[1, lane], room[_at(_COSINE, 1, lane)] = other
 
 
-@njit(**_PART)
+@_part
 def _locate(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any, noise: Any) -> None:
     """Measure the echoes of a block and place their points in the frame of the sweep."""
     room = scratch.room
@@ -618,7 +605,7 @@ def _locate(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any, noise: 
     interleave(places, places + 4 * BLOCK, places + 8 * BLOCK, scratch.address + 4 * (_POINT + 3 * BLOCK * echo))
 
 
-@njit(**_PART)
+@_part
 def _keep_returns(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any) -> None:
     """Compute the intensity of the echoes of a block and which returns are kept."""
     room = scratch.room
@@ -652,7 +639,7 @@ def _keep_returns(tables: Any, scratch: Any, ring: Any, block: Any, echo: Any) -
         room[_at(_KEEP, echo, lane)] = np.float32(0.0)
 
 
-@njit(**_PART)
+@_part
 def _pack(scratch: Any, columns: Any, row: Any, block: Any) -> Any:
     """Write the kept returns of a block of beams with one return each; return the next free row."""
     first = np.int32(block * BLOCK)
@@ -675,7 +662,7 @@ def _pack(scratch: Any, columns: Any, row: Any, block: Any) -> Any:
     return row + np.uint64(count(bits))
 
 
-@njit(**_OPTIONS)
+@_loop
 def _pack_pairs(scratch: Any, columns: Any, row: Any, block: int) -> Any:
     """Write the kept returns of a block of beams with up to two returns each; return the next free row."""
     room = scratch.room
@@ -694,7 +681,7 @@ def _pack_pairs(scratch: Any, columns: Any, row: Any, block: int) -> Any:
     return row
 
 
-@njit(**_OPTIONS)
+@_loop
 def sweep_rings(
     tables: Any, world: Any, visible: Any, scratch: Any, columns: Any, start: int, first: int, last: int
 ) -> int:
@@ -788,7 +775,7 @@ class BodyPaths(NamedTuple):
     size: NDArray[np.float64]
 
 
-@njit(**_PART)
+@_part
 def _segments(motion: Any, slot: Any, most: Any) -> Any:
     """Return the number of straight segments of a body's motion, a power of two.
 
@@ -817,7 +804,7 @@ def _segments(motion: Any, slot: Any, most: Any) -> Any:
     return segments
 
 
-@njit(**_OPTIONS)
+@_loop
 def place_bodies(
     calls: Any, scene: int, geometry: Any, shown: Any, hidden: Any, object_id: Any, motion: Any, steps: Any, pose: Any
 ) -> None:
@@ -867,7 +854,7 @@ def place_bodies(
     call(calls.commit_scene, (scene,))
 
 
-@njit(**_OPTIONS)
+@_loop
 def see_bodies(
     visible: Any, azimuth: Any, elevation: Any, spread: float, moments: Any, instants: Any, unseen: int, world: Any
 ) -> None:
@@ -939,12 +926,12 @@ def see_bodies(
                     visible[ring, block] = True
 
 
-@njit(**_OPTIONS)
+@_loop
 def _wrap(angle: float) -> float:
     return angle - 2.0 * np.pi * np.floor(angle / (2.0 * np.pi) + 0.5)
 
 
-@njit(**_OPTIONS)
+@_loop
 def _in_sensor(a: Any, b: Any, f: float, sensor: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return a point of a body in the frame of a sensor; the body's pose runs from `a` to `b`."""
     wx = (a[0, 0] + f * (b[0, 0] - a[0, 0])) * x + (a[0, 1] + f * (b[0, 1] - a[0, 1])) * y
@@ -960,7 +947,7 @@ def _in_sensor(a: Any, b: Any, f: float, sensor: Any, x: float, y: float, z: flo
     )
 
 
-@njit(**_OPTIONS)
+@_loop
 def close_gap(columns: Any, row: int, start: int, end: int) -> None:
     """Move the rows from `start` to `end` (exclusive) down to `row`."""
     shift = start - row
@@ -977,7 +964,7 @@ def close_gap(columns: Any, row: int, start: int, end: int) -> None:
         columns.cosine[new] = columns.cosine[old]
 
 
-@njit(**_OPTIONS)
+@_loop
 def cast_rays(
     world: Any,
     scratch: Any,

@@ -1,0 +1,38 @@
+"""Compiled loops: numba, whose results are cached on disk where a folder can be written."""
+
+import hashlib
+import inspect
+import logging
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+log = logging.getLogger(__name__)
+
+
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles a loop; options are those of `numba.njit` beyond ours.
+
+    The files of the cache are named after the hash of the source. numba compares sources only after it has read the
+    index, which names the types of the arguments: a renamed type made an old index unreadable, an error for good.
+    """
+    options = {"nogil": True, "error_model": "numpy", **options}
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        source = Path(inspect.getfile(function)).read_bytes()
+        function.__qualname__ += f"_{hashlib.sha256(source).hexdigest()[:8]}"
+        try:
+            return njit(cache=True, **options)(function)
+        except RuntimeError:  # no such folder
+            _warn()
+            return njit(**options)(function)
+
+    return decorate
+
+
+@cache
+def _warn() -> None:
+    log.warning("no folder to keep compiled loops in: each process compiles them anew; NUMBA_CACHE_DIR names one")
