@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
+from dsrc.data.code_hash import code_hash, package_versions
 from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import SERIAL, Pool, Progress
@@ -23,7 +24,6 @@ from dsrc.evaluation.cache import (
     read_cell,
 )
 from dsrc.evaluation.cells import CellJob, WorkUnit, load_adjusted, make_cells
-from dsrc.evaluation.code_hash import code_hash, package_versions
 from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of
 from dsrc.evaluation.detect import Condition, MethodResult, frame_positions, join_results, warn_of_slow_drives
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
@@ -231,8 +231,8 @@ class _CellPlanner:
                     agents=agents,
                     device=self.device,
                     engine=self.engine,
-                    versions=package_versions(),
-                    code=code_hash(),
+                    versions=package_versions(make_cells.__module__),
+                    code=code_hash(make_cells.__module__),
                     condition=condition,
                     channel=listed,
                 )

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.evaluation.code_hash import code_files, code_hash, package_versions
+from dsrc.data.code_hash import code_files, code_hash, package_versions
 from tests.paths import ROOT
+
+CELLS = "dsrc.evaluation.cells"
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +25,7 @@ def edited(tree: Path, name: str) -> str:
     before = path.read_bytes()
     path.write_bytes(before + b"\n# a line more\n")
     try:
-        return code_hash.__wrapped__(tree)
+        return code_hash.__wrapped__(CELLS, tree)
     finally:
         path.write_bytes(before)
 
@@ -60,11 +62,11 @@ OTHER = (
 
 
 def test_an_edit_of_what_decides_a_number_changes_the_hash_and_no_other_does(tree):
-    whole = code_hash.__wrapped__(tree)
-    assert whole == code_hash.__wrapped__(ROOT)
+    whole = code_hash.__wrapped__(CELLS, tree)
+    assert whole == code_hash.__wrapped__(CELLS, ROOT)
     assert len({edited(tree, name) for name in FAR} | {whole}) == len(FAR) + 1
     assert {edited(tree, name) for name in OTHER} == {whole}
-    assert code_hash.__wrapped__(tree) == whole
+    assert code_hash.__wrapped__(CELLS, tree) == whole
 
 
 def test_imports_inside_functions_count_and_those_of_type_checkers_do_not(tmp_path):
@@ -84,15 +86,15 @@ def test_imports_inside_functions_count_and_those_of_type_checkers_do_not(tmp_pa
     for name, text in sources.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-    found = {path.relative_to(tmp_path).as_posix() for path in code_files(tmp_path)}
+    found = {path.relative_to(tmp_path).as_posix() for path in code_files(CELLS, tmp_path)}
     wanted = {"cells", "ops/__init__", "ops/far", "ops/named", "ops/tables/a", "near"}
     names = {
         name for name in sources if name.rpartition(".")[0].partition("/")[2].removeprefix("evaluation/") in wanted
     }
     assert found == names and len(names) == len(wanted)
-    assert set(package_versions.__wrapped__(tmp_path)) == {"numpy"}
+    assert set(package_versions.__wrapped__(CELLS, tmp_path)) == {"numpy"}
 
 
 def test_versions_of_packages_that_compute_are_listed():
-    assert {"numpy", "torch", "numba", "scipy", "powerboxes"} <= set(package_versions())
-    assert not {"rich", "tyro", "matplotlib", "viser"} & set(package_versions())
+    assert {"numpy", "torch", "numba", "scipy", "powerboxes"} <= set(package_versions(CELLS))
+    assert not {"rich", "tyro", "matplotlib", "viser"} & set(package_versions(CELLS))

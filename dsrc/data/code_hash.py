@@ -1,4 +1,4 @@
-"""Hash of the code that decides a cell: its modules, all that they import at any depth, and the data beside these.
+"""Hash of the code that decides a result: a module, all that it imports at any depth, and the data beside these.
 
 Imports are read from the source, also those inside functions: nothing is imported, nothing is listed by hand.
 """
@@ -14,25 +14,23 @@ from pathlib import Path
 from sim.files import file_sha256
 
 _REPOSITORY = Path(__file__).resolve().parents[2]
-ENTRY = "dsrc.evaluation.cells"
-"""Module whose functions compute a cell."""
 _EXTENSIONS = ("dsrc.corruptions", "dsrc.fusions", "dsrc.sensors")
-"""Entry point groups of packages whose code a cell can call."""
+"""Entry point groups of packages whose code ours can call."""
 
 
 @cache
-def code_hash(root: Path = _REPOSITORY) -> str:
-    """SHA-256 of `code_files`, their paths included, in a tree."""
+def code_hash(entry: str, root: Path = _REPOSITORY) -> str:
+    """SHA-256 of the `code_files` of a module, their paths included, in a tree."""
     total = hashlib.sha256()
-    for path in code_files(root):
+    for path in code_files(entry, root):
         total.update(f"{path.relative_to(root).as_posix()} {file_sha256(path)}\n".encode())
     return total.hexdigest()
 
 
 @cache
-def package_versions(root: Path = _REPOSITORY) -> dict[str, str]:
+def package_versions(entry: str, root: Path = _REPOSITORY) -> dict[str, str]:
     """Versions by distribution of other packages that `code_files` import, and of those with extensions."""
-    found, known = imported_modules(root), packages_distributions()
+    found, known = imported_modules(entry, root), packages_distributions()
     imported = {name.partition(".")[0] for name in _all_imports(found)} - set(sys.stdlib_module_names)
     others = {name for name in imported if not (root / name).is_dir()}
     names = {distribution for name in others for distribution in known.get(name, ())}
@@ -40,23 +38,23 @@ def package_versions(root: Path = _REPOSITORY) -> dict[str, str]:
     return {name: version(name) for name in sorted(names)}
 
 
-def code_files(root: Path = _REPOSITORY) -> list[Path]:
+def code_files(entry: str, root: Path = _REPOSITORY) -> list[Path]:
     """Sources of `imported_modules` and their data, sorted.
 
     Data are files in the folders of these modules, and below in folders without modules: tables of LiDAR presets.
     """
-    sources = set(imported_modules(root).values())
+    sources = set(imported_modules(entry, root).values())
     return sorted(sources | {path for folder in {path.parent for path in sources} for path in _data(folder)})
 
 
-def imported_modules(root: Path, entry: str = ENTRY) -> dict[str, Path]:
+def imported_modules(entry: str, root: Path) -> dict[str, Path]:
     """Files by name of a module and of all modules that it imports at any depth.
 
     The `__init__` of a package counts too, but for those of the outermost packages, which no module inside imports.
 
     Args:
-        root: folder of the packages; modules elsewhere are left out.
         entry: name of the module.
+        root: folder of the packages; modules elsewhere are left out.
     """
     found: dict[str, Path] = {}
     waiting = [entry]
