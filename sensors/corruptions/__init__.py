@@ -6,7 +6,15 @@ compare with its tables. Not every kind has a published model. A corruption draw
 wherever possible.
 """
 
-from sensors.corruptions.apply import corrupt, corrupt_frame, corruption_rng, drive_seed
+from sensors.corruptions.apply import (
+    EVERYONE,
+    Who,
+    corrupt,
+    corrupt_frame,
+    corruption_rng,
+    drive_seed,
+    require_who,
+)
 from sensors.corruptions.check import check_corruption
 from sensors.corruptions.physics.levels import DEFAULT_SEVERITY, SEVERITIES
 from sensors.corruptions.registry import (
@@ -26,11 +34,13 @@ __all__ = [
     "CLEAN",
     "CORRUPTIONS",
     "DEFAULT_SEVERITY",
+    "EVERYONE",
     "FAMILIES",
     "PAPER_SIX",
     "SEVERITIES",
     "Corruption",
     "Family",
+    "Who",
     "check_corruption",
     "corrupt",
     "corrupt_frame",
@@ -40,4 +50,5 @@ __all__ = [
     "register_corruption",
     "require_corruption",
     "require_family",
+    "require_who",
 ]

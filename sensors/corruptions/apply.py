@@ -1,12 +1,12 @@
-"""Corruption of sweeps and frames by kind, severity and family.
+"""Corruption of sweeps and frames by kind, severity and family, of all agents or of some (`Who`).
 
 Weather is shared: all agents of a frame are in the same fog, whose strength drifts slowly over a drive (`weather`).
-Faults are each sensor's own. Random streams are those of `sim.streams`. Published models have no time: they draw anew
-for every frame.
+Faults are each sensor's own. An agent's sweep under a corruption is the same whoever else is corrupted. Random streams
+are those of `sim.streams`. Published models have no time: they draw anew for every frame.
 """
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,12 @@ from sensors.frame import AgentFrame, Frame
 from sensors.sweep import ADDED, Sweep
 from sim.errors import DataError, SettingsError, complaint
 from sim.streams import Stream, derived_seed, random_generator
+
+EVERYONE: Literal["all"] = "all"
+
+Who = Literal["all", "ego", "helpers"] | tuple[int, ...]
+"""Agents whose sweeps are corrupted: all, the ego alone, all but the ego, or those of some ids. Weather is everywhere
+by nature: weather at some agents alone is a counterfactual, what it does to these sensors and to nothing else."""
 
 
 def corrupt(sweep: Sweep, kind: str, severity: int, rng: np.random.Generator, family: Family = "physical") -> Sweep:
@@ -51,8 +57,9 @@ def corrupt_frame(
     family: Family = "physical",
     *,
     ego_id: int | None = None,
+    who: Who = EVERYONE,
 ) -> Frame:
-    """Corrupt the sweeps of all agents of a frame; ground truth and its point counts stay.
+    """Corrupt the sweeps of the agents of a frame; ground truth and its point counts stay.
 
     Args:
         frame: as recorded.
@@ -60,14 +67,17 @@ def corrupt_frame(
         severity: 1 to 5.
         seed: of the drive; frames may be corrupted in any order.
         family: of the settings.
-        ego_id: agent without errors of pose and clock; None for the first vehicle in the order of the folders, else
-            the first agent. Other kinds ignore it.
+        ego_id: agent without errors of pose and clock, and the ego of `who`; None for the first vehicle in the order
+            of the folders, else the first agent.
+        who: agents whose sweeps are corrupted.
 
     Raises:
-        SettingsError: an unknown kind, severity or family.
-        DataError: a sweep lacks what the corruption needs, or has invalid points; the message names the agent.
+        SettingsError: an unknown kind, severity or family, or `who` names nobody that the kind can corrupt.
+        DataError: an id of `who` is no agent, or a sweep lacks what the corruption needs or has invalid points; the
+            message names the agent.
     """
     require_corruption(kind, severity, family)
+    require_who(kind, who)
     if kind == CLEAN:
         return frame
     corruption = CORRUPTIONS[kind]
@@ -75,10 +85,11 @@ def corrupt_frame(
     if corruption.weather and family == "physical":
         settings = settings.scaled(strength(seed, kind, frame.time_s))
     shared = corruption.weather and corruption.in_frame is not None and family == "physical"
-    spared = _ego_row(frame.agents, ego_id) if corruption.spares_ego else -1
+    ego = _ego_row(frame.agents, ego_id)
+    chosen = _rows(frame, who, ego) - ({ego} if corruption.spares_ego else set())
     sweeps = []
     for row, agent in enumerate(frame.agents):
-        if row == spared:
+        if row not in chosen:
             sweeps.append(agent.sweep)
             continue
         own = corruption_rng(seed, kind, frame.index, agent.agent_id, family)
@@ -89,6 +100,26 @@ def corrupt_frame(
         except DataError as error:
             raise DataError(f"frame {frame.index}: agent {agent.agent_id}: {error}") from None
     return frame.with_sweeps(sweeps)
+
+
+def require_who(kind: str, who: Who) -> None:
+    """Raise SettingsError unless `who` is `all`, `ego`, `helpers` or ids, and the kind can corrupt it."""
+    where = f"corruption '{kind}'"
+    if who not in ("all", "ego", "helpers") and (isinstance(who, str) or len(who) == 0):
+        raise SettingsError(complaint(where, "who", "all, ego, helpers or ids of agents", who))
+    if who == "ego" and kind != CLEAN and CORRUPTIONS[kind].spares_ego:
+        raise SettingsError(complaint(where, "who", "helpers, as it is an error relative to the ego", who))
+
+
+def _rows(frame: Frame, who: Who, ego: int) -> set[int]:
+    """Return the rows of the agents whose sweeps are corrupted."""
+    ids = [agent.agent_id for agent in frame.agents]
+    if isinstance(who, str):
+        return {row for row in range(len(ids)) if who == "all" or (row == ego) == (who == "ego")}
+    for one in who:
+        if one not in ids:
+            raise DataError(complaint(f"frame {frame.index}", "who", f"ids among the agents {ids}", one))
+    return {ids.index(one) for one in who}
 
 
 def corruption_rng(seed: int, kind: str, index: int, agent_id: int, family: Family = "physical") -> np.random.Generator:
