@@ -5,6 +5,7 @@ numpy reads them as any other archive. Equal arrays give equal bytes.
 
 import io
 import lzma
+import math
 import zipfile
 import zlib
 from pathlib import Path
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 
 from sim.errors import DataError, complaint, unreadable
 from sim.files import replacing
+
+LARGEST_BYTES = 1 << 31
+"""Largest size of an archive when unpacked: a city's static world takes a tenth of it."""
 
 
 def packed(values: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -35,6 +39,27 @@ def unpacked(planes: NDArray[np.uint8]) -> NDArray[np.int64]:
     return (unsigned >> np.uint64(1)).astype(np.int64) ^ -(unsigned & np.uint64(1)).astype(np.int64)
 
 
+def differences(values: NDArray[np.int64], length: NDArray[np.int64], keep: bool = False) -> NDArray[np.int64]:
+    """Return the differences of (N,) integers within each run; its first is 0, or the value itself with `keep`.
+
+    Args:
+        values: run after run.
+        length: of each run, at least 1; their sum is N.
+        keep: keep the first value of each run, as `sums` needs it.
+    """
+    change = np.diff(values, prepend=0)
+    first = np.cumsum(length) - length
+    change[first] = values[first] if keep else 0
+    return change
+
+
+def sums(changes: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the values of differences, the inverse of `differences` with `keep`."""
+    total = np.cumsum(changes)
+    first = np.cumsum(length) - length
+    return total - np.repeat(total[first] - changes[first], length)
+
+
 def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
     """Write a .npz atomically; its bytes depend on the arrays only."""
     with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_LZMA) as archive:
@@ -52,14 +77,35 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray]:
         what: expected content, for messages.
 
     Raises:
-        DataError: the file is missing or damaged.
+        DataError: the file is missing, damaged or larger than `LARGEST_BYTES` in memory.
     """
     if not path.is_file():
         raise DataError(complaint(path, what, "an existing file", "no such file"))
     broken = (OSError, ValueError, EOFError, KeyError, AttributeError, NotImplementedError)
     try:
         # Opened here, because numpy leaves a damaged archive open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+        with path.open("rb") as file:
+            with zipfile.ZipFile(file) as members:
+                _check_sizes(members)
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                return {name: archive[name] for name in archive.files}
     except (*broken, zipfile.BadZipFile, zlib.error, lzma.LZMAError) as error:
         raise DataError(unreadable(path, what, error)) from None
+
+
+def _check_sizes(archive: zipfile.ZipFile) -> None:
+    """Raise ValueError unless the shapes in the headers fit the members and all of it fits `LARGEST_BYTES`.
+
+    numpy allocates what a header says before it reads: a damaged one must not ask for terabytes.
+    """
+    infos = archive.infolist()
+    if sum(info.file_size for info in infos) > LARGEST_BYTES:
+        raise ValueError(f"more than {LARGEST_BYTES} bytes when unpacked")
+    for info in infos:
+        with archive.open(info) as member:
+            first = np.lib.format.read_magic(member) == (1, 0)
+            read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(member)
+        if math.prod(shape) * dtype.itemsize > info.file_size:
+            raise ValueError(f"{info.filename}: an array of {shape} in {info.file_size} bytes")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
-from sim.packed import packed, read_arrays, unpacked, write_arrays
+from sim.packed import differences, packed, read_arrays, sums, unpacked, write_arrays
 from sim.scenario import Area
 from sim.traffic.base import (
     ACCELERATION_MPS2,
@@ -84,7 +84,7 @@ class TrafficLog:
     def save(self, path: Path | str) -> Path:
         """Write the log as a .npz, atomically; equal logs give equal bytes."""
         path = Path(path)
-        write_arrays(path, self._columns())
+        write_arrays(path, self.columns())
         return path
 
     @classmethod
@@ -94,7 +94,11 @@ class TrafficLog:
         Raises:
             DataError: the file is missing, damaged or no traffic log.
         """
-        columns = read_log_columns(Path(path))
+        return cls.from_columns(read_log_columns(Path(path)))
+
+    @classmethod
+    def from_columns(cls, columns: dict[str, NDArray]) -> Self:
+        """Return the log of columns that `check_log_columns` found valid."""
         log = cls(float(columns["step_s"]), msgspec.json.decode(str(columns["about"])))
         rows = _unfolded(columns)
         order = np.argsort(rows["step"], kind="stable")
@@ -106,7 +110,8 @@ class TrafficLog:
             log.append(_actors(columns, names, {key: v[order[start:end]] for key, v in rows.items()}, time_s))
         return log
 
-    def _columns(self) -> dict[str, NDArray]:
+    def columns(self) -> dict[str, NDArray]:
+        """Return the arrays of the file by name."""
         ids = np.array(sorted(self._objects), dtype=np.int64)
         looks = [self._objects[i] for i in ids.tolist()]
         entries = self._entries
@@ -168,11 +173,14 @@ def _rows_of(actors: Actors, rows: NDArray[np.int64]) -> Actors:
 
 def _folded(rows: dict[str, NDArray[np.int64]], length: NDArray[np.int64], step_s: float) -> dict[str, NDArray]:
     """Return the packed columns: residuals of the rows after prediction."""
-    moved = {axis: _changes(rows[axis], length) for axis in "xy"}
-    turned = {axis: _changes(rows[f"v{axis}"], length) for axis in "xy"}
+    moved = {axis: differences(rows[axis], length) for axis in "xy"}
+    turned = {axis: differences(rows[f"v{axis}"], length) for axis in "xy"}
     left = {
-        **{name: _changes(_changes(rows[name], length, keep=True), length, keep=True) for name in ("x", "y", "yaw")},
-        **{name: _changes(rows[name], length, keep=True) for name in ("z", "pitch", "signals", "lane")},
+        **{
+            name: differences(differences(rows[name], length, keep=True), length, keep=True)
+            for name in ("x", "y", "yaw")
+        },
+        **{name: differences(rows[name], length, keep=True) for name in ("z", "pitch", "signals", "lane")},
         **{f"v{axis}": rows[f"v{axis}"] - _speed(moved[axis], step_s) for axis in "xy"},
         **{f"a{axis}": rows[f"a{axis}"] - _gain(turned[axis], step_s) for axis in "xy"},
     }
@@ -184,38 +192,17 @@ def _unfolded(columns: dict[str, NDArray]) -> dict[str, NDArray[np.int64]]:
     length, step_s = columns["run/length"], float(columns["step_s"])
     rows = {name: unpacked(columns[f"row/{name}"]) for name in _ROWS}
     for name in ("x", "y", "yaw"):
-        rows[name] = _sums(_sums(rows[name], length), length)
+        rows[name] = sums(sums(rows[name], length), length)
     for name in ("z", "pitch", "signals", "lane"):
-        rows[name] = _sums(rows[name], length)
+        rows[name] = sums(rows[name], length)
     for axis in "xy":
-        rows[f"v{axis}"] = rows[f"v{axis}"] + _speed(_changes(rows[axis], length), step_s)
+        rows[f"v{axis}"] = rows[f"v{axis}"] + _speed(differences(rows[axis], length), step_s)
     for axis in "xy":
-        rows[f"a{axis}"] = rows[f"a{axis}"] + _gain(_changes(rows[f"v{axis}"], length), step_s)
-    first = _first(length)
-    within = np.arange(int(length.sum())) - np.repeat(first, length)
+        rows[f"a{axis}"] = rows[f"a{axis}"] + _gain(differences(rows[f"v{axis}"], length), step_s)
+    within = np.arange(int(length.sum())) - np.repeat(np.cumsum(length) - length, length)
     rows["object"] = np.repeat(columns["run/object"], length)
     rows["step"] = np.repeat(columns["run/start"], length) + within
     return rows
-
-
-def _first(length: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the first row of each run."""
-    return np.cumsum(length) - length
-
-
-def _changes(values: NDArray[np.int64], length: NDArray[np.int64], keep: bool = False) -> NDArray[np.int64]:
-    """Return differences within each run; its first is 0, or the value itself with `keep`."""
-    change = np.diff(values, prepend=0)
-    first = _first(length)
-    change[first] = values[first] if keep else 0
-    return change
-
-
-def _sums(changes: NDArray[np.int64], length: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the values of differences, the inverse of `_changes` with `keep`."""
-    total = np.cumsum(changes)
-    first = _first(length)
-    return total - np.repeat(total[first] - changes[first], length)
 
 
 def _speed(moved: NDArray[np.int64], step_s: float) -> NDArray[np.int64]:
@@ -231,15 +218,17 @@ def _gain(turned: NDArray[np.int64], step_s: float) -> NDArray[np.int64]:
 def read_log_columns(path: Path) -> dict[str, NDArray]:
     """Read and check the arrays of a log, see `TrafficLog.load`."""
     columns = read_arrays(path, "traffic log")
-    if int(columns.get("version", np.array(-1))) != VERSION:
-        found = columns.get("version", "none")
-        hint = "; generate the drive again"
-        raise DataError(complaint(path, "version", f"a traffic log of version {VERSION}", str(found), hint))
-    _check(path, columns)
+    check_log_columns(path, columns)
     return columns
 
 
-def _check(path: Path, columns: dict[str, NDArray]) -> None:
+def check_log_columns(path: Path, columns: dict[str, NDArray]) -> None:
+    """Raise DataError, which names `path`, unless the columns are those of a log."""
+    version = columns.get("version", np.array(-1))
+    if version.shape != () or version.dtype.kind not in "iu" or int(version) != VERSION:
+        found = columns.get("version", "none")
+        hint = "; generate the drive again"
+        raise DataError(complaint(path, "version", f"a traffic log of version {VERSION}", str(found), hint))
     tables = {"object": _OBJECTS, "run": _RUNS, "lane": {"name": "U"}, "step": {"time": "i8"}}
     expected = {f"{table}/{name}": kind for table, names in tables.items() for name, kind in names.items()}
     for name, kind in {"step_s": "f8", "about": "U", **expected, **{f"row/{n}": "u1" for n in _ROWS}}.items():
@@ -277,7 +266,7 @@ def _check(path: Path, columns: dict[str, NDArray]) -> None:
         raise DataError(complaint(path, "run/object", "runs in order of object and step", "others"))
     if _outside(columns["object/label"], len(CLASSES)):
         raise DataError(complaint(path, "object/label", f"indices of {len(CLASSES)} classes", "others"))
-    if len(start) and _outside(_sums(unpacked(columns["row/lane"]), columns["run/length"]), lanes):
+    if len(start) and _outside(sums(unpacked(columns["row/lane"]), columns["run/length"]), lanes):
         raise DataError(complaint(path, "row/lane", f"rows of {lanes} lanes", "others"))
 
 
