@@ -24,6 +24,7 @@ import numpy as np
 from sensors.frame import count_points
 from sensors.presets import scenario_lidars
 from sensors.recording.mounting import Mount, on_roadside, on_vehicle, place_roadside
+from sensors.recording.static_scene import static_scene
 from sensors.scan.lidar import scan_all
 from sensors.scan.scene import RayScene
 from sim.encounters import encounter_of, with_encounter
@@ -179,15 +180,13 @@ def prove_encounter(scenario: Scenario, seed: int, *, hurry: bool = False) -> Pr
         seed: of the drive.
         hurry: stop at the first failed condition; later results stay None.
     """
-    from sim.world.build import build_world
-
     scenario = with_encounter(scenario, seed)
     drive = _roll_out(scenario, seed)
     if drive.hit != "conflict":
         reason = "other collision" if drive.hit else "no collision"
         return Proof(holds=False, reason=reason, hit=drive.hit, hit_s=drive.hit_s)
     assert drive.hit_s is not None
-    scene = RayScene(build_world(scenario, seed))
+    scene = static_scene(scenario, seed)
     counter = _PointCounter(scene, scenario, seed, drive.steps)
     last = round(drive.hit_s / scenario.step_s)
     row = drive.steps[0].row(EGO_ID)

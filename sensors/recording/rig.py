@@ -1,7 +1,7 @@
 """Rig: LiDARs of a scenario's agents and the frames they measure, in recordings and in the closed loop alike."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -84,6 +84,7 @@ class Rig:
         now: Actors,
         before: Actors | None = None,
         after: Actors | None = None,
+        only_for: Mapping[int, Actors] | None = None,
     ) -> Frame:
         """Return the frame of one instant: sweeps of all agents and ground truth.
 
@@ -95,16 +96,18 @@ class Rig:
             now: actors at the instant.
             before: actors `margin` steps earlier; left out: extrapolated.
             after: actors `margin` steps later; left out, as in a live simulation: extrapolated at constant velocity.
+            only_for: false actors by the agent whose LiDAR alone measures them; they are no ground truth.
         """
         now = now.rounded()
         before = None if before is None else before.rounded()
-        if after is None and before is not None:
-            after = _coasted(now, now.time_s - before.time_s)
-        scene = self.scene.with_bodies(
-            now, before, None if after is None else after.rounded(), reach_s=0.5 * self.period_s
-        )
+        after = None if after is None else after.rounded()
+        scene = self._scene(now, before, after)
         sensors = {agent_id: self._sensor(scene, now, agent_id, index) for agent_id in agents}
-        sweeps = dict(zip(sensors, scan_all(scene, list(sensors.values()), threads=self._threads), strict=True))
+        scenes = {one: self._scene(_beside(now, false), before, after) for one, false in (only_for or {}).items()}
+        honest = [agent_id for agent_id in sensors if agent_id not in scenes]
+        sweeps = dict(zip(honest, self._scan(scene, [sensors[agent_id] for agent_id in honest]), strict=True))
+        for agent_id in sensors.keys() & scenes.keys():
+            (sweeps[agent_id],) = self._scan(scenes[agent_id], [sensors[agent_id]])
         ordered = tuple(self._agent_frame(now, agent_id, sweeps[agent_id]) for agent_id in agent_order(list(sensors)))
         near = _near_agents(now, ordered)
         truth = now.boxes[near]
@@ -127,6 +130,15 @@ class Rig:
         )
         return replace(frame, sight=lines_of_sight(scene, frame))
 
+    def _scene(self, now: Actors, before: Actors | None, after: Actors | None) -> RayScene:
+        """Return the scene with the actors of an instant."""
+        if after is None and before is not None:
+            after = _coasted(now, now.time_s - before.time_s).rounded()
+        return self.scene.with_bodies(now, before, after, reach_s=0.5 * self.period_s)
+
+    def _scan(self, scene: RayScene, sensors: list[Sensor]) -> list[Sweep]:
+        return scan_all(scene, sensors, threads=self._threads)
+
     def _sensor(self, scene: RayScene, now: Actors, agent_id: int, index: int) -> Sensor:
         rng = random_generator(self.seed, Stream.LIDAR_NOISE, index, agent_id)
         if agent_id in self.roadside:
@@ -146,6 +158,13 @@ def _coasted(now: Actors, ahead_s: float) -> Actors:
     center = now.boxes.center.copy()
     center[:, :2] += ahead_s * now.velocity
     return replace(now, time_s=now.time_s + ahead_s, boxes=replace(now.boxes, center=center))
+
+
+def _beside(now: Actors, false: Actors) -> Actors:
+    """Return the actors of an instant with false ones under new ids, higher than all others."""
+    first = int(now.boxes.object_id.max(initial=0)) + 1
+    boxes = replace(false.boxes, object_id=first + np.arange(len(false)))
+    return now.joined(replace(false, time_s=now.time_s, boxes=boxes).rounded())
 
 
 def _near_agents(now: Actors, agents: Sequence[AgentFrame]) -> NDArray[np.bool_]:

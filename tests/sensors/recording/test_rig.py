@@ -13,7 +13,7 @@ from sensors.sweep import POINT_FIELDS
 from sim.boxes import CLASSES
 from sim.scenario import NetworkSpec, RoadsideUnit
 from sim.traffic.base import PARKED, Actors
-from tests.sensors.fakes import StraightTraffic, box_body, cars, ground, scene_of, toy_scenario
+from tests.sensors.fakes import StraightTraffic, box_body, cars, ground, rows_of, scene_of, toy_scenario
 
 UNIT = RoadsideUnit(xyz_m=(20.0, 8.0, 5.0), yaw_deg=-90.0, pitch_deg=15.0, lidar="debug-16")
 ROWS = [[0, 0, 0], [12, 3.5, 0], [-15, -3.5, 0.5], [30, 0, 0], [50, 0, 0]]
@@ -73,6 +73,34 @@ def test_helpers_of_a_live_drive_are_the_nearest_cars_on_the_road():
 def test_helpers_of_a_live_drive_are_those_that_the_scenario_names():
     actors = replace(cars(ROWS), name=("ego", "a", "b", "c", "d"))
     assert nearest_agents(actors, toy_scenario(named=("ego", "d", "gone", "a")), 1000) == [1000, 1004, 1001]
+
+
+def test_a_false_actor_is_measured_by_one_agent_alone():
+    rig = Rig(toy_scenario(), scene_of(ground()), 0)
+    now = cars([[0, 0, 0], [0, 40, 0]])
+    false = cars([[12, 20, 0.3]], first_id=1000)
+    plain = rig.frame(3, [1000, 1001], now)
+    lied = rig.frame(3, [1000, 1001], now, only_for={1001: false})
+    assert same_sweeps(plain.of_agents([0]), lied.of_agents([0]))
+    before, after = plain.agents[1].sweep, lied.agents[1].sweep
+    (inside,) = false.boxes.contains(after.world_points, margin=0.1)
+    assert (
+        inside.sum() >= 10 > 0 == false.boxes.contains(before.world_points, margin=0.1)[:, before.object_id >= 0].sum()
+    )
+    assert not np.isin(after.object_id[inside & (after.object_id >= 0)], now.boxes.object_id).any()
+    np.testing.assert_array_equal(lied.truth.object_id, plain.truth.object_id)
+    np.testing.assert_array_equal(lied.points_on[:, :1], plain.points_on[:, :1])
+
+
+def test_a_false_actor_gives_the_points_that_a_real_one_would():
+    rig = Rig(toy_scenario(), scene_of(ground()), 0)
+    traffic = StraightTraffic(cars([[0, 0, 0], [0, 40, 0], [12, 20, 0.5]], speed=[0.0, 5.0, 20.0]))
+    before, now = traffic.actors, traffic.step()
+    real = rig.frame(1, [1001], now, before)
+    false = {1001: rows_of(now, [2])}
+    lied = rig.frame(1, [1001], rows_of(now, [0, 1]), rows_of(before, [0, 1]), only_for=false)
+    assert real.points_on[0, 2] >= 10
+    assert same_sweeps(lied, real)
 
 
 def parked(actors: Actors, row: int) -> Actors:
