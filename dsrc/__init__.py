@@ -15,13 +15,14 @@ if TYPE_CHECKING:
     from dsrc.data.frames import simulate_frames
     from dsrc.data.sample import Sample, make_sample
     from dsrc.data.write import generate
-    from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
+    from dsrc.evaluation.evaluate import evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
     from dsrc.models.detector import Detector, detect
     from dsrc.models.fusion import AgentLayout, Fusion, register_fusion
     from dsrc.models.fusion_check import check_fusion
     from dsrc.models.storage.checkpoint import load_detector
     from dsrc.ops.detections import Detections
+    from dsrc.options.detection import Evaluation
     from dsrc.review.page.export import export_html
     from sensors.corruptions import check_corruption, corrupt, corrupt_frame, kinds_of, register_corruption
     from sensors.deskew import deskew
@@ -47,13 +48,14 @@ _MODULES = {
     "dsrc.data.frames": ("simulate_frames",),
     "dsrc.data.sample": ("Sample", "make_sample"),
     "dsrc.data.write": ("generate",),
-    "dsrc.evaluation.evaluate": ("Evaluation", "evaluate_drives"),
+    "dsrc.evaluation.evaluate": ("evaluate_drives",),
     "dsrc.evaluation.report.ap_table": ("result_table",),
     "dsrc.models.detector": ("Detector", "detect"),
     "dsrc.models.fusion": ("AgentLayout", "Fusion", "register_fusion"),
     "dsrc.models.fusion_check": ("check_fusion",),
     "dsrc.models.storage.checkpoint": ("load_detector",),
     "dsrc.ops.detections": ("Detections",),
+    "dsrc.options.detection": ("Evaluation",),
     "dsrc.review.page.export": ("export_html",),
     "sensors.corruptions": ("check_corruption", "corrupt", "corrupt_frame", "kinds_of", "register_corruption"),
     "sensors.deskew": ("deskew",),

@@ -11,6 +11,8 @@ import pytest
 from dsrc.cli import options
 from dsrc.cli.main import COMMANDS, command_class, run
 from dsrc.cli.progress import progress
+from dsrc.options import detection, fields
+from dsrc.options.drives import DriveOptions
 
 HEAVY = {"torch", "libsumo", "trimesh", "viser", "matplotlib", "scipy", "gymnasium", "embreex", "shapely", "numpy"}
 
@@ -76,14 +78,18 @@ def test_one_name_stands_for_one_thing() -> None:
 
 
 def test_listed_choices_are_those_there_are() -> None:
+    from dsrc.models.storage.deploy import ENGINES
     from dsrc.training.recipes import METHODS, RECIPES
     from sensors.corruptions import CORRUPTIONS, FAMILIES
+    from sensors.sweep import MOTIONS
     from sim.radio import PRESETS
 
-    assert list(options.CORRUPTIONS) == list(CORRUPTIONS)
-    assert options.Family.__args__ == tuple(FAMILIES)
-    assert [name.removesuffix(":FILE") for name in options.CHANNELS] == list(PRESETS)
-    assert (options.METHODS, options.RECIPES) == (tuple(METHODS), tuple(RECIPES))
+    assert list(fields.CORRUPTIONS) == list(CORRUPTIONS)
+    assert fields.Family.__args__ == tuple(FAMILIES)
+    assert DriveOptions.__annotations__["motion"].__args__ == MOTIONS
+    assert [name.removesuffix(":FILE") for name in fields.CHANNELS] == list(PRESETS)
+    assert (fields.METHODS, fields.RECIPES) == (tuple(METHODS), tuple(RECIPES))
+    assert detection.Engine.__args__ == tuple(ENGINES)
 
 
 def test_an_unknown_command_names_the_nearest() -> None:

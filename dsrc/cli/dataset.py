@@ -1,113 +1,58 @@
 """Commands that write or read drives: `dsrc generate`, `dsrc corrupt` and `dsrc dataset`."""
 
 import sys
-from typing import Annotated, Literal
 
 import msgspec
-from tyro.conf import Positional, arg
 
-from dsrc.cli.options import CORRUPTIONS, Data, Folder, Scenario, Severity, choice
 from dsrc.cli.progress import progress
-from dsrc.data.datasets.changes import Changes
 from dsrc.data.executors import Pool
+from dsrc.options.drives import BuildOptions, Changes, ConvertOptions, CorruptOptions, GenerateOptions
+from dsrc.options.fields import Data, Folder, Splits
 
-Splits = Positional[Annotated[str, arg(metavar="SPLITS")]]
 
-
-class Generate(msgspec.Struct, frozen=True, kw_only=True):
+class Generate(GenerateOptions, frozen=True):
     """Simulate one drive of a scenario and write it as an OPV2V tree.
 
     The same seed writes the same bytes; an interrupted drive resumes. `dsrc dataset build` makes many drives.
-
-    Attributes:
-        scenario: shipped scenario, or path of a scenario.toml.
-        out: parent folder; the drive becomes FOLDER/SCENARIO_SEED.
-        frames: synchronised frames.
-        seed: seed of everything random; default: the scenario's.
-        interval_s: time between frames, a multiple of the LiDAR's 0.1 s, s.
-        motion: instant of a sweep to which its points are motion-compensated; raw: not at all.
-        connected_vehicles: list the other agents among an agent's vehicles; OPV2V leaves them out.
-        visibility: measure the visible share of every object, for a fifth of the time.
     """
-
-    scenario: Scenario
-    out: Folder
-    frames: int = 100
-    seed: int | None = None
-    interval_s: float = 0.1
-    motion: Literal["middle", "start", "end", "raw"] = "middle"
-    connected_vehicles: bool = True
-    visibility: bool = True
 
     def run(self) -> None:
         """Write the drive and print its folder."""
         from dsrc.data.datasets.spec import find_split_file
         from dsrc.data.write import generate
-        from sim.catalog.load import load_scenario
         from sim.errors import SettingsError, complaint
 
-        if find_split_file(self.scenario) is not None:
+        if find_split_file(str(self.scenario)) is not None:
             hint = f"; run: dsrc dataset build {self.scenario}"
             raise SettingsError(complaint("generate", "scenario", "a scenario", "a dataset", hint))
-        options = msgspec.structs.asdict(self) | {"scenario": load_scenario(self.scenario)}
         with progress(f"generate {self.scenario}") as report:
-            drive = generate(**options, progress=report)
+            drive = generate(self, progress=report)
         sys.stdout.write(f"{drive}\n")
 
 
-class Corrupt(msgspec.Struct, frozen=True, kw_only=True):
+class Corrupt(CorruptOptions, frozen=True):
     """Write drives again under weather or with failing sensors.
 
     The bytes are the same for any number of workers; an interrupted run resumes.
-
-    Attributes:
-        data: a drive, or a folder of drives.
-        corruption: kind of the corruption.
-        out: folder of the corrupted drives, which keep their names.
-        seed: seed of the corruption; every drive draws its own weather and faults from it.
     """
 
-    data: Data
-    corruption: Annotated[str, choice(CORRUPTIONS)]
-    level: Severity = Severity()
-    out: Folder
-    seed: int = 0
     pool: Pool = Pool()
 
     def run(self) -> None:
         """Write the drives and print their folder."""
         from dsrc.data.datasets.corrupt import corrupt_dataset
 
-        with progress(f"corrupt {self.corruption}, severity {self.level.severity}") as report:
-            corrupt_dataset(
-                self.data,
-                self.out,
-                self.corruption,
-                self.level.severity,
-                self.level.family,
-                seed=self.seed,
-                pool=self.pool,
-                progress=report,
-            )
+        with progress(f"corrupt {self.corruption}, severity {self.severity}") as report:
+            corrupt_dataset(self, pool=self.pool, progress=report)
         sys.stdout.write(f"{self.out}\n")
 
 
-class Build(msgspec.Struct, frozen=True, kw_only=True):
+class Build(BuildOptions, frozen=True):
     """Generate a dataset from a TOML of splits, with checksums and data cards.
 
     The bytes are the same for any number of workers; an interrupted build resumes.
-
-    Attributes:
-        dataset: shipped dataset, or path of a TOML of splits.
-        out: folder of the dataset; drives are FOLDER/SPLIT/DRIVE.
-        splits: splits to build; default: all.
-        cards: write a data card beside each split.
     """
 
-    dataset: Splits
-    out: Folder
-    splits: tuple[str, ...] = ()
-    cards: bool = True
     pool: Pool = Pool()
 
     def run(self) -> None:
@@ -115,7 +60,7 @@ class Build(msgspec.Struct, frozen=True, kw_only=True):
         from dsrc.data.datasets.build import generate_dataset
 
         with progress(f"build {self.dataset}") as report:
-            folder = generate_dataset(self.dataset, self.out, self.splits, self.pool, self.cards, report)
+            folder = generate_dataset(self, pool=self.pool, progress=report)
         sys.stdout.write(f"{folder}\n")
 
 
@@ -204,22 +149,9 @@ class Card(msgspec.Struct, frozen=True, kw_only=True):
         sys.stdout.write(f"{write_card(self.data, self.out, self.pool)}\n")
 
 
-class Convert(msgspec.Struct, frozen=True, kw_only=True):
-    """Convert drives to OPV2V, DAIR-V2X-C, KITTI or MCAP; an interrupted run resumes.
+class Convert(ConvertOptions, frozen=True):
+    """Convert drives to OPV2V, DAIR-V2X-C, KITTI or MCAP; an interrupted run resumes."""
 
-    Attributes:
-        data: a drive, or a folder of drives, in any supported format; a split of a DAIR-V2X-C tree is TREE/val.
-        to: new format; mcap, for Foxglove, needs the package mcap.
-        out: folder of the new tree.
-        agent_id: agent whose sweeps are written to KITTI and DAIR: ego, all (KITTI) or an id; default: ego.
-        view: labels of KITTI: those in the picture of a nominal camera, or all around.
-    """
-
-    data: Data
-    to: Literal["opv2v", "dair", "kitti", "mcap"]
-    out: Folder
-    agent_id: Annotated[str | None, arg(metavar="{ego,all,INT}")] = None
-    view: Literal["camera", "around"] = "camera"
     pool: Pool = Pool()
 
     def run(self) -> None:
@@ -227,5 +159,5 @@ class Convert(msgspec.Struct, frozen=True, kw_only=True):
         from dsrc.data.datasets.convert import convert
 
         with progress(f"convert to {self.to}") as report:
-            convert(self.data, self.out, self.to, agent=self.agent_id, view=self.view, pool=self.pool, progress=report)
+            convert(self, pool=self.pool, progress=report)
         sys.stdout.write(f"{self.out}\n")

@@ -2,54 +2,24 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
 
 import msgspec
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
-from dsrc.cli.options import METHODS, RECIPES, File, Folder, choice
 from dsrc.cli.progress import log_lines, progress
+from dsrc.options.detection import TrainOptions
+from dsrc.options.fields import File, Folder
 
 
-class Train(msgspec.Struct, frozen=True, kw_only=True):
-    """Train a detector; an interrupted training resumes.
-
-    Attributes:
-        recipe: settings of model and training; dsrc-paper is DSRC as its text says, dsrc-code as released.
-        data: folder of the training drives.
-        out: run folder, with one subfolder per stage.
-        stage: all is teacher, then student; plain is the student without teacher and reconstruction.
-        teacher: detector file of a trained teacher, for the student; default: the one in the run folder.
-        validate: folder of the validation drives; default: the end of each training drive.
-        seed: seed of weights, order and augmentation.
-        epochs: number of epochs; default: the recipe's.
-        method: collaboration method; default: the recipe's.
-        init: detector file to start from, by weights whose name and shape agree; default: random weights.
-        devices: GPUs, or processes without one, that share each batch; torchrun sets its own number.
-        set: settings of the model, of the recipe or of a part of it, such as sdd=false fusion=max
-            augmentation.corruption=0.5; default: the recipe's.
-    """
-
-    recipe: Positional[Annotated[str, choice(RECIPES)]]
-    data: Folder
-    out: Folder
-    stage: Literal["all", "teacher", "student", "plain"] = "all"
-    teacher: File | None = None
-    validate: Folder | None = None
-    seed: int = 0
-    epochs: int | None = None
-    method: Annotated[str | None, choice(METHODS)] = None
-    init: File | None = None
-    devices: int = 1
-    set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE [...]")] = ()
+class Train(TrainOptions, frozen=True):
+    """Train a detector; an interrupted training resumes."""
 
     def run(self) -> None:
         """Train and print the detector file."""
         from dsrc.training.train import leads, train_stages
 
         log_lines("dsrc.training")  # a line per epoch
-        options = msgspec.structs.asdict(self)
-        detector = train_stages(options.pop("recipe"), overrides=options.pop("set"), **options)
+        detector = train_stages(self)
         if leads():
             sys.stdout.write(f"{detector}\n")
 

@@ -1,7 +1,8 @@
-"""Options of commands: structs whose fields and docstrings become the command line.
+"""Command line of a struct: its fields and docstring become options and help.
 
 A field is an option, its line under `Attributes:` the help text, a field that is a struct itself (`Pool`) adds its
-options. A line that ends with `; default: WORDS` says what None, "" or () stand for.
+options. A line that ends with `; default: WORDS` says what None, "" or () stand for. `msgspec.field(name=...)` gives an
+option another name than the field's.
 """
 
 import re
@@ -10,86 +11,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, make_dataclass
 from inspect import cleandoc
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
-from tyro.conf import Positional, arg
+from tyro.conf import arg
+
+from dsrc.options.fields import CHANNELS, CORRUPTIONS, File, Folder, Scenario, Severity, choice  # noqa: F401
 
 _METAVARS = {int: "INT", float: "FLOAT", str: "STR", Path: "PATH"}
 _ENTRY = re.compile(r"^ {4}(\w+): ", re.MULTILINE)
 _DEFAULT = re.compile(r"[;.] default: (.*)\.$", re.DOTALL)
-
-Folder = Annotated[Path, arg(metavar="FOLDER")]
-File = Annotated[Path, arg(metavar="FILE")]
-Data = Positional[Annotated[Path, arg(metavar="DATA")]]
-"""Positional argument: a drive, or a folder of drives."""
-Scenario = Positional[Annotated[str, arg(metavar="SCENARIO")]]
-Family = Literal["physical", "paper"]
-
-# Lists of choices for help texts, so that help needs no heavy import; the functions decide, tests compare.
-CORRUPTIONS = (
-    "beam_missing",
-    "motion_blur",
-    "fog",
-    "snow",
-    "crosstalk",
-    "cross_sensor",
-    "wet_ground",
-    "incomplete_echo",
-    "rain",
-    "spray",
-    "pose_error",
-    "clock_offset",
-    "point_dropping",
-    "field_of_view",
-    "noise",
-)
-CHANNELS = ("ideal", "paper", "its-g5-6", "its-g5-27", "c-v2x", "trace:FILE")
-RECIPES = ("debug", "small", "opv2v", "dsrc-paper", "dsrc-code")
-METHODS = (
-    "no-collaboration",
-    "early",
-    "late",
-    "f-cooper",
-    "attfuse",
-    "max-map",
-    "v2vnet",
-    "v2x-vit",
-    "cobevt",
-    "where2comm",
-    "coalign",
-    "ermvp",
-    "mrcnet-style",
-    "dsrc",
-    "dsrc-max",
-    "dsrc-alone",
-)
-
-
-def choice(names: Sequence[str], several: bool = False) -> Any:
-    """Return the tyro setting of an option whose choices are listed; the function that reads it names the nearest."""
-    listed = f"{{{','.join(names)}}}"
-    return arg(metavar=f"{listed} [...]" if several else listed)
-
-
-class Command(Protocol):
-    """Struct of a command's options with the work itself."""
-
-    def run(self) -> None:
-        """Do the work."""
-        ...
-
-
-class Severity(msgspec.Struct, frozen=True, kw_only=True):
-    """Severity of corruptions.
-
-    Attributes:
-        severity: severity of the corruption, 1 to 5.
-        family: models of the corruption: of physical causes, or as published in papers.
-    """
-
-    severity: int = 3
-    family: Family = "physical"
 
 
 def parse(command: type[msgspec.Struct], prog: str, args: Sequence[str]) -> Any:
@@ -131,7 +62,7 @@ def fields_of(
         if _is_struct(one.type):
             yield from fields_of(one.type, default)
         else:
-            yield one.name, hints[one.name], default, texts.get(one.name, "")
+            yield one.encode_name, hints[one.name], default, texts.get(one.name, "")
 
 
 def _is_struct(kind: Any) -> bool:
@@ -182,7 +113,7 @@ def _plain(kind: Any) -> str:
 def _struct(struct: type[msgspec.Struct], values: Mapping[str, Any]) -> Any:
     return struct(
         **{
-            one.name: _struct(one.type, values) if _is_struct(one.type) else values[one.name]
+            one.name: _struct(one.type, values) if _is_struct(one.type) else values[one.encode_name]
             for one in msgspec.structs.fields(struct)
         }
     )

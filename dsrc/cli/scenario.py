@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 from tyro.conf import Positional
 
-from dsrc.cli.options import File, Folder, Scenario
+from dsrc.options.fields import File, Folder, Scenario
 
 
 class List(msgspec.Struct, frozen=True):

@@ -33,7 +33,8 @@ def simulate_frames(
         SettingsError: a setting is out of its range.
     """
     scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    spec = DriveSpec(scenario, scenario.seed if seed is None else seed, frames, interval_s, visibility=visibility)
+    seed = scenario.seed if seed is None else seed
+    spec = DriveSpec(scenario, seed, frames, interval_s=interval_s, visibility=visibility)
     spec.check("simulate_frames")
     return _frames(spec)
 

@@ -8,7 +8,6 @@ import logging
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -21,10 +20,11 @@ from dsrc.data.drive_folder import check_same, is_complete, locked, read_setting
 from dsrc.data.executors import Progress
 from dsrc.data.formats.opv2v.reader import agent_table, write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
+from dsrc.options.drives import DriveOptions, GenerateOptions
+from dsrc.options.fields import takes_fields
 from sensors.deskew import check_motion
 from sensors.frame import Frame
 from sensors.presets import scenario_lidars
-from sensors.sweep import Motion
 from sim.catalog.load import load_scenario
 from sim.errors import SettingsError, complaint
 from sim.files import remove_leftovers
@@ -51,27 +51,18 @@ Opener = Callable[[Path], AbstractContextManager[FrameSource]]
 """Opener of a frame source: (path of the traffic log, existing or not) -> context manager."""
 
 
-@dataclass(frozen=True, slots=True)
-class DriveSpec:
+class DriveSpec(DriveOptions, frozen=True):
     """Specification of one drive.
 
     Attributes:
         scenario: the scenario.
         seed: of everything random.
         frames: synchronised frames.
-        interval_s: time between frames, s.
-        connected_vehicles: list other agents' bodies among an agent's `vehicles`.
-        motion: compensation of the sensors' motion in the files; a reader can choose another.
-        visibility: measure the visible fraction of every object for each agent.
     """
 
     scenario: Scenario
     seed: int
     frames: int = 100
-    interval_s: float = 0.1
-    connected_vehicles: bool = True
-    motion: Motion = "middle"
-    visibility: bool = True
 
     @property
     def name(self) -> str:
@@ -116,29 +107,13 @@ class DriveSpec:
             raise SettingsError(complaint(where, "frames", expected, found))
 
 
-def generate(
-    scenario: Scenario | str | Path,
-    out: Path,
-    frames: int = 100,
-    seed: int | None = None,
-    interval_s: float = 0.1,
-    progress: Progress | None = None,
-    connected_vehicles: bool = True,
-    motion: Motion = "middle",
-    visibility: bool = True,
-) -> Path:
+@takes_fields(GenerateOptions)
+def generate(options: GenerateOptions, progress: Progress | None = None) -> Path:
     """Simulate, scan and write one drive; an interrupted run resumes.
 
     Args:
-        scenario: a scenario, the name of a shipped one or the path of a .toml.
-        out: the split folder; the drive is `out/<scenario>_<seed>`.
-        frames: see `DriveSpec`, as all below.
-        seed: None takes the scenario's.
-        interval_s: s.
+        options: scenario, folder, frames and more, see `GenerateOptions`; or these as arguments.
         progress: called after every frame.
-        connected_vehicles: list other agents' bodies.
-        motion: compensation in the files.
-        visibility: measure visible fractions.
 
     Returns:
         The folder of the drive.
@@ -147,12 +122,13 @@ def generate(
         DataError: the folder holds a drive of other settings, or another process is writing it.
         SettingsError: a setting is out of its range.
     """
-    scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    seed = scenario.seed if seed is None else seed
-    spec = DriveSpec(scenario, seed, frames, interval_s, connected_vehicles, motion, visibility)
+    scenario = options.scenario if isinstance(options.scenario, Scenario) else load_scenario(options.scenario)
+    seed = scenario.seed if options.seed is None else options.seed
+    spec = DriveSpec(scenario, seed, options.frames, **options.shared())
     spec.check()
-    make_drive(spec, Path(out) / spec.name, progress)
-    return Path(out) / spec.name
+    drive = Path(options.out) / spec.name
+    make_drive(spec, drive, progress)
+    return drive
 
 
 def make_drive(
@@ -209,7 +185,7 @@ def settle_encounter(spec: DriveSpec) -> tuple[DriveSpec, dict]:
     found = find_encounter(spec.scenario, spec.seed)
     proof = msgspec.to_builtins(found)
     del proof["scenario"]
-    return replace(spec, scenario=found.scenario), proof
+    return msgspec.structs.replace(spec, scenario=found.scenario), proof
 
 
 def write_drive(

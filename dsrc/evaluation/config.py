@@ -38,16 +38,17 @@
 Paths are relative to the file, or else to the current folder.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
 from dsrc.evaluation.detect import PAPER_TABLE, Condition, check_numbers, corruption_kinds
+from dsrc.options.detection import BenchmarkOptions
 from sensors.corruptions import Family
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.radio import IDEAL, ChannelSpec, get_channel
@@ -250,39 +251,38 @@ def read_benchmark(path: Path) -> Benchmark:
     return plan
 
 
-def plan_of(what: Sequence[str], data: Sequence[str], flags: Mapping[str, Any], sweeps: Mapping[str, Any]) -> Benchmark:
-    """Benchmark of the command line.
+def plan_of(options: BenchmarkOptions) -> Benchmark:
+    """Benchmark of a TOML, or of the options that describe one.
 
-    Args:
-        what: a TOML file, or detector files; `name=path` gives one its name, and one name given to several files is a
-            method with several trainings.
-        data: folders of drives, a dataset each; `name=folder` names one.
-        flags: further fields of `Benchmark`, with `family` for a single one of `families`; None for the default.
-        sweeps: fields of `ParameterSweeps`, likewise.
+    Detector files that are given one name are the trainings of one method; each folder of drives is a dataset.
 
     Raises:
-        SettingsError: invalid settings, or a file together with flags.
+        SettingsError: invalid settings, or a file together with other options.
     """
-    given = {name: value for name, value in flags.items() if value is not None}
-    swept = {name: value for name, value in sweeps.items() if value is not None}
-    if len(what) == 1 and what[0].endswith(".toml"):
-        said = [name for name, value in {"data": data, **given, **swept}.items() if value not in ((), None)]
-        if said:
-            raise SettingsError(
-                complaint("benchmark", said[0], f"nothing: {what[0]} describes the benchmark", "a value")
-            )
-        return read_benchmark(Path(what[0]))
-    methods, datasets = _grouped("detectors", what), _grouped("data", data)
-    for field, found in (("detectors", methods), ("data", datasets)):
+    fields = msgspec.structs.fields(BenchmarkOptions)
+    given = {one.name: value for one in fields if (value := getattr(options, one.name)) != one.default}
+    path = given.pop("plan", None)
+    if path is not None:
+        if path.suffix != ".toml":
+            hint = "; detector files go after --checkpoint"
+            raise SettingsError(complaint("benchmark", "plan", "a .toml", str(path), hint))
+        for one in fields:
+            if one.name in given:
+                expected = f"nothing: {path} describes the benchmark"
+                raise SettingsError(complaint("benchmark", one.encode_name, expected, "a value"))
+        return read_benchmark(path)
+    methods = _grouped("checkpoint", given.pop("checkpoints", ()))
+    datasets = _grouped("data", given.pop("data", ()))
+    for field, found in (("checkpoint", methods), ("data", datasets)):
         if not found:
             raise SettingsError(complaint("benchmark", field, "at least one, or a TOML file", "none"))
     if "family" in given:
         given["families"] = (given.pop("family"),)
-    listed: dict[str, Any] = {
+    listed = {
         "methods": [{"name": name, "detectors": files} for name, files in methods.items()],
         "datasets": [{"name": name, "drives": folders} for name, folders in datasets.items()],
+        "sweeps": {name: given.pop(name) for name in ParameterSweeps.__struct_fields__ if name in given},
         **given,
-        "sweeps": swept,
     }
     try:
         plan = msgspec.convert(listed, Benchmark)

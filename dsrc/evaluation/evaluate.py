@@ -4,56 +4,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
-
 from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
-from dsrc.evaluation.detect import PAPER_TABLE, corruption_kinds, join_results
+from dsrc.evaluation.detect import corruption_kinds, join_results
 from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
 from dsrc.evaluation.report.report import provenance_of, write_results
 from dsrc.evaluation.results import CLEAN, Row, summary_rows
-from dsrc.evaluation.runner import BenchmarkResult, CaseResult, Device, TrainedDetector, run_plan
-from sensors.corruptions import Family
+from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, run_plan
+from dsrc.options.detection import Evaluation
 from sim.errors import SettingsError, complaint
 from sim.files import write_file
 from sim.radio import IDEAL
 
 EGO_ALONE = "ego alone"
-
-
-class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
-    """Settings of an evaluation.
-
-    Attributes:
-        checkpoints: detector files; `name=path` names one, else the file does.
-        data: a drive, or a folder of drives.
-        out: folder of the results and of the cached cells.
-        corruptions: kinds, `paper_six`, `all` or `clean`; clean frames are always evaluated.
-        severity: of each corruption, 1 to 5; 3 is the paper's.
-        family: of the corruptions' settings.
-        seed: of corruptions and channels.
-        limit: most frames, evenly spread; None for all.
-        ego_alone: also evaluate the first detector without collaborators.
-        channels: radio channels, each detector through each of them; without any, messages arrive at once and are not
-            counted.
-        engine: execution of the networks, one of `dsrc.models.storage.deploy.ENGINES`.
-        device: of the networks.
-    """
-
-    checkpoints: tuple[str, ...]
-    data: Path
-    out: Path
-    corruptions: tuple[str, ...] = (PAPER_TABLE,)
-    severity: int = 3
-    family: Family = "physical"
-    seed: int = 0
-    limit: int | None = None
-    ego_alone: bool = True
-    channels: tuple[str, ...] = ()
-    engine: str = "fused"
-    device: Device = "cpu"
 
 
 def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress | None = None) -> list[Row]:
@@ -62,7 +27,7 @@ def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress 
     The results and plots are the same for the same settings; times are in `timings.csv` alone.
 
     Args:
-        config: the settings.
+        config: see `Evaluation`.
         pool: workers, of one thread each; scripts with several guard their code by `if __name__ == "__main__":`.
         progress: called with detections done and detections to do.
 
@@ -98,13 +63,13 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
         SettingsError: a name repeats or is unknown, or a number is out of its range.
     """
     if not config.checkpoints:
-        raise SettingsError(complaint("evaluate", "checkpoints", "at least one detector", "none"))
+        raise SettingsError(complaint("evaluate", "checkpoint", "at least one detector", "none"))
     files: dict[str, str] = {}
     for name, path in named(config.checkpoints):
         if name in files:
             found = f"{name} for {path} too"
             raise SettingsError(
-                complaint("evaluate", "checkpoints", "names that differ", found, "; give names: name=path")
+                complaint("evaluate", "checkpoint", "names that differ", found, "; give names: name=path")
             )
         files[name] = path
     methods = [MethodSpec(name=name, detectors=(path,)) for name, path in files.items()]

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
+from dsrc.options.review import ColorBy
 from sensors.corruptions import Family
 
-ColorBy = Literal["agent", "intensity", "height", "ring", "fate"]
 Camera = Literal["chase", "bev", "free"]
 
 COLOR_BY: tuple[ColorBy, ...] = get_args(ColorBy)

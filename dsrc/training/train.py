@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import lightning.pytorch as pl
 import msgspec
@@ -23,6 +23,8 @@ from dsrc.data.drives import list_drives
 from dsrc.data.provenance import hashes, provenance
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector, save_detector
+from dsrc.options.detection import TrainOptions
+from dsrc.options.fields import takes_fields
 from dsrc.training.averaging import WeightSelection
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.initialise import initialise_from, load_teacher
@@ -38,60 +40,51 @@ from sim.files import file_sha256
 logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 
 
-def train_stages(
-    recipe: str,
-    *,
-    data: Path,
-    out: Path,
-    stage: Literal["all", "teacher", "student", "plain"] = "all",
-    teacher: Path | None = None,
-    validate: Path | None = None,
-    seed: int = 0,
-    epochs: int | None = None,
-    overrides: Sequence[str] = (),
-    method: str | None = None,
-    init: Path | None = None,
-    devices: int = 1,
-) -> Path:
-    """Train one stage, or the teacher and then the student, each in its own subfolder of `out`.
+@takes_fields(TrainOptions)
+def train_stages(options: TrainOptions) -> Path:
+    """Train one stage, or the teacher and then the student, each in its own subfolder of the run folder.
+
+    A student that does not distil needs no teacher.
 
     Args:
-        recipe: a key of `RECIPES`.
-        data: folder of drives.
-        out: run folder.
-        stage: `all` is teacher, then student; a student that does not distil needs no teacher.
-        teacher: detector file of a trained teacher; default: the one in `out`.
-        validate: folder of validation drives; None holds out the end of each training drive.
-        seed: seed of weights, order and augmentation.
-        epochs: number of epochs in place of the recipe's.
-        overrides: changes of the recipe, see `override`.
-        method: a key of `METHODS`; None takes the recipe's model and the overrides.
-        init: detector file whose weights every stage starts from, see `train`.
-        devices: processes that train together, see `train`.
+        options: recipe, drives, run folder and more, see `TrainOptions`; or these as arguments.
 
     Returns:
         The detector file of the last stage.
+
+    Raises:
+        UserError: as `train`, or an option is wrong.
     """
-    if seed < 0:
-        raise SettingsError(complaint("train", "seed", "at least 0", seed))
-    if recipe not in RECIPES:
-        raise SettingsError(f"recipe: unknown '{recipe}'{did_you_mean(recipe, RECIPES)}")
-    chosen = RECIPES[recipe]() if method is None else of_method(RECIPES[recipe](), method)
-    chosen = override(chosen, overrides)
-    if epochs is not None:
-        chosen = replace(chosen, epochs=epochs)
-    if chosen.epochs < 1:
-        raise SettingsError(complaint("recipe", "epochs", "at least 1", chosen.epochs))
-    stages: list[Stage] = ["teacher", "student"] if stage == "all" else [stage]
-    if stage == "all" and not chosen.model.distils:
+    if options.seed < 0:
+        raise SettingsError(complaint("train", "seed", "at least 0", options.seed))
+    if options.recipe not in RECIPES:
+        raise SettingsError(f"recipe: unknown '{options.recipe}'{did_you_mean(options.recipe, RECIPES)}")
+    recipe = RECIPES[options.recipe]()
+    if options.method is not None:
+        recipe = of_method(recipe, options.method)
+    recipe = override(recipe, options.set)
+    if options.epochs is not None:
+        recipe = replace(recipe, epochs=options.epochs)
+    if recipe.epochs < 1:
+        raise SettingsError(complaint("recipe", "epochs", "at least 1", recipe.epochs))
+    stages: list[Stage] = ["teacher", "student"] if options.stage == "all" else [options.stage]
+    if options.stage == "all" and not recipe.model.distils:
         stages = ["student"]
-    path = out
-    for part in stages:
-        known = teacher
-        if part == "student" and known is None and chosen.model.distils:
-            known = out / "teacher" / DETECTOR
+    path = options.out
+    for stage in stages:
+        teacher = options.teacher
+        if stage == "student" and teacher is None and recipe.model.distils:
+            teacher = options.out / "teacher" / DETECTOR
         path = train(
-            chosen, data, out / part, part, teacher=known, validate=validate, seed=seed, init=init, devices=devices
+            recipe,
+            options.data,
+            options.out / stage,
+            stage,
+            teacher=teacher,
+            validate=options.validate,
+            seed=options.seed,
+            init=options.init,
+            devices=options.devices,
         )
     return path
 

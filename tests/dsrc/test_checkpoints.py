@@ -6,8 +6,9 @@ import pytest
 
 from dsrc.cli.demo import CHECKPOINTS
 from dsrc.data.write import generate
-from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
+from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.models.storage.checkpoint import load_detector
+from dsrc.options.detection import Evaluation
 
 
 @pytest.mark.parametrize(("name", "switches"), [("small-dsrc", True), ("small-plain", False)])

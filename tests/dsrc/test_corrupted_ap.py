@@ -8,7 +8,8 @@ from msgspec.structs import replace
 
 from dsrc.cli.demo import CHECKPOINTS
 from dsrc.data.write import generate
-from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
+from dsrc.evaluation.evaluate import evaluate_drives
+from dsrc.options.detection import Evaluation
 from sensors.corruptions import PAPER_SIX, SEVERITIES
 
 FRAMES, SEEDS = 6, (901, 902, 903)

@@ -17,6 +17,8 @@ from dsrc.data.drive_folder import check_same, locked, read_settings
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
 from dsrc.data.write import make_drive, settle_encounter
+from dsrc.options.drives import BuildOptions
+from dsrc.options.fields import takes_fields
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
 
@@ -33,26 +35,17 @@ class _Work:
     threads: int | None
 
 
-def generate_dataset(
-    source: Path | str,
-    out: Path,
-    splits: Sequence[str] = (),
-    pool: Pool = SERIAL,
-    cards: bool = True,
-    progress: Progress | None = None,
-) -> Path:
+@takes_fields(BuildOptions)
+def generate_dataset(options: BuildOptions, pool: Pool = SERIAL, progress: Progress | None = None) -> Path:
     """Generate the missing drives of a dataset; an interrupted run resumes.
 
     Args:
-        source: split file, or name of a shipped dataset.
-        out: folder of the dataset; drives are `out/SPLIT/DRIVE`, beside them `manifest.json` and the data cards.
-        splits: only these; empty for all.
+        options: split file, folder, splits and cards, see `BuildOptions`; or these as arguments.
         pool: workers.
-        cards: write a data card beside each split.
         progress: called with (frames done, frames in all).
 
     Returns:
-        `out`.
+        The folder; beside the splits are `manifest.json` and the data cards.
 
     Raises:
         SettingsError: the split file or a setting is wrong.
@@ -60,13 +53,13 @@ def generate_dataset(
         DataError: `out` holds another dataset, another process is writing it, or drives failed, which the manifest
             lists.
     """
-    dataset, items = _plan(source, splits)
-    out = Path(out).resolve()  # workers may have another current folder
+    dataset, items = _plan(options.dataset, options.splits)
+    out = Path(options.out).resolve()  # workers may have another current folder
     with locked(out, what="dataset"):
         _check_out(out, dataset, items)
         with pool.open() as executor:
             failed = _make_all(out, dataset, items, executor, progress)
-            if cards:
+            if options.cards:
                 _write_cards(out, items, failed, executor)
     if failed:
         name, reason = next(iter(failed.items()))

@@ -27,6 +27,8 @@ from dsrc.data.formats.opv2v.reader import (
     write_frame,
 )
 from dsrc.data.jsonio import encode_json, read_json
+from dsrc.options.drives import ConvertOptions
+from dsrc.options.fields import takes_fields
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
@@ -85,25 +87,14 @@ class _Work:
     source: Source
 
 
-def convert(
-    data: Path,
-    out: Path,
-    to: Format,
-    *,
-    agent: str | None = None,
-    view: LabelView = "camera",
-    pool: Pool = SERIAL,
-    progress: Progress | None = None,
-) -> Path:
+@takes_fields(ConvertOptions)
+def convert(options: ConvertOptions, pool: Pool = SERIAL, progress: Progress | None = None) -> Path:
     """Write the drives at or below a folder in another format; an interrupted run resumes.
 
+    DAIR-V2X-C has one ego, its vehicle's side, and KITTI a frame for each chosen agent; OPV2V and MCAP hold all agents.
+
     Args:
-        data: a drive or a folder of drives, in any supported format.
-        out: a new or empty folder, or that of an interrupted conversion.
-        to: `opv2v`, `dair`, `kitti` or `mcap`.
-        agent: the viewpoint: `ego` (the first vehicle), `all`, or the id of an agent. DAIR-V2X-C has one ego, its
-            vehicle's side; KITTI a frame for each of them. None is the ego; OPV2V and MCAP always hold all.
-        view: KITTI's labels: those in the nominal camera's picture, or all around.
+        options: drives, folder, format and what is written, see `ConvertOptions`; or these as arguments.
         pool: workers.
         progress: called with (frames done, frames in all).
 
@@ -114,22 +105,20 @@ def convert(
         SettingsError: an unknown format, an option that the format does not have, or `out` is not apart from `data`.
         DataError: a drive cannot be read or lacks what the format needs, or the folder holds something else.
     """
-    if to not in FORMATS:
-        raise SettingsError(complaint("convert", "to", "a format", to, did_you_mean(to, FORMATS)))
-    _check_options(to, agent, view)
-    data, out = Path(data), Path(out)
+    _check_options(options)
+    data, out = Path(options.data), Path(options.out)
     if out.resolve().is_relative_to(data.resolve()) or data.resolve().is_relative_to(out.resolve()):
         raise SettingsError(complaint("convert", "out", f"a folder apart from {data}", str(out)))
     drives = open_drives(data)
     names = names_of([drive.drive for drive in drives])
     wanted = Conversion(
         version=_VERSION,
-        to=to,
-        agent=agent or _EGO,
-        view=view,
+        to=options.to,
+        agent=options.agent_id or _EGO,
+        view=options.view,
         drives={name: drive.digest() for name, drive in zip(names, drives, strict=True)},
     )
-    writer = _WRITERS[to](out, wanted)
+    writer = _WRITERS[wanted.to](out, wanted)
     sources: list[Source] = []
     first = 0
     for row, (name, drive) in enumerate(zip(names, drives, strict=True)):
@@ -188,7 +177,10 @@ def _split_of(folder: str) -> str | None:
     return "test" if folder.startswith("test_") else _SPLITS.get(folder)
 
 
-def _check_options(to: Format, agent: str | None, view: LabelView) -> None:
+def _check_options(options: ConvertOptions) -> None:
+    to, agent, view = options.to, options.agent_id, options.view
+    if to not in FORMATS:
+        raise SettingsError(complaint("convert", "to", "a format", to, did_you_mean(to, FORMATS)))
     if agent is not None and to in ("opv2v", "mcap"):
         raise SettingsError(complaint("convert", "agent_id", f"none with --to {to}, which holds all agents", agent))
     if agent is not None and agent not in (_EGO, _ALL) and not agent.lstrip("-").isdecimal():

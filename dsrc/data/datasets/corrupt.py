@@ -16,15 +16,9 @@ from dsrc.data.drive_folder import check_same, is_complete, locked, read_setting
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles, own_settings, write_frame
-from sensors.corruptions import (
-    CLEAN,
-    CORRUPTIONS,
-    DEFAULT_SEVERITY,
-    Family,
-    corrupt_frame,
-    drive_seed,
-    require_corruption,
-)
+from dsrc.options.drives import CorruptOptions
+from dsrc.options.fields import takes_fields
+from sensors.corruptions import CLEAN, CORRUPTIONS, corrupt_frame, drive_seed, require_corruption
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint
 from sim.files import remove_leftovers
@@ -37,47 +31,28 @@ class CorruptionJob:
     Attributes:
         source: its folder.
         out: folder of the corrupted drive.
-        kind: of the corruption.
-        severity: 1 to 5.
-        family: of its settings.
-        seed: of the whole run.
+        options: of the whole run.
     """
 
     source: Path
     out: Path
-    kind: str
-    severity: int
-    family: Family
-    seed: int
+    options: CorruptOptions
 
     @property
     def drive_seed(self) -> int:
         """Seed of the drive's weather and faults."""
-        return drive_seed(self.seed, self.source.name)
+        return drive_seed(self.options.seed, self.source.name)
 
 
-def corrupt_dataset(
-    data: Path,
-    out: Path,
-    kind: str,
-    severity: int = DEFAULT_SEVERITY,
-    family: Family = "physical",
-    seed: int = 0,
-    pool: Pool = SERIAL,
-    progress: Progress | None = None,
-) -> list[Path]:
+@takes_fields(CorruptOptions)
+def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Progress | None = None) -> list[Path]:
     """Write the drives at or below a folder under a corruption; an interrupted run resumes.
 
     Sweeps, poses and ground truth are written; camera images and further keys of other tools' files are left out. The
     ground truth and its point counts are those of the source.
 
     Args:
-        data: a drive, or a folder of drives.
-        out: folder of the corrupted drives, which keep their names; the drive itself where `data` is one.
-        kind: of the corruption.
-        severity: 1 to 5.
-        family: of its settings.
-        seed: of the corruption; every drive draws its own weather and faults, by the name of its folder.
+        options: drives, folder, corruption and seed, see `CorruptOptions`; or these as arguments.
         pool: workers; processes need a `__main__` that can be imported.
         progress: called with (frames done, frames in all).
 
@@ -89,17 +64,15 @@ def corrupt_dataset(
         DataError: a drive cannot be read or lacks what the corruption needs, or a folder holds a drive of other
             settings.
     """
-    require_corruption(kind, severity, family)
-    if kind == CLEAN:
-        raise SettingsError(complaint("corrupt", "corruption", f"one of {', '.join(CORRUPTIONS)}", kind))
-    if seed < 0:
-        raise SettingsError(complaint("corrupt", "seed", "at least 0", seed))
-    data, out = Path(data).resolve(), Path(out).resolve()
+    require_corruption(options.corruption, options.severity, options.family)
+    if options.corruption == CLEAN:
+        raise SettingsError(complaint("corrupt", "corruption", f"one of {', '.join(CORRUPTIONS)}", CLEAN))
+    if options.seed < 0:
+        raise SettingsError(complaint("corrupt", "seed", "at least 0", options.seed))
+    data, out = Path(options.data).resolve(), Path(options.out).resolve()
     if out.is_relative_to(data) or data.is_relative_to(out):
         raise SettingsError(complaint("corrupt", "out", f"a folder apart from {data}", str(out)))
-    jobs = [
-        CorruptionJob(drive, out / drive.relative_to(data), kind, severity, family, seed) for drive in list_drives(data)
-    ]
+    jobs = [CorruptionJob(drive, out / drive.relative_to(data), options) for drive in list_drives(data)]
     readers = [open_drive(job.source) for job in jobs]
     total, done = sum(len(reader) for reader in readers), 0
     report = progress or (lambda done, total: None)
@@ -142,9 +115,9 @@ def _corrupt_drive(job: CorruptionJob, reader: Drive, executor: Executor) -> Ite
 def corrupted(job: CorruptionJob, reader: Drive, i: int) -> Frame:
     """Return the i-th frame of a drive under its corruption."""
     # The number of the file is that of the random stream and of the new file.
-    frame = replace(reader.read(i), index=reader.frames[i])
+    frame, options = replace(reader.read(i), index=reader.frames[i]), job.options
     try:
-        return corrupt_frame(frame, job.kind, job.severity, job.drive_seed, job.family)
+        return corrupt_frame(frame, options.corruption, options.severity, job.drive_seed, options.family)
     except DataError as error:
         raise DataError(f"{job.source}: {error}") from None
 
@@ -157,13 +130,15 @@ def _write(job: CorruptionJob, reader: Drive, frame: Frame) -> None:
 
 def _protocol(job: CorruptionJob, reader: Drive) -> dict:
     """Return the protocol of the corrupted drive: that of its source with the corruption."""
+    options = job.options
+    settings = CORRUPTIONS[options.corruption].settings_of(options.family).severity(options.severity)
     entry = {
-        "kind": job.kind,
-        "severity": job.severity,
-        "family": job.family,
-        "seed": job.seed,
+        "kind": options.corruption,
+        "severity": options.severity,
+        "family": options.family,
+        "seed": options.seed,
         "drive_seed": job.drive_seed,
-        "settings": msgspec.to_builtins(CORRUPTIONS[job.kind].settings_of(job.family).severity(job.severity)),
+        "settings": msgspec.to_builtins(settings),
         "source": {"drive": job.source.name, "sha256": reader.digest()},
     }
     own = own_settings(reader.protocol)

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.data.datasets.changes import Changes
 from dsrc.data.datasets.spec import log_settings, with_sensors
 from dsrc.data.drive_folder import read_settings
 from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.opv2v.reader import PROTOCOL
 from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec, make_drive
+from dsrc.options.drives import Changes
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
 from sim.scenario import Scenario
@@ -124,7 +124,7 @@ def spec_of(log: Path, changes: Changes) -> DriveSpec:
     # Settings that a log lacks are those of the drive beside it.
     settings = read_settings(log.parent) if (log.parent / PROTOCOL).exists() else None
     kept = {name: settings[name] for name in ("connected_vehicles", "motion", "visibility")} if settings else {}
-    spec = DriveSpec(scenario, int(about["seed"]), frames, float(about["interval_s"]), **kept)
+    spec = DriveSpec(scenario, int(about["seed"]), frames, interval_s=float(about["interval_s"]), **kept)
     spec.check("render")
     return spec
 

@@ -28,7 +28,7 @@ from msgspec import Meta
 
 from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec
-from sensors.sweep import Motion
+from dsrc.options.drives import DriveOptions
 from sim.catalog.load import ROOT, load_scenario
 from sim.errors import DataError, ScenarioError, SettingsError, complaint
 from sim.scenario import Scenario
@@ -41,7 +41,7 @@ _Count = Annotated[int, Meta(ge=1)]
 _Seed = Annotated[int, Meta(ge=0, lt=2**31)]
 
 
-class DriveGroup(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class DriveGroup(DriveOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Group of drives: one of each combination.
 
     Attributes:
@@ -52,10 +52,6 @@ class DriveGroup(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         lidars: presets of the vehicles' LiDARs; empty for the scenario's.
         roadside_lidars: presets of the roadside units' LiDARs; empty for the scenario's.
         roadside: keep the roadside units.
-        interval_s: time between frames, s.
-        motion: compensation of the sensors' motion in the files.
-        connected_vehicles: list other agents' bodies among an agent's vehicles.
-        visibility: measure visible fractions.
     """
 
     scenarios: Annotated[tuple[str, ...], Meta(min_length=1)]
@@ -65,10 +61,6 @@ class DriveGroup(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     lidars: tuple[str, ...] = ()
     roadside_lidars: tuple[str, ...] = ()
     roadside: bool = True
-    interval_s: Annotated[float, Meta(gt=0.0)] = 0.1
-    motion: Motion = "middle"
-    connected_vehicles: bool = True
-    visibility: bool = True
 
 
 class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -206,15 +198,7 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
         else:
             scenario, proof = _recorded_scenario(recorded / TRAFFIC_LOG)
         scenario = with_sensors(scenario, count, lidar, roadside_lidar, group.roadside)
-        spec = DriveSpec(
-            scenario,
-            seed,
-            frames,
-            group.interval_s,
-            group.connected_vehicles,
-            group.motion,
-            group.visibility,
-        )
+        spec = DriveSpec(scenario, seed, frames, **group.shared())
         spec.check(where)
         yield DriveItem(split, drive, spec, recorded, proof)
 

@@ -3,14 +3,14 @@
 import logging
 import threading
 import time
-import webbrowser
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import viser
 
+from dsrc.options.fields import takes_fields
+from dsrc.options.review import ServeOptions
 from dsrc.review.matching import Counts
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page import cameras
@@ -20,7 +20,7 @@ from dsrc.review.page.scene import SceneWriter, set_start_camera
 from dsrc.review.page.server import LOOPBACK, address, check_port, start_server, stop_server
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
-from sensors.corruptions import CLEAN, Family, require_corruption
+from sensors.corruptions import CLEAN, require_corruption
 from sim.errors import UserError
 
 log = logging.getLogger(__name__)
@@ -230,31 +230,20 @@ class ReviewApp:
                 time.sleep(min(pause, 2.0))
 
 
+@takes_fields(ServeOptions)
 def serve(
-    drives_root: Path,
-    checkpoint: Path | None = None,
+    options: ServeOptions,
     host: str = LOOPBACK,
-    port: int | None = None,
-    corruption: str = CLEAN,
-    severity: int = 3,
-    open_browser: bool = False,
     block: bool = True,
     announce: Callable[[str], None] | None = None,
-    family: Family = "physical",
 ) -> ReviewApp:
     """Serve a review page of drives.
 
     Args:
-        drives_root: folder of drives, or one drive.
-        checkpoint: detector file; its detections are drawn and matched with the truth.
+        options: drives, detector, first corruption and port, see `ServeOptions`; or these as arguments.
         host: address to listen on; default: the loopback.
-        port: default: a free one.
-        corruption: initial corruption.
-        severity: 1 to 5.
-        open_browser: open the page in the user's browser.
         block: serve until interrupted; otherwise return the running page.
         announce: called with the address of the page once it answers.
-        family: of the corruption's settings.
 
     Returns:
         The page; `url` is its address, `close` ends it.
@@ -264,17 +253,15 @@ def serve(
         SettingsError: the corruption is unknown, or the port taken.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    require_corruption(corruption, severity, family)
-    if port is not None:
-        check_port(host, port)
-    model = open_model(Path(drives_root), checkpoint)
-    state = ReviewState(corruption=corruption, severity=severity, family=family)
-    app = ReviewApp(model, start_server(host, port), state)
+    require_corruption(options.corruption, options.severity, options.family)
+    if options.port is not None:
+        check_port(host, options.port)
+    model = open_model(options.data, options.checkpoint)
+    state = ReviewState(corruption=options.corruption, severity=options.severity, family=options.family)
+    app = ReviewApp(model, start_server(host, options.port), state)
     log.info("review page: %s", app.url)
     if announce is not None:
         announce(app.url)
-    if open_browser:
-        webbrowser.open(app.url)
     if not block:
         return app
     try:

@@ -5,13 +5,15 @@ from pathlib import Path
 
 import viser
 
+from dsrc.options.fields import takes_fields
+from dsrc.options.review import PageOptions
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.cameras import CameraPose, birds_eye, chase, overview
 from dsrc.review.page.overlay import CameraButton, add_overlay, frame_texts
 from dsrc.review.page.scene import SceneWriter, set_start_camera
 from dsrc.review.page.server import start_server, stop_server
-from dsrc.review.state import ColorBy, ReviewState
-from sensors.corruptions import CLEAN, Family, require_corruption
+from dsrc.review.state import ReviewState
+from sensors.corruptions import CLEAN, require_corruption
 from sim.errors import SettingsError, complaint
 from sim.files import write_file
 
@@ -28,35 +30,12 @@ POINT_STEP_M = 1.0 / 32.0
 """Rounding of points, m: the resolution of float16 beyond 32 m; saves a quarter of the page."""
 
 
-def export_html(
-    root: Path,
-    out: Path,
-    checkpoint: Path | None = None,
-    corruption: str = CLEAN,
-    severity: int = 3,
-    frames: slice | int = 40,
-    max_points: int | None = None,
-    drive: int = 0,
-    threshold: float = 0.3,
-    follow: bool = True,
-    color_by: ColorBy = "agent",
-    family: Family = "physical",
-) -> Path:
+@takes_fields(PageOptions)
+def export_html(options: PageOptions) -> Path:
     """Write one HTML file that plays a drive in any browser, without a server.
 
     Args:
-        root: folder of drives, or one drive.
-        out: the page.
-        checkpoint: detector file; its detections are drawn and matched with the truth.
-        corruption: `clean` or a kind of corruption.
-        severity: 1 to 5.
-        frames: slice of the drive's frames, or number of frames from the first.
-        max_points: points per frame, all agents together; default: for a page below 12 MB.
-        drive: row of the drive below `root`.
-        threshold: least score of a drawn detection.
-        follow: keep the ego where it starts on the screen.
-        color_by: quantity shown by the colour of a point.
-        family: of the corruption's settings.
+        options: drives, page, detector, corruption, frames and drawing, see `PageOptions`; or these as arguments.
 
     Returns:
         The path of the page.
@@ -66,24 +45,23 @@ def export_html(
         SettingsError: the corruption or a number is wrong.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    require_corruption(corruption, severity, family)
-    model = open_model(root, checkpoint)
-    if not 0 <= drive < len(model.drives):
-        raise SettingsError(complaint("view", "drive", f"0 to {len(model.drives) - 1}", drive))
-    rows = _rows(model, drive, frames)
-    budget = min(MAX_POINTS, PAGE_POINTS // len(rows)) if max_points is None else max_points
-    per_agent = max(budget // len(model.first_frame(drive).agents), 1)
+    require_corruption(options.corruption, options.severity, options.family)
+    model = open_model(options.data, options.checkpoint)
+    if not 0 <= options.drive < len(model.drives):
+        raise SettingsError(complaint("view", "drive", f"0 to {len(model.drives) - 1}", options.drive))
+    rows = _rows(model, options.drive, options.frames)
+    budget = min(MAX_POINTS, PAGE_POINTS // len(rows)) if options.max_points is None else options.max_points
     state = ReviewState(
-        drive=drive,
-        corruption=corruption,
-        severity=severity,
-        family=family,
-        threshold=threshold,
-        max_points=per_agent,
+        drive=options.drive,
+        corruption=options.corruption,
+        severity=options.severity,
+        family=options.family,
+        threshold=options.threshold,
+        max_points=max(budget // len(model.first_frame(options.drive).agents), 1),
         point_size_m=POINT_SIZE_M,
-        color_by=color_by,
+        color_by=options.color_by,
     )
-    return export_states(model, [replace(state, frame=row) for row in rows], Path(out), follow)
+    return export_states(model, [replace(state, frame=row) for row in rows], Path(options.out), options.follow)
 
 
 def _rows(model: ReviewModel, drive: int, frames: slice | int) -> list[int]:

@@ -4,13 +4,13 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import replace
 from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from msgspec.structs import replace
 
 from dsrc.data.datasets.spec import DriveItem, expand, find_split_file, read_dataset
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD

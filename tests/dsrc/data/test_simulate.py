@@ -142,7 +142,7 @@ def test_a_drive_is_made_again_from_its_log_and_its_world_alone(drive: Path, tmp
         "import sys; sys.modules.update(dict.fromkeys(('libsumo', 'sumo', 'sumolib', 'traci')))\n"
         "import msgspec; from pathlib import Path; from dsrc.data.write import DriveSpec, make_drive\n"
         "from sim.scenario import Scenario\n"
-        "spec = DriveSpec(msgspec.json.decode(sys.argv[1], type=Scenario), 5, 3, 0.2)\n"
+        "spec = DriveSpec(msgspec.json.decode(sys.argv[1], type=Scenario), 5, 3, interval_s=0.2)\n"
         "make_drive(spec, Path(sys.argv[2]), recorded=Path(sys.argv[3]))"
     )
     scenario = msgspec.json.encode(quick()).decode()

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.evaluation.config import available, cases_of, plan_of, read_benchmark
+from dsrc.evaluation.config import Benchmark, available, cases_of, plan_of, read_benchmark
 from dsrc.evaluation.detect import Condition
+from dsrc.options.detection import BenchmarkOptions
 from dsrc.training.recipes import METHODS
 from sim.errors import SettingsError
 from tests.paths import ROOT
@@ -91,9 +92,10 @@ def test_both_families_are_run_and_clean_frames_once(tmp_path):
     lacking = text.replace('"snow"]', '"spray"]')
     with pytest.raises(SettingsError, match=r"corruptions: .*spray"):
         read_benchmark(written(tmp_path, lacking))
-    assert plan_of(("c.pt",), ("data",), {"family": "paper"}, {}).families == ("paper",)
+    options = BenchmarkOptions(checkpoints=("c.pt",), data=("data",), family="paper")
+    assert plan_of(options).families == ("paper",)
     with pytest.raises(SettingsError, match="family: expected nothing"):
-        plan_of((str(written(tmp_path)),), (), {"family": "paper"}, {})
+        plan_of(BenchmarkOptions(plan=written(tmp_path), family="paper"))
 
 
 def test_differences_and_notes_of_missing_methods_are_left_out(tmp_path):
@@ -152,32 +154,45 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 def test_flags_say_the_same_as_a_file(tmp_path):
-    flags = {"corruptions": ("fog", "snow"), "severities": (1, 3), "channels": ("ideal", "its-g5-6"), "limit": 10}
-    sweeps = {"agents": (1, 2), "pose_error": (0.0, 0.2), "loss": None}
-    plan = plan_of(("DSRC=a.pt", "DSRC=b.pt", "Late=c.pt"), ("test=data",), {**flags, "seed": None}, sweeps)
+    plan = plan_of(
+        BenchmarkOptions(
+            checkpoints=("DSRC=a.pt", "DSRC=b.pt", "Late=c.pt"),
+            data=("test=data",),
+            corruptions=("fog", "snow"),
+            severities=(1, 3),
+            channels=("ideal", "its-g5-6"),
+            agents=(1, 2),
+            pose_error=(0.0, 0.2),
+            limit=10,
+        )
+    )
     assert plan.methods == read_benchmark(written(tmp_path)).methods
     assert len(cases_of(plan)) == 3 * 5 * 2 + 3 * 3
-    assert plan_of((str(written(tmp_path)),), (), {"seed": None}, {}) == read_benchmark(written(tmp_path))
-    unnamed = plan_of(("runs/c.pt",), ("data/test",), {}, {})
+    assert plan_of(BenchmarkOptions(plan=written(tmp_path))) == read_benchmark(written(tmp_path))
+    unnamed = plan_of(BenchmarkOptions(checkpoints=("runs/c.pt",), data=("data/test",)))
     assert (unnamed.methods[0].name, unnamed.datasets[0].name) == ("c", "test")
 
 
 def test_only_files_that_were_given_one_name_are_trainings_of_one_method():
-    plan = plan_of(("runs/a/detector.pt", "runs/b/detector.pt"), ("one/test", "two/test"), {}, {})
-    assert {m.name: m.detectors for m in plan.methods} == {
+    def plan(checkpoints: tuple[str, ...], data: tuple[str, ...] = ("test",)) -> Benchmark:
+        return plan_of(BenchmarkOptions(checkpoints=checkpoints, data=data))
+
+    apart = plan(("runs/a/detector.pt", "runs/b/detector.pt"), ("one/test", "two/test"))
+    assert {m.name: m.detectors for m in apart.methods} == {
         "a/detector": ("runs/a/detector.pt",),
         "b/detector": ("runs/b/detector.pt",),
     }
-    assert [d.name for d in plan.datasets] == ["one/test", "two/test"]
-    pooled = plan_of(("x=runs/a/detector.pt", "x=runs/b/detector.pt"), ("test",), {}, {})
+    assert [d.name for d in apart.datasets] == ["one/test", "two/test"]
+    pooled = plan(("x=runs/a/detector.pt", "x=runs/b/detector.pt"))
     assert len(pooled.methods) == 1 and len(pooled.methods[0].detectors) == 2
     for pair in (("a/student/d.pt", "b/student/d.pt"), ("d=a.pt", "b/d.pt")):
-        with pytest.raises(SettingsError, match=r"detectors: expected names that differ.*name=path"):
-            plan_of(pair, ("test",), {}, {})
+        with pytest.raises(SettingsError, match=r"checkpoint: expected names that differ.*name=path"):
+            plan(pair)
 
 
 def test_a_folder_with_an_equals_sign_is_no_name():
-    plan = plan_of(("runs/lr=0.1/c.pt", "slow=runs/lr=0.01/c.pt"), ("data/n=3/test",), {}, {})
+    checkpoints = ("runs/lr=0.1/c.pt", "slow=runs/lr=0.01/c.pt")
+    plan = plan_of(BenchmarkOptions(checkpoints=checkpoints, data=("data/n=3/test",)))
     assert [(m.name, m.detectors[0]) for m in plan.methods] == [
         ("c", "runs/lr=0.1/c.pt"),
         ("slow", "runs/lr=0.01/c.pt"),
@@ -185,18 +200,23 @@ def test_a_folder_with_an_equals_sign_is_no_name():
     assert (plan.datasets[0].name, plan.datasets[0].drives) == ("test", ("data/n=3/test",))
 
 
-def test_a_file_and_flags_do_not_both_describe_it(tmp_path):
-    path = str(written(tmp_path))
-    with pytest.raises(SettingsError, match=r"limit: expected nothing: .* describes the benchmark"):
-        plan_of((path,), (), {"limit": 5}, {})
-    with pytest.raises(SettingsError, match="data: expected nothing"):
-        plan_of((path,), ("data",), {}, {})
-    with pytest.raises(SettingsError, match="detectors: expected at least one"):
-        plan_of((), ("data",), {}, {})
-    with pytest.raises(SettingsError, match="data: expected at least one"):
-        plan_of(("a.pt",), (), {}, {})
-    with pytest.raises(SettingsError, match="agents"):
-        plan_of(("a.pt",), ("data",), {}, {"agents": (0,)})
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"plan": "file", "limit": 5}, r"frames: expected nothing: .* describes the benchmark"),
+        ({"plan": "file", "data": ("data",)}, "data: expected nothing"),
+        ({"plan": "file", "checkpoints": ("a.pt",)}, "checkpoint: expected nothing"),
+        ({"plan": "a.pt"}, "plan: expected a .toml, found .*a.pt; detector files go after --checkpoint"),
+        ({"data": ("data",)}, "checkpoint: expected at least one"),
+        ({"checkpoints": ("a.pt",)}, "data: expected at least one"),
+        ({"checkpoints": ("a.pt",), "data": ("data",), "agents": (0,)}, "agents"),
+    ],
+)
+def test_a_file_or_options_describe_a_benchmark_never_both(tmp_path, options, message):
+    if "plan" in options:
+        options = {**options, "plan": written(tmp_path) if options["plan"] == "file" else tmp_path / options["plan"]}
+    with pytest.raises(SettingsError, match=message):
+        plan_of(BenchmarkOptions(**options))
 
 
 def test_missing_detectors_can_be_left_out(tmp_path):

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from dsrc.evaluation.evaluate import Evaluation, evaluate_drives, plan_of_evaluation
+from dsrc.evaluation.evaluate import evaluate_drives, plan_of_evaluation
 from dsrc.evaluation.results import find_row
+from dsrc.options.detection import Evaluation
 from sim.errors import SettingsError
 from tests.dsrc.evaluation.small import write_detector, write_drives
 

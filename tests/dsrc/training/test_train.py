@@ -236,7 +236,7 @@ def test_a_student_without_its_teacher_is_told(data: Path, tmp_path: Path) -> No
     with pytest.raises(CheckpointError, match="no such checkpoint file"):
         train_stages("debug", data=data, out=tmp_path, stage="student")
     with pytest.raises(SettingsError, match="did you mean 'fusion'"):
-        train_stages("debug", data=data, out=tmp_path, overrides=("fusoin=max",))
+        train_stages("debug", data=data, out=tmp_path, set=("fusoin=max",))
     with pytest.raises(SettingsError, match="did you mean 'debug'"):
         train_stages("debgu", data=data, out=tmp_path)
     with pytest.raises(SettingsError, match=r"method: expected one of .*early.*v2x-vit.*dsrc.*, found foo"):
@@ -253,7 +253,7 @@ def test_methods_differ_in_their_fusion_and_designs_alone() -> None:
 
 def test_a_rival_is_trained_without_a_teacher(data: Path, tmp_path: Path) -> None:
     sizes = ("shrink_channels=16", "stage_channels=[8,8,8]", "alarm_after=9")
-    path = train_stages("debug", data=data, out=tmp_path, epochs=1, method="v2x-vit", overrides=sizes)
+    path = train_stages("debug", data=data, out=tmp_path, epochs=1, method="v2x-vit", set=sizes)
     assert not (tmp_path / "teacher").exists()
     assert load_detector(path).settings.fusion == "v2xvit"
 

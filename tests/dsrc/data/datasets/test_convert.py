@@ -59,7 +59,9 @@ def test_an_interrupted_conversion_resumes_to_the_same_bytes(
 
 
 def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path):
-    one, two = (convert(data, tmp_path / str(workers), "kitti", agent="all", pool=Pool(workers)) for workers in (1, 2))
+    one, two = (
+        convert(data, tmp_path / str(workers), "kitti", agent_id="all", pool=Pool(workers)) for workers in (1, 2)
+    )
     assert tree(one) == tree(two)
 
 
@@ -84,9 +86,9 @@ def test_a_folder_that_holds_something_else_is_refused(data: Path, tmp_path: Pat
     ("options", "message"),
     [
         ({"to": "kity"}, "to: expected a format, found kity; did you mean 'kitti'"),
-        ({"to": "opv2v", "agent": "3"}, "agent_id: expected none with --to opv2v"),
-        ({"to": "dair", "agent": "all"}, "agent_id: expected ego or the id of a vehicle"),
-        ({"to": "kitti", "agent": "me"}, "agent_id: expected ego, all or the id of an agent, found me"),
+        ({"to": "opv2v", "agent_id": "3"}, "agent_id: expected none with --to opv2v"),
+        ({"to": "dair", "agent_id": "all"}, "agent_id: expected ego or the id of a vehicle"),
+        ({"to": "kitti", "agent_id": "me"}, "agent_id: expected ego, all or the id of an agent, found me"),
         ({"to": "dair", "view": "around"}, "view: expected camera, or --to kitti"),
     ],
 )

@@ -45,7 +45,7 @@ def foreign(data: Path) -> Path:
 
 
 def test_every_frame_is_that_of_corrupt_frame_with_the_seed_of_its_drive(data: Path, tmp_path: Path) -> None:
-    drives = corrupt_dataset(data, tmp_path / "out", "motion_blur", 4, seed=5)
+    drives = corrupt_dataset(data, tmp_path / "out", "motion_blur", severity=4, seed=5)
     assert drives == [tmp_path / "out" / "one", tmp_path / "out" / "two"] == list_drives(tmp_path / "out")
     for drive in drives:
         source, out = DriveReader(data / drive.name), DriveReader(drive)
@@ -61,14 +61,14 @@ def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path)
 
 
 def test_lost_points_are_stored(data: Path, tmp_path: Path) -> None:
-    (drive, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing", 5)
+    (drive, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing", severity=5)
     for before, after in zip(DriveReader(data / "one").read(2).agents, DriveReader(drive).read(2).agents, strict=True):
         assert after.sweep.lost == len(before.sweep) - len(after.sweep) > 0
 
 
 def test_the_protocol_has_source_and_corruptions(data: Path, tmp_path: Path) -> None:
-    (drive, _) = corrupt_dataset(data, tmp_path / "out", "crosstalk", 2, seed=9)
-    (again, _) = corrupt_dataset(tmp_path / "out", tmp_path / "both", "beam_missing", 1)
+    (drive, _) = corrupt_dataset(data, tmp_path / "out", "crosstalk", severity=2, seed=9)
+    (again, _) = corrupt_dataset(tmp_path / "out", tmp_path / "both", "beam_missing", severity=1)
     own = DriveReader(again).protocol["testbed"]
     first, second = own["corruptions"]
     assert (first["kind"], first["severity"], first["family"], first["seed"]) == ("crosstalk", 2, "physical", 9)
@@ -79,7 +79,7 @@ def test_the_protocol_has_source_and_corruptions(data: Path, tmp_path: Path) -> 
 
 
 def test_truth_plans_and_the_list_of_vehicles_stay(data: Path, tmp_path: Path) -> None:
-    (drive, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing", 5)
+    (drive, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing", severity=5)
     before, after = (DriveReader(d).read(3) for d in (data / "one", drive))
     np.testing.assert_array_equal(before.truth.array, after.truth.array)
     np.testing.assert_array_equal(before.points_on, after.points_on)
@@ -118,10 +118,10 @@ def test_a_finished_run_is_left_alone_and_only_missing_frames_are_made(data: Pat
 
 @pytest.mark.parametrize(
     ("change", "field"),
-    [({"severity": 4}, "severity"), ({"seed": 1}, "seed"), ({"kind": "crosstalk"}, "kind")],
+    [({"severity": 4}, "severity"), ({"seed": 1}, "seed"), ({"corruption": "crosstalk"}, "kind")],
 )
 def test_a_folder_of_other_settings_is_refused_by_name(data: Path, tmp_path: Path, change: dict, field: str) -> None:
-    settings = {"kind": "beam_missing", "severity": 3, "seed": 0}
+    settings = {"corruption": "beam_missing", "severity": 3, "seed": 0}
     corrupt_dataset(data, tmp_path / "out", **settings)
     with pytest.raises(DataError, match=rf"data_protocol.yaml: corruptions\[0\].{field}: expected"):
         corrupt_dataset(data, tmp_path / "out", **{**settings, **change})
@@ -151,8 +151,8 @@ def test_an_unfinished_drive_names_the_command_that_resumes_it(data: Path, tmp_p
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"kind": "fogg"}, "did you mean 'fog'"),
-        ({"kind": "clean"}, "corruption"),
+        ({"corruption": "fogg"}, "did you mean 'fog'"),
+        ({"corruption": "clean"}, "corruption"),
         ({"severity": 6}, "1 to 5"),
         ({"family": "papers"}, "did you mean 'paper'"),
         ({"seed": -1}, "seed"),
@@ -163,7 +163,7 @@ def test_a_wrong_setting_is_named_before_anything_is_written(
     data: Path, tmp_path: Path, wrong: dict, message: str
 ) -> None:
     with pytest.raises(SettingsError, match=message):
-        corrupt_dataset(data, tmp_path / "out", **{"kind": "fog", **wrong})
+        corrupt_dataset(data, tmp_path / "out", **{"corruption": "fog", **wrong})
     assert not (tmp_path / "out").exists()
 
 

@@ -87,7 +87,7 @@ def test_the_picture_decides_what_is_labelled_and_its_box_holds_the_projected_co
 
 
 def test_every_agent_can_be_the_car(data: Path, tmp_path: Path):
-    out = convert(data, tmp_path / "out", "kitti", agent="all")
+    out = convert(data, tmp_path / "out", "kitti", agent_id="all")
     rows = [line.split(",") for line in (out / "frames.csv").read_text().splitlines()]
     assert rows[0] == ["number", "split", "drive", "frame", "agent"]
     assert rows[1] == ["000000", "test", "test/two", "0", "1000"]
@@ -103,13 +103,13 @@ def test_every_agent_can_be_the_car(data: Path, tmp_path: Path):
 
 
 def test_one_agent_of_a_drive_that_has_it(data: Path, tmp_path: Path):
-    out = convert(data, tmp_path / "out", "kitti", agent="-1", view="around")
+    out = convert(data, tmp_path / "out", "kitti", agent_id="-1", view="around")
     cloud = np.fromfile(out / "training/velodyne/000002.bin", "<f4").reshape(-1, 4)
     # The roadside unit's sensor looks down; its cloud is level: the ground is flat, 5 m below.
     ground = cloud[toy_frame(0, seed=len("train/one")).agents[2].sweep.object_id == -1]
     assert np.ptp(ground[:, 2]) < 1e-3 and ground[0, 2] == pytest.approx(-5.02, abs=0.01)
     with pytest.raises(DataError, match=r"agent: expected one of \[1000, 1002, -1\], found 8"):
-        convert(data, tmp_path / "other", "kitti", agent="8")
+        convert(data, tmp_path / "other", "kitti", agent_id="8")
 
 
 def test_the_pictures_are_black_and_of_kittis_size(data: Path, tmp_path: Path):

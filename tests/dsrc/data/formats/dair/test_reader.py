@@ -326,12 +326,12 @@ def test_a_frame_of_one_agent_has_no_two_sides(tmp_path: Path):
     with pytest.raises(DataError, match=r"toy: frame 0: agents: expected two, one for each side of DAIR-V2X-C"):
         convert(tmp_path / "data", tmp_path / "out", "dair")
     with pytest.raises(DataError, match=r"toy: frame 0: agents: expected agent 7, found \[1000\]"):
-        convert(tmp_path / "data", tmp_path / "other", "dair", agent="7")
+        convert(tmp_path / "data", tmp_path / "other", "dair", agent_id="7")
 
 
 def test_two_vehicles_are_two_sides(tmp_path: Path):
     write_frame(tmp_path / "data" / "toy", toy_frame(0).of_agents([0, 1]))
-    convert(tmp_path / "data", tmp_path / "out", "dair", agent="1002")
+    convert(tmp_path / "data", tmp_path / "out", "dair", agent_id="1002")
     (reader,) = open_drives(tmp_path / "out")
     assert reader.agents == (1002, 1000)
     assert [agent.kind for agent in reader.read(0).agents] == ["vehicle", "vehicle"]

@@ -1,0 +1,112 @@
+"""Options of commands around detectors: `dsrc evaluate`, `benchmark` and `model train`."""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import field
+from tyro.conf import Positional, arg
+
+from dsrc.options.fields import CHANNELS, CORRUPTIONS, METHODS, RECIPES, Data, Family, File, Folder, Severity, choice
+
+Checkpoints = Annotated[tuple[str, ...], arg(metavar="[NAME=]FILE [...]")]
+Kinds = Annotated[tuple[str, ...], choice(("clean", "paper_six", "all", *CORRUPTIONS), several=True)]
+Engine = Literal["fused", "bf16", "compiled", "plain"]
+Device = Literal["cpu", "cuda"]
+Channels = Annotated[tuple[str, ...], choice(CHANNELS, several=True)]
+
+
+class Evaluation(Severity, frozen=True, kw_only=True):
+    """Options of an evaluation.
+
+    Attributes:
+        checkpoints: detector files; NAME=FILE names a row.
+        data: a drive, or a folder of drives.
+        out: folder of results.csv, results.json, plots and cached cells; an interrupted evaluation resumes.
+        corruptions: kinds of corruption; paper_six are those of the paper's tables; clean frames are always evaluated.
+        seed: seed of corruptions and channels.
+        limit: frames to evaluate, evenly spread; default: all.
+        ego_alone: also evaluate the first detector without collaborators.
+        channels: radio channels, each detector through each of them; default: no loss, no delay and no byte counts.
+        engine: execution of the networks: fused layers, the same in half precision for CPUs with AMX, PyTorch's
+            compiler, or layer by layer.
+        device: device of the networks.
+    """
+
+    checkpoints: Checkpoints = field(name="checkpoint")
+    data: Data
+    out: Folder
+    corruptions: Kinds = field(default=("paper_six",), name="corruption")
+    seed: int = 0
+    limit: int | None = field(default=None, name="frames")
+    ego_alone: bool = True
+    channels: Channels = field(default=(), name="channel")
+    engine: Engine = "fused"
+    device: Device = "cpu"
+
+
+class BenchmarkOptions(msgspec.Struct, frozen=True, kw_only=True):
+    """Options that describe a benchmark, in place of a TOML.
+
+    Attributes:
+        plan: TOML of the benchmark, in place of the options that describe one; default: the options.
+        checkpoints: detector files; NAME=FILE names a method, several files of one NAME are its trainings;
+            default: none.
+        data: folders of drives, a dataset each; NAME=FOLDER names one; default: none.
+        corruptions: kinds of corruption; paper_six are those of the paper's tables; default: paper_six.
+        severities: severities of each corruption, 1 to 5; default: 3.
+        family: models of the corruptions: of physical causes, or as published in papers; default: physical.
+        channels: radio channels; default: ideal.
+        agents: numbers of agents to compare, such as 1 2 3 4 5; default: none.
+        pose_error: pose errors of the collaborators to compare, m and deg, such as 0.2 0.4; default: none.
+        delay_s: delays to compare, s; default: none.
+        loss: packet loss rates to compare; default: none.
+        limit: frames of each dataset to evaluate, evenly spread; default: all.
+        seed: seed of corruptions and channels; default: 0.
+    """
+
+    plan: Positional[File | None] = None
+    checkpoints: Checkpoints = field(default=(), name="checkpoint")
+    data: Annotated[tuple[str, ...], arg(metavar="[NAME=]FOLDER [...]")] = ()
+    corruptions: Kinds | None = field(default=None, name="corruption")
+    severities: tuple[int, ...] | None = field(default=None, name="severity")
+    family: Family | None = None
+    channels: Channels | None = field(default=None, name="channel")
+    agents: tuple[int, ...] | None = None
+    pose_error: tuple[float, ...] | None = None
+    delay_s: tuple[float, ...] | None = None
+    loss: tuple[float, ...] | None = None
+    limit: int | None = field(default=None, name="frames")
+    seed: int | None = None
+
+
+class TrainOptions(msgspec.Struct, frozen=True):
+    """Options of a training.
+
+    Attributes:
+        recipe: settings of model and training; dsrc-paper is DSRC as its text says, dsrc-code as released.
+        data: folder of the training drives.
+        out: run folder, with one subfolder per stage.
+        stage: all is teacher, then student; plain is the student without teacher and reconstruction.
+        teacher: detector file of a trained teacher, for the student; default: the one in the run folder.
+        validate: folder of the validation drives; default: the end of each training drive.
+        seed: seed of weights, order and augmentation.
+        epochs: number of epochs; default: the recipe's.
+        method: collaboration method; default: the recipe's.
+        init: detector file to start from, by weights whose name and shape agree; default: random weights.
+        devices: GPUs, or processes without one, that share each batch; torchrun sets its own number.
+        set: settings of the model, of the recipe or of a part of it, such as sdd=false fusion=max
+            augmentation.corruption=0.5; default: the recipe's.
+    """
+
+    recipe: Positional[Annotated[str, choice(RECIPES)]]
+    data: Folder
+    out: Folder
+    stage: Literal["all", "teacher", "student", "plain"] = "all"
+    teacher: File | None = None
+    validate: Folder | None = None
+    seed: int = 0
+    epochs: int | None = None
+    method: Annotated[str | None, choice(METHODS)] = None
+    init: File | None = None
+    devices: int = 1
+    set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE [...]")] = ()

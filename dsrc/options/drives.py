@@ -1,0 +1,126 @@
+"""Options of commands that write drives: `dsrc generate`, `corrupt` and `dataset`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+from tyro.conf import arg
+
+from dsrc.options.fields import CORRUPTIONS, Data, Folder, Scenario, Severity, Splits, choice
+
+if TYPE_CHECKING:
+    from sim import scenario
+
+    AnyScenario = scenario.Scenario | str | Path
+else:
+    AnyScenario = Scenario
+"""Scenario, its name or the path of its file; on the command line one of the latter."""
+
+
+class DriveOptions(msgspec.Struct, frozen=True, kw_only=True):
+    """Options that drives of any scenario share.
+
+    Attributes:
+        interval_s: time between frames, a multiple of the LiDAR's 0.1 s, s.
+        motion: instant of a sweep to which its points are motion-compensated; raw: not at all.
+        connected_vehicles: list the other agents among an agent's vehicles; OPV2V leaves them out.
+        visibility: measure the visible share of every object, for a fifth of the time.
+    """
+
+    interval_s: Annotated[float, Meta(gt=0.0)] = 0.1
+    motion: Literal["middle", "start", "end", "raw"] = "middle"
+    connected_vehicles: bool = True
+    visibility: bool = True
+
+    def shared(self) -> dict[str, Any]:
+        """Return these options by name."""
+        return {name: getattr(self, name) for name in DriveOptions.__struct_fields__}
+
+
+class GenerateOptions(DriveOptions, frozen=True):
+    """Options of a drive and its place.
+
+    Attributes:
+        scenario: shipped scenario, or path of a scenario.toml.
+        out: parent folder; the drive becomes FOLDER/SCENARIO_SEED.
+        frames: synchronised frames.
+        seed: seed of everything random; default: the scenario's.
+    """
+
+    scenario: AnyScenario
+    out: Folder
+    frames: int = 100
+    seed: int | None = None
+
+
+class CorruptOptions(Severity, frozen=True):
+    """Options of corrupted drives.
+
+    Attributes:
+        data: a drive, or a folder of drives.
+        out: folder of the corrupted drives, which keep their names; the drive itself where `data` is one.
+        corruption: kind of the corruption.
+        seed: seed of the corruption; every drive draws its own weather and faults from it.
+    """
+
+    data: Data
+    out: Folder
+    corruption: Annotated[str, choice(CORRUPTIONS)]
+    seed: int = 0
+
+
+class BuildOptions(msgspec.Struct, frozen=True):
+    """Options of a dataset.
+
+    Attributes:
+        dataset: shipped dataset, or path of a TOML of splits.
+        out: folder of the dataset; drives are FOLDER/SPLIT/DRIVE.
+        splits: splits to build; default: all.
+        cards: write a data card beside each split.
+    """
+
+    dataset: Splits
+    out: Folder
+    splits: tuple[str, ...] = ()
+    cards: bool = True
+
+
+class Changes(msgspec.Struct, frozen=True, kw_only=True):
+    """Sensors and agents of a rendered drive that differ from the recording.
+
+    Attributes:
+        lidar: preset of the vehicles' LiDARs, such as vlp-16; default: the recording's.
+        roadside_lidar: preset of the roadside units' LiDARs; default: the recording's.
+        roadside: keep the roadside units.
+        vehicles: number of vehicles with a LiDAR; default: the recording's.
+        agent_id: ids of the vehicles with a LiDAR, ego first; default: the recording's.
+        mount: x y z in the body frame, m, and pitch, deg, of the vehicles' LiDARs; default: the recording's.
+        frames: frames of each drive, from the first; default: all.
+    """
+
+    lidar: str | None = None
+    roadside_lidar: str | None = None
+    roadside: bool = True
+    vehicles: int | None = None
+    agent_id: tuple[int, ...] = ()
+    mount: tuple[float, float, float, float] | None = None
+    frames: int | None = None
+
+
+class ConvertOptions(msgspec.Struct, frozen=True):
+    """Options of drives in another format.
+
+    Attributes:
+        data: a drive, or a folder of drives, in any supported format; a split of a DAIR-V2X-C tree is TREE/val.
+        out: folder of the new tree.
+        to: new format; mcap, for Foxglove, needs the package mcap.
+        agent_id: agent whose sweeps are written to KITTI and DAIR: ego, all (KITTI) or an id; default: ego.
+        view: labels of KITTI: those in the picture of a nominal camera, or all around.
+    """
+
+    data: Data
+    out: Folder
+    to: Literal["opv2v", "dair", "kitti", "mcap"]
+    agent_id: Annotated[str | None, arg(metavar="{ego,all,INT}")] = None
+    view: Literal["camera", "around"] = "camera"

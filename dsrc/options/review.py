@@ -1,0 +1,56 @@
+"""Options of `dsrc view`: live pages and written ones."""
+
+from typing import Annotated, Literal
+
+from dsrc.options.fields import CORRUPTIONS, Data, File, Severity, choice
+
+ColorBy = Literal["agent", "intensity", "height", "ring", "fate"]
+"""Quantity shown by the colour of a point."""
+
+
+class Review(Severity, frozen=True, kw_only=True):
+    """Options of any review page.
+
+    Attributes:
+        checkpoint: detector file whose detections are drawn and matched; default: no detections.
+        corruption: corruption at the start.
+    """
+
+    checkpoint: File | None = None
+    corruption: Annotated[str, choice(("clean", *CORRUPTIONS))] = "clean"
+
+
+class ServeOptions(Review, frozen=True):
+    """Options of a live page.
+
+    Attributes:
+        data: a drive, or a folder of drives.
+        port: port of the page on 127.0.0.1; default: a free one.
+    """
+
+    data: Data
+    port: int | None = None
+
+
+class PageOptions(Review, frozen=True):
+    """Options of a written page.
+
+    Attributes:
+        data: a drive, or a folder of drives.
+        out: HTML page to write.
+        frames: number of frames from the first, or a slice of the drive's frames.
+        max_points: points per frame, all agents together; None for a page below 12 MB.
+        drive: row of the drive in `data`.
+        threshold: least score of a drawn detection.
+        follow: keep the ego where it starts on the screen.
+        color_by: quantity shown by the colour of a point.
+    """
+
+    data: Data
+    out: File
+    frames: slice | int = 40
+    max_points: int | None = None
+    drive: int = 0
+    threshold: float = 0.3
+    follow: bool = True
+    color_by: ColorBy = "agent"
