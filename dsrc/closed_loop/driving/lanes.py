@@ -1,0 +1,200 @@
+"""Lanes ahead of road users: of a SUMO network, or of the ego's own route where there is no map."""
+
+import math
+from functools import cache, lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dsrc.closed_loop.driving.path import STEP_M, Path
+from sim.encounters import network_file
+from sim.geometry import Array
+from sim.roads.networks import names_network, read_network
+from sim.scenario import Scenario
+
+LANE_STEP_M = 1.0
+"""Distance between points of a lane ahead, m."""
+
+_BESIDE_M = 2.6
+_ALIKE_M = 0.9
+_DIRECTION = math.cos(math.radians(40.0))
+_NEAREST = 16
+_AHEAD_M = 200.0
+_FORKS = 4
+
+
+class LaneMap(Protocol):
+    """Map of lanes."""
+
+    def ahead(self, pose: Array, length_m: Array) -> list[tuple[Array, ...]]:
+        """Return the lanes ahead of road users, several where a lane forks, none off the lanes.
+
+        Args:
+            pose: (N, 3) x, y, m, and direction of motion, rad.
+            length_m: (N,) least length, m; shorter where a lane ends.
+
+        Returns:
+            For each of them (K, 3) polylines x, y, heading, `LANE_STEP_M` apart, K >= 2, from its nearest point on.
+        """
+        ...
+
+
+class RouteLanes:
+    """One lane: the ego's route, in both directions, kept at their distance from it by those beside it.
+
+    Args:
+        path: path of the ego.
+        width_m: distance from the route within which road users follow its bends, m.
+    """
+
+    def __init__(self, path: Path, width_m: float = 9.0) -> None:
+        every = round(LANE_STEP_M / STEP_M)
+        self._line = np.column_stack([path.xy, path.heading])[::every]
+        back = self._line[::-1].copy()
+        back[:, 2] += np.pi
+        self._back = back
+        self._width_m = width_m
+
+    def ahead(self, pose: Array, length_m: Array) -> list[tuple[Array, ...]]:
+        """Return the route ahead of road users on it or beside it, see `LaneMap.ahead`."""
+        offset = self._line[None, :, :2] - pose[:, None, :2]
+        square = (offset**2).sum(-1)
+        nearest = square.argmin(1)
+        turned = np.cos(pose[:, 2] - self._line[nearest, 2])
+        found: list[tuple[Array, ...]] = []
+        for row, at in enumerate(nearest):
+            beside = square[row, at] < self._width_m**2 and 0 < at < len(self._line) - 1
+            need = math.ceil(length_m[row] / LANE_STEP_M) + 2
+            if beside and turned[row] > 0.9:
+                found.append((self._line[at : at + need],))
+            elif beside and turned[row] < -0.9:
+                back = len(self._line) - 1 - at
+                found.append((self._back[back : back + need],))
+            else:
+                found.append(())
+        return [tuple(line for line in lines if len(line) > 1) for lines in found]
+
+
+class NetworkLanes:
+    """Lanes of a SUMO network, junctions included, without pavements.
+
+    Args:
+        net: `sumolib.net.Net`, read with its internal lanes.
+    """
+
+    def __init__(self, net: Any) -> None:
+        lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
+        lanes = [lane for lane in lanes if _driven(lane) and len(lane.getShape()) > 1]
+        self._net = net
+        self._lanes = {lane.getID(): lane for lane in lanes}
+        self._lines = [_resampled(np.array(lane.getShape(), np.float64)[:, :2]) for lane in lanes]
+        self._names = [lane.getID() for lane in lanes]
+        self._number = {name: number for number, name in enumerate(self._names)}
+        self._of = np.concatenate([np.full(len(line), row) for row, line in enumerate(self._lines)])
+        self._at = np.concatenate([_along(line) for line in self._lines])
+        points = np.concatenate(self._lines)
+        self._heading = points[:, 2]
+        self._tree = cKDTree(points[:, :2])
+        self._chains: dict[int, tuple[Array, ...]] = {}
+
+    def ahead(self, pose: Array, length_m: Array) -> list[tuple[Array, ...]]:
+        """Return the lanes ahead, see `LaneMap.ahead`."""
+        if not len(pose):
+            return []
+        k = min(_NEAREST, len(self._of))
+        gaps, rows = self._tree.query(pose[:, :2], k=k, distance_upper_bound=_BESIDE_M)
+        gaps, rows = np.asarray(gaps).reshape(-1, k), np.asarray(rows).reshape(-1, k)
+        near = np.isfinite(gaps)
+        rows = np.where(near, rows, 0)
+        near &= np.cos(self._heading[rows] - pose[:, 2:]) > _DIRECTION
+        gaps = np.where(near, gaps, np.inf)
+        # Lanes of a junction lie on each other: all that are nearly as near count.
+        near &= gaps < gaps.min(axis=1, keepdims=True) + _ALIKE_M
+        found = []
+        for row in range(len(pose)):
+            best: dict[int, int] = {}
+            for place in rows[row, near[row]].tolist():  # nearest first
+                best.setdefault(int(self._of[place]), round(self._at[place] / LANE_STEP_M))
+            need = math.ceil(length_m[row] / LANE_STEP_M) + 2
+            cut = [chain[at : at + need] for lane, at in best.items() for chain in self._ahead_of(lane)]
+            found.append(_different([line for line in cut if len(line) > 1]))
+        return found
+
+    def _ahead_of(self, number: int) -> tuple[Array, ...]:
+        """Return the ways on from the start of a lane: the lane and at least `_AHEAD_M` beyond it."""
+        if number not in self._chains:
+            ways = self._onward(self._names[number], _AHEAD_M)
+            first = self._lines[number]
+            joined = [np.concatenate([first, *(self._lines[self._number[name]][1:] for name in way)]) for way in ways]
+            self._chains[number] = tuple(_resampled(line[:, :2]) for line in joined)
+        return self._chains[number]
+
+    def _onward(self, name: str, left_m: float) -> list[list[str]]:
+        """Return the sequences of lanes that follow a lane."""
+        if left_m <= 0.0:
+            return [[]]
+        ways: list[list[str]] = []
+        for onward in self._next(name):
+            length = LANE_STEP_M * len(self._lines[self._number[onward]])
+            ways += [[onward, *rest] for rest in self._onward(onward, left_m - length)]
+            if len(ways) >= _FORKS:
+                break
+        return ways or [[]]
+
+    @cache  # noqa: B019  the map lives as long as its process's scenarios
+    def _next(self, name: str) -> tuple[str, ...]:
+        found = []
+        for link in self._lanes[name].getOutgoing():
+            onward = link.getViaLaneID() or link.getToLane().getID()
+            if onward in self._number:
+                found.append(onward)
+        return tuple(dict.fromkeys(found))
+
+
+@lru_cache(maxsize=4)
+def _network_lanes(net: Any) -> NetworkLanes:
+    return NetworkLanes(net)
+
+
+def lanes_of(scenario: Scenario, seed: int) -> LaneMap | None:
+    """Return the lanes of a scenario's network; None where it has none, as on roads of highway-env.
+
+    Raises:
+        ScenarioError: its network is invalid.
+    """
+    if scenario.network.highway_env or not (scenario.conflict or names_network(scenario)):
+        return None
+    return _network_lanes(read_network(network_file(scenario, seed)))
+
+
+def _driven(lane: Any) -> bool:
+    """Return whether anything drives on a lane; internal lanes have permissions too."""
+    if lane.getEdge().getFunction() in ("crossing", "walkingarea"):
+        return False
+    return any(lane.allows(kind) for kind in ("passenger", "delivery", "bus", "bicycle", "truck"))
+
+
+def _resampled(line: Array) -> Array:
+    """Return a polyline as (K, 3) points `LANE_STEP_M` apart, with headings; its end closes it, K >= 2."""
+    step = np.hypot(*np.diff(line, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    at = np.append(np.arange(0.0, along[-1] - 0.1 * LANE_STEP_M, LANE_STEP_M), along[-1])
+    at = at if len(at) > 1 else along[[0, -1]]
+    xy = np.stack([np.interp(at, along, line[:, axis]) for axis in (0, 1)], axis=1)
+    slope = np.gradient(xy, axis=0)
+    return np.column_stack([xy, np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))])
+
+
+def _along(line: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
+
+
+def _different(lines: list[Array]) -> tuple[Array, ...]:
+    """Return lines without those that go where another one does."""
+    kept: list[Array] = []
+    for line in lines:
+        ends = [min(len(line), len(other)) - 1 for other in kept]
+        if all(np.abs(line[e, :2] - other[e, :2]).max() > 1.5 for e, other in zip(ends, kept, strict=True)):
+            kept.append(line)
+    return tuple(kept[:_FORKS])
