@@ -10,48 +10,41 @@ rings are missing in every sweep of a sensor, also where rings are estimated by 
 empty for a while. Level 3 is the DSRC paper's text, 4 its released code.
 """
 
-from typing import Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 
-from sensors.corruptions.physics.levels import at_level, check_range, proportional_rings
+from sensors.corruptions.physics.levels import SeveritySettings, proportional_rings
 from sensors.corruptions.physics.rings import IDENTITIES, rings_of
 from sensors.sweep import Sweep
 
 RINGS_OF_64 = (4, 8, 16, 32, 48)
 
 
-class BeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class BeamMissing(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
         rings_of_64: rings that a sensor of 64 rings loses; others in proportion.
     """
 
+    LEVELS: ClassVar = {"rings_of_64": RINGS_OF_64}
+    RANGES: ClassVar = {"rings_of_64": (0, 64)}
+
     rings_of_64: int = 16
 
-    def __post_init__(self) -> None:
-        check_range("BeamMissing", "rings_of_64", self.rings_of_64, 0, 64)
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(rings_of_64=at_level(RINGS_OF_64, level))
-
-
-def corrupt(sweep: Sweep, severity: int | BeamMissing, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, settings: BeamMissing, rng: np.random.Generator) -> Sweep:
     """Remove all points of some rings; the others are unchanged, in order.
 
     Args:
         sweep: any sweep; of an unknown sensor only rings with points count.
-        severity: 1 to 5, or the settings.
+        settings: of the corruption.
         rng: draws the dead rings.
 
     Raises:
         DataError: rings are missing and cannot be estimated, or are not those of the sensor.
     """
-    settings = severity if isinstance(severity, BeamMissing) else BeamMissing.severity(severity)
     lifetime = rng.random(IDENTITIES)
     if settings.rings_of_64 == 0:
         return sweep

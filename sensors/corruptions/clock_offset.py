@@ -19,13 +19,12 @@ points. Ground truth is that of t. The ego has no delay: its clock is the refere
 """
 
 from dataclasses import replace
-from typing import Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.deskew import deskew
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
@@ -38,34 +37,28 @@ _SPREAD = 0.5
 _STILL_M = 1e-4
 
 
-class ClockOffset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ClockOffset(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `in_frame`.
 
     Attributes:
         late_ms: delay of a sweep, mean over agents, ms.
     """
 
+    LEVELS: ClassVar = {"late_ms": LATE_MS}
+    RANGES: ClassVar = {"late_ms": (0.0, 10_000.0)}
+
     late_ms: float = 100.0
 
-    def __post_init__(self) -> None:
-        check_range("ClockOffset", "late_ms", self.late_ms, 0.0, 10_000.0)
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(late_ms=at_level(LATE_MS, level))
-
-
-def in_frame(frame: Frame, row: int, severity: int | ClockOffset, rng: np.random.Generator) -> Sweep:
+def in_frame(frame: Frame, row: int, settings: ClockOffset, rng: np.random.Generator) -> Sweep:
     """Return the delayed sweep of the agent in a row of the frame, under its current timestamp.
 
     Args:
         frame: as recorded.
         row: of the agent.
-        severity: or settings.
+        settings: of the corruption.
         rng: of the agent, restarted for every frame of a drive.
     """
-    settings = severity if isinstance(severity, ClockOffset) else ClockOffset.severity(severity)
     late_s = 1e-3 * settings.late_ms * rng.uniform(1.0 - _SPREAD, 1.0 + _SPREAD)
     agent = frame.agents[row]
     if late_s == 0.0 or len(agent.sweep) == 0:

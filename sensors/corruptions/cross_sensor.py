@@ -18,13 +18,12 @@ return. Missing columns are estimated by azimuth (`_columns`). The corruption is
 and firings of the DSRC paper's code.
 """
 
-from typing import Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range, proportional_rings
+from sensors.corruptions.physics.levels import SeveritySettings, proportional_rings
 from sensors.corruptions.physics.receiver import DEFAULT_RANGE_10_M, detection_threshold, target_power
 from sensors.corruptions.physics.rings import Rings, rings_of
 from sensors.presets import get_lidar
@@ -43,7 +42,7 @@ _FULL_TURN = 2.0 * np.pi
 _SAMPLED_RINGS = 8
 
 
-class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CrossSensor(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -53,36 +52,31 @@ class CrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         target: name of a sensor to become instead; then the numbers above are not used.
     """
 
+    LEVELS: ClassVar = {"rings_of_64": RINGS_OF_64, "keep_one_of": KEEP_ONE_OF, "reach": REACH}
+    RANGES: ClassVar = {
+        "rings_of_64": (0, 63),
+        "keep_one_of": (1, 1000),
+        "reach": (0.01, 1.0),
+    }
+
     rings_of_64: int = 32
     keep_one_of: int = 2
     reach: float = 0.7
     target: str | None = None
 
     def __post_init__(self) -> None:
-        check_range("CrossSensor", "rings_of_64", self.rings_of_64, 0, 63)
-        check_range("CrossSensor", "keep_one_of", self.keep_one_of, 1, 1000)
-        check_range("CrossSensor", "reach", self.reach, 0.01, 1.0)
+        super().__post_init__()
         if self.target is not None and get_lidar(self.target).prisms:
             raise SettingsError(complaint("CrossSensor", "target", "a sensor with rings", self.target))
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(
-            rings_of_64=at_level(RINGS_OF_64, level),
-            keep_one_of=at_level(KEEP_ONE_OF, level),
-            reach=at_level(REACH, level),
-        )
 
-
-def corrupt(sweep: Sweep, severity: int | CrossSensor, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, settings: CrossSensor, rng: np.random.Generator) -> Sweep:
     """Return the points of the other sensor's beams, unchanged and in order; `rng` is unused.
 
     Raises:
         DataError: rings are missing and cannot be estimated, are not those of the sensor, or `target` is set for a
             sensor without rings.
     """
-    settings = severity if isinstance(severity, CrossSensor) else CrossSensor.severity(severity)
     if len(sweep) == 0:
         return sweep
     rings = rings_of(sweep, "cross_sensor")

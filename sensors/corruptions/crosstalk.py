@@ -17,14 +17,13 @@ pulses of a severity are among those of the next. Shares are assumed.
 """
 
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.cross_sensor import DEFAULT_RANGE_MAX_M
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.medium import NO_SURFACE, Echo, open_echoes
 from sensors.corruptions.physics.receiver import OVERLAP_START_M, detection_threshold, reported_intensity, target_power
 from sensors.sweep import POINT_FIELDS, Sweep, make_sweep
@@ -35,7 +34,7 @@ POWER = (1e-4, 1e-2)
 """Power of the weakest and the strongest foreign pulse, see `receiver`: white targets at 100 and at 10 m."""
 
 
-class Crosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Crosstalk(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -43,21 +42,15 @@ class Crosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         range_10_m: see `LidarSpec`; None for what `receiver` takes.
     """
 
+    LEVELS: ClassVar = {"share": SHARE}
+    RANGES: ClassVar = {"share": (0.0, 1.0)}
+
     share: float = 0.02
     range_10_m: float | None = None
 
-    def __post_init__(self) -> None:
-        check_range("Crosstalk", "share", self.share, 0.0, 1.0)
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(share=at_level(SHARE, level))
-
-
-def corrupt(sweep: Sweep, severity: int | Crosstalk, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, settings: Crosstalk, rng: np.random.Generator) -> Sweep:
     """Replace returns by foreign pulses, and add those of beams without a return."""
-    settings = severity if isinstance(severity, Crosstalk) else Crosstalk.severity(severity)
     beams, columns = _beams(sweep)
     drawn = rng.random((round(settings.share * beams), 3))
     if len(drawn) == 0:

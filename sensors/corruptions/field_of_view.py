@@ -9,12 +9,11 @@ and to the left on most. Here ahead is +x, or `middle_deg`. The corruption is de
 """
 
 import math
-from typing import Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.sweep import Sweep
 
 HALF_WIDTH_DEG = (105.0, 90.0, 75.0, 60.0, 45.0)
@@ -22,7 +21,7 @@ HALF_WIDTH_DEG = (105.0, 90.0, 75.0, 60.0, 45.0)
 _ROUNDING_RAD = 1e-6
 
 
-class FieldOfView(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class FieldOfView(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -30,22 +29,15 @@ class FieldOfView(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         middle_deg: azimuth of the middle, counter-clockwise from straight ahead.
     """
 
+    LEVELS: ClassVar = {"half_width_deg": HALF_WIDTH_DEG}
+    RANGES: ClassVar = {"half_width_deg": (0.0, 180.0), "middle_deg": (-360.0, 360.0)}
+
     half_width_deg: float = 75.0
     middle_deg: float = 0.0
 
-    def __post_init__(self) -> None:
-        check_range("FieldOfView", "half_width_deg", self.half_width_deg, 0.0, 180.0)
-        check_range("FieldOfView", "middle_deg", self.middle_deg, -360.0, 360.0)
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(half_width_deg=at_level(HALF_WIDTH_DEG, level))
-
-
-def corrupt(sweep: Sweep, severity: int | FieldOfView, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, settings: FieldOfView, rng: np.random.Generator) -> Sweep:
     """Keep the points inside the sector, borders included, unchanged; `rng` is unused."""
-    settings = severity if isinstance(severity, FieldOfView) else FieldOfView.severity(severity)
     if settings.half_width_deg == 180.0:
         return sweep
     middle = math.radians(settings.middle_deg)

@@ -21,14 +21,14 @@ one, if it reaches the detection threshold (`medium`). Differences from the publ
 """
 
 import math
-from typing import Self
+from typing import ClassVar, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.fog_echo import MOST_EXTINCTION, fog_echo
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings, at_level, check_range
 from sensors.corruptions.physics.medium import Echo, Rays, rays_of, report
 from sensors.sweep import Sweep
 
@@ -47,7 +47,7 @@ _CONTRAST = math.log(20.0)
 _BACKSCATTER = 0.046
 
 
-class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Fog(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -58,17 +58,18 @@ class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
+    RANGES: ClassVar = {
+        "extinction": (0.0, MOST_EXTINCTION),
+        "backscatter": (0.0, 10.0),
+        "patchiness": (1e-3, 0.45),
+        "pulse_s": (1e-12, 1e-6),
+    }
+
     extinction: float = _CONTRAST / 100.0
     backscatter: float = _BACKSCATTER / 100.0
     patchiness: float = 0.4
     pulse_s: float | None = None
     range_10_m: float | None = None
-
-    def __post_init__(self) -> None:
-        check_range("Fog", "extinction", self.extinction, 0.0, MOST_EXTINCTION)
-        check_range("Fog", "backscatter", self.backscatter, 0.0, 10.0)
-        check_range("Fog", "patchiness", self.patchiness, 1e-3, 0.45)
-        check_range("Fog", "pulse_s", DEFAULT_PULSE_S if self.pulse_s is None else self.pulse_s, 1e-12, 1e-6)
 
     @classmethod
     def of_visibility(cls, visibility_m: float) -> Self:
@@ -87,9 +88,8 @@ class Fog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return msgspec.structs.replace(self, extinction=extinction, backscatter=min(factor * self.backscatter, 10.0))
 
 
-def corrupt(sweep: Sweep, severity: int | Fog, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, fog: Fog, rng: np.random.Generator) -> Sweep:
     """Dim, replace or remove returns; the fog's lie nearer on the same rays, and on rays without a target."""
-    fog = severity if isinstance(severity, Fog) else Fog.severity(severity)
     if fog.extinction == fog.backscatter == 0.0:
         return sweep
     rays = rays_of(sweep, fog.range_10_m, rng)

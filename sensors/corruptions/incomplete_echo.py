@@ -15,13 +15,12 @@ follow from ids and materials; a frame adds the classes of its objects and, for 
 (`in_frame`). Bicycles and motorcycles count, people do not.
 """
 
-from typing import Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.receiver import target_power
 from sensors.frame import Frame
 from sensors.sweep import UNKNOWN_MATERIAL, Sweep
@@ -36,27 +35,22 @@ _MARGIN_M = 0.1
 _OF_PEOPLE = tuple(material_index(name) for name in ("skin", "hair", "cloth_light", "cloth_dark"))
 
 
-class IncompleteEcho(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class IncompleteEcho(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
         share: of the points on vehicles that are lost.
     """
 
+    LEVELS: ClassVar = {"share": SHARE}
+    RANGES: ClassVar = {"share": (0.0, 1.0)}
+
     share: float = 0.75
-
-    def __post_init__(self) -> None:
-        check_range("IncompleteEcho", "share", self.share, 0.0, 1.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(share=at_level(SHARE, level))
 
 
 def corrupt(
     sweep: Sweep,
-    severity: int | IncompleteEcho,
+    settings: IncompleteEcho,
     rng: np.random.Generator,
     on_vehicle: NDArray[np.bool_] | None = None,
 ) -> Sweep:
@@ -64,11 +58,10 @@ def corrupt(
 
     Args:
         sweep: any sweep.
-        severity: 1 to 5, or the settings.
+        settings: of the corruption.
         rng: draws the speckle.
         on_vehicle: (P,) mask of points on vehicles; default: objects without a person's materials.
     """
-    settings = severity if isinstance(severity, IncompleteEcho) else IncompleteEcho.severity(severity)
     on = np.flatnonzero(_on_vehicles(sweep) if on_vehicle is None else on_vehicle)
     speckle = rng.gamma(_SPECKLE_CELLS, 1.0, len(on))
     lost = int(settings.share * len(on))
@@ -80,20 +73,20 @@ def corrupt(
     return sweep[kept]
 
 
-def in_frame(frame: Frame, row: int, severity: int | IncompleteEcho, rng: np.random.Generator) -> Sweep:
+def in_frame(frame: Frame, row: int, settings: IncompleteEcho, rng: np.random.Generator) -> Sweep:
     """Return the sweep of the agent in a row of `frame.agents`, vehicles by the frame's truth."""
     sweep = frame.agents[row].sweep
     ours = frame.truth.label != CLASSES.index("pedestrian")
     vehicles = frame.truth[ours]
     if (sweep.object_id >= 0).any():
-        return corrupt(sweep, severity, rng, np.isin(sweep.object_id, vehicles.object_id))
+        return corrupt(sweep, settings, rng, np.isin(sweep.object_id, vehicles.object_id))
     points, inside = sweep.world_points, np.zeros(len(sweep), bool)
     for index, velocity in enumerate(frame.velocity[ours]):
         # Place of the point at the time of the boxes.
         way = velocity * (sweep.time_s + sweep.time_offset - frame.time_s)[:, None]
         then = points - np.column_stack([way, np.zeros(len(sweep))])
         inside |= vehicles[index : index + 1].contains(then, _MARGIN_M)[0]
-    return corrupt(sweep, severity, rng, inside)
+    return corrupt(sweep, settings, rng, inside)
 
 
 def _on_vehicles(sweep: Sweep) -> NDArray[np.bool_]:

@@ -26,14 +26,13 @@ the DSRC paper's jitter.
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.frame import Frame
 from sensors.sweep import MOVED, SCATTERED, Sweep
 from sim.errors import DataError, complaint
@@ -52,7 +51,7 @@ _SINES = 4
 _INSTANTS = 1024
 
 
-class MotionBlur(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class MotionBlur(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -62,26 +61,23 @@ class MotionBlur(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         shake_deg_s: root mean square of the angular rate about each axis, deg/s.
     """
 
+    LEVELS: ClassVar = {
+        "missed_motion": MISSED_MOTION,
+        "slower": SLOWER,
+        "shake_m": SHAKE_M,
+        "shake_deg_s": SHAKE_DEG_S,
+    }
+    RANGES: ClassVar = {
+        "missed_motion": (0.0, 1.0),
+        "slower": (0.0, 100.0),
+        "shake_m": (0.0, 10.0),
+        "shake_deg_s": (0.0, 1000.0),
+    }
+
     missed_motion: float = 0.5
     slower: float = 0.5
     shake_m: float = 0.01
     shake_deg_s: float = 10.0
-
-    def __post_init__(self) -> None:
-        check_range("MotionBlur", "missed_motion", self.missed_motion, 0.0, 1.0)
-        check_range("MotionBlur", "slower", self.slower, 0.0, 100.0)
-        check_range("MotionBlur", "shake_m", self.shake_m, 0.0, 10.0)
-        check_range("MotionBlur", "shake_deg_s", self.shake_deg_s, 0.0, 1000.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(
-            missed_motion=at_level(MISSED_MOTION, level),
-            slower=at_level(SLOWER, level),
-            shake_m=at_level(SHAKE_M, level),
-            shake_deg_s=at_level(SHAKE_DEG_S, level),
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,20 +99,19 @@ _STILL = SceneVelocities(np.zeros(3), np.zeros(0, np.int64), np.zeros((0, 3)))
 
 
 def corrupt(
-    sweep: Sweep, severity: int | MotionBlur, rng: np.random.Generator, velocities: SceneVelocities = _STILL
+    sweep: Sweep, settings: MotionBlur, rng: np.random.Generator, velocities: SceneVelocities = _STILL
 ) -> Sweep:
     """Displace points by uncompensated motion, vibration and moving objects.
 
     Args:
         sweep: any sweep.
-        severity: 1 to 5, or the settings.
+        settings: of the corruption.
         rng: draws the vibration; the same, only weaker, at a lower severity.
         velocities: of sensor and objects, from the frame.
 
     Raises:
         DataError: firing times are NaN or infinite.
     """
-    settings = severity if isinstance(severity, MotionBlur) else MotionBlur.severity(severity)
     hertz = _SHAKE_HZ[0] * (_SHAKE_HZ[1] / _SHAKE_HZ[0]) ** rng.random((6, _SINES))
     phase = rng.uniform(0.0, 2.0 * np.pi, (6, _SINES))
     if len(sweep) == 0:
@@ -140,7 +135,7 @@ def corrupt(
     return replace(sweep, points=points, fate=np.where(changed, np.uint8(MOVED), sweep.fate))
 
 
-def in_frame(frame: Frame, row: int, severity: int | MotionBlur, rng: np.random.Generator) -> Sweep:
+def in_frame(frame: Frame, row: int, settings: MotionBlur, rng: np.random.Generator) -> Sweep:
     """Return the blurred sweep of the agent in a row of `frame.agents`, with the velocities of the frame's objects."""
     agent = frame.agents[row]
     forward = agent.sweep.world_from_lidar[:3, :3].T @ agent.world_from_body[:3, 0]
@@ -148,7 +143,7 @@ def in_frame(frame: Frame, row: int, severity: int | MotionBlur, rng: np.random.
     velocity = np.zeros((len(order), 3))
     velocity[:, :2] = frame.velocity[order]
     return corrupt(
-        agent.sweep, severity, rng, SceneVelocities(agent.speed * forward, frame.truth.object_id[order], velocity)
+        agent.sweep, settings, rng, SceneVelocities(agent.speed * forward, frame.truth.object_id[order], velocity)
     )
 
 

@@ -13,12 +13,11 @@ grows with it point by point, and the points hit by impulses at a severity are h
 """
 
 from dataclasses import replace
-from typing import Literal, Self
+from typing import ClassVar, Literal
 
-import msgspec
 import numpy as np
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.sweep import MOVED, SCATTERED, Sweep
 
 SIZE_M = (0.02, 0.04, 0.06, 0.08, 0.10)
@@ -26,7 +25,7 @@ ONE_OF = (30.0, 25.0, 20.0, 15.0, 10.0)
 _IMPULSE_M = 0.1
 
 
-class Noise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Noise(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -36,25 +35,21 @@ class Noise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         impulse_m: displacement of each coordinate by an impulse, up or down, m.
     """
 
+    LEVELS: ClassVar = {"size_m": SIZE_M, "one_of": ONE_OF}
+    RANGES: ClassVar = {
+        "size_m": (0.0, 100.0),
+        "one_of": (1.0, 1e9),
+        "impulse_m": (0.0, 100.0),
+    }
+
     how: Literal["gaussian", "uniform", "impulse"] = "gaussian"
     size_m: float = 0.06
     one_of: float = 20.0
     impulse_m: float = _IMPULSE_M
 
-    def __post_init__(self) -> None:
-        check_range("Noise", "size_m", self.size_m, 0.0, 100.0)
-        check_range("Noise", "one_of", self.one_of, 1.0, 1e9)
-        check_range("Noise", "impulse_m", self.impulse_m, 0.0, 100.0)
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(size_m=at_level(SIZE_M, level), one_of=at_level(ONE_OF, level))
-
-
-def corrupt(sweep: Sweep, severity: int | Noise, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, settings: Noise, rng: np.random.Generator) -> Sweep:
     """Displace points; each stays a return of its object, with its intensity."""
-    settings = severity if isinstance(severity, Noise) else Noise.severity(severity)
     if settings.how == "impulse":
         return _with_impulses(sweep, settings, rng)
     if settings.size_m == 0.0:

@@ -12,13 +12,12 @@ patches may overlap. (The reference's patches are balls around a point in space.
 the next. Level 3 is the middle one of the five published.
 """
 
-from typing import Literal, Self
+from typing import ClassVar, Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.sweep import Sweep
 
 SHARE = (0.06, 0.12, 0.18, 0.24, 0.30)
@@ -26,7 +25,7 @@ PATCHES = (2, 3, 5, 7, 10)
 _PATCH_SHARE = 0.02
 
 
-class PointDropping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PointDropping(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -36,25 +35,21 @@ class PointDropping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         patch_share: share of the points in each patch.
     """
 
+    LEVELS: ClassVar = {"share": SHARE, "patches": PATCHES}
+    RANGES: ClassVar = {
+        "share": (0.0, 1.0),
+        "patches": (0, 10_000),
+        "patch_share": (0.0, 1.0),
+    }
+
     how: Literal["scattered", "patches"] = "scattered"
     share: float = 0.18
     patches: int = 5
     patch_share: float = _PATCH_SHARE
 
-    def __post_init__(self) -> None:
-        check_range("PointDropping", "share", self.share, 0.0, 1.0)
-        check_range("PointDropping", "patches", self.patches, 0, 10_000)
-        check_range("PointDropping", "patch_share", self.patch_share, 0.0, 1.0)
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(share=at_level(SHARE, level), patches=at_level(PATCHES, level))
-
-
-def corrupt(sweep: Sweep, severity: int | PointDropping, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, settings: PointDropping, rng: np.random.Generator) -> Sweep:
     """Remove points; the others are unchanged, in order."""
-    settings = severity if isinstance(severity, PointDropping) else PointDropping.severity(severity)
     if len(sweep) == 0:
         return sweep
     if settings.how == "patches":

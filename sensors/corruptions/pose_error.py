@@ -22,13 +22,12 @@ only errors relative to it matter (as in OpenCOOD).
 
 import math
 from dataclasses import replace
-from typing import Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.frame import Frame
 from sensors.sweep import Sweep
 from sim.geometry import invert, pose_matrix
@@ -39,7 +38,7 @@ DEVIATION_DEG = (0.05, 0.1, 0.2, 0.4, 0.8)
 _WAVES = 64
 
 
-class PoseError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PoseError(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `in_frame`.
 
     Attributes:
@@ -49,34 +48,29 @@ class PoseError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         correlation_s: correlation time T, s.
     """
 
+    LEVELS: ClassVar = {"lateral_m": DEVIATION_M, "longitudinal_m": DEVIATION_M, "heading_deg": DEVIATION_DEG}
+    RANGES: ClassVar = {
+        "lateral_m": (0.0, 100.0),
+        "longitudinal_m": (0.0, 100.0),
+        "heading_deg": (0.0, 180.0),
+        "correlation_s": (1e-3, 1e6),
+    }
+
     lateral_m: float = 0.2
     longitudinal_m: float = 0.2
     heading_deg: float = 0.2
     correlation_s: float = 30.0
 
-    def __post_init__(self) -> None:
-        check_range("PoseError", "lateral_m", self.lateral_m, 0.0, 100.0)
-        check_range("PoseError", "longitudinal_m", self.longitudinal_m, 0.0, 100.0)
-        check_range("PoseError", "heading_deg", self.heading_deg, 0.0, 180.0)
-        check_range("PoseError", "correlation_s", self.correlation_s, 1e-3, 1e6)
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        deviation_m = at_level(DEVIATION_M, level)
-        return cls(lateral_m=deviation_m, longitudinal_m=deviation_m, heading_deg=at_level(DEVIATION_DEG, level))
-
-
-def in_frame(frame: Frame, row: int, severity: int | PoseError, rng: np.random.Generator) -> Sweep:
+def in_frame(frame: Frame, row: int, settings: PoseError, rng: np.random.Generator) -> Sweep:
     """Return the sweep of the agent in a row of the frame with its erroneous pose.
 
     Args:
         frame: as recorded.
         row: of the agent.
-        severity: or settings.
+        settings: of the corruption.
         rng: of the agent, restarted for every frame of a drive.
     """
-    settings = severity if isinstance(severity, PoseError) else PoseError.severity(severity)
     agent = frame.agents[row]
     ahead, aside, turn = pose_errors(settings, frame.time_s if agent.kind == "vehicle" else 0.0, rng)
     if ahead == aside == turn == 0.0:

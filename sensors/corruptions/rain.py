@@ -25,13 +25,13 @@ to the detection threshold. Sweeps have the noise of clear air already, so only 
 """
 
 import math
-from typing import Self
+from typing import ClassVar, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.medium import Rays, rays_of, report
 from sensors.corruptions.physics.strongest import Particles, strongest_particle
 from sensors.sweep import Sweep
@@ -46,7 +46,7 @@ _WAVELENGTH_M = 905e-9
 _MOST_MM_H = 300.0
 
 
-class Rain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Rain(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -56,32 +56,28 @@ class Rain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
+    LEVELS: ClassVar = {"rain_mm_h": RAIN_MM_H}
+    RANGES: ClassVar = {
+        "rain_mm_h": (0.0, _MOST_MM_H),
+        "drop_reflectivity": (0.0, 1.0),
+        "range_accuracy_m": (0.0, 1.0),
+    }
+
     rain_mm_h: float = 25.0
     drop_reflectivity: float = ((WATER_INDEX - 1.0) / (WATER_INDEX + 1.0)) ** 2
     range_accuracy_m: float = 0.09
     range_10_m: float | None = None
-
-    def __post_init__(self) -> None:
-        check_range("Rain", "rain_mm_h", self.rain_mm_h, 0.0, _MOST_MM_H)
-        check_range("Rain", "drop_reflectivity", self.drop_reflectivity, 0.0, 1.0)
-        check_range("Rain", "range_accuracy_m", self.range_accuracy_m, 0.0, 1.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(rain_mm_h=at_level(RAIN_MM_H, level))
 
     def scaled(self, factor: float) -> Self:
         """Return rain at `factor` times the rate, at most the heaviest."""
         return msgspec.structs.replace(self, rain_mm_h=min(factor * self.rain_mm_h, _MOST_MM_H))
 
 
-def corrupt(sweep: Sweep, severity: int | Rain, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, rain: Rain, rng: np.random.Generator) -> Sweep:
     """Dim, shift, replace or remove returns; drops' lie nearer on the same rays, and on rays without a target.
 
     Remaining targets are `ATTENUATED`: their shift along the ray is range noise of millimetres.
     """
-    rain = severity if isinstance(severity, Rain) else Rain.severity(severity)
     if rain.rain_mm_h == 0.0:
         return sweep
     drops = rain_particles(rain.rain_mm_h, rain.drop_reflectivity)

@@ -25,12 +25,12 @@ sweep's sensor instead of an HDL-64E's, the noise floor is the sensor's detectio
 (see `snow_flakes`), beams without a target return flakes, and azimuth 0 is like any other.
 """
 
-from typing import Self
+from typing import ClassVar, Self
 
 import msgspec
 import numpy as np
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.medium import rays_of, report
 from sensors.corruptions.physics.snow_flakes import snow_particles
 from sensors.corruptions.physics.strongest import strongest_particle
@@ -41,7 +41,7 @@ SNOWFALL_MM_H = (0.1, 0.25, 0.5, 1.5, 5.0)
 _MOST_MM_H = 50.0
 
 
-class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Snow(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -52,31 +52,27 @@ class Snow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
+    LEVELS: ClassVar = {"snowfall_mm_h": SNOWFALL_MM_H}
+    RANGES: ClassVar = {
+        "snowfall_mm_h": (0.0, _MOST_MM_H),
+        "fall_speed_mps": (0.1, 10.0),
+        "flake_density": (0.01, 1.0),
+        "flake_reflectivity": (0.0, 1.0),
+    }
+
     snowfall_mm_h: float = 0.5
     fall_speed_mps: float = 1.0
     flake_density: float = 0.1
     flake_reflectivity: float = 0.2
     range_10_m: float | None = None
 
-    def __post_init__(self) -> None:
-        check_range("Snow", "snowfall_mm_h", self.snowfall_mm_h, 0.0, _MOST_MM_H)
-        check_range("Snow", "fall_speed_mps", self.fall_speed_mps, 0.1, 10.0)
-        check_range("Snow", "flake_density", self.flake_density, 0.01, 1.0)
-        check_range("Snow", "flake_reflectivity", self.flake_reflectivity, 0.0, 1.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(snowfall_mm_h=at_level(SNOWFALL_MM_H, level))
-
     def scaled(self, factor: float) -> Self:
         """Return snow at `factor` times the snowfall, at most the heaviest."""
         return msgspec.structs.replace(self, snowfall_mm_h=min(factor * self.snowfall_mm_h, _MOST_MM_H))
 
 
-def corrupt(sweep: Sweep, severity: int | Snow, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, snow: Snow, rng: np.random.Generator) -> Sweep:
     """Dim, replace or remove returns; flakes' lie nearer on the same rays, and on rays without a target."""
-    snow = severity if isinstance(severity, Snow) else Snow.severity(severity)
     if snow.snowfall_mm_h == 0.0:
         return sweep
     particles = snow_particles(snow.snowfall_mm_h, snow.fall_speed_mps, snow.flake_density, snow.flake_reflectivity)

@@ -25,13 +25,13 @@ assumed; level 5 has as much water as level 5 of wet ground.
 """
 
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.medium import Echo, Rays, open_axis, rays_of, report
 from sensors.corruptions.physics.plume import PERIOD_M, Plume, draw_patches, patches_at, plumes_of
 from sensors.frame import Frame
@@ -64,7 +64,7 @@ _LEAST_EXTINCTION = 1e-3
 _PROBES = 1 << 16
 
 
-class Spray(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Spray(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -72,16 +72,11 @@ class Spray(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
+    LEVELS: ClassVar = {"water_mm": WATER_MM}
+    RANGES: ClassVar = {"water_mm": (0.0, 100.0)}
+
     water_mm: float = 1.0
     range_10_m: float | None = None
-
-    def __post_init__(self) -> None:
-        check_range("Spray", "water_mm", self.water_mm, 0.0, 100.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(water_mm=at_level(WATER_MM, level))
 
     def scaled(self, factor: float) -> Self:
         """Return the settings with `factor` times the water."""
@@ -112,16 +107,15 @@ class _WorldRays:
     azimuth: NDArray[np.float32]
 
 
-def corrupt(frame: Frame, row: int, severity: int | Spray, rng: np.random.Generator) -> Sweep:
+def corrupt(frame: Frame, row: int, spray: Spray, rng: np.random.Generator) -> Sweep:
     """Return the sweep of the agent in a row of `frame.agents` in the spray of the frame's vehicles.
 
     Args:
         frame: gives the vehicles' boxes and velocities.
         row: of the agent.
-        severity: 1 to 5, or the settings.
+        spray: of the road.
         rng: in the same state for all agents and frames of a drive, which share the patches.
     """
-    spray = severity if isinstance(severity, Spray) else Spray.severity(severity)
     agent = frame.agents[row]
     patches = draw_patches(rng)
     own = random_generator(int(rng.integers(2**63)), Stream.SPRAY_NOISE, frame.index, agent.agent_id)

@@ -25,14 +25,14 @@ and 1.2 mm.
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import Self
+from typing import ClassVar, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.ground import Ground, find_ground
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.receiver import DEFAULT_REFLECTIVITY, detection_threshold, target_power
 from sensors.optics.reflectance import returned_power, wet_reflectivity
 from sensors.sweep import ATTENUATED, KEPT, UNKNOWN_MATERIAL, Sweep
@@ -50,7 +50,7 @@ _REFLECTIVITY = np.linspace(0.02, 1.0, 99)
 _DARKENED = np.array([wet_reflectivity(rho) / rho for rho in _REFLECTIVITY.tolist()])
 
 
-class WetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class WetGround(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -59,27 +59,20 @@ class WetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
+    LEVELS: ClassVar = {"water_mm": WATER_MM}
+    RANGES: ClassVar = {"water_mm": (0.0, 100.0), "texture_mm": (0.01, 100.0)}
+
     water_mm: float = 0.6
     texture_mm: float = _TEXTURE_MM
     range_10_m: float | None = None
-
-    def __post_init__(self) -> None:
-        check_range("WetGround", "water_mm", self.water_mm, 0.0, 100.0)
-        check_range("WetGround", "texture_mm", self.texture_mm, 0.01, 100.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(water_mm=at_level(WATER_MM, level))
 
     def scaled(self, factor: float) -> Self:
         """Return the settings with `factor` times the water."""
         return msgspec.structs.replace(self, water_mm=factor * self.water_mm)
 
 
-def corrupt(sweep: Sweep, severity: int | WetGround, rng: np.random.Generator) -> Sweep:
+def corrupt(sweep: Sweep, wet: WetGround, rng: np.random.Generator) -> Sweep:
     """Dim or remove the points on the ground; the others are unchanged, in order."""
-    wet = severity if isinstance(severity, WetGround) else WetGround.severity(severity)
     chance = rng.random(len(sweep))
     if wet.water_mm == 0.0 or len(sweep) == 0:
         return sweep

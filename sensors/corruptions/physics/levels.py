@@ -1,7 +1,9 @@
 """Severities: five levels; 3 is the DSRC paper's setting, or of its strength where the paper gives no number."""
 
-from collections.abc import Sequence
-from typing import TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self, TypeVar
+
+import msgspec
 
 from sim.errors import SettingsError
 
@@ -12,6 +14,28 @@ SEVERITIES = range(1, 6)
 
 DEFAULT_SEVERITY = 3
 """Level with the paper's parameters."""
+
+
+class SeveritySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of a kind of corruption: base of the classes of built-in kinds.
+
+    Attributes:
+        LEVELS: values of fields at severities 1 to 5; the others have their defaults at each.
+        RANGES: least and largest value of fields; None is always allowed.
+    """
+
+    LEVELS: ClassVar[Mapping[str, Sequence[Any]]] = {}
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {}
+
+    def __post_init__(self) -> None:
+        for field, (low, high) in self.RANGES.items():
+            if (value := getattr(self, field)) is not None:
+                check_range(type(self).__name__, field, value, low, high)
+
+    @classmethod
+    def severity(cls, level: int) -> Self:
+        """Return the settings of a severity, 1 to 5."""
+        return cls(**{field: at_level(values, level) for field, values in cls.LEVELS.items()})
 
 
 def at_level(levels: Sequence[T], severity: int) -> T:

@@ -24,13 +24,12 @@ Robo3D's light, moderate and heavy delete 16, 32, 48 (nuScenes 8, 16, 24) and ke
 DSRC does. Cross sensor has no randomness.
 """
 
-from typing import Literal, Self
+from typing import ClassVar, Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range, proportional_rings
+from sensors.corruptions.physics.levels import SeveritySettings, check_range, proportional_rings
 from sensors.corruptions.published.cloud import Cloud, RandomSource
 from sensors.corruptions.published.rings import RingSource, rings_from
 from sensors.sweep import Sweep
@@ -40,7 +39,7 @@ DELETED_OF_64 = (16, 32, 32, 48, 48)
 KEEP_ONE_OF = (1, 1, 2, 2, 4)
 
 
-class PaperBeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperBeamMissing(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `beam_missing`.
 
     Attributes:
@@ -50,6 +49,9 @@ class PaperBeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         rings: source of the points' rings.
     """
 
+    LEVELS: ClassVar = {"rings_of_64": MISSING_OF_64}
+    RANGES: ClassVar = {"rings_of_64": (0, 64), "after_of_64": (1, 64)}
+
     rings_of_64: int = 16
     replaced: bool = False
     first_of_64: int = 0
@@ -57,17 +59,11 @@ class PaperBeamMissing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     rings: RingSource = "sweep"
 
     def __post_init__(self) -> None:
-        check_range("PaperBeamMissing", "rings_of_64", self.rings_of_64, 0, 64)
-        check_range("PaperBeamMissing", "after_of_64", self.after_of_64, 1, 64)
+        super().__post_init__()
         check_range("PaperBeamMissing", "first_of_64", self.first_of_64, 0, self.after_of_64 - 1)
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(rings_of_64=at_level(MISSING_OF_64, level))
 
-
-class PaperCrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperCrossSensor(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `cross_sensor`.
 
     Attributes:
@@ -78,19 +74,13 @@ class PaperCrossSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         rings: source of the points' rings.
     """
 
+    LEVELS: ClassVar = {"rings_of_64": DELETED_OF_64, "keep_one_of": KEEP_ONE_OF}
+    RANGES: ClassVar = {"rings_of_64": (0, 63), "keep_one_of": (1, 1000)}
+
     rings_of_64: int = 32
     keep_one_of: int = 2
     method: Literal["list", "azimuth"] = "list"
     rings: RingSource = "sweep"
-
-    def __post_init__(self) -> None:
-        check_range("PaperCrossSensor", "rings_of_64", self.rings_of_64, 0, 63)
-        check_range("PaperCrossSensor", "keep_one_of", self.keep_one_of, 1, 1000)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(rings_of_64=at_level(DELETED_OF_64, level), keep_one_of=at_level(KEEP_ONE_OF, level))
 
 
 PUBLISHED_BEAM_MISSING: dict[str, PaperBeamMissing] = {
@@ -114,24 +104,22 @@ PUBLISHED_CROSS_SENSOR: dict[str, PaperCrossSensor] = {
 }
 
 
-def beam_missing(sweep: Sweep, severity: int | PaperBeamMissing, rng: RandomSource) -> Sweep:
+def beam_missing(sweep: Sweep, settings: PaperBeamMissing, rng: RandomSource) -> Sweep:
     """Delete all points of some rings; see `missing_rings`.
 
     Raises:
         DataError: `rings` is `sweep`, and they are missing and cannot be estimated.
     """
-    settings = severity if isinstance(severity, PaperBeamMissing) else PaperBeamMissing.severity(severity)
     ring, rings = rings_from(sweep, settings.rings, "beam_missing")
     return sweep[~np.isin(ring, missing_rings(settings, rings, rng))]
 
 
-def cross_sensor(sweep: Sweep, severity: int | PaperCrossSensor, rng: RandomSource) -> Sweep:
+def cross_sensor(sweep: Sweep, settings: PaperCrossSensor, rng: RandomSource) -> Sweep:
     """Keep the points of another sensor; `rng` is unused.
 
     Raises:
         DataError: `rings` is `sweep`, and they are missing and cannot be estimated.
     """
-    settings = severity if isinstance(severity, PaperCrossSensor) else PaperCrossSensor.severity(severity)
     ring, rings = rings_from(sweep, settings.rings, "cross_sensor")
     return sweep[kept_points(sweep.points, ring, rings, settings)]
 

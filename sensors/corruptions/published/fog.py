@@ -32,13 +32,12 @@ alpha and one pulse, others are snapped to them; here every alpha has its own, c
 """
 
 from functools import lru_cache
-from typing import Literal, NamedTuple, Self
+from typing import ClassVar, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.table_cache import cached_tables
 from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
 from sensors.corruptions.published.echo import TARGET_BACKSCATTER, soft_integral
@@ -64,7 +63,7 @@ BACKSCATTER_FIXED = backscatter_of(0.06)
 """beta of the published batch script whatever the extinction, 9.2131e-4."""
 
 
-class PaperFog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperFog(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -79,6 +78,15 @@ class PaperFog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         gain: intensities are times 255 / the largest, rounded up.
     """
 
+    LEVELS: ClassVar = {"backscatter": BACKSCATTER}
+    RANGES: ClassVar = {
+        "extinction": (0.0, 10.0),
+        "backscatter": (0.0, 10.0),
+        "pulse_s": (1e-10, 1e-6),
+        "noise": (0.0, 100.0),
+        "scale": (1e-3, 1e6),
+    }
+
     extinction: float | None = None
     backscatter: float = 0.008
     pulse_s: float = PULSE_S
@@ -88,18 +96,6 @@ class PaperFog(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     rounded: bool = False
     cap: float | None = None
     gain: bool = False
-
-    def __post_init__(self) -> None:
-        check_range("PaperFog", "extinction", self.extinction or 0.0, 0.0, 10.0)
-        check_range("PaperFog", "backscatter", self.backscatter, 0.0, 10.0)
-        check_range("PaperFog", "pulse_s", self.pulse_s, 1e-10, 1e-6)
-        check_range("PaperFog", "noise", self.noise, 0.0, 100.0)
-        check_range("PaperFog", "scale", self.scale, 1e-3, 1e6)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(backscatter=at_level(BACKSCATTER, level))
 
 
 def hahner(extinction: float, *, coupled: bool = False) -> PaperFog:
@@ -141,9 +137,8 @@ class FoggyCloud(NamedTuple):
     moved: NDArray[np.bool_]
 
 
-def corrupt(sweep: Sweep, severity: int | PaperFog, rng: RandomSource) -> Sweep:
+def corrupt(sweep: Sweep, fog: PaperFog, rng: RandomSource) -> Sweep:
     """Dim or move every point; moved points are returns of the fog."""
-    fog = severity if isinstance(severity, PaperFog) else PaperFog.severity(severity)
     if fog.extinction == fog.backscatter == 0.0 or len(sweep) == 0:
         return sweep
     cloud = cloud_of(sweep)

@@ -13,13 +13,12 @@ influence. Points deleted at a lower severity are among those of a higher one.
 """
 
 from collections.abc import Iterable
-from typing import Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.published.cloud import RandomSource
 from sensors.sweep import Sweep
 
@@ -31,22 +30,17 @@ SEMANTIC_KITTI = ((10, 252), (11,), (15,), (18, 258), (13, 16, 20, 256, 257, 259
 _LEAST = 10
 
 
-class PaperIncompleteEcho(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperIncompleteEcho(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
         deleted: share of the points of a class that is deleted.
     """
 
+    LEVELS: ClassVar = {"deleted": DELETED}
+    RANGES: ClassVar = {"deleted": (0.0, 1.0)}
+
     deleted: float = 0.75
-
-    def __post_init__(self) -> None:
-        check_range("PaperIncompleteEcho", "deleted", self.deleted, 0.0, 1.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(deleted=at_level(DELETED, level))
 
 
 PUBLISHED: dict[str, PaperIncompleteEcho] = {
@@ -56,9 +50,8 @@ PUBLISHED: dict[str, PaperIncompleteEcho] = {
 }
 
 
-def corrupt(sweep: Sweep, severity: int | PaperIncompleteEcho, rng: RandomSource) -> Sweep:
+def corrupt(sweep: Sweep, settings: PaperIncompleteEcho, rng: RandomSource) -> Sweep:
     """Delete points on objects; the others are unchanged."""
-    settings = severity if isinstance(severity, PaperIncompleteEcho) else PaperIncompleteEcho.severity(severity)
     return sweep[remaining_points((sweep.object_id >= 0).astype(np.int64), ((1,),), settings, rng)]
 
 

@@ -19,13 +19,12 @@ Formulas, with g drawn per point and column from N(0, 1):
 shaken too where the release does. The draws of a lower severity are the first of those of a higher one.
 """
 
-from typing import Literal, Self
+from typing import ClassVar, Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud, with_rows
 from sensors.sweep import MOVED, Sweep
 
@@ -38,7 +37,7 @@ _OWN_JITTER = (0.1, 0.1, 0.05)
 _JITTER_CLIP = 3.0
 
 
-class PaperMotionBlur(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperMotionBlur(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `motion_blur`.
 
     Attributes:
@@ -47,20 +46,15 @@ class PaperMotionBlur(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         shared: one offset for the whole frame, a tenth of it per point (Robo3D); coordinates only.
     """
 
+    LEVELS: ClassVar = {"deviation_m": BLUR_M}
+    RANGES: ClassVar = {"deviation_m": (0.0, 100.0)}
+
     deviation_m: float = 0.2
     columns: Columns = "coordinates"
     shared: bool = False
 
-    def __post_init__(self) -> None:
-        check_range("PaperMotionBlur", "deviation_m", self.deviation_m, 0.0, 100.0)
 
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(deviation_m=at_level(BLUR_M, level))
-
-
-class PaperCrosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperCrosstalk(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `crosstalk`.
 
     Attributes:
@@ -69,18 +63,12 @@ class PaperCrosstalk(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         columns: columns with noise.
     """
 
+    LEVELS: ClassVar = {"share": CROSSTALK_SHARE}
+    RANGES: ClassVar = {"share": (0.0, 1.0), "deviation_m": (0.0, 1000.0)}
+
     share: float = 0.01
     deviation_m: float = 3.0
     columns: Columns = "all"
-
-    def __post_init__(self) -> None:
-        check_range("PaperCrosstalk", "share", self.share, 0.0, 1.0)
-        check_range("PaperCrosstalk", "deviation_m", self.deviation_m, 0.0, 1000.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(share=at_level(CROSSTALK_SHARE, level))
 
 
 PUBLISHED_MOTION_BLUR: dict[str, PaperMotionBlur] = {
@@ -104,17 +92,15 @@ PUBLISHED_CROSSTALK: dict[str, PaperCrosstalk] = {
 }
 
 
-def motion_blur(sweep: Sweep, severity: int | PaperMotionBlur, rng: RandomSource) -> Sweep:
+def motion_blur(sweep: Sweep, settings: PaperMotionBlur, rng: RandomSource) -> Sweep:
     """Displace every point; each stays a return of its object."""
-    settings = severity if isinstance(severity, PaperMotionBlur) else PaperMotionBlur.severity(severity)
     if settings.deviation_m == 0.0:
         return sweep
     return with_cloud(sweep, apply_motion_blur(cloud_of(sweep), settings, rng), np.full(len(sweep), MOVED))
 
 
-def crosstalk(sweep: Sweep, severity: int | PaperCrosstalk, rng: RandomSource) -> Sweep:
+def crosstalk(sweep: Sweep, settings: PaperCrosstalk, rng: RandomSource) -> Sweep:
     """Replace a share of the points by noise around them, on no object."""
-    settings = severity if isinstance(severity, PaperCrosstalk) else PaperCrosstalk.severity(severity)
     touched, shake = _crosstalk_noise((len(sweep), 4), settings, rng)
     return with_rows(sweep, touched, cloud_of(sweep[touched]) + shake)
 

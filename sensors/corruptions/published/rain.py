@@ -36,15 +36,14 @@ the origin in LISA, leave the sweep.
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Literal, NamedTuple, Self
+from typing import ClassVar, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.special import spherical_jn, spherical_yn
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings, check_range
 from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
 from sensors.sweep import ATTENUATED, SCATTERED, Sweep
 from sim.geometry import Array
@@ -105,7 +104,7 @@ def extinction(sizes: Sizes, *, halved: bool = False) -> float:
     return float(np.trapezoid(area * number, _DIAMETERS_MM))
 
 
-class PaperRain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperRain(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -121,6 +120,16 @@ class PaperRain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         accuracy_m: deviation of the range where the target is half as strong as the weakest detected.
     """
 
+    LEVELS: ClassVar = {"rate_mm_h": RATE_MM_H}
+    RANGES: ClassVar = {
+        "rate_mm_h": (0.0, 1000.0),
+        "extinction": (0.0, 10.0),
+        "range_max_m": (1.0, 10_000.0),
+        "divergence_rad": (1e-5, 0.1),
+        "smallest_mm": (1e-3, 10.0),
+        "accuracy_m": (0.0, 10.0),
+    }
+
     rate_mm_h: float = 1.5625
     law: SizeLaw = "marshall_palmer"
     echo: Literal["strongest", "last", "average", "goodin"] = "strongest"
@@ -133,18 +142,8 @@ class PaperRain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     accuracy_m: float = 0.09
 
     def __post_init__(self) -> None:
-        check_range("PaperRain", "rate_mm_h", self.rate_mm_h, 0.0, 1000.0)
-        check_range("PaperRain", "extinction", self.extinction or 0.0, 0.0, 10.0)
-        check_range("PaperRain", "range_max_m", self.range_max_m, 1.0, 10_000.0)
+        super().__post_init__()
         check_range("PaperRain", "range_min_m", self.range_min_m, 0.0, self.range_max_m)
-        check_range("PaperRain", "divergence_rad", self.divergence_rad, 1e-5, 0.1)
-        check_range("PaperRain", "smallest_mm", self.smallest_mm, 1e-3, 10.0)
-        check_range("PaperRain", "accuracy_m", self.accuracy_m, 0.0, 10.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(rate_mm_h=at_level(RATE_MM_H, level))
 
     @property
     def weakest(self) -> float:
@@ -205,9 +204,8 @@ Sampler = Callable[[Array, Array, PaperRain, RandomSource], Drops]
 """Sampler of drops: `sampler(reach, power, settings, rng)`, see `draw_drops`."""
 
 
-def corrupt(sweep: Sweep, severity: int | PaperRain, rng: RandomSource) -> Sweep:
+def corrupt(sweep: Sweep, settings: PaperRain, rng: RandomSource) -> Sweep:
     """Dim, replace or remove the points; replaced ones are returns of drops."""
-    settings = severity if isinstance(severity, PaperRain) else PaperRain.severity(severity)
     if settings.rate_mm_h == 0.0 or len(sweep) == 0:
         return sweep
     cloud = cloud_of(sweep)

@@ -42,13 +42,12 @@ the release fails.
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import ClassVar, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.receiver import overlap
 from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
 from sensors.corruptions.published.echo import LIGHT_SPEED, pulse
@@ -78,7 +77,7 @@ _WEAK_LASERS, _WEAK = (53, 55, 56, 58), 230.0
 _CELLS = 4_000_000
 
 
-class PaperSnow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperSnow(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`; see above for the switches.
 
     Attributes:
@@ -95,6 +94,14 @@ class PaperSnow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         rings: source of the channels.
     """
 
+    LEVELS: ClassVar = {"snowfall_mm_h": SNOWFALL_MM_H, "fall_speed_mps": FALL_SPEED_MPS}
+    RANGES: ClassVar = {
+        "snowfall_mm_h": (0.0, 50.0),
+        "fall_speed_mps": (0.1, 10.0),
+        "divergence_rad": (1e-5, 0.1),
+        "noise_factor": (0.0, 10.0),
+    }
+
     snowfall_mm_h: float = 0.5
     fall_speed_mps: float = 2.0
     law: Law = "gunn"
@@ -106,17 +113,6 @@ class PaperSnow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     whole_seam: bool = False
     calibration: str | None = None
     rings: RingSource = "elevation"
-
-    def __post_init__(self) -> None:
-        check_range("PaperSnow", "snowfall_mm_h", self.snowfall_mm_h, 0.0, 50.0)
-        check_range("PaperSnow", "fall_speed_mps", self.fall_speed_mps, 0.1, 10.0)
-        check_range("PaperSnow", "divergence_rad", self.divergence_rad, 1e-5, 0.1)
-        check_range("PaperSnow", "noise_factor", self.noise_factor or 0.0, 0.0, 10.0)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(snowfall_mm_h=at_level(SNOWFALL_MM_H, level), fall_speed_mps=at_level(FALL_SPEED_MPS, level))
 
 
 PUBLISHED: dict[str, PaperSnow] = {
@@ -162,13 +158,12 @@ class SnowyCloud(NamedTuple):
     target_share: Array
 
 
-def corrupt(sweep: Sweep, severity: int | PaperSnow, rng: RandomSource) -> Sweep:
+def corrupt(sweep: Sweep, settings: PaperSnow, rng: RandomSource) -> Sweep:
     """Dim, move or remove the points; moved ones are returns of flakes.
 
     Raises:
         DataError: the calibration file is missing or wrong, or rings are missing and cannot be estimated.
     """
-    settings = severity if isinstance(severity, PaperSnow) else PaperSnow.severity(severity)
     if settings.snowfall_mm_h == 0.0 or len(sweep) == 0:
         return sweep
     channel, _ = rings_from(sweep, settings.rings, "snow")

@@ -26,14 +26,13 @@ gets wet; t is divided by the angle in radians, not its cosine; thickness and ab
 fewer than 1000 ground points nothing happens. The release puts the ground behind all other points, which is not kept.
 """
 
-from typing import NamedTuple, Self
+from typing import ClassVar, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.ground import find_ground
-from sensors.corruptions.physics.levels import at_level, check_range
+from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
 from sensors.corruptions.published.ground import (
     FittedGround,
@@ -58,7 +57,7 @@ _REFLECTIVITIES = (0.05, 1.0)
 _LEAST_GROUND = 1000
 
 
-class PaperWetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PaperWetGround(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -68,20 +67,17 @@ class PaperWetGround(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         labelled: known ground, taken for level (Robo3D), instead of a fitted plane.
     """
 
+    LEVELS: ClassVar = {"water_mm": WATER_MM, "noise_factor": NOISE_FACTOR}
+    RANGES: ClassVar = {
+        "water_mm": (0.0, 100.0),
+        "noise_factor": (0.0, 10.0),
+        "scale": (1e-3, 1e6),
+    }
+
     water_mm: float = 1.0
     noise_factor: float = 0.7
     scale: float = 255.0
     labelled: bool = False
-
-    def __post_init__(self) -> None:
-        check_range("PaperWetGround", "water_mm", self.water_mm, 0.0, 100.0)
-        check_range("PaperWetGround", "noise_factor", self.noise_factor, 0.0, 10.0)
-        check_range("PaperWetGround", "scale", self.scale, 1e-3, 1e6)
-
-    @classmethod
-    def severity(cls, level: int) -> Self:
-        """Return the settings of a severity, 1 to 5."""
-        return cls(water_mm=at_level(WATER_MM, level), noise_factor=at_level(NOISE_FACTOR, level))
 
 
 PUBLISHED: dict[str, PaperWetGround] = {
@@ -128,9 +124,8 @@ class Fresnel(NamedTuple):
     refracted: Array
 
 
-def corrupt(sweep: Sweep, severity: int | PaperWetGround, rng: RandomSource) -> Sweep:
+def corrupt(sweep: Sweep, settings: PaperWetGround, rng: RandomSource) -> Sweep:
     """Dim or remove the points on the ground; the others are unchanged."""
-    settings = severity if isinstance(severity, PaperWetGround) else PaperWetGround.severity(severity)
     if settings.water_mm == 0.0 or len(sweep) == 0:
         return sweep
     cloud = cloud_of(sweep)

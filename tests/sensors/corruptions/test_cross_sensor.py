@@ -51,7 +51,8 @@ def test_rings_keep_one_phase_where_beams_had_no_return() -> None:
 @pytest.mark.parametrize("severity", range(1, 5))
 def test_points_kept_at_a_severity_are_among_those_of_the_previous(severity: int) -> None:
     sweep = street()
-    more, less = ({tuple(p) for p in corrupt(sweep, s, rng()).points} for s in (severity, severity + 1))
+    kept = [corrupt(sweep, CrossSensor.severity(level), rng()) for level in (severity, severity + 1)]
+    more, less = ({tuple(p) for p in out.points} for out in kept)
     assert less < more
 
 
@@ -104,7 +105,7 @@ def test_a_sensor_with_more_beams_adds_none() -> None:
 def test_no_change_and_no_points() -> None:
     sweep = street()
     assert same(corrupt(sweep, CrossSensor(rings_of_64=0, keep_one_of=1, reach=1.0), rng()), sweep)
-    assert len(corrupt(sweep[:0], 3, rng())) == 0
+    assert len(corrupt(sweep[:0], CrossSensor.severity(3), rng())) == 0
     assert len(corrupt(synth16()[:1], CrossSensor(target="vlp-16"), rng())) <= 1
 
 
@@ -127,4 +128,4 @@ def test_impossible_settings_are_refused_in_one_line() -> None:
     with pytest.raises(DataError, match="expected a sensor with rings, found livox-avia"):
         corrupt(rosette, CrossSensor(target="vlp-16"), rng())
     with pytest.raises(DataError, match="cross_sensor: expected points with their rings"):
-        corrupt(make_sweep(rng().normal(0.0, 10.0, (500, 3))), 3, rng())
+        corrupt(make_sweep(rng().normal(0.0, 10.0, (500, 3))), CrossSensor.severity(3), rng())

@@ -57,7 +57,7 @@ def test_true_returns_are_bit_identical(world: World, seed: int) -> None:
 def test_the_order_of_the_points_does_not_matter() -> None:
     sweep = street(spinning(32, columns=360, range_max_m=40.0))
     shuffled = sweep[rng(5).permutation(len(sweep))]
-    one, other = (corrupt(s, 5, rng()) for s in (sweep, shuffled))
+    one, other = (corrupt(s, Crosstalk.severity(5), rng()) for s in (sweep, shuffled))
     assert 0 < (one.fate == SCATTERED).sum() < len(one) and len(one) > len(sweep)
     assert same(*(out[np.lexsort((out.column, out.ring))] for out in (one, other)))
 
@@ -66,7 +66,7 @@ def test_every_beam_is_reached_as_often() -> None:
     sweep = street(spinning(32, columns=360, range_max_m=40.0))
     beams = 32 * 360
     sweep = sweep[sweep.range < 11.0]
-    out = corrupt(sweep, 3, rng())
+    out = corrupt(sweep, Crosstalk.severity(3), rng())
     silent = beams - len(sweep)
     assert silent > 3000
     assert len(out) - len(sweep) == pytest.approx(0.02 * silent, rel=0.25)
@@ -74,7 +74,7 @@ def test_every_beam_is_reached_as_often() -> None:
 
 def test_at_level_3_one_return_of_a_street_in_a_hundred_is_false() -> None:
     sweep = street(spinning(64, columns=1800))
-    out = corrupt(sweep, 3, rng())[: len(sweep)]
+    out = corrupt(sweep, Crosstalk.severity(3), rng())[: len(sweep)]
     assert 0.005 < (out.fate == SCATTERED).mean() < 0.02
 
 
@@ -101,7 +101,7 @@ def test_a_sensor_of_last_returns_reports_the_farther_one() -> None:
 
 def test_pulses_of_a_severity_are_among_those_of_the_next() -> None:
     sweep = street()
-    outs = [corrupt(sweep, severity, rng()) for severity in range(1, 6)]
+    outs = [corrupt(sweep, Crosstalk.severity(severity), rng()) for severity in range(1, 6)]
     false = [{(r, c) for r, c in zip(f.ring, f.column, strict=True)} for f in (o[o.fate == SCATTERED] for o in outs)]
     assert all(a < b for a, b in itertools.pairwise(false))
 
@@ -118,21 +118,21 @@ def test_echoes_of_a_moving_sensor_start_at_its_place_at_firing() -> None:
     sweep = street(spinning(16, range_max_m=30.0))
     times = np.array([-0.06, 0.06])
     path = Path(times, np.outer(times, [20.0, 0.0, 0.0]), np.zeros((2, 3)))
-    still = corrupt(sweep, 5, rng())[len(sweep) :]
-    driven = corrupt(replace(sweep, path=path), 5, rng())[len(sweep) :]
+    still = corrupt(sweep, Crosstalk.severity(5), rng())[len(sweep) :]
+    driven = corrupt(replace(sweep, path=path), Crosstalk.severity(5), rng())[len(sweep) :]
     shift = driven.points - still.points
     assert np.allclose(shift[:, 0], 20.0 * still.time_offset, atol=1e-4) and np.abs(shift[:, 1:]).max() < 1e-4
 
 
 def test_files_without_a_sensor_columns_or_points() -> None:
     sweep = synth16()
-    out = corrupt(sweep, 3, rng())
+    out = corrupt(sweep, Crosstalk.severity(3), rng())
     assert len(out) == len(sweep) and (out.fate == SCATTERED).any()
-    assert len(corrupt(sweep[:0], 5, rng())) == 0
-    assert len(corrupt(sweep[:1], 5, rng())) == 1
+    assert len(corrupt(sweep[:0], Crosstalk.severity(5), rng())) == 0
+    assert len(corrupt(sweep[:1], Crosstalk.severity(5), rng())) == 1
     blind = make_sweep(street().points, spec=spinning(), ring=street().ring)
-    assert len(corrupt(blind, 3, rng())) == len(blind)
-    silent = corrupt(street()[:0], 5, rng())
+    assert len(corrupt(blind, Crosstalk.severity(3), rng())) == len(blind)
+    silent = corrupt(street()[:0], Crosstalk.severity(5), rng())
     assert 0 < len(silent) < 0.08 * 64 * 360
 
 

@@ -19,11 +19,14 @@ def rng() -> np.random.Generator:
 def test_the_sector_lies_straight_ahead(severity: int) -> None:
     sweep = street()
     azimuth = np.degrees(np.arctan2(sweep.points[:, 1], sweep.points[:, 0]))
-    assert same(corrupt(sweep, severity, rng()), sweep[np.abs(azimuth) < HALF_WIDTH_DEG[severity - 1] + 1e-3])
+    assert same(
+        corrupt(sweep, FieldOfView.severity(severity), rng()),
+        sweep[np.abs(azimuth) < HALF_WIDTH_DEG[severity - 1] + 1e-3],
+    )
 
 
 def test_it_narrows_with_severity() -> None:
-    sizes = [len(corrupt(street(), severity, rng())) for severity in range(1, 6)]
+    sizes = [len(corrupt(street(), FieldOfView.severity(severity), rng())) for severity in range(1, 6)]
     assert all(a > b > 0 for a, b in itertools.pairwise(sizes))
 
 
@@ -36,6 +39,6 @@ def test_it_can_look_elsewhere_across_the_seam() -> None:
 def test_a_full_circle_keeps_everything_and_no_points() -> None:
     sweep = street()
     assert corrupt(sweep, FieldOfView(half_width_deg=180.0), rng()) is sweep
-    assert len(corrupt(sweep[:0], 5, rng())) == 0
+    assert len(corrupt(sweep[:0], FieldOfView.severity(5), rng())) == 0
     with pytest.raises(SettingsError, match="half_width_deg: expected 0 to 180"):
         FieldOfView(half_width_deg=200.0)

@@ -120,7 +120,7 @@ def test_a_weak_receiver_loses_far_and_dark_targets() -> None:
 
 
 def test_fog_returns_are_dim_near_and_not_all_from_one_range() -> None:
-    out = fog.corrupt(street(), 5, rng())
+    out = fog.corrupt(street(), Fog.severity(5), rng())
     added = out.fate == SCATTERED
     assert added.sum() > 100
     assert (out.object_id[added] == ADDED).all()
@@ -141,7 +141,7 @@ def test_a_longer_pulse_returns_more_fog() -> None:
     reach = np.arange(5.0, 100.0, 0.1)
     drowned = []
     for pulse_s in (5e-9, 1e-8, 2e-8):
-        out = fog.corrupt(on_a_ray(reach, 0.3, spinning(pulse_s=pulse_s, range_10_m=120.0)), 4, rng())
+        out = fog.corrupt(on_a_ray(reach, 0.3, spinning(pulse_s=pulse_s, range_10_m=120.0)), Fog.severity(4), rng())
         drowned.append((out.fate == SCATTERED).sum())
     assert drowned[0] < drowned[1] < drowned[2]
 

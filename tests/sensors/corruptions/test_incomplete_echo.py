@@ -35,7 +35,7 @@ def cars(sweep: Sweep | None = None) -> Sweep:
 @pytest.mark.parametrize("severity", range(1, 6))
 def test_vehicles_lose_their_share_and_nothing_else_does(severity: int) -> None:
     sweep = cars()
-    out = corrupt(sweep, severity, rng())
+    out = corrupt(sweep, IncompleteEcho.severity(severity), rng())
     on, left = (np.isin(s.object_id, [1000, 1001]) for s in (sweep, out))
     assert left.sum() == on.sum() - int(SHARE[severity - 1] * on.sum())
     assert same(out[~left], sweep[~on])
@@ -57,7 +57,9 @@ def test_grazing_panels_go_first_where_intensity_is_uninformative() -> None:
 
 
 def test_points_lost_at_a_severity_are_lost_at_the_next() -> None:
-    left = [{tuple(p) for p in corrupt(cars(), severity, rng()).points} for severity in range(1, 6)]
+    left = [
+        {tuple(p) for p in corrupt(cars(), IncompleteEcho.severity(severity), rng()).points} for severity in range(1, 6)
+    ]
     assert all(a > b for a, b in itertools.pairwise(left))
 
 
@@ -70,10 +72,12 @@ def test_points_of_unknown_brightness_are_lost_at_random() -> None:
 
 def test_vehicles_of_a_frame_are_found_by_ids_or_boxes() -> None:
     clean = street_drive()[1]
-    by_id = in_frame(clean, 0, 3, rng())
+    by_id = in_frame(clean, 0, IncompleteEcho.severity(3), rng())
     sweep = clean.agents[0].sweep
     blind = replace(sweep, object_id=np.full(len(sweep), STATIC, np.int32))
-    found = in_frame(clean.with_sweeps([blind, *(agent.sweep for agent in clean.agents[1:])]), 0, 3, rng())
+    found = in_frame(
+        clean.with_sweeps([blind, *(agent.sweep for agent in clean.agents[1:])]), 0, IncompleteEcho.severity(3), rng()
+    )
     on = np.isin(sweep.object_id, clean.truth.object_id).sum()
     assert len(sweep) - len(by_id) == int(0.75 * on) > 0
     assert abs(len(found) - len(by_id)) <= 0.05 * on
@@ -81,9 +85,9 @@ def test_vehicles_of_a_frame_are_found_by_ids_or_boxes() -> None:
 
 def test_no_vehicles_no_share_and_no_points() -> None:
     sweep = street()
-    assert same(corrupt(sweep, 5, rng()), sweep)
+    assert same(corrupt(sweep, IncompleteEcho.severity(5), rng()), sweep)
     assert same(corrupt(cars(), IncompleteEcho(share=0.0), rng()), cars())
-    assert len(corrupt(sweep[:0], 5, rng())) == 0
-    assert len(corrupt(cars()[cars().ring == 30][:1], 5, rng())) == 1
+    assert len(corrupt(sweep[:0], IncompleteEcho.severity(5), rng())) == 0
+    assert len(corrupt(cars()[cars().ring == 30][:1], IncompleteEcho.severity(5), rng())) == 1
     with pytest.raises(SettingsError, match="share: expected 0 to 1"):
         IncompleteEcho(share=2.0)

@@ -76,7 +76,7 @@ def test_shaking_has_its_size() -> None:
 
 def test_neighbours_in_time_shake_together() -> None:
     sweep = street(spinning(64, columns=1800))
-    shift = corrupt(sweep, 5, rng()).points - sweep.points
+    shift = corrupt(sweep, MotionBlur.severity(5), rng()).points - sweep.points
     ring = np.flatnonzero(sweep.ring == 60)
     along = shift[ring][np.argsort(sweep.time_offset[ring])]
     assert np.abs(np.diff(along, axis=0)).max() < 0.02 < np.ptp(along, axis=0).max()
@@ -85,7 +85,7 @@ def test_neighbours_in_time_shake_together() -> None:
 def test_a_raw_sweep_only_shakes() -> None:
     raw = deskew(driven(street()), "raw")
     assert same(corrupt(raw, UNSHAKEN, rng()), raw)
-    assert shift_of(corrupt(raw, 3, rng()), raw).max() > 0.0
+    assert shift_of(corrupt(raw, MotionBlur.severity(3), rng()), raw).max() > 0.0
 
 
 def test_a_slower_sweep_smears_moving_objects_only() -> None:
@@ -130,32 +130,41 @@ def test_sweeps_without_firing_times_are_given_them() -> None:
 @pytest.mark.parametrize("severity", range(1, 6))
 def test_only_places_change(severity: int) -> None:
     sweep = street()
-    out = corrupt(sweep, severity, rng())
+    out = corrupt(sweep, MotionBlur.severity(severity), rng())
     assert (out.intensity == sweep.intensity).all() and (out.object_id == sweep.object_id).all()
     assert (out.fate[shift_of(out, sweep) > 0] == MOVED).all() and len(out) == len(sweep)
     clouded = replace(sweep, fate=np.full(len(sweep), SCATTERED, np.uint8))
-    assert (corrupt(clouded, severity, rng()).fate == SCATTERED).all()
+    assert (corrupt(clouded, MotionBlur.severity(severity), rng()).fate == SCATTERED).all()
 
 
 def test_displacements_grow_with_severity_point_by_point() -> None:
     for agent in street_drive()[1].agents:
-        shifts = [shift_of(corrupt(agent.sweep, severity, rng()), agent.sweep).mean() for severity in range(1, 6)]
+        shifts = [
+            shift_of(corrupt(agent.sweep, MotionBlur.severity(severity), rng()), agent.sweep).mean()
+            for severity in range(1, 6)
+        ]
         assert all(a < b for a, b in itertools.pairwise(shifts))
 
 
 def test_level_3_is_as_strong_as_the_jitter_of_the_paper() -> None:
     sweep = driven(street(spinning(64, columns=900)), yaw_rate=0.0)
     near = np.abs(sweep.range - 20.0) < 5.0
-    rms = [np.sqrt((shift_of(corrupt(sweep, 3, rng(seed)), sweep)[near] ** 2).mean()) for seed in range(20)]
+    rms = [
+        np.sqrt((shift_of(corrupt(sweep, MotionBlur.severity(3), rng(seed)), sweep)[near] ** 2).mean())
+        for seed in range(20)
+    ]
     assert np.mean(rms) == pytest.approx(0.2, rel=0.25)
 
 
 def test_no_motion_no_points_and_nonsense() -> None:
     sweep = street()
     assert same(corrupt(sweep, STILL, rng()), sweep) and (corrupt(sweep, STILL, rng()).fate == KEPT).all()
-    assert len(corrupt(sweep[:0], 5, rng())) == 0 and len(corrupt(sweep[:1], 5, rng())) == 1
-    assert len(corrupt(synth16(), 3, rng())) == len(synth16())
+    assert (
+        len(corrupt(sweep[:0], MotionBlur.severity(5), rng())) == 0
+        and len(corrupt(sweep[:1], MotionBlur.severity(5), rng())) == 1
+    )
+    assert len(corrupt(synth16(), MotionBlur.severity(3), rng())) == len(synth16())
     with pytest.raises(DataError, match="time_offset: expected finite firing times"):
-        corrupt(make_sweep(np.ones((2, 3)), time_offset=[np.nan, 0.0]), 3, rng())
+        corrupt(make_sweep(np.ones((2, 3)), time_offset=[np.nan, 0.0]), MotionBlur.severity(3), rng())
     with pytest.raises(SettingsError, match="shake_m: expected 0 to 10, found -1"):
         MotionBlur(shake_m=-1.0)

@@ -23,7 +23,7 @@ def settings(how: str, severity: int) -> Noise:
 @pytest.mark.parametrize("severity", range(1, 6))
 def test_gaussian_noise_has_its_deviation_on_each_coordinate(severity: int) -> None:
     sweep = synth16()
-    shift = corrupt(sweep, severity, rng()).points.astype(np.float64) - sweep.points
+    shift = corrupt(sweep, Noise.severity(severity), rng()).points.astype(np.float64) - sweep.points
     assert np.allclose(shift.std(axis=0), SIZE_M[severity - 1], rtol=0.03)
     assert np.abs(shift.mean(axis=0)).max() < 5 * SIZE_M[severity - 1] / np.sqrt(len(sweep))
     assert np.abs(np.corrcoef(shift.T) - np.eye(3)).max() < 0.05

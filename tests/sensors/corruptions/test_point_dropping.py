@@ -24,7 +24,7 @@ def rows_left(out: Sweep, sweep: Sweep) -> np.ndarray:
 @pytest.mark.parametrize("severity", range(1, 6))
 def test_the_share_is_lost_all_over_the_sweep(severity: int) -> None:
     sweep = street(spinning(64, columns=900))
-    left = rows_left(corrupt(sweep, severity, rng()), sweep)
+    left = rows_left(corrupt(sweep, PointDropping.severity(severity), rng()), sweep)
     assert 1.0 - left.mean() == pytest.approx(SHARE[severity - 1], abs=0.005)
     parts = np.array_split(left, 20)
     assert max(abs(1.0 - part.mean() - SHARE[severity - 1]) for part in parts) < 0.05

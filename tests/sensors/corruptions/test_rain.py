@@ -60,7 +60,7 @@ def test_the_table_of_severities_holds() -> None:
 
 def test_a_target_is_dimmed_both_ways_and_stays_on_its_ray() -> None:
     sweep = street()
-    out = rain.corrupt(sweep, 4, rng())
+    out = rain.corrupt(sweep, Rain.severity(4), rng())
     seen = out[out.fate != SCATTERED]
     clean = sweep[rows_of(seen, sweep)]
     extinction = rain_particles(rain.RAIN_MM_H[3], 0.02).extinction

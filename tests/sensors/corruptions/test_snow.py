@@ -57,7 +57,7 @@ def test_the_table_of_severities_holds() -> None:
 
 def test_heavier_snow_touches_more_beams_and_dims_more() -> None:
     sweep = street(spinning(64, columns=720))
-    out = [snow.corrupt(sweep, level, rng()) for level in range(1, 6)]
+    out = [snow.corrupt(sweep, Snow.severity(level), rng()) for level in range(1, 6)]
     flakes = [(o.fate == SCATTERED).sum() for o in out]
     through = [o.intensity[o.fate == ATTENUATED].mean() for o in out]
     assert all(a < b for a, b in itertools.pairwise(flakes))
@@ -70,7 +70,7 @@ def test_snow_is_as_severe_through_a_simulator_s_sensor_as_through_the_one_that_
         # The same beams, so that only the receivers differ.
         spec = msgspec.structs.replace(LIDARS["opv2v-64"], range_10_m=LIDARS[name].range_10_m, dropoff_rate=0.0)
         sweep = street(spec)
-        out = [snow.corrupt(sweep, level, rng()) for level in range(1, 6)]
+        out = [snow.corrupt(sweep, Snow.severity(level), rng()) for level in range(1, 6)]
         shares[name] = [(o.fate == SCATTERED).mean() for o in out]
     assert shares["opv2v-64"] == shares["hdl-64e-s2"]
     assert shares["opv2v-64"][4] > 2.0 * shares["opv2v-64"][0] > 0.0
@@ -78,7 +78,7 @@ def test_snow_is_as_severe_through_a_simulator_s_sensor_as_through_the_one_that_
 
 def test_targets_behind_flakes_are_dimmed_by_extinction() -> None:
     sweep = street()
-    out = snow.corrupt(sweep, 4, rng())
+    out = snow.corrupt(sweep, Snow.severity(4), rng())
     seen = out[out.fate == ATTENUATED]
     clean = sweep[rows_of(seen, sweep)]
     extinction = snow_particles(snow.SNOWFALL_MM_H[3], 1.0, 0.1, 0.2).extinction

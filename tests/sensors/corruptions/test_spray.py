@@ -40,7 +40,7 @@ def sweep_of(frame: Frame, agent_id: int = EGO):
     return frame.agent(agent_id).sweep
 
 
-def sprayed(frame: Frame, settings: Spray | int = HEAVY, agent_id: int = EGO, seed: int = 1):
+def sprayed(frame: Frame, settings: Spray = HEAVY, agent_id: int = EGO, seed: int = 1):
     row = [agent.agent_id for agent in frame.agents].index(agent_id)
     return corrupt(frame, row, settings, rng(seed))
 
@@ -116,7 +116,7 @@ def test_faster_traffic_is_seen_worse() -> None:
 
 def test_more_water_leaves_less() -> None:
     frame = drive()
-    outs = [sprayed(frame, severity) for severity in range(1, 6)]
+    outs = [sprayed(frame, Spray.severity(severity)) for severity in range(1, 6)]
     light = [float(out.intensity[out.object_id != ADDED].sum()) for out in outs]
     assert all(a > b for a, b in itertools.pairwise([float(sweep_of(frame).intensity.sum()), *light]))
     points = [int((out.object_id != ADDED).sum()) for out in outs]

@@ -81,7 +81,7 @@ def test_water_hides_the_beads_of_lane_paint() -> None:
 @given(world=worlds, severity=st.integers(1, 5), seed=st.integers(0, 100))
 def test_only_the_ground_changes_and_none_of_it_is_brighter(world: World, severity: int, seed: int) -> None:
     sweep = world.sweep()
-    out = corrupt(sweep, severity, rng(seed))
+    out = corrupt(sweep, WetGround.severity(severity), rng(seed))
     ground = np.zeros(len(sweep), bool)
     ground[find_ground(sweep).rows] = True
     everything = corrupt(sweep, WetGround.severity(severity), rng(seed))
@@ -95,7 +95,7 @@ def test_only_the_ground_changes_and_none_of_it_is_brighter(world: World, severi
 
 def test_more_water_keeps_fewer_and_darker_points() -> None:
     for sweep in (road(), synth16(), street_drive()[1].agents[0].sweep):
-        outs = [corrupt(sweep, severity, rng()) for severity in range(1, 6)]
+        outs = [corrupt(sweep, WetGround.severity(severity), rng()) for severity in range(1, 6)]
         kept = [{tuple(p) for p in out.points} for out in outs]
         assert all(a >= b for a, b in itertools.pairwise(kept))
         light = [float(out.intensity.sum()) for out in outs]
@@ -105,10 +105,10 @@ def test_more_water_keeps_fewer_and_darker_points() -> None:
 
 def test_returns_below_the_detection_threshold_are_lost() -> None:
     sweep = road()
-    out = corrupt(sweep, 5, rng())
+    out = corrupt(sweep, WetGround.severity(5), rng())
     assert len(out) < len(sweep)
     seen = sweep[sweep.intensity / sweep.range**2 > detection_threshold(sweep.spec)]
-    out = corrupt(seen, 5, rng())
+    out = corrupt(seen, WetGround.severity(5), rng())
     power = out.intensity / out.range.astype(np.float64) ** 2
     assert power[out.fate == ATTENUATED].min() >= detection_threshold(sweep.spec) * (1 - 1e-5)
     assert out.range[out.fate == ATTENUATED].max() < 0.9 * seen.range[seen.material == MATERIAL["asphalt"]].max()
@@ -137,9 +137,12 @@ def test_no_water_no_ground_and_no_points() -> None:
     sweep = street()
     assert corrupt(sweep, WetGround(water_mm=0.0), rng()) is sweep
     sky = sweep[sweep.points[:, 2] > 0.0]
-    assert same(corrupt(sky, 5, rng()), sky)
-    assert len(corrupt(sweep[:0], 5, rng())) == 0 and len(corrupt(sweep[:1], 5, rng())) == 1
-    assert (corrupt(synth16(), 1, rng()).fate == KEPT).any()
+    assert same(corrupt(sky, WetGround.severity(5), rng()), sky)
+    assert (
+        len(corrupt(sweep[:0], WetGround.severity(5), rng())) == 0
+        and len(corrupt(sweep[:1], WetGround.severity(5), rng())) == 1
+    )
+    assert (corrupt(synth16(), WetGround.severity(1), rng()).fate == KEPT).any()
     with pytest.raises(SettingsError, match="water_mm: expected 0 to 100, found -1"):
         WetGround(water_mm=-1.0)
     assert WetGround(water_mm=1.0).scaled(1.1).water_mm == pytest.approx(1.1)

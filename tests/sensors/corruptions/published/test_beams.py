@@ -71,13 +71,13 @@ def test_the_text_has_half_of_the_beams_missing_that_the_code_has() -> None:
 
 def test_beams_missing_at_a_severity_are_missing_at_the_next() -> None:
     sweep = street()
-    left = [set(beam_missing(sweep, severity, rng()).ring) for severity in SEVERITIES]
+    left = [set(beam_missing(sweep, PaperBeamMissing.severity(severity), rng()).ring) for severity in SEVERITIES]
     assert all(a > b for a, b in itertools.pairwise(left))
 
 
 def test_missing_beams_are_missing_whole_and_the_rest_stays() -> None:
     sweep = street()
-    out = beam_missing(sweep, 4, rng())
+    out = beam_missing(sweep, PaperBeamMissing.severity(4), rng())
     assert same(out, sweep[np.isin(sweep.ring, np.unique(out.ring))])
     assert same(beam_missing(sweep, PaperBeamMissing(rings_of_64=0), rng()), sweep)
 
@@ -105,13 +105,15 @@ def test_lidar_distillation_keeps_the_points_of_its_release(mode: str, golden: s
 def test_the_default_is_the_released_code() -> None:
     sweep = street()
     assert PaperCrossSensor() == PaperCrossSensor.severity(DEFAULT_SEVERITY)
-    assert same(cross_sensor(sweep, DEFAULT_SEVERITY, rng()), sweep[sweep.ring % 2 == 0][::2])
+    assert same(
+        cross_sensor(sweep, PaperCrossSensor.severity(DEFAULT_SEVERITY), rng()), sweep[sweep.ring % 2 == 0][::2]
+    )
 
 
 @pytest.mark.parametrize("rings", [1, 2, 16, 40, 300])
 def test_a_cross_sensor_exists_for_any_sensor(rings: int) -> None:
     sweep = street(spinning(rings, columns=60))
-    kept = [len(cross_sensor(sweep, severity, rng())) for severity in SEVERITIES]
+    kept = [len(cross_sensor(sweep, PaperCrossSensor.severity(severity), rng())) for severity in SEVERITIES]
     assert all(a >= b for a, b in itertools.pairwise(kept))
     for settings in PUBLISHED_CROSS_SENSOR.values():
         assert len(cross_sensor(sweep, settings, rng())) <= len(sweep)
@@ -120,7 +122,11 @@ def test_a_cross_sensor_exists_for_any_sensor(rings: int) -> None:
 def test_empty_sweeps_stay_empty() -> None:
     for spec in (None, spinning(), spinning(1)):
         empty = street(spec)[:0]
-        assert len(beam_missing(empty, 5, rng())) == len(cross_sensor(empty, 5, rng())) == 0
+        assert (
+            len(beam_missing(empty, PaperBeamMissing(), rng()))
+            == len(cross_sensor(empty, PaperCrossSensor(), rng()))
+            == 0
+        )
 
 
 def test_impossible_settings_are_refused() -> None:

@@ -204,13 +204,16 @@ def test_a_sweep_keeps_its_points_on_their_rays() -> None:
 
 def test_agents_draw_their_own_extinction_unless_one_is_set() -> None:
     sweep = on_a_ray(np.full(50, 10.0), 0.5)
-    seen = {round(float(corrupt(sweep, DEFAULT_SEVERITY, rng(seed)).intensity[0]), 6) for seed in range(60)}
+    seen = {
+        round(float(corrupt(sweep, PaperFog.severity(DEFAULT_SEVERITY), rng(seed)).intensity[0]), 6)
+        for seed in range(60)
+    }
     assert seen == {round(0.5 * float(np.exp(-20.0 * alpha)), 6) for alpha in EXTINCTIONS}
 
 
 def test_fog_takes_more_at_each_severity() -> None:
     sweep = street(spinning(16))
-    taken = [corrupt(sweep, severity, rng(3)).fate == SCATTERED for severity in SEVERITIES]
+    taken = [corrupt(sweep, PaperFog.severity(severity), rng(3)).fate == SCATTERED for severity in SEVERITIES]
     assert all((b >= a).all() for a, b in itertools.pairwise(taken)) and taken[-1].sum() > taken[0].sum()
     assert PaperFog() == PaperFog.severity(DEFAULT_SEVERITY) == PUBLISHED["dsrc"]
 
@@ -227,7 +230,7 @@ def test_no_fog_and_no_points_are_legal() -> None:
     sweep = street(spinning(16))
     assert same(corrupt(sweep, PaperFog(extinction=0.0, backscatter=0.0), rng()), sweep)
     for few in (sweep[:0], sweep[:1], on_a_ray(np.array([0.0, 0.5, 300.0]))):
-        out = corrupt(few, 5, rng())
+        out = corrupt(few, PaperFog.severity(5), rng())
         assert len(out) == len(few) and np.isfinite(out.points).all()
         assert all(getattr(out, name).dtype == getattr(few, name).dtype for name in POINT_FIELDS)
     with pytest.raises(SettingsError, match="backscatter"):

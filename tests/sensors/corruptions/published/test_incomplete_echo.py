@@ -43,7 +43,7 @@ def test_small_classes_are_spared() -> None:
 def test_only_objects_lose_points_and_more_at_each_severity() -> None:
     sweep = street(spinning(16))
     sweep = replace(sweep, object_id=np.where(np.abs(sweep.points[:, 0] - 8) < 4, 1000, -1).astype(np.int32))
-    left = [incomplete_echo.corrupt(sweep, severity, rng()) for severity in SEVERITIES]
+    left = [incomplete_echo.corrupt(sweep, PaperIncompleteEcho.severity(severity), rng()) for severity in SEVERITIES]
     world, objects = sweep[sweep.object_id < 0], int((sweep.object_id >= 0).sum())
     for severity, out in zip(SEVERITIES, left, strict=True):
         assert same(out[out.object_id < 0], world)

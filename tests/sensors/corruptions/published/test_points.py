@@ -100,7 +100,7 @@ def test_crosstalk_spreads_as_published(level: str, share: float) -> None:
 
 def test_the_text_blurs_coordinates_only() -> None:
     sweep = street()
-    out = points.motion_blur(sweep, DEFAULT_SEVERITY, rng())
+    out = points.motion_blur(sweep, PaperMotionBlur.severity(DEFAULT_SEVERITY), rng())
     assert (out.intensity == sweep.intensity).all() and (out.fate == MOVED).all()
     assert np.allclose((out.points - sweep.points).std(axis=0), 0.2, rtol=0.03)
     released = points.motion_blur(sweep, PUBLISHED_MOTION_BLUR["dsrc"], rng())
@@ -109,7 +109,7 @@ def test_the_text_blurs_coordinates_only() -> None:
 
 def test_displaced_points_are_on_no_object() -> None:
     sweep = street()
-    out = points.crosstalk(sweep, DEFAULT_SEVERITY, rng())
+    out = points.crosstalk(sweep, PaperCrosstalk.severity(DEFAULT_SEVERITY), rng())
     touched = out.fate == SCATTERED
     assert touched.sum() == int(0.01 * len(sweep))
     assert (out.object_id[touched] == ADDED).all() and (out.material[touched] == UNKNOWN_MATERIAL).all()
@@ -121,14 +121,14 @@ def test_the_default_is_severity_3(kind: str, settings: type) -> None:
     assert settings() == settings.severity(DEFAULT_SEVERITY)
     sweep = street(spinning(16))
     make: Callable[..., Sweep] = getattr(points, kind)
-    assert same(make(sweep, settings(), rng()), make(sweep, DEFAULT_SEVERITY, rng()))
+    assert same(make(sweep, settings(), rng()), make(sweep, settings.severity(DEFAULT_SEVERITY), rng()))
 
 
 def test_points_displaced_at_a_severity_are_displaced_at_the_next() -> None:
     sweep = street(spinning(16))
     lost = []
     for severity in SEVERITIES:
-        out = points.crosstalk(sweep, severity, rng())
+        out = points.crosstalk(sweep, PaperCrosstalk.severity(severity), rng())
         untouched = {row.tobytes() for row in out.points[out.fate == KEPT]}
         lost.append({row for row, p in enumerate(sweep.points) if p.tobytes() not in untouched})
     assert all(a < b for a, b in itertools.pairwise(lost))

@@ -182,8 +182,11 @@ def test_a_sweep_keeps_its_rays_and_drops_lost_points() -> None:
 
 def test_heavier_rain_takes_more() -> None:
     sweep = street(spinning(32))
-    lost = [len(sweep) - (corrupt(sweep, severity, rng(2)).fate == ATTENUATED).sum() for severity in SEVERITIES]
-    dim = [corrupt(sweep, severity, rng(2)).intensity.mean() for severity in SEVERITIES]
+    lost = [
+        len(sweep) - (corrupt(sweep, PaperRain.severity(severity), rng(2)).fate == ATTENUATED).sum()
+        for severity in SEVERITIES
+    ]
+    dim = [corrupt(sweep, PaperRain.severity(severity), rng(2)).intensity.mean() for severity in SEVERITIES]
     assert lost[-1] > lost[0] and (np.diff(dim) < 0).all()
     assert PaperRain() == PaperRain.severity(DEFAULT_SEVERITY)
 
@@ -191,9 +194,12 @@ def test_heavier_rain_takes_more() -> None:
 def test_no_rain_and_no_points_are_legal() -> None:
     sweep = street(spinning(16))
     assert same(corrupt(sweep, PaperRain(rate_mm_h=0.0), rng()), sweep)
-    assert same(corrupt(sweep, DEFAULT_SEVERITY, rng(3)), corrupt(sweep, DEFAULT_SEVERITY, rng(3)))
+    assert same(
+        corrupt(sweep, PaperRain.severity(DEFAULT_SEVERITY), rng(3)),
+        corrupt(sweep, PaperRain.severity(DEFAULT_SEVERITY), rng(3)),
+    )
     for few in (sweep[:0], sweep[:1], on_a_ray(np.array([0.0, 0.5, 300.0]))):
-        out = corrupt(few, 5, rng())
+        out = corrupt(few, PaperRain.severity(5), rng())
         assert len(out) <= len(few) and np.isfinite(out.points).all()
         assert all(getattr(out, name).dtype == getattr(few, name).dtype for name in POINT_FIELDS)
     with pytest.raises(SettingsError, match="range_min_m"):

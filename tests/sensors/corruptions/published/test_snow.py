@@ -173,7 +173,7 @@ def test_a_sweep_keeps_its_rays_and_marks_fates() -> None:
 
 def test_the_noise_floor_takes_points_off_a_sweep() -> None:
     sweep = street()
-    out = corrupt(sweep, DEFAULT_SEVERITY, rng())
+    out = corrupt(sweep, PaperSnow.severity(DEFAULT_SEVERITY), rng())
     assert 0 < len(out) < len(sweep)
     row = rows_of(out, sweep)
     stays = out.fate != SCATTERED
@@ -193,8 +193,14 @@ def test_more_snow_moves_more_points_and_touches_fewer() -> None:
 
 def test_one_seed_gives_one_snow_and_no_snow_is_no_change() -> None:
     sweep = street(spinning(16))
-    assert same(corrupt(sweep, DEFAULT_SEVERITY, rng(4)), corrupt(sweep, DEFAULT_SEVERITY, rng(4)))
-    assert not same(corrupt(sweep, DEFAULT_SEVERITY, rng(4)), corrupt(sweep, DEFAULT_SEVERITY, rng(5)))
+    assert same(
+        corrupt(sweep, PaperSnow.severity(DEFAULT_SEVERITY), rng(4)),
+        corrupt(sweep, PaperSnow.severity(DEFAULT_SEVERITY), rng(4)),
+    )
+    assert not same(
+        corrupt(sweep, PaperSnow.severity(DEFAULT_SEVERITY), rng(4)),
+        corrupt(sweep, PaperSnow.severity(DEFAULT_SEVERITY), rng(5)),
+    )
     assert same(corrupt(sweep, PaperSnow(snowfall_mm_h=0.0), rng()), sweep)
     with pytest.raises(SettingsError, match="fall_speed_mps"):
         PaperSnow(fall_speed_mps=0.0)
@@ -203,7 +209,7 @@ def test_one_seed_gives_one_snow_and_no_snow_is_no_change() -> None:
 @pytest.mark.parametrize("severity", [1, 5])
 def test_hardly_any_points_are_legal(severity: int) -> None:
     for few in (street(spinning(16))[:0], street(spinning(16))[:1], on_a_ray(np.array([0.0, 0.5, 300.0]))):
-        out = corrupt(few, severity, rng())
+        out = corrupt(few, PaperSnow.severity(severity), rng())
         assert len(out) <= len(few) and np.isfinite(out.points).all()
         assert all(getattr(out, name).dtype == getattr(few, name).dtype for name in POINT_FIELDS)
 

@@ -130,7 +130,7 @@ def test_ground_by_plane_loses_as_many_points_as_in_robo3d(level: str) -> None:
 
 def test_only_ground_is_touched_and_never_brightened() -> None:
     sweep = street(spinning(columns=720))
-    out = corrupt(sweep, DEFAULT_SEVERITY, rng())
+    out = corrupt(sweep, PaperWetGround.severity(DEFAULT_SEVERITY), rng())
     row = rows_of(out, sweep)
     touched = out.fate == ATTENUATED
     assert touched.any() and len(out) < len(sweep)
@@ -155,7 +155,7 @@ def test_behind_a_lorry_only_known_ground_gets_wet() -> None:
 
 def test_more_water_takes_more() -> None:
     sweep = street(spinning(columns=720))
-    left = [corrupt(sweep, severity, rng()) for severity in SEVERITIES]
+    left = [corrupt(sweep, PaperWetGround.severity(severity), rng()) for severity in SEVERITIES]
     kept = [set(rows_of(out, sweep).tolist()) for out in left]
     assert all(a >= b for a, b in itertools.pairwise(kept)) and len(kept[0]) > len(kept[-1])
     assert PaperWetGround() == PaperWetGround.severity(DEFAULT_SEVERITY) == PUBLISHED["hahner"]
@@ -172,7 +172,7 @@ def test_no_water_and_no_points_are_legal() -> None:
     sweep = street(spinning(16))
     assert same(corrupt(sweep, PaperWetGround(water_mm=0.0), rng()), sweep)
     for few in (sweep[:0], sweep[:1]):
-        out = corrupt(few, 5, rng())
+        out = corrupt(few, PaperWetGround.severity(5), rng())
         assert len(out) == len(few)
         assert all(getattr(out, name).dtype == getattr(few, name).dtype for name in POINT_FIELDS)
     with pytest.raises(SettingsError, match="water_mm"):
