@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dsrc.closed_loop.corridor import FREE, Obstacle, nearest_obstacle
 from dsrc.closed_loop.idm import IdmSettings
-from dsrc.closed_loop.metrics import time_to_collision
-from dsrc.closed_loop.perception import Perception, TruthPerception
+from dsrc.closed_loop.metrics.surrogate import time_to_collision
+from dsrc.closed_loop.former_perception import Perception, TruthPerception
 from dsrc.closed_loop.tracker import Tracker
 from sensors.recording.encounter_check import with_proven_encounter
 from sim.boxes import CLASSES, Boxes, concatenate

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from dsrc.closed_loop.env import LOOK_AHEAD, CoopDrivingEnv, Observation
 from dsrc.closed_loop.idm import IdmSettings, idm_acceleration
-from dsrc.closed_loop.perception import DetectorPerception, Perception, TruthPerception
+from dsrc.closed_loop.former_perception import DetectorPerception, Perception, TruthPerception
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family, require_corruption
 from sim.errors import SettingsError
 from sim.files import write_file

@@ -13,6 +13,7 @@ from sensors.corruptions.apply import (
     corrupt_frame,
     corruption_rng,
     drive_seed,
+    parse_who,
     require_who,
 )
 from sensors.corruptions.check import check_corruption
@@ -47,6 +48,7 @@ __all__ = [
     "corruption_rng",
     "drive_seed",
     "kinds_of",
+    "parse_who",
     "register_corruption",
     "require_corruption",
     "require_family",

@@ -24,6 +24,9 @@ Who = Literal["all", "ego", "helpers"] | tuple[int, ...]
 by nature: weather at some agents alone is a counterfactual, what it does to these sensors and to nothing else."""
 
 
+_WORDS: dict[str, Literal["all", "ego", "helpers"]] = {"all": "all", "ego": "ego", "helpers": "helpers"}
+
+
 def corrupt(sweep: Sweep, kind: str, severity: int, rng: np.random.Generator, family: Family = "physical") -> Sweep:
     """Return the sweep under a corruption, its lost points counted in `Sweep.lost`.
 
@@ -102,10 +105,26 @@ def corrupt_frame(
     return frame.with_sweeps(sweeps)
 
 
+def parse_who(text: str) -> Who:
+    """Return the `Who` of `all`, `ego`, `helpers` or ids between commas, as `1003,-1`.
+
+    Raises:
+        SettingsError: the text is none of these.
+    """
+    word = _WORDS.get(text)
+    if word is not None:
+        return word
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError:
+        expected = "all, ego, helpers or ids of agents, such as 1003,-1"
+        raise SettingsError(complaint("corruption", "who", expected, text)) from None
+
+
 def require_who(kind: str, who: Who) -> None:
     """Raise SettingsError unless `who` is `all`, `ego`, `helpers` or ids, and the kind can corrupt it."""
     where = f"corruption '{kind}'"
-    if who not in ("all", "ego", "helpers") and (isinstance(who, str) or len(who) == 0):
+    if who not in _WORDS and (isinstance(who, str) or len(who) == 0):
         raise SettingsError(complaint(where, "who", "all, ego, helpers or ids of agents", who))
     if who == "ego" and kind != CLEAN and CORRUPTIONS[kind].spares_ego:
         raise SettingsError(complaint(where, "who", "helpers, as it is an error relative to the ego", who))

@@ -8,7 +8,7 @@ from gymnasium.utils.env_checker import check_env
 
 from dsrc.closed_loop.env import CoopDrivingEnv
 from dsrc.closed_loop.episodes import drive_episodes, idm_policy, make_perception
-from dsrc.closed_loop.perception import TruthPerception
+from dsrc.closed_loop.former_perception import TruthPerception
 from sim.boxes import Boxes
 from sim.errors import SettingsError
 from sim.traffic.base import Actors

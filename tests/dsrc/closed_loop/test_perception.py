@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from dsrc.closed_loop.env import choose_ego
 from dsrc.closed_loop.episodes import make_perception
-from dsrc.closed_loop.perception import DetectorPerception
+from dsrc.closed_loop.former_perception import DetectorPerception
 from dsrc.data.sample import Sample, make_sample
 from sensors.recording.record import record
 from sensors.sweep import POINT_FIELDS

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sensors.corruptions import CORRUPTIONS, Who, corrupt_frame
+from sensors.corruptions import CORRUPTIONS, Who, corrupt_frame, parse_who
 from sim.errors import DataError, SettingsError
 from tests.sensors.corruptions.drives import street_drive
 from tests.sensors.corruptions.frames import AGENTS, frame
@@ -63,3 +63,10 @@ def test_other_words_are_refused(who: Who) -> None:
 def test_an_id_that_is_no_agent_is_refused() -> None:
     with pytest.raises(DataError, match=r"frame 5: who: expected ids among the agents \[1000, 1003, -1\], found 1004"):
         changed("fog", (1000, 1004))
+
+
+def test_text_of_a_command_names_agents_by_word_or_ids() -> None:
+    assert [parse_who(text) for text in ("all", "ego", "helpers")] == ["all", "ego", "helpers"]
+    assert parse_who("1003,-1") == (1003, -1)
+    with pytest.raises(SettingsError, match=r"corruption: who: expected all, .* such as 1003,-1, found helper"):
+        parse_who("helper")

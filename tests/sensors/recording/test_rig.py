@@ -94,7 +94,7 @@ def test_a_false_actor_is_measured_by_one_agent_alone():
 
 def test_a_false_actor_gives_the_points_that_a_real_one_would():
     rig = Rig(toy_scenario(), scene_of(ground()), 0)
-    traffic = StraightTraffic(cars([[0, 0, 0], [0, 40, 0], [12, 20, 0.5]], speed=[0.0, 5.0, 20.0]))
+    traffic = StraightTraffic(cars([[0, 0, 0], [0, 40, 0], [12, 20, 0.0]], speed=[0.0, 5.0, 20.0]))
     before, now = traffic.actors, traffic.step()
     real = rig.frame(1, [1001], now, before)
     false = {1001: rows_of(now, [2])}

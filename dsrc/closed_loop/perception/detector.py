@@ -1,0 +1,82 @@
+"""Detector as a perception: from corrupted sweeps through the radio channel to boxes in the world."""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from dsrc.closed_loop.perception.senses import Faults, Senses
+from dsrc.closed_loop.types import Percept
+from dsrc.data.sample import Sample, SampleDetector, make_sample
+from dsrc.models.channel import Receiver
+from dsrc.ops.detections import Detections
+from sensors.frame import Frame
+from sim.boxes import Boxes
+from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
+
+
+class DetectorPerception:
+    """Detections in the sweeps of the ego and its helpers; the detector gets no ground truth.
+
+    Args:
+        detector: finds boxes in samples.
+        cooperative: False leaves the ego alone.
+        faults: corruption of the sweeps.
+        channel: radio channel between the helpers and the ego.
+        interval_s: time between percepts, s, thus between the helpers' messages.
+    """
+
+    def __init__(
+        self,
+        detector: SampleDetector,
+        *,
+        cooperative: bool = True,
+        faults: Faults | None = None,
+        channel: ChannelSpec = PRESETS[IDEAL],
+        interval_s: float = 0.1,
+    ) -> None:
+        self.detector, self.cooperative, self.channel = detector, cooperative, channel
+        self.senses = Senses(faults or Faults(), cooperative)
+        self._interval_s = interval_s
+        self._ego_id = -1
+
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
+        """Begin an episode."""
+        self.senses.reset(scenario, ego_id, seed)
+        self._ego_id = ego_id
+        self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
+        interval_s = max(self._interval_s, scenario.step_s)
+        self._receiver = Receiver(self.channel, seed, interval_s, self.detector.settings)
+
+    def sample(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> tuple[Sample, tuple[Link, ...]]:
+        """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""
+        frame, settings = self.senses.frame(before, now, claims), self.detector.settings
+        agents = getattr(settings, "max_agents", 5)
+        sample = make_sample(frame, self._ego_id, settings.grid, max_agents=agents, cooperative=self.cooperative)
+        self._past.appendleft(frame)
+        sample, links = self._receiver.receive(self._past, self.senses.index, sample, settings.grid)
+        none = (Boxes.zeros(),) * len(sample.agent_ids)
+        return replace(sample, boxes=Boxes.zeros(), agent_boxes=none), links
+
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
+        """Return the detected boxes, with scores and classes as detected, without velocities and ids.
+
+        Raises:
+            TypeError: the detector returns something else than `Detections`.
+        """
+        sample, links = self.sample(before, now, claims)
+        found = self.detector.detect(sample)
+        if not isinstance(found, Detections):
+            name = type(self.detector).__name__
+            raise TypeError(f"{name}.detect: expected Detections, found {type(found).__name__}")
+        boxes = found.boxes.transform(self._past[0].agent(self._ego_id).sweep.world_from_lidar)
+        unknown = np.full(len(boxes), -1, np.int64)
+        return Percept(
+            time_s=now.time_s,
+            boxes=replace(boxes, object_id=unknown),
+            score=found.score.astype(np.float64),
+            velocity=np.full((len(boxes), 2), np.nan),
+            links=links,
+        )

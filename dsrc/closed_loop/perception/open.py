@@ -1,0 +1,167 @@
+"""Perceptions by name: truth, detectors by checkpoint, and classes of one's own."""
+
+import inspect
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from dsrc.closed_loop.perception.senses import Faults
+from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
+from dsrc.closed_loop.types import Perception
+from dsrc.data.sample import SampleDetector
+from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Family, Who, parse_who
+from sim.errors import SettingsError, complaint, did_you_mean
+from sim.radio import IDEAL, get_channel
+
+SHIPPED_DETECTOR = Path(__file__).parents[2] / "checkpoints" / "small-dsrc.pt"
+
+WITHOUT_SENSOR = ("truth", "sight")
+"""Ground truth: no corruption, channel or checkpoint applies."""
+ALONE = "ego"
+"""A detector on the ego's sweeps alone."""
+TOGETHER = ("team", "dsrc")
+"""A detector with helpers."""
+
+_NAMES = (*WITHOUT_SENSOR, ALONE, *TOGETHER)
+
+
+def open_perception(
+    text: str,
+    *,
+    checkpoint: Path | None = None,
+    corruption: str = CLEAN,
+    severity: int = DEFAULT_SEVERITY,
+    family: Family = "physical",
+    who: Who | str = EVERYONE,
+    channel: str = IDEAL,
+    interval_s: float = 0.1,
+    engine: str = "fused",
+    device: Literal["cpu", "cuda"] = "cpu",
+) -> Perception:
+    """Return a perception by name.
+
+    Args:
+        text: one of
+
+            * `truth`: all road users near the ego; `sight`: those that its LiDAR can see;
+            * `ego`: a detector on the ego's sweeps alone; `team` or `dsrc`: one with helpers;
+            * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`: without;
+            * `module:Class` of one's own, made without arguments: a perception (`reset`, `perceive`), or a detector
+              (`detect(sample) -> Detections`, and `settings` with a `grid` unless the shipped detector's serves).
+              Modules of the current folder are found.
+        checkpoint: detector file of `ego` and `team`; None for the shipped one.
+        corruption: kind or `clean`.
+        severity: 1 to 5; any for `clean`.
+        family: of the corruption's settings.
+        who: agents whose sweeps are corrupted: `all`, `ego`, `helpers`, or ids.
+        channel: preset of the radio channel; it does not matter without helpers.
+        interval_s: time between percepts, s.
+        engine: execution of the network, see `dsrc.models.storage.deploy.ENGINES`.
+        device: of the network.
+
+    Raises:
+        SettingsError: an unknown name, corruption or channel, a setting of something that the perception has not, or a
+            class that does not load.
+        CheckpointError: the detector file is missing or wrong.
+    """
+    name, file = _split(text)
+    faults = Faults(
+        corruption=corruption, severity=severity, family=family, who=parse_who(who) if isinstance(who, str) else who
+    )
+    faults.check()
+    if name in WITHOUT_SENSOR and not file:
+        given = {"corruption": corruption != CLEAN, "channel": channel != IDEAL, "checkpoint": checkpoint is not None}
+        _refuse(text, "a sensor", given)
+        return TruthPerception() if name == "truth" else SightPerception()
+    detector: Any
+    if not file and ":" in name:
+        _refuse(text, "a checkpoint", {"checkpoint": checkpoint is not None})
+        detector = _own(name)
+        if hasattr(detector, "perceive"):
+            _refuse(text, "a detector", {"corruption": corruption != CLEAN, "channel": channel != IDEAL})
+            return cast(Perception, detector)
+    else:
+        if file and checkpoint is not None:
+            raise SettingsError(complaint("perception", "checkpoint", f"none beside '{text}'", str(checkpoint)))
+        path = Path(file) if file else checkpoint or SHIPPED_DETECTOR
+        if not file and name not in _NAMES:
+            hint = did_you_mean(name, _NAMES)
+            raise SettingsError(complaint("perception", "name", "a name, FILE, NAME=FILE or module:Class", name, hint))
+        detector = _loaded(path, device, engine)
+    from dsrc.closed_loop.perception.detector import DetectorPerception
+
+    cooperative = name != ALONE
+    spec = get_channel(channel if cooperative else IDEAL)
+    return DetectorPerception(
+        cast(SampleDetector, detector), cooperative=cooperative, faults=faults, channel=spec, interval_s=interval_s
+    )
+
+
+def name_of(text: str) -> str:
+    """Return the name of a perception in tables: NAME of NAME=FILE, the stem of FILE, else the text."""
+    name, file = _split(text)
+    return name or Path(file).stem
+
+
+def _split(text: str) -> tuple[str, str]:
+    """Return name and file of NAME=FILE; "" for what is missing. A bare file ends with .pt or has a folder."""
+    name, equals, file = text.partition("=")
+    if equals and file and not {"/", "\\"} & set(name):
+        return name, file
+    is_file = text.endswith(".pt") or "/" in text or os.sep in text
+    return ("", text) if is_file else (text, "")
+
+
+def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
+    """Raise SettingsError for a setting of something that a perception has not."""
+    for field, is_given in given.items():
+        if is_given:
+            default = {"corruption": CLEAN, "channel": IDEAL}.get(field, "none")
+            raise SettingsError(
+                complaint("perception", field, f"'{default}' with '{text}', which is without {what}", "another")
+            )
+
+
+def _loaded(path: Path, device: str, engine: str) -> SampleDetector:
+    from dsrc.models.storage.checkpoint import load_student
+
+    return load_student(path, device, engine)
+
+
+def _own(text: str) -> Any:
+    """Return an instance of `module:Class`.
+
+    Raises:
+        SettingsError: the module or the class does not load, or has neither `perceive` nor `detect`.
+    """
+    module, _, name = text.partition(":")
+    if os.getcwd() not in sys.path and "" not in sys.path:
+        sys.path.insert(0, os.getcwd())  # a console script's path begins with its own folder
+    try:
+        found = getattr(import_module(module), name)
+        made = found() if inspect.isclass(found) or inspect.isfunction(found) else found
+    except Exception as error:  # code of one's own can fail in any way
+        cause = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise SettingsError(complaint("perception", text, "a class that loads", cause)) from None
+    if hasattr(made, "perceive") and hasattr(made, "reset"):
+        return made
+    if not hasattr(made, "detect"):
+        found = f"a {type(made).__name__} without them"
+        raise SettingsError(complaint("perception", text, "a class with reset and perceive, or with detect", found))
+    return made if hasattr(made, "settings") else _WithGrid(made)
+
+
+class _WithGrid:
+    """Detector with the grid of the shipped detector.
+
+    Args:
+        detector: has `detect` alone.
+    """
+
+    def __init__(self, detector: Any) -> None:
+        from dsrc.models.storage.checkpoint import load_detector
+
+        self.settings = load_detector(SHIPPED_DETECTOR).settings
+        self.detect = detector.detect

@@ -1,0 +1,68 @@
+"""Ground truth as a perception: of all road users nearby, or of those that the ego's LiDAR can see."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.closed_loop.perception.senses import Faults, Senses
+from dsrc.closed_loop.types import Percept
+from sensors.recording.encounter_check import UNSEEN_POINTS
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
+
+REACH_M = 70.0
+"""Range of the truth, m, that of cooperative perception: the communication range of OPV2V."""
+
+
+class TruthPerception:
+    """Ground truth of the road users near the ego; it has no helpers, hence hears no lie.
+
+    Args:
+        reach_m: range, m.
+    """
+
+    cooperative = False
+
+    def __init__(self, reach_m: float = REACH_M) -> None:
+        self.reach_m = reach_m
+
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
+        """Begin an episode."""
+        self._ego_id = ego_id
+
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
+        """Return all other actors within reach, with their ids and velocities."""
+        ego = now.boxes.center[now.row(self._ego_id), :2]
+        near = np.linalg.norm(now.boxes.center[:, :2] - ego, axis=1) <= self.reach_m
+        return _percept(now, near & (now.boxes.object_id != self._ego_id))
+
+
+class SightPerception(TruthPerception):
+    """Ground truth of the road users on which the ego's LiDAR has points now: a perfect detector without helpers.
+
+    Args:
+        reach_m: range, m.
+        least_points: on a road user that is seen; as many as an encounter's proof denies the ego.
+    """
+
+    def __init__(self, reach_m: float = REACH_M, least_points: int = UNSEEN_POINTS) -> None:
+        super().__init__(reach_m)
+        self.least_points = least_points
+        self._senses = Senses(Faults(), cooperative=False)
+
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
+        """Begin an episode."""
+        super().reset(scenario, ego_id, seed)
+        self._senses.reset(scenario, ego_id, seed)
+
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
+        """Return the other actors within reach and sight, with their ids and velocities."""
+        near = super().perceive(before, now, claims)
+        frame = self._senses.frame(before, now, {})
+        seen = frame.truth.object_id[frame.points_on[0] >= self.least_points]
+        return _percept(now, np.isin(now.boxes.object_id, np.intersect1d(near.boxes.object_id, seen)))
+
+
+def _percept(now: Actors, rows: NDArray[np.bool_]) -> Percept:
+    """Return some actors as they are."""
+    boxes = now.boxes[rows]
+    return Percept(now.time_s, boxes, np.ones(len(boxes)), now.velocity[rows].copy())

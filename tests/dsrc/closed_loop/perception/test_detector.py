@@ -1,0 +1,157 @@
+"""A detector in the loop: from sweeps to boxes in the world, without a look at the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from msgspec.structs import replace as changed
+
+from dsrc.closed_loop.perception.detector import DetectorPerception
+from dsrc.closed_loop.perception.senses import Faults, Senses
+from dsrc.ops.detections import Detections
+from sensors.recording.record import record
+from sensors.sweep import POINT_FIELDS
+from sim.boxes import CLASSES, Boxes
+from sim.errors import SettingsError
+from sim.radio import PRESETS
+from sim.scenario import RoadsideUnit
+from tests.dsrc.closed_loop.perception.toy import EGO, HELPER, PLACES, SCENARIO, Knowing, build, instant
+from tests.dsrc.evaluation.fakes import PointCounter
+from tests.sensors.fakes import StraightTraffic, cars, ground, rows_of, toy_scenario
+
+OTHERS = PLACES[2:]
+
+
+@pytest.fixture(autouse=True)
+def _world(monkeypatch: pytest.MonkeyPatch) -> None:
+    build(monkeypatch)
+
+
+def started(detector=None, **settings) -> DetectorPerception:
+    perception = DetectorPerception(detector or Knowing(OTHERS), **settings)
+    perception.reset(SCENARIO, EGO, 0)
+    return perception
+
+
+def perceive(perception: DetectorPerception, step: int = 0):
+    return perception.perceive(instant(step), instant(step + 1), {})
+
+
+def test_boxes_come_back_where_they_are_in_the_world_with_scores_and_no_ids() -> None:
+    percept = perceive(started())
+    np.testing.assert_allclose(np.sort(percept.boxes.center[:, :2], axis=0), np.sort([p[:2] for p in OTHERS], axis=0))
+    assert percept.boxes.object_id.tolist() == [-1, -1]
+    assert percept.score.dtype == np.float64 and (np.diff(percept.score) <= 0).all() and (percept.score < 1).all()
+    assert np.isnan(percept.velocity).all() and percept.velocity.shape == (2, 2)
+    assert percept.time_s == pytest.approx(0.1)
+
+
+def test_the_ego_alone_sees_less_than_together_with_its_helper() -> None:
+    together, alone = perceive(started()), perceive(started(cooperative=False))
+    assert [len(percept.boxes) for percept in (together, alone)] == [2, 1]
+    assert [len(percept.links) for percept in (together, alone)] == [1, 0]
+
+
+def test_no_truth_reaches_a_detector() -> None:
+    detector = PointCounter(need=0)
+    assert len(perceive(started(detector)).boxes) == 0
+    (sample,) = detector.seen
+    assert sample.agent_ids == (EGO, HELPER)
+    assert [len(boxes) for boxes in (sample.boxes, *sample.agent_boxes)] == [0, 0, 0]
+    assert sample.other_clouds == sample.corrupted == ()
+
+
+def test_the_class_is_that_of_the_detector() -> None:
+    class Vans(Knowing):
+        def detect(self, sample):
+            found = super().detect(sample)
+            label = np.full(len(found), CLASSES.index("van"))
+            return Detections(Boxes.from_array(found.boxes.array, label=label, object_id=label), found.score)
+
+    boxes = perceive(started(Vans(OTHERS))).boxes
+    assert boxes.label.tolist() == [CLASSES.index("van")] * 2
+    assert boxes.object_id.tolist() == [-1, -1]
+
+
+@pytest.mark.parametrize("answer", [None, [], (np.zeros((0, 7)), np.zeros(0))])
+def test_something_else_than_detections_is_an_error_that_says_so(answer) -> None:
+    detector = PointCounter()
+    detector.detect = lambda sample: answer
+    with pytest.raises(TypeError, match=r"PointCounter\.detect: expected Detections, found"):
+        perceive(started(detector))
+
+
+def test_the_live_sweeps_are_those_of_the_recorded_drive() -> None:
+    unit = RoadsideUnit(xyz_m=(20.0, 8.0, 5.0), yaw_deg=-90.0, pitch_deg=15.0, lidar="debug-16")
+    scenario = toy_scenario(vehicles=3, roadside=(unit,), mount_xyz_m=(0.5, 0.0, 2.1))
+    start = cars([[0, 0, 0], [12, 3.5, 0], [-15, -3.5, 0], [300, 0, 0]], speed=10.0)
+    from sim.world.build import build_world
+
+    recording = record(StraightTraffic(start), build_world(scenario, 3), scenario, 3, 4)
+    traffic, senses = StraightTraffic(start), Senses(Faults(), cooperative=True)
+    senses.reset(scenario, recording.vehicles[0], 3)
+    for index in (1, 2, 3):
+        live, recorded = senses.frame(traffic.actors, traffic.step(), {}), recording.frame(index)
+        assert live.index == index and [a.agent_id for a in live.agents] == list(recording.agent_ids)
+        for ours, theirs in zip(live.agents, recorded.agents, strict=True):
+            for name in POINT_FIELDS:
+                assert getattr(ours.sweep, name).tobytes() == getattr(theirs.sweep, name).tobytes()
+
+
+def test_a_helper_that_leaves_is_not_replaced() -> None:
+    senses = Senses(Faults(), cooperative=True)
+    senses.reset(SCENARIO, EGO, 0)
+    first = senses.frame(instant(0), instant(1), {})
+    later = replace(rows_of(instant(2), [0, 2, 3]), time_s=0.2)
+    assert [agent.agent_id for agent in first.agents] == [EGO, HELPER]
+    assert [agent.agent_id for agent in senses.frame(instant(1), later, {}).agents] == [EGO]
+
+
+@pytest.mark.parametrize(("who", "hit"), [("ego", [EGO]), ("helpers", [HELPER]), ((HELPER,), [HELPER]), ("all", None)])
+def test_only_those_asked_for_are_corrupted(who, hit) -> None:
+    frames = []
+    for faults in (Faults(), Faults(corruption="beam_missing", severity=5, who=who)):
+        senses = Senses(faults, cooperative=True)
+        senses.reset(SCENARIO, EGO, 0)
+        frames.append(senses.frame(instant(0), instant(1), {}))
+    clean, faulty = frames
+    fewer = [a.agent_id for a, b in zip(clean.agents, faulty.agents, strict=True) if len(b.sweep) < len(a.sweep)]
+    assert fewer == ([EGO, HELPER] if hit is None else hit)
+
+
+def test_a_corrupted_id_may_leave_but_not_be_unknown() -> None:
+    senses = Senses(Faults(corruption="fog", who=(HELPER,)), cooperative=True)
+    senses.reset(SCENARIO, EGO, 0)
+    senses.frame(instant(0), instant(1), {})
+    senses.frame(instant(1), rows_of(instant(2), [0, 2, 3]), {})
+    unknown = Senses(Faults(corruption="fog", who=(1777,)), cooperative=True)
+    unknown.reset(SCENARIO, EGO, 0)
+    with pytest.raises(SettingsError, match=r"who: expected ids among the agents \[1000, 1001\], found 1777"):
+        unknown.frame(instant(0), instant(1), {})
+
+
+def test_a_late_channel_shows_the_helper_as_it_was_and_counts_in_percepts() -> None:
+    late = changed(PRESETS["ideal"], medium="fixed", delay_s=0.2)
+    arrived = {}
+    for interval_s in (0.1, 0.2):
+        perception = started(channel=late, interval_s=interval_s)
+        arrived[interval_s] = [len(perceive(perception, step).boxes) for step in range(4)]
+    assert arrived == {0.1: [1, 1, 2, 2], 0.2: [1, 2, 2, 2]}
+
+
+def test_an_episode_begins_anew_with_reset() -> None:
+    perception = started()
+    first = [perceive(perception, step) for step in range(2)]
+    perception.reset(SCENARIO, EGO, 0)
+    for before, again in zip(first, [perceive(perception, step) for step in range(2)], strict=True):
+        np.testing.assert_array_equal(before.boxes.array, again.boxes.array)
+        np.testing.assert_array_equal(before.score, again.score)
+
+
+def test_the_world_is_built_once_for_all_perceptions_of_an_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+    built = []
+    monkeypatch.setattr("sim.world.build.build_world", lambda scenario, seed: built.append(seed) or ground())
+    for perception in (started(), started(cooperative=False)):
+        perception.reset(SCENARIO, EGO, 0)
+        perception.reset(SCENARIO, EGO, 1)
+    assert built == [0, 1]

@@ -1,0 +1,121 @@
+"""Perceptions by name, by file and of one's own."""
+
+from pathlib import Path
+
+import pytest
+
+from dsrc.closed_loop.perception.detector import DetectorPerception
+from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, name_of, open_perception
+from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
+from sim.errors import CheckpointError, SettingsError
+
+OWN = """
+from dsrc.ops.detections import Detections
+
+class Blind:
+    def detect(self, sample):
+        return Detections.zeros()
+
+class Own:
+    cooperative = False
+    def reset(self, scenario, ego_id, seed): ...
+    def perceive(self, before, now, claims): ...
+
+class Nothing: ...
+
+class Broken:
+    def __init__(self):
+        raise RuntimeError("no\\nlicence")
+"""
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module of one's own in the current folder, which is not on the path of imports."""
+    (tmp_path / "my_eyes.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", ["/nowhere", *[p for p in __import__("sys").path if p not in ("", str(tmp_path))]])
+    monkeypatch.delitem(__import__("sys").modules, "my_eyes", raising=False)
+
+
+def test_truth_and_sight() -> None:
+    assert type(open_perception("truth")) is TruthPerception
+    assert type(open_perception("sight")) is SightPerception
+
+
+@pytest.mark.parametrize(
+    ("text", "cooperative"),
+    [
+        ("ego", False),
+        ("team", True),
+        ("dsrc", True),
+        (str(SHIPPED_DETECTOR), True),
+        (f"mine={SHIPPED_DETECTOR}", True),
+        (f"ego={SHIPPED_DETECTOR}", False),
+    ],
+)
+def test_detectors_by_name_and_file(text: str, cooperative: bool) -> None:
+    perception = open_perception(text, corruption="fog", severity=4, who="helpers", channel="paper")
+    assert isinstance(perception, DetectorPerception)
+    assert perception.cooperative is cooperative
+    assert perception.senses.faults.severity == 4
+    assert perception.channel.name == ("paper" if cooperative else "ideal")
+    assert perception.detector.settings.fusion == "attention"
+
+
+def test_names_of_tables() -> None:
+    assert [name_of(text) for text in ("truth", "a/b/late.pt", "mine=a/late.pt", "my_eyes:Own")] == [
+        "truth",
+        "late",
+        "mine",
+        "my_eyes:Own",
+    ]
+
+
+def test_classes_of_ones_own(own: None) -> None:
+    assert type(open_perception("my_eyes:Own")).__name__ == "Own"
+    perception = open_perception("my_eyes:Blind", corruption="snow", channel="paper")
+    assert isinstance(perception, DetectorPerception) and perception.cooperative
+    assert perception.detector.settings.grid.range_m[3] == 51.2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("my_eyes:Nothing", "expected a class with reset and perceive, or with detect, found a Nothing without them"),
+        ("my_eyes:Broken", "expected a class that loads, found RuntimeError: no licence"),
+        ("my_eyes:Blnd", "expected a class that loads, found AttributeError"),
+        ("your_eyes:Own", "expected a class that loads, found ModuleNotFoundError: No module named 'your_eyes'"),
+        ("trut", "name: expected a name, .*, found trut; did you mean 'truth'"),
+    ],
+)
+def test_what_does_not_load_is_an_error_of_one_line(own: None, text: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message) as raised:
+        open_perception(text)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "field"),
+    [
+        ("truth", {"corruption": "fog"}, "corruption"),
+        ("sight", {"channel": "paper"}, "channel"),
+        ("truth", {"checkpoint": SHIPPED_DETECTOR}, "checkpoint"),
+        ("my_eyes:Own", {"corruption": "fog"}, "corruption"),
+        ("my_eyes:Own", {"checkpoint": SHIPPED_DETECTOR}, "checkpoint"),
+        (f"ego={SHIPPED_DETECTOR}", {"checkpoint": SHIPPED_DETECTOR}, "checkpoint"),
+    ],
+)
+def test_settings_of_what_a_perception_has_not_are_refused(own: None, text: str, settings: dict, field: str) -> None:
+    with pytest.raises(SettingsError, match=f"^perception: {field}: expected"):
+        open_perception(text, **settings)
+
+
+def test_a_wrong_setting_or_file_is_refused(tmp_path: Path) -> None:
+    for settings in ({"corruption": "fogg"}, {"channel": "pigeon"}, {"engine": "steam"}, {"who": "me"}):
+        with pytest.raises(SettingsError):
+            open_perception("team", **settings)
+    with pytest.raises(SettingsError, match="who: expected helpers"):
+        open_perception("team", corruption="pose_error", who="ego")
+    with pytest.raises(CheckpointError, match="no such checkpoint file"):
+        open_perception(str(tmp_path / "gone.pt"))
