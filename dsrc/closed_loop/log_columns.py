@@ -212,7 +212,7 @@ def _table_columns(
     ids = _joined([one.object_id for one in boxes], ()).astype(np.int64)
     order, runs = _runs(ids)
     missing = np.isnan(values)
-    columns = {
+    columns: dict[str, NDArray] = {
         "count": np.array([len(one) for one in boxes], np.int64),
         "id": packed(ids),
         "label": packed(_joined([one.label for one in boxes], ()).astype(np.int64)),

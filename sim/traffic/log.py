@@ -226,9 +226,9 @@ def check_log_columns(path: Path, columns: dict[str, NDArray]) -> None:
     """Raise DataError, which names `path`, unless the columns are those of a log."""
     version = columns.get("version", np.array(-1))
     if version.shape != () or version.dtype.kind not in "iu" or int(version) != VERSION:
-        found = columns.get("version", "none")
         hint = "; generate the drive again"
-        raise DataError(complaint(path, "version", f"a traffic log of version {VERSION}", str(found), hint))
+        written = str(columns.get("version", "none"))
+        raise DataError(complaint(path, "version", f"a traffic log of version {VERSION}", written, hint))
     tables = {"object": _OBJECTS, "run": _RUNS, "lane": {"name": "U"}, "step": {"time": "i8"}}
     expected = {f"{table}/{name}": kind for table, names in tables.items() for name, kind in names.items()}
     for name, kind in {"step_s": "f8", "about": "U", **expected, **{f"row/{n}": "u1" for n in _ROWS}}.items():

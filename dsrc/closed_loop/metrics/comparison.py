@@ -1,0 +1,189 @@
+"""Comparisons of perceptions over the results of a campaign: corruption errors, harm of cooperation, gain per MB."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from dsrc.closed_loop.types import Outcome
+
+
+class Result(Protocol):
+    """Result of an episode: what decided it, its outcome, and its metrics, see `EpisodeMetrics`; None is undefined."""
+
+    @property
+    def scenario(self) -> str:
+        """Name of the scenario."""
+        ...
+
+    @property
+    def perception(self) -> str:
+        """Name of the perception in tables."""
+        ...
+
+    @property
+    def corruption(self) -> str:
+        """Kind, or `clean`."""
+        ...
+
+    @property
+    def severity(self) -> int:
+        """1 to 5; 0 for clean."""
+        ...
+
+    @property
+    def who(self) -> str:
+        """Agents whose sensors are corrupted."""
+        ...
+
+    @property
+    def channel(self) -> str:
+        """Name of the channel."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """Seed of the episode."""
+        ...
+
+    @property
+    def outcome(self) -> str:
+        """Value of an `Outcome`."""
+        ...
+
+    @property
+    def metrics(self) -> Mapping[str, float | None]:
+        """Metrics by name."""
+        ...
+
+
+Value = Callable[[Result], float]
+"""Function from a result to the number that is compared."""
+
+
+def metric(result: Result, name: str) -> float:
+    """Return a metric; NaN where it is undefined or missing."""
+    value = result.metrics.get(name)
+    return math.nan if value is None else value
+
+
+def collided(result: Result) -> float:
+    """Return 1 for a crash, else 0."""
+    return metric(result, "collision")
+
+
+def lost_score(result: Result) -> float:
+    """Return what lacks to a full driving score (2.1)."""
+    return 1.0 - metric(result, "driving_score_2_1")
+
+
+def counted(results: Sequence[Result]) -> list[Result]:
+    """Return the results that are a success or a failure: an episode that lost its encounter is neither."""
+    return [one for one in results if one.outcome != Outcome.DESYNCHRONISED.value and not math.isnan(collided(one))]
+
+
+def pairs(
+    results: Sequence[Result], others: Sequence[Result], any_channel: bool = False
+) -> list[tuple[Result, Result]]:
+    """Return the counted results of the same scenario, seed, corruption, severity, corrupted agents and channel.
+
+    Args:
+        results: of one perception.
+        others: of another.
+        any_channel: channels may differ: a perception without helpers has none.
+
+    Raises:
+        ValueError: two results of one side have the same key.
+    """
+    ours, theirs = _by_key(results, any_channel=False), _by_key(others, any_channel)
+    cut = -1 if any_channel else None
+    return [(one, theirs[key[:cut]]) for key, one in ours.items() if key[:cut] in theirs]
+
+
+def _by_key(results: Sequence[Result], any_channel: bool) -> dict[tuple, Result]:
+    found: dict[tuple, Result] = {}
+    for one in counted(results):
+        key = (one.scenario, one.seed, one.corruption, one.severity, one.who, one.channel)[
+            : -1 if any_channel else None
+        ]
+        if key in found:
+            raise ValueError(f"two results of {key}")
+        found[key] = one
+    return found
+
+
+def corruption_errors(
+    results: Sequence[Result], reference: Sequence[Result], value: Value = collided
+) -> dict[str, float]:
+    """Return the corruption error of each corruption: errors summed over the severities, over those of a reference.
+
+    CE_c = sum_s E_sc / sum_s E_sc(reference), where E is the mean of `value`: the collision rate, or what lacks to a
+    full score. 1 is as bad as the reference; NaN where the reference makes no error, or has other severities.
+
+    Source: D. Hendrycks and T. Dietterich, Benchmarking neural network robustness to common corruptions and
+    perturbations, ICLR 2019, section 4.
+    """
+    ours, theirs = _error_sums(results, value), _error_sums(reference, value)
+    errors = {}
+    for kind, (severities, total) in ours.items():
+        same, base = theirs.get(kind, (set(), 0.0))
+        errors[kind] = total / base if same == severities and base > 0.0 else math.nan
+    return errors
+
+
+def _error_sums(results: Sequence[Result], value: Value) -> dict[str, tuple[set[int], float]]:
+    cells: dict[tuple[str, int], list[float]] = {}
+    for one in counted(results):
+        if one.corruption != "clean":
+            cells.setdefault((one.corruption, one.severity), []).append(value(one))
+    sums: dict[str, tuple[set[int], float]] = {}
+    for (kind, severity), values in cells.items():
+        severities, total = sums.get(kind, (set(), 0.0))
+        sums[kind] = severities | {severity}, total + float(np.mean(values))
+    return sums
+
+
+def mean_corruption_error(errors: Mapping[str, float]) -> float:
+    """Return the mean of the corruption errors (mCE); NaN where one is unknown, or without any."""
+    return float(np.mean(list(errors.values()))) if errors else math.nan
+
+
+def harm_rate(together: Sequence[Result], alone: Sequence[Result], value: Value = collided) -> float:
+    """Return the share of pairs in which cooperation made it worse: `value` is larger than that of the ego alone.
+
+    Args:
+        together: results with cooperation.
+        alone: results of the same seeds without.
+        value: of which less is better.
+    """
+    found = [value(ours) > value(theirs) for ours, theirs in pairs(together, alone, any_channel=True)]
+    return float(np.mean(found)) if found else math.nan
+
+
+def gain_per_megabyte(together: Sequence[Result], alone: Sequence[Result], value: Value = collided) -> float:
+    """Return what cooperation saves per megabyte received: the difference of the means of `value` over mean MB.
+
+    NaN where nothing was received.
+
+    Args:
+        together: results with cooperation.
+        alone: results of the same seeds without.
+        value: of which less is better.
+    """
+    found = pairs(together, alone, any_channel=True)
+    received = sum(metric(ours, "received_mb") for ours, _ in found)
+    if not received > 0.0:
+        return math.nan
+    return sum(value(theirs) - value(ours) for ours, theirs in found) / received
+
+
+def sight_lead_s(team: Result, alone: Result) -> float:
+    """Return how much earlier the team saw the conflict actor than the ego alone, s.
+
+    inf if only the team saw it, -inf if only the ego did, NaN if neither did.
+    """
+    together, single = metric(team, "seen_s"), metric(alone, "seen_s")
+    if math.isnan(together) and math.isnan(single):
+        return math.nan
+    return (math.inf if math.isnan(single) else single) - (math.inf if math.isnan(together) else together)

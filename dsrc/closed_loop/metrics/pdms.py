@@ -1,0 +1,110 @@
+"""Predictive driver model score of NAVSIM (PDMS), of the trajectory that the ego drove.
+
+NAVSIM scores four seconds of a plan against recorded traffic; here it is the whole drive in traffic that reacts. Two
+terms differ: for want of a map the drivable area are the lanes of the traffic, and every place counts as an
+intersection, so the time to collision minds all but those who are behind the ego now.
+"""
+
+import math
+
+import msgspec
+import numpy as np
+
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.metrics.comfort import comfort
+from dsrc.closed_loop.metrics.driven import Motion
+from dsrc.closed_loop.metrics.driving_score import off_lane_share
+from dsrc.closed_loop.metrics.progress import progress
+from dsrc.closed_loop.types import Outcome
+from sim.boxes import Boxes
+from sim.collisions import collide
+from sim.geometry import wrap_angle
+
+AHEAD_S = (0.0, 0.3, 0.6, 0.9)
+"""Times ahead at which collisions of the ego's projection are looked for, within 1 s."""
+STANDING_MPS = 0.005
+BEHIND_RAD = math.radians(150.0)
+NEAR_M = 30.0
+"""Distance of centres within which two bodies can touch, m."""
+LEAST_REFERENCE_M = 5.0
+"""Reference distance up to which progress is complete."""
+
+
+class Pdms(msgspec.Struct, frozen=True, kw_only=True):
+    """Terms of the score.
+
+    Attributes:
+        no_collision: 1 without a collision at fault, 0.5 with one with the static world, 0 with a road user (NC).
+        drivable: 1 if the ego stayed on the road, else 0 (DAC).
+        time_to_collision: 1 if no projection collides within 1 s, else 0 (TTC).
+        progress: 0 to 1 (EP).
+        comfortable: 1 within all bounds, else 0 (C); 1 for an episode too short to tell.
+    """
+
+    no_collision: float
+    drivable: float
+    time_to_collision: float
+    progress: float
+    comfortable: float
+
+    @property
+    def score(self) -> float:
+        """NC DAC (5 TTC + 5 EP + 2 C) / 12.
+
+        Source: D. Dauner et al., NAVSIM: Data-driven non-reactive autonomous vehicle simulation and benchmarking,
+        NeurIPS 2024, equation 1; `docs/metrics.md` of its devkit.
+        """
+        mean = (5.0 * self.time_to_collision + 5.0 * self.progress + 2.0 * self.comfortable) / 12.0
+        return self.no_collision * self.drivable * mean
+
+
+def pdms(log: EpisodeLog, reference: EpisodeLog | None = None) -> Pdms:
+    """Return the terms of an episode.
+
+    Args:
+        log: of the episode.
+        reference: for the progress, see `dsrc.closed_loop.metrics.progress`.
+    """
+    motion, contact = Motion.of(log), log.contact
+    made = progress(log, reference)
+    fault = contact is not None and contact.at_fault
+    smooth = comfort(motion, log.actors.step_s).comfortable
+    return Pdms(
+        no_collision=(0.5 if contact is not None and contact.other_id < 0 else 0.0) if fault else 1.0,
+        drivable=0.0 if log.outcome is Outcome.LEFT or off_lane_share(log) > 0.0 else 1.0,
+        time_to_collision=float(_projections_are_free(motion, log.actors.step_s)),
+        progress=1.0 if made.reference_m <= LEAST_REFERENCE_M else made.completion,
+        comfortable=1.0 if math.isnan(smooth) else smooth,
+    )
+
+
+def _projections_are_free(motion: Motion, step_s: float) -> bool:
+    """Return whether the ego's box, moved on at its speed, never meets others where they were then.
+
+    Who is behind it now does not count.
+
+    Behind the end of the motion others keep their last velocity.
+    """
+    end = len(motion) - 1
+    for t, speed in enumerate(motion.speed_mps.tolist()):
+        if speed < STANDING_MPS:
+            continue
+        ego = motion.boxes[t : t + 1]
+        heading = np.array([math.cos(ego.yaw[0]), math.sin(ego.yaw[0])])
+        now, _ = motion.others(t)
+        offset = now.center[:, :2] - ego.center[0, :2]
+        bearing = np.abs(wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - ego.yaw[0]))
+        behind = now.object_id[bearing > BEHIND_RAD]
+        for ahead_s in AHEAD_S:
+            later = t + round(ahead_s / step_s)
+            others, velocity = motion.others(min(later, end))
+            moved = others.center.copy()
+            moved[:, :2] += velocity * (max(later - end, 0) * step_s)
+            others = Boxes(moved, others.size, others.yaw, others.label, others.object_id)
+            there = ego.center.copy()
+            there[0, :2] += speed * ahead_s * heading
+            close = np.linalg.norm(others.center - there, axis=1) < NEAR_M
+            near = others[close & ~np.isin(others.object_id, behind)]
+            if collide(Boxes(there, ego.size, ego.yaw, ego.label, ego.object_id), near).any():
+                return False
+    return True

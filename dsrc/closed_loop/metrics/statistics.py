@@ -1,0 +1,134 @@
+"""Statistics of a campaign: intervals of rates and means, and of paired differences."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+LEVEL = 0.95
+RESAMPLES = 2000
+
+
+class Estimate(NamedTuple):
+    """Value with the bounds of its interval; NaN where unknown."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def excludes_zero(self) -> bool:
+        """Whether 0 lies outside; an unknown interval excludes nothing."""
+        return self.low > 0.0 or self.high < 0.0
+
+
+UNKNOWN = Estimate(math.nan, math.nan, math.nan)
+
+
+class PairedRates(NamedTuple):
+    """Difference of two rates over the same episodes.
+
+    Attributes:
+        difference: of the rates, with its interval.
+        p_value: of McNemar's exact test that both are equal.
+        only_first: episodes in which only the first had the event.
+        only_second: episodes in which only the second had it.
+    """
+
+    difference: Estimate
+    p_value: float
+    only_first: int
+    only_second: int
+
+
+def rate(events: Sequence[float], level: float = LEVEL) -> Estimate:
+    """Return a rate with its Wilson interval; unknown without episodes.
+
+    Source: E. B. Wilson, Probable inference, the law of succession, and statistical inference, Journal of the American
+    Statistical Association 22 (1927), 209-212.
+
+    Args:
+        events: 1 or 0 for each episode.
+        level: share of samples whose interval holds the true value.
+    """
+    n = len(events)
+    if not n:
+        return UNKNOWN
+    test = stats.binomtest(round(sum(events)), n)
+    bounds = test.proportion_ci(level, method="wilson")
+    return Estimate(test.statistic, float(bounds.low), float(bounds.high))
+
+
+def mean(values: Sequence[float], level: float = LEVEL, seed: int = 0) -> Estimate:
+    """Return a mean with its bootstrap interval (BCa), NaN left out; without an interval for fewer than two values.
+
+    Source: B. Efron, Better bootstrap confidence intervals, Journal of the American Statistical Association 82 (1987),
+    171-185.
+
+    Args:
+        values: one per episode.
+        level: share of samples whose interval holds the true value.
+        seed: of the resamples.
+    """
+    known = np.array(values, np.float64)
+    known = known[np.isfinite(known)]
+    if not len(known):
+        return UNKNOWN
+    middle = float(known.mean())
+    if len(known) < 2:
+        return Estimate(middle, math.nan, math.nan)
+    if np.ptp(known) == 0.0:
+        return Estimate(middle, middle, middle)
+    interval = stats.bootstrap(
+        (known,), np.mean, n_resamples=RESAMPLES, confidence_level=level, rng=np.random.default_rng(seed)
+    ).confidence_interval
+    return Estimate(middle, float(interval.low), float(interval.high))
+
+
+def paired_difference(first: Sequence[float], second: Sequence[float], level: float = LEVEL, seed: int = 0) -> Estimate:
+    """Return the mean of first minus second with its paired bootstrap interval: episodes are resampled as pairs.
+
+    Source: B. Efron and R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapters 8 and 14.
+
+    Args:
+        first: one value per episode.
+        second: of the same episodes.
+        level: share of samples whose interval holds the true value.
+        seed: of the resamples.
+
+    Raises:
+        ValueError: the lengths differ.
+    """
+    return mean([a - b for a, b in zip(first, second, strict=True)], level, seed)
+
+
+def paired_rates(first: Sequence[float], second: Sequence[float], level: float = LEVEL) -> PairedRates:
+    """Return the difference of two rates over the same episodes, by those in which they differ.
+
+    The interval adds one to both counts of episodes that differ and two to all, Wald's formula then holds its level;
+    the p-value is that of McNemar's test without approximation, 1 where the episodes never differ.
+
+    Sources: Q. McNemar, Note on the sampling error of the difference between correlated proportions or percentages,
+    Psychometrika 12 (1947), 153-157; D. G. Bonett and R. M. Price, Adjusted Wald confidence interval for a difference
+    of binomial proportions based on paired data, Journal of Educational and Behavioral Statistics 37 (2012), 479-488.
+
+    Args:
+        first: 1 or 0 for each episode.
+        second: of the same episodes.
+        level: share of samples whose interval holds the true value.
+
+    Raises:
+        ValueError: the lengths differ.
+    """
+    only_first = sum(a > b for a, b in zip(first, second, strict=True))
+    only_second = sum(a < b for a, b in zip(first, second, strict=True))
+    n, differing = len(first), only_first + only_second
+    if not n:
+        return PairedRates(UNKNOWN, math.nan, 0, 0)
+    p, q = (only_first + 1) / (n + 2), (only_second + 1) / (n + 2)
+    half = float(stats.norm.ppf(0.5 + 0.5 * level)) * math.sqrt((p + q - (p - q) ** 2) / (n + 2))
+    difference = Estimate((only_first - only_second) / n, max(p - q - half, -1.0), min(p - q + half, 1.0))
+    p_value = float(stats.binomtest(only_first, differing).pvalue) if differing else 1.0
+    return PairedRates(difference, p_value, only_first, only_second)

@@ -1,0 +1,94 @@
+"""Comparisons of perceptions over results made by hand."""
+
+import math
+from dataclasses import dataclass, field
+
+import pytest
+
+from dsrc.closed_loop.metrics.comparison import (
+    collided,
+    corruption_errors,
+    gain_per_megabyte,
+    harm_rate,
+    lost_score,
+    mean_corruption_error,
+    pairs,
+    sight_lead_s,
+)
+
+
+@dataclass(frozen=True)
+class One:
+    scenario: str = "ima"
+    perception: str = "ego"
+    corruption: str = "clean"
+    severity: int = 0
+    who: str = "all"
+    channel: str = "ideal"
+    seed: int = 0
+    outcome: str = "arrived"
+    metrics: dict[str, float | None] = field(default_factory=dict)
+
+
+def result(crash: float, seed: int = 0, corruption: str = "clean", severity: int = 0, **rest) -> One:
+    metrics = {"collision": crash, "driving_score_2_1": 1.0 - 0.5 * crash, **rest}
+    return One(seed=seed, corruption=corruption, severity=severity, metrics=metrics)
+
+
+def test_the_corruption_error_sums_over_severities_before_it_divides() -> None:
+    """Rates 0.5 and 1.0 over 0.25 and 0.75: 1.5 / 1.0; the mean of the ratios would be 1.67."""
+    ours = [result(k, seed, "fog", 1) for seed, k in enumerate((1.0, 0.0))]
+    ours += [result(1.0, seed, "fog", 3) for seed in range(2)]
+    base = [result(k, seed, "fog", 1) for seed, k in enumerate((1.0, 0.0, 0.0, 0.0))]
+    base += [result(k, seed, "fog", 3) for seed, k in enumerate((1.0, 1.0, 1.0, 0.0))]
+    assert corruption_errors(ours, base) == {"fog": pytest.approx(1.5)}
+    assert corruption_errors(ours, base, lost_score) == {"fog": pytest.approx(1.5)}
+
+
+def test_an_error_without_a_like_reference_is_unknown_and_so_is_the_mean() -> None:
+    ours = [result(1.0, 0, "fog", 1), result(1.0, 0, "snow", 1)]
+    base = [result(0.0, 0, "fog", 1), result(1.0, 0, "snow", 3)]
+    errors = corruption_errors(ours, base)
+    assert math.isnan(errors["fog"]) and math.isnan(errors["snow"])
+    assert math.isnan(mean_corruption_error(errors))
+    assert mean_corruption_error({"fog": 1.5, "snow": 0.5}) == 1.0
+
+
+def test_clean_episodes_and_those_that_lost_their_encounter_are_no_error() -> None:
+    lost = One(corruption="fog", severity=1, seed=1, outcome="desynchronised", metrics={"collision": 1.0})
+    ours = [result(0.0), result(0.0, 0, "fog", 1), lost]
+    assert corruption_errors(ours, [result(1.0, 0, "fog", 1)]) == {"fog": 0.0}
+
+
+def test_pairs_are_of_one_scenario_seed_and_corruption() -> None:
+    ours = [result(0.0, 0), result(0.0, 1), result(0.0, 2, "fog", 1)]
+    others = [result(1.0, 1), result(1.0, 2)]
+    assert pairs(ours, others) == [(ours[1], others[0])]
+    with pytest.raises(ValueError, match="two results"):
+        pairs(ours, [others[0], others[0]])
+
+
+def test_harm_is_the_share_of_pairs_that_cooperation_made_worse() -> None:
+    together = [result(k, seed) for seed, k in enumerate((1.0, 0.0, 0.0, 1.0))]
+    alone = [result(k, seed) for seed, k in enumerate((0.0, 1.0, 0.0, 1.0))]
+    assert harm_rate(together, alone) == 0.25
+    assert math.isnan(harm_rate(together, []))
+
+
+def test_the_gain_per_megabyte_is_what_was_saved_over_what_was_received() -> None:
+    """Two of three crashes less for 0.5, 1.5 and 2 MB: 2 / 4; through any channel against an ego that has none."""
+    together = [
+        One(seed=seed, channel="its-g5-6", metrics={"collision": 0.0, "received_mb": size})
+        for seed, size in enumerate((0.5, 1.5, 2.0))
+    ]
+    alone = [result(k, seed) for seed, k in enumerate((1.0, 1.0, 0.0))]
+    assert gain_per_megabyte(together, alone, collided) == pytest.approx(0.5)
+    assert math.isnan(gain_per_megabyte(alone, alone))
+
+
+@pytest.mark.parametrize(
+    ("team", "ego", "lead"), [(1.0, 2.5, 1.5), (1.0, None, math.inf), (None, 1.0, -math.inf), (None, None, math.nan)]
+)
+def test_the_lead_of_the_team(team: float | None, ego: float | None, lead: float) -> None:
+    found = sight_lead_s(One(metrics={"seen_s": team}), One(metrics={"seen_s": ego}))
+    assert found == lead or (math.isnan(found) and math.isnan(lead))
