@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from dsrc.evaluation.metrics.ap import Space, envelope, metric_name
+from dsrc.evaluation.metrics.ap import envelope, metric_name
 from dsrc.evaluation.metrics.intervals import IOUS, Difference
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row, condition_title, conditions_of, find_row, methods_of
 from dsrc.evaluation.table import ResultTable, Stat
@@ -172,15 +172,13 @@ def _cell(axes: Axes, x: float, y: float, value: float, text: str, *, bold: bool
     axes.text(x, y, text, ha="center", va="center", fontsize=7.5, color=ink, fontweight=weight)
 
 
-def corruption_bars(
-    rows: Sequence[Row], space: Space = "bev", styles: Mapping[str, Style] | None = None, title: str = ""
-) -> Figure:
+def corruption_bars(rows: Sequence[Row], styles: Mapping[str, Style] | None = None, title: str = "") -> Figure:
     """Draw AP as bars, a panel per IoU, a group per condition, a bar per method; many methods as a heat map."""
     methods, conditions = methods_of(rows), conditions_of(rows)
-    title = title or f"Detection under corruption ({_space_title(space)})"
+    title = title or "Detection under corruption (bird's-eye IoU)"
     titles = [condition_title(c) for c in conditions]
     values = [
-        [[_metric(find_row(rows, m, c), metric_name(space, iou)) for c in conditions] for m in methods] for iou in IOUS
+        [[_metric(find_row(rows, m, c), metric_name("bev", iou)) for c in conditions] for m in methods] for iou in IOUS
     ]
     if len(methods) > _MOST_BARS:
         return _map(title, methods, titles, values)
@@ -196,14 +194,14 @@ def corruption_bars(
     return figure
 
 
-def mean_bars(rows: Sequence[Row], space: Space = "bev", title: str = "") -> Figure:
+def mean_bars(rows: Sequence[Row], title: str = "") -> Figure:
     """Draw AP under each condition as the mean over all methods, as the paper's Figure 4."""
     methods, conditions = methods_of(rows), conditions_of(rows)
     with figure_style():
         figure, (axes,) = panels(_WIDTH_IN, 3.4, title=title)
         series = {}
         for iou in IOUS:
-            found = [[_metric(find_row(rows, m, c), metric_name(space, iou)) for m in methods] for c in conditions]
+            found = [[_metric(find_row(rows, m, c), metric_name("bev", iou)) for m in methods] for c in conditions]
             series[f"IoU {iou}"] = [Stat(sum(values) / max(len(values), 1)) for values in found]
         _grouped(axes, [condition_title(c) for c in conditions], series, _SHADES[::2])
         axes.set_ylabel(f"AP, %, mean of {len(methods)} methods")
@@ -383,16 +381,14 @@ def traffic_scatter(
     return figure
 
 
-def robustness_scatter(
-    rows: Sequence[Row], space: Space = "bev", styles: Mapping[str, Style] | None = None, title: str = ""
-) -> Figure:
+def robustness_scatter(rows: Sequence[Row], styles: Mapping[str, Style] | None = None, title: str = "") -> Figure:
     """Draw mean AP over clean and all corruptions against mCE, one panel per IoU, as the paper's Figure 5."""
     methods = methods_of(rows)
     styles = styles or styles_of(methods)
     with figure_style():
         figure, parts = panels(_WIDTH_IN, max(3.8, 0.6 + 0.19 * len(methods)), columns=2, title=title)
         for axes, iou in zip(parts, IOUS, strict=True):
-            name = metric_name(space, iou)
+            name = metric_name("bev", iou)
             for method in methods:
                 x = _metric(find_row(rows, method, MCE), name)
                 y = _metric(find_row(rows, method, MEAN_AP), name)
@@ -401,29 +397,29 @@ def robustness_scatter(
             axes.margins(0.15)
             axes.set_title(f"IoU {iou}")
             axes.set_xlabel("mCE, % of the clean AP lost (left is better)")
-        parts[0].set_ylabel(f"mean AP, %, {_space_title(space)} (up is better)")
+        parts[0].set_ylabel("mean AP, %, bird's-eye IoU (up is better)")
         _legend(figure, parts[0])
     return figure
 
 
-def precision_recall_curves(rows: Sequence[Row], condition: str = CLEAN, space: Space = "bev") -> Figure:
-    """Draw precision over recall of each method whose row has curves, a panel per IoU."""
+def precision_recall_curves(rows: Sequence[Row]) -> Figure:
+    """Draw precision over recall in clean frames of each method whose row has curves, a panel per IoU."""
     styles = styles_of(methods_of(rows))
     with figure_style():
         figure, parts = panels(_WIDTH_IN, 3.8, columns=2)
         for axes, iou in zip(parts, IOUS, strict=True):
             for method, style in styles.items():
-                row = find_row(rows, method, condition)
-                if row is None or row.result is None or (space, iou) not in row.result.curves:
+                row = find_row(rows, method, CLEAN)
+                if row is None or row.result is None or ("bev", iou) not in row.result.curves:
                     continue
-                curve = row.result.curves[space, iou]
+                curve = row.result.curves["bev", iou]
                 recall, precision = envelope(curve.recall, curve.precision)
                 axes.plot(
                     recall[:-1], precision[:-1], color=style.color, linestyle=style.dashes, linewidth=2, label=method
                 )
                 axes.plot(curve.recall, curve.precision, color=style.color, linewidth=0.7, alpha=0.5)
             axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", title=f"IoU {iou}")
-        parts[0].set_ylabel(f"precision, {condition_title(condition)} ({_space_title(space)})")
+        parts[0].set_ylabel(f"precision, {condition_title(CLEAN)} (bird's-eye IoU)")
         _legend(figure, parts[0])
     return figure
 
@@ -481,7 +477,3 @@ def _legend(figure: Figure, axes: Axes, *, below: bool = False) -> None:
 
 def _metric(row: Row | None, name: str) -> float:
     return math.nan if row is None else row.metrics.get(name, math.nan)
-
-
-def _space_title(space: Space) -> str:
-    return "bird's-eye IoU" if space == "bev" else "3D IoU"

@@ -148,21 +148,14 @@ def corrupt(sweep: Sweep, fog: PaperFog, rng: RandomSource) -> Sweep:
     return with_cloud(sweep, out, np.where(moved, SCATTERED, ATTENUATED))
 
 
-def reference_rng() -> np.random.Generator:
-    """Return the generator of the published code, after the draw that it discards."""
-    rng = np.random.default_rng(42)
-    rng.integers(1, 20)
-    return rng
-
-
 def apply_fog(cloud: Cloud, fog: PaperFog, rng: RandomSource) -> FoggyCloud:
     """Return a cloud in fog.
 
     Args:
         cloud: (P, 4) with the intensity that the model expects (0 to 1, or 0 to 255 where it rounds and caps).
         fog: settings; the caller applies `scale`.
-        rng: draws alpha unless it is set, then one number per moved point in order. `reference_rng` gives those of
-            the published code.
+        rng: draws alpha unless it is set, then one number per moved point in order; the published code takes
+            those of `default_rng(42)` after a draw of `integers(1, 20)`.
     """
     out = cloud.astype(np.float64)
     if len(cloud) == 0:
