@@ -1,0 +1,133 @@
+"""Rows of the tracker: the boxes of a percept, and the tracks."""
+
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.closed_loop.tracking.filter import YAW, Parameters, State, rotated
+from dsrc.closed_loop.types import Percept
+from sim.boxes import CLASSES, VEHICLES
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_TWO_WHEELERS = ("motorcycle", "bicycle")
+KIND = np.array([0 if name in VEHICLES else 1 if name in _TWO_WHEELERS else 2 for name in CLASSES])
+"""Kind of road user by label; a detection and a track of two kinds are never one object."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Boxes of a percept in an order of their own values, best score first.
+
+    Attributes:
+        time_s: instant of the measurement, s.
+        box: (N, 7) x, y, z, l, w, h, yaw.
+        label: (N,) class.
+        score: (N,) 0 to 1.
+        velocity: (N, 2) m/s.
+        reported: (N,) whether the velocity is measured.
+        variance: (N, 2, 2) of the centres, m2.
+    """
+
+    time_s: float
+    box: Array
+    label: Rows
+    score: Array
+    velocity: Array
+    reported: NDArray[np.bool_]
+    variance: Array
+
+    @classmethod
+    def of(cls, percept: Percept, table: Array, reported_m: float) -> Self:
+        """Return the boxes of a percept.
+
+        Args:
+            percept: N boxes in any order.
+            table: (7, 12) `Parameters` by label.
+            reported_m: standard deviation of the centre of a box whose velocity is measured, m.
+
+        Raises:
+            ValueError: a number is not finite, or a score is outside 0 to 1.
+        """
+        box, label, score = percept.boxes.array, percept.boxes.label, percept.score.astype(np.float64)
+        if not (np.isfinite(percept.time_s) and np.isfinite(box).all()):
+            raise ValueError("Percept: expected a finite time and boxes, found NaN or infinity")
+        if not ((score >= 0.0) & (score <= 1.0)).all():
+            raise ValueError(f"Percept.score must be in 0 to 1, got {score.min()} to {score.max()}")
+        reported = np.asarray(np.isfinite(percept.velocity).all(axis=1))
+        velocity = np.where(reported[:, None], percept.velocity, 0.0)
+        order = np.lexsort((*velocity.T, label, *box.T[::-1], -score))
+        box, label, reported = box[order], label[order], reported[order]
+        p = Parameters.of(table[label])
+        across = np.where(reported, reported_m, p.position_m) ** 2
+        along = across + np.where(reported, 0.0, p.length_error * box[:, 3]) ** 2
+        variance = rotated(box[:, 6], along, across)
+        return cls(percept.time_s, box, label, score[order], velocity[order], reported, variance)
+
+    def rows(self, rows: Rows) -> Self:
+        """Return some boxes."""
+        columns = (getattr(self, field.name)[rows] for field in fields(self)[1:])
+        return type(self)(self.time_s, *columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bank:
+    """Tracks at one instant, in order of birth.
+
+    Attributes:
+        time_s: instant, s; -infinity before the first percept.
+        state: estimates of the motion.
+        z: (N,) height of the centre, m.
+        size: (N, 3) m.
+        votes: (N, 7) sum of the scores by class.
+        push: (N,) running mean of the residuals along the heading, standard deviations.
+        facing: (N,) running mean of +1 for detected headings near the track's, -1 for opposite ones.
+        score: (N,) confidence.
+        recent: (N, K) scores in the latest percepts, 0 where unseen.
+        hits: (N,) number of detections.
+        seen_s: (N,) instant of the last detection, s.
+        birth: (N,) number of the detection that started it.
+        number: (N,) number of the track, -1 while it is tentative.
+    """
+
+    time_s: float
+    state: State
+    z: Array
+    size: Array
+    votes: Array
+    push: Array
+    facing: Array
+    score: Array
+    recent: Array
+    hits: Rows
+    seen_s: Array
+    birth: Rows
+    number: Rows
+
+    def rows(self, rows: Rows | NDArray[np.bool_]) -> "Bank":
+        """Return some tracks."""
+        columns = (getattr(self, field.name)[rows] for field in fields(self)[2:])
+        return Bank(self.time_s, self.state.rows(rows), *columns)
+
+    def joined(self, later: "Bank") -> "Bank":
+        """Return these tracks and later ones."""
+        state = State(
+            np.concatenate([self.state.mean, later.state.mean]),
+            np.concatenate([self.state.covariance, later.state.covariance]),
+        )
+        names = [field.name for field in fields(self)[2:]]
+        columns = (np.concatenate([getattr(self, name), getattr(later, name)]) for name in names)
+        return Bank(self.time_s, state, *columns)
+
+    @property
+    def label(self) -> Rows:
+        """(N,) class of most votes."""
+        return self.votes.argmax(axis=1)
+
+    @property
+    def box(self) -> Array:
+        """(N, 7) x, y, z, l, w, h, yaw."""
+        return np.column_stack([self.state.mean[:, :2], self.z, self.size, self.state.mean[:, YAW]])

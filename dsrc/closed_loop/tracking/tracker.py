@@ -1,0 +1,360 @@
+"""Tracker of boxes in the world frame: percepts of single instants to moving road users.
+
+A percept is filtered at the instant of its measurement; what comes out is predicted to the present, which makes up for
+the age of a message. Everything is sorted before it is used, so the order of the boxes changes no bit.
+"""
+
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.closed_loop.tracking.association import assigned, originals, overlaps, squared_distances
+from dsrc.closed_loop.tracking.bank import KIND, Bank, Measured
+from dsrc.closed_loop.tracking.filter import (
+    RATE,
+    VX,
+    VY,
+    YAW,
+    Parameters,
+    State,
+    predicted,
+    rotated,
+    with_pose,
+    with_velocity,
+    without_slip,
+)
+from dsrc.closed_loop.tracking.settings import Motion, TrackerSettings
+from dsrc.closed_loop.types import Percept, Tracks
+from sim.boxes import CLASSES, Boxes
+from sim.geometry import wrap_angle
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_SLOTS = 1 << 20
+"""More than the boxes of any percept: number of a percept and row of a box make one number."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """Percept that was filtered, and the tracks before it."""
+
+    serial: int
+    measured: Measured
+    before: Bank
+    may_start: bool
+
+
+class Tracker:
+    """Tracker of boxes: Kalman filter, gated assignment, confirmed tracks.
+
+    Tracks become known (`Tracks`) once the scores of their detections add up, so one false box of a score below 1 never
+    does; unseen ones coast and end after a time that their score decides. A percept older than the last one is filtered
+    in its place: the tracks go back to the instant before it and the later percepts are filtered again. It starts no
+    track, since the later percepts saw more; one older than `history_s` is ignored.
+
+    Args:
+        settings: motion, association and life cycle.
+    """
+
+    def __init__(self, settings: TrackerSettings | None = None) -> None:
+        self.settings = settings or TrackerSettings()
+        kinds = (self.settings.vehicle, self.settings.two_wheeler, self.settings.pedestrian)
+        self._table = np.array([_columns(motion) for motion in kinds])[KIND]
+        nothing = self._measured(Percept(0.0, Boxes.zeros(), np.zeros(0), np.zeros((0, 2))))
+        self._bank = self._start(nothing, 0, -np.inf)
+        self._steps: list[_Step] = []
+        self._numbers: dict[int, int] = {}
+        self._serial = 0
+        self._now_s = -np.inf
+
+    def update(self, percept: Percept | None, time_s: float) -> Tracks:
+        """Return the tracks at the present after a percept.
+
+        Args:
+            percept: newest percept; None: the tracks are predicted.
+            time_s: the present, s.
+
+        Raises:
+            ValueError: the present is earlier than the last one or than the percept; a value of the percept is not
+                finite; a score is outside 0 to 1.
+        """
+        if not time_s >= self._now_s:
+            raise ValueError(f"time_s must not decrease: got {time_s} s after {self._now_s} s")
+        if percept is not None:
+            if percept.time_s > time_s + 1e-6:
+                raise ValueError(f"Percept.time_s must not be later than time_s = {time_s} s, got {percept.time_s} s")
+            self._filter(self._measured(percept))
+        self._now_s = time_s
+        return self._tracks(time_s)
+
+    def _measured(self, percept: Percept) -> Measured:
+        return Measured.of(percept, self._table, self.settings.reported_position_m)
+
+    def _filter(self, measured: Measured) -> None:
+        """Filter a percept in its place in time."""
+        self._serial += 1
+        step = _Step(self._serial, measured, self._bank, may_start=measured.time_s >= self._bank.time_s)
+        later = [step]
+        if not step.may_start:
+            place = next(i for i, other in enumerate(self._steps) if other.measured.time_s > measured.time_s)
+            before = self._steps[place].before
+            if before.time_s > measured.time_s or not np.isfinite(before.time_s):
+                return
+            self._bank = before
+            later = [step, *self._steps[place:]]
+            del self._steps[place:]
+        for each in later:
+            self._steps.append(replace(each, before=self._bank))
+            self._bank = self._advanced(self._steps[-1])
+        oldest_s = self._bank.time_s - self.settings.history_s
+        self._steps = [kept for kept in self._steps if kept.measured.time_s >= oldest_s]
+
+    def _advanced(self, step: _Step) -> Bank:
+        """Return the tracks after a percept."""
+        settings, measured = self.settings, step.measured
+        bank, since_s = self._predicted(step.before, measured.time_s)
+        measured = self._without_duplicates(measured)
+        tracks, found, bank = self._associated(bank, measured)
+        bank = self._matched(bank, tracks, measured.rows(found))
+
+        unseen = np.ones(len(bank.z), bool)
+        unseen[tracks] = False
+        half_life_s = np.where(bank.number >= 0, settings.half_life_s, settings.tentative_half_life_s)
+        score = np.where(unseen, bank.score * 2.0 ** (-since_s / half_life_s), bank.score)
+        seen_now = np.zeros(len(bank.z))
+        seen_now[tracks] = measured.score[found]
+        bank = replace(bank, score=score, recent=np.column_stack([bank.recent[:, 1:], seen_now]))
+        if (ended := unseen & (score < settings.drop_score)).any():
+            bank = bank.rows(~ended)
+
+        fresh = measured.score >= settings.start_score
+        fresh[found] = False
+        if step.may_start and fresh.any():
+            bank = bank.joined(self._start(measured.rows(np.flatnonzero(fresh)), step.serial, measured.time_s))
+        return self._merged(self._numbered(bank))
+
+    def _predicted(self, bank: Bank, time_s: float) -> tuple[Bank, float]:
+        """Return the remembered tracks at a later time, and the time since."""
+        settings = self.settings
+        since_s = time_s - bank.time_s if np.isfinite(bank.time_s) else 0.0
+        bank = replace(bank, time_s=time_s)
+        if (forgotten := time_s - bank.seen_s > settings.forget_s).any():
+            bank = bank.rows(~forgotten)
+        # White residuals have a running mean near 0, of a known deviation: one that pushes on brakes or accelerates.
+        white = (settings.push_gain / (2.0 - settings.push_gain)) ** 0.5
+        p = Parameters.of(self._table[bank.label])
+        manoeuvre = 1.0 + settings.manoeuvre * np.maximum(np.abs(bank.push) - white, 0.0)
+        p = p._replace(acceleration=p.acceleration * np.sqrt(manoeuvre))
+        return replace(bank, state=predicted(bank.state, since_s, p, settings.turn_time_s)), since_s
+
+    def _without_duplicates(self, measured: Measured) -> Measured:
+        """Return the boxes without those that overlap a better one of their kind; owners' reports always differ."""
+        kind, reported = KIND[measured.label], measured.reported
+        alike = (kind[:, None] == kind[None, :]) & ~(reported[:, None] & reported[None, :])
+        np.fill_diagonal(alike, False)
+        same = overlaps(measured.box, measured.box, alike, self.settings.overlap)
+        return measured.rows(originals(same)) if same.any() else measured
+
+    def _associated(self, bank: Bank, measured: Measured) -> tuple[Rows, Rows, Bank]:
+        """Return rows of tracks, rows of their boxes, and tracks whose estimate was too certain for theirs, widened."""
+        settings = self.settings
+        mean, covariance = bank.state.mean, bank.state.covariance
+        offset = measured.box[None, :, :2] - mean[:, None, :2]
+        distance = squared_distances(offset, covariance[:, None, :2, :2] + measured.variance[None])
+        alike = KIND[bank.label][:, None] == KIND[measured.label][None, :]
+        gate = settings.gate**2
+        cost = distance + settings.score_cost * (1.0 - measured.score)[None, :]
+        tracks, found = assigned(cost, alike & (distance <= gate), gate + settings.score_cost)
+
+        # Two road users cannot be in one place: a box that overlaps a track beyond its gate is the same object, which
+        # moved as the filter did not expect.
+        alike[tracks, :] = False
+        alike[:, found] = False
+        if len(tracks) < min(alike.shape) and (same := overlaps(bank.box, measured.box, alike, settings.overlap)).any():
+            more, theirs = assigned(distance, same, float(distance[same].max()) + 1.0)
+            widened = covariance[more] * (distance[more, theirs] / gate)[:, None, None].clip(1.0)
+            bank = replace(bank, state=bank.state.replaced(more, State(mean[more], widened)))
+            tracks, found = np.concatenate([tracks, more]), np.concatenate([found, theirs])
+            order = np.argsort(tracks)
+            tracks, found = tracks[order], found[order]
+        return tracks, found, bank
+
+    def _matched(self, bank: Bank, tracks: Rows, measured: Measured) -> Bank:
+        """Return the tracks after the boxes (K) of some of them (K)."""
+        settings, reported = self.settings, measured.reported
+        table = self._table[bank.label[tracks]]
+        p, state = Parameters.of(table), bank.state.rows(tracks)
+
+        offset, variance = measured.box[:, :2] - state.mean[:, :2], measured.variance
+        ahead = np.column_stack([np.cos(state.mean[:, YAW]), np.sin(state.mean[:, YAW])])
+        deviation = np.sqrt(np.einsum("ni,nij,nj->n", ahead, state.covariance[:, :2, :2] + variance, ahead))
+        push = bank.push.copy()
+        push[tracks] += settings.push_gain * ((ahead * offset).sum(axis=1) / deviation - push[tracks])
+
+        # A detected heading may point backwards: it counts modulo half a turn, and the majority turns the track.
+        residual = wrap_angle(measured.box[:, 6] - state.mean[:, YAW])
+        opposite = np.abs(residual) > 0.5 * np.pi
+        facing = 0.8 * bank.facing[tracks] - 0.2 * np.where(opposite, 1.0, -1.0)
+        speed = np.hypot(state.mean[:, VX], state.mean[:, VY])
+        turn = np.where(reported, opposite, (facing < -0.3) & (speed < settings.direction_mps))
+        facing = np.where(turn, np.abs(facing), facing)
+        state = _turned(state, np.where(turn, np.pi, 0.0))
+        residual = np.where(opposite, wrap_angle(residual - np.pi), residual)
+        yaw_rad = np.where(reported, settings.reported_yaw_rad, p.yaw_rad)
+        state = with_pose(state, measured.box[:, :2], variance, residual, yaw_rad)
+
+        if (known := np.flatnonzero(reported)).size:
+            told = with_velocity(state.rows(known), measured.velocity[known], settings.reported_velocity_mps)
+            state = state.replaced(known, told)
+        if (rolling := np.flatnonzero(np.isfinite(p.slip_mps) & ~reported)).size:
+            rolled = without_slip(state.rows(rolling), Parameters.of(table[rolling]))
+            state = state.replaced(rolling, self._facing_forward(rolled))
+
+        hits = bank.hits.copy()
+        hits[tracks] += 1
+        weight = np.where(reported, 1.0, np.maximum(1.0 / hits[tracks], settings.smoothing))
+        z, size, votes, turned = bank.z.copy(), bank.size.copy(), bank.votes.copy(), bank.facing.copy()
+        score, seen_s = bank.score.copy(), bank.seen_s.copy()
+        z[tracks] += weight * (measured.box[:, 2] - z[tracks])
+        size[tracks] += weight[:, None] * (measured.box[:, 3:6] - size[tracks])
+        votes[tracks, measured.label] += measured.score
+        turned[tracks] = facing
+        score[tracks] += settings.score_gain * (measured.score - score[tracks])
+        seen_s[tracks] = measured.time_s
+        return replace(
+            bank,
+            state=bank.state.replaced(tracks, state),
+            z=z,
+            size=size,
+            votes=votes,
+            push=push,
+            facing=turned,
+            score=score,
+            hits=hits,
+            seen_s=seen_s,
+        )
+
+    def _facing_forward(self, state: State) -> State:
+        """Return the state with headings along the motion where it is fast, certain and elsewhere than the heading."""
+        vx, vy = state.mean[:, VX], state.mean[:, VY]
+        speed = np.hypot(vx, vy)
+        along = np.cos(state.mean[:, YAW]) * vx + np.sin(state.mean[:, YAW]) * vy
+        variance = state.covariance[:, VX, VX] + state.covariance[:, VY, VY]
+        astray = (speed > self.settings.direction_mps) & (speed**2 > 9.0 * variance) & (along < 0.5 * speed)
+        if not astray.any():
+            return state
+        mean, covariance = state.mean.copy(), state.covariance.copy()
+        mean[astray, YAW] = np.arctan2(vy[astray], vx[astray])
+        covariance[astray, YAW, :] = covariance[astray, :, YAW] = 0.0
+        covariance[astray, YAW, YAW] = variance[astray] / speed[astray] ** 2
+        return State(mean, covariance)
+
+    def _start(self, measured: Measured, serial: int, time_s: float) -> Bank:
+        """Return new tracks of boxes."""
+        settings, p, n = self.settings, Parameters.of(self._table[measured.label]), len(measured.score)
+        yaw, reported = measured.box[:, 6], measured.reported
+        covariance = np.zeros((n, 6, 6))
+        covariance[:, :2, :2] = measured.variance
+        told = settings.reported_velocity_mps**2
+        covariance[:, 2:4, 2:4] = rotated(
+            yaw, np.where(reported, told, p.speed_mps**2), np.where(reported, told, p.sideways_mps**2)
+        )
+        covariance[:, YAW, YAW] = np.where(reported, settings.reported_yaw_rad, p.yaw_rad) ** 2
+        covariance[:, RATE, RATE] = p.curvature_per_m * p.lateral_mps2
+        votes = np.zeros((n, len(CLASSES)))
+        votes[np.arange(n), measured.label] = measured.score
+        recent = np.zeros((n, settings.confirm_percepts))
+        recent[:, -1] = measured.score
+        return Bank(
+            time_s=time_s,
+            state=State(np.column_stack([measured.box[:, :2], measured.velocity, yaw, np.zeros(n)]), covariance),
+            z=measured.box[:, 2],
+            size=measured.box[:, 3:6],
+            votes=votes,
+            push=np.zeros(n),
+            facing=np.full(n, 0.3),
+            score=measured.score,
+            recent=recent,
+            hits=np.ones(n, np.int64),
+            seen_s=np.full(n, time_s),
+            birth=serial * _SLOTS + np.arange(n),
+            number=np.full(n, -1, np.int64),
+        )
+
+    def _numbered(self, bank: Bank) -> Bank:
+        """Return the tracks with numbers for those that are confirmed now.
+
+        A number belongs to the detection that started the track, so it survives filtering again.
+        """
+        new = np.flatnonzero((bank.number < 0) & (bank.recent.sum(axis=1) >= self.settings.confirm_score - 1e-9))
+        if not len(new):
+            return bank
+        number = bank.number.copy()
+        for row in new:
+            number[row] = self._numbers.setdefault(int(bank.birth[row]), len(self._numbers))
+        return replace(bank, number=number)
+
+    def _merged(self, bank: Bank) -> Bank:
+        """Return the tracks without those that overlap another one of their kind and of which only one is seen now.
+
+        The motion of the one that is seen stays; a tentative one inherits number and history.
+        """
+        seen, kind = bank.seen_s == bank.time_s, KIND[bank.label]
+        if seen.all():
+            return bank
+        box = bank.box
+        lost, found = np.flatnonzero(~seen), np.flatnonzero(seen)
+        same = overlaps(box[lost], box[found], kind[lost][:, None] == kind[found][None, :], self.settings.overlap)
+        if not same.any():
+            return bank
+        source, keep = np.arange(len(seen)), np.ones(len(seen), bool)
+        for row in np.flatnonzero(same.any(axis=1)):
+            old = lost[row]
+            new = next((track for track in found[same[row]] if keep[track]), None)
+            if new is not None and bank.number[old] >= 0 and bank.number[new] < 0:
+                source[old], keep[new] = new, False
+            else:
+                keep[old] = False
+        taken = bank.rows(source)
+        merged = replace(
+            taken,
+            votes=bank.votes,
+            recent=np.maximum(bank.recent, taken.recent),
+            score=np.maximum(bank.score, taken.score),
+            birth=bank.birth,
+            number=bank.number,
+        )
+        return merged.rows(keep)
+
+    def _tracks(self, time_s: float) -> Tracks:
+        """Return the confirmed tracks at the present."""
+        bank = self._bank.rows(np.flatnonzero(self._bank.number >= 0))
+        bank, _ = self._predicted(bank.rows(np.argsort(bank.number)), max(time_s, bank.time_s))
+        box, mean, covariance = bank.box, bank.state.mean, bank.state.covariance
+        xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+        largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+        return Tracks(
+            time_s=time_s,
+            boxes=Boxes(box[:, :3], box[:, 3:6], box[:, 6], bank.label, bank.number),
+            velocity=mean[:, VX : VY + 1].copy(),
+            yaw_rate=mean[:, RATE].copy(),
+            position_sd=np.sqrt(largest),
+            score=bank.score,
+            unseen_s=np.maximum(time_s - bank.seen_s, 0.0),
+        )
+
+
+def _columns(motion: Motion) -> list[float]:
+    """Return the values of a kind of road user in the order of `Parameters`."""
+    values = msgspec.structs.asdict(motion)
+    return [np.inf if values[name] is None else values[name] for name in Parameters._fields]
+
+
+def _turned(state: State, angle: Array) -> State:
+    """Return the state with headings turned by angles (N,), rad."""
+    mean = state.mean.copy()
+    mean[:, YAW] = wrap_angle(mean[:, YAW] + angle)
+    return State(mean, state.covariance)
