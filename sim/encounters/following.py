@@ -8,7 +8,17 @@ import numpy as np
 from sim.encounters.draw import AFTER_S, CARS, EAST, JITTER, band, block, pick
 from sim.encounters.networks import LANE_M, Edge, LaneSpec, Node, PlainNetwork
 from sim.encounters.paths import PathBuilder, ReferencePath, SpeedProfile
-from sim.encounters.types import HIT_S, EncounterType, Layout, Parameter, ScriptedActor, Structure, actor, standing
+from sim.encounters.types import (
+    HIT_S,
+    EncounterType,
+    Layout,
+    Overtaking,
+    Parameter,
+    ScriptedActor,
+    Structure,
+    actor,
+    standing,
+)
 from sim.geometry import Array
 from sim.scenario import RoadsideUnit
 from sim.vehicle_types import TYPES
@@ -49,6 +59,7 @@ def dnpw_overtake(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
             at_m=ego_path.nearest(there),
             at_s=HIT_S,
             lights=((_LEFT, out_s - 1.0, out_s + 3.2),),
+            overtaking=Overtaking(lane, out_at, "truck"),
         ),
         actor(
             "conflict",
@@ -309,6 +320,7 @@ ENCOUNTERS = {
             Parameter("lane_change_s", 1.8, 4.0, (2.2, 2.4), "how long that takes"),
         ),
         eebl_chain,
+        waits=False,
     ),
     "stalled_after_curve": EncounterType(
         "A car is stalled behind a tight bend with a hedge on the inside.",
@@ -320,6 +332,7 @@ ENCOUNTERS = {
             Parameter("jam", 1.0, 4.0, (1.0, 4.0), "cars before it", True),
         ),
         stalled_after_curve,
+        waits=False,
     ),
     "cut_in_merge": EncounterType(
         "A car comes off the ramp, before a lorry, and on into the ego's lane.",

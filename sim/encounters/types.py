@@ -22,6 +22,21 @@ HIT_S = 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Overtaking:
+    """Overtaking on an actor's path, which it gives up when it is driven otherwise.
+
+    Attributes:
+        lane: path of the lane that it leaves.
+        start_m: distance along its own path at which it pulls out, m.
+        of: name of the vehicle that it overtakes.
+    """
+
+    lane: ReferencePath
+    start_m: float
+    of: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ScriptedActor:
     """Scripted road user.
 
@@ -35,6 +50,7 @@ class ScriptedActor:
         size: length, width, height in place of the type's, m.
         lights: (bits of signals, from, to), times in s.
         parked: engine off, without brake lights.
+        overtaking: overtaking on its path; None without one.
     """
 
     name: str
@@ -46,6 +62,7 @@ class ScriptedActor:
     size: tuple[float, float, float] | None = None
     lights: tuple[tuple[int, float, float], ...] = ()
     parked: bool = False
+    overtaking: Overtaking | None = None
 
     @property
     def kind(self) -> VehicleType:
@@ -169,6 +186,8 @@ class EncounterType:
         lay_out: (drawn values, generator of appearance) -> layout.
         roles: roles whose lanes a scenario names to place the encounter on a map; empty: made roads only.
         on_streets: layout function along those lanes.
+        waits: the conflict actor crosses the ego's path or comes towards it: the script's clock waits for a driven ego.
+            Not where the ego follows it in a lane, or it stands.
     """
 
     summary: str
@@ -176,6 +195,7 @@ class EncounterType:
     lay_out: Callable[[Mapping[str, float], np.random.Generator], Layout]
     roles: tuple[str, ...] = ()
     on_streets: Callable[[Mapping[str, float], np.random.Generator, Mapping[str, LanePath]], Layout] | None = None
+    waits: bool = True
 
 
 def actor(
@@ -189,6 +209,7 @@ def actor(
     at_s: float = 0.0,
     size: tuple[float, float, float] | None = None,
     lights: tuple[tuple[int, float, float], ...] = (),
+    overtaking: Overtaking | None = None,
 ) -> ScriptedActor:
     """Return an actor that is `at_m` along its path at time `at_s`.
 
@@ -202,10 +223,12 @@ def actor(
         at_s: time there, s.
         size: see `ScriptedActor`.
         lights: see `ScriptedActor`.
+        overtaking: see `ScriptedActor`.
     """
     steady = pace if isinstance(pace, SpeedProfile) else SpeedProfile.steady(pace)
     start_m = at_m - float(steady.distance(at_s))
-    return ScriptedActor(name, frozenset(roles.split()), type_name, path, start_m, steady, size, lights)  # type: ignore[arg-type]
+    known: frozenset[Role] = frozenset(roles.split())  # type: ignore[arg-type]
+    return ScriptedActor(name, known, type_name, path, start_m, steady, size, lights, overtaking=overtaking)
 
 
 def standing(

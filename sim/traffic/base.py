@@ -219,6 +219,18 @@ class DrivableTraffic(Traffic, Protocol):
         """Return the traffic lights on the route of a vehicle, nearest first; empty where the backend has none."""
         ...
 
+    def goal_m(self, object_id: int) -> float | None:
+        """Return the distance left to the goal of an encounter's ego, m, <= 0 when reached; None for all others."""
+        ...
+
+    def encounter_gap_s(self, object_id: int) -> float | None:
+        """Return how much later than its conflict actor an ego would arrive, when that no longer waited for it, s.
+
+        Infinite as long as the conflict actor waits; None where there is none to meet: other backends, an encounter
+        without it, or with one that is followed or stands.
+        """
+        ...
+
     def claims(self) -> dict[str, Actors]:
         """Return the objects that helpers report now although they do not exist, by the name of the helper."""
         ...

@@ -128,6 +128,14 @@ class HighwayTraffic:
         self._driver(object_id)
         return ()
 
+    def goal_m(self, object_id: int) -> None:
+        """Return no goal: vehicles of highway-env drive on to the end of their route."""
+        self._driver(object_id)
+
+    def encounter_gap_s(self, object_id: int) -> None:
+        """Return no gap: there is no encounter."""
+        self._driver(object_id)
+
     def claims(self) -> dict[str, Actors]:
         """Return no claims: vehicles of highway-env report what exists."""
         return {}

@@ -158,6 +158,14 @@ class SumoTraffic:
         lights = self._sumo.vehicle.getNextTLS(self._vehicle(object_id))
         return tuple(TrafficLight(_LIGHT_STATES.get(state, "off"), float(gap_m)) for _, _, gap_m, state in lights)
 
+    def goal_m(self, object_id: int) -> None:
+        """Return no goal: vehicles of SUMO drive on to the end of their route."""
+        self._vehicle(object_id)
+
+    def encounter_gap_s(self, object_id: int) -> None:
+        """Return no gap: there is no encounter."""
+        self._vehicle(object_id)
+
     def claims(self) -> dict[str, Actors]:
         """Return no claims: SUMO's vehicles report what exists."""
         return {}

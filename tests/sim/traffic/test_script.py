@@ -153,3 +153,30 @@ def test_ids_are_the_same_in_all_controls() -> None:
         assert other.get("conflict", CONFLICT) == CONFLICT
     assert ids[0] == {**ids[2], "conflict": CONFLICT}
     assert encounter_of(encounter("ima_queue"), SEED).names("ego") == ("ego",)
+
+
+@pytest.mark.parametrize("kind", ENCOUNTERS)
+def test_the_goal_lies_behind_the_conflict_and_an_ego_that_drives_on_reaches_it(kind: str) -> None:
+    with ScriptedTraffic(encounter(kind, control="no_conflict"), SEED) as traffic:
+        left = [traffic.goal_m(EGO)]
+        while left[-1] > 0.0 and traffic.time_s < 15.0:
+            traffic.command(EGO, traffic.limits(EGO).speed_mps)
+            traffic.step()
+            left.append(traffic.goal_m(EGO))
+        assert left[-1] <= 0.0 and 6.0 < traffic.time_s < 12.0
+        assert (np.diff(left) < 0.0).all()
+        assert traffic.goal_m(CONFLICT + 1) is None
+
+
+def test_behind_a_car_that_blocks_the_lane_the_goal_is_to_stand() -> None:
+    with ScriptedTraffic(encounter("stalled_after_curve"), SEED) as traffic:
+        while not traffic.crashes:
+            assert traffic.goal_m(EGO) > 0.0
+            traffic.step()
+    with ScriptedTraffic(encounter("stalled_after_curve"), SEED) as traffic:
+        while traffic.goal_m(EGO) > 0.0 and traffic.time_s < 30.0:
+            car, ego = (traffic.actors.boxes.center[row, :2] for row in (1, 0))
+            gap = max(float(np.hypot(*(car - ego))) - 8.0, 0.0)
+            traffic.command(EGO, min(traffic.limits(EGO).speed_mps, np.sqrt(2.0 * 3.0 * gap)))
+            traffic.step()
+        assert not traffic.crashes and traffic.speed(EGO) < 1.0 and traffic.time_s < 25.0
