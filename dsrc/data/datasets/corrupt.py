@@ -2,7 +2,8 @@
 
 Frames are independent of each other (`corrupt_frame`): their bytes are the same for any number of workers, and existing
 frames are skipped. The protocol of a corrupted drive is that of its source with one more entry in
-`testbed.corruptions`: a drive can be corrupted more than once.
+`testbed.corruptions`: a drive can be corrupted more than once. The entry holds the hash of the corruptions' code: a
+drive that another version began is not resumed.
 """
 
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import msgspec
 
+from dsrc.data.code_hash import code_hash
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
@@ -139,6 +141,7 @@ def _protocol(job: CorruptionJob, reader: Drive) -> dict:
         "seed": options.seed,
         "drive_seed": job.drive_seed,
         "settings": msgspec.to_builtins(settings),
+        "code": code_hash(corrupt_frame.__module__),
         "source": {"drive": job.source.name, "sha256": reader.digest()},
     }
     own = own_settings(reader.protocol)

@@ -127,6 +127,15 @@ def test_a_folder_of_other_settings_is_refused_by_name(data: Path, tmp_path: Pat
         corrupt_dataset(data, tmp_path / "out", **{**settings, **change})
 
 
+def test_a_run_that_other_code_began_is_not_resumed(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    corrupt_dataset(data, tmp_path / "out", "beam_missing")
+    monkeypatch.setattr("dsrc.data.datasets.corrupt.code_hash", lambda entry: "0" * 64)
+    with pytest.raises(DataError, match=r"data_protocol.yaml: corruptions\[0\].code: expected '0000"):
+        corrupt_dataset(data, tmp_path / "out", "beam_missing")
+
+
 def test_another_source_under_the_same_name_is_refused(data: Path, tmp_path: Path) -> None:
     corrupt_dataset(data, tmp_path / "out", "beam_missing")
     write_drive(tmp_path / "other" / "one", {**SETTINGS, "seed": 4}, ToySource().open)
