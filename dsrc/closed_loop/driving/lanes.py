@@ -21,6 +21,7 @@ _ALIKE_M = 0.9
 _DIRECTION = math.cos(math.radians(40.0))
 _NEAREST = 16
 _AHEAD_M = 200.0
+_LENGTH_M = 10.0
 _FORKS = 4
 
 
@@ -91,8 +92,8 @@ class NetworkLanes:
         self._lines = [_resampled(np.array(lane.getShape(), np.float64)[:, :2]) for lane in lanes]
         self._names = [lane.getID() for lane in lanes]
         self._number = {name: number for number, name in enumerate(self._names)}
-        self._of = np.concatenate([np.full(len(line), row) for row, line in enumerate(self._lines)])
-        self._at = np.concatenate([_along(line) for line in self._lines])
+        self._of = [row for row, line in enumerate(self._lines) for _ in line]
+        self._at = [round(along / LANE_STEP_M) for line in self._lines for along in _along(line)]
         points = np.concatenate(self._lines)
         self._heading = points[:, 2]
         self._tree = cKDTree(points[:, :2])
@@ -115,11 +116,16 @@ class NetworkLanes:
         for row in range(len(pose)):
             best: dict[int, int] = {}
             for place in rows[row, near[row]].tolist():  # nearest first
-                best.setdefault(int(self._of[place]), round(self._at[place] / LANE_STEP_M))
-            need = math.ceil(length_m[row] / LANE_STEP_M) + 2
-            cut = [chain[at : at + need] for lane, at in best.items() for chain in self._ahead_of(lane)]
-            found.append(_different([line for line in cut if len(line) > 1]))
+                best.setdefault(self._of[place], self._at[place])
+            found.append(self._cut(tuple(best.items()), _LENGTH_M * math.ceil((length_m[row] + 2.0) / _LENGTH_M)))
         return found
+
+    @lru_cache(maxsize=100_000)  # noqa: B019  maps are few, and cached themselves
+    def _cut(self, places: tuple[tuple[int, int], ...], length_m: float) -> tuple[Array, ...]:
+        """Return the different ways on from stations of lanes."""
+        need = round(length_m / LANE_STEP_M)
+        cut = [chain[at : at + need] for lane, at in places for chain in self._ahead_of(lane)]
+        return _different([line for line in cut if len(line) > 1])
 
     def _ahead_of(self, number: int) -> tuple[Array, ...]:
         """Return the ways on from the start of a lane: the lane and at least `_AHEAD_M` beyond it."""

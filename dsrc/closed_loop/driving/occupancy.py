@@ -12,6 +12,8 @@ from sim.geometry import Array
 
 _COARSE = 8
 _SLOW_MPS = 0.5
+_BENT = 10
+_SLACK_M = 0.4
 
 
 class ClearanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -78,6 +80,8 @@ def occupancy_of(path: Path, size: Array, prediction: Prediction, settings: Clea
     """
     steps, reach = len(prediction.time_s), 0.5 * float(np.hypot(*size))
     hypothesis, instant, station = _close(path, reach, prediction)
+    kept = _within(path, size, prediction, hypothesis, instant, station, settings)
+    hypothesis, instant, station = hypothesis[kept], instant[kept], station[kept]
     still = prediction.speed_mps[hypothesis, instant] < settings.still_mps
     beside = np.where(still, settings.beside_standing_m, settings.beside_m)
     beside = np.maximum(beside, settings.touch_m) + prediction.spread_m[hypothesis, instant]
@@ -88,16 +92,16 @@ def occupancy_of(path: Path, size: Array, prediction: Prediction, settings: Clea
     inside = (at >= 0) & (at < len(path)) & (np.abs(window) <= half[:, None])
     at = np.clip(at, 0, len(path) - 1)
     hits = _touching(path, at, size, prediction, hypothesis, instant, settings.touch_m, beside)
-    near, wide = (_interval(path, at, hit & inside) for hit in hits)
-    found = np.isfinite(wide[0])
+    close, apart = (_interval(at, hit & inside) for hit in hits)
+    found = np.isfinite(apart[0])
     rows = np.unique(hypothesis[found])
     place = np.searchsorted(rows, hypothesis[found])
     shape = (len(rows), 2, steps)
     blocked = [np.broadcast_to(np.array([[np.inf], [-np.inf]]), shape).copy() for _ in range(2)]
-    for out, (low, high) in zip(blocked, (near, wide), strict=True):
+    for out, (low, high) in zip(blocked, (close, apart), strict=True):
         out[place, 0, instant[found]], out[place, 1, instant[found]] = low[found], high[found]
     along, aligned = np.zeros((len(rows), steps)), np.zeros((len(rows), steps), bool)
-    first = np.clip(np.rint(np.clip(wide[0][found], 0.0, path.along[-1]) / STEP_M).astype(np.int64), 0, len(path) - 1)
+    first = np.clip(np.rint(np.clip(apart[0][found], 0.0, path.along[-1]) / STEP_M).astype(np.int64), 0, len(path) - 1)
     heading = _directions(prediction)[hypothesis[found], instant[found]]
     turned = np.cos(heading - path.heading[first])
     stays = prediction.speed_mps[rows].max(axis=1, initial=0.0) == 0.0
@@ -139,6 +143,30 @@ def _close(
     return hypothesis[close], instant[close], nearest[close] * _COARSE
 
 
+def _within(
+    path: Path,
+    size: Array,
+    prediction: Prediction,
+    hypothesis: NDArray[np.int64],
+    instant: NDArray[np.int64],
+    station: NDArray[np.int64],
+    settings: ClearanceSettings,
+) -> NDArray[np.bool_]:
+    """Return which bodies reach the strip beside the path around the nearest station; who is a lane away does not."""
+    last = len(path) - 1
+    heading = path.heading[station]
+    bent = np.abs(path.heading[np.minimum(station + _BENT, last)] - heading)
+    bent += np.abs(heading - path.heading[np.maximum(station - _BENT, 0)])
+    dx, dy = (prediction.xy[hypothesis, instant] - path.xy[station]).T
+    turn = prediction.yaw[hypothesis, instant] - heading
+    c, s = np.cos(heading), np.sin(heading)
+    extent = 0.5 * (prediction.size[hypothesis, 0] * np.abs(np.sin(turn)) + prediction.size[hypothesis, 1])
+    widest = max(settings.beside_m, settings.beside_standing_m, settings.touch_m) + 0.5 * float(size[1])
+    room = widest + prediction.spread_m[hypothesis, instant] + extent + _SLACK_M
+    # In a bend the path leaves the tangent at the nearest station.
+    return np.abs(c * dy - s * dx) < room + 0.5 * (size[0] + prediction.size[hypothesis, 0]) * bent
+
+
 def _touching(
     path: Path,
     at: NDArray[np.int64],
@@ -172,7 +200,7 @@ def _touching(
     return overlap(side + touch_m), overlap(side + beside_m[:, None])
 
 
-def _interval(path: Path, at: NDArray[np.int64], hit: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _interval(at: NDArray[np.int64], hit: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the open (M,) intervals of stations around the hits."""
     along = at * STEP_M
     low = np.where(hit, along, np.inf).min(1, initial=np.inf) - STEP_M
@@ -204,6 +232,3 @@ def _lasting(rows: Array, aligned: NDArray[np.bool_], steps: int) -> Array:
             out[:, 0, to] = np.minimum(out[:, 0, to], crossing[:, 0, of])
             out[:, 1, to] = np.maximum(out[:, 1, to], crossing[:, 1, of])
     return out
-
-
-__all__ = ["ClearanceSettings", "Occupancy", "occupancy_of"]

@@ -36,7 +36,7 @@ class Path:
         return len(self.along)
 
 
-def path_of(route: Array, yaw: float, lateral_mps2: float) -> Path:
+def path_of(route: Array, yaw: float, lateral_mps2: float, length_m: float = math.inf) -> Path:
     """Return the path along a route.
 
     Jumps from lane to lane, where a route changes lanes, become lane changes.
@@ -45,29 +45,27 @@ def path_of(route: Array, yaw: float, lateral_mps2: float) -> Path:
         route: (K, 2) polyline, m, from the ego's centre.
         yaw: heading of the ego, rad.
         lateral_mps2: highest lateral acceleration.
+        length_m: longest part of the route that matters.
     """
     line = _without_jumps(np.asarray(route, np.float64))
-    step = np.hypot(*np.diff(line, axis=0).T)
-    grown = np.concatenate([[0.0], np.cumsum(step)])
-    along = np.arange(0.0, max(grown[-1], STEP_M) + 1e-9, STEP_M)
+    grown = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    along = np.arange(0.0, min(max(grown[-1], STEP_M), length_m) + 1e-9, STEP_M)
     xy = np.stack([np.interp(along, grown, line[:, axis]) for axis in (0, 1)], axis=1)
     xy = _smooth(xy, round(0.5 * _SMOOTH_M / STEP_M))
-    heading = _headings(xy)
-    # The body does not turn at once to where the route begins.
-    turned = math.remainder(yaw - heading[0], 2.0 * math.pi)
-    if abs(turned) < 0.5 * math.pi:
-        heading = heading + turned * np.exp(-along / _SMOOTH_M)
-    reach = max(1, round(0.5 * _BEND_M / STEP_M))
-    far = np.minimum(np.arange(len(xy)) + reach, len(xy) - 1)
-    near = np.maximum(np.arange(len(xy)) - reach, 0)
     drawn = _headings(xy)
+    # The body does not turn at once to where the route begins.
+    turned = math.remainder(yaw - drawn[0], 2.0 * math.pi)
+    heading = drawn + (turned * np.exp(-along / _SMOOTH_M) if abs(turned) < 0.5 * math.pi else 0.0)
+    place, reach = np.arange(len(xy)), max(1, round(0.5 * _BEND_M / STEP_M))
+    far, near = np.minimum(place + reach, len(xy) - 1), np.maximum(place - reach, 0)
     curvature = np.abs(drawn[far] - drawn[near]) / (np.maximum(far - near, 1) * STEP_M)
     return Path(along, xy, heading, np.sqrt(lateral_mps2 / np.maximum(curvature, 1e-6)))
 
 
 def _headings(xy: Array) -> Array:
-    slope = np.gradient(xy, axis=0)
-    return np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))
+    step = np.diff(xy, axis=0)
+    middle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    return np.concatenate([middle[:1], 0.5 * (middle[1:] + middle[:-1]), middle[-1:]])
 
 
 def _smooth(xy: Array, reach: int) -> Array:
@@ -87,7 +85,7 @@ def _without_jumps(line: Array) -> Array:
     length = np.hypot(*step.T)
     line, step, length = line[np.concatenate([[True], length > 1e-6])], step[length > 1e-6], length[length > 1e-6]
     if len(step) < 3:
-        return line if len(line) > 1 else np.concatenate([line[:1], line[:1] + [[STEP_M, 0.0]]])
+        return line if len(line) > 1 else np.stack([line[0], line[0] + np.array([STEP_M, 0.0])])
     direction = np.arctan2(step[:, 1], step[:, 0])
     turn = np.abs(np.remainder(np.diff(direction) + np.pi, 2.0 * np.pi) - np.pi)
     both = np.abs(np.remainder(direction[2:] - direction[:-2] + np.pi, 2.0 * np.pi) - np.pi)

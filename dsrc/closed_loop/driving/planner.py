@@ -27,6 +27,7 @@ from sim.traffic.base import TrafficLight
 _FIRST = np.array([-6.5, -5.5, -4.5, -3.5, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.4, 0.8, 1.2, 1.6, 2.0])
 _THEN = np.array([-5.0, -3.5, -2.5, -1.5, 0.0, 1.5])
 _CREEPING_MPS = 1.5
+_BEYOND_M = 5.0
 
 
 class PlannerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -98,8 +99,10 @@ class PlanningDriver:
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
         """Return the acceleration for the next step."""
         s = self.settings
-        path = path_of(ego.route, float(ego.box.yaw[0]), s.lateral_mps2)
-        tracks = _others(ego, tracks)
+        horizon_s, length_m = s.prediction.horizon_s, float(ego.box.size[0, 0])
+        reach_m = length_m + _BEYOND_M + ego.speed_mps * horizon_s + 0.5 * s.following.acceleration_mps2 * horizon_s**2
+        path = path_of(ego.route, float(ego.box.yaw[0]), s.lateral_mps2, reach_m)
+        tracks = selected(tracks, _relevant(ego, path, tracks, horizon_s))
         prediction = predict(tracks, self._accelerations(tracks), self.lanes or RouteLanes(path), s.prediction)
         occupancy = occupancy_of(path, ego.box.size[0, :2], prediction, s.clearance)
         line_m = self._stop_line(ego)
@@ -190,7 +193,7 @@ class PlanningDriver:
             ~hit_wide & gentle,
             ~hit_near & gentle,
         )
-        for rank, tier in enumerate(tiers):
+        for rank, tier in enumerate(tiers):  # noqa: B007
             if tier.any():
                 chosen = float(plans.first_mps2[tier].max())
                 break
@@ -212,12 +215,12 @@ class PlanningDriver:
         if len(doubtful) == 0:
             return np.ones(len(first), bool)
         plans = profiles_of(ego.speed_mps, top, first, np.full(len(first), -s.late_mps2), s.late_s, time_s)
-        fine = ~_hits(plans, doubtful.near).any(1)
+        fine = np.asarray(~_hits(plans, doubtful.near).any(1))
         return fine if fine.any() else np.ones(len(first), bool)
 
     def _least_bad(self, plans: Profiles, occupancy: Occupancy) -> float:
         """Return the first acceleration of the profile with the latest and then the slowest impact."""
-        hit = _inside(plans, occupancy.near).any(axis=1)
+        hit = np.asarray(_inside(plans, occupancy.near).any(axis=1))
         hit[:, 0] = False
         when = np.where(hit.any(1), hit.argmax(1), hit.shape[1])
         speed = plans.speed_mps[np.arange(len(plans)), np.minimum(when, hit.shape[1] - 1)]
@@ -235,19 +238,31 @@ class PlanningDriver:
         return -1
 
 
-def _others(ego: EgoState, tracks: Tracks) -> Tracks:
-    """Return tracks without the ego itself and without those who follow it: they have to mind it."""
-    offset = tracks.boxes.center[:, :2] - ego.box.center[0, :2]
-    c, s = math.cos(ego.box.yaw[0]), math.sin(ego.box.yaw[0])
-    ahead, left = offset @ [c, s], offset @ [-s, c]
+def _relevant(ego: EgoState, path: Path, tracks: Tracks, horizon_s: float) -> NDArray[np.bool_]:
+    """Return the (N,) mask of tracks that matter: not the ego itself, nor who follows it and has to mind it.
+
+    Nor who cannot reach its path within the horizon.
+    """
+    boxes, velocity = tracks.boxes, tracks.velocity
+    dx, dy = (boxes.center[:, axis] - ego.box.center[0, axis] for axis in (0, 1))
+    yaw = float(ego.box.yaw[0])
+    c, s = math.cos(yaw), math.sin(yaw)
+    ahead, left = c * dx + s * dy, c * dy - s * dx
     length, width = ego.box.size[0, :2]
     itself = (np.abs(ahead) < 0.5 * length) & (np.abs(left) < 0.5 * width)
-    forward = tracks.velocity @ [c, s]
-    speed = np.hypot(*tracks.velocity.T)
-    alike = np.where(speed > 0.5, forward > 0.75 * speed, np.abs(np.cos(tracks.boxes.yaw - ego.box.yaw[0])) > 0.75)
-    reach = 0.5 * (width + tracks.boxes.size[:, 1]) + 0.5
-    behind = (ahead + 0.5 * tracks.boxes.size[:, 0] < 0.0) & alike & (np.abs(left) < reach)
-    keep = ~itself & ~behind
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    forward = c * velocity[:, 0] + s * velocity[:, 1]
+    alike = np.where(speed > 0.5, forward > 0.75 * speed, np.abs(np.cos(boxes.yaw - yaw)) > 0.75)
+    beside = np.abs(left) < 0.5 * (width + boxes.size[:, 1]) + 0.5
+    follows = (ahead + 0.5 * boxes.size[:, 0] < 0.0) & alike & beside
+    low, high = path.xy.min(0), path.xy.max(0)
+    offset = np.maximum(low - boxes.center[:, :2], boxes.center[:, :2] - high).max(1, initial=0.0)
+    far = offset > (speed + 2.0) * horizon_s + 0.5 * (length + boxes.size[:, 0]) + _BEYOND_M
+    return ~itself & ~follows & ~far
+
+
+def selected(tracks: Tracks, keep: NDArray[np.bool_]) -> Tracks:
+    """Return the tracks of an (N,) mask."""
     if keep.all():
         return tracks
     return Tracks(
@@ -323,7 +338,7 @@ def _inside(plans: Profiles, rows: Array) -> NDArray[np.bool_]:
 
 def _hits(plans: Profiles, rows: Array) -> NDArray[np.bool_]:
     """Return the (P, R) mask of plans that enter intervals after the present, which no plan can change."""
-    return _inside(plans, rows)[..., 1:].any(axis=-1)
+    return np.asarray(_inside(plans, rows)[..., 1:].any(axis=-1))
 
 
 def _inside_now(occupancy: Occupancy) -> NDArray[np.bool_]:

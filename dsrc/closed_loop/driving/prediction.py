@@ -32,6 +32,7 @@ class PredictionSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
         turn_decay_s: time in which a turn rate decays to 1/e, off the lanes.
         turn_least_rad_s: turn rate below which a track goes straight on.
         lateral_mps2: highest lateral acceleration: faster ones turn less, and take no tight bend.
+        brakes_mps2: hardest braking before a bend.
         brakes_s: how long a braking lasts.
         accelerates_s: how long an acceleration lasts.
         sideways_s: how long a motion across the lane lasts.
@@ -46,6 +47,7 @@ class PredictionSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     turn_decay_s: float = 3.0
     turn_least_rad_s: float = 0.02
     lateral_mps2: float = 5.5
+    brakes_mps2: float = 3.0
     brakes_s: float = 2.5
     accelerates_s: float = 1.0
     sideways_s: float = 2.5
@@ -194,12 +196,9 @@ def _on_lanes(
     xy[:, 0] = tracks.boxes.center[row, :2]
     yaw = heading.copy()
     yaw[:, 0] = tracks.boxes.yaw[row]
-    # Nobody takes a bend that its speed forbids: it would have to brake harder than it does when it gets there.
-    bend = np.abs(np.diff(lines[..., 2], axis=1)) / LANE_STEP_M
-    allowed = np.sqrt(settings.lateral_mps2 / np.maximum(bend, 1e-3))
-    there = np.arange(bend.shape[1]) * LANE_STEP_M
-    inside = there[None, :] < np.minimum(done[place, -1], (length - 1) * LANE_STEP_M)[:, None]
-    fit = ((speed[:, :1] ** 2 <= allowed**2 + 2.0 * 3.0 * there + 4.0) | ~inside).all(axis=1)
+    fit = np.ones(len(ways), bool)
+    several = np.flatnonzero(np.bincount(place, minlength=len(moving))[place] > 1)
+    fit[several] = _takes(lines[several], length[several], speed[several, 0], done[place[several], -1], settings)
     choice = min(round(_CHOICE_S / settings.step_s), len(whole.time_s) - 1)
     # The likeliest lane is nearest to where its turn rate leads; as long as all are, the straightest.
     end = np.minimum(done[place, -1] / LANE_STEP_M, length - 1).astype(np.int64)
@@ -220,6 +219,18 @@ def _on_lanes(
         row=np.concatenate([whole.row[~gone], row[taken]]),
         likely=np.concatenate([whole.likely[~gone], likely[taken]]),
     )
+
+
+def _takes(
+    lines: Array, length: NDArray[np.int64], speed: Array, reach: Array, settings: PredictionSettings
+) -> NDArray[np.bool_]:
+    """Return which lanes allow a speed: nobody takes a bend for which it would have to brake hard."""
+    bend = np.abs(np.diff(lines[..., 2], axis=1)) / LANE_STEP_M
+    allowed = settings.lateral_mps2 / np.maximum(bend, 1e-3)
+    there = np.arange(bend.shape[1]) * LANE_STEP_M
+    inside = there < np.minimum(reach, (length - 1) * LANE_STEP_M)[:, None]
+    slowed = speed[:, None] ** 2 - 2.0 * settings.brakes_mps2 * there
+    return ((slowed <= allowed + 4.0) | ~inside).all(axis=1)
 
 
 def _stacked(lines: list[Array]) -> tuple[Array, NDArray[np.int64]]:

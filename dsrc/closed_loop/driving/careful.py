@@ -1,0 +1,85 @@
+"""Careful and competent human driver of UN Regulation No. 157: the yardstick of an avoidable crash.
+
+UN R157 (Automated Lane Keeping Systems, 01 series of amendments), Annex 3, first performance model: the risk is
+evaluated for 0.4 s, braking begins 0.75 s later, and grows to 0.774 g within 0.6 s. Where this driver, with the same
+view, does not crash, the crash was avoidable.
+"""
+
+import math
+
+import msgspec
+import numpy as np
+
+from dsrc.closed_loop.driving.lanes import LaneMap
+from dsrc.closed_loop.driving.planner import PlannerSettings, PlanningDriver, selected
+from dsrc.closed_loop.types import Decision, EgoState, Tracks
+
+G_MPS2 = 9.80665
+
+
+class CarefulSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters of the reference driver.
+
+    Attributes:
+        perception_s: evaluation of a risk: time from the first sight of a road user until the driver knows of it.
+        reaction_s: from the end of that until braking begins.
+        ramp_s: from then until full braking.
+        full_g: full braking, in g.
+        routine_mps2: braking that is no reaction to a risk, as in following, and comes at once.
+        calm_s: time without a risk after which the next one is a new one.
+    """
+
+    perception_s: float = 0.4
+    reaction_s: float = 0.75
+    ramp_s: float = 0.6
+    full_g: float = 0.774
+    routine_mps2: float = 1.5
+    calm_s: float = 1.0
+
+
+class CarefulDriver:
+    """Reference driver: plans as `PlanningDriver` does, but perceives and reacts as late as the regulation's driver.
+
+    Args:
+        lanes: see `PlanningDriver`.
+        settings: default: `CarefulSettings()`.
+        planning: of the plans.
+    """
+
+    def __init__(
+        self,
+        lanes: LaneMap | None = None,
+        settings: CarefulSettings | None = None,
+        planning: PlannerSettings | None = None,
+    ) -> None:
+        self.settings = settings or CarefulSettings()
+        self._planner = PlanningDriver(lanes, planning)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._planner.reset()
+        self._since: dict[int, float] = {}
+        self._begun = False
+        self._risk_s = self._last_s = -math.inf
+
+    def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
+        """Return the acceleration for the next step."""
+        s, now = self.settings, ego.time_s
+        numbers = tracks.boxes.object_id.tolist()
+        # Whoever is there at the start is known: the driver has been driving.
+        first = now if self._begun else -math.inf
+        self._begun, self._since = True, {number: self._since.get(number, first) for number in numbers}
+        known = np.array([now - self._since[number] >= s.perception_s - 1e-6 for number in numbers], bool)
+        plan = self._planner.decide(ego, selected(tracks, known))
+        risky = plan.acceleration_mps2 < -s.routine_mps2 and plan.reason not in ("free", "signal")
+        if not risky:
+            return plan
+        if now - self._last_s > s.calm_s:
+            self._risk_s = now
+        self._last_s = now
+        braking_s = now - self._risk_s - s.reaction_s
+        full = s.full_g * G_MPS2
+        strongest = full * min(max(braking_s / s.ramp_s, 0.0), 1.0)
+        wanted = full if plan.reason == "emergency" else -plan.acceleration_mps2
+        return Decision(-min(wanted, strongest), plan.reason, plan.track)
