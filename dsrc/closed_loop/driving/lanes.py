@@ -89,12 +89,12 @@ class NetworkLanes:
         lanes = [lane for lane in lanes if _driven(lane) and len(lane.getShape()) > 1]
         self._net = net
         self._lanes = {lane.getID(): lane for lane in lanes}
-        self._lines = [_resampled(np.array(lane.getShape(), np.float64)[:, :2]) for lane in lanes]
+        self.lines = [_resampled(np.array(lane.getShape(), np.float64)[:, :2]) for lane in lanes]
         self._names = [lane.getID() for lane in lanes]
         self._number = {name: number for number, name in enumerate(self._names)}
-        self._of = [row for row, line in enumerate(self._lines) for _ in line]
-        self._at = [round(along / LANE_STEP_M) for line in self._lines for along in _along(line)]
-        points = np.concatenate(self._lines)
+        self._of = [row for row, line in enumerate(self.lines) for _ in line]
+        self._at = [round(along / LANE_STEP_M) for line in self.lines for along in _along(line)]
+        points = np.concatenate(self.lines)
         self._heading = points[:, 2]
         self._tree = cKDTree(points[:, :2])
         self._chains: dict[int, tuple[Array, ...]] = {}
@@ -131,8 +131,8 @@ class NetworkLanes:
         """Return the ways on from the start of a lane: the lane and at least `_AHEAD_M` beyond it."""
         if number not in self._chains:
             ways = self._onward(self._names[number], _AHEAD_M)
-            first = self._lines[number]
-            joined = [np.concatenate([first, *(self._lines[self._number[name]][1:] for name in way)]) for way in ways]
+            first = self.lines[number]
+            joined = [np.concatenate([first, *(self.lines[self._number[name]][1:] for name in way)]) for way in ways]
             self._chains[number] = tuple(_resampled(line[:, :2]) for line in joined)
         return self._chains[number]
 
@@ -142,7 +142,7 @@ class NetworkLanes:
             return [[]]
         ways: list[list[str]] = []
         for onward in self._next(name):
-            length = LANE_STEP_M * len(self._lines[self._number[onward]])
+            length = LANE_STEP_M * len(self.lines[self._number[onward]])
             ways += [[onward, *rest] for rest in self._onward(onward, left_m - length)]
             if len(ways) >= _FORKS:
                 break
