@@ -35,7 +35,7 @@ class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
         drive: name of the drive, which its seed depends on.
         data: hash of the drive.
         positions: of the frames in the drive.
-        condition: kind, severity, family and settings of the corruption.
+        condition: kind, severity, family and settings of the corruption, and who is corrupted where it is not everyone.
         seed: of corruptions and channels.
         channel: settings of the channel without its name; None where no message is sent.
         agents: most agents that take part.
@@ -70,6 +70,8 @@ def condition_settings(condition: Condition) -> dict[str, Any]:
     listed = {"kind": condition.kind, "severity": condition.severity, "family": condition.family}
     if condition.kind == CLEAN:
         return listed
+    if condition.who != registry.EVERYONE:
+        listed["who"] = condition.who
     settings = registry.CORRUPTIONS[condition.kind].settings_of(condition.family).severity(condition.severity)
     return {**listed, "settings": msgspec.to_builtins(settings)}
 

@@ -49,7 +49,7 @@ from msgspec.structs import replace
 
 from dsrc.evaluation.detect import PAPER_TABLE, Condition, check_numbers, corruption_kinds
 from dsrc.options.detection import BenchmarkOptions
-from sensors.corruptions import Family
+from sensors.corruptions import EVERYONE, Family, parse_who, require_who
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.radio import IDEAL, ChannelSpec, get_channel
 from sim.tomlfile import read_toml
@@ -161,6 +161,7 @@ class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         corruptions: kinds, `paper_six`, `all` or `clean`; clean frames are always evaluated.
         severities: of each corruption, 1 to 5; the tables show 3, the paper's, where it is among them.
         families: of the corruptions' settings; the tables of corruptions are written once for each.
+        who: agents whose sweeps are corrupted: `all`, `ego`, `helpers`, or ids between commas.
         channels: radio channels; the tables show `ideal`, where every message arrives and bytes are counted.
         seed: of corruptions and channels.
         limit: most frames of a dataset, evenly spread; None for all.
@@ -176,6 +177,7 @@ class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     corruptions: tuple[str, ...] = (PAPER_TABLE,)
     severities: tuple[int, ...] = (3,)
     families: Annotated[tuple[Family, ...], Meta(min_length=1)] = ("physical",)
+    who: str = EVERYONE
     channels: _Texts = (IDEAL,)
     seed: int = 0
     limit: int | None = None
@@ -198,7 +200,7 @@ class Case:
         method: name of the method.
         training: number of the method's detector, from 0.
         dataset: name of the dataset.
-        condition: corruption, severity and family.
+        condition: corruption, severity, family and who is corrupted.
         channel: name of the channel.
         agents: most agents that take part; None for all.
         pose_error: as in `ParameterSweeps`; 0 for the channel's.
@@ -361,6 +363,11 @@ def check(plan: Benchmark, where: str) -> None:
     check_numbers(where, plan.severities, plan.seed, plan.limit)
     for family in plan.families:
         corruption_kinds((*plan.corruptions, plan.pictures.corruption), family, where)
+        try:
+            for kind in corruption_kinds((*plan.corruptions, plan.pictures.corruption), family, where):
+                require_who(kind, parse_who(plan.who))
+        except SettingsError as error:
+            raise SettingsError(f"{where}: {error}") from None
     try:
         for channel in plan.channels:
             get_channel(channel)
@@ -399,7 +406,7 @@ def conditions_of(plan: Benchmark) -> list[Condition]:
     return [
         Condition(),
         *(
-            Condition(kind, level, family)
+            Condition(kind, level, family, plan.who)
             for family in plan.families
             for kind in corruption_kinds(plan.corruptions, family)
             for level in plan.severities

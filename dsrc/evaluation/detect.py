@@ -55,11 +55,19 @@ class Method:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """Condition of the sweeps: kind of the corruption or `clean`, severity, 0 for clean, and family."""
+    """Condition of the sweeps.
+
+    Attributes:
+        kind: of the corruption, or `clean`.
+        severity: 1 to 5, 0 for clean.
+        family: of the corruption's settings.
+        who: agents whose sweeps are corrupted, see `sensors.corruptions.parse_who`.
+    """
 
     kind: str = CLEAN
     severity: int = 0
     family: Family = "physical"
+    who: str = registry.EVERYONE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +211,8 @@ def corrupted(frame: Frame, condition: Condition, seed: int) -> Frame:
     """Frame as the sensors deliver it under a condition; `seed` is the drive's."""
     if condition.kind == CLEAN:
         return frame
-    return registry.corrupt_frame(frame, condition.kind, condition.severity, seed, condition.family)
+    who = registry.parse_who(condition.who)
+    return registry.corrupt_frame(frame, condition.kind, condition.severity, seed, condition.family, who=who)
 
 
 class _FrameHistory(Sequence[Frame]):

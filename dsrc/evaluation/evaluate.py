@@ -83,6 +83,7 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
         corruptions=corruption_kinds(config.corruptions, config.family) or (CLEAN,),
         severities=(config.severity,),
         families=(config.family,),
+        who=config.who,
         channels=config.channels or (IDEAL,),
         seed=config.seed,
         limit=config.limit,

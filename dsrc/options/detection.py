@@ -6,7 +6,19 @@ import msgspec
 from msgspec import field
 from tyro.conf import Positional, arg
 
-from dsrc.options.fields import CHANNELS, CORRUPTIONS, METHODS, RECIPES, Data, Family, File, Folder, Severity, choice
+from dsrc.options.fields import (
+    CHANNELS,
+    CORRUPTIONS,
+    METHODS,
+    RECIPES,
+    Data,
+    Family,
+    File,
+    Folder,
+    Severity,
+    Who,
+    choice,
+)
 
 Checkpoints = Annotated[tuple[str, ...], arg(metavar="[NAME=]FILE [...]")]
 Kinds = Annotated[tuple[str, ...], choice(("clean", "paper_six", "all", *CORRUPTIONS), several=True)]
@@ -23,6 +35,8 @@ class Evaluation(Severity, frozen=True, kw_only=True):
         data: a drive, or a folder of drives.
         out: folder of results.csv, results.json, plots and cached cells; an interrupted evaluation resumes.
         corruptions: kinds of corruption; paper_six are those of the paper's tables; clean frames are always evaluated.
+        who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
+            acts on their sensors and nowhere else.
         seed: seed of corruptions and channels.
         limit: frames to evaluate, evenly spread; default: all.
         ego_alone: also evaluate the first detector without collaborators.
@@ -36,6 +50,7 @@ class Evaluation(Severity, frozen=True, kw_only=True):
     data: Data
     out: Folder
     corruptions: Kinds = field(default=("paper_six",), name="corruption")
+    who: Who = "all"
     seed: int = 0
     limit: int | None = field(default=None, name="frames")
     ego_alone: bool = True
@@ -55,6 +70,8 @@ class BenchmarkOptions(msgspec.Struct, frozen=True, kw_only=True):
         corruptions: kinds of corruption; paper_six are those of the paper's tables; default: paper_six.
         severities: severities of each corruption, 1 to 5; default: 3.
         family: models of the corruptions: of physical causes, or as published in papers; default: physical.
+        who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
+            acts on their sensors and nowhere else; default: all.
         channels: radio channels; default: ideal.
         agents: numbers of agents to compare, such as 1 2 3 4 5; default: none.
         pose_error: pose errors of the collaborators to compare, m and deg, such as 0.2 0.4; default: none.
@@ -70,6 +87,7 @@ class BenchmarkOptions(msgspec.Struct, frozen=True, kw_only=True):
     corruptions: Kinds | None = field(default=None, name="corruption")
     severities: tuple[int, ...] | None = field(default=None, name="severity")
     family: Family | None = None
+    who: Who | None = None
     channels: Channels | None = field(default=None, name="channel")
     agents: tuple[int, ...] | None = None
     pose_error: tuple[float, ...] | None = None

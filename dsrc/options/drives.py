@@ -7,7 +7,7 @@ import msgspec
 from msgspec import Meta
 from tyro.conf import arg
 
-from dsrc.options.fields import CORRUPTIONS, Data, Folder, Scenario, Severity, Splits, choice
+from dsrc.options.fields import CORRUPTIONS, Data, Folder, Scenario, Severity, Splits, Who, choice
 
 if TYPE_CHECKING:
     from sim import scenario
@@ -61,12 +61,15 @@ class CorruptOptions(Severity, frozen=True):
         data: a drive, or a folder of drives.
         out: folder of the corrupted drives, which keep their names; the drive itself where `data` is one.
         corruption: kind of the corruption.
+        who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
+            acts on their sensors and nowhere else.
         seed: seed of the corruption; every drive draws its own weather and faults from it.
     """
 
     data: Data
     out: Folder
     corruption: Annotated[str, choice(CORRUPTIONS)]
+    who: Who = "all"
     seed: int = 0
 
 

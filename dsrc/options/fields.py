@@ -16,6 +16,8 @@ Data = Positional[Annotated[Path, arg(metavar="DATA")]]
 Scenario = Positional[Annotated[str, arg(metavar="SCENARIO")]]
 Splits = Positional[Annotated[str, arg(metavar="SPLITS")]]
 Family = Literal["physical", "paper"]
+Who = Annotated[str, arg(metavar="{all,ego,helpers,ID[,ID...]}")]
+"""Agents whose sweeps are corrupted, see `sensors.corruptions.parse_who`."""
 
 # Lists of choices for help texts, so that help needs no heavy import; the functions decide, tests compare.
 CORRUPTIONS = (

@@ -20,7 +20,16 @@ from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles, own_settings, write_frame
 from dsrc.options.drives import CorruptOptions
 from dsrc.options.fields import takes_fields
-from sensors.corruptions import CLEAN, CORRUPTIONS, corrupt_frame, drive_seed, require_corruption
+from sensors.corruptions import (
+    CLEAN,
+    CORRUPTIONS,
+    EVERYONE,
+    corrupt_frame,
+    drive_seed,
+    parse_who,
+    require_corruption,
+    require_who,
+)
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint
 from sim.files import remove_leftovers
@@ -69,6 +78,7 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
     require_corruption(options.corruption, options.severity, options.family)
     if options.corruption == CLEAN:
         raise SettingsError(complaint("corrupt", "corruption", f"one of {', '.join(CORRUPTIONS)}", CLEAN))
+    require_who(options.corruption, parse_who(options.who))
     if options.seed < 0:
         raise SettingsError(complaint("corrupt", "seed", "at least 0", options.seed))
     data, out = Path(options.data).resolve(), Path(options.out).resolve()
@@ -119,7 +129,8 @@ def corrupted(job: CorruptionJob, reader: Drive, i: int) -> Frame:
     # The number of the file is that of the random stream and of the new file.
     frame, options = replace(reader.read(i), index=reader.frames[i]), job.options
     try:
-        return corrupt_frame(frame, options.corruption, options.severity, job.drive_seed, options.family)
+        who = parse_who(options.who)
+        return corrupt_frame(frame, options.corruption, options.severity, job.drive_seed, options.family, who=who)
     except DataError as error:
         raise DataError(f"{job.source}: {error}") from None
 
@@ -144,6 +155,8 @@ def _protocol(job: CorruptionJob, reader: Drive) -> dict:
         "code": code_hash(corrupt_frame.__module__),
         "source": {"drive": job.source.name, "sha256": reader.digest()},
     }
+    if options.who != EVERYONE:
+        entry["who"] = options.who
     own = own_settings(reader.protocol)
     if not own:
         return {"testbed": {"frames": len(reader), "corruptions": [entry]}}

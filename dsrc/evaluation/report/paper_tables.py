@@ -19,7 +19,7 @@ from dsrc.evaluation.results import CLEAN, Row, condition_title
 from dsrc.evaluation.runner import VISIBILITY, BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.evaluation.table import Column, ResultTable, Stat, TableRow
 from dsrc.models.settings import ModelSettings
-from sensors.corruptions import Family
+from sensors.corruptions import EVERYONE, Family
 from sim.radio import IDEAL
 
 PAPER_SEVERITY = 3
@@ -43,6 +43,7 @@ class DatasetResults:
         family: of the corruptions.
         starts: initial weights of the trainings by method, where known.
         notes: footnotes.
+        who: agents whose sweeps are corrupted.
     """
 
     dataset: str
@@ -53,6 +54,7 @@ class DatasetResults:
     family: Family = "physical"
     starts: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[Footnote, ...] = ()
+    who: str = EVERYONE
 
     @classmethod
     def of(cls, result: BenchmarkResult, dataset: str, family: Family | None = None) -> "DatasetResults":
@@ -69,12 +71,14 @@ class DatasetResults:
             family,
             {method.name: method.start for method in plan.methods if method.start},
             plan.notes,
+            plan.who,
         )
 
     @property
     def titled(self) -> str:
-        """Title of the dataset; it marks published corruptions."""
-        return self.dataset if self.family == "physical" else f"{self.dataset}, corruptions as published"
+        """Title of the dataset; it marks published corruptions, and those of some agents alone."""
+        published = "" if self.family == "physical" else ", corruptions as published"
+        return f"{self.dataset}{published}{'' if self.who == EVERYONE else f', corrupted: {self.who}'}"
 
     @property
     def level(self) -> str:

@@ -251,7 +251,7 @@ def read_drawn_frames(plan: Benchmark, grid: GridSpec) -> list[DrawnFrame]:
         DataError: the dataset has no frame.
     """
     kind = plan.pictures.corruption
-    condition = Condition(kind, 0 if kind == CLEAN else PAPER_SEVERITY, plan.family)
+    condition = Condition(kind, 0 if kind == CLEAN else PAPER_SEVERITY, plan.family, plan.who)
     chosen = []
     for percentile, reader, position in frames_at(plan, grid):
         name = reader.drive.name

@@ -35,7 +35,7 @@ class PointCounter:
         return Detections(type(sample.boxes).from_array(boxes), score)
 
 
-def halve(frame, kind, severity, seed, family="physical"):
+def halve(frame, kind, severity, seed, family="physical", who="all"):
     """Leave every `2 * severity`-th point."""
     return frame.with_sweeps([agent.sweep[:: 2 * severity] for agent in frame.agents])
 

@@ -78,6 +78,21 @@ text = "Old."
 [sweeps]"""
 
 
+def test_who_is_corrupted_is_part_of_every_condition(tmp_path):
+    text = GOOD.replace('name = "small"', 'name = "small"\nwho = "helpers"')
+    plan = read_benchmark(written(tmp_path, text))
+    assert {case.condition.who for case in cases_of(plan) if case.condition.kind != "clean"} == {"helpers"}
+    options = BenchmarkOptions(checkpoints=("c.pt",), data=("data",), who="1002,-1")
+    assert plan_of(options).who == "1002,-1"
+    for who, message in (
+        ("helper", "who: expected all, ego, helpers or ids"),
+        ("ego", "pose_error.* expected helpers"),
+    ):
+        wrong = GOOD.replace('name = "small"', f'name = "small"\nwho = "{who}"').replace('"snow"]', '"pose_error"]')
+        with pytest.raises(SettingsError, match=message):
+            read_benchmark(written(tmp_path, wrong))
+
+
 def test_both_families_are_run_and_clean_frames_once(tmp_path):
     text = GOOD.replace('name = "small"', 'name = "small"\nfamilies = ["physical", "paper"]')
     plan = read_benchmark(written(tmp_path, text))

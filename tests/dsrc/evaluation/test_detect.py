@@ -7,7 +7,15 @@ import pytest
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import make_sample
-from dsrc.evaluation.detect import Method, corruption_kinds, first_agents, frame_positions, warn_of_slow_drives
+from dsrc.evaluation.detect import (
+    Condition,
+    Method,
+    corrupted,
+    corruption_kinds,
+    first_agents,
+    frame_positions,
+    warn_of_slow_drives,
+)
 from dsrc.evaluation.results import find_row
 from dsrc.ops.detections import Detections
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed
@@ -83,7 +91,7 @@ def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives):
 def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
     calls = []
 
-    def count(frame, kind, severity, seed, family):
+    def count(frame, kind, severity, seed, family, who):
         calls.append((frame.index, kind, severity, seed, family))
         return halve(frame, kind, severity, seed)
 
@@ -94,6 +102,14 @@ def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
     assert sorted(calls) == [(i, kind, 2, own, "physical") for i in range(3) for kind in ("fog", "snow")]
     assert [a is b for a, b in zip(one.seen, two.seen, strict=True)] == [True] * 9
     assert one.seen[0].key == "drive_0/1000/000000"
+
+
+@pytest.mark.parametrize(("who", "parsed"), [("all", "all"), ("ego", "ego"), ("1002,-1", (1002, -1))])
+def test_a_condition_says_whose_sweeps_are_corrupted(monkeypatch, who, parsed):
+    seen = []
+    monkeypatch.setattr("sensors.corruptions.corrupt_frame", lambda *given, who: seen.append(who))
+    corrupted(toy_frame(0), Condition("fog", 5, who=who), seed=3)
+    assert seen == [parsed]
 
 
 def test_two_runs_give_the_same_rows(drives):

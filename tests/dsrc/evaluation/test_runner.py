@@ -191,6 +191,7 @@ SETTINGS = CellSettings(
         {"condition": condition_settings(Condition("fog", 4))},
         {"condition": condition_settings(Condition("fog", 3, "paper"))},
         {"condition": condition_settings(Condition("snow", 3))},
+        {"condition": condition_settings(Condition("fog", 3, who="ego"))},
         {"condition": condition_settings(Condition())},
         {"seed": 1},
         {"channel": None},
@@ -206,6 +207,11 @@ SETTINGS = CellSettings(
 def test_every_setting_has_cells_of_its_own(change):
     assert replace(SETTINGS, **change).key != SETTINGS.key
     assert {field for field in SETTINGS.__struct_fields__} >= set(change)
+
+
+def test_a_cell_names_who_is_corrupted_only_where_it_is_not_everyone():
+    assert "who" not in condition_settings(Condition("fog", 3, who="all"))
+    assert condition_settings(Condition("fog", 3, who="helpers"))["who"] == "helpers"
 
 
 def test_a_channel_is_what_it_does_and_not_its_name(tmp_path):
