@@ -24,8 +24,6 @@ AHEAD_S = (0.0, 0.3, 0.6, 0.9)
 """Times ahead at which collisions of the ego's projection are looked for, within 1 s."""
 STANDING_MPS = 0.005
 BEHIND_RAD = math.radians(150.0)
-NEAR_M = 30.0
-"""Distance of centres within which two bodies can touch, m."""
 LEAST_REFERENCE_M = 5.0
 """Reference distance up to which progress is complete."""
 
@@ -103,8 +101,9 @@ def _projections_are_free(motion: Motion, step_s: float) -> bool:
             others = Boxes(moved, others.size, others.yaw, others.label, others.object_id)
             there = ego.center.copy()
             there[0, :2] += speed * ahead_s * heading
-            close = np.linalg.norm(others.center - there, axis=1) < NEAR_M
+            reach = 0.5 * (np.linalg.norm(ego.size) + np.linalg.norm(others.size, axis=1))
+            close = np.linalg.norm(others.center - there, axis=1) < reach
             near = others[close & ~np.isin(others.object_id, behind)]
-            if collide(Boxes(there, ego.size, ego.yaw, ego.label, ego.object_id), near).any():
+            if len(near) and collide(Boxes(there, ego.size, ego.yaw, ego.label, ego.object_id), near).any():
                 return False
     return True

@@ -54,13 +54,25 @@ def time_to_collision(
 def times_to_collision(
     ego: Boxes, ego_velocity: NDArray[np.float64], others: Boxes, velocity: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the (N,) times until the ego's box meets each other one, s; 0 for overlaps, inf for none.
+    """Return the (N,) times until the ego's box meets each other one, s; 0 for overlaps, inf beyond `HORIZON_S`.
 
     Exact: two moving rectangles meet when their shadows overlap on the normals of all their sides at once.
     """
-    if len(others) == 0:
-        return np.zeros(0)
+    found = np.full(len(others), math.inf)
     relative = velocity - ego_velocity
+    # Only boxes whose circles can meet within the horizon need the exact test.
+    reach = 0.5 * (np.linalg.norm(ego.size[:, :2], axis=1) + np.linalg.norm(others.size[:, :2], axis=1))
+    away = np.linalg.norm(others.center[:, :2] - ego.center[:, :2], axis=1)
+    near = np.flatnonzero(away <= reach + HORIZON_S * np.linalg.norm(relative, axis=1))
+    near = near[_same_road(ego, others[near])]
+    if len(near):
+        times = _first_touch(ego, others[near], relative[near])
+        found[near] = np.where(times <= HORIZON_S, times, math.inf)
+    return found
+
+
+def _first_touch(ego: Boxes, others: Boxes, relative: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N,) times until boxes meet that move by (N, 2) velocities relative to the ego, m/s; inf for never."""
     ours, theirs = ego.bev_polygons(), others.bev_polygons()
     enters, leaves = np.full(len(others), 0.0), np.full(len(others), math.inf)
     for yaw in (np.repeat(ego.yaw, len(others)), others.yaw):
@@ -77,8 +89,7 @@ def times_to_collision(
             over = (near < 0.0) & (far > 0.0)
             enters = np.maximum(enters, np.where(still, np.where(over, 0.0, math.inf), first))
             leaves = np.minimum(leaves, np.where(still, math.inf, last))
-    times = np.where(enters < leaves, enters, math.inf)
-    return np.where(_same_road(ego, others), times, math.inf)
+    return np.where(enters < leaves, enters, math.inf)
 
 
 def _same_road(ego: Boxes, others: Boxes) -> NDArray[np.bool_]:

@@ -17,6 +17,7 @@ from dsrc.closed_loop.metrics.surrogate import (
     ttc_series,
 )
 from sim.boxes import Boxes
+from sim.collisions import overlap
 from sim.contact import Contact
 from tests.dsrc.closed_loop.logged import Mover, ahead, episode
 
@@ -112,3 +113,26 @@ def test_the_nearest_distance_is_between_sides_not_centres() -> None:
         1.5, abs=1e-4
     )
     assert nearest_distance(Motion.of(episode([Mover("ego", ahead(10.0))], 2))) == math.inf
+
+
+def test_the_exact_time_is_the_first_at_which_moved_boxes_overlap() -> None:
+    """Random boxes and velocities: no overlap just before the time, an overlap just after it."""
+    rng = np.random.default_rng(5)
+    n, far = 2000, 20.0
+    place, size = rng.uniform(-far, far, (n, 2)), rng.uniform(0.5, 9.0, (n, 3))
+    others = Boxes.from_array(np.column_stack([place, np.full(n, 0.8), size, rng.uniform(-3, 3, n)]))
+    velocity, own = rng.uniform(-15, 15, (n, 2)), np.array([8.0, -2.0])
+    times = times_to_collision(EGO, own, others, velocity)
+
+    def met(at_s: np.ndarray) -> np.ndarray:
+        return overlap(
+            EGO.bev_polygons() + at_s[:, None, None] * own,
+            others.bev_polygons() + at_s[:, None, None] * velocity[:, None, :],
+        )
+
+    now, later, never = times == 0.0, np.isfinite(times) & (times > 0.0), np.isinf(times)
+    assert min(now.sum(), later.sum(), never.sum()) > 20
+    assert met(np.zeros(n))[now].all()
+    assert not met(np.where(later, times - 1e-6, 0.0))[later].any()
+    assert met(np.where(later, times + 1e-4, 0.0))[later].mean() > 0.97  # others only graze a corner
+    assert not any(met(np.full(n, at_s))[never].any() for at_s in np.arange(0.0, 10.0, 0.05))
