@@ -35,7 +35,7 @@ DOORS = {
         "sensors/raycast/fused/",
         "dsrc/data/formats/",
     ),
-    "highway_env": ("sim/traffic/highway/",),
+    "highway_env": ("sim/traffic/highway/", "dsrc/closed_loop/environments/"),
 }
 FULL = {
     "sensors/corruptions": "one file per kind of corruption",

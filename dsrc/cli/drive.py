@@ -1,45 +1,75 @@
-"""Command `dsrc drive`: closed-loop episodes."""
+"""Command `dsrc drive`: closed-loop episodes, campaigns of them, and another look at one."""
 
-from typing import Annotated, Literal
+import sys
+from pathlib import Path
 
 import msgspec
 
-from dsrc.cli.options import CHANNELS, CORRUPTIONS, File, Scenario, Severity, choice
 from dsrc.cli.progress import progress
+from dsrc.data.executors import SERIAL, Pool
+from dsrc.options.driving import DriveOptions
+from dsrc.options.fields import Folder
 
 
-class Drive(msgspec.Struct, frozen=True, kw_only=True):
-    """Drive closed-loop episodes: the ego brakes for what its perception reports.
+class Drive(DriveOptions, frozen=True, kw_only=True):
+    """Drive closed-loop episodes: what an ego makes of what it perceives.
+
+    A campaign drives scenarios x perceptions x corruptions x channels x seeds, resumes when it was interrupted, and
+    writes results.csv, tables, plots and a log of every episode. The log of an episode in place of a scenario shows
+    the same traffic to another perception.
 
     Attributes:
-        scenario: shipped scenario, or path of a scenario.toml.
-        perception: ground truth, the ego's detector alone, or the detector with collaborators.
-        checkpoint: detector file; default: the shipped one.
-        corruption: corruption of every agent's sweeps.
-        seed: seeds of the episodes, one each.
-        duration_s: length of an episode, s.
-        channel: radio channel.
-        out: CSV file of the results, one row per episode; default: none.
+        out: folder of results and logs; default: results are printed only.
     """
 
-    scenario: Scenario
-    perception: Literal["truth", "ego", "dsrc"] = "truth"
-    checkpoint: File | None = None
-    corruption: Annotated[str, choice(("clean", *CORRUPTIONS))] = "clean"
-    level: Severity = Severity()
-    seed: tuple[int, ...] = (0,)
-    duration_s: float = 20.0
-    channel: Annotated[str, choice(CHANNELS)] = "ideal"
-    out: File | None = None
+    out: Folder | None = None
+    pool: Pool = SERIAL
 
     def run(self) -> None:
-        """Drive the episodes and print their table."""
+        """Drive what is missing and print the table."""
+        import tempfile
+
+        if self.what.endswith(".npz"):
+            self._look_again()
+            return
+        if self.out is not None:
+            self._drive(self.out)
+            return
+        with tempfile.TemporaryDirectory(prefix="dsrc-drive-") as folder:
+            self._drive(Path(folder))
+
+    def _drive(self, out: Path) -> None:
         from rich.console import Console
 
-        from dsrc.closed_loop.episodes import drive_episodes
+        from dsrc.closed_loop.campaign.plan import campaign_of
+        from dsrc.closed_loop.campaign.report import summary_table, write_report
+        from dsrc.closed_loop.campaign.run import estimate_s, run_campaign
 
-        options = msgspec.structs.asdict(self)
-        options |= {"seeds": options.pop("seed"), **msgspec.structs.asdict(options.pop("level"))}
-        with progress(f"drive {self.scenario}, perception {self.perception}") as report:
-            table = drive_episodes(options.pop("scenario"), **options, progress=report)
-        Console(highlight=False).print(table)
+        plan = campaign_of(self)
+        if self.out is not None:
+            episodes, seconds = estimate_s(plan, out, self.pool)
+            sys.stderr.write(f"{episodes} episodes to drive, about {_duration(seconds)}\n")
+        with progress(f"drive {plan.name}") as report:
+            result = run_campaign(plan, out, self.pool, report)
+        console = Console(highlight=False)
+        console.print(summary_table(result))
+        if self.out is not None:
+            for path in write_report(result, out):
+                sys.stdout.write(f"{path}\n")
+
+    def _look_again(self) -> None:
+        from rich.console import Console
+
+        from dsrc.closed_loop.campaign.plan import campaign_of
+        from dsrc.closed_loop.campaign.report import comparison_table
+        from dsrc.closed_loop.campaign.run import look_again_at
+
+        campaign_of(msgspec.structs.replace(self, what="four_way"))  # options are checked as those of an episode
+        former, again = look_again_at(Path(self.what), self)
+        Console(highlight=False).print(comparison_table(former, again))
+        if self.out is not None:
+            sys.stdout.write(f"{again.save(self.out / 'again.npz')}\n")
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} min"

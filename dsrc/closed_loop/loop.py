@@ -10,15 +10,18 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import choose_ego, ego_state
+from dsrc.closed_loop.encounter import lost_encounter
+from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Decision, Driver, EgoState, Outcome, Percept, Perception, Tick
-from sensors.recording.encounter_check import with_proven_encounter
+from sensors.recording.encounter_check import CONFLICT_ID, with_proven_encounter
 from sim.catalog.load import load_scenario
 from sim.contact import Contact, first_contact
 from sim.errors import TrafficError
@@ -29,8 +32,6 @@ from sim.traffic.open import open_traffic
 _STILL_MPS = 0.1
 _AT_LIGHT_M = 40.0
 """Distance to a red light within which standing is waiting, m."""
-_LOST_S = 1.0
-"""Difference of arrival at the conflict from which on an encounter is lost, s."""
 
 
 class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -49,6 +50,52 @@ class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     latency_s: float = 0.0
     stuck_s: float = 8.0
     perception_limit_s: float = 60.0
+
+
+class PerceptionClock:
+    """Schedule of a perception in one episode: when it measures and when a percept arrives.
+
+    Attributes:
+        failure: why the perception failed, "" as long as it works.
+
+    Args:
+        perception: after its `reset`.
+        settings: interval, latency and limit of time.
+        step_s: traffic step, s.
+    """
+
+    def __init__(self, perception: Perception, settings: LoopSettings, step_s: float) -> None:
+        self.failure = ""
+        self._perception, self._settings = perception, settings
+        self._every = max(1, round(settings.detect_every_s / step_s))
+        self._steps = 0
+        self._waiting: deque[Percept] = deque()
+
+    def percept(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept | None:
+        """Return the percept that arrives at the next step: of this instant, or of an earlier one with a latency.
+
+        None without one, and after a failure.
+
+        Args:
+            before: actors one step ago.
+            now: actors now.
+            claims: false objects that helpers report.
+        """
+        if self._steps % self._every == 0 and not self.failure:
+            began = time.perf_counter()
+            try:
+                self._waiting.append(checked_percept(self._perception.perceive(before, now, claims)))
+            except Exception as error:  # a perception of one's own may raise anything, and the campaign goes on
+                self.failure = f"{type(error).__name__}: {' '.join(str(error).split())}"
+                return None
+            if (took_s := time.perf_counter() - began) > self._settings.perception_limit_s:
+                self.failure = f"took {took_s:.0f} s, limit {self._settings.perception_limit_s:g} s"
+                return None
+        self._steps += 1
+        arrived = None
+        while self._waiting and now.time_s - self._waiting[0].time_s >= self._settings.latency_s - 1e-6:
+            arrived = self._waiting.popleft()
+        return arrived
 
 
 class ClosedLoop:
@@ -110,12 +157,13 @@ class ClosedLoop:
         self._traffic = traffic = open_traffic(self.scenario, seed)
         self.ego_id = choose_ego(traffic, self.scenario)
         self.ticks, self.outcome, self.message, self.seconds = [], None, "", {}
-        self._tracker, self._waiting, self._stood_s, self._moved = Tracker(), deque[Percept](), 0.0, False
-        self._detect_every = max(1, round(self.settings.detect_every_s / traffic.step_s))
+        self._tracker, self._stood_s, self._moved = Tracker(), 0.0, False
+        self._clock = PerceptionClock(self.perception, self.settings, traffic.step_s)
         self.driver.reset()
         with self._timed("reset"):
             self.perception.reset(self.scenario, self.ego_id, seed)
-        before = traffic.actors
+        self.seed, self._route_m = seed, traffic.goal_m(self.ego_id)
+        self._first = before = traffic.actors
         speed = traffic.speed(self.ego_id)
         traffic.command(self.ego_id, speed)
         traffic.step()
@@ -167,6 +215,25 @@ class ClosedLoop:
         assert self.outcome is not None
         return self.outcome
 
+    def log(self, **names: Any) -> EpisodeLog:
+        """Return the log of an episode that has ended.
+
+        Args:
+            names: further fields of `EpisodeSettings`: perception, driver, corruption, severity, family, who, channel,
+                versions.
+        """
+        if self.outcome is None:
+            raise TrafficError("expected an episode that has ended, found a running one")
+        settings = EpisodeSettings(
+            scenario=self.scenario,
+            seed=self.seed,
+            ego_id=self.ego_id,
+            loop=msgspec.to_builtins(self.settings),
+            route_m=self._route_m,
+            **names,
+        )
+        return EpisodeLog(settings, self._first, self.ticks, self.outcome, self.message)
+
     def close(self) -> None:
         """End the traffic; ticks and outcome stay."""
         if self._traffic is not None:
@@ -178,33 +245,14 @@ class ClosedLoop:
         traffic, now = self.traffic, self.traffic.actors
         claims = traffic.claims()
         with self._timed("perceive"):
-            percept = self._perceive(before, now, claims)
+            percept = self._clock.percept(before, now, claims)
+        if self._clock.failure:
+            self.outcome, self.message = Outcome.PERCEPTION_FAILED, self._clock.failure
         with self._timed("track"):
             tracks = self._tracker.update(percept, now.time_s)
         with self._timed("decide"):
             decision = self.driver.decide(ego, tracks) if contact is None else Decision(0.0)
         self.ticks.append(Tick(now, ego, percept, tracks, decision, claims, contact))
-
-    def _perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept | None:
-        """Return the percept that arrives now: of this instant, or of an earlier one with a latency."""
-        if len(self.ticks) % self._detect_every == 0:
-            began = time.perf_counter()
-            try:
-                percept = checked_percept(self.perception.perceive(before, now, claims))
-            except Exception as error:  # a perception of one's own may raise anything, and the campaign goes on
-                self._fail(f"{type(error).__name__}: {' '.join(str(error).split())}")
-                return None
-            if (took_s := time.perf_counter() - began) > self.settings.perception_limit_s:
-                self._fail(f"took {took_s:.0f} s, limit {self.settings.perception_limit_s:g} s")
-                return None
-            self._waiting.append(percept)
-        arrived = None
-        while self._waiting and now.time_s - self._waiting[0].time_s >= self.settings.latency_s - 1e-6:
-            arrived = self._waiting.popleft()
-        return arrived
-
-    def _fail(self, message: str) -> None:
-        self.outcome, self.message = Outcome.PERCEPTION_FAILED, message
 
     def _judge(self) -> Outcome | None:
         """Return how the episode ends with the present step; None while it runs."""
@@ -228,7 +276,9 @@ class ClosedLoop:
     def _checked(self, outcome: Outcome) -> Outcome:
         """Return the outcome, or that the ego never met its encounter."""
         gap_s = self.traffic.encounter_gap_s(self.ego_id)
-        return Outcome.DESYNCHRONISED if gap_s is not None and abs(gap_s) > _LOST_S else outcome
+        if gap_s is not None and lost_encounter(self.ticks, self.ego_id, CONFLICT_ID, gap_s):
+            return Outcome.DESYNCHRONISED
+        return outcome
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

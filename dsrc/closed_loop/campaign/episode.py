@@ -1,0 +1,214 @@
+"""Computation of episodes, the unit of work of a campaign.
+
+All that this module imports, at any depth, is hashed into the keys of episodes, see `dsrc.data.code_hash`.
+"""
+
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from dsrc.closed_loop.driving.careful import CarefulDriver
+from dsrc.closed_loop.driving.planner import PlanningDriver
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
+from dsrc.closed_loop.metrics.episode import episode_metrics
+from dsrc.closed_loop.perception.open import open_perception
+from dsrc.closed_loop.types import Driver, Perception
+from sensors.corruptions import CLEAN
+from sim.files import write_file
+from sim.scenario import Scenario
+
+DRIVERS: dict[str, Callable[[], Driver]] = {"planning": PlanningDriver, "careful": CarefulDriver}
+"""Drivers by name."""
+
+
+class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
+    """Episode to drive: everything that decides its log.
+
+    Attributes:
+        scenario: name or path of the scenario.
+        content: settings of the scenario.
+        perception: name in tables.
+        uses: `truth`, `sight`, `ego`, `team` or `module:Class`.
+        checkpoint: detector file; "" for the shipped one, or without one.
+        detector: SHA-256 of the detector file; "" without one.
+        condition: kind, severity, family and settings of the corruption.
+        who: agents whose sensors are corrupted.
+        channel: name of the channel.
+        radio: settings of the channel.
+        seed: of the episode.
+        driver: key of `DRIVERS`.
+        loop: intervals and limits of time.
+        versions: of other packages that the code imports.
+        code: hash of the code.
+    """
+
+    scenario: str
+    content: dict[str, Any]
+    perception: str
+    uses: str
+    checkpoint: str
+    detector: str
+    condition: dict[str, Any]
+    who: str
+    channel: str
+    radio: dict[str, Any]
+    seed: int
+    driver: str
+    loop: LoopSettings
+    versions: dict[str, str]
+    code: str
+
+
+class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
+    """Result of an episode, a line of results.csv.
+
+    Attributes:
+        scenario: name or path of the scenario.
+        perception: name in tables.
+        corruption: kind, `clean` without one.
+        severity: 1 to 5, 0 without a corruption.
+        family: of the corruption's settings, "" without one.
+        who: agents whose sensors are corrupted.
+        channel: name of the channel.
+        seed: of the episode.
+        outcome: see `dsrc.closed_loop.types.Outcome`.
+        message: explanation of a failed perception.
+        key: name of its cell.
+        metrics: see `dsrc.closed_loop.metrics.episode.EpisodeMetrics`; None where undefined.
+    """
+
+    scenario: str
+    perception: str
+    corruption: str
+    severity: int
+    family: str
+    who: str
+    channel: str
+    seed: int
+    outcome: str
+    message: str
+    key: str
+    metrics: dict[str, float | None]
+
+
+class WorkUnit(msgspec.Struct, frozen=True):
+    """Episodes of one scenario and seed by one perception.
+
+    Attributes:
+        folder: of the cells.
+        episodes: settings by key.
+    """
+
+    folder: str
+    episodes: tuple[tuple[str, EpisodeJob], ...]
+
+
+def drive_unit(unit: WorkUnit, report: Callable[[int, int], None]) -> None:
+    """Drive the episodes of a unit and write their cells; the task of a worker.
+
+    A cell is KEY.npz with the log and then KEY.json with the result: one that exists is complete.
+
+    Args:
+        unit: what to drive.
+        report: called with episodes done and episodes in all.
+    """
+    for done, (key, job) in enumerate(unit.episodes, start=1):
+        log = drive_episode(job)
+        log.save(Path(unit.folder) / f"{key}.npz")
+        result = result_of(key, job, log)
+        write_file(Path(unit.folder) / f"{key}.json", msgspec.json.encode(result, order="deterministic"))
+        report(done, len(unit.episodes))
+
+
+def drive_episode(job: EpisodeJob) -> EpisodeLog:
+    """Return the log of one episode.
+
+    Raises:
+        UserError: scenario or perception cannot be opened.
+    """
+    scenario = msgspec.convert(job.content, Scenario)
+    loop = ClosedLoop(scenario, _perception(job), DRIVERS[job.driver](), job.loop)
+    loop.run(job.seed)
+    condition = job.condition
+    return loop.log(
+        perception=job.uses,
+        driver=job.driver,
+        corruption=condition["kind"],
+        severity=_severity(condition),
+        family=condition["family"],
+        who=job.who,
+        channel=job.channel,
+        versions=job.versions,
+    )
+
+
+def _severity(condition: dict[str, Any]) -> int:
+    return 0 if condition["kind"] == CLEAN else condition["severity"]
+
+
+def probe_s(job: EpisodeJob, steps: int = 4) -> float:
+    """Return the time of a step of an episode on this machine, s; the first step, which compiles, does not count."""
+    loop = ClosedLoop(msgspec.convert(job.content, Scenario), _perception(job), DRIVERS[job.driver](), job.loop)
+    try:
+        loop.start(job.seed)
+        loop.advance()
+        began = time.perf_counter()
+        for _ in range(steps):
+            if loop.outcome is None:
+                loop.advance()
+        return (time.perf_counter() - began) / steps
+    finally:
+        loop.close()
+
+
+def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
+    """Return the result of an episode, computed from its log alone."""
+    condition = job.condition
+    values = msgspec.to_builtins(episode_metrics(log))
+    return EpisodeResult(
+        scenario=job.scenario,
+        perception=job.perception,
+        corruption=condition["kind"],
+        severity=_severity(condition),
+        family="" if condition["kind"] == CLEAN else condition["family"],
+        who=job.who,
+        channel=job.channel,
+        seed=job.seed,
+        outcome=log.outcome.value,
+        message=log.message,
+        key=key,
+        metrics={name: None if value != value else float(value) for name, value in values.items()},
+    )
+
+
+def _perception(job: EpisodeJob) -> Perception:
+    condition = job.condition
+    return _opened(
+        job.uses,
+        job.checkpoint,
+        condition["kind"],
+        condition["severity"],
+        condition["family"],
+        job.who,
+        job.channel,
+    )
+
+
+@lru_cache(maxsize=2)
+def _opened(
+    uses: str, checkpoint: str, corruption: str, severity: int, family: str, who: str, channel: str
+) -> Perception:
+    return open_perception(
+        uses,
+        checkpoint=Path(checkpoint) if checkpoint else None,
+        corruption=corruption,
+        severity=severity,
+        family=family,  # type: ignore[arg-type]
+        who=who,
+        channel=channel,
+    )

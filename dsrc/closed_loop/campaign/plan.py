@@ -1,0 +1,287 @@
+"""Settings of a campaign, a TOML: scenarios x perceptions x corruptions x severities x channels x seeds.
+
+    name = "which corruption kills"
+    scenarios = ["ima_building", "ped_dartout"]
+    corruptions = ["paper_six"]       # clean episodes are always driven
+    severities = [3]
+    channels = ["ideal"]
+    clean_seeds = 20                  # episodes of a cell of the tables, the same seeds for everybody
+    seeds = 10
+
+    [[perceptions]]
+    name = "truth"
+
+    [[perceptions]]
+    name = "ego alone"
+    uses = "ego"
+    checkpoint = "runs/dsrc_s0/student/detector.pt"
+
+Paths are relative to the file, or else to the current folder.
+"""
+
+import hashlib
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+from msgspec.structs import replace
+
+from dsrc.closed_loop.campaign.episode import EpisodeJob
+from dsrc.closed_loop.loop import LoopSettings
+from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, WITHOUT_SENSOR
+from dsrc.data.code_hash import code_hash, package_versions
+from dsrc.evaluation.cache import channel_settings, condition_settings
+from dsrc.evaluation.config import split_name
+from dsrc.evaluation.detect import PAPER_TABLE, Condition, corruption_kinds
+from dsrc.options.driving import DriveOptions
+from sensors.corruptions import CLEAN, Family
+from sim.catalog.load import load_scenario
+from sim.encounters import ENCOUNTERS
+from sim.errors import SettingsError, complaint
+from sim.files import file_sha256
+from sim.radio import IDEAL, get_channel
+from sim.tomlfile import read_toml
+
+CONTROLS = ("no_occluder", "no_conflict")
+COMPUTED_BY = "dsrc.closed_loop.campaign.episode"
+"""Module whose sources and imports are hashed into the keys of episodes."""
+
+Seeds = Annotated[int, Meta(ge=1)] | Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
+_Names = Annotated[tuple[str, ...], Meta(min_length=1)]
+
+
+class PerceptionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Perception of a campaign, a line of its tables.
+
+    Attributes:
+        name: in tables.
+        uses: `truth`, `sight` (truth in the ego's line of sight), `ego` (detector without helpers), `team` (detector
+            with helpers), or `module:Class` of one's own; "": the name.
+        checkpoint: detector file; "": the shipped one.
+    """
+
+    name: str
+    uses: str = ""
+    checkpoint: str = ""
+
+    @property
+    def kind(self) -> str:
+        """What it uses."""
+        return self.uses or self.name
+
+
+class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of a campaign.
+
+    Attributes:
+        scenarios: names or paths.
+        perceptions: lines of the tables, in their order.
+        name: of the campaign.
+        corruptions: kinds, `paper_six`, `all` or `clean`; clean episodes are always driven.
+        severities: of each corruption, 1 to 5.
+        family: of the corruptions' settings.
+        who: agents whose sensors are corrupted: `ego`, `helpers` or `all`.
+        channels: radio channels of perceptions with helpers.
+        clean_seeds: seeds of each scenario and perception without a corruption: a number of them, from 0, or a list.
+        seeds: those of each scenario, perception, corruption, severity and channel; the same for all.
+        driver: `planning`, or `careful` for the reference driver of UN R157.
+        loop: intervals and limits of time.
+        controls: drive the controls of encounters with the truth first, and refuse to continue where one fails.
+    """
+
+    scenarios: _Names
+    perceptions: Annotated[tuple[PerceptionSpec, ...], Meta(min_length=1)]
+    name: str = "campaign"
+    corruptions: tuple[str, ...] = (PAPER_TABLE,)
+    severities: Annotated[tuple[Annotated[int, Meta(ge=1, le=5)], ...], Meta(min_length=1)] = (3,)
+    family: Family = "physical"
+    who: Literal["ego", "helpers", "all"] = "all"
+    channels: _Names = (IDEAL,)
+    clean_seeds: Seeds = 20
+    seeds: Seeds = 10
+    driver: Literal["planning", "careful"] = "planning"
+    loop: LoopSettings = LoopSettings()
+    controls: bool = True
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """Clean, then every corruption at every severity."""
+        kinds = [kind for kind in corruption_kinds(self.corruptions, self.family, "campaign") if kind != CLEAN]
+        return [Condition(), *(Condition(kind, s, self.family) for kind in kinds for s in self.severities)]
+
+
+def key_of(job: EpisodeJob) -> str:
+    """Return the name of an episode's cell: a hash of what decides it, without names and paths."""
+    decisive = msgspec.to_builtins(job)
+    for name in ("scenario", "perception", "checkpoint", "channel"):
+        del decisive[name]
+    return hashlib.sha256(msgspec.json.encode(decisive, order="deterministic")).hexdigest()[:32]
+
+
+def read_campaign(path: Path) -> Campaign:
+    """Read and check the TOML of a campaign; its paths are resolved.
+
+    Raises:
+        SettingsError: the file is invalid; one line names the field.
+    """
+    plan = read_toml(path, Campaign, SettingsError)
+
+    def found(name: str) -> str:
+        beside = path.parent / name
+        return str(beside if name and beside.exists() else name)
+
+    perceptions = tuple(replace(one, checkpoint=found(one.checkpoint)) for one in plan.perceptions)
+    plan = replace(plan, perceptions=perceptions)
+    check(plan, str(path))
+    return plan
+
+
+def campaign_of(options: DriveOptions) -> Campaign:
+    """Return the campaign of a command line: that of a TOML, or episodes of one scenario.
+
+    Raises:
+        SettingsError: invalid settings, or options beside a TOML.
+    """
+    given = {
+        name: value
+        for name in options.__struct_fields__
+        if name != "what" and (value := getattr(options, name)) not in (None, ())
+    }
+    if options.what.endswith(".toml") and is_campaign(Path(options.what)):
+        if given:
+            expected = f"nothing: {options.what} describes the campaign"
+            raise SettingsError(complaint("drive", next(iter(given)), expected, "a value"))
+        return read_campaign(Path(options.what))
+    checkpoint = str(options.checkpoint or "")
+    names = [split_name(text) for text in options.perception or ("truth",)]
+    perceptions = tuple(
+        PerceptionSpec(name=name or uses, uses=uses, checkpoint="" if uses in WITHOUT_SENSOR else checkpoint)
+        for name, uses in names
+    )
+    loop = {name: given[name] for name in LoopSettings.__struct_fields__ if name in given}
+    seeds = options.seed or (0,)
+    listed = {
+        "scenarios": [options.what],
+        "name": options.what,
+        "corruptions": options.corruption or (CLEAN,),
+        "severities": options.severity or (3,),
+        "channels": options.channel or (IDEAL,),
+        "clean_seeds": seeds,
+        "seeds": seeds,
+        "controls": False,
+        "loop": loop,
+        **{name: given[name] for name in ("family", "who", "driver") if name in given},
+    }
+    try:
+        plan = msgspec.convert({**listed, "perceptions": msgspec.to_builtins(perceptions)}, Campaign)
+    except msgspec.ValidationError as error:
+        raise SettingsError(f"drive: {error}") from None
+    check(plan, "drive")
+    return plan
+
+
+def is_campaign(path: Path) -> bool:
+    """Whether a TOML describes a campaign, not a scenario: it has perceptions."""
+    try:
+        return "perceptions" in tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
+
+
+def check(plan: Campaign, where: str) -> None:
+    """Raise UserError for repeated names, unknown scenarios, corruptions and channels, or missing detector files."""
+    for field, names in (
+        ("scenarios", list(plan.scenarios)),
+        ("perceptions", [one.name for one in plan.perceptions]),
+        ("severities", list(map(str, plan.severities))),
+        ("channels", list(plan.channels)),
+    ):
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise SettingsError(complaint(where, field, "names that differ", repeated[0]))
+    corruption_kinds(plan.corruptions, plan.family, where)
+    for scenario in plan.scenarios:
+        load_scenario(scenario)
+    for channel in plan.channels:
+        get_channel(channel)
+    for one in plan.perceptions:
+        if one.kind in WITHOUT_SENSOR and one.checkpoint:
+            expected = f"none with '{one.kind}' (no detector)"
+            raise SettingsError(complaint(where, f"perceptions.{one.name}.checkpoint", expected, one.checkpoint))
+        if one.checkpoint and not Path(one.checkpoint).is_file():
+            raise SettingsError(complaint(where, f"perceptions.{one.name}.checkpoint", "a file", one.checkpoint))
+
+
+def episodes_of(plan: Campaign) -> list[EpisodeJob]:
+    """Return all episodes, seed by seed of a scenario, so that its world and proof are made once.
+
+    A perception without a sensor drives clean episodes only, one without helpers through the first channel only.
+    """
+    code, versions = code_hash(COMPUTED_BY), package_versions(COMPUTED_BY)
+    hashes = {one.name: _detector_hash(one) for one in plan.perceptions}
+    radios = {name: channel_settings(get_channel(name)) for name in plan.channels}
+    found = []
+    for scenario in plan.scenarios:
+        content = msgspec.to_builtins(load_scenario(scenario))
+        for seed in dict.fromkeys([*_listed(plan.clean_seeds), *_listed(plan.seeds)]):
+            for one in plan.perceptions:
+                for condition, channel in _cells(plan, one, seed):
+                    found.append(
+                        EpisodeJob(
+                            scenario=scenario,
+                            content=content,
+                            perception=one.name,
+                            uses=one.kind,
+                            checkpoint=one.checkpoint,
+                            detector=hashes[one.name],
+                            condition=condition_settings(condition),
+                            who=plan.who if condition.kind != CLEAN else "all",
+                            channel=channel,
+                            radio=radios[channel],
+                            seed=seed,
+                            driver=plan.driver,
+                            loop=plan.loop,
+                            versions=versions,
+                            code=code,
+                        )
+                    )
+    return found
+
+
+def controls_of(plan: Campaign) -> Campaign | None:
+    """Return the campaign of the controls of all encounters with the truth; None without an encounter."""
+    names = [name for name in plan.scenarios if load_scenario(name).conflict is not None]
+    bare = [name for name in names if ":" not in name and name in ENCOUNTERS]
+    if not bare:
+        return None
+    return replace(
+        plan,
+        scenarios=tuple(f"{name}:{control}" for name in bare for control in CONTROLS),
+        perceptions=(PerceptionSpec(name="truth"),),
+        corruptions=(CLEAN,),
+        channels=(IDEAL,),
+        controls=False,
+    )
+
+
+def _listed(seeds: int | tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(range(seeds)) if isinstance(seeds, int) else seeds
+
+
+def _cells(plan: Campaign, one: PerceptionSpec, seed: int) -> Iterator[tuple[Condition, str]]:
+    for condition in plan.conditions:
+        clean = condition.kind == CLEAN
+        wanted = _listed(plan.clean_seeds if clean else plan.seeds)
+        if seed not in wanted or (one.kind in WITHOUT_SENSOR and not clean):
+            continue
+        alone = one.kind in (*WITHOUT_SENSOR, "ego")
+        yield from ((condition, channel) for channel in (plan.channels[:1] if alone else plan.channels))
+
+
+def _detector_hash(one: PerceptionSpec) -> str:
+    if one.kind in WITHOUT_SENSOR:
+        return ""
+    return file_sha256(Path(one.checkpoint) if one.checkpoint else SHIPPED_DETECTOR)

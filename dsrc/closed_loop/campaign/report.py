@@ -1,0 +1,246 @@
+"""Report of a campaign: a table for the terminal, tables in Markdown, plots, and the worst episodes by name."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+
+from dsrc.closed_loop.campaign.episode import EpisodeResult
+from dsrc.closed_loop.campaign.run import CampaignResult
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.metrics.comparison import (
+    collided,
+    corruption_errors,
+    counted,
+    gain_per_megabyte,
+    harm_rate,
+    mean_corruption_error,
+    metric,
+    pairs,
+)
+from dsrc.closed_loop.metrics.statistics import Estimate, mean, paired_rates, rate
+from dsrc.closed_loop.report.plots import plots
+from dsrc.closed_loop.types import Outcome
+from dsrc.evaluation.plots import png_bytes
+from sensors.corruptions import CLEAN
+from sim.files import write_file
+
+_WORST = 12
+
+
+def summary_table(result: CampaignResult) -> Table:
+    """Return the table of a campaign: a line per scenario, perception and condition."""
+    table = Table(title=result.plan.name)
+    for heading in ("scenario", "perception", "condition", "episodes", "crashed", "stuck", "lost", "score", "progress"):
+        table.add_column(heading, justify="left" if heading in ("scenario", "perception", "condition") else "right")
+    for scenario in dict.fromkeys(one.scenario for one in result.results):
+        for perception, condition, group in _groups([r for r in result.results if r.scenario == scenario]):
+            table.add_row(scenario, perception, condition, *_cells(group))
+    return table
+
+
+def comparison_table(former: EpisodeLog, again: EpisodeLog) -> Table:
+    """Return a table of two looks at the same traffic, a line per second."""
+    names = former.settings.perception, again.settings.perception
+    table = Table(title=f"{former.settings.scenario.name}, seed {former.settings.seed}: the same traffic to two eyes")
+    for heading in ("time s", *(f"{what}, {name}" for name in names for what in ("tracks", "m/s²", "because"))):
+        table.add_column(heading, justify="right")
+    every = max(1, round(1.0 / former.settings.scenario.step_s))
+    start = former.ticks[0].actors.time_s
+    for row in range(0, min(len(former), len(again)), every):
+        both = former.ticks[row], again.ticks[row]
+        cells = [
+            text
+            for tick in both
+            for text in (
+                str(len(tick.tracks)),
+                f"{tick.decision.acceleration_mps2:+.1f}",
+                tick.decision.reason,
+            )
+        ]
+        table.add_row(f"{both[0].actors.time_s - start:.1f}", *cells)
+    return table
+
+
+def write_report(result: CampaignResult, out: Path) -> list[Path]:
+    """Write report.md and its plots into a folder; return the paths."""
+    pictures = []
+    for name, figure in plots(result.results).items():
+        path = out / f"{name}.png"
+        write_file(path, png_bytes(figure))
+        pictures.append(path)
+    report = out / "report.md"
+    write_file(report, markdown(result, [path.name for path in pictures]))
+    return [report, *pictures, out / "results.csv"]
+
+
+def markdown(result: CampaignResult, pictures: Sequence[str] = ()) -> str:
+    """Return the tables of a campaign in Markdown.
+
+    Args:
+        result: of the campaign.
+        pictures: names of plots to show.
+    """
+    parts = [f"# {result.plan.name}", _conditions_part(result)]
+    parts += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})" for name in pictures]
+    parts += [_scenarios_part(result), _differences_part(result), _robustness_part(result), _worst_part(result)]
+    if result.controls:
+        fine = sum(one.outcome == Outcome.ARRIVED.value for one in result.controls)
+        parts.append(f"Controls with the truth: {fine} of {len(result.controls)} arrived.")
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _conditions_part(result: CampaignResult) -> str:
+    lines = [_row("perception", "condition", "episodes", "crashed", "stuck", "lost", "score", "progress"), _rule(8)]
+    for perception, condition, group in _groups(result.results):
+        lines.append(_row(perception, condition, *_cells(group)))
+    text = (
+        "Crashed: share of the episodes that met their encounter, with its Wilson interval of 95 %. Lost: episodes "
+        "that never met it, not counted. Score: CARLA's driving score 2.1, with a bootstrap interval. Progress: share "
+        "of the reference distance."
+    )
+    return "## All scenarios\n\n" + "\n".join(lines) + f"\n\n{text}"
+
+
+def _scenarios_part(result: CampaignResult) -> str:
+    """Return the clean collision rates by scenario and perception."""
+    clean = [one for one in result.results if one.corruption == CLEAN]
+    names = list(dict.fromkeys(one.perception for one in clean))
+    lines = [_row("scenario", *names), _rule(len(names) + 1)]
+    for scenario in dict.fromkeys(one.scenario for one in clean):
+        cells = []
+        for name in names:
+            group = [one for one in clean if one.scenario == scenario and one.perception == name]
+            crashed = rate([collided(one) for one in counted(group)])
+            stuck = sum(one.outcome == Outcome.STUCK.value for one in group)
+            lost = len(group) - len(counted(group))
+            cells.append(f"{_share(crashed)}, {stuck} stuck, {lost} lost" if stuck or lost else _share(crashed))
+        lines.append(_row(scenario, *cells))
+    return "## By scenario, clean\n\nShare of episodes with a crash.\n\n" + "\n".join(lines)
+
+
+def _differences_part(result: CampaignResult) -> str:
+    """Return what each perception gains over `ego`, the detector without helpers, over paired episodes."""
+    plan = result.plan
+    alone = next((one.name for one in plan.perceptions if one.kind == "ego"), None)
+    if alone is None or len(plan.perceptions) < 2:
+        return ""
+    lines = [
+        _row("perception", "condition", "pairs", f"crashes less those of {alone}", "p", "harm rate", "gain per MB"),
+        _rule(7),
+    ]
+    base = [one for one in result.results if one.perception == alone]
+    for perception, condition, group in _groups(result.results):
+        if perception == alone:
+            continue
+        matched = pairs(group, base, any_channel=True)
+        if not matched:
+            continue
+        ours, theirs = [collided(a) for a, _ in matched], [collided(b) for _, b in matched]
+        found = paired_rates(ours, theirs)
+        same = [b for _, b in matched]
+        harm = harm_rate([a for a, _ in matched], same)
+        gain = gain_per_megabyte([a for a, _ in matched], same)
+        lines.append(
+            _row(
+                perception,
+                condition,
+                str(len(matched)),
+                _share(found.difference, signed=True),
+                f"{found.p_value:.3f}",
+                _percent(harm),
+                "" if gain != gain else f"{gain:.3f}",
+            )
+        )
+    return "## Paired differences\n\n" + "\n".join(lines)
+
+
+def _robustness_part(result: CampaignResult) -> str:
+    """Return corruption errors of every perception relative to `ego`, the form of mCE."""
+    plan = result.plan
+    alone = next((one.name for one in plan.perceptions if one.kind == "ego"), None)
+    kinds = list(dict.fromkeys(one.corruption for one in result.results if one.corruption != CLEAN))
+    if alone is None or not kinds:
+        return ""
+    base = [one for one in result.results if one.perception == alone and one.corruption != CLEAN]
+    lines = [_row("perception", "mCE", *kinds), _rule(len(kinds) + 2)]
+    for one in plan.perceptions:
+        own = [r for r in result.results if r.perception == one.name and r.corruption != CLEAN]
+        if own:
+            errors = corruption_errors(own, base)
+            values = [mean_corruption_error(errors), *(errors.get(kind, float("nan")) for kind in kinds)]
+            lines.append(_row(one.name, *("" if value != value else f"{value:.2f}" for value in values)))
+    text = f"Collision rate under a corruption over that of {alone}; 1 is as bad."
+    return f"## Closed-loop corruption error\n\n{text}\n\n" + "\n".join(lines)
+
+
+def _worst_part(result: CampaignResult) -> str:
+    crashed = [one for one in result.results if one.outcome == Outcome.CRASHED.value]
+    failed = [one for one in result.results if one.outcome == Outcome.PERCEPTION_FAILED.value]
+    if not crashed and not failed:
+        return ""
+    worst = sorted(crashed, key=lambda one: -metric(one, "delta_v_mps"))[:_WORST]
+    lines = [_row("scenario", "seed", "perception", "condition", "closing m/s", "delta-v m/s", "log"), _rule(7)]
+    for one in worst:
+        closing, change = metric(one, "impact_mps"), metric(one, "delta_v_mps")
+        numbers = f"{closing:.1f}", f"{change:.1f}"
+        lines.append(
+            _row(one.scenario, str(one.seed), one.perception, _condition(one), *numbers, f"episodes/{one.key}.npz")
+        )
+    text = "## Hardest crashes\n\n" + "\n".join(lines)
+    if failed:
+        first = failed[0]
+        text += f"\n\nPerceptions failed in {len(failed)} episodes, first: {first.message}"
+    return text
+
+
+def _groups(results: Sequence[EpisodeResult]) -> list[tuple[str, str, list[EpisodeResult]]]:
+    """Return results by perception and condition, in the order of their first appearance."""
+    found: dict[tuple[str, str], list[EpisodeResult]] = {}
+    for perception in dict.fromkeys(one.perception for one in results):
+        for one in (one for one in results if one.perception == perception):
+            found.setdefault((perception, _condition(one)), []).append(one)
+    return [(*key, group) for key, group in found.items()]
+
+
+def _condition(one: EpisodeResult) -> str:
+    text = one.corruption if one.corruption == CLEAN else f"{one.corruption} {one.severity}"
+    text += "" if one.who == "all" else f", {one.who}"
+    return text if one.channel == "ideal" else f"{text}, {one.channel}"
+
+
+def _cells(group: Sequence[EpisodeResult]) -> tuple[str, ...]:
+    met = counted(group)
+    return (
+        str(len(group)),
+        _share(rate([collided(one) for one in met])),
+        str(sum(one.outcome == Outcome.STUCK.value for one in group)),
+        str(len(group) - len(met)),
+        _score(mean([metric(one, "driving_score_2_1") for one in met])),
+        _percent(mean([metric(one, "completion") for one in met]).value),
+    )
+
+
+def _share(found: Estimate, signed: bool = False) -> str:
+    if found.value != found.value:
+        return ""
+    sign = "+" if signed else ""
+    return f"{100 * found.value:{sign}.0f} % [{100 * found.low:.0f}, {100 * found.high:.0f}]"
+
+
+def _score(found: Estimate) -> str:
+    if found.value != found.value:
+        return ""
+    return f"{found.value:.2f}" + ("" if found.low != found.low else f" [{found.low:.2f}, {found.high:.2f}]")
+
+
+def _percent(value: float) -> str:
+    return "" if value != value else f"{100 * value:.0f} %"
+
+
+def _row(*cells: str) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _rule(columns: int) -> str:
+    return "|" + "---|" * columns

@@ -1,0 +1,197 @@
+"""Runner of a campaign: drives missing episodes on any number of workers, and collects their results.
+
+A campaign resumes: an episode is a cell under the hash of all that decides it. An episode whose perception fails is a
+result, not an end. Where a control of an encounter fails with the truth, the driver is at fault and no other crash
+means anything: the campaign refuses to run.
+"""
+
+import csv
+import io
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import cast
+
+import msgspec
+
+from dsrc.closed_loop.campaign.episode import EpisodeJob, EpisodeResult, WorkUnit, drive_unit, probe_s
+from dsrc.closed_loop.campaign.plan import Campaign, controls_of, episodes_of, key_of
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.perception.open import open_perception
+from dsrc.closed_loop.replay import look_again
+from dsrc.closed_loop.types import Outcome
+from dsrc.data.drive_folder import locked
+from dsrc.data.executors import SERIAL, Pool, Progress
+from dsrc.options.driving import DriveOptions
+from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family
+from sim.catalog.load import load_scenario
+from sim.errors import DataError, SettingsError, UserError, complaint
+from sim.files import write_file
+from sim.machine import core_count
+from sim.radio import IDEAL
+
+_FINE = (Outcome.ARRIVED.value, Outcome.TIMEOUT.value)
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignResult:
+    """Results of a campaign.
+
+    Attributes:
+        plan: the campaign.
+        results: of all episodes, in the plan's order.
+        controls: of all controls.
+        made: number of episodes driven in this run.
+        seconds: time of this run, s.
+    """
+
+    plan: Campaign
+    results: tuple[EpisodeResult, ...]
+    controls: tuple[EpisodeResult, ...]
+    made: int
+    seconds: float
+
+
+def run_campaign(plan: Campaign, out: Path, pool: Pool = SERIAL, progress: Progress | None = None) -> CampaignResult:
+    """Drive the episodes missing in `out/episodes`, and write results.csv and controls.csv.
+
+    Args:
+        plan: a valid campaign, see `dsrc.closed_loop.campaign.plan.check`.
+        out: folder of the campaign.
+        pool: workers; the results are the same for any.
+        progress: called with episodes done and episodes missing at the start.
+
+    Raises:
+        SettingsError: a control fails with the truth.
+        UserError: a file or a setting is wrong; all episodes that can be driven are there.
+    """
+    began = time.monotonic()
+    controls_plan = controls_of(plan) if plan.controls else None
+    with locked(out, what="campaign"):
+        folder = out / "episodes"
+        folder.mkdir(parents=True, exist_ok=True)
+        controls: tuple[EpisodeResult, ...] = ()
+        made = 0
+        if controls_plan is not None:
+            controls, made = _driven(episodes_of(controls_plan), folder, pool, progress)
+            write_file(out / "controls.csv", results_csv(controls))
+            _require_controls(controls, out)
+        results, more = _driven(episodes_of(plan), folder, pool, progress)
+        write_file(out / "plan.json", msgspec.json.format(msgspec.json.encode(plan)))
+        write_file(out / "results.csv", results_csv(results))
+    return CampaignResult(plan, results, controls, made + more, time.monotonic() - began)
+
+
+def results_csv(results: Iterable[EpisodeResult]) -> str:
+    """Return results as CSV, a line per episode and a column per metric."""
+    results = list(results)
+    names = [name for name in EpisodeResult.__struct_fields__ if name != "metrics"]
+    metrics = sorted({name for result in results for name in result.metrics})
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*names, *metrics])
+    for result in results:
+        values = [result.metrics.get(name) for name in metrics]
+        listed = ["" if value is None else f"{value:.6g}" for value in values]
+        writer.writerow([*(getattr(result, name) for name in names), *listed])
+    return text.getvalue()
+
+
+def read_result(folder: Path, key: str) -> EpisodeResult | None:
+    """Return the result of an episode; None where it is missing or damaged."""
+    path = folder / f"{key}.json"
+    if not path.is_file() or not (folder / f"{key}.npz").is_file():
+        return None
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=EpisodeResult)
+    except (OSError, msgspec.MsgspecError):
+        return None
+
+
+def _driven(
+    episodes: Sequence[EpisodeJob], folder: Path, pool: Pool, progress: Progress | None
+) -> tuple[tuple[EpisodeResult, ...], int]:
+    keyed = {key_of(job): job for job in episodes}
+    missing = {key: one for key, one in keyed.items() if read_result(folder, key) is None}
+    units = [
+        WorkUnit(str(folder), tuple(group))
+        for _, group in groupby(missing.items(), key=lambda entry: (entry[1].scenario, entry[1].seed, entry[1].uses))
+    ]
+    done = [0] * len(units)
+
+    def follow(row: int, count: int, _: int) -> None:
+        done[row] = count
+        if progress is not None:
+            progress(sum(done), len(missing))
+
+    failures: list[UserError] = []
+    if units:
+        with pool.open(len(units)) as executor:
+            failures = [r.error for r in executor.run(drive_unit, units, follow) if r.error is not None]
+    if failures:
+        raise failures[0]
+    return tuple(_named(folder, key_of(job), job) for job in episodes), len(missing)
+
+
+def _named(folder: Path, key: str, job: EpisodeJob) -> EpisodeResult:
+    """Return a result under the names of this campaign: two names may share a cell."""
+    result = read_result(folder, key)
+    if result is None:
+        raise DataError(complaint(folder / f"{key}.json", "episode", "a whole one", "a damaged one"))
+    return msgspec.structs.replace(result, scenario=job.scenario, perception=job.perception, channel=job.channel)
+
+
+def _require_controls(controls: Sequence[EpisodeResult], out: Path) -> None:
+    failed = [one for one in controls if one.outcome not in _FINE]
+    if failed:
+        listed = ", ".join(f"{one.scenario} seed {one.seed}: {one.outcome}" for one in failed[:3])
+        more = f" and {len(failed) - 3} more" if len(failed) > 3 else ""
+        hint = f"; see {out / 'controls.csv'}, controls = false drives all the same"
+        expected = "controls that the driver finishes with the truth"
+        raise SettingsError(complaint("campaign", "controls", expected, f"{listed}{more}", hint))
+
+
+def estimate_s(plan: Campaign, out: Path, pool: Pool) -> tuple[int, float]:
+    """Return the number of episodes missing and the estimated time to drive them, s, by a probe of each perception.
+
+    Args:
+        plan: a valid campaign.
+        out: folder of the campaign.
+        pool: workers.
+    """
+    missing = [job for job in episodes_of(plan) if read_result(out / "episodes", key_of(job)) is None]
+    steps = plan.loop.duration_s / load_scenario(plan.scenarios[0]).step_s
+    total = 0.0
+    for _, jobs in groupby(sorted(missing, key=lambda job: job.uses), key=lambda job: job.uses):
+        several = list(jobs)
+        total += len(several) * steps * probe_s(several[0])
+    workers = core_count() if pool.workers is None else pool.workers
+    return len(missing), total / max(min(workers, core_count()), 1)
+
+
+def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog]:
+    """Return the log of an episode, and another with the percepts of the perception of a command line.
+
+    Without a perception in the options it is the log's own: both logs are then the same.
+
+    Raises:
+        UserError: the log or a setting is wrong.
+    """
+    former = EpisodeLog.load(path)
+    settings = former.settings
+    uses = options.perception[0] if options.perception else settings.perception
+    asked = options.perception or options.corruption or options.channel
+    corruption = (options.corruption or (CLEAN if asked else settings.corruption,))[0]
+    perception = open_perception(
+        uses,
+        checkpoint=options.checkpoint,
+        corruption=corruption,
+        severity=(options.severity or (settings.severity or DEFAULT_SEVERITY,))[0],
+        family=options.family or cast(Family, settings.family),
+        who=options.who or settings.who,
+        channel=(options.channel or (IDEAL if asked else settings.channel,))[0],
+    )
+    name = uses if corruption == CLEAN else f"{uses} in {corruption}"
+    return former, look_again(former, perception, name)

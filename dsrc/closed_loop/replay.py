@@ -1,0 +1,43 @@
+"""Replay of an episode: the same traffic, bit for bit, for the same or for other eyes.
+
+The ego moves as it did in the log, whatever its eyes see now: two perceptions of one replay differ in nothing but
+themselves. What its driver would have decided is in the ticks.
+"""
+
+import msgspec
+
+from dsrc.closed_loop.driving.planner import PlanningDriver
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.loop import LoopSettings, PerceptionClock
+from dsrc.closed_loop.tracking.tracker import Tracker
+from dsrc.closed_loop.types import Driver, Outcome, Perception, Tick
+
+
+def look_again(log: EpisodeLog, perception: Perception, name: str, driver: Driver | None = None) -> EpisodeLog:
+    """Return the log of an episode with the percepts, tracks and decisions of another perception.
+
+    Args:
+        log: of an episode.
+        perception: looks at its traffic.
+        name: of the perception, for the log.
+        driver: decides by its tracks; default: `PlanningDriver`.
+    """
+    settings = log.settings
+    loop = msgspec.convert(settings.loop, LoopSettings)
+    driver, tracker = driver or PlanningDriver(), Tracker()
+    driver.reset()
+    perception.reset(settings.scenario, settings.ego_id, settings.seed)
+    clock = PerceptionClock(perception, loop, settings.scenario.step_s)
+    before, ticks, outcome, message = log.actors[0], list[Tick](), log.outcome, log.message
+    for tick in log.ticks:
+        if settings.ego_id not in tick.actors.boxes.object_id:
+            break
+        percept = clock.percept(before, tick.actors, tick.claims)
+        if clock.failure:
+            outcome, message = Outcome.PERCEPTION_FAILED, clock.failure
+            break
+        tracks = tracker.update(percept, tick.actors.time_s)
+        decision = driver.decide(tick.ego, tracks)
+        ticks.append(Tick(tick.actors, tick.ego, percept, tracks, decision, tick.claims, tick.contact))
+        before = tick.actors
+    return EpisodeLog(msgspec.structs.replace(settings, perception=name), log.actors[0], ticks, outcome, message)

@@ -1,0 +1,47 @@
+"""Options of `dsrc drive`: episodes and campaigns of the closed loop."""
+
+from typing import Annotated, Literal
+
+import msgspec
+from tyro.conf import Positional, arg
+
+from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, choice
+
+PERCEPTIONS = ("truth", "sight", "ego", "team", "MODULE:CLASS")
+Who = Literal["ego", "helpers", "all"]
+
+
+class DriveOptions(msgspec.Struct, frozen=True, kw_only=True):
+    """Options of closed-loop episodes.
+
+    Attributes:
+        what: scenario, TOML of a campaign, or log of an episode to look at again.
+        perception: what the ego perceives: the truth, the truth in its line of sight, its detector alone, the detector
+            with helpers, or a class of one's own; NAME=PERCEPTION names a line of the table; default: truth.
+        checkpoint: detector file; default: the shipped one.
+        corruption: kinds of corruption, each in episodes of its own; paper_six are those of the paper's tables;
+            default: none.
+        severity: severities of each corruption, 1 to 5; default: 3.
+        family: models of the corruptions: of physical causes, or as published in papers; default: physical.
+        who: agents whose sensors are corrupted; default: all.
+        channel: radio channels; default: ideal.
+        seed: seeds of the episodes, one each; default: 0.
+        driver: driver: plans by predicted tracks, or the careful driver of UN R157; default: planning.
+        duration_s: longest episode, s; default: 20.
+        detect_every_s: interval of detections, s; default: 0.1.
+        latency_s: time from a measurement to its detections, s; default: 0.
+    """
+
+    what: Positional[Annotated[str, arg(metavar="SCENARIO|PLAN.toml|EPISODE.npz")]]
+    perception: Annotated[tuple[str, ...], choice(PERCEPTIONS, several=True)] = ()
+    checkpoint: File | None = None
+    corruption: Annotated[tuple[str, ...], choice(("clean", "paper_six", "all", *CORRUPTIONS), several=True)] = ()
+    severity: tuple[int, ...] = ()
+    family: Family | None = None
+    who: Who | None = None
+    channel: Annotated[tuple[str, ...], choice(CHANNELS, several=True)] = ()
+    seed: tuple[int, ...] = ()
+    driver: Literal["planning", "careful"] | None = None
+    duration_s: float | None = None
+    detect_every_s: float | None = None
+    latency_s: float | None = None

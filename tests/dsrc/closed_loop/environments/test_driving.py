@@ -1,0 +1,163 @@
+"""Environments of the closed loop: gymnasium's checks, highway-env's spaces, perceived tracks instead of the truth."""
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium as gym
+import highway_env
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from dsrc.closed_loop.environments import ENVIRONMENTS
+from dsrc.closed_loop.environments.driving import DrivingEnv
+from dsrc.closed_loop.types import Outcome, Percept
+from sim.boxes import Boxes
+from sim.errors import SettingsError
+
+SCENARIO = "ima_building:no_conflict"
+
+
+class Blind:
+    """Perceives nothing."""
+
+    cooperative = False
+
+    def reset(self, scenario, ego_id: int, seed: int) -> None:
+        pass
+
+    def perceive(self, before, now, claims) -> Percept:
+        return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
+
+
+def drive(env: DrivingEnv, action, steps: int = 400) -> list[tuple]:
+    env.reset(seed=3)
+    taken = []
+    for _ in range(steps):
+        taken.append(env.step(action))
+        if taken[-1][2] or taken[-1][3]:
+            break
+    env.close()
+    return taken
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_gymnasium_finds_nothing_to_complain_about(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gym.make(name, scenario=SCENARIO, render_mode="rgb_array", disable_env_checker=True)
+        check_env(env.unwrapped, skip_render_check=False)
+        env.close()
+
+
+def test_ids_are_known_without_an_import() -> None:
+    code = "import gymnasium; print(gymnasium.spec('dsrc/Rail-v0').id)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["dsrc/Rail-v0"]
+
+
+def test_one_seed_is_one_episode_and_another_seed_another() -> None:
+    env = DrivingEnv(scenario="four_way", duration=2.0)
+
+    def rewards(seed: int) -> list[float]:
+        env.reset(seed=seed)
+        return [env.step(np.array([0.2], np.float32))[1] for _ in range(15)]
+
+    assert rewards(1) == rewards(1) != rewards(2)
+    env.close()
+
+
+def test_a_full_throttle_arrives_and_a_full_brake_does_not() -> None:
+    env = DrivingEnv(scenario=SCENARIO)
+    arrived = drive(env, np.array([1.0], np.float32))
+    assert arrived[-1][4]["outcome"] == Outcome.ARRIVED.value and arrived[-1][2]
+    stuck = drive(env, np.array([-1.0], np.float32))
+    assert stuck[-1][4]["outcome"] == Outcome.STUCK.value
+    assert sum(step[1] for step in arrived) / len(arrived) > sum(step[1] for step in stuck) / len(stuck) + 0.3
+
+
+def test_a_blind_driver_crashes_into_what_it_does_not_perceive() -> None:
+    env = DrivingEnv(scenario="stalled_after_curve", perception=Blind())
+    taken = drive(env, np.array([0.3], np.float32))
+    assert taken[-1][4]["outcome"] == Outcome.CRASHED.value and taken[-1][2]
+    assert taken[-1][1] == min(step[1] for step in taken)
+    assert all((step[0][1:, 0] == 0.0).all() for step in taken)  # no track is present
+
+
+def test_rewards_lie_between_0_and_1_and_their_terms_are_in_the_info() -> None:
+    env = DrivingEnv(scenario="four_way", duration=3.0)
+    env.reset(seed=1)
+    for _ in range(20):
+        _, reward, _, _, info = env.step(env.action_space.sample())
+        assert 0.0 <= reward <= 1.0
+        assert set(info["rewards"]) == {"collision_reward", "progress_reward", "comfort_reward"}
+    env.close()
+
+
+def test_the_truth_is_observed_where_it_is() -> None:
+    env = DrivingEnv(scenario="four_way")
+    observed, _ = env.reset(seed=1)
+    tick = env.loop.tick
+    offset = tick.tracks.boxes.center[:, :2] - tick.ego.box.center[0, :2]
+    shown = 100.0 * observed[1:][observed[1:, 0] == 1.0, 1:3] * [1.0, -1.0]
+    near = offset[(np.abs(offset) < 100.0).all(axis=1)]
+    for row in shown[(np.abs(shown) < 99.9).all(axis=1)]:
+        assert np.linalg.norm(near - row, axis=1).min() < 1e-3
+    env.close()
+
+
+@pytest.mark.parametrize(
+    "observation",
+    [
+        {"type": "OccupancyGrid"},
+        {"type": "LidarObservation", "cells": 32},
+        {"type": "TimeToCollision", "horizon": 10},
+    ],
+    ids=lambda observation: observation["type"],
+)
+def test_observations_of_highway_env_are_there(observation: dict) -> None:
+    action = ENVIRONMENTS["dsrc/Meta-v0"]["action"]
+    env = DrivingEnv(scenario="four_way", observation=observation, action=action, policy_frequency=5)
+    observed, _ = env.reset(seed=1)
+    assert env.observation_space.contains(observed)
+    assert env.observation_space.contains(env.step(1)[0])
+    env.close()
+
+
+def test_spaces_of_highway_env_s_intersection_are_ours_under_its_settings() -> None:
+    highway_env.register_highway_envs() if hasattr(highway_env, "register_highway_envs") else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        theirs = gym.make("intersection-v0", disable_env_checker=True)
+    config = {key: theirs.unwrapped.config[key] for key in ("observation", "action")}
+    ours = DrivingEnv(scenario="four_way", policy_frequency=1, **config)
+    observed, _ = ours.reset(seed=1)
+    assert theirs.observation_space == ours.observation_space and theirs.action_space == ours.action_space
+    assert ours.observation_space.contains(observed)
+    ours.close()
+    theirs.close()
+
+
+def test_environments_run_in_processes() -> None:
+    envs = gym.make_vec("dsrc/Rail-v0", num_envs=2, vectorization_mode="async", scenario=SCENARIO)
+    observed, _ = envs.reset(seed=[1, 2])
+    assert observed.shape == (2, 16, 7)
+    observed, rewards, *_ = envs.step(np.zeros((2, 1), np.float32))
+    assert rewards.shape == (2,)
+    envs.close()
+
+
+def test_an_action_that_is_not_finite_is_refused() -> None:
+    env = DrivingEnv(scenario=SCENARIO)
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="finite"):
+        env.step(np.array([np.nan], np.float32))
+    env.close()
+
+
+def test_a_wrong_setting_is_named() -> None:
+    with pytest.raises(SettingsError, match="scenery"):
+        DrivingEnv(scenery="four_way")
+    with pytest.raises(SettingsError, match="policy_frequency"):
+        DrivingEnv(scenario=SCENARIO, policy_frequency=7).reset(seed=1)

@@ -1,0 +1,190 @@
+"""The closed loop: encounters are met, survived by those who perceive, and a perception that fails is an outcome."""
+
+import time
+
+import numpy as np
+import pytest
+
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
+from dsrc.closed_loop.perception.truth import TruthPerception
+from dsrc.closed_loop.replay import look_again
+from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tracks
+from sensors.recording.encounter_check import LATENCY_S, find_encounter
+from sim.boxes import Boxes
+from sim.catalog.load import load_scenario
+from sim.encounters import ENCOUNTERS
+from sim.errors import TrafficError
+from sim.traffic.script import FIRST_ID
+
+SEED = 1
+
+
+class Blind:
+    """Perceives nothing, or what `answer` returns."""
+
+    cooperative = False
+
+    def __init__(self, answer=None) -> None:
+        self.answer = answer
+
+    def reset(self, scenario, ego_id: int, seed: int) -> None:
+        pass
+
+    def perceive(self, before, now, claims):
+        if self.answer is not None:
+            return self.answer(now)
+        return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
+
+
+class BrakeAt:
+    """Drives at the allowed speed, and brakes fully from a time on."""
+
+    def __init__(self, time_s: float) -> None:
+        self.time_s = time_s
+
+    def reset(self) -> None:
+        pass
+
+    def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
+        if ego.time_s >= self.time_s - 1e-6:
+            return Decision(-ego.limits.deceleration_mps2)
+        return Decision(10.0 * (ego.limits.speed_mps - ego.speed_mps))
+
+
+def drive(name: str, perception=None, driver=None, **settings) -> ClosedLoop:
+    loop = ClosedLoop(name, perception or TruthPerception(), driver, LoopSettings(**settings))
+    loop.run(SEED)
+    return loop
+
+
+@pytest.mark.parametrize("kind", ENCOUNTERS)
+def test_a_blind_ego_meets_the_crash_that_a_warned_one_avoids(kind: str) -> None:
+    blind = drive(kind, Blind(), BrakeAt(np.inf))
+    assert blind.outcome is Outcome.CRASHED
+    contact = blind.tick.contact
+    assert contact is not None and contact.other_id == FIRST_ID + 1
+    proof = find_encounter(load_scenario(kind), SEED).proof
+    assert contact.time_s == pytest.approx(proof.hit_s, abs=0.35)
+    warned = drive(kind, Blind(), BrakeAt(proof.hit_s - proof.helper_ttc_s + LATENCY_S))
+    assert warned.outcome is not Outcome.CRASHED
+
+
+@pytest.mark.parametrize("kind", ENCOUNTERS)
+def test_the_driver_arrives_with_the_truth(kind: str) -> None:
+    assert drive(kind).outcome is Outcome.ARRIVED
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.3])
+def test_a_percept_arrives_as_late_as_its_latency(latency_s: float) -> None:
+    loop = ClosedLoop("ima_building", TruthPerception(), settings=LoopSettings(latency_s=latency_s))
+    loop.start(SEED)
+    for _ in range(8):
+        loop.advance()
+    ages = [tick.actors.time_s - tick.percept.time_s for tick in loop.ticks if tick.percept is not None]
+    assert ages == pytest.approx([latency_s] * (9 - round(10 * latency_s)))
+    loop.close()
+
+
+def test_tracks_go_on_between_detections() -> None:
+    loop = ClosedLoop("four_way", TruthPerception(), settings=LoopSettings(detect_every_s=0.5))
+    loop.start(SEED)
+    for _ in range(10):
+        loop.advance()
+    assert [tick.percept is not None for tick in loop.ticks] == [step % 5 == 0 for step in range(11)]
+    assert all(tick.tracks.time_s == tick.actors.time_s for tick in loop.ticks)
+    assert len(loop.ticks[7].tracks) > 0
+    loop.close()
+
+
+def _raise(now):
+    raise RuntimeError("out of memory\nat line 3")
+
+
+def _nan(now):
+    return Percept(now.time_s, Boxes.from_array(np.full((1, 7), np.nan)), np.ones(1), np.zeros((1, 2)))
+
+
+def _flat(now):
+    return Percept(now.time_s, Boxes.from_array(np.zeros((1, 7))), np.ones(1), np.zeros((1, 2)))
+
+
+def _slow(now):
+    time.sleep(0.02)
+    return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (_raise, "RuntimeError: out of memory at line 3"),
+        (_nan, "finite"),
+        (_flat, "sizes"),
+        (lambda now: None if now.time_s < 0 else "boxes", "expected a Percept, found str"),
+        (_slow, "limit 0.01 s"),
+    ],
+    ids=["raises", "nan", "flat", "no percept", "slow"],
+)
+def test_a_perception_that_fails_ends_the_episode_with_its_reason(answer, message: str) -> None:
+    loop = drive("ima_building:no_conflict", Blind(answer), perception_limit_s=0.01)
+    assert loop.outcome is Outcome.PERCEPTION_FAILED
+    assert message in loop.message and "\n" not in loop.message
+
+
+def test_none_is_no_percept() -> None:
+    loop = ClosedLoop("ima_building:no_conflict", Blind(lambda now: None))
+    assert loop.run(SEED) is Outcome.PERCEPTION_FAILED and "NoneType" in loop.message
+
+
+def test_an_ego_that_stands_is_stuck_and_no_success() -> None:
+    assert drive("ima_building:no_conflict", Blind(), BrakeAt(2.0)).outcome is Outcome.STUCK
+
+
+def test_an_ego_that_was_late_for_its_encounter_says_so() -> None:
+    class Late(BrakeAt):
+        """Stops early, waits, and goes on at full acceleration."""
+
+        def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
+            braking = 1.0 < ego.time_s < 7.0
+            return Decision(-4.0 if braking else ego.limits.acceleration_mps2)
+
+    assert drive("red_light_runner", Blind(), Late(0.0), stuck_s=30.0).outcome is Outcome.DESYNCHRONISED
+
+
+def test_one_seed_is_one_episode_bit_for_bit() -> None:
+    def log() -> EpisodeLog:
+        return drive("lta_truck").log(perception="truth")
+
+    first, second = log(), log()
+    assert len(first) == len(second)
+    for one, other in zip(first.ticks, second.ticks, strict=True):
+        assert one.decision == other.decision
+        assert np.array_equal(one.tracks.boxes.array, other.tracks.boxes.array)
+        assert np.array_equal(one.actors.boxes.array, other.actors.boxes.array)
+
+
+def test_a_replay_shows_the_same_and_other_eyes_see_something_else(tmp_path) -> None:
+    log = drive("ima_building").log(perception="truth")
+    again = look_again(EpisodeLog.load(log.save(tmp_path / "log.npz")), TruthPerception(), "truth")
+    blind = look_again(log, Blind(), "nothing")
+    assert len(again) == len(blind) == len(log)
+    for tick, one, none in zip(log.ticks, again.ticks, blind.ticks, strict=True):
+        assert np.array_equal(tick.actors.boxes.array, one.actors.boxes.array)
+        assert np.array_equal(tick.percept.boxes.array, one.percept.boxes.array)
+        assert len(none.tracks) == 0
+    braked = min(tick.decision.acceleration_mps2 for tick in log.ticks)
+    assert min(tick.decision.acceleration_mps2 for tick in blind.ticks) > braked
+
+
+def test_an_episode_that_has_ended_takes_no_further_step() -> None:
+    loop = drive("ima_building:no_conflict")
+    with pytest.raises(TrafficError, match="ended"):
+        loop.advance()
+
+
+def test_an_acceleration_that_is_not_finite_is_refused() -> None:
+    loop = ClosedLoop("ima_building:no_conflict", Blind())
+    loop.start(SEED)
+    with pytest.raises(ValueError, match="finite"):
+        loop.advance(float("nan"))
+    loop.close()
