@@ -18,7 +18,7 @@ from sim.geometry import wrap_angle
 Array = NDArray[np.float64]
 
 X, Y, VX, VY, YAW, RATE = range(6)
-_POSE = np.eye(6)[[X, Y, YAW]]
+_POSE = np.array([X, Y, YAW])
 _POSE_LIMIT = np.array([np.inf, np.inf, 3.0])
 _SLIP_LIMIT = np.array([3.0])
 
@@ -142,27 +142,27 @@ def predicted(state: State, dt: float, parameters: Parameters, turn_time_s: floa
     return State(mean, jacobian @ state.covariance @ jacobian.transpose(0, 2, 1) + noise)
 
 
-def corrected(state: State, matrix: Array, residual: Array, variance: Array, limit: Array | None = None) -> State:
+def corrected(state: State, cross: Array, innovation: Array, residual: Array, limit: Array | None = None) -> State:
     """Return the state after a measurement.
 
     Args:
         state: N road users.
-        matrix: (N, M, 6) or (M, 6) derivative of the measurement by the state.
+        cross: (N, 6, M) covariance of state and measurement, P H'.
+        innovation: (N, M, M) covariance of the residual, H P H' + R.
         residual: (N, M) measured minus expected.
-        variance: (N, M, M) of the measurement.
         limit: (M,) largest residuals of full weight, standard deviations; a larger one counts as one with an error
             that makes it that large (Huber's bounded influence).
     """
-    cross = state.covariance @ np.swapaxes(matrix, -1, -2)
-    innovation = matrix @ cross + variance
     if limit is not None:
+        innovation = innovation.copy()
         diagonal = np.einsum("nii->ni", innovation)
         diagonal += np.maximum((residual / limit) ** 2 - diagonal, 0.0)
+    transposed = cross.transpose(0, 2, 1)
     one = residual.shape[1] == 1
-    gain = cross / innovation if one else np.linalg.solve(innovation, cross.transpose(0, 2, 1)).transpose(0, 2, 1)
+    gain = cross / innovation if one else np.linalg.solve(innovation, transposed).transpose(0, 2, 1)
     mean = state.mean + (gain @ residual[:, :, None])[:, :, 0]
     mean[:, YAW] = wrap_angle(mean[:, YAW])
-    covariance = state.covariance - gain @ cross.transpose(0, 2, 1)
+    covariance = state.covariance - gain @ transposed
     return State(mean, 0.5 * (covariance + covariance.transpose(0, 2, 1)))
 
 
@@ -177,16 +177,18 @@ def with_pose(state: State, position: Array, variance: Array, yaw_residual: Arra
         yaw_deviation: (N,) standard deviation of the heading, rad.
     """
     residual = np.column_stack([position - state.mean[:, :2], yaw_residual])
-    both = np.zeros((len(residual), 3, 3))
-    both[:, :2, :2] = variance
-    both[:, 2, 2] = yaw_deviation**2
-    return corrected(state, _POSE, residual, both, limit=_POSE_LIMIT)
+    cross = state.covariance[:, :, _POSE]
+    innovation = cross[:, _POSE]
+    innovation[:, :2, :2] += variance
+    innovation[:, 2, 2] += yaw_deviation**2
+    return corrected(state, cross, innovation, residual, limit=_POSE_LIMIT)
 
 
 def with_velocity(state: State, velocity: Array, deviation: float) -> State:
     """Return the state after measured velocities (N, 2), m/s, of one standard deviation."""
-    variance = np.broadcast_to(np.eye(2) * deviation**2, (len(velocity), 2, 2))
-    return corrected(state, np.eye(6)[2:4], velocity - state.mean[:, 2:4], variance)
+    cross = state.covariance[:, :, VX : VY + 1]
+    innovation = cross[:, VX : VY + 1] + deviation**2 * np.eye(2)
+    return corrected(state, cross, innovation, velocity - state.mean[:, VX : VY + 1])
 
 
 def without_slip(state: State, parameters: Parameters) -> State:
@@ -194,15 +196,15 @@ def without_slip(state: State, parameters: Parameters) -> State:
     c, s = np.cos(state.mean[:, YAW]), np.sin(state.mean[:, YAW])
     vx, vy = state.mean[:, VX], state.mean[:, VY]
     along, across = c * vx + s * vy, c * vy - s * vx
-    matrix = np.zeros((len(c), 1, 6))
-    matrix[:, 0, VX], matrix[:, 0, VY], matrix[:, 0, YAW] = -s, c, -along
+    derivative = np.zeros((len(c), 6, 1))
+    derivative[:, VX, 0], derivative[:, VY, 0], derivative[:, YAW, 0] = -s, c, -along
+    cross = state.covariance @ derivative
     # Velocity and yaw are both uncertain: the variance of their product is the second-order term of the filter.
     speed_variance = (
         c * c * state.covariance[:, VX, VX]
         + 2.0 * c * s * state.covariance[:, VX, VY]
         + s * s * state.covariance[:, VY, VY]
     )
-    variance = (
-        parameters.slip_mps**2 + (parameters.slip_rad * along) ** 2 + speed_variance * state.covariance[:, YAW, YAW]
-    )
-    return corrected(state, matrix, -across[:, None], variance[:, None, None], limit=_SLIP_LIMIT)
+    slip = parameters.slip_mps**2 + (parameters.slip_rad * along) ** 2 + speed_variance * state.covariance[:, YAW, YAW]
+    innovation = (derivative * cross).sum(axis=1)[:, :, None] + slip[:, None, None]
+    return corrected(state, cross, innovation, -across[:, None], limit=_SLIP_LIMIT)

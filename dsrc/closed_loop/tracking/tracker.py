@@ -201,6 +201,7 @@ class Tracker:
         speed = np.hypot(state.mean[:, VX], state.mean[:, VY])
         turn = np.where(reported, opposite, (facing < -0.3) & (speed < settings.direction_mps))
         facing = np.where(turn, np.abs(facing), facing)
+        push[tracks] *= np.where(turn, -1.0, 1.0)
         state = _turned(state, np.where(turn, np.pi, 0.0))
         residual = np.where(opposite, wrap_angle(residual - np.pi), residual)
         yaw_rad = np.where(reported, settings.reported_yaw_rad, p.yaw_rad)
@@ -263,6 +264,7 @@ class Tracker:
             yaw, np.where(reported, told, p.speed_mps**2), np.where(reported, told, p.sideways_mps**2)
         )
         covariance[:, YAW, YAW] = np.where(reported, settings.reported_yaw_rad, p.yaw_rad) ** 2
+        # The largest variance at any speed: that where curvature and grip bound the turn rate equally.
         covariance[:, RATE, RATE] = p.curvature_per_m * p.lateral_mps2
         votes = np.zeros((n, len(CLASSES)))
         votes[np.arange(n), measured.label] = measured.score
@@ -331,8 +333,9 @@ class Tracker:
 
     def _tracks(self, time_s: float) -> Tracks:
         """Return the confirmed tracks at the present."""
-        bank = self._bank.rows(np.flatnonzero(self._bank.number >= 0))
-        bank, _ = self._predicted(bank.rows(np.argsort(bank.number)), max(time_s, bank.time_s))
+        order = np.argsort(self._bank.number, kind="stable")
+        confirmed = self._bank.rows(order[self._bank.number[order] >= 0])
+        bank, _ = self._predicted(confirmed, max(time_s, confirmed.time_s))
         box, mean, covariance = bank.box, bank.state.mean, bank.state.covariance
         xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
         largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
