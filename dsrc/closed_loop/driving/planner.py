@@ -26,7 +26,7 @@ from sim.traffic.base import TrafficLight
 
 _FIRST = np.array([-6.5, -5.5, -4.5, -3.5, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.4, 0.8, 1.2, 1.6, 2.0])
 _THEN = np.array([-5.0, -3.5, -2.5, -1.5, 0.0, 1.5])
-_CREEPING_MPS = 1.5
+_CREEPING_MPS, _STILL_MPS = 1.5, 0.1
 _BEYOND_M = 5.0
 
 
@@ -47,6 +47,7 @@ class PlannerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         late_mps2: braking with which it is.
         yellow_mps2: braking above which the ego passes a yellow light.
         line_m: gap between bumper and stop line.
+        sure_s: time to an impact up to which a first alarm is believed at once; else it brakes firmly for one step.
         leader_s: time within which who comes onto the path along it is a leader.
         smooth_s: smoothing of the accelerations of tracks.
     """
@@ -64,6 +65,7 @@ class PlannerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     late_mps2: float = 6.5
     yellow_mps2: float = 3.0
     line_m: float = 0.8
+    sure_s: float = 1.5
     leader_s: float = 3.0
     smooth_s: float = 0.4
 
@@ -94,7 +96,7 @@ class PlanningDriver:
         """Begin an episode."""
         self._speeds: dict[int, tuple[float, float]] = {}
         self._last_s = -math.inf
-        self._stopping = False
+        self._stopping = self._alarmed = False
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
         """Return the acceleration for the next step."""
@@ -173,8 +175,11 @@ class PlanningDriver:
         plans = profiles_of(ego.speed_mps, top, one, np.maximum(then, -hardest), s.change_s, time_s)
         plain = Decision(float(cap), bound.reason, bound.track)
         if len(occupancy) == 0:
+            self._alarmed = False
             return plain
-        certain = _rows(occupancy, occupancy.likely)
+        # Whom the ego stands beside, closer than it would pass, it may leave.
+        leaves = (occupancy.near[:, 0, 0] < 0.0) & (occupancy.near[:, 1, 0] < 0.5 * ego.box.size[0, 0])
+        certain = _rows(occupancy, occupancy.likely & ~leaves)
         near = _hits(plans, certain.near)
         near |= _ends_unsafe(plans, certain, s.end_mps2 + 2.0)
         wide = _hits(plans, np.where(_inside_now(certain)[:, None, None], certain.near, certain.wide))
@@ -200,10 +205,16 @@ class PlanningDriver:
         else:
             rank, chosen = len(tiers), self._least_bad(plans, certain)
         if chosen >= cap - 1e-6:
+            self._alarmed = False
             return plain
+        alarmed, self._alarmed = self._alarmed, rank >= 3
+        if ego.speed_mps < _STILL_MPS:
+            chosen = max(chosen, -s.comfortable_mps2)
+        elif self._alarmed and not alarmed and self._first_impact_s(plans, certain, time_s) > s.sure_s:
+            chosen = max(chosen, -s.firm_mps2)
         blocking = self._blocking(plans, certain, near, wide, cap)
         number = int(tracks.boxes.object_id[blocking]) if blocking >= 0 else -1
-        if rank >= 3 or chosen < -s.firm_mps2 - 0.5:
+        if chosen < -s.firm_mps2 - 0.5 or (rank >= 3 and chosen < -s.comfortable_mps2 - 1e-6):
             return Decision(chosen, "emergency", number)
         creeps = ego.speed_mps < _CREEPING_MPS and 0.0 < chosen < 1.0
         return Decision(chosen, "creep" if creeps else "signal" if blocking < 0 else "yield", number)
@@ -217,6 +228,12 @@ class PlanningDriver:
         plans = profiles_of(ego.speed_mps, top, first, np.full(len(first), -s.late_mps2), s.late_s, time_s)
         fine = np.asarray(~_hits(plans, doubtful.near).any(1))
         return fine if fine.any() else np.ones(len(first), bool)
+
+    def _first_impact_s(self, plans: Profiles, occupancy: Occupancy, time_s: Array) -> float:
+        """Return the first impact of any plan, s; inf without one."""
+        hit = np.asarray(_inside(plans, occupancy.near).any(axis=(0, 1)))
+        hit[0] = False
+        return float(time_s[hit.argmax()]) if hit.any() else math.inf
 
     def _least_bad(self, plans: Profiles, occupancy: Occupancy) -> float:
         """Return the first acceleration of the profile with the latest and then the slowest impact."""

@@ -20,6 +20,8 @@ _CHOICE_S = 1.6
 """Time after which lanes are compared with the turn rate, s."""
 _STRAIGHT_M = 0.5
 """Distance that a bend of one radian counts for in that comparison, m."""
+_BESIDE = 0.5
+"""Share of the distance from a lane that counts in it."""
 
 
 class PredictionSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -203,7 +205,8 @@ def _on_lanes(
     # The likeliest lane is nearest to where its turn rate leads; as long as all are, the straightest.
     end = np.minimum(done[place, -1] / LANE_STEP_M, length - 1).astype(np.int64)
     bent = np.abs(lines[pick[:, 0], end, 2] - start[:, 2])
-    off = np.hypot(*(xy[:, choice] - whole.xy[row, choice]).T) + _STRAIGHT_M * bent + 100.0 * ~fit
+    off = np.hypot(*(xy[:, choice] - whole.xy[row, choice]).T) + _STRAIGHT_M * bent
+    off += _BESIDE * np.abs(left) + 100.0 * ~fit
     likely = np.zeros(len(ways), bool)
     order = np.lexsort((off, row))
     likely[order[np.concatenate([[True], np.diff(row[order]) > 0])]] = True
