@@ -17,9 +17,11 @@ from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario
 from sim.traffic.base import PARKED, Actors, Limits, TrafficLight, check_command
 from sim.traffic.parking import parked_cars
+from sim.traffic.reactions import Attention, YieldShim
 from sim.traffic.sumo.demand import write_demand
 from sim.traffic.sumo.input import check_signals, signals_xml, sumo_options
 from sim.traffic.sumo.lane_path import lane_path
+from sim.traffic.sumo.placed import FREE_SPEED_MODE, SUMO_SPEED_MODE, PlacedVehicles
 from sim.traffic.sumo.red_light import red_light_speed
 from sim.vehicle_types import TYPES, VehicleType
 
@@ -31,7 +33,6 @@ FIRST_ID = 1000
 # is the comfortable one: `_advance` applies the emergency deceleration instead. SUMO's stop at red lights (16) is left
 # out too: without the safe speed it brakes at 14 m/s2.
 _OWN_SPEED_MODE = 2 | 32
-_SUMO_SPEED_MODE = 31
 
 # A body turns as if trailing wheels followed its front bumper without slip, at this share of its length behind it: SUMO
 # itself turns it with the corners of its lane. The middle of the box would turn too fast, the rear axle would swing the
@@ -67,15 +68,18 @@ class SumoTraffic:
     Args:
         scenario: scenario to simulate; the constructor runs its warm-up.
         seed: root seed of trips, drivers and body models; equal seeds give equal actors in every process.
+        attention: of drivers for vehicles that are placed off their lanes (`place`).
 
     Raises:
         ScenarioError: network or demand is invalid.
         TrafficError: a simulation already runs in this process, or SUMO refuses the input.
     """
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
+    def __init__(self, scenario: Scenario, seed: int, attention: Attention = "attentive") -> None:
         self.step_s = scenario.step_s
         self._seed = seed
+        self._placed = PlacedVehicles(YieldShim(attention))
+        self._crashed: set[str] = set()
         self._users: dict[str, _RoadUser] = {}
         self._commanded: dict[str, float] = {}
         self._actors: Actors | None = None
@@ -129,13 +133,55 @@ class SumoTraffic:
         check_command(speed_mps)
         name = self._vehicle(object_id)
         if speed_mps is None:
-            self._sumo.vehicle.setSpeedMode(name, _SUMO_SPEED_MODE)
+            self._sumo.vehicle.setSpeedMode(name, SUMO_SPEED_MODE)
             self._sumo.vehicle.setSpeed(name, -1.0)
             self._commanded.pop(name, None)
+            self._placed.remove(name)
             return
         if name not in self._commanded:
             self._sumo.vehicle.setSpeedMode(name, _OWN_SPEED_MODE)
         self._commanded[name] = float(speed_mps)
+
+    def place(self, object_id: int, xy: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
+        """Put a vehicle somewhere in the next step, on a lane or off, where it stays until it is placed again.
+
+        SUMO's drivers do not see it there reliably: `YieldShim` makes them.
+
+        Args:
+            object_id: a vehicle on the road.
+            xy: (2,) centre of its footprint, m.
+            yaw: heading, rad.
+            speed_mps: its speed, which SUMO's followers see, m/s.
+
+        Raises:
+            KeyError, TrafficError: see `DrivableTraffic`.
+            ValueError: a value is not finite.
+        """
+        if not np.isfinite([*xy, yaw, speed_mps]).all():
+            raise ValueError(f"a place needs finite numbers, got {xy}, {yaw}, {speed_mps}")
+        name = self._vehicle(object_id)
+        front = np.asarray(xy) + 0.5 * self._users[name].kind.size[0] * np.array([np.cos(yaw), np.sin(yaw)])
+        if name not in self._placed:
+            self._sumo.vehicle.setLaneChangeMode(name, 0)
+        self._placed.put(name, front, yaw, float(speed_mps))
+        self._commanded[name] = float(speed_mps)
+        self._sumo.vehicle.setSpeedMode(name, FREE_SPEED_MODE)
+
+    def crash(self, *object_ids: int) -> None:
+        """Stop road users at once, as by a crash; they stay where they are, as obstacles. Parked cars stay anyway.
+
+        Raises:
+            KeyError: one is not on the road.
+        """
+        for object_id in object_ids:
+            name = self.actors.name[self.actors.row(object_id)]
+            if self._users[name].is_person:
+                self._sumo.person.setSpeed(name, 0.0)
+            elif name not in self._parked.name:
+                self._crashed.add(name)
+                self._sumo.vehicle.setLaneChangeMode(name, 0)
+                self._sumo.vehicle.setSpeedMode(name, FREE_SPEED_MODE)
+                self._sumo.vehicle.setSpeed(name, 0.0)
 
     def route(self, object_id: int, ahead_m: float) -> NDArray[np.float64]:
         """Return the (K, 2) world polyline that a vehicle will follow, from its centre over the next `ahead_m` m."""
@@ -246,10 +292,18 @@ class SumoTraffic:
         if not self._open:
             raise TrafficError("this SUMO simulation is closed")
         for name, speed_mps in self._commanded.items():
+            if name in self._crashed or name in self._placed:
+                continue
             _, comfortable, emergency = self._users[name].kind.accel_mps2
             limit_mps = red_light_speed(self._sumo, name, comfortable, self.step_s)
             least_mps = self._sumo.vehicle.getSpeed(name) - emergency * self.step_s
             self._sumo.vehicle.setSpeed(name, max(min(speed_mps, limit_mps), least_mps, 0.0))
+        placed = self._placed.move(self._sumo)
+        for name in placed:
+            self._users[name].trail = None  # its heading is the given one
+        if placed and self._actors is not None:
+            drivers = self._undriven(self._actors)
+            self._placed.slow_others(self._sumo, self._actors, drivers, self.route, self.limits, self.step_s)
         try:
             self._sumo.simulationStep()
         except Exception as error:  # see _start
@@ -260,6 +314,14 @@ class SumoTraffic:
             self._welcome(name, self._sumo.person.getTypeID(name), is_person=True)
         for name in self._sumo.simulation.getArrivedIDList():
             self._commanded.pop(name, None)
+            self._placed.remove(name)
+            self._crashed.discard(name)
+
+    def _undriven(self, actors: Actors) -> list[int]:
+        """Return the ids of the vehicles that SUMO drives."""
+        not_free = self._commanded.keys() | self._crashed | set(self._parked.name)
+        rows = [row for row, name in enumerate(actors.name) if name not in not_free and not self._users[name].is_person]
+        return [int(object_id) for object_id in actors.boxes.object_id[rows]]
 
     def _welcome(self, name: str, type_id: str, *, is_person: bool) -> None:
         kind = TYPES[type_id]

@@ -1,0 +1,78 @@
+"""SUMO vehicles that are placed on a lane or off, and the drivers who yield to them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.traffic.base import Actors, Limits
+from sim.traffic.reactions import YieldShim
+
+# Bits of SUMO's speed mode, see `sim.traffic.sumo.traffic`: its own; harder brakes than the comfortable ones for who
+# yields to what SUMO does not see; no limits for a vehicle that is placed, or that a crash stops within a step.
+SUMO_SPEED_MODE, _YIELD_SPEED_MODE, FREE_SPEED_MODE = 31, 31 - 4, 0
+_EXACTLY_THERE = 2
+
+
+class PlacedVehicles:
+    """Poses of placed vehicles, by name, and the brakes of others for them.
+
+    Args:
+        shim: reactions of the others.
+    """
+
+    def __init__(self, shim: YieldShim) -> None:
+        self._shim = shim
+        self._poses: dict[str, tuple[float, float, float, float]] = {}
+        self._yielding: set[str] = set()
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._poses
+
+    def put(self, name: str, front: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
+        """Place a vehicle with its front bumper at a (2,) position, m, a heading, rad, and a speed, m/s."""
+        self._poses[name] = (float(front[0]), float(front[1]), float(90.0 - np.degrees(yaw)) % 360.0, speed_mps)
+
+    def remove(self, name: str) -> None:
+        """Forget a vehicle."""
+        self._poses.pop(name, None)
+        self._yielding.discard(name)
+
+    def move(self, sumo: Any) -> list[str]:
+        """Move all placed vehicles, which SUMO needs before every step; return their names."""
+        for name, (x, y, angle_deg, speed_mps) in self._poses.items():
+            sumo.vehicle.moveToXY(name, "", -1, x, y, angle_deg, _EXACTLY_THERE)
+            sumo.vehicle.setPreviousSpeed(name, speed_mps)
+        return list(self._poses)
+
+    def slow_others(
+        self,
+        sumo: Any,
+        actors: Actors,
+        drivers: list[int],
+        route: Callable[[int, float], NDArray[np.float64]],
+        limits: Callable[[int], Limits],
+        step_s: float,
+    ) -> None:
+        """Set the speeds of the drivers who yield in the next step, and give back those who do no longer.
+
+        Args:
+            sumo: the libsumo module of the running simulation.
+            actors: at the present.
+            drivers: ids of the vehicles that SUMO drives.
+            route: see `DrivableTraffic.route`.
+            limits: see `DrivableTraffic.limits`.
+            step_s: time step, s.
+        """
+        ids = {name: int(object_id) for name, object_id in zip(actors.name, actors.boxes.object_id, strict=True)}
+        unseen = [ids[name] for name in self._poses if name in ids]
+        speeds = self._shim.speeds(actors, unseen, drivers, route, limits, step_s)
+        slow = {actors.name[actors.row(driver)]: speed for driver, speed in speeds.items()}
+        for name in self._yielding - slow.keys():
+            sumo.vehicle.setSpeedMode(name, SUMO_SPEED_MODE)
+            sumo.vehicle.setSpeed(name, -1.0)
+        for name, speed in slow.items():
+            sumo.vehicle.setSpeedMode(name, _YIELD_SPEED_MODE)
+            sumo.vehicle.setSpeed(name, speed)
+        self._yielding = set(slow)

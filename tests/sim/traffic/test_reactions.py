@@ -1,0 +1,139 @@
+"""Reactions: background drivers stop for what SUMO does not see, each after the reaction time of its attention."""
+
+import numpy as np
+import pytest
+
+from sim.boxes import Boxes
+from sim.collisions import overlapping_pairs
+from sim.traffic.base import Actors, Limits
+from sim.traffic.reactions import NEAR_M, REACTION_S, Attention, YieldShim
+from sim.traffic.sumo.traffic import SumoTraffic
+from tests.sim.traffic.sumo.test_traffic import quick
+
+BODY, DRIVER = 1000, 1001
+STEP = 0.1
+
+
+def street(x: float, speed: float, time_s: float, aside: float = 0.0) -> Actors:
+    """A body across the lane at the origin, and a driver who comes along the x axis."""
+    boxes = Boxes.from_array(
+        [(0.0, aside, 0.75, 4.0, 1.8, 1.5, np.pi / 2), (x, 0.0, 0.75, 4.0, 1.8, 1.5, 0.0)], object_id=[BODY, DRIVER]
+    )
+    velocity = np.array([[0.0, 0.0], [speed, 0.0]])
+    none = np.zeros(2)
+    return Actors(time_s, boxes, none, velocity, 0 * velocity, ("",) * 2, ("a", "b"), none.astype(np.int32), ("",) * 2)
+
+
+def approach(attention: Attention, speed: float = 10.0, start: float = -38.0, aside: float = 0.0) -> list[tuple]:
+    """Places and speeds of a driver who does what the shim says, until it stands or has passed."""
+    shim, x, rows = YieldShim(attention), start, []
+    for step in range(100):
+        now = street(x, speed, step * STEP, aside)
+
+        def route(_: int, ahead_m: float, x: float = x) -> np.ndarray:
+            return np.array([[x, 0.0], [x + ahead_m, 0.0]])
+
+        slow = shim.speeds(now, [BODY], [BODY, DRIVER], route, lambda _: Limits(15.0, 2.6, 8.0), STEP)
+        after = slow.get(DRIVER, speed)
+        x += 0.5 * (speed + after) * STEP
+        speed = after
+        rows.append((step * STEP, x, speed))
+        if speed == 0.0 or x > 5.0:
+            break
+    return rows
+
+
+def test_an_attentive_driver_stops_before_the_body_within_its_brakes() -> None:
+    rows = np.array(approach("attentive"))
+    front = rows[-1, 1] + 2.0
+    assert rows[-1, 2] == 0.0 and -4.0 < front + 0.9 < 0.0
+    assert np.diff(rows[:, 2]).min() / STEP >= -8.0 - 1e-9
+    seen = rows[rows[:, 1] + 2.0 + 25.0 >= -0.9][0, 0]
+    braked = rows[np.flatnonzero(np.diff(rows[:, 2]) < 0)[0], 0]
+    assert braked - seen == pytest.approx(REACTION_S["attentive"], abs=0.15)
+
+
+def test_a_distracted_driver_brakes_later_and_harder_and_a_blind_one_never() -> None:
+    brakes = {one: -np.diff(np.array(approach(one))[:, 2]).min() / STEP for one in REACTION_S}
+    assert brakes["attentive"] < brakes["distracted"] <= 8.0 + 1e-9
+    assert brakes["blind"] == 0.0
+
+
+def test_what_stands_beside_the_way_or_far_off_slows_nobody() -> None:
+    assert np.array(approach("attentive", aside=3.5))[-1, 2] == 10.0
+    assert np.array(approach("attentive", start=-NEAR_M - 20.0))[10, 2] == 10.0
+
+
+def crossing_body(attention: Attention) -> tuple[list[float], list[float]]:
+    """A car at full speed in SUMO, and another placed across its lane 28 m ahead: speeds before and at the overlap."""
+    with SumoTraffic(quick("four_way", 30.0), 1, attention) as traffic:
+        while True:
+            now = traffic.step()
+            for row in np.flatnonzero((now.boxes.label == 0) & (np.hypot(*now.velocity.T) > 9.0)):
+                car = int(now.boxes.object_id[row])
+                lights = traffic.signals(car)
+                way = traffic.route(car, 28.0)
+                whole = np.linalg.norm(np.diff(way, axis=0), axis=1).sum() > 27.0
+                if whole and not now.lane[row].startswith(":") and not (lights and lights[0].distance_m < 60.0):
+                    return _meet(traffic, car, way)
+
+
+def _meet(traffic: SumoTraffic, car: int, way: np.ndarray) -> tuple[list[float], list[float]]:
+    now, (place, onward) = traffic.actors, (way[-1], way[-1] - way[-2])
+    yaw = float(np.arctan2(onward[1], onward[0])) + np.pi / 2
+    cars = [int(i) for i in now.boxes.object_id[now.boxes.label == 0] if int(i) != car]
+    body = max(cars, key=lambda i: np.hypot(*(now.boxes.center[now.row(i), :2] - place)))
+    clear, through = [], []
+    for _ in range(50):
+        traffic.place(body, place, yaw, 0.0)
+        now = traffic.step()
+        pair = {now.row(car), now.row(body)}
+        np.testing.assert_allclose(now.boxes.center[now.row(body), :2], place, atol=0.02)
+        met = any(set(rows) == pair for rows in overlapping_pairs(now.boxes).tolist())
+        (through if met else clear).append(float(np.hypot(*now.velocity[now.row(car)])))
+    return clear, through
+
+
+def test_sumo_drives_through_a_car_that_stands_across_its_lane() -> None:
+    _, through = crossing_body("blind")
+    assert max(through) > 9.0
+
+
+def test_with_the_shim_the_car_stops_before_it() -> None:
+    clear, through = crossing_body("attentive")
+    assert not through
+    assert clear[0] > 9.0 and clear[-1] < 0.1
+    assert np.diff(clear).min() / STEP > -8.5
+
+
+def test_a_crashed_pair_stands_and_is_an_obstacle() -> None:
+    with SumoTraffic(quick("four_way", 40.0), 1) as traffic:
+        first, second, follower = _column(traffic)
+        traffic.crash(first, second)
+        now = traffic.step()
+        places = {i: now.boxes.center[now.row(i), :2] for i in (first, second)}
+        speeds = []
+        for _ in range(100):
+            now = traffic.step()
+            speeds.append(float(np.hypot(*now.velocity[now.row(follower)])))
+            touched = {int(now.boxes.object_id[row]) for rows in overlapping_pairs(now.boxes) for row in rows}
+            assert follower not in touched
+        for i, place in places.items():
+            np.testing.assert_allclose(now.boxes.center[now.row(i), :2], place, atol=0.05)
+        assert speeds[0] > 2.0 and min(speeds) < 0.5
+
+
+def _column(traffic: SumoTraffic) -> tuple[int, int, int]:
+    """Return the ids of a vehicle with a follower in its lane, of one elsewhere, and of the follower."""
+    while True:
+        now = traffic.step()
+        drives = now.boxes.is_vehicle & (np.hypot(*now.velocity.T) > 4.0)
+        for row in np.flatnonzero(drives):
+            others = np.flatnonzero(drives & (np.array(now.lane) == now.lane[row]))
+            heading = np.array([np.cos(now.boxes.yaw[row]), np.sin(now.boxes.yaw[row])])
+            behind = (now.boxes.center[row, :2] - now.boxes.center[others, :2]) @ heading
+            close = others[(behind > 12.0) & (behind < 35.0)]
+            if len(close) and not now.lane[row].startswith(":"):
+                away = np.hypot(*(now.boxes.center[:, :2] - now.boxes.center[row, :2]).T) * drives
+                ids = now.boxes.object_id
+                return int(ids[row]), int(ids[np.argmax(away)]), int(ids[close[0]])
