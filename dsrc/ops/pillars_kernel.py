@@ -1,4 +1,4 @@
-"""Compiled loops over the points of a cloud: voxels in first-come order, sums of cells."""
+"""Compiled loops over the points of a cloud: voxels in first-come order, sums of cells, maxima of pillars."""
 
 from typing import Any
 
@@ -93,3 +93,46 @@ def sum_cells(points: Any, low: Any, size: Any, shape: Any) -> Any:
     cells = np.flatnonzero(row_of >= 0)
     rows = row_of[cells]
     return cells, count[rows], sums[rows]
+
+
+@compiled(fastmath={"contract"})
+def pillar_maxima(points: Any, count: Any, centre: Any, weight: Any) -> Any:
+    """Return the (V, C) float32 maxima of a linear layer over the points of each pillar.
+
+    The layer reads a point's own D features, its offset to the mean of the pillar's points, and that to the pillar's
+    centre. Around the centre these are one matrix for the point and one sum for the pillar.
+
+    Args:
+        points: (P, D) float32 x, y, z, intensity(, paint), pillar by pillar; D is 4 or 5.
+        count: (V,) int64 points of each pillar, at least 1.
+        centre: (V, 3) float32 centres of the pillars.
+        weight: (D + 6, C) float32.
+    """
+    features, channels = points.shape[1], weight.shape[1]
+    by_mean, by_centre = weight[features : features + 3], weight[features + 3 :]
+    near = weight[:3] + by_mean + by_centre
+    glow = weight[3]
+    paint = weight[4] if features > 4 else np.zeros(channels, np.float32)
+    maxima = np.full((len(count), channels), -np.inf, np.float32)
+    first = 0
+    for pillar in range(len(count)):
+        after = first + count[pillar]
+        x0, y0, z0 = centre[pillar, 0], centre[pillar, 1], centre[pillar, 2]
+        x_sum, y_sum, z_sum = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        best = maxima[pillar]
+        for point in range(first, after):
+            x, y, z = points[point, 0] - x0, points[point, 1] - y0, points[point, 2] - z0
+            bright, painted = points[point, 3], points[point, features - 1]
+            x_sum += x
+            y_sum += y
+            z_sum += z
+            for c in range(channels):
+                value = near[0, c] * x + near[1, c] * y + near[2, c] * z + glow[c] * bright + paint[c] * painted
+                best[c] = value if value > best[c] else best[c]
+        share = np.float32(1.0) / np.float32(count[pillar])
+        x, y, z = x_sum * share, y_sum * share, z_sum * share
+        for c in range(channels):
+            best[c] += weight[0, c] * x0 + weight[1, c] * y0 + weight[2, c] * z0
+            best[c] -= by_mean[0, c] * x + by_mean[1, c] * y + by_mean[2, c] * z
+        first = after
+    return maxima

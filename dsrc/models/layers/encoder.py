@@ -41,6 +41,50 @@ class Pillars:
         return replace(self, **moved)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PillarMap:
+    """Bird's-eye map by its pillars: (N, C, H, W), zero in cells without points.
+
+    Attributes:
+        features: (V, C) of the pillars.
+        coords: (V, 3) int64 cloud, row (y) and column (x) of the pillar.
+        clouds: N.
+        height: H.
+        width: W.
+    """
+
+    features: Tensor
+    coords: Tensor
+    clouds: int
+    height: int
+    width: int
+
+    def dense(self, empty: Tensor | None = None) -> Tensor:
+        """Return the map with all its cells.
+
+        Args:
+            empty: (C,) value of the cells without points; None for zero.
+        """
+        cloud, row, column = self.coords.unbind(1)
+        cell = (cloud * self.height + row) * self.width + column
+        shape = self.clouds * self.height * self.width, self.features.shape[1]
+        if empty is None:
+            cells = self.features.new_zeros(shape)
+        else:
+            # Row by row of the map: single cells of few channels take four times as long.
+            cells = empty.repeat(self.width).expand(self.clouds * self.height, -1).contiguous().view(shape)
+        cells.index_copy_(0, cell, self.features)
+        # (N, H, W, C) seen as (N, C, H, W): already the memory order that CPU convolutions like best.
+        return cells.view(self.clouds, self.height, self.width, -1).permute(0, 3, 1, 2)
+
+    def halved(self) -> "PillarMap":
+        """Return every second row and column, the first included."""
+        kept = ((self.coords[:, 1] | self.coords[:, 2]) & 1 == 0).nonzero()[:, 0]
+        coords = self.coords[kept]
+        coords[:, 1:] //= 2
+        return PillarMap(self.features[kept], coords, self.clouds, self.height // 2, self.width // 2)
+
+
 class SlotNorm(nn.BatchNorm1d):
     """Batch norm of a linear layer's output, computed from the moments of its input.
 
@@ -158,24 +202,22 @@ class PillarEncoder(nn.Module):
         xyz, rows = pillars.points[:, :3], pillars.pillar
         total = xyz.new_zeros((pillars.coords.shape[0], 3)).index_add_(0, rows, xyz)
         mean = total / pillars.count[:, None]
+        reference = torch.cat([mean, self.centre(pillars)], dim=1)[rows]
+        return torch.cat([pillars.points, xyz - reference[:, :3], xyz - reference[:, 3:]], dim=1)
+
+    def centre(self, pillars: Pillars) -> Tensor:
+        """Return (V, 3) float32 centres of the pillars, m."""
         low, cell = self.grid.range_m, self.grid.cell_m
-        centre = torch.stack(
+        coords = pillars.coords
+        return torch.stack(
             [
-                pillars.coords[:, 2] * cell + (low[0] + cell / 2),
-                pillars.coords[:, 1] * cell + (low[1] + cell / 2),
-                torch.full((mean.shape[0],), (low[2] + low[5]) / 2, device=xyz.device),
+                coords[:, 2] * cell + (low[0] + cell / 2),
+                coords[:, 1] * cell + (low[1] + cell / 2),
+                torch.full((coords.shape[0],), (low[2] + low[5]) / 2, device=coords.device),
             ],
             dim=1,
-        ).to(xyz.dtype)
-        reference = torch.cat([mean, centre], dim=1)[rows]
-        return torch.cat([pillars.points, xyz - reference[:, :3], xyz - reference[:, 3:]], dim=1)
+        ).to(pillars.points.dtype)
 
     def scatter(self, features: Tensor, pillars: Pillars) -> Tensor:
         """Place (V, C) features on the (N, C, H, W) grid."""
-        height, width = self.grid.height, self.grid.width
-        cloud, row, column = pillars.coords.unbind(1)
-        cell = (cloud * height + row) * width + column
-        dense = features.new_zeros((pillars.clouds * height * width, features.shape[1]))
-        dense.index_copy_(0, cell, features)
-        # (N, H, W, C) seen as (N, C, H, W): already the memory order that CPU convolutions like best.
-        return dense.view(pillars.clouds, height, width, -1).permute(0, 3, 1, 2)
+        return PillarMap(features, pillars.coords, pillars.clouds, self.grid.height, self.grid.width).dense()

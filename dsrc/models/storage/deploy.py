@@ -3,7 +3,8 @@
 On CPUs a plain detector spends half its time between the convolutions. Here batch norms are folded into the convolution
 before them, ReLUs and shortcuts fused with the one before (oneDNN's fused convolutions), the channel splits of Res2Net
 are convolutions of their own instead of slices that are copied and joined, and every map stays in channels-last order,
-which those convolutions need.
+which those convolutions need. Pillars are encoded in one compiled loop, and a first layer of 1 x 1 convolutions is
+computed for them alone: most cells of a map have no points and all the same value.
 
 These layers cannot be trained, and their state dict has other names than a detector's.
 """
@@ -12,6 +13,7 @@ import copy
 import os
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -21,7 +23,9 @@ from torch.nn import functional
 from dsrc.models.detector import Detector
 from dsrc.models.layers.backbones import BasicBlock
 from dsrc.models.layers.blocks import Decoder
-from dsrc.models.layers.res2net import Res2Block
+from dsrc.models.layers.encoder import PillarEncoder, PillarMap, Pillars
+from dsrc.models.layers.res2net import Res2Block, Res2Net
+from dsrc.ops.pillars_kernel import pillar_maxima
 from sim.errors import SettingsError, complaint
 
 _ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
@@ -38,6 +42,7 @@ def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Dete
     """
     fast = copy.deepcopy(detector).eval().requires_grad_(False)
     _fuse_children(fast)
+    fast.encoder = FusedEncoder(fast.encoder, dense=not isinstance(fast.backbone, Res2Net))  # type: ignore[assignment]
     for layer in fast.modules():
         if isinstance(layer, FusedConv):
             layer.to(precision)
@@ -123,6 +128,42 @@ def folded(conv: nn.Conv2d | nn.ConvTranspose2d, norm: nn.BatchNorm2d | None) ->
     return weight * scale.view(outputs), (bias - norm.running_mean) * scale + norm.bias
 
 
+class FusedEncoder(nn.Module):
+    """Pillar encoder with its batch norm folded in, on CPUs in one pass over the points."""
+
+    def __init__(self, encoder: PillarEncoder, dense: bool) -> None:
+        """Fuse an encoder; `dense` gives maps of all cells, else of the pillars."""
+        super().__init__()
+        self.encoder, self.dense = encoder, dense
+        scale, shift = encoder.norm.scale_shift(encoder.linear.weight[:0], encoder.linear.weight)
+        # A scale below zero turns the minimum into the maximum: folded into the weight first, it is always the maximum.
+        self.register_buffer("weight", (encoder.linear.weight * scale[:, None]).T.contiguous())
+        self.register_buffer("shift", shift.clone())
+
+    weight: Tensor
+    shift: Tensor
+
+    def forward(self, pillars: Pillars) -> Tensor | PillarMap:
+        """Return the (N, C, H, W) feature map; cells without points are zero."""
+        with torch.autocast(pillars.points.device.type, enabled=False):
+            features = self.features(pillars)
+        grid = self.encoder.grid
+        found = PillarMap(features, pillars.coords, pillars.clouds, grid.height, grid.width)
+        return found.dense() if self.dense else found
+
+    def features(self, pillars: Pillars) -> Tensor:
+        """Return (V, C) features of the pillars."""
+        if pillars.points.device.type != "cpu" or not len(pillars.count):
+            return self.encoder.features(pillars)
+        arrays = (pillars.points, pillars.count, self.encoder.centre(pillars), self.weight)
+        values = torch.from_numpy(pillar_maxima(*(array.numpy() for array in arrays)))
+        values += self.shift
+        if self.encoder.padded_slots:
+            padded = (pillars.count < self.encoder.max_points)[:, None]
+            values = torch.where(padded, torch.maximum(values, self.shift), values)
+        return values.relu_()
+
+
 class FusedConv(nn.Module):
     """Convolution with an optional fused ReLU."""
 
@@ -147,6 +188,14 @@ class FusedConv(nn.Module):
         y = functional.conv2d(x, self.weight, self.bias, stride, padding)
         return y.relu_() if self.relu else y
 
+    def of_pillars(self, x: PillarMap) -> Tensor:
+        """Map the pillars by a 1 x 1 convolution to the (N, outputs, H, W) map of all cells."""
+        values = functional.linear(x.features.to(self.weight.dtype), self.weight.flatten(1), self.bias)
+        empty = self.bias
+        if self.relu:
+            values, empty = values.relu_(), empty.relu()
+        return replace(x, features=values).dense(empty)
+
     def add_to(self, out: Tensor, x: Tensor) -> Tensor:
         """Add the convolution of x to (N, outputs, H, W) in place, then apply the ReLU if there is one."""
         stride, padding = [self.stride] * 2, [self.padding] * 2
@@ -167,11 +216,11 @@ class FusedStage(nn.Module):
         super().__init__()
         self.blocks = nn.ModuleList(FusedRes2Block(block) for block in blocks)
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x: Tensor | PillarMap) -> Tensor:
         """Map (N, inputs, H, W) to (N, outputs, H', W')."""
         for block in self.blocks:
             x = block(x)
-        return x
+        return x  # type: ignore[return-value]
 
 
 class FusedRes2Block(nn.Module):
@@ -204,10 +253,14 @@ class FusedRes2Block(nn.Module):
             for number, part in enumerate(weight.chunk(splits, dim=1))
         )
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Map (N, inputs, H, W) to (N, outputs, H', W')."""
-        entries = [enter(x) for enter in self.enter]
-        out = x if self.shortcut is None else self.shortcut(x[:, :, ::2, ::2])
+    def forward(self, x: Tensor | PillarMap) -> Tensor:
+        """Map (N, inputs, H, W) to (N, outputs, H', W'); pillars reach the first block of a backbone alone."""
+        if isinstance(x, PillarMap):
+            entries = [enter.of_pillars(x) for enter in self.enter]  # type: ignore[operator]
+            out = self.shortcut.of_pillars(x.halved())  # type: ignore[union-attr]
+        else:
+            entries = [enter(x) for enter in self.enter]
+            out = x if self.shortcut is None else self.shortcut(x[:, :, ::2, ::2])
         results: list[Tensor] = []
         for entry, inner in zip(entries[:-1], self.inner, strict=True):
             results.append(inner(entry if self.first or not results else entry.add_(results[-1])))

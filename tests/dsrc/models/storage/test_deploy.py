@@ -11,7 +11,8 @@ from torch import nn
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.inputs.batch import pillars_of
-from dsrc.models.storage.deploy import ENGINES, FusedConv, deployed
+from dsrc.models.layers.encoder import PillarEncoder, PillarMap
+from dsrc.models.storage.deploy import ENGINES, FusedConv, FusedEncoder, deployed
 from dsrc.training.recipes import debug
 from sim.errors import SettingsError
 
@@ -106,3 +107,43 @@ def test_without_a_compiler_it_says_so(monkeypatch):
     with pytest.raises(SettingsError, match="C\\+\\+ compiler") as caught:
         ENGINES["compiled"](a_detector())
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("changes", [{}, {"padded_slots": True}, {"role": "teacher", "pcp": True}])
+def test_pillars_in_one_pass_have_the_features_of_the_encoder(changes):
+    settings = replace(debug().model, **{"sdd": False, "pcp": False, "rec": False} | changes)
+    torch.manual_seed(0)
+    encoder = PillarEncoder(settings).eval().requires_grad_(False)
+    generator = torch.Generator().manual_seed(1)
+    for tensor, low, high in (
+        (encoder.norm.running_mean, -0.2, 0.2),
+        (encoder.norm.running_var, 0.5, 2.0),
+        (encoder.norm.weight, -1.5, 1.5),  # a negative one turns the maximum into the minimum
+        (encoder.norm.bias, -0.2, 0.2),
+    ):
+        tensor.data.uniform_(low, high, generator=generator)
+    rng = np.random.default_rng(0)
+    low, high = np.array(settings.grid.range_m[:3]), np.array(settings.grid.range_m[3:])
+    clouds = [
+        np.concatenate([rng.uniform(low, high, (count, 3)), rng.random((count, settings.point_features - 3))], axis=1)
+        for count in (6000, 0, 500)
+    ]
+    pillars = pillars_of([cloud.astype(np.float32) for cloud in clouds], settings)
+    fused = FusedEncoder(encoder, dense=True)
+    with torch.inference_mode():
+        torch.testing.assert_close(fused.features(pillars), encoder.features(pillars), atol=1e-5, rtol=1e-5)
+        torch.testing.assert_close(fused(pillars), encoder(pillars), atol=1e-5, rtol=1e-5)
+        nothing = pillars_of([np.zeros((0, settings.point_features), np.float32)], settings)
+        assert not fused(nothing).any()
+
+
+def test_a_map_by_its_pillars_is_the_dense_map():
+    coords = torch.tensor([[0, 0, 0], [0, 2, 5], [1, 3, 2], [1, 6, 4]])
+    sparse = PillarMap(torch.arange(1.0, 9.0).view(4, 2), coords, clouds=2, height=8, width=6)
+    dense = sparse.dense()
+    assert dense.shape == (2, 2, 8, 6) and dense[1, :, 6, 4].tolist() == [7.0, 8.0] and dense.sum() == 36.0
+    torch.testing.assert_close(sparse.halved().dense(), dense[:, :, ::2, ::2])
+    filled = sparse.dense(torch.tensor([0.5, -1.0]))
+    torch.testing.assert_close(filled, torch.where(dense > 0, dense, torch.tensor([0.5, -1.0])[:, None, None]))
+    conv = FusedConv(torch.randn(3, 2, 1, 1), torch.randn(3), relu=True)
+    torch.testing.assert_close(conv.of_pillars(sparse), conv(dense), atol=1e-6, rtol=1e-6)
