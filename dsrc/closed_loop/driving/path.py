@@ -11,8 +11,11 @@ STEP_M = 0.5
 """Distance between stations of a path, m."""
 
 _SMOOTH_M = 4.0
-_BEND_M = 6.0
-"""Length over which the curvature of a drawn lane is measured: its corners are no bends, m."""
+_BEND_M = 12.0
+"""Length over which the curvature of a drawn lane is measured: the corners of its polyline are no bends, m."""
+_START_M = 6.0
+"""Beginning of a path without a bound: the way from beside a lane onto it is no bend, m."""
+_RETURN_M, _ASIDE_M = 15.0, 2.0
 _JUMP_RAD, _JUMP_M, _CHANGE_M = math.radians(50.0), 6.0, 30.0
 
 
@@ -47,11 +50,11 @@ def path_of(route: Array, yaw: float, lateral_mps2: float, length_m: float = mat
         lateral_mps2: highest lateral acceleration.
         length_m: longest part of the route that matters.
     """
-    line = _without_jumps(np.asarray(route, np.float64))
+    line, beside = _from_lane(_without_jumps(np.asarray(route, np.float64)))
     grown = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     along = np.arange(0.0, min(max(grown[-1], STEP_M), length_m) + 1e-9, STEP_M)
     xy = np.stack([np.interp(along, grown, line[:, axis]) for axis in (0, 1)], axis=1)
-    xy = _smooth(xy, round(0.5 * _SMOOTH_M / STEP_M))
+    xy = _smooth(xy, round(0.5 * _SMOOTH_M / STEP_M)) + np.clip(1.0 - along / _RETURN_M, 0.0, 1.0)[:, None] * beside
     drawn = _headings(xy)
     # The body does not turn at once to where the route begins.
     turned = math.remainder(yaw - drawn[0], 2.0 * math.pi)
@@ -59,6 +62,7 @@ def path_of(route: Array, yaw: float, lateral_mps2: float, length_m: float = mat
     place, reach = np.arange(len(xy)), max(1, round(0.5 * _BEND_M / STEP_M))
     far, near = np.minimum(place + reach, len(xy) - 1), np.maximum(place - reach, 0)
     curvature = np.abs(drawn[far] - drawn[near]) / (np.maximum(far - near, 1) * STEP_M)
+    curvature[along < _START_M] = 0.0
     return Path(along, xy, heading, np.sqrt(lateral_mps2 / np.maximum(curvature, 1e-6)))
 
 
@@ -79,8 +83,24 @@ def _smooth(xy: Array, reach: int) -> Array:
     return (total[width:] - total[:-width]) / width
 
 
+def _from_lane(line: Array) -> tuple[Array, Array]:
+    """Return a polyline that begins on its lane, and the (2,) offset from there of where it began.
+
+    A route leads from the ego's centre straight to the lane at its front bumper: while it changes lanes, a kink.
+    """
+    if len(line) < 3:
+        return line, np.zeros(2)
+    way, onward = line[1] - line[0], line[2] - line[1]
+    length = float(np.hypot(*onward))
+    normal = np.array([-onward[1], onward[0]]) / max(length, 1e-6)
+    left = float(-way @ normal)
+    if length < 0.5 or way @ onward <= 0.0 or np.hypot(*way) > _JUMP_M or abs(left) > _ASIDE_M:
+        return line, np.zeros(2)
+    return np.concatenate([[line[0] - left * normal], line[1:]]), left * normal
+
+
 def _without_jumps(line: Array) -> Array:
-    """Return a polyline whose sideways jumps between parallel lanes are spread over the way before them."""
+    """Return a polyline whose sideways jumps between parallel lanes are spread over `_CHANGE_M` of the way."""
     step = np.diff(line, axis=0)
     length = np.hypot(*step.T)
     line, step, length = line[np.concatenate([[True], length > 1e-6])], step[length > 1e-6], length[length > 1e-6]
@@ -90,14 +110,13 @@ def _without_jumps(line: Array) -> Array:
     turn = np.abs(np.remainder(np.diff(direction) + np.pi, 2.0 * np.pi) - np.pi)
     both = np.abs(np.remainder(direction[2:] - direction[:-2] + np.pi, 2.0 * np.pi) - np.pi)
     jumps = (turn[:-1] > _JUMP_RAD) & (turn[1:] > _JUMP_RAD) & (both < _JUMP_RAD) & (length[1:-1] < _JUMP_M)
-    for row in np.flatnonzero(jumps) + 1:
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-        start = max(along[row] - _CHANGE_M, 0.0)
-        # Points before the jump move by a growing share of it, the nearest by all of it.
-        extra = np.arange(start, along[row], 2.0)
-        at = np.concatenate([along[: row + 1][along[: row + 1] < start], extra, [along[row]]])
-        before = np.stack([np.interp(at, along[: row + 1], line[: row + 1, axis]) for axis in (0, 1)], axis=1)
-        share = np.clip((at - start) / max(along[row] - start, 1e-6), 0.0, 1.0)
-        before += share[:, None] * (line[row + 1] - line[row])
-        return _without_jumps(np.concatenate([before, line[row + 2 :]]))
-    return line
+    if not jumps.any():
+        return line
+    row = int(np.argmax(jumps)) + 1
+    offset = line[row + 1] - line[row]
+    joined = np.concatenate([line[: row + 1], line[row + 2 :] - offset])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(joined, axis=0).T))])
+    start = max(along[row] - _CHANGE_M, 0.0)
+    at = np.union1d(along, np.linspace(start, start + _CHANGE_M, round(_CHANGE_M / 2.0)).clip(0.0, along[-1]))
+    out = np.stack([np.interp(at, along, joined[:, axis]) for axis in (0, 1)], axis=1)
+    return _without_jumps(out + np.clip((at - start) / _CHANGE_M, 0.0, 1.0)[:, None] * offset)

@@ -45,3 +45,11 @@ def test_the_shortest_routes_have_a_path(route: np.ndarray) -> None:
     path = path_of(route, 0.0, 5.0)
     assert len(path) >= 2
     assert np.isfinite(path.heading).all()
+
+
+def test_beside_its_lane_the_ego_returns_to_it_without_a_bend() -> None:
+    path = path_of(np.array([[0.0, 0.9], [2.4, 0.0], [40.0, 0.0], [80.0, 0.0]]), 0.0, 5.0)
+    assert path.xy[0] == pytest.approx([0.0, 0.9])
+    assert path.xy[-1, 1] == pytest.approx(0.0)
+    assert np.abs(path.heading).max() < 0.1
+    assert path.bend_mps.min() > 25.0
