@@ -22,8 +22,9 @@ from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Decision, Driver, EgoState, Outcome, Percept, Perception, Tick
 from sensors.recording.encounter_check import CONFLICT_ID, with_proven_encounter
+from sensors.recording.static_scene import solid_world
 from sim.catalog.load import load_scenario
-from sim.contact import Contact, first_contact
+from sim.contact import Contact, SolidWorld, first_contact, world_contact
 from sim.errors import TrafficError
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, DrivableTraffic
@@ -159,6 +160,7 @@ class ClosedLoop:
         self.ticks, self.outcome, self.message, self.seconds = [], None, "", {}
         self._tracker, self._stood_s, self._moved = Tracker(), 0.0, False
         self._clock = PerceptionClock(self.perception, self.settings, traffic.step_s)
+        self._world: SolidWorld | None = None
         self.driver.reset()
         with self._timed("reset"):
             self.perception.reset(self.scenario, self.ego_id, seed)
@@ -172,7 +174,7 @@ class ClosedLoop:
         return self.tick
 
     def advance(self, acceleration_mps2: float | None = None) -> Tick:
-        """Act for one traffic step, then move, judge, perceive, track and decide.
+        """Act for one traffic step along the route, then move, judge, perceive, track and decide.
 
         Args:
             acceleration_mps2: in place of the driver's decision, m/s2; the vehicle's limits bound it.
@@ -181,18 +183,46 @@ class ClosedLoop:
             ValueError: the acceleration is not finite.
             TrafficError: the episode has not begun or has ended.
         """
-        if self.outcome is not None:
-            raise TrafficError(f"expected a running episode, found one that ended: {self.outcome.value}")
-        traffic, last = self.traffic, self.tick
+        last = self._running()
         if acceleration_mps2 is not None:
             if not math.isfinite(acceleration_mps2):
                 raise ValueError(f"acceleration_mps2 must be finite, got {acceleration_mps2}")
             self.ticks[-1] = last = replace(last, decision=Decision(acceleration_mps2))
         limits = last.ego.limits
         wanted = min(max(last.decision.acceleration_mps2, -limits.deceleration_mps2), limits.acceleration_mps2)
+        self.traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + wanted * self.traffic.step_s))
+        return self._move()
+
+    def advance_to(self, pose: tuple[float, float, float], speed_mps: float) -> Tick:
+        """Put the ego somewhere in the next traffic step, on a lane or off, then as `advance`.
+
+        The ego ends its episode where it touches the static world or leaves the lanes.
+
+        Args:
+            pose: x and y of its centre, m, and heading, rad.
+            speed_mps: its speed, m/s.
+
+        Raises:
+            ValueError: a value is not finite.
+            TrafficError: the episode has not begun or has ended.
+        """
+        last = self._running()
+        gained = (speed_mps - last.ego.speed_mps) / self.traffic.step_s
+        self.traffic.place(self.ego_id, np.array(pose[:2]), pose[2], speed_mps)
+        self.ticks[-1] = replace(last, decision=Decision(gained))
+        if self._world is None:
+            self._world = solid_world(self.scenario, self.seed)
+        return self._move()
+
+    def _running(self) -> Tick:
+        if self.outcome is not None:
+            raise TrafficError(f"expected a running episode, found one that ended: {self.outcome.value}")
+        return self.tick
+
+    def _move(self) -> Tick:
+        traffic, last = self.traffic, self.tick
         before = traffic.actors
         with self._timed("move"):
-            traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + wanted * traffic.step_s))
             now = traffic.step()
         if self.ego_id not in now.boxes.object_id:
             self.ticks.append(Tick(now, last.ego, None, last.tracks, Decision(0.0)))
@@ -200,6 +230,8 @@ class ClosedLoop:
             return self.tick
         with self._timed("judge"):
             contact = first_contact(before, now, self.ego_id)
+            if contact is None and self._world is not None:
+                contact = world_contact(before, now, self.ego_id, self._world)
         self._observe(before, ego_state(traffic, self.ego_id, last.ego), contact)
         self.outcome = self.outcome or self._judge()
         return self.tick
@@ -259,6 +291,8 @@ class ClosedLoop:
         tick, traffic = self.tick, self.traffic
         if tick.contact is not None:
             return Outcome.CRASHED
+        if self._world is not None and tick.actors.lane[tick.actors.row(self.ego_id)] == "":
+            return Outcome.LEFT
         goal_m = traffic.goal_m(self.ego_id)
         if goal_m is not None and goal_m <= 0.0:
             return self._checked(Outcome.ARRIVED)

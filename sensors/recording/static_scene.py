@@ -1,10 +1,11 @@
-"""Scene of a scenario's static world, built once for the proof of an encounter and for all who drive through it."""
+"""Static world of a scenario as a scene for rays and as solid parts, built once for all who drive through it."""
 
 from functools import lru_cache
 
 import msgspec
 
 from sensors.scan.scene import RayScene
+from sim.contact import SolidWorld
 from sim.scenario import Scenario
 
 _KEPT = 4
@@ -22,6 +23,26 @@ def static_scene(scenario: Scenario, seed: int) -> RayScene:
         ScenarioError: see `sim.world.build.build_world`.
     """
     return _built(msgspec.json.encode(scenario), seed)
+
+
+def solid_world(scenario: Scenario, seed: int) -> SolidWorld:
+    """Return the solid parts of a scenario's world; equal scenarios and seeds share one.
+
+    Args:
+        scenario: of the world.
+        seed: of its generated parts.
+
+    Raises:
+        ScenarioError: see `sim.world.build.build_world`.
+    """
+    return _solid(msgspec.json.encode(scenario), seed)
+
+
+@lru_cache(maxsize=_KEPT)
+def _solid(scenario_json: bytes, seed: int) -> SolidWorld:
+    from sim.world.build import build_world
+
+    return SolidWorld.of(build_world(msgspec.json.decode(scenario_json, type=Scenario), seed))
 
 
 @lru_cache(maxsize=_KEPT)

@@ -53,8 +53,8 @@ WHEELS = {
         "322d090e6a66d97cc9b265c0b6fa092687bc6b35965fe5f53f678878d1987660",
         "sumo_rl/nets/RESCO/",
         (),
-        "RESCO: networks and demand by J. Ault and G. Sharon (NeurIPS 2021), under the licences of their sources: Cologne "
-        "after TAPAS Cologne, CC BY-NC-SA 3.0, Ingolstadt after InTAS, GPL-3.0",
+        "RESCO: networks and demand by J. Ault and G. Sharon (NeurIPS 2021), under the licences of their sources: "
+        "Cologne after TAPAS Cologne, CC BY-NC-SA 3.0, Ingolstadt after InTAS, GPL-3.0",
     ),
 }
 """Wheels by their top-level folder."""

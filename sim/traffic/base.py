@@ -203,6 +203,20 @@ class DrivableTraffic(Traffic, Protocol):
         """
         ...
 
+    def place(self, object_id: int, xy: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
+        """Put a vehicle somewhere in the next step, on a lane or off, where it stays until it is placed again.
+
+        Args:
+            object_id: a vehicle on the road.
+            xy: (2,) centre of its footprint, m.
+            yaw: heading, rad.
+            speed_mps: its speed, m/s.
+
+        Raises:
+            ValueError: a value is not finite.
+        """
+        ...
+
     def speed(self, object_id: int) -> float:
         """Return the odometer reading of a vehicle: its speed along its lane, m/s."""
         ...
@@ -240,3 +254,9 @@ def check_command(speed_mps: float | None) -> None:
     """Raise ValueError unless a commanded speed is None, or finite and >= 0."""
     if speed_mps is not None and not (np.isfinite(speed_mps) and speed_mps >= 0.0):
         raise ValueError(f"speed_mps must be finite and >= 0, got {speed_mps}")
+
+
+def check_place(xy: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
+    """Raise ValueError unless a pose and its speed are finite."""
+    if not np.isfinite([*xy, yaw, speed_mps]).all():
+        raise ValueError(f"a place needs finite numbers, got {xy}, {yaw}, {speed_mps}")

@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import Road
@@ -36,7 +37,7 @@ class DrivingEnv(AbstractEnv):
     `Free`.
 
     Observation: highway-env's type of `config["observation"]`, of perceived tracks in highway-env's plane
-    (x, -y of the world). Default: `Kinematics` of the ego and the 15 nearest tracks with a presence flag.
+    (x, -y of the world). Default: `Kinematics` of the ego and the 15 nearest tracks with a presence flag, in [-1, 1].
 
     Action: highway-env's type of `config["action"]`; accelerations are bounded by the vehicle's limits.
 
@@ -74,6 +75,7 @@ class DrivingEnv(AbstractEnv):
                     "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-30, 30], "vy": [-30, 30]},
                     "see_behind": True,
                     "order": "sorted",
+                    "bounded": True,
                 },
                 "action": {"type": "ContinuousAction", "longitudinal": True, "lateral": False},
                 "duration": 20.0,
@@ -90,6 +92,16 @@ class DrivingEnv(AbstractEnv):
             }
         )
         return config
+
+    def define_spaces(self) -> None:
+        """Set the types of observation and action and their spaces.
+
+        highway-env gives no bounds to clipped observations; `bounded` among the observation's settings does.
+        """
+        super().define_spaces()
+        space = self.observation_space
+        if self.config["observation"].get("bounded") and isinstance(space, spaces.Box):
+            self.observation_space = spaces.Box(-1.0, 1.0, space.shape, np.float32)
 
     @property
     def loop(self) -> ClosedLoop:

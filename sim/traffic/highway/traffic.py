@@ -11,7 +11,7 @@ from sim.errors import ScenarioError, TrafficError, complaint
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
-from sim.traffic.base import SIGNALS, Actors, Limits, TrafficLight, check_command
+from sim.traffic.base import SIGNALS, Actors, Limits, TrafficLight, check_command, check_place
 from sim.traffic.highway.driver import Driver
 from sim.traffic.highway.perception import AHEAD_M, Junction, decide, free_speed, path_ahead
 from sim.traffic.highway.roads import LaneNetwork, read_roads, to_world
@@ -64,6 +64,7 @@ class HighwayTraffic:
         self._time_s = 0.0
         self._made = 0
         self._models: list[str] = []
+        self._placed: dict[int, NDArray[np.float64]] = {}
         self._last: dict[int, tuple[NDArray[np.float64], NDArray[np.float64] | None]] = {}
         entries = self._roads.entries
         self._next_s = {number: self._headway() for number in entries}
@@ -101,6 +102,12 @@ class HighwayTraffic:
         """Drive a vehicle, see `DrivableTraffic.command`."""
         check_command(speed_mps)
         self._driver(object_id).commanded = None if speed_mps is None else float(speed_mps)
+        self._placed.pop(object_id - FIRST_ID, None)
+
+    def place(self, object_id: int, xy: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
+        """Put a vehicle somewhere, see `DrivableTraffic.place`."""
+        check_place(xy, yaw, speed_mps)
+        self._placed[self._driver(object_id).number] = np.array([*xy, yaw, speed_mps], np.float64)
 
     def route(self, object_id: int, ahead_m: float) -> NDArray[np.float64]:
         """Return the (K, 2) world polyline that a vehicle will follow, from its centre over the next `ahead_m` m."""
@@ -151,12 +158,19 @@ class HighwayTraffic:
             raise TrafficError("this highway-env simulation is closed")
         drivers = self._road.vehicles
         decide(drivers, self.step_s, self._junction)
-        for driver in drivers:
+        free = [driver for driver in drivers if driver.number not in self._placed]
+        for driver in free:
             driver.drive(self.step_s)
         parts = max(1, round(self.step_s / _KINEMATICS_S))
-        for driver in drivers:
+        for driver in free:
             for _ in range(parts):
                 driver.step(self.step_s / parts)
+        for driver in drivers:
+            if driver.number in self._placed:
+                x, y, yaw, driver.speed = self._placed[driver.number].tolist()
+                driver.position, driver.heading = to_world(np.array([x, y])), -yaw
+                self._placed[driver.number][3] = 0.0  # it stands until it is placed again
+                driver.follow_road()
         self._time_s = round(self._time_s + self.step_s, 6)
         self._road.vehicles = [driver for driver in drivers if not driver.has_left]
         self._arrivals()

@@ -7,6 +7,7 @@ import shapely
 
 from sim.encounters import network_file
 from sim.encounters.types import ScriptedActor
+from sim.geometry import Array
 from sim.roads.networks import read_network
 from sim.scenario import Scenario
 
@@ -33,8 +34,15 @@ class LaneLookup:
         """
         at = np.arange(0.0, actor.path.length + LANE_EVERY_M, LANE_EVERY_M)
         places, headings, _ = actor.path.at(at)
-        points = shapely.points(places[:, :2])
-        found: list[tuple[float, str]] = [(math.inf, "")] * len(at)
+        return self._below(places[:, :2], headings, directed=actor.kind.label != "pedestrian")
+
+    def at(self, x: float, y: float, heading: float) -> str:
+        """Return the lane below a vehicle, "" off the lanes."""
+        return self._below(np.array([[x, y]]), np.array([heading]), directed=True)[0]
+
+    def _below(self, xy: Array, headings: Array, *, directed: bool) -> tuple[str, ...]:
+        points = shapely.points(xy)
+        found: list[tuple[float, str]] = [(math.inf, "")] * len(xy)
         for place, line in self._tree.query(points, predicate="dwithin", distance=2.5).T:
             gap = self._lines[line].distance(points[place])
             if gap > self._half[line]:
@@ -42,7 +50,7 @@ class LaneLookup:
             here = self._lines[line].project(points[place])
             a, b = (self._lines[line].interpolate(max(here + d, 0.0)) for d in (-0.5, 0.5))
             turned = math.cos(math.atan2(b.y - a.y, b.x - a.x) - headings[place])
-            if actor.kind.label != "pedestrian":
+            if directed:
                 gap += 10.0 * (turned < 0.3)
             found[place] = min(found[place], (gap, self._names[line]))
         return tuple(name for _, name in found)

@@ -27,6 +27,7 @@ class Mover:
         follows: still on its script.
         crashed: stopped by a crash.
         commanded: commanded speed, m/s.
+        placed: x, y, m, and heading, rad, in place of those of its path; None on its path.
         gained_mps2: change of its speed in the last step, m/s2.
         history: positions one and two steps ago.
     """
@@ -40,6 +41,7 @@ class Mover:
     follows: bool = True
     crashed: bool = False
     commanded: float | None = None
+    placed: tuple[float, float, float] | None = None
     gained_mps2: float = 0.0
     history: list[NDArray[np.float64]] = field(default_factory=list)
     _places_m: NDArray[np.float64] | None = None
@@ -48,6 +50,19 @@ class Mover:
     def on_path(self) -> bool:
         """Whether it has appeared and not yet left."""
         return 0.0 <= self.at_m < self.actor.path.length
+
+    def pose(self) -> tuple[NDArray[np.float64], float, float]:
+        """Return its (3,) position at road level, heading and pitch."""
+        place, heading, slope = self.actor.path.at(self.at_m)
+        if self.placed is None:
+            return place, float(heading), float(slope)
+        x, y, yaw = self.placed
+        return np.array([x, y, place[2]]), yaw, 0.0
+
+    def put(self, x: float, y: float, yaw: float, speed_mps: float) -> None:
+        """Put it beside its path or on it: the nearest place of the path becomes its distance along it."""
+        self.placed, self.at_m = (x, y, yaw), self.actor.path.nearest((x, y))
+        self.speed, self.gained_mps2, self.follows = speed_mps, 0.0, False
 
     def is_on_script(self, script_s: float) -> bool:
         """Return whether it is where its script has it at a time of the script, s."""

@@ -15,7 +15,7 @@ from sim.errors import TrafficError
 from sim.geometry import center_from_sumo
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario
-from sim.traffic.base import PARKED, Actors, Limits, TrafficLight, check_command
+from sim.traffic.base import PARKED, Actors, Limits, TrafficLight, check_command, check_place
 from sim.traffic.parking import parked_cars
 from sim.traffic.reactions import Attention, YieldShim
 from sim.traffic.sumo.demand import write_demand
@@ -143,22 +143,8 @@ class SumoTraffic:
         self._commanded[name] = float(speed_mps)
 
     def place(self, object_id: int, xy: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
-        """Put a vehicle somewhere in the next step, on a lane or off, where it stays until it is placed again.
-
-        SUMO's drivers do not see it there reliably: `YieldShim` makes them.
-
-        Args:
-            object_id: a vehicle on the road.
-            xy: (2,) centre of its footprint, m.
-            yaw: heading, rad.
-            speed_mps: its speed, which SUMO's followers see, m/s.
-
-        Raises:
-            KeyError, TrafficError: see `DrivableTraffic`.
-            ValueError: a value is not finite.
-        """
-        if not np.isfinite([*xy, yaw, speed_mps]).all():
-            raise ValueError(f"a place needs finite numbers, got {xy}, {yaw}, {speed_mps}")
+        """Put a vehicle somewhere, see `DrivableTraffic.place`; SUMO hardly sees it there, `YieldShim` does."""
+        check_place(xy, yaw, speed_mps)
         name = self._vehicle(object_id)
         front = np.asarray(xy) + 0.5 * self._users[name].kind.size[0] * np.array([np.cos(yaw), np.sin(yaw)])
         if name not in self._placed:

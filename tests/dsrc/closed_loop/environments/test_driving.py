@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import warnings
+from importlib.metadata import entry_points
 
 import gymnasium as gym
 import highway_env
@@ -51,10 +52,16 @@ def test_gymnasium_finds_nothing_to_complain_about(name: str) -> None:
         env.close()
 
 
-def test_ids_are_known_without_an_import() -> None:
-    code = "import gymnasium; print(gymnasium.spec('dsrc/Rail-v0').id)"
+def test_an_id_is_known_to_make_by_its_module() -> None:
+    code = "import gymnasium; print(gymnasium.make('dsrc.closed_loop.environments:dsrc/Rail-v0').spec.id)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == ["dsrc/Rail-v0"]
+
+
+def test_the_entry_point_registers_the_ids() -> None:
+    (point,) = entry_points(group="gymnasium.envs", name="__root__").select(module="dsrc.closed_loop.environments")
+    point.load()()
+    assert set(ENVIRONMENTS) <= set(gym.registry)
 
 
 def test_one_seed_is_one_episode_and_another_seed_another() -> None:
@@ -161,3 +168,33 @@ def test_a_wrong_setting_is_named() -> None:
         DrivingEnv(scenery="four_way")
     with pytest.raises(SettingsError, match="policy_frequency"):
         DrivingEnv(scenario=SCENARIO, policy_frequency=7).reset(seed=1)
+
+
+def free(scenario: str, action: list[float], steps: int = 150) -> DrivingEnv:
+    env = DrivingEnv(scenario=scenario, perception=Blind(), **ENVIRONMENTS["dsrc/Free-v0"])
+    env.reset(seed=3)
+    for _ in range(steps):
+        if any(env.step(np.array(action, np.float32))[2:4]):
+            break
+    return env
+
+
+@pytest.mark.parametrize("scenario", ["ima_building:no_conflict", "four_way", "highway_env_two_way"])
+def test_an_ego_that_steers_off_the_road_has_left_it_or_hit_something(scenario: str) -> None:
+    env = free(scenario, [0.0, 0.3])
+    assert env.loop.outcome in (Outcome.LEFT, Outcome.CRASHED)
+    env.close()
+
+
+def test_a_steered_ego_is_where_its_bicycle_model_is() -> None:
+    env = DrivingEnv(scenario="four_way", **ENVIRONMENTS["dsrc/Free-v0"])
+    env.reset(seed=1)
+    for _ in range(5):
+        before = env.vehicle.position.copy()
+        env.step(np.array([0.1, 0.02], np.float32))
+        box = env.loop.tick.ego.box
+        moved = np.linalg.norm(env.vehicle.position - before)
+        assert moved == pytest.approx(env.vehicle.speed * 0.1, abs=0.1)
+        assert np.allclose(env.vehicle.position, box.center[0, :2] * [1.0, -1.0])
+        assert env.vehicle.heading == pytest.approx(-float(box.yaw[0]))
+    env.close()
