@@ -9,8 +9,16 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dsrc.closed_loop.env import CoopDrivingEnv
-    from dsrc.closed_loop.episodes import drive_episodes
+    from dsrc.closed_loop.campaign.report import summary_table, write_report
+    from dsrc.closed_loop.campaign.run import drive
+    from dsrc.closed_loop.environments import register_environments
+    from dsrc.closed_loop.environments.driving import DrivingEnv
+    from dsrc.closed_loop.log import EpisodeLog
+    from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
+    from dsrc.closed_loop.metrics.episode import episode_metrics
+    from dsrc.closed_loop.perception.open import open_perception
+    from dsrc.closed_loop.replay import look_again
+    from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tracks
     from dsrc.data.drives import Drive, open_drive, open_drives
     from dsrc.data.frames import simulate_frames
     from dsrc.data.sample import Sample, make_sample
@@ -42,8 +50,16 @@ if TYPE_CHECKING:
     from sim.scenario import Scenario
 
 _MODULES = {
-    "dsrc.closed_loop.env": ("CoopDrivingEnv",),
-    "dsrc.closed_loop.episodes": ("drive_episodes",),
+    "dsrc.closed_loop.campaign.report": ("summary_table", "write_report"),
+    "dsrc.closed_loop.campaign.run": ("drive",),
+    "dsrc.closed_loop.environments": ("register_environments",),
+    "dsrc.closed_loop.environments.driving": ("DrivingEnv",),
+    "dsrc.closed_loop.log": ("EpisodeLog",),
+    "dsrc.closed_loop.loop": ("ClosedLoop", "LoopSettings"),
+    "dsrc.closed_loop.metrics.episode": ("episode_metrics",),
+    "dsrc.closed_loop.perception.open": ("open_perception",),
+    "dsrc.closed_loop.replay": ("look_again",),
+    "dsrc.closed_loop.types": ("Decision", "EgoState", "Outcome", "Percept", "Tracks"),
     "dsrc.data.drives": ("Drive", "open_drive", "open_drives"),
     "dsrc.data.frames": ("simulate_frames",),
     "dsrc.data.sample": ("Sample", "make_sample"),
@@ -115,8 +131,22 @@ __all__ = [
     "evaluate_drives",
     "result_table",
     # closed loop and review
-    "CoopDrivingEnv",
-    "drive_episodes",
+    "ClosedLoop",
+    "LoopSettings",
+    "open_perception",
+    "Percept",
+    "Tracks",
+    "EgoState",
+    "Decision",
+    "Outcome",
+    "EpisodeLog",
+    "episode_metrics",
+    "look_again",
+    "drive",
+    "summary_table",
+    "write_report",
+    "DrivingEnv",
+    "register_environments",
     "export_html",
     # parts of one's own
     "register_scenario",

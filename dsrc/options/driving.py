@@ -8,7 +8,6 @@ from tyro.conf import Positional, arg
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, choice
 
 PERCEPTIONS = ("truth", "sight", "ego", "team", "MODULE:CLASS")
-Who = Literal["ego", "helpers", "all"]
 
 
 class DriveOptions(msgspec.Struct, frozen=True, kw_only=True):
@@ -23,7 +22,7 @@ class DriveOptions(msgspec.Struct, frozen=True, kw_only=True):
             default: none.
         severity: severities of each corruption, 1 to 5; default: 3.
         family: models of the corruptions: of physical causes, or as published in papers; default: physical.
-        who: agents whose sensors are corrupted; default: all.
+        who: agents whose sensors are corrupted: ego, helpers, all, or ids such as 1002,-1; default: all.
         channel: radio channels; default: ideal.
         seed: seeds of the episodes, one each; default: 0.
         driver: driver: plans by predicted tracks, or the careful driver of UN R157; default: planning.
@@ -38,7 +37,7 @@ class DriveOptions(msgspec.Struct, frozen=True, kw_only=True):
     corruption: Annotated[tuple[str, ...], choice(("clean", "paper_six", "all", *CORRUPTIONS), several=True)] = ()
     severity: tuple[int, ...] = ()
     family: Family | None = None
-    who: Who | None = None
+    who: str | None = None
     channel: Annotated[tuple[str, ...], choice(CHANNELS, several=True)] = ()
     seed: tuple[int, ...] = ()
     driver: Literal["planning", "careful"] | None = None

@@ -196,12 +196,13 @@ def _perception(job: EpisodeJob) -> Perception:
         condition["family"],
         job.who,
         job.channel,
+        job.loop.detect_every_s,
     )
 
 
 @lru_cache(maxsize=2)
 def _opened(
-    uses: str, checkpoint: str, corruption: str, severity: int, family: str, who: str, channel: str
+    uses: str, checkpoint: str, corruption: str, severity: int, family: str, who: str, channel: str, interval_s: float
 ) -> Perception:
     return open_perception(
         uses,
@@ -211,4 +212,5 @@ def _opened(
         family=family,  # type: ignore[arg-type]
         who=who,
         channel=channel,
+        interval_s=interval_s,
     )

@@ -83,7 +83,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         corruptions: kinds, `paper_six`, `all` or `clean`; clean episodes are always driven.
         severities: of each corruption, 1 to 5.
         family: of the corruptions' settings.
-        who: agents whose sensors are corrupted: `ego`, `helpers` or `all`.
+        who: agents whose sensors are corrupted: `ego`, `helpers`, `all`, or ids such as `1002,-1`.
         channels: radio channels of perceptions with helpers.
         clean_seeds: seeds of each scenario and perception without a corruption: a number of them, from 0, or a list.
         seeds: those of each scenario, perception, corruption, severity and channel; the same for all.
@@ -98,7 +98,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     corruptions: tuple[str, ...] = (PAPER_TABLE,)
     severities: Annotated[tuple[Annotated[int, Meta(ge=1, le=5)], ...], Meta(min_length=1)] = (3,)
     family: Family = "physical"
-    who: Literal["ego", "helpers", "all"] = "all"
+    who: str = "all"
     channels: _Names = (IDEAL,)
     clean_seeds: Seeds = 20
     seeds: Seeds = 10

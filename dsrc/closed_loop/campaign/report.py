@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
 from rich.table import Table
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
@@ -19,23 +20,29 @@ from dsrc.closed_loop.metrics.comparison import (
     pairs,
 )
 from dsrc.closed_loop.metrics.statistics import Estimate, mean, paired_rates, rate
-from dsrc.closed_loop.report.plots import plots
+from dsrc.closed_loop.report.plots import collision_and_score, cost_of_channel, deadly_corruptions, rate_over_severity
 from dsrc.closed_loop.types import Outcome
 from dsrc.evaluation.plots import png_bytes
 from sensors.corruptions import CLEAN
 from sim.files import write_file
+from sim.radio import get_channel
 
 _WORST = 12
 
 
 def summary_table(result: CampaignResult) -> Table:
-    """Return the table of a campaign: a line per scenario, perception and condition."""
+    """Return the table of a campaign for a terminal: a line per scenario, perception and condition."""
+    several = len(result.plan.scenarios) > 1
     table = Table(title=result.plan.name)
-    for heading in ("scenario", "perception", "condition", "episodes", "crashed", "stuck", "lost", "score", "progress"):
-        table.add_column(heading, justify="left" if heading in ("scenario", "perception", "condition") else "right")
+    for heading in (*(["scenario"] if several else []), "perception", "condition"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("episodes", "crashed", "stuck", "lost", "score", "progress"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for scenario in dict.fromkeys(one.scenario for one in result.results):
         for perception, condition, group in _groups([r for r in result.results if r.scenario == scenario]):
-            table.add_row(scenario, perception, condition, *_cells(group))
+            episodes, crashed, stuck, lost, score, progress = _cells(group)
+            values = (episodes, crashed.partition(" [")[0], stuck, lost, score.partition(" [")[0], progress)
+            table.add_row(*([scenario] if several else []), perception, condition, *values)
     return table
 
 
@@ -65,13 +72,38 @@ def comparison_table(former: EpisodeLog, again: EpisodeLog) -> Table:
 def write_report(result: CampaignResult, out: Path) -> list[Path]:
     """Write report.md and its plots into a folder; return the paths."""
     pictures = []
-    for name, figure in plots(result.results).items():
+    for name, figure in _plots(result).items():
         path = out / f"{name}.png"
         write_file(path, png_bytes(figure))
         pictures.append(path)
     report = out / "report.md"
     write_file(report, markdown(result, [path.name for path in pictures]))
     return [report, *pictures, out / "results.csv"]
+
+
+def _plots(result: CampaignResult) -> dict[str, Figure]:
+    """Return the plots that a campaign has results for, by name: of one severity, but for theirs of one channel."""
+    plan, every = result.plan, result.results
+    severity = plan.severities[len(plan.severities) // 2]
+    one_channel = [one for one in every if one.channel == plan.channels[0]]
+    shown = [one for one in one_channel if one.corruption == CLEAN or one.severity == severity]
+    figures = {"collisions": collision_and_score(shown, title=plan.name)}
+    if any(one.corruption != CLEAN for one in shown):
+        figures["corruptions"] = deadly_corruptions(shown)
+    if len(plan.severities) > 1:
+        figures["severities"] = rate_over_severity(one_channel)
+    if len(plan.channels) > 1:
+        cost = {"delay, s": _delay_s, "lost packets": _loss}
+        figures["channels"] = cost_of_channel([one for one in every if one.corruption == CLEAN], cost)
+    return figures
+
+
+def _delay_s(result: EpisodeResult) -> float:
+    return get_channel(result.channel).delay_s
+
+
+def _loss(result: EpisodeResult) -> float:
+    return get_channel(result.channel).packet_loss
 
 
 def markdown(result: CampaignResult, pictures: Sequence[str] = ()) -> str:

@@ -17,7 +17,7 @@ from typing import cast
 import msgspec
 
 from dsrc.closed_loop.campaign.episode import EpisodeJob, EpisodeResult, WorkUnit, drive_unit, probe_s
-from dsrc.closed_loop.campaign.plan import Campaign, controls_of, episodes_of, key_of
+from dsrc.closed_loop.campaign.plan import Campaign, campaign_of, controls_of, episodes_of, key_of
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.replay import look_again
@@ -25,6 +25,7 @@ from dsrc.closed_loop.types import Outcome
 from dsrc.data.drive_folder import locked
 from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.options.driving import DriveOptions
+from dsrc.options.fields import takes_fields
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family
 from sim.catalog.load import load_scenario
 from sim.errors import DataError, SettingsError, UserError, complaint
@@ -52,6 +53,24 @@ class CampaignResult:
     controls: tuple[EpisodeResult, ...]
     made: int
     seconds: float
+
+
+@takes_fields(DriveOptions)
+def drive(
+    options: DriveOptions, /, out: Path | str, *, pool: Pool = SERIAL, progress: Progress | None = None
+) -> CampaignResult:
+    """Drive the episodes or the campaign of a command line, see `run_campaign`.
+
+    Args:
+        options: of `dsrc drive`.
+        out: folder of the campaign.
+        pool: workers.
+        progress: called with episodes done and episodes missing at the start.
+
+    Raises:
+        UserError: a file or a setting is wrong.
+    """
+    return run_campaign(campaign_of(options), Path(out), pool, progress)
 
 
 def run_campaign(plan: Campaign, out: Path, pool: Pool = SERIAL, progress: Progress | None = None) -> CampaignResult:
