@@ -50,7 +50,7 @@ def path_of(route: Array, yaw: float, lateral_mps2: float, length_m: float = mat
         lateral_mps2: highest lateral acceleration.
         length_m: longest part of the route that matters.
     """
-    line, beside = _from_lane(_without_jumps(np.asarray(route, np.float64)))
+    line, beside = _from_lane(_without_jumps(np.asarray(route, np.float64)), yaw)
     grown = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     along = np.arange(0.0, min(max(grown[-1], STEP_M), length_m) + 1e-9, STEP_M)
     xy = np.stack([np.interp(along, grown, line[:, axis]) for axis in (0, 1)], axis=1)
@@ -83,19 +83,24 @@ def _smooth(xy: Array, reach: int) -> Array:
     return (total[width:] - total[:-width]) / width
 
 
-def _from_lane(line: Array) -> tuple[Array, Array]:
+def _from_lane(line: Array, yaw: float) -> tuple[Array, Array]:
     """Return a polyline that begins on its lane, and the (2,) offset from there of where it began.
 
-    A route leads from the ego's centre straight to the lane at its front bumper: while it changes lanes, a kink.
+    A route leads from the ego's centre straight to the lane at its front bumper. In a bend that is where the bumper is;
+    in a lane change it is beside it, and the route has a kink.
     """
+    none = np.zeros(2)
     if len(line) < 3:
-        return line, np.zeros(2)
+        return line, none
     way, onward = line[1] - line[0], line[2] - line[1]
-    length = float(np.hypot(*onward))
-    normal = np.array([-onward[1], onward[0]]) / max(length, 1e-6)
-    left = float(-way @ normal)
-    if length < 0.5 or way @ onward <= 0.0 or np.hypot(*way) > _JUMP_M or abs(left) > _ASIDE_M:
-        return line, np.zeros(2)
+    reach, length = float(np.hypot(*way)), float(np.hypot(*onward))
+    if length < 0.1 or reach > _JUMP_M or way @ onward <= 0.0:
+        return line, none
+    normal = np.array([-onward[1], onward[0]]) / length
+    bumper = line[0] + reach * np.array([math.cos(yaw), math.sin(yaw)])
+    left = float((bumper - line[1]) @ normal)
+    if abs(left) > _ASIDE_M:
+        return line, none
     return np.concatenate([[line[0] - left * normal], line[1:]]), left * normal
 
 

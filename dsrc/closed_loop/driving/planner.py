@@ -27,7 +27,7 @@ from sim.traffic.base import TrafficLight
 _FIRST = np.array([-6.5, -5.5, -4.5, -3.5, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.4, 0.8, 1.2, 1.6, 2.0])
 _THEN = np.array([-5.0, -3.5, -2.5, -1.5, 0.0, 1.5])
 _CREEPING_MPS, _STILL_MPS = 1.5, 0.1
-_BEYOND_M = 5.0
+_BEYOND_M, _COARSE_M, _AWAY_M = 5.0, 4.0, 15.0
 
 
 class PlannerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -258,7 +258,7 @@ class PlanningDriver:
 def _relevant(ego: EgoState, path: Path, tracks: Tracks, horizon_s: float) -> NDArray[np.bool_]:
     """Return the (N,) mask of tracks that matter: not the ego itself, nor who follows it and has to mind it.
 
-    Nor who cannot reach its path within the horizon.
+    Nor who cannot reach its path within the horizon, or drives away from it.
     """
     boxes, velocity = tracks.boxes, tracks.velocity
     dx, dy = (boxes.center[:, axis] - ego.box.center[0, axis] for axis in (0, 1))
@@ -272,10 +272,15 @@ def _relevant(ego: EgoState, path: Path, tracks: Tracks, horizon_s: float) -> ND
     alike = np.where(speed > 0.5, forward > 0.75 * speed, np.abs(np.cos(boxes.yaw - yaw)) > 0.75)
     beside = np.abs(left) < 0.5 * (width + boxes.size[:, 1]) + 0.5
     follows = (ahead + 0.5 * boxes.size[:, 0] < 0.0) & alike & beside
-    low, high = path.xy.min(0), path.xy.max(0)
-    offset = np.maximum(low - boxes.center[:, :2], boxes.center[:, :2] - high).max(1, initial=0.0)
-    far = offset > (speed + 2.0) * horizon_s + 0.5 * (length + boxes.size[:, 0]) + _BEYOND_M
-    return ~itself & ~follows & ~far
+    # From every body to points of the path: who is too far, or drives away from all of it.
+    points = path.xy[:: round(_COARSE_M / STEP_M)]
+    px, py = (points[:, axis] - boxes.center[:, axis, None] for axis in (0, 1))
+    gap = np.hypot(px, py)
+    nearest = gap.min(axis=1)
+    far = nearest > (speed + 2.0) * horizon_s + 0.5 * (length + boxes.size[:, 0]) + _BEYOND_M
+    towards = (velocity[:, :1] * px + velocity[:, 1:] * py) / np.maximum(gap, 1e-6)
+    away = (towards.max(axis=1) < -0.2 * speed) & (nearest > _AWAY_M) & (speed > 1.0)
+    return ~itself & ~follows & ~far & ~away
 
 
 def selected(tracks: Tracks, keep: NDArray[np.bool_]) -> Tracks:

@@ -3,16 +3,19 @@
 import time
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 
 from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import choose_ego, ego_state
 from dsrc.closed_loop.types import Decision, Driver, EgoState, Tracks
-from sensors.recording.encounter_check import with_proven_encounter
+from sensors.recording.encounter_check import find_encounter, with_proven_encounter
 from sim.catalog.load import load_scenario
 from sim.collisions import collide
+from sim.encounters import with_encounter
 from sim.geometry import wrap_angle
+from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.open import open_traffic
 
@@ -37,7 +40,7 @@ class Drive:
         return np.array([state.speed_mps for state in self.states])
 
 
-def true_tracks(actors: Actors, before: Actors | None, ego_id: int, range_m: float = RANGE_M) -> Tracks:
+def true_tracks(actors: Actors, before: Actors | None, ego_id: int, range_m: float) -> Tracks:
     """Return the road users around the ego as tracks without error."""
     ego = actors.boxes.center[actors.row(ego_id), :2]
     near = np.hypot(*(actors.boxes.center[:, :2] - ego).T) < range_m
@@ -52,16 +55,26 @@ def true_tracks(actors: Actors, before: Actors | None, ego_id: int, range_m: flo
     return Tracks(actors.time_s, boxes, actors.velocity[rows], rate, np.zeros(n), np.ones(n), np.zeros(n))
 
 
+def proven(name: str, seed: int) -> Scenario:
+    """Return a scenario with its proven encounter; a control takes the draw of the encounter, proven once for all."""
+    scenario = load_scenario(name)
+    if scenario.conflict is None or not scenario.conflict.control:
+        return with_proven_encounter(scenario, seed)
+    draw = find_encounter(load_scenario(name.rpartition(":")[0]), seed).scenario.conflict.draw
+    conflict = msgspec.structs.replace(scenario.conflict, draw=draw)
+    return with_encounter(msgspec.structs.replace(scenario, conflict=conflict), seed)
+
+
 def drive(
     name: str,
     seed: int,
     seconds: float = 14.0,
     driver: Driver | None = None,
     commanded: bool = True,
-    goal: bool = False,
+    range_m: float = RANGE_M,
 ) -> Drive:
-    """Drive a scenario with the truth; without commands the backend's own driver does."""
-    scenario = with_proven_encounter(load_scenario(name), seed)
+    """Drive a scenario with the truth until a collision; without commands the backend's own driver does."""
+    scenario = proven(name, seed)
     out = Drive()
     with open_traffic(scenario, seed) as traffic:
         ego_id = choose_ego(traffic, scenario)
@@ -83,7 +96,7 @@ def drive(
             out.states.append(state)
             out.progress_m = state.progress_m
             if commanded:
-                tracks = true_tracks(now, before, ego_id)
+                tracks = true_tracks(now, before, ego_id, range_m)
                 began = time.perf_counter()
                 decision = driver.decide(state, tracks)
                 out.seconds.append(time.perf_counter() - began)
