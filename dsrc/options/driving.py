@@ -10,7 +10,7 @@ from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, choice
 PERCEPTIONS = ("truth", "sight", "ego", "team", "MODULE:CLASS")
 
 
-class DriveOptions(msgspec.Struct, frozen=True, kw_only=True):
+class DriveOptions(msgspec.Struct, frozen=True):
     """Options of closed-loop episodes.
 
     Attributes:

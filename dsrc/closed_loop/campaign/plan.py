@@ -23,7 +23,7 @@ import hashlib
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -163,7 +163,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
     )
     loop = {name: given[name] for name in LoopSettings.__struct_fields__ if name in given}
     seeds = options.seed or (0,)
-    listed = {
+    listed: dict[str, Any] = {
         "scenarios": [options.what],
         "name": options.what,
         "corruptions": options.corruption or (CLEAN,),

@@ -10,6 +10,7 @@ from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.comparison import (
+    Result,
     collided,
     corruption_errors,
     counted,
@@ -98,11 +99,11 @@ def _plots(result: CampaignResult) -> dict[str, Figure]:
     return figures
 
 
-def _delay_s(result: EpisodeResult) -> float:
+def _delay_s(result: Result) -> float:
     return get_channel(result.channel).delay_s
 
 
-def _loss(result: EpisodeResult) -> float:
+def _loss(result: Result) -> float:
     return get_channel(result.channel).packet_loss
 
 

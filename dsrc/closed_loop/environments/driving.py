@@ -10,23 +10,34 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import Road
-from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.environments.roads import network_of, to_plane
+from dsrc.closed_loop.environments.observation import Kinematics
+from dsrc.closed_loop.environments.roads import Origin, junction_ahead, network_of, to_plane
+from dsrc.closed_loop.environments.vehicles import TrackedVehicle
+from dsrc.closed_loop.environments.viewer import CRASHED, EGO, TRACK, LoopViewer
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.open import open_perception
-from dsrc.closed_loop.types import Outcome, Perception
-from sim.boxes import Boxes
+from dsrc.closed_loop.types import Decision, EgoState, Outcome, Perception, Tracks
 from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario
 
 COLLIDED = (Outcome.CRASHED, Outcome.LEFT)
 _OVER = (Outcome.TIMEOUT, Outcome.DESYNCHRONISED)
 """Outcomes that cut an episode: the task itself has not ended."""
+
+
+class _Agent:
+    """Driver of the loop in whose place an environment's agent decides."""
+
+    def reset(self) -> None:
+        """Begin an episode."""
+
+    def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
+        """Return no acceleration: the agent's replaces it."""
+        return Decision(0.0)
 
 
 class DrivingEnv(AbstractEnv):
@@ -38,12 +49,16 @@ class DrivingEnv(AbstractEnv):
 
     Observation: highway-env's type of `config["observation"]`, of perceived tracks in highway-env's plane
     (x, -y of the world). Default: `Kinematics` of the ego and the 15 nearest tracks with a presence flag, in [-1, 1].
+    `origin` says where absolute positions and headings of `Kinematics` begin: `world`, or `junction`, the next one on
+    the ego's route, approached towards smaller y, as an agent of highway-env's `intersection-v0` knows it.
 
     Action: highway-env's type of `config["action"]`; accelerations are bounded by the vehicle's limits.
 
-    Reward in [0, 1] (`normalize_reward`): `collision_reward` at a crash or off the road, `progress_reward` times the
-    distance of the step over that at the speed limit, `comfort_reward` times the share of the acceleration's bound of
-    4.05 m/s2 (nuPlan) that is exceeded. `info["rewards"]` holds the terms.
+    Reward: its sum over an episode lies in [-1.2, 1] (`normalize_reward`; else a step at the speed limit is worth 1).
+    `progress_reward` times the distance of the step over that of `duration` at the speed limit, an arrival counting as
+    that speed for the time left: to stand or to creep to the end never pays. `collision_reward` once, at a crash or
+    off the road. `comfort_reward` times the excess over 4.05 m/s2 (nuPlan) as a share of it, at most 1, per `duration`.
+    `info["rewards"]` holds the terms.
 
     An episode terminates with an arrival, a crash, off the road, stuck, or a failed perception, and is truncated after
     `duration` s. `info["outcome"]` names it.
@@ -56,6 +71,7 @@ class DrivingEnv(AbstractEnv):
 
     def __init__(self, config: dict | None = None, render_mode: str | None = None, **settings: Any) -> None:
         self._loop: ClosedLoop | None = None
+        self._origin: Origin | None = None
         self._ready = False  # highway-env resets while it is constructed; a simulation starts with the first reset
         super().__init__({**(config or {}), **settings}, render_mode)
         self._ready = True
@@ -77,6 +93,7 @@ class DrivingEnv(AbstractEnv):
                     "order": "sorted",
                     "bounded": True,
                 },
+                "origin": "world",
                 "action": {"type": "ContinuousAction", "longitudinal": True, "lateral": False},
                 "duration": 20.0,
                 "policy_frequency": 10,
@@ -89,6 +106,7 @@ class DrivingEnv(AbstractEnv):
                 "screen_width": 600,
                 "screen_height": 600,
                 "centering_position": [0.5, 0.5],
+                "scaling": 5.0,
             }
         )
         return config
@@ -99,7 +117,10 @@ class DrivingEnv(AbstractEnv):
         highway-env gives no bounds to clipped observations; `bounded` among the observation's settings does.
         """
         super().define_spaces()
-        space = self.observation_space
+        settings = self.config["observation"]
+        if Kinematics.serves(settings):
+            self.observation_type = Kinematics(self, self._origin, **settings)
+        space = self.observation_type.space()
         if self.config["observation"].get("bounded") and isinstance(space, spaces.Box):
             self.observation_space = spaces.Box(-1.0, 1.0, space.shape, np.float32)
 
@@ -120,6 +141,9 @@ class DrivingEnv(AbstractEnv):
         for name in config or {}:
             if name not in known:
                 raise SettingsError(complaint("environment", name, f"one of {', '.join(sorted(known))}", "it"))
+        origin = (config or {}).get("origin", "world")
+        if origin not in ("world", "junction"):
+            raise SettingsError(complaint("environment", "origin", "'world' or 'junction'", str(origin)))
         super().configure(config)
         self._loop = None
 
@@ -131,7 +155,7 @@ class DrivingEnv(AbstractEnv):
             latency_s=self.config["latency_s"],
         )
         found = open_perception(perception) if isinstance(perception, str) else perception
-        return ClosedLoop(self.config["scenario"], found, settings=settings)
+        return ClosedLoop(self.config["scenario"], found, _Agent(), settings)
 
     @property
     def _steps(self) -> int:
@@ -159,11 +183,14 @@ class DrivingEnv(AbstractEnv):
         self.config["simulation_frequency"] = self._steps * self.config["policy_frequency"]
         tick = self.loop.start(episode)
         network = network_of(self.loop.scenario, episode)
+        if self.config["origin"] == "junction":
+            self._origin = junction_ahead(self.loop.scenario, episode, tick.ego.route)
         self.road = Road(network, np_random=self.np_random, record_history=False)
         box = tick.ego.box
         x, y = to_plane(box.center[0, :2])
         ego = self.action_type.vehicle_class(self.road, [x, y], -float(box.yaw[0]), tick.ego.speed_mps)
-        self._shape(ego, box, 0)
+        ego.LENGTH, ego.WIDTH = float(box.size[0, 0]), float(box.size[0, 1])
+        ego.diagonal = math.hypot(ego.LENGTH, ego.WIDTH)
         self.vehicle = ego
         self._mirror()
 
@@ -196,41 +223,36 @@ class DrivingEnv(AbstractEnv):
         ego.heading, ego.speed = -float(box.yaw[0]), tick.ego.speed_mps
         ego.on_state_update()
         ego.crashed = self.loop.outcome in COLLIDED
+        ego.color = CRASHED if ego.crashed else EGO
         self.road.vehicles = [ego]
-        for row in range(len(tick.tracks)):
-            self.road.vehicles.append(self._track(tick.tracks.boxes, tick.tracks.velocity, row))
-
-    def _track(self, boxes: Boxes, velocity: NDArray[np.float64], row: int) -> Vehicle:
-        yaw = float(boxes.yaw[row])
-        along = float(velocity[row] @ [math.cos(yaw), math.sin(yaw)])
-        other = Vehicle(self.road, to_plane(boxes.center[row, :2]), -yaw, along)
-        self._shape(other, boxes, row)
-        return other
-
-    @staticmethod
-    def _shape(vehicle: Vehicle, boxes: Boxes, row: int) -> None:
-        vehicle.LENGTH, vehicle.WIDTH = float(boxes.size[row, 0]), float(boxes.size[row, 1])
-        vehicle.diagonal = math.hypot(vehicle.LENGTH, vehicle.WIDTH)
+        boxes, velocity = tick.tracks.boxes, tick.tracks.velocity
+        positions = to_plane(boxes.center[:, :2])
+        along = velocity[:, 0] * np.cos(boxes.yaw) + velocity[:, 1] * np.sin(boxes.yaw)
+        for row in range(len(boxes)):
+            size = (float(boxes.size[row, 0]), float(boxes.size[row, 1]))
+            other = TrackedVehicle(self.road, positions[row], -float(boxes.yaw[row]), float(along[row]), size)
+            other.color = TRACK
+            self.road.vehicles.append(other)
 
     def _rewards(self, action: Any) -> dict[str, float]:
         ticks = self.loop.ticks[-self._steps - 1 :]
+        duration = self.config["duration"]
         seconds = self.loop.scenario.step_s * max(len(ticks) - 1, 1)
         limit = max(ticks[-1].ego.limits.speed_mps, 1e-3)
         moved = ticks[-1].ego.progress_m - ticks[0].ego.progress_m
         hardest = max(abs(tick.ego.acceleration_mps2) for tick in ticks[1:] or ticks)
+        arrived = self.loop.outcome == Outcome.ARRIVED
+        left = duration - (ticks[-1].actors.time_s - self.loop.start_s) if arrived else 0.0
         return {
             "collision_reward": float(self.loop.outcome in COLLIDED),
-            "progress_reward": float(np.clip(moved / (limit * seconds), 0.0, 1.0)),
-            "comfort_reward": float(np.clip((hardest - _COMFORT_MPS2) / _COMFORT_MPS2, 0.0, 1.0)),
+            "progress_reward": float(np.clip(moved / limit, 0.0, seconds) + max(left, 0.0)) / duration,
+            "comfort_reward": float(np.clip(hardest / _COMFORT_MPS2 - 1.0, 0.0, 1.0)) * seconds / duration,
         }
 
     def _reward(self, action: Any) -> float:
-        terms = self._rewards(action)
-        reward = sum(self.config[name] * value for name, value in terms.items())
-        if not self.config["normalize_reward"]:
-            return float(reward)
-        low = self.config["collision_reward"] + self.config["comfort_reward"]
-        return float(np.clip(utils.lmap(reward, [low, self.config["progress_reward"]], [0.0, 1.0]), 0.0, 1.0))
+        reward = sum(self.config[name] * value for name, value in self._rewards(action).items())
+        actions = 1.0 if self.config["normalize_reward"] else self.config["duration"] * self.config["policy_frequency"]
+        return float(reward * actions)
 
     def _is_terminated(self) -> bool:
         return self.loop.outcome is not None and self.loop.outcome not in _OVER
@@ -249,6 +271,12 @@ class DrivingEnv(AbstractEnv):
             "message": self.loop.message,
             "rewards": self._rewards(action),
         }
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the present step; return the picture with `rgb_array`."""
+        if self.viewer is None and self.render_mode is not None:
+            self.viewer = LoopViewer(self)
+        return super().render()
 
     def close(self) -> None:
         """End the simulation and close the window."""

@@ -4,6 +4,8 @@ highway-env's plane has x forward and y to the right, headings turn clockwise: a
 heading minus the yaw. Its lane 0 is the leftmost.
 """
 
+import math
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,50 @@ _LEAST_M = 1.5
 """Least length of a lane: highway-env's splines need two samples, m."""
 _NEAR_M = 12.0
 """Distance within which the nearest lane is searched first, m."""
+_START_M = 46.0
+"""Distance of the ego of `intersection-v0` from the middle of its junction, m."""
+
+
+class SampledLane(PolyLaneFixedWidth):
+    """Lane of fixed width along a line; highway-env's own tries one sample after the other for each position.
+
+    Attributes:
+        left: (K, 2) its left border in highway-env's plane, m.
+        right: (K, 2) its right border.
+        bordered: whether its borders are drawn; those of lanes through a junction cross each other.
+
+    Args:
+        line: (K, 2) its middle in highway-env's plane, without repeated points.
+        width_m: its width.
+        limit_mps: its speed limit.
+        bordered: see above.
+    """
+
+    def __init__(self, line: NDArray[np.float64], width_m: float, limit_mps: float, bordered: bool = True) -> None:
+        super().__init__(line.tolist(), width_m, _BORDERS, speed_limit=limit_mps)
+        self.bordered = bordered
+        self._places = np.array([pose.position for pose in self.curve.poses])
+        self._along = np.array([pose.normal for pose in self.curve.poses])
+        self._known = np.ones(len(self._places), bool)
+        self._known[[0, -1]] = False
+        middle = shapely.LineString(line)
+        self.right, self.left = (
+            np.array(middle.offset_curve(side * 0.5 * width_m, join_style="mitre").coords) for side in (1.0, -1.0)
+        )
+        if min(len(self.left), len(self.right)) < 2:  # an offset can vanish in a bend that is tighter than the lane
+            self.left = self.right = line
+
+    def local_coordinates(self, position: NDArray[np.float64]) -> tuple[float, float]:
+        """Return the distance along and beside the lane, m, as highway-env's own: the last sample that is passed."""
+        offset = position - self._places
+        ahead = np.einsum("ij,ij->i", offset, self._along)
+        if ahead[-1] >= 0.0:
+            row = len(ahead) - 1
+        else:
+            passed = np.flatnonzero((ahead >= 0.0) & self._known)
+            row = int(passed[-1]) if len(passed) else 0
+        (x, y), (dx, dy) = self._along[row], offset[row]
+        return float(self.curve.s_samples[row] + ahead[row]), float(x * dy - y * dx)
 
 
 class IndexedRoadNetwork(RoadNetwork):
@@ -36,10 +82,11 @@ class IndexedRoadNetwork(RoadNetwork):
         self._lines: list[shapely.LineString] = []
         self._tree = shapely.STRtree([])
 
-    def add_line(self, start: str, end: str, line: NDArray[np.float64], width_m: float, limit_mps: float) -> None:
-        """Add a lane along a (K, 2) line in highway-env's plane, the leftmost of a road first."""
-        lane = PolyLaneFixedWidth(_stretched(line).tolist(), width_m, _BORDERS, speed_limit=limit_mps)
-        self.add_lane(start, end, lane)
+    def add_line(
+        self, start: str, end: str, line: NDArray[np.float64], width_m: float, limit_mps: float, bordered: bool
+    ) -> None:
+        """Add a lane along a (K, 2) line in highway-env's plane, the leftmost of a road first, see `SampledLane`."""
+        self.add_lane(start, end, SampledLane(_stretched(line), width_m, limit_mps, bordered))
         self._indices.append((start, end, len(self.graph[start][end]) - 1))
         self._lines.append(shapely.LineString(line))
 
@@ -49,6 +96,11 @@ class IndexedRoadNetwork(RoadNetwork):
         for ends in list(self.graph.values()):
             for end in ends:
                 self.graph.setdefault(end, {})
+
+    def lanes_within(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[SampledLane]:
+        """Return the lanes in a rectangle of highway-env's plane, those through junctions first."""
+        rows = np.sort(self._tree.query(shapely.box(*low, *high).buffer(_NEAR_M)))
+        return sorted((self.get_lane(self._indices[row]) for row in rows), key=lambda lane: lane.bordered)
 
     def get_closest_lane_index(self, position: NDArray[np.float64], heading: float | None = None) -> LaneIndex:
         """Return the index of the lane that is nearest in place and heading, as highway-env weighs them."""
@@ -85,6 +137,64 @@ def to_plane(xy: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(xy, np.float64) * [1.0, -1.0]
 
 
+@dataclass(frozen=True)
+class Origin:
+    """Origin of absolute positions in highway-env's plane.
+
+    Attributes:
+        position: (2,) of the origin in the plane, m.
+        heading: of its x axis in the plane, rad.
+    """
+
+    position: tuple[float, float] = (0.0, 0.0)
+    heading: float = 0.0
+
+    def seen(self, position: NDArray[np.float64]) -> tuple[float, float]:
+        """Return a position of the plane as seen from the origin, m."""
+        dx, dy = position[0] - self.position[0], position[1] - self.position[1]
+        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        return float(cos * dx + sin * dy), float(cos * dy - sin * dx)
+
+
+def junction_ahead(scenario: Scenario, seed: int, route: NDArray[np.float64]) -> Origin:
+    """Return the junction that a route comes to, as highway-env's `intersection-v0` sees it.
+
+    Its middle is the origin, and who comes along the route drives towards smaller y. Without a junction of three roads
+    or more the origin is where `intersection-v0` has it, `_START_M` ahead.
+
+    Args:
+        scenario: its network.
+        seed: of the network.
+        route: (K, 2) in the world, from the ego onwards, m.
+
+    Raises:
+        ScenarioError: the network is invalid.
+    """
+    line = shapely.LineString(to_plane(route))
+    meets = (_START_M, line.interpolate(_START_M))
+    if not scenario.network.highway_env:
+        areas = junctions(network_file(scenario, seed))
+        found = [(line.project(line.intersection(area)), area.centroid) for area in areas if area.intersects(line)]
+        meets = min([(along, middle) for along, middle in found if along > 0.0], default=meets, key=lambda one: one[0])
+    along, middle = meets
+    before, after = line.interpolate(max(along - 1.0, 0.0)), line.interpolate(max(along, 1.0))
+    forward = math.atan2(after.y - before.y, after.x - before.x)
+    return Origin((middle.x, middle.y), forward + 0.5 * math.pi)
+
+
+@lru_cache(maxsize=8)
+def junctions(path: Path) -> tuple[shapely.Polygon, ...]:
+    """Return the areas of the junctions of three roads or more of a .net.xml file, in highway-env's plane."""
+    areas = []
+    for node in read_network(path).getNodes():
+        ends = {edge.getFromNode().getID() for edge in node.getIncoming() if edge.getFunction() != "internal"}
+        ends |= {edge.getToNode().getID() for edge in node.getOutgoing() if edge.getFunction() != "internal"}
+        shape = node.getShape()
+        if len(ends) >= 3 and len(shape) >= 3:
+            areas.append(shapely.make_valid(shapely.Polygon(to_plane(np.array(shape)[:, :2]))))
+    return tuple(areas)
+
+
 @lru_cache(maxsize=8)
 def mirrored_network(path: Path) -> IndexedRoadNetwork:
     """Return highway-env's network of a .net.xml file: every lane that cars may use.
@@ -106,7 +216,8 @@ def mirrored_network(path: Path) -> IndexedRoadNetwork:
         start, end = _nodes(edge)
         for lane in lanes:
             line = to_plane(np.array(lane.getShape())[:, :2])
-            network.add_line(start, end, line, float(lane.getWidth()), float(lane.getSpeed()))
+            bordered = edge.getFunction() != "internal"
+            network.add_line(start, end, line, float(lane.getWidth()), float(lane.getSpeed()), bordered)
     network.finish()
     return network
 

@@ -13,7 +13,7 @@ from dsrc.closed_loop.types import Perception
 from dsrc.data.sample import SampleDetector
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Family, Who, parse_who
 from sim.errors import SettingsError, complaint, did_you_mean
-from sim.radio import IDEAL, get_channel
+from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
 
 SHIPPED_DETECTOR = Path(__file__).parents[2] / "checkpoints" / "small-dsrc.pt"
 
@@ -25,6 +25,7 @@ TOGETHER = ("team", "dsrc")
 """A detector with helpers."""
 
 _NAMES = (*WITHOUT_SENSOR, ALONE, *TOGETHER)
+_IDEAL = PRESETS[IDEAL]
 
 
 def open_perception(
@@ -35,7 +36,7 @@ def open_perception(
     severity: int = DEFAULT_SEVERITY,
     family: Family = "physical",
     who: Who | str = EVERYONE,
-    channel: str = IDEAL,
+    channel: str | ChannelSpec = IDEAL,
     interval_s: float = 0.1,
     engine: str = "fused",
     device: Literal["cpu", "cuda"] = "cpu",
@@ -56,7 +57,7 @@ def open_perception(
         severity: 1 to 5; any for `clean`.
         family: of the corruption's settings.
         who: agents whose sweeps are corrupted: `all`, `ego`, `helpers`, or ids.
-        channel: preset of the radio channel; it does not matter without helpers.
+        channel: name or settings of the radio channel; it does not matter without helpers.
         interval_s: time between percepts, s.
         engine: execution of the network, see `dsrc.models.storage.deploy.ENGINES`.
         device: of the network.
@@ -67,12 +68,13 @@ def open_perception(
         CheckpointError: the detector file is missing or wrong.
     """
     name, file = _split(text)
+    radio = get_channel(channel) if isinstance(channel, str) else channel
     faults = Faults(
         corruption=corruption, severity=severity, family=family, who=parse_who(who) if isinstance(who, str) else who
     )
     faults.check()
     if name in WITHOUT_SENSOR and not file:
-        given = {"corruption": corruption != CLEAN, "channel": channel != IDEAL, "checkpoint": checkpoint is not None}
+        given = {"corruption": corruption != CLEAN, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
         _refuse(text, "a sensor", given)
         return TruthPerception() if name == "truth" else SightPerception()
     detector: Any
@@ -80,7 +82,7 @@ def open_perception(
         _refuse(text, "a checkpoint", {"checkpoint": checkpoint is not None})
         detector = _own(name)
         if hasattr(detector, "perceive"):
-            _refuse(text, "a detector", {"corruption": corruption != CLEAN, "channel": channel != IDEAL})
+            _refuse(text, "a detector", {"corruption": corruption != CLEAN, "channel": radio != _IDEAL})
             return cast(Perception, detector)
     else:
         if file and checkpoint is not None:
@@ -93,7 +95,7 @@ def open_perception(
     from dsrc.closed_loop.perception.detector import DetectorPerception
 
     cooperative = name != ALONE
-    spec = get_channel(channel if cooperative else IDEAL)
+    spec = radio if cooperative else _IDEAL
     return DetectorPerception(
         cast(SampleDetector, detector), cooperative=cooperative, faults=faults, channel=spec, interval_s=interval_s
     )

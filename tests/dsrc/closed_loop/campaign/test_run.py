@@ -1,0 +1,234 @@
+"""Campaigns: cells that resume, failures that are rows, controls that guard them, plans that are checked."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from dsrc.closed_loop.campaign import run as runner
+from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec, campaign_of, episodes_of, key_of, read_campaign
+from dsrc.closed_loop.campaign.report import markdown, summary_table, write_report
+from dsrc.closed_loop.campaign.run import drive, look_again_at, run_campaign
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.loop import LoopSettings
+from dsrc.closed_loop.types import Percept
+from dsrc.data.executors import Pool
+from dsrc.options.driving import DriveOptions
+from sim.boxes import Boxes
+from sim.errors import DataError, SettingsError
+
+PLAN = Campaign(
+    scenarios=("ima_building",),
+    perceptions=(PerceptionSpec(name="truth"), PerceptionSpec(name="nothing", uses=f"{__name__}:Blind")),
+    corruptions=("clean",),
+    clean_seeds=2,
+    seeds=1,
+    loop=LoopSettings(duration_s=15.0),
+    controls=False,
+)
+
+
+class Blind:
+    """Perceives nothing."""
+
+    cooperative = False
+
+    def reset(self, scenario, ego_id: int, seed: int) -> None:
+        pass
+
+    def perceive(self, before, now, claims) -> Percept:
+        return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
+
+
+class Broken(Blind):
+    """Fails after a while."""
+
+    def perceive(self, before, now, claims) -> Percept:
+        if now.time_s > 1.0:
+            raise MemoryError("no memory left")
+        return super().perceive(before, now, claims)
+
+
+def rows(out: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader((out / "results.csv").read_text(encoding="utf-8").splitlines()))
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("campaign")
+    run_campaign(PLAN, out)
+    return out
+
+
+def test_truth_arrives_and_the_blind_crash(driven: Path) -> None:
+    found = {(row["perception"], row["seed"]): row["outcome"] for row in rows(driven)}
+    assert found == {("truth", "0"): "arrived", ("truth", "1"): "arrived"} | {
+        ("nothing", "0"): "crashed",
+        ("nothing", "1"): "crashed",
+    }
+
+
+def test_a_campaign_that_was_driven_drives_nothing_again(driven: Path) -> None:
+    before = (driven / "results.csv").read_bytes()
+    assert run_campaign(PLAN, driven).made == 0
+    assert (driven / "results.csv").read_bytes() == before
+
+
+def test_a_lost_episode_comes_back_with_the_same_bytes(driven: Path) -> None:
+    key = rows(driven)[0]["key"]
+    files = [driven / "episodes" / f"{key}{suffix}" for suffix in (".json", ".npz")]
+    before = [path.read_bytes() for path in files]
+    files[0].unlink()
+    assert run_campaign(PLAN, driven).made == 1
+    assert [path.read_bytes() for path in files] == before
+
+
+def test_other_workers_give_the_same_results(driven: Path, tmp_path: Path) -> None:
+    run_campaign(PLAN, tmp_path, Pool(workers=2))
+    assert (tmp_path / "results.csv").read_bytes() == (driven / "results.csv").read_bytes()
+
+
+def test_more_seeds_keep_those_that_are_there(driven: Path, tmp_path: Path) -> None:
+    out = tmp_path / "more"
+    run_campaign(replace(PLAN, clean_seeds=1), out)
+    assert run_campaign(replace(PLAN, clean_seeds=2), out).made == 2
+    assert len(rows(out)) == 4
+
+
+def test_a_perception_that_fails_is_a_row(tmp_path: Path) -> None:
+    broken = replace(PLAN, clean_seeds=1, perceptions=(PerceptionSpec(name="broken", uses=f"{__name__}:Broken"),))
+    (row,) = run_campaign(broken, tmp_path).results
+    assert (row.outcome, row.message) == ("perception failed", "MemoryError: no memory left")
+
+
+def test_every_setting_has_a_cell_of_its_own() -> None:
+    plans = [
+        PLAN,
+        replace(PLAN, loop=LoopSettings(duration_s=15.0, latency_s=0.1)),
+        replace(PLAN, driver="careful"),
+        replace(PLAN, scenarios=("ima_queue",)),
+        replace(PLAN, clean_seeds=(7,), seeds=(7,)),
+    ]
+    keys = [key_of(job) for plan in plans for job in episodes_of(plan)]
+    assert len(set(keys)) == len(keys)
+
+
+def test_names_and_paths_decide_nothing() -> None:
+    renamed = replace(
+        PLAN, perceptions=tuple(replace(one, name=f"my {one.name}", uses=one.kind) for one in PLAN.perceptions)
+    )
+    assert [key_of(job) for job in episodes_of(renamed)] == [key_of(job) for job in episodes_of(PLAN)]
+
+
+def test_corruptions_reach_nobody_without_a_sensor() -> None:
+    jobs = episodes_of(replace(PLAN, corruptions=("paper_six",), perceptions=PLAN.perceptions[:1], seeds=2))
+    assert [job.condition["kind"] for job in jobs] == ["clean", "clean"]
+
+
+def test_a_driver_who_fails_a_control_stops_the_campaign(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(runner, "controls_of", lambda plan: replace(PLAN, perceptions=PLAN.perceptions[1:]))
+    with pytest.raises(SettingsError, match="ima_building seed 0: crashed"):
+        run_campaign(replace(PLAN, controls=True), tmp_path)
+    assert not (tmp_path / "results.csv").exists() and (tmp_path / "controls.csv").exists()
+
+
+def test_controls_are_those_of_the_encounters() -> None:
+    found = runner.controls_of(replace(PLAN, scenarios=("ima_building", "four_way")))
+    assert found is not None and found.scenarios == ("ima_building:no_occluder", "ima_building:no_conflict")
+    assert runner.controls_of(replace(PLAN, scenarios=("four_way",))) is None
+
+
+def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
+    result = run_campaign(PLAN, driven)
+    paths = write_report(result, driven)
+    text = markdown(result)
+    assert all(path.stat().st_size > 0 for path in paths)
+    assert "| nothing | clean | 2 | 100 %" in text and "Hardest crashes" in text
+    assert summary_table(result).row_count == 2
+
+
+def test_an_episode_is_looked_at_again_from_its_log(driven: Path) -> None:
+    path = driven / "episodes" / f"{rows(driven)[0]['key']}.npz"
+    former, same = look_again_at(path, DriveOptions(what=str(path)))
+    for one, other in zip(former.ticks, same.ticks, strict=True):
+        assert np.array_equal(one.percept.boxes.array, other.percept.boxes.array)
+    _, other = look_again_at(path, DriveOptions(what=str(path), perception=(f"{__name__}:Blind",)))
+    assert all(len(tick.tracks) == 0 for tick in other.ticks)
+    assert EpisodeLog.load(path).outcome is former.outcome
+
+
+def test_two_campaigns_cannot_write_into_one_folder(tmp_path: Path) -> None:
+    from dsrc.data.drive_folder import locked
+
+    with locked(tmp_path, what="campaign"), pytest.raises(DataError):
+        run_campaign(PLAN, tmp_path)
+
+
+def test_python_drives_by_the_options_of_the_command(tmp_path: Path) -> None:
+    result = drive("ima_building:no_conflict", perception=("truth",), seed=(3,), out=tmp_path)
+    assert [one.seed for one in result.results] == [3] and result.results[0].outcome == "arrived"
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ('scenarios = ["nowhere"]', "nowhere"),
+        ('corruptions = ["mist"]', "mist"),
+        ("seeds = 0", "seeds"),
+        ('channels = ["pigeon"]', "pigeon"),
+        ("colour = 1", "colour"),
+    ],
+)
+def test_a_wrong_plan_is_one_line_that_names_the_field(tmp_path: Path, text: str, field: str) -> None:
+    path = tmp_path / "plan.toml"
+    lines = ['scenarios = ["ima_building"]'] * (not text.startswith("scenarios"))
+    path.write_text("\n".join([*lines, text, '[[perceptions]]\nname = "truth"\n']), encoding="utf-8")
+    from sim.errors import UserError
+
+    with pytest.raises(UserError) as error:
+        read_campaign(path)
+    assert field in str(error.value) and "\n" not in str(error.value)
+
+
+def test_options_beside_a_plan_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text('scenarios = ["ima_building"]\n[[perceptions]]\nname = "truth"\n', encoding="utf-8")
+    assert campaign_of(DriveOptions(what=str(path))).scenarios == ("ima_building",)
+    with pytest.raises(SettingsError, match="seed"):
+        campaign_of(DriveOptions(what=str(path), seed=(1,)))
+
+
+@pytest.mark.slow
+def test_a_killed_campaign_keeps_its_rows_and_resumes_to_the_same_bytes(tmp_path: Path) -> None:
+    line = [
+        sys.executable,
+        "-m",
+        "dsrc",
+        "drive",
+        "ima_building",
+        "--perception",
+        "truth",
+        "sight",
+        "--seed",
+        *"012345",
+    ]
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    subprocess.run([*line, "--out", str(whole)], check=True, capture_output=True)
+    process = subprocess.Popen([*line, "--out", str(killed)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while len(list(killed.glob("episodes/*.json"))) < 3:
+        time.sleep(0.05)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    kept = len(list(killed.glob("episodes/*.json")))
+    assert 3 <= kept < 12
+    subprocess.run([*line, "--out", str(killed)], check=True, capture_output=True)
+    assert (killed / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
+    assert json.loads((killed / "plan.json").read_text())["name"] == "ima_building"
