@@ -33,7 +33,7 @@ def edited(tree: Path, name: str) -> str:
 FAR = (
     "sim/boxes.py",
     "sim/geometry.py",
-    "sim/radio.py",
+    "sim/radio/channel.py",
     "sensors/sweep.py",
     "sensors/frame.py",
     "sensors/optics/reflectance.py",

@@ -1,0 +1,134 @@
+"""Settings of radio channels: presets by name."""
+
+from enum import IntEnum
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+from msgspec.structs import replace
+
+from sim.errors import SettingsError, complaint, did_you_mean
+from sim.radio.trace import read_trace
+from sim.scenario import NonNegative, Positive
+
+IDEAL = "ideal"
+HEARING_M = 500.0
+"""Carrier sense range: agents within it count for the channel load, m."""
+
+
+class Obstruction(IntEnum):
+    """Obstruction of the line of sight between two antennas."""
+
+    FREE = 0
+    VEHICLE = 1
+    BUILDING = 2
+
+
+class ChannelSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of a radio channel.
+
+    Attributes:
+        name: name of the preset.
+        medium: `perfect`: everything arrives at once; `fixed`: everything arrives after `delay_s`; `csma`: IEEE
+            802.11p and similar; `sps`: LTE sidelink with semi-persistent scheduling; `trace`: from a file.
+        range_m: largest range, m.
+        environment: environment of the path loss.
+        rate_mbps: data rate of a packet, Mb/s.
+        snr_db: required signal-to-noise ratio.
+        power_dbm: radiated power, antenna gains included.
+        noise_dbm: noise power in the band, noise figure included.
+        packet_bytes: payload of a packet.
+        congestion_control: reactive, as in ETSI TS 102 687.
+        collision_share: share of packets lost by collisions at full load.
+        packet_loss: probability of packet loss for any other reason.
+        message_bytes: size of every message; None: the payload's own size.
+        compression: compression ratio of the detector's features.
+        delay_s: latency from measurement to sending: processing, and the backbone of infrastructure.
+        period_s: reservation period of `sps`.
+        position_error_m: standard deviation of a sender's own position, longitudinal and lateral, m.
+        heading_error_deg: standard deviation of its heading, degrees.
+        error_correlation_s: correlation time of the pose error; 0: independent in every instant.
+        clock_error_s: standard deviation of the senders' clocks, s.
+        trace: CSV file of `trace`.
+    """
+
+    name: str
+    medium: Literal["perfect", "fixed", "csma", "sps", "trace"]
+    range_m: Positive = 70.0
+    environment: Literal["urban", "highway"] = "urban"
+    rate_mbps: Positive = 6.0
+    snr_db: float = 8.0
+    power_dbm: float = 23.0
+    noise_dbm: float = -95.0
+    packet_bytes: Annotated[int, Meta(ge=1)] = 1400
+    congestion_control: bool = False
+    collision_share: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    packet_loss: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    message_bytes: Annotated[int, Meta(ge=1)] | None = None
+    compression: Annotated[float, Meta(ge=1.0)] = 1.0
+    delay_s: NonNegative = 0.0
+    period_s: Positive = 0.1
+    position_error_m: NonNegative = 0.0
+    heading_error_deg: NonNegative = 0.0
+    error_correlation_s: NonNegative = 0.0
+    clock_error_s: NonNegative = 0.0
+    trace: str = ""
+
+
+_RADIO = ChannelSpec(
+    name="radio",
+    medium="csma",
+    range_m=HEARING_M,
+    collision_share=0.1,
+    compression=128.0,
+    delay_s=0.05,
+    position_error_m=0.2,
+    heading_error_deg=0.2,
+    error_correlation_s=30.0,
+    clock_error_s=0.005,
+)
+"""Common settings of the radio presets. Assumed: required SNR, processing time, share of collisions, and a compression
+that brings the features of the paper's grid to OpenCOOD's size."""
+
+PRESETS: dict[str, ChannelSpec] = {
+    spec.name: spec
+    for spec in (
+        ChannelSpec(name=IDEAL, medium="perfect"),
+        # OpenCOOD's numbers: 70 m, 100 ms, 27 Mb/s, 1.06 Mb of features, white noise of 0.2 m and 0.2 degrees.
+        ChannelSpec(
+            name="paper",
+            medium="fixed",
+            rate_mbps=27.0,
+            message_bytes=132_500,
+            delay_s=0.1,
+            position_error_m=0.2,
+            heading_error_deg=0.2,
+        ),
+        # ITS-G5 in 10 MHz: the rate of most messages, and the highest.
+        replace(_RADIO, name="its-g5-6", rate_mbps=6.0, snr_db=8.0, congestion_control=True),
+        replace(_RADIO, name="its-g5-27", rate_mbps=27.0, snr_db=25.0, congestion_control=True),
+        # LTE sidelink, mode 4. Rate and SNR of 16-QAM in 10 MHz are assumed.
+        replace(_RADIO, name="c-v2x", medium="sps", rate_mbps=8.8, snr_db=10.0),
+        ChannelSpec(name="trace", medium="trace", range_m=HEARING_M),
+    )
+}
+
+
+def get_channel(name: str) -> ChannelSpec:
+    """Return the settings of a preset; `trace:FILE` names the file of a trace.
+
+    Raises:
+        SettingsError: the preset is unknown, or a trace without its file.
+        DataError: the trace cannot be read.
+    """
+    preset, _, file = name.partition(":")
+    if preset not in PRESETS:
+        choices = [f"{known}:FILE" if known == "trace" else known for known in PRESETS]
+        raise SettingsError(complaint("channel", "name", "a preset", name, did_you_mean(preset, choices)))
+    if (preset == "trace") != bool(file):
+        expected = "trace:FILE with a CSV file" if preset == "trace" else f"'{preset}' without a file"
+        raise SettingsError(complaint("channel", "name", expected, name))
+    if not file:
+        return PRESETS[preset]
+    read_trace(file)
+    return replace(PRESETS[preset], trace=file)
