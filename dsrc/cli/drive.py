@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -16,13 +17,16 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
 
     A campaign drives scenarios x perceptions x corruptions x channels x seeds, resumes when it was interrupted, and
     writes results.csv, tables, plots and a log of every episode. The log of an episode in place of a scenario shows
-    the same traffic to another perception.
+    the same traffic to another perception. A critical value is where the outcome of one episode flips.
 
     Attributes:
         out: folder of results and logs; default: results are printed only.
+        critical: search the severity of the corruption, or the delay or loss of messages, at which the outcome of the
+            episode flips; default: none.
     """
 
     out: Folder | None = None
+    critical: Literal["severity", "delay_s", "loss"] | None = None
     pool: Pool = SERIAL
 
     def run(self) -> None:
@@ -31,6 +35,9 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
 
         if self.what.endswith(".npz"):
             self._look_again()
+            return
+        if self.critical is not None:
+            self._search()
             return
         if self.out is not None:
             self._drive(self.out)
@@ -56,6 +63,17 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         if self.out is not None:
             for path in write_report(result, out):
                 sys.stdout.write(f"{path}\n")
+
+    def _search(self) -> None:
+        from rich.console import Console
+
+        from dsrc.closed_loop.campaign.plan import campaign_of
+        from dsrc.closed_loop.campaign.search import search, search_table
+
+        assert self.critical is not None
+        with progress(f"drive {self.what}") as report:
+            found = search(campaign_of(self), self.critical, report)
+        Console(highlight=False).print(search_table(found))
 
     def _look_again(self) -> None:
         from rich.console import Console

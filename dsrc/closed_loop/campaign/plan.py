@@ -147,7 +147,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
     """
     given = {
         name: value
-        for name in options.__struct_fields__
+        for name in DriveOptions.__struct_fields__
         if name != "what" and (value := getattr(options, name)) not in (None, ())
     }
     if options.what.endswith(".toml") and is_campaign(Path(options.what)):

@@ -3,11 +3,13 @@
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, name_of, open_perception
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from sim.errors import CheckpointError, SettingsError
+from sim.radio import get_channel
 
 OWN = """
 from dsrc.ops.detections import Detections
@@ -119,3 +121,10 @@ def test_a_wrong_setting_or_file_is_refused(tmp_path: Path) -> None:
         open_perception("team", corruption="pose_error", who="ego")
     with pytest.raises(CheckpointError, match="no such checkpoint file"):
         open_perception(str(tmp_path / "gone.pt"))
+
+
+def test_settings_of_a_channel_serve_as_well_as_its_name() -> None:
+    spec = replace(get_channel("its-g5-6"), packet_loss=0.5)
+    assert open_perception("team", channel=spec).channel == spec
+    with pytest.raises(SettingsError, match="channel"):
+        open_perception("truth", channel=spec)

@@ -1,0 +1,148 @@
+"""Search for the critical severity, delay or loss of an episode: where its outcome flips."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from msgspec.structs import replace
+from rich.table import Table
+
+from dsrc.closed_loop.campaign.critical import CriticalValue, critical_value
+from dsrc.closed_loop.campaign.episode import DRIVERS
+from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec
+from dsrc.closed_loop.loop import ClosedLoop
+from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR, open_perception
+from dsrc.closed_loop.types import Outcome, Perception
+from sensors.corruptions import CLEAN, SEVERITIES
+from sim.errors import SettingsError, complaint
+from sim.radio import get_channel
+
+Quantity = Literal["severity", "delay_s", "loss"]
+
+LONGEST_DELAY_S = 1.0
+_FINE = (Outcome.ARRIVED, Outcome.TIMEOUT)
+_LOSS_TOLERANCE = 0.02
+_TITLES = {"severity": "severity", "delay_s": "delay s", "loss": "lost packets"}
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """Result of a search.
+
+    Attributes:
+        plan: the episode.
+        quantity: that was varied.
+        value: where its outcome flips.
+        outcomes: of the episode by value.
+    """
+
+    plan: Campaign
+    quantity: Quantity
+    value: CriticalValue
+    outcomes: dict[float, Outcome]
+
+
+def search(plan: Campaign, quantity: Quantity, progress: Callable[[int, int], None] | None = None) -> Search:
+    """Return where the outcome of one episode flips along a quantity.
+
+    Severities are those from clean to 5. Delays of the helpers' messages go to `LONGEST_DELAY_S`, to the interval of
+    detections: messages are sent then. Losses go to 1, to a share of 0.02 of the packets, the same ones at a larger
+    share and more.
+
+    Args:
+        plan: of one scenario, perception, seed, channel, and for a severity one corruption.
+        quantity: `severity`, `delay_s` or `loss`.
+        progress: called with episodes done, and that number and one more.
+
+    Raises:
+        SettingsError: the plan has more episodes than one, or none that the quantity changes.
+    """
+    kind = _corruption(plan, quantity)
+    one, seed = _single(plan, kind, quantity)
+    outcomes: dict[float, Outcome] = {}
+
+    def fine(value: float) -> bool:
+        loop = ClosedLoop(
+            plan.scenarios[0], _perception(plan, one, kind, quantity, value), DRIVERS[plan.driver](), plan.loop
+        )
+        outcomes[value] = loop.run(seed)
+        if progress is not None:
+            progress(len(outcomes), len(outcomes) + 1)
+        return outcomes[value] in _FINE
+
+    step_s = plan.loop.detect_every_s
+    values, tolerance = {
+        "severity": ([0.0, *map(float, SEVERITIES)], 1.0),
+        "delay_s": ([*np.arange(0.0, LONGEST_DELAY_S + 1e-9, 2.0 * step_s).tolist()], step_s),
+        "loss": (np.linspace(0.0, 1.0, 5).tolist(), _LOSS_TOLERANCE),
+    }[quantity]
+    return Search(plan, quantity, critical_value(fine, values, tolerance), dict(sorted(outcomes.items())))
+
+
+def search_table(found: Search) -> Table:
+    """Return the outcome of every value tried, and where it flips, for a terminal."""
+    flips, plan = found.value.flips, found.plan
+    if not flips:
+        caption = "The outcome never flips."
+    else:
+        names = [f"{flip.below:g} to {flip.above:g} ({'worse' if flip.fails else 'better'})" for flip in flips]
+        caption = f"Flips: {', '.join(names)}."
+        caption += "" if found.value.monotone else " Not monotone: more of it also does less harm."
+    what = f"{plan.scenarios[0]}, {plan.perceptions[0].name}, seed {_seeds(plan)[0]}"
+    table = Table(title=what, caption=caption, caption_justify="left")
+    table.add_column(_TITLES[found.quantity], justify="right")
+    table.add_column("outcome")
+    for value, outcome in found.outcomes.items():
+        table.add_row(f"{value:.3g}", outcome.value)
+    return table
+
+
+def _seeds(plan: Campaign) -> tuple[int, ...]:
+    return tuple(range(plan.clean_seeds)) if isinstance(plan.clean_seeds, int) else plan.clean_seeds
+
+
+def _corruption(plan: Campaign, quantity: Quantity) -> str:
+    kinds = sorted({one.kind for one in plan.conditions if one.kind != CLEAN})
+    if len(kinds) > 1 or (quantity == "severity" and not kinds):
+        raise SettingsError(complaint("drive", "corruption", f"one, for the critical {quantity}", ", ".join(kinds)))
+    return kinds[0] if kinds else CLEAN
+
+
+def _single(plan: Campaign, kind: str, quantity: Quantity) -> tuple[PerceptionSpec, int]:
+    """Return perception and seed of a plan that has one of each; raises SettingsError otherwise."""
+    counts = {
+        "perception": len(plan.perceptions),
+        "seed": len(_seeds(plan)),
+        "channel": len(plan.channels),
+        "severity": 1 if kind == CLEAN else len(plan.severities),
+    }
+    for field, count in counts.items():
+        if count > 1:
+            raise SettingsError(complaint("drive", field, f"one, for the critical {quantity}", str(count)))
+    one = plan.perceptions[0]
+    if one.kind in WITHOUT_SENSOR or (one.kind == ALONE and quantity != "severity"):
+        needed = "a detector" if quantity == "severity" else "a detector with helpers"
+        raise SettingsError(complaint("drive", "perception", f"{needed}, for the critical {quantity}", one.kind))
+    return one, _seeds(plan)[0]
+
+
+def _perception(plan: Campaign, one: PerceptionSpec, kind: str, quantity: Quantity, value: float) -> Perception:
+    radio, severity = get_channel(plan.channels[0]), plan.severities[0]
+    if quantity == "delay_s":
+        radio = replace(radio, name=f"{radio.name}, {value:g} s later", delay_s=value)
+    elif quantity == "loss":
+        radio = replace(radio, name=f"{radio.name}, {value:g} lost", packet_loss=value)
+    else:
+        severity = round(value)
+    return open_perception(
+        one.kind,
+        checkpoint=Path(one.checkpoint) if one.checkpoint else None,
+        corruption=kind if severity else CLEAN,
+        severity=max(severity, 1),
+        family=plan.family,
+        who=plan.who if severity else "all",
+        channel=radio,
+        interval_s=plan.loop.detect_every_s,
+    )

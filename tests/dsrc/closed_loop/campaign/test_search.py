@@ -1,0 +1,65 @@
+"""Critical values of an episode: a delay at which a seeing helper comes too late, and plans that no search can take."""
+
+import numpy as np
+import pytest
+
+from dsrc.closed_loop.campaign import search as searching
+from dsrc.closed_loop.campaign.plan import campaign_of
+from dsrc.closed_loop.campaign.search import search, search_table
+from dsrc.closed_loop.types import Outcome, Percept
+from dsrc.options.driving import DriveOptions
+from sim.boxes import Boxes
+from sim.errors import SettingsError
+
+
+class Late:
+    """Perceives the truth, but the conflict actor only from some seconds after the start on."""
+
+    cooperative = True
+
+    def __init__(self, blind_s: float) -> None:
+        self.blind_s = blind_s
+
+    def reset(self, scenario, ego_id: int, seed: int) -> None:
+        self.ego_id, self.start_s = ego_id, None
+
+    def perceive(self, before, now, claims) -> Percept:
+        self.start_s = now.time_s if self.start_s is None else self.start_s
+        if now.time_s - self.start_s < self.blind_s:
+            return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
+        rows = now.boxes.object_id != self.ego_id
+        boxes = now.boxes[rows]
+        return Percept(now.time_s, boxes, np.ones(len(boxes)), now.velocity[rows].copy())
+
+
+def test_the_delay_at_which_an_encounter_becomes_a_crash_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = []
+
+    def opened(uses: str, **settings) -> Late:
+        given.append(settings["channel"])
+        return Late(10.0 * settings["channel"].delay_s)
+
+    monkeypatch.setattr(searching, "open_perception", opened)
+    options = DriveOptions(what="ima_building", perception=("team",), duration_s=15.0, detect_every_s=0.2)
+    found = search(campaign_of(options), "delay_s")
+    assert [one.medium for one in given] == ["perfect"] * len(given)
+    assert found.outcomes[0.0] is Outcome.ARRIVED and found.outcomes[0.8] is Outcome.CRASHED
+    (flip,) = found.value.flips
+    assert flip.fails and flip.above - flip.below <= 0.2 + 1e-9
+    assert "worse" in str(search_table(found).caption)
+
+
+@pytest.mark.parametrize(
+    ("change", "quantity", "told"),
+    [
+        ({"perception": ("truth",)}, "loss", "detector with helpers"),
+        ({"perception": ("ego",)}, "delay_s", "detector with helpers"),
+        ({"perception": ("team",)}, "severity", "corruption"),
+        ({"perception": ("team",), "seed": (0, 1)}, "loss", "seed"),
+        ({"perception": ("team",), "corruption": ("fog", "snow")}, "severity", "corruption"),
+        ({"perception": ("team", "ego"), "corruption": ("fog",)}, "severity", "perception"),
+    ],
+)
+def test_a_plan_of_more_than_one_episode_or_without_the_quantity_is_refused(change, quantity, told: str) -> None:
+    with pytest.raises(SettingsError, match=told):
+        search(campaign_of(DriveOptions(what="ima_building", **change)), quantity)
