@@ -128,6 +128,9 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     roadside: tuple[RoadsideUnit, ...] = ()
 
 
+TrafficLevel = Literal["none", "light", "dense"]
+"""Density of the background traffic of an encounter."""
+
 CONTROLS = ("no_occluder", "no_conflict", "ghost")
 """Control conditions of an encounter, see `EncounterSpec`."""
 
@@ -143,6 +146,8 @@ class EncounterSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
             with a helper that reports the absent conflict actor (`ghost`).
         draw: number of the draw of the parameters, advanced by `sensors.recording.encounter_check`.
         draws: largest number of draws tried.
+        traffic: background traffic, vehicles that keep off the conflict; default: none. Unset it does not appear among
+            the settings of a drive.
     """
 
     kind: str
@@ -151,6 +156,7 @@ class EncounterSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     control: Literal["", "no_occluder", "no_conflict", "ghost"] = ""
     draw: Annotated[int, Meta(ge=0)] = 0
     draws: Annotated[int, Meta(ge=1)] = 40
+    traffic: TrafficLevel | msgspec.UnsetType = msgspec.UNSET
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -32,6 +32,7 @@ class Stream(Enum):
     ENCOUNTER_PARAMETER = "list", None, "draw, name of the parameter"
     ENCOUNTER_LAYOUT = "list", None, "draw, 'looks'"
     ENCOUNTER_CHECK = "list", None, "traffic step"
+    ENCOUNTER_TRAFFIC = "child", 5, "draw"
     # Static world
     BUILDING_BLOCKS = "list", 1, ""
     FURNITURE = "list", 2, ""

@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 
 from sim.encounters import crossing, following, on_map, turning, walking
+from sim.encounters.background import with_background
 from sim.encounters.lane_paths import lane_paths_of
 from sim.encounters.networks import write_roads
 from sim.encounters.types import Encounter, EncounterType, Ghost, Parameter, without
@@ -59,6 +60,10 @@ def _made(scenario_json: bytes, seed: int) -> Encounter:
         layout = kind.on_streets(values, appearance, lane_paths_of(scenario.name, net, spec.streets))
     else:
         layout = kind.lay_out(values, appearance)
+    if spec.traffic is not msgspec.UNSET and spec.traffic != "none":
+        roads = write_roads(scenario.name, layout.roads) if layout.roads else resolve_network(scenario, seed)
+        rng = random_generator(seed, Stream.ENCOUNTER_TRAFFIC, spec.draw)
+        layout = with_background(layout, spec.traffic, read_network(roads), rng)
     if spec.control == "no_occluder":
         return Encounter(spec.kind, values, without(layout, "occluder"))
     if spec.control == "no_conflict":

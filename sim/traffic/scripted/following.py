@@ -27,13 +27,16 @@ def safe_speed(mover: Mover, before: Actors, ahead: NDArray[np.bool_]) -> float:
     """
     path, kind = mover.actor.path, mover.actor.kind
     length, width, _ = kind.size
+    away = before.boxes.center[:, :2] - path.at(mover.at_m)[0][:2]
+    size = before.boxes.size
+    near = np.hypot(*away.T) < _LOOK_AHEAD_M + width + np.hypot(size[:, 0], size[:, 1])
     inside = (path.along >= mover.at_m) & (path.along <= mover.at_m + _LOOK_AHEAD_M)
-    if inside.sum() < 2:
+    if inside.sum() < 2 or not (ahead & near).any():
         return math.inf
     line = shapely.LineString(path.points[inside, :2])
     strip = line.buffer(0.5 * width + _BESIDE_M, cap_style="flat")
     limit = math.inf
-    for row in np.flatnonzero(ahead):
+    for row in np.flatnonzero(ahead & near):
         body = shapely.Polygon(before.boxes[row : row + 1].bev_polygons()[0])
         if not strip.intersects(body):
             continue
