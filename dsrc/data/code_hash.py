@@ -47,6 +47,7 @@ def code_files(entry: str, root: Path = _REPOSITORY) -> list[Path]:
     return sorted(sources | {path for folder in {path.parent for path in sources} for path in _data(folder)})
 
 
+@cache
 def imported_modules(entry: str, root: Path) -> dict[str, Path]:
     """Files by name of a module and of all modules that it imports at any depth.
 
@@ -81,28 +82,39 @@ def _source(root: Path, name: str) -> Path | None:
     return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
 
 
-def _imports(path: Path, name: str) -> Iterator[str]:
-    """Yield the names that a module imports: modules, and names that may be modules of a package."""
+@cache
+def _imports(path: Path, name: str) -> tuple[str, ...]:
+    """Return the names that a module imports: modules, and names that may be modules of a package."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    for node in _run(ast.parse(path.read_bytes())):
+    source = path.read_bytes()
+    found: list[str] = []
+    for node in _run(ast.parse(source), b"import_module" in source):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             parts = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
             base = ".".join([*parts, *([node.module] if node.module else [])])
-            yield base
-            yield from (f"{base}.{alias.name}" for alias in node.names)
+            found += [base, *(f"{base}.{alias.name}" for alias in node.names)]
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "import_module":
-            yield from (arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str))
+            found += (arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str))
+    return tuple(found)
 
 
-def _run(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes of a tree without those for type checkers alone."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            continue
-        yield node
-        yield from _run(node)
+def _run(tree: ast.AST, expressions: bool) -> Iterator[ast.AST]:
+    """Yield the nodes of a tree without those for type checkers alone.
+
+    Args:
+        tree: of a module.
+        expressions: yield those inside expressions too, where no statement can be.
+    """
+    waiting = [tree]
+    while waiting:
+        for node in ast.iter_child_nodes(waiting.pop()):
+            if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+                continue
+            yield node
+            if expressions or not isinstance(node, ast.expr):
+                waiting.append(node)
 
 
 def _data(folder: Path) -> Iterator[Path]:

@@ -15,13 +15,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dsrc.evaluation.detect import Condition, MethodResult
+from dsrc.evaluation.detect import MethodResult
 from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, Matches
-from sensors import corruptions as registry
-from sensors.corruptions import CLEAN
 from sim.errors import DataError, complaint
-from sim.files import file_sha256, write_file
-from sim.radio import ChannelSpec
+from sim.files import write_file
 
 _KEYS = [(space, threshold) for space in SPACES for threshold in THRESHOLDS]
 
@@ -63,24 +60,6 @@ class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
     def key(self) -> str:
         """Name of the cell."""
         return hashlib.sha256(msgspec.json.encode(self, order="deterministic")).hexdigest()[:32]
-
-
-def condition_settings(condition: Condition) -> dict[str, Any]:
-    """Settings of a condition, those of its corruption included."""
-    listed = {"kind": condition.kind, "severity": condition.severity, "family": condition.family}
-    if condition.kind == CLEAN:
-        return listed
-    if condition.who != registry.EVERYONE:
-        listed["who"] = condition.who
-    settings = registry.CORRUPTIONS[condition.kind].settings_of(condition.family).severity(condition.severity)
-    return {**listed, "settings": msgspec.to_builtins(settings)}
-
-
-def channel_settings(spec: ChannelSpec) -> dict[str, Any]:
-    """Settings of a channel without its name; of a trace the hash of its file."""
-    settings = msgspec.to_builtins(spec)
-    del settings["name"]
-    return {**settings, "trace": file_sha256(Path(spec.trace))} if spec.trace else settings
 
 
 def has_cell(folder: Path, key: str) -> bool:

@@ -14,7 +14,8 @@ import torch
 
 from dsrc.data.drives import Drive, open_drive
 from dsrc.evaluation.cache import CellSettings, write_cell
-from dsrc.evaluation.detect import Condition, Method, evaluate_drive
+from dsrc.evaluation.conditions import Condition
+from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import load_student

@@ -47,7 +47,7 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from dsrc.evaluation.detect import PAPER_TABLE, Condition, check_numbers, corruption_kinds
+from dsrc.evaluation.conditions import PAPER_TABLE, Condition, check_numbers, corruption_kinds
 from dsrc.options.detection import BenchmarkOptions
 from sensors.corruptions import EVERYONE, Family, parse_who, require_who
 from sim.errors import SettingsError, complaint, did_you_mean

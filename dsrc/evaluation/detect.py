@@ -12,22 +12,18 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
 from dsrc.data.sample import Sample, SampleDetector, inside_range, make_sample
+from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.metrics.ap import FrameResult, Matches, join_matches, match_frames
 from dsrc.models.channel import Receiver
 from dsrc.ops.grid import GridSpec
 from sensors import corruptions as registry
-from sensors.corruptions import CLEAN, Family, drive_seed
+from sensors.corruptions import CLEAN, drive_seed
 from sensors.frame import Frame
-from sim.errors import DataError, SettingsError, complaint, did_you_mean
+from sim.errors import DataError, complaint
 from sim.radio import ChannelSpec, Link
 
 _SENSOR_S = 0.1
 _log = logging.getLogger(__name__)
-
-ALL = "all"
-"""Every corruption of a family."""
-PAPER_TABLE = "paper_six"
-"""The six corruptions of the paper's tables."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,23 +47,6 @@ class Method:
     def receives(self) -> bool:
         """Whether messages arrive through a channel."""
         return self.channel is not None and self.agents != 1
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """Condition of the sweeps.
-
-    Attributes:
-        kind: of the corruption, or `clean`.
-        severity: 1 to 5, 0 for clean.
-        family: of the corruption's settings.
-        who: agents whose sweeps are corrupted, see `sensors.corruptions.parse_who`.
-    """
-
-    kind: str = CLEAN
-    severity: int = 0
-    family: Family = "physical"
-    who: str = registry.EVERYONE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,31 +161,6 @@ def _ego_share(frame: Frame, sample: Sample) -> NDArray[np.float32]:
     return frame.visible_fraction[row][np.searchsorted(frame.truth.object_id, sample.boxes.object_id)]
 
 
-def corruption_kinds(names: Sequence[str], family: Family = "physical", where: str = "evaluate") -> tuple[str, ...]:
-    """Kinds of corruption by name, in the order of `CORRUPTIONS`.
-
-    Args:
-        names: kinds, `paper_six` for those of the paper's tables, `all` for all of the family, `clean` for none.
-        family: of their settings.
-        where: begins the messages of errors.
-
-    Raises:
-        SettingsError: an unknown corruption or family, or a family without a model of the corruption.
-    """
-    groups = {CLEAN: (), PAPER_TABLE: registry.PAPER_SIX, ALL: registry.kinds_of(family)}
-    for name in names:
-        if name not in (*groups, *registry.CORRUPTIONS):
-            hint = did_you_mean(name, [*groups, *registry.CORRUPTIONS])
-            raise SettingsError(complaint(where, "corruptions", "a corruption", name, hint))
-        if name not in groups:
-            try:
-                registry.require_corruption(name, family=family)
-            except SettingsError as error:
-                raise SettingsError(f"{where}: corruptions: {error}") from None
-    wanted = {kind for name in names for kind in groups.get(name, (name,))}
-    return tuple(kind for kind in registry.CORRUPTIONS if kind in wanted)
-
-
 def corrupted(frame: Frame, condition: Condition, seed: int) -> Frame:
     """Frame as the sensors deliver it under a condition; `seed` is the drive's."""
     if condition.kind == CLEAN:
@@ -263,17 +217,6 @@ def interval_of(reader: Drive) -> float:
     """Time between the first two frames of a drive, s; 0.1 s for a single frame."""
     step = reader.read(1).time_s - reader.read(0).time_s if len(reader) > 1 else 0.0
     return step if step > 0.0 else _SENSOR_S
-
-
-def check_numbers(where: str, severities: Sequence[int], seed: int, limit: int | None) -> None:
-    """Raise SettingsError for a number out of its range; `where` begins the message."""
-    for severity in severities:
-        if not 1 <= severity <= 5:
-            raise SettingsError(complaint(where, "severity", "1 to 5", severity))
-    if seed < 0:
-        raise SettingsError(complaint(where, "seed", "at least 0", seed))
-    if limit is not None and limit < 1:
-        raise SettingsError(complaint(where, "limit", "at least 1 frame", limit))
 
 
 def frame_positions(readers: Sequence[Drive], limit: int | None) -> list[list[int]]:

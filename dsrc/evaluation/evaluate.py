@@ -6,8 +6,9 @@ from pathlib import Path
 
 from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.evaluation.cache import read_cell
+from dsrc.evaluation.conditions import corruption_kinds
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
-from dsrc.evaluation.detect import corruption_kinds, join_results
+from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
 from dsrc.evaluation.report.report import provenance_of, write_results

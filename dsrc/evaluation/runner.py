@@ -16,16 +16,11 @@ from dsrc.data.code_hash import code_hash, package_versions
 from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import SERIAL, Pool, Progress
-from dsrc.evaluation.cache import (
-    CellSettings,
-    channel_settings,
-    condition_settings,
-    has_cell,
-    read_cell,
-)
+from dsrc.evaluation.cache import CellSettings, has_cell, read_cell
 from dsrc.evaluation.cells import CellJob, WorkUnit, load_adjusted, make_cells
+from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
 from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of
-from dsrc.evaluation.detect import Condition, MethodResult, frame_positions, join_results, warn_of_slow_drives
+from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, warn_of_slow_drives
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
 from dsrc.evaluation.metrics.intervals import RankedDetections
 from dsrc.evaluation.results import Row, make_row

@@ -33,9 +33,8 @@ from dsrc.closed_loop.campaign.episode import EpisodeJob
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, WITHOUT_SENSOR
 from dsrc.data.code_hash import code_hash, package_versions
-from dsrc.evaluation.cache import channel_settings, condition_settings
+from dsrc.evaluation.conditions import PAPER_TABLE, Condition, channel_settings, condition_settings, corruption_kinds
 from dsrc.evaluation.config import split_name
-from dsrc.evaluation.detect import PAPER_TABLE, Condition, corruption_kinds
 from dsrc.options.driving import DriveOptions
 from sensors.corruptions import CLEAN, Family
 from sim.catalog.load import load_scenario

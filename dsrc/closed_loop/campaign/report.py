@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
 from rich.table import Table
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
@@ -21,12 +21,13 @@ from dsrc.closed_loop.metrics.comparison import (
     pairs,
 )
 from dsrc.closed_loop.metrics.statistics import Estimate, mean, paired_rates, rate
-from dsrc.closed_loop.report.plots import collision_and_score, cost_of_channel, deadly_corruptions, rate_over_severity
 from dsrc.closed_loop.types import Outcome
-from dsrc.evaluation.plots import png_bytes
 from sensors.corruptions import CLEAN
 from sim.files import write_file
 from sim.radio import get_channel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _WORST = 12
 
@@ -72,6 +73,8 @@ def comparison_table(former: EpisodeLog, again: EpisodeLog) -> Table:
 
 def write_report(result: CampaignResult, out: Path) -> list[Path]:
     """Write report.md and its plots into a folder; return the paths."""
+    from dsrc.evaluation.plots import png_bytes
+
     pictures = []
     for name, figure in _plots(result).items():
         path = out / f"{name}.png"
@@ -82,8 +85,16 @@ def write_report(result: CampaignResult, out: Path) -> list[Path]:
     return [report, *pictures, out / "results.csv"]
 
 
-def _plots(result: CampaignResult) -> dict[str, Figure]:
+def _plots(result: CampaignResult) -> "dict[str, Figure]":
     """Return the plots that a campaign has results for, by name: of one severity, but for theirs of one channel."""
+    # Matplotlib takes as long to import as all else that a finished campaign's table needs.
+    from dsrc.closed_loop.report.plots import (
+        collision_and_score,
+        cost_of_channel,
+        deadly_corruptions,
+        rate_over_severity,
+    )
+
     plan, every = result.plan, result.results
     severity = plan.severities[len(plan.severities) // 2]
     one_channel = [one for one in every if one.channel == plan.channels[0]]

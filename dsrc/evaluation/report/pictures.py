@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.sample import Sample, make_sample
+from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark
-from dsrc.evaluation.detect import Condition, corrupted, frame_positions
+from dsrc.evaluation.detect import corrupted, frame_positions
 from dsrc.evaluation.metrics.matching import match
 from dsrc.evaluation.plots import COLORS, figure_style, panels, png_bytes
 from dsrc.evaluation.report.paper_tables import PAPER_SEVERITY, DatasetResults

@@ -6,7 +6,8 @@ import numpy as np
 
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.evaluation.detect import Condition, corruption_kinds, evaluate_drive, frame_positions, join_results
+from dsrc.evaluation.conditions import Condition, corruption_kinds
+from dsrc.evaluation.detect import evaluate_drive, frame_positions, join_results
 from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.results import make_row, summary_rows
 from dsrc.ops.detections import Detections

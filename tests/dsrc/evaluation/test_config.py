@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark, available, cases_of, plan_of, read_benchmark
-from dsrc.evaluation.detect import Condition
 from dsrc.options.detection import BenchmarkOptions
 from dsrc.training.recipes import METHODS
 from sim.errors import SettingsError

@@ -7,15 +7,8 @@ import pytest
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import make_sample
-from dsrc.evaluation.detect import (
-    Condition,
-    Method,
-    corrupted,
-    corruption_kinds,
-    first_agents,
-    frame_positions,
-    warn_of_slow_drives,
-)
+from dsrc.evaluation.conditions import Condition, corruption_kinds
+from dsrc.evaluation.detect import Method, corrupted, first_agents, frame_positions, warn_of_slow_drives
 from dsrc.evaluation.results import find_row
 from dsrc.ops.detections import Detections
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed

@@ -11,9 +11,10 @@ from msgspec.structs import replace
 from dsrc.data.drives import list_drives
 from dsrc.data.executors import Pool
 from dsrc.evaluation import cells, runner
-from dsrc.evaluation.cache import CellSettings, channel_settings, condition_settings, read_cell
+from dsrc.evaluation.cache import CellSettings, read_cell
+from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
 from dsrc.evaluation.config import ParameterSweeps
-from dsrc.evaluation.detect import Condition, Method
+from dsrc.evaluation.detect import Method
 from dsrc.evaluation.report.report import write_report
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from dsrc.models.storage.checkpoint import load_student

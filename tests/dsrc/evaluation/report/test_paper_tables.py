@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark, Case, DatasetSpec, Footnote, MethodSpec, ParameterSweeps, cases_of
-from dsrc.evaluation.detect import Condition
 from dsrc.evaluation.report.paper_tables import (
     DatasetResults,
     averaged_methods,
