@@ -56,6 +56,15 @@ class CarefulDriver:
         self._planner = PlanningDriver(lanes, planning)
         self.reset()
 
+    @property
+    def lanes(self) -> LaneMap | None:
+        """Lanes ahead of others; see `PlanningDriver`."""
+        return self._planner.lanes
+
+    @lanes.setter
+    def lanes(self, lanes: LaneMap | None) -> None:
+        self._planner.lanes = lanes
+
     def reset(self) -> None:
         """Begin an episode."""
         self._planner.reset()

@@ -109,7 +109,7 @@ class PlanningDriver:
         occupancy = occupancy_of(path, ego.box.size[0, :2], prediction, s.clearance)
         line_m = self._stop_line(ego)
         bound = self._bound(ego, path, occupancy, line_m, tracks, prediction.time_s)
-        occupancy = _with_line(occupancy, line_m, 0.5 * float(ego.box.size[0, 0]), len(prediction.time_s))
+        occupancy = _with_line(occupancy, line_m, len(prediction.time_s))
         return self._choose(ego, bound, occupancy, prediction.time_s, tracks)
 
     def _accelerations(self, tracks: Tracks) -> Array:
@@ -167,7 +167,6 @@ class PlanningDriver:
         """Return the decision among the profiles below the bound."""
         s, hardest = self.settings, ego.limits.deceleration_mps2
         cap = min(bound.acceleration_mps2, ego.limits.acceleration_mps2)
-        # Once it decides against the bound it may also pass before somebody, as fast as it can.
         first = np.unique(np.minimum(np.append(_FIRST, [-hardest, cap]), cap))
         one = np.repeat(first, len(_THEN) + 1)
         then = np.concatenate([np.append(_THEN, a) for a in first])
@@ -318,7 +317,7 @@ def _leaders(occupancy: Occupancy, time_s: Array, settings: PlannerSettings) -> 
     return found
 
 
-def _with_line(occupancy: Occupancy, line_m: float, front_m: float, steps: int) -> Occupancy:
+def _with_line(occupancy: Occupancy, line_m: float, steps: int) -> Occupancy:
     """Return the occupancy with a stop line that the front must not pass."""
     if not math.isfinite(line_m):
         return occupancy
