@@ -22,6 +22,7 @@ SMALL = {
     "lidar_effects.py": (),
     "scenarios.py": ("--only", "ped_bus_stop"),
     "places.py": ("--only", "four_way"),
+    "same_crash.py": ("--perceptions", "truth", "truth"),
     "lidar_realism.py": ("--scenarios", "four_way", "--sensors", "debug-16", "--frames", "1"),
 }
 
@@ -57,6 +58,19 @@ def test_an_example_draws_in_seconds_on_a_small_setting(script: Path, tmp_path: 
         assert str(picture) in printed
         assert picture.read_bytes().startswith(b"\x89PNG")
         assert picture.stat().st_size < 300_000
+
+
+def test_a_driver_of_one_s_own_drives_beside_the_shipped_one() -> None:
+    cautious, planning = run(ROOT / "examples/own_driver.py", "--seeds", "1").splitlines()
+    assert cautious.startswith("cautious  seed 0  ")
+    assert planning.startswith("planning  seed 0  arrived")
+
+
+@pytest.mark.slow
+def test_a_detector_of_one_s_own_sees_what_nothing_hides() -> None:
+    own, truth = run(ROOT / "examples/own_detector.py").splitlines()
+    assert own.split()[:2] == ["own_detector:Clusters", "arrived,"]
+    assert truth.split()[:2] == ["truth", "arrived,"]
 
 
 def test_the_campaign_trains_every_detector_of_the_tables_after_those_it_needs() -> None:

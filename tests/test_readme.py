@@ -10,12 +10,13 @@ import pytest
 
 from dsrc.cli.main import COMMANDS, command_class
 from dsrc.cli.options import parse
+from dsrc.closed_loop.metrics.episode import EpisodeMetrics
 from dsrc.data.write import generate
 from sensors.deskew import deskew
 from sim.boxes import Boxes
 from tests.paths import ROOT
 
-SIMULATED, SCANNED = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+SIMULATED, DRIVEN, SCANNED = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
 
 
 def test_the_example_of_a_drive_detects_in_fog(tmp_path, monkeypatch):
@@ -31,6 +32,15 @@ def test_the_example_of_a_drive_detects_in_fog(tmp_path, monkeypatch):
     raw, middle = names["raw"].agents[0].sweep, names["frame"].agents[0].sweep
     assert (raw.motion, middle.motion) == ("raw", "middle")
     np.testing.assert_allclose(deskew(raw, "middle").points, middle.points, atol=1e-3)
+
+
+def test_the_example_of_the_closed_loop_arrives_and_looks_again():
+    names: dict = {}
+    exec(DRIVEN, names)
+    assert names["outcome"].value == "arrived"
+    assert names["metrics"].driving_score_2_1 == 1.0
+    assert names["again"].settings.perception == "sight"
+    assert len(names["again"]) == len(names["log"])
 
 
 def test_the_example_of_a_lidar_of_one_s_own_measures_the_hall():
@@ -49,6 +59,13 @@ def test_the_example_of_a_lidar_of_one_s_own_measures_the_hall():
     # 1 m in a sweep of 0.1 s.
     expected = np.column_stack([10.0 * sweep.time_offset, np.zeros((len(sweep), 2))])
     np.testing.assert_allclose(sweep.points - bent.points, expected, atol=1e-4)
+
+
+def test_every_metric_of_an_episode_has_a_row():
+    table = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8").split("\n## Metrics\n")[1].split("\n## ")[0]
+    named = " ".join(re.findall(r"^\| (`[^|]*) \|", table, re.MULTILINE))
+    listed = re.findall(r"`(\w+)`", named)
+    assert sorted(listed) == sorted(EpisodeMetrics.__struct_fields__)
 
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("d*/*/README.md"))]
