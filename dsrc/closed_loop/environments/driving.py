@@ -69,6 +69,8 @@ class DrivingEnv(AbstractEnv):
         settings: single settings in place of a `config`, such as `scenario="four_way"`.
     """
 
+    viewer: LoopViewer | None
+
     def __init__(self, config: dict | None = None, render_mode: str | None = None, **settings: Any) -> None:
         self._loop: ClosedLoop | None = None
         self._origin: Origin | None = None

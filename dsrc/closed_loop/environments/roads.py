@@ -53,12 +53,9 @@ class SampledLane(PolyLaneFixedWidth):
         self._along = np.array([pose.normal for pose in self.curve.poses])
         self._known = np.ones(len(self._places), bool)
         self._known[[0, -1]] = False
-        middle = shapely.LineString(line)
-        self.right, self.left = (
-            np.array(middle.offset_curve(side * 0.5 * width_m, join_style="mitre").coords) for side in (1.0, -1.0)
-        )
-        if min(len(self.left), len(self.right)) < 2:  # an offset can vanish in a bend that is tighter than the lane
-            self.left = self.right = line
+        ahead = np.gradient(line, axis=0)
+        side = ahead[:, ::-1] * [-1.0, 1.0] / np.maximum(np.hypot(*ahead.T), 1e-9)[:, None]
+        self.left, self.right = line - 0.5 * width_m * side, line + 0.5 * width_m * side
 
     def local_coordinates(self, position: NDArray[np.float64]) -> tuple[float, float]:
         """Return the distance along and beside the lane, m, as highway-env's own: the last sample that is passed."""
@@ -171,12 +168,14 @@ def junction_ahead(scenario: Scenario, seed: int, route: NDArray[np.float64]) ->
         ScenarioError: the network is invalid.
     """
     line = shapely.LineString(to_plane(route))
-    meets = (_START_M, line.interpolate(_START_M))
+    nearest, middle = math.inf, line.interpolate(_START_M)
     if not scenario.network.highway_env:
-        areas = junctions(network_file(scenario, seed))
-        found = [(line.project(line.intersection(area)), area.centroid) for area in areas if area.intersects(line)]
-        meets = min([(along, middle) for along, middle in found if along > 0.0], default=meets, key=lambda one: one[0])
-    along, middle = meets
+        for area in junctions(network_file(scenario, seed)):
+            ends = shapely.points(shapely.get_coordinates(line.intersection(area)))
+            along = float(shapely.line_locate_point(line, ends).min(initial=math.inf))
+            if 0.0 < along < nearest:
+                nearest, middle = along, area.centroid
+    along = nearest if math.isfinite(nearest) else _START_M
     before, after = line.interpolate(max(along - 1.0, 0.0)), line.interpolate(max(along, 1.0))
     forward = math.atan2(after.y - before.y, after.x - before.x)
     return Origin((middle.x, middle.y), forward + 0.5 * math.pi)
