@@ -201,3 +201,17 @@ def test_the_gates_refuse_a_folder_without_a_finished_teacher_in_one_line(tmp_pa
     assert result.returncode == 2
     assert "--runs: expected a finished teacher with" in result.stderr.splitlines()[-1]
     assert not list(tmp_path.iterdir())
+
+
+def test_a_training_without_its_package_says_in_one_line_what_to_install(tmp_path: Path) -> None:
+    (tmp_path / "stable_baselines3.py").write_text("raise ImportError\n")
+    result = subprocess.run(
+        [sys.executable, str(ROOT / "examples/ppo.py"), "--out", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}"},
+    )
+    assert result.returncode == 2
+    assert "stable-baselines3 is missing: pip install -e '.[rl]'" in result.stderr.splitlines()[-1]
+    assert not (tmp_path / "out").exists()
