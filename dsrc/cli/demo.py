@@ -1,6 +1,7 @@
 """Command `dsrc demo`: the whole walk on a real junction, to a table, plots, a page and an episode."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -8,13 +9,14 @@ import msgspec
 from dsrc.cli.options import Folder
 from dsrc.cli.progress import progress
 
-CHECKPOINTS = Path(__file__).parents[1] / "checkpoints"
-"""Shipped detectors; `checkpoints/README.md` has the commands that made them."""
-
 SCENARIO = "braunschweig"
 TRAIN_SEED = 1
 TEST_SEED = 903
 """Seed of no drive that a shipped detector was trained or validated on."""
+
+ENCOUNTER, ENCOUNTER_SEED = "lta_truck", 0
+"""Encounter that cooperation decides: the ego turns left, a truck opposite hides an oncoming car."""
+ALONE, TOGETHER = "ego alone", "cooperative"
 
 
 class Demo(msgspec.Struct, frozen=True, kw_only=True):
@@ -36,7 +38,7 @@ class Demo(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def run_demo(out: Path, quick: bool = False) -> None:
-    """Generate a train and a test drive, evaluate the shipped detectors, plot, drive one episode, list the files.
+    """Generate a train and a test drive, evaluate the shipped detectors, plot, drive, list the files.
 
     Args:
         out: folder of all files; finished parts are kept.
@@ -47,7 +49,9 @@ def run_demo(out: Path, quick: bool = False) -> None:
     """
     from rich.console import Console
 
-    from dsrc.closed_loop.episodes import drive_episodes
+    from dsrc.closed_loop.campaign.report import summary_table
+    from dsrc.closed_loop.campaign.run import drive
+    from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
     from dsrc.data.executors import Pool
     from dsrc.data.write import generate
     from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
@@ -63,7 +67,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
             drives[split] = generate(
                 SCENARIO, out / split, frames=frames, seed=seed, interval_s=interval_s, progress=report
             )
-    dsrc, plain = CHECKPOINTS / "small-dsrc.pt", CHECKPOINTS / "small-plain.pt"
+    dsrc, plain = SHIPPED_DETECTOR, SHIPPED_DETECTOR.with_name("small-plain.pt")
     with progress("evaluate, clean and six corruptions") as report:
         checkpoints = (f"DSRC (SDD+PCP+REC)={dsrc}", f"plain student={plain}")
         config = Evaluation(checkpoints=checkpoints, data=out / "test", out=out / "results")
@@ -72,19 +76,20 @@ def run_demo(out: Path, quick: bool = False) -> None:
         page = export_html(out / "test", out / "review.html", checkpoint=dsrc)
         picture = screenshot(page, out / "review.png") if find_chromium() else None
         report(1, 1)
-    with progress("closed-loop episode") as report:
-        episodes = drive_episodes(
-            SCENARIO,
-            perception="dsrc",
-            checkpoint=dsrc,
-            seeds=(TEST_SEED,),
+    with progress(f"drive {ENCOUNTER} with four views of it") as report:
+        driven = drive(
+            ENCOUNTER,
+            perception=("truth", "truth in sight=sight", f"{ALONE}=ego", f"{TOGETHER}=team"),
+            seed=(ENCOUNTER_SEED,),
             duration_s=seconds,
-            out=out / "episode.csv",
+            detect_every_s=0.2,
+            out=out / "drive",
             progress=report,
         )
     console = Console(highlight=False)
     console.print(table)
-    console.print(episodes)
+    console.print(summary_table(driven))
+    console.print(lesson({result.perception: result.outcome for result in driven.results}))
     for what, where in {
         "train drive": drives["train"],
         "test drive": drives["test"],
@@ -93,7 +98,23 @@ def run_demo(out: Path, quick: bool = False) -> None:
         "mCE against mAP": out / "results" / "mce_map.png",
         "review page": page,
         "its picture": picture or "none, Chromium is missing",
-        "episode": out / "episode.csv",
+        "closed loop": out / "drive" / "results.csv",
     }.items():
         console.print(f"{what:18s} {where}")
     console.print(f"done in {time.perf_counter() - start:.0f} s; review: dsrc view {out / 'test'} --checkpoint {dsrc}")
+
+
+def lesson(outcomes: Mapping[str, str]) -> str:
+    """Return what the drives of an encounter show, in one line.
+
+    Args:
+        outcomes: by perception.
+    """
+    from dsrc.closed_loop.types import Outcome
+
+    alone, together = outcomes[ALONE], outcomes[TOGETHER]
+    if alone == Outcome.CRASHED and together == Outcome.ARRIVED:
+        return "The same driver: alone it turns into the car that the truck hides; with its helpers' LiDARs it waits."
+    if alone == together:
+        return f"Cooperation does not decide this drive: both {alone}."
+    return f"Alone: {alone}; with helpers: {together}."

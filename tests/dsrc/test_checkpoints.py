@@ -4,16 +4,18 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.cli.demo import CHECKPOINTS
+from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.data.write import generate
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.models.storage.checkpoint import load_detector
 from dsrc.options.detection import Evaluation
 
+FOLDER = SHIPPED_DETECTOR.parent
+
 
 @pytest.mark.parametrize(("name", "switches"), [("small-dsrc", True), ("small-plain", False)])
 def test_a_shipped_detector_loads_as_a_student(name: str, switches: bool) -> None:
-    path = CHECKPOINTS / f"{name}.pt"
+    path = FOLDER / f"{name}.pt"
     assert path.stat().st_size <= 8_000_000
     settings = load_detector(path).settings
     assert settings.role == "student"
@@ -21,7 +23,7 @@ def test_a_shipped_detector_loads_as_a_student(name: str, switches: bool) -> Non
 
 
 def test_only_shipped_detectors_lie_there() -> None:
-    assert sorted(p.name for p in Path(CHECKPOINTS).iterdir()) == ["README.md", "small-dsrc.pt", "small-plain.pt"]
+    assert sorted(p.name for p in FOLDER.iterdir()) == ["README.md", "small-dsrc.pt", "small-plain.pt"]
 
 
 @pytest.mark.slow
@@ -29,7 +31,7 @@ def test_only_shipped_detectors_lie_there() -> None:
 def test_a_shipped_detector_finds_more_vehicles_on_unseen_drives_with_collaborators(
     name: str, unseen: Path, tmp_path: Path
 ) -> None:
-    checkpoints = (str(CHECKPOINTS / f"{name}.pt"),)
+    checkpoints = (str(FOLDER / f"{name}.pt"),)
     config = Evaluation(checkpoints=checkpoints, data=unseen, out=tmp_path, corruptions=("clean",))
     together, alone = evaluate_drives(config)
     ap = "ap_bev_50"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from dsrc.cli.demo import CHECKPOINTS
+from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.data.write import generate
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.options.detection import Evaluation
@@ -26,7 +26,7 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[float]]:
     out = tmp_path_factory.mktemp("test")
     for seed in SEEDS:
         generate("braunschweig", out / "data", frames=FRAMES, seed=seed, interval_s=4.0)
-    checkpoints = (str(CHECKPOINTS / "small-plain.pt"),)
+    checkpoints = (str(SHIPPED_DETECTOR.with_name("small-plain.pt")),)
     config = Evaluation(checkpoints=checkpoints, data=out / "data", out=out / "results", ego_alone=False)
     found: dict[str, list[float]] = {"clean": [], **{kind: [] for kind in PAPER_SIX}}
     for severity in SEVERITIES:

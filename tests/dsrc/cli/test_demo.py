@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.cli.demo import run_demo
+from dsrc.cli.demo import ALONE, TOGETHER, lesson, run_demo
 from sensors.corruptions import PAPER_SIX
 
 
@@ -15,6 +15,12 @@ def test_the_demo_leaves_everything_it_names(tmp_path: Path, capsys: pytest.Capt
     said = capsys.readouterr().out
     results = (tmp_path / "results" / "results.csv").read_text()
     assert all(kind in results for kind in ("clean", *PAPER_SIX))
-    for name in ("review.html", "episode.csv", "results/ap_per_corruption.png", "results/mce_map.png"):
+    for name in ("review.html", "drive/results.csv", "results/ap_per_corruption.png", "results/mce_map.png"):
         assert (tmp_path / name).stat().st_size > 0
         assert Path(name).name in said.replace("\n", "")
+
+
+def test_the_lesson_is_what_happened() -> None:
+    assert "waits" in lesson({ALONE: "crashed", TOGETHER: "arrived"})
+    assert "not decide" in lesson({ALONE: "arrived", TOGETHER: "arrived"})
+    assert lesson({ALONE: "arrived", TOGETHER: "crashed"}) == "Alone: arrived; with helpers: crashed."
