@@ -68,12 +68,13 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from rich.console import Console
 
         from dsrc.closed_loop.campaign.plan import campaign_of
-        from dsrc.closed_loop.campaign.search import search, search_table
+        from dsrc.closed_loop.campaign.search import search, search_table, search_text
 
         assert self.critical is not None
         with progress(f"drive {self.what}") as report:
             found = search(campaign_of(self), self.critical, report)
         Console(highlight=False).print(search_table(found))
+        sys.stdout.write(f"{search_text(found)}\n")
 
     def _look_again(self) -> None:
         from rich.console import Console

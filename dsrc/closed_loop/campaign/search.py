@@ -82,21 +82,23 @@ def search(plan: Campaign, quantity: Quantity, progress: Callable[[int, int], No
 
 
 def search_table(found: Search) -> Table:
-    """Return the outcome of every value tried, and where it flips, for a terminal."""
-    flips, plan = found.value.flips, found.plan
-    if not flips:
-        caption = "The outcome never flips."
-    else:
-        names = [f"{flip.below:g} to {flip.above:g} ({'worse' if flip.fails else 'better'})" for flip in flips]
-        caption = f"Flips: {', '.join(names)}."
-        caption += "" if found.value.monotone else " Not monotone: more of it also does less harm."
-    what = f"{plan.scenarios[0]}, {plan.perceptions[0].name}, seed {_seeds(plan)[0]}"
-    table = Table(title=what, caption=caption, caption_justify="left")
+    """Return the outcome of every value tried, for a terminal."""
+    table = Table()
     table.add_column(_TITLES[found.quantity], justify="right")
     table.add_column("outcome")
     for value, outcome in found.outcomes.items():
         table.add_row(f"{value:.3g}", outcome.value)
     return table
+
+
+def search_text(found: Search) -> str:
+    """Return where the outcome flips, in one line."""
+    plan, flips = found.plan, found.value.flips
+    what = f"{plan.scenarios[0]}, {plan.perceptions[0].name}, seed {_seeds(plan)[0]}, {_TITLES[found.quantity]}: "
+    if not flips:
+        return f"{what}the outcome never flips"
+    text = ", ".join(f"{'worse' if one.fails else 'better'} from {one.below:.3g} to {one.above:.3g}" for one in flips)
+    return what + text + ("" if found.value.monotone else "; not monotone: more of it also does less harm")
 
 
 def _seeds(plan: Campaign) -> tuple[int, ...]:

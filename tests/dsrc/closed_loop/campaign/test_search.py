@@ -5,7 +5,7 @@ import pytest
 
 from dsrc.closed_loop.campaign import search as searching
 from dsrc.closed_loop.campaign.plan import campaign_of
-from dsrc.closed_loop.campaign.search import search, search_table
+from dsrc.closed_loop.campaign.search import search, search_table, search_text
 from dsrc.closed_loop.types import Outcome, Percept
 from dsrc.options.driving import DriveOptions
 from sim.boxes import Boxes
@@ -46,7 +46,8 @@ def test_the_delay_at_which_an_encounter_becomes_a_crash_is_found(monkeypatch: p
     assert found.outcomes[0.0] is Outcome.ARRIVED and found.outcomes[0.8] is Outcome.CRASHED
     (flip,) = found.value.flips
     assert flip.fails and flip.above - flip.below <= 0.2 + 1e-9
-    assert "worse" in str(search_table(found).caption)
+    assert search_table(found).row_count == len(found.outcomes)
+    assert search_text(found).startswith("ima_building, team, seed 0, delay s: worse from ")
 
 
 @pytest.mark.parametrize(
