@@ -239,7 +239,7 @@ class ScriptedTraffic:
         if plan is None or not self._driven or ego.crashed:
             return
         ahead = next((mover for mover in self._movers if mover.actor.name == plan.of), None)
-        if ahead is None or not gives_up(ego, plan, ahead):
+        if not gives_up(ego, plan, ahead):
             return
         path, at_m = way_back(ego, plan.lane)
         actor = replace(ego.actor, path=path, overtaking=None)

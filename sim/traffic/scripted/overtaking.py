@@ -12,24 +12,26 @@ _FAR_M = 40.0
 _BACK_S, _LEAST_BACK_M = 1.6, 12.0
 
 
-def gives_up(ego: Mover, plan: Overtaking, ahead: Mover) -> bool:
+def gives_up(ego: Mover, plan: Overtaking, ahead: Mover | None) -> bool:
     """Return whether a driver on the way out stays behind the vehicle ahead, or goes back there.
 
     That is so while it is behind that vehicle and brakes hard or is slower; and where it has nothing to overtake, since
-    the vehicle is far away.
+    the vehicle is far away. Without that vehicle, as in the control `no_occluder`, it goes back when it brakes hard.
 
     Args:
         ego: driven.
         plan: its overtaking.
-        ahead: the vehicle to overtake.
+        ahead: the vehicle to overtake; None without it.
     """
     if ego.at_m < plan.start_m:
         return False
+    brakes = ego.gained_mps2 < -_BRAKES_MPS2
+    if ahead is None:
+        return brakes
     place = plan.lane.nearest(ego.actor.path.at(ego.at_m)[0][:2])
     lead = plan.lane.nearest(ahead.actor.path.at(ahead.at_m)[0][:2])
     gap = lead - place - 0.5 * (ego.actor.kind.size[0] + ahead.actor.kind.size[0])
-    slow = ego.gained_mps2 < -_BRAKES_MPS2 or ego.speed < ahead.speed - _SLOWER_MPS
-    return gap > _FAR_M or (gap > 0.0 and slow)
+    return gap > _FAR_M or (gap > 0.0 and (brakes or ego.speed < ahead.speed - _SLOWER_MPS))
 
 
 def way_back(ego: Mover, lane: ReferencePath) -> tuple[ReferencePath, float]:

@@ -28,9 +28,10 @@ def overtake(seed: int, sees_m: float, control: str = "") -> tuple[list, list, S
         return steps, traffic.crashes, traffic
 
 
+@pytest.mark.parametrize("control", ["", "no_occluder"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_who_brakes_for_the_oncoming_car_is_back_in_the_lane_when_it_passes(seed: int) -> None:
-    steps, crashes, _ = overtake(seed, 70.0)
+def test_who_brakes_for_the_oncoming_car_is_back_in_the_lane_when_it_passes(seed: int, control: str) -> None:
+    steps, crashes, _ = overtake(seed, 70.0, control)
     assert not crashes
     turned = np.abs(np.diff(np.unwrap([step.boxes.yaw[0] for step in steps]))) / 0.1
     assert turned.max() < np.radians(40.0)
