@@ -38,6 +38,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         family: family of the corruption's settings.
         who: agents whose sensors are corrupted.
         channel: name of the radio channel.
+        engine: execution of the detector's network.
         loop: further numbers of the loop: durations, intervals, latency, s.
         route_m: distance from the start to the goal, m; None where the traffic has no goal.
         versions: versions of the packages that can change a number.
@@ -53,6 +54,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     family: str = "physical"
     who: str = "all"
     channel: str = "ideal"
+    engine: str = "fused"
     loop: dict[str, float] = {}
     route_m: float | None = None
     versions: dict[str, str] = {}

@@ -252,7 +252,7 @@ class ClosedLoop:
 
         Args:
             names: further fields of `EpisodeSettings`: perception, driver, corruption, severity, family, who, channel,
-                versions.
+                engine, versions.
         """
         if self.outcome is None:
             raise TrafficError("expected an episode that has ended, found a running one")

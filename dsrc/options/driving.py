@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from tyro.conf import Positional, arg
 
+from dsrc.options.detection import Engine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, choice
 
 PERCEPTIONS = ("truth", "sight", "ego", "team", "MODULE:CLASS")
@@ -25,6 +26,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
         who: agents whose sensors are corrupted: ego, helpers, all, or ids such as 1002,-1; default: all.
         channel: radio channels; default: ideal.
         seed: seeds of the episodes, one each; default: 0.
+        engine: execution of the network, see dsrc evaluate; default: fused.
         driver: driver: plans by predicted tracks, or the careful driver of UN R157; default: planning.
         duration_s: longest episode, s; default: 20.
         detect_every_s: interval of detections, s; default: 0.1.
@@ -40,6 +42,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
     who: str | None = None
     channel: Annotated[tuple[str, ...], choice(CHANNELS, several=True)] = ()
     seed: tuple[int, ...] = ()
+    engine: Engine | None = None
     driver: Literal["planning", "careful"] | None = None
     duration_s: float | None = None
     detect_every_s: float | None = None

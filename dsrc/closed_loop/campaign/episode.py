@@ -41,6 +41,7 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
         channel: name of the channel.
         radio: settings of the channel.
         seed: of the episode.
+        engine: execution of the network.
         driver: key of `DRIVERS`.
         loop: intervals and limits of time.
         versions: of other packages that the code imports.
@@ -58,6 +59,7 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
     channel: str
     radio: dict[str, Any]
     seed: int
+    engine: str
     driver: str
     loop: LoopSettings
     versions: dict[str, str]
@@ -143,6 +145,7 @@ def drive_episode(job: EpisodeJob) -> EpisodeLog:
         family=condition["family"],
         who=job.who,
         channel=job.channel,
+        engine=job.engine,
         versions=job.versions,
     )
 
@@ -197,12 +200,21 @@ def _perception(job: EpisodeJob) -> Perception:
         job.who,
         job.channel,
         job.loop.detect_every_s,
+        job.engine,
     )
 
 
 @lru_cache(maxsize=2)
 def _opened(
-    uses: str, checkpoint: str, corruption: str, severity: int, family: str, who: str, channel: str, interval_s: float
+    uses: str,
+    checkpoint: str,
+    corruption: str,
+    severity: int,
+    family: str,
+    who: str,
+    channel: str,
+    interval_s: float,
+    engine: str,
 ) -> Perception:
     return open_perception(
         uses,
@@ -213,4 +225,5 @@ def _opened(
         who=who,
         channel=channel,
         interval_s=interval_s,
+        engine=engine,
     )

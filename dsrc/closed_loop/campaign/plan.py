@@ -35,6 +35,7 @@ from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, WITHOUT_SENSOR
 from dsrc.data.code_hash import code_hash, package_versions
 from dsrc.evaluation.conditions import PAPER_TABLE, Condition, channel_settings, condition_settings, corruption_kinds
 from dsrc.evaluation.config import split_name
+from dsrc.options.detection import Engine
 from dsrc.options.driving import DriveOptions
 from sensors.corruptions import CLEAN, Family
 from sim.catalog.load import load_scenario
@@ -86,6 +87,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         channels: radio channels of perceptions with helpers.
         clean_seeds: seeds of each scenario and perception without a corruption: a number of them, from 0, or a list.
         seeds: those of each scenario, perception, corruption, severity and channel; the same for all.
+        engine: execution of the network, see `dsrc.models.storage.deploy.ENGINES`.
         driver: `planning`, or `careful` for the reference driver of UN R157.
         loop: intervals and limits of time.
         controls: drive the controls of encounters with the truth first, and refuse to continue where one fails.
@@ -101,6 +103,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     channels: _Names = (IDEAL,)
     clean_seeds: Seeds = 20
     seeds: Seeds = 10
+    engine: Engine = "fused"
     driver: Literal["planning", "careful"] = "planning"
     loop: LoopSettings = LoopSettings()
     controls: bool = True
@@ -172,7 +175,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
         "seeds": seeds,
         "controls": False,
         "loop": loop,
-        **{name: given[name] for name in ("family", "who", "driver") if name in given},
+        **{name: given[name] for name in ("family", "who", "engine", "driver") if name in given},
     }
     try:
         plan = msgspec.convert({**listed, "perceptions": msgspec.to_builtins(perceptions)}, Campaign)
@@ -241,6 +244,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
                             channel=channel,
                             radio=radios[channel],
                             seed=seed,
+                            engine=plan.engine if one.kind not in WITHOUT_SENSOR else "fused",
                             driver=plan.driver,
                             loop=plan.loop,
                             versions=versions,

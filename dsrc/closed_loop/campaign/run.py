@@ -211,6 +211,7 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
         family=options.family or cast(Family, settings.family),
         who=options.who or settings.who,
         channel=(options.channel or (IDEAL if asked else settings.channel,))[0],
+        engine=options.engine or settings.engine,
     )
     name = uses if corruption == CLEAN else f"{uses} in {corruption}"
     return former, look_again(former, perception, name)

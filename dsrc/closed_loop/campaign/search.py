@@ -147,4 +147,5 @@ def _perception(plan: Campaign, one: PerceptionSpec, kind: str, quantity: Quanti
         who=plan.who if severity else "all",
         channel=radio,
         interval_s=plan.loop.detect_every_s,
+        engine=plan.engine,
     )

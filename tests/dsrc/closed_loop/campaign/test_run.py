@@ -121,6 +121,14 @@ def test_every_setting_has_a_cell_of_its_own() -> None:
     assert len(set(keys)) == len(keys)
 
 
+def test_the_engine_decides_cells_of_networks_alone() -> None:
+    sensed = replace(PLAN, perceptions=(PerceptionSpec(name="truth"), PerceptionSpec(name="ego")))
+    fused, half = (episodes_of(replace(sensed, engine=engine)) for engine in ("fused", "bf16"))
+    changed = [one.uses for one, other in zip(fused, half, strict=True) if key_of(one) != key_of(other)]
+    assert set(changed) == {"ego"} and len(changed) == 2
+    assert campaign_of(DriveOptions(what="ima_building", engine="bf16")).engine == "bf16"
+
+
 def test_names_and_paths_decide_nothing() -> None:
     renamed = replace(
         PLAN, perceptions=tuple(replace(one, name=f"my {one.name}", uses=one.kind) for one in PLAN.perceptions)
