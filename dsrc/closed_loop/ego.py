@@ -1,9 +1,11 @@
 """Ego of an episode: choice of the vehicle, and its state as it knows itself."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.types import EgoState
+from dsrc.closed_loop.types import EgoState, Percept
 from sim.boxes import CLASSES
 from sim.errors import TrafficError
 from sim.scenario import Scenario
@@ -60,6 +62,22 @@ def ego_state(traffic: DrivableTraffic, ego_id: int, before: EgoState | None) ->
         lights=traffic.signals(ego_id),
         progress_m=driven,
     )
+
+
+def without_ego(percept: Percept, ego: EgoState) -> Percept:
+    """Return a percept without the boxes on the ego itself, which its helpers see too.
+
+    Args:
+        percept: world frame.
+        ego: the ego at the instant of the measurement.
+    """
+    yaw = float(ego.box.yaw[0])
+    offset = percept.boxes.center[:, :2] - ego.box.center[0, :2]
+    local = np.abs(offset @ np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]))
+    other = (local > 0.5 * ego.box.size[0, :2]).any(axis=1)
+    if other.all():
+        return percept
+    return replace(percept, boxes=percept.boxes[other], score=percept.score[other], velocity=percept.velocity[other])
 
 
 def _named(actors: Actors, scenario: Scenario) -> int:

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from dsrc.closed_loop.driving.planner import PlanningDriver
-from dsrc.closed_loop.ego import choose_ego, ego_state
+from dsrc.closed_loop.ego import choose_ego, ego_state, without_ego
 from dsrc.closed_loop.encounter import lost_encounter
 from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
 from dsrc.closed_loop.tracking.tracker import Tracker
@@ -281,10 +281,15 @@ class ClosedLoop:
         if self._clock.failure:
             self.outcome, self.message = Outcome.PERCEPTION_FAILED, self._clock.failure
         with self._timed("track"):
-            tracks = self._tracker.update(percept, now.time_s)
+            others = None if percept is None else without_ego(percept, self._ego_at(percept.time_s, ego))
+            tracks = self._tracker.update(others, now.time_s)
         with self._timed("decide"):
             decision = self.driver.decide(ego, tracks) if contact is None else Decision(0.0)
         self.ticks.append(Tick(now, ego, percept, tracks, decision, claims, contact))
+
+    def _ego_at(self, time_s: float, now: EgoState) -> EgoState:
+        """Return the ego's state at a time of this episode, the nearest one."""
+        return min([*(tick.ego for tick in self.ticks[-20:]), now], key=lambda ego: abs(ego.time_s - time_s))
 
     def _judge(self) -> Outcome | None:
         """Return how the episode ends with the present step; None while it runs."""

@@ -5,8 +5,10 @@ themselves. What its driver would have decided is in the ticks.
 """
 
 import msgspec
+import numpy as np
 
 from dsrc.closed_loop.driving.planner import PlanningDriver
+from dsrc.closed_loop.ego import without_ego
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings, PerceptionClock
 from dsrc.closed_loop.tracking.tracker import Tracker
@@ -28,6 +30,7 @@ def look_again(log: EpisodeLog, perception: Perception, name: str, driver: Drive
     driver.reset()
     perception.reset(settings.scenario, settings.ego_id, settings.seed)
     clock = PerceptionClock(perception, loop, settings.scenario.step_s)
+    egos = [tick.ego for tick in log.ticks]
     before, ticks, outcome, message = log.actors[0], list[Tick](), log.outcome, log.message
     for tick in log.ticks:
         if settings.ego_id not in tick.actors.boxes.object_id:
@@ -36,7 +39,11 @@ def look_again(log: EpisodeLog, perception: Perception, name: str, driver: Drive
         if clock.failure:
             outcome, message = Outcome.PERCEPTION_FAILED, clock.failure
             break
-        tracks = tracker.update(percept, tick.actors.time_s)
+        others = None
+        if percept is not None:
+            times = np.array([ego.time_s for ego in egos])
+            others = without_ego(percept, egos[int(np.abs(times - percept.time_s).argmin())])
+        tracks = tracker.update(others, tick.actors.time_s)
         decision = driver.decide(tick.ego, tracks)
         ticks.append(Tick(tick.actors, tick.ego, percept, tracks, decision, tick.claims, tick.contact))
         before = tick.actors

@@ -15,7 +15,7 @@ from sim.encounters.types import HIT_S, ScriptedActor
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario
-from sim.traffic.base import SIGNALS, Actors, Limits, TrafficLight, check_command
+from sim.traffic.base import SIGNALS, Actors, Limits, TrafficLight, check_command, check_place
 from sim.traffic.scripted.clock import ScriptClock
 from sim.traffic.scripted.following import safe_speed
 from sim.traffic.scripted.lanes import LANE_EVERY_M, LaneLookup
@@ -63,6 +63,7 @@ class ScriptedTraffic:
         self._disturbed = False
         self._driven = False
         self._open = True
+        self._placed: dict[int, tuple[float, float, float, float]] = {}
         claimed = [ghost.actor for ghost in self._instance.ghosts]
         actors = self._instance.layout.actors
         ids = _ids(actors)
@@ -133,7 +134,7 @@ class ScriptedTraffic:
             self._clock.advance(self.time_s, self._ego.at_m, self._ego.speed, driven=self._driven)
         self._steps += 1
         for mover in (*self._movers, *self._ghosts):
-            place, _, _ = mover.actor.path.at(mover.at_m)
+            place, _, _ = mover.pose()
             mover.history = [mover.history[-1], place[:2]]
             self._move(mover, before, strays)
         self._give_up_overtaking()
@@ -157,8 +158,16 @@ class ScriptedTraffic:
         """Drive an actor, see `DrivableTraffic.command`; given back, it keeps its script's speed at each place."""
         check_command(speed_mps)
         mover = self._mover(object_id)
-        mover.commanded = speed_mps
+        mover.commanded, mover.placed = speed_mps, None
         mover.follows = False
+        self._disturbed = True
+        self._driven |= mover is self._ego
+
+    def place(self, object_id: int, xy: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
+        """Put an actor somewhere, see `DrivableTraffic.place`; others follow it as far as it is in their way."""
+        check_place(xy, yaw, speed_mps)
+        mover = self._mover(object_id)
+        self._placed[object_id] = (float(xy[0]), float(xy[1]), float(yaw), float(speed_mps))
         self._disturbed = True
         self._driven |= mover is self._ego
 
@@ -167,7 +176,8 @@ class ScriptedTraffic:
         mover = self._mover(object_id)
         path, end = mover.actor.path, min(mover.at_m + ahead_m, mover.actor.path.length)
         at = np.linspace(mover.at_m, end, max(2, math.ceil(end - mover.at_m)))
-        return path.at(at)[0][:, :2]
+        line = path.at(at)[0][:, :2]
+        return line if mover.placed is None else np.concatenate([[mover.placed[:2]], line[1:]])
 
     def speed(self, object_id: int) -> float:
         """Return the odometer reading of an actor: its speed along its path, m/s."""
@@ -212,6 +222,12 @@ class ScriptedTraffic:
     def _move(self, mover: Mover, before: Actors, strays: set[int]) -> None:
         """Advance one actor by a step."""
         if mover.crashed:
+            mover.speed = 0.0
+            return
+        if mover.object_id in self._placed:
+            mover.put(*self._placed.pop(mover.object_id))
+            return
+        if mover.placed is not None:
             mover.speed = 0.0
             return
         limit = self._limit(mover, before, strays) if self._disturbed else math.inf
@@ -265,7 +281,7 @@ class ScriptedTraffic:
         boxes = np.zeros((n, 7))
         pitch, velocity, acceleration = np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))
         for row, mover in enumerate(movers):
-            place, heading, slope = mover.actor.path.at(mover.at_m)
+            place, heading, slope = mover.pose()
             size = mover.actor.kind.size
             boxes[row] = (*place[:2], place[2] + 0.5 * size[2], *size, wrap_angle(heading))
             pitch[row] = slope
@@ -285,8 +301,13 @@ class ScriptedTraffic:
             model=tuple(mover.model for mover in movers),
             name=tuple(mover.actor.name for mover in movers),
             signals=np.array([self._lights(m, a) for m, a in zip(movers, acceleration, strict=True)], np.int32),
-            lane=tuple(mover.lanes[min(round(mover.at_m / LANE_EVERY_M), len(mover.lanes) - 1)] for mover in movers),
+            lane=tuple(self._lane(mover) for mover in movers),
         )
+
+    def _lane(self, mover: Mover) -> str:
+        if mover.placed is not None:
+            return self._lanes.at(*mover.placed)
+        return mover.lanes[min(round(mover.at_m / LANE_EVERY_M), len(mover.lanes) - 1)]
 
     def _lights(self, mover: Mover, acceleration: NDArray[np.float64]) -> int:
         """Return the lights: scripted indicators, brake lights when slowing or waiting, hazards after a crash."""
@@ -297,7 +318,7 @@ class ScriptedTraffic:
         for lit, start, end in actor.lights:
             if start <= self._script_s < end:
                 bits |= lit
-        heading = mover.actor.path.at(mover.at_m)[1]
+        _, heading, _ = mover.pose()
         slows = float(acceleration @ [np.cos(heading), np.sin(heading)]) < -BRAKES_LIT_MPS2
         if not actor.parked and (slows or mover.speed < 0.05):
             bits |= SIGNALS["brake light"]
