@@ -19,7 +19,9 @@ from sim.mesh.materials import MATERIALS
 from tests.dsrc.data.toy import toy_frame
 
 
-@pytest.mark.parametrize("name", ["lidar", "corruptions", "generate", "inference", "evaluation", "reading", "training"])
+@pytest.mark.parametrize(
+    "name", ["lidar", "corruptions", "generate", "inference", "evaluation", "reading", "training", "closed_loop"]
+)
 def test_benchmark_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as stop:
         tyro.cli(import_module(f"benchmarks.{name}").main, args=["--help"])
