@@ -112,7 +112,11 @@ class Bench:
         rows = str(len(layout.agents))
         source = f"{len(clouds)} x {max(len(c) for c in clouds)} points"
         size = str(len(clouds))
-        keys: dict[str, Key] = {"pillars": ("pillars", source), "encoder": ("encoder", source)}
+        # Whether the encoder gives all cells or the pillars alone is up to the backbone.
+        keys: dict[str, Key] = {
+            "pillars": ("pillars", source),
+            "encoder": ("encoder", settings.backbone_name, source),
+        }
         pillars = self.once(keys["pillars"], lambda: pillars_of(clouds, settings).to(self.device))
         dense = self.once(keys["encoder"], lambda: detector.encoder(pillars))
         keys["backbone"] = ("backbone", settings.backbone_name, size)

@@ -51,9 +51,12 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from dsrc.closed_loop.campaign.plan import campaign_of
         from dsrc.closed_loop.campaign.report import summary_table, write_report
         from dsrc.closed_loop.campaign.run import estimate_s, run_campaign
+        from dsrc.data.drive_folder import locked
 
         plan = campaign_of(self)
         if self.out is not None:
+            with locked(out, what="campaign"):
+                pass  # a folder that cannot be written to is told before anything else
             episodes, seconds = estimate_s(plan, out, self.pool)
             sys.stderr.write(f"{episodes} episodes to drive, about {_duration(seconds)}\n")
         with progress(f"drive {plan.name}") as report:

@@ -159,6 +159,11 @@ def campaign_of(options: DriveOptions) -> Campaign:
         return read_campaign(Path(options.what))
     checkpoint = str(options.checkpoint or "")
     names = [split_name(text) for text in options.perception or ("truth",)]
+    if all(uses in WITHOUT_SENSOR for _, uses in names):
+        for field, values, bare in (("corruption", options.corruption, CLEAN), ("channel", options.channel, IDEAL)):
+            if set(values) - {bare}:
+                expected = f"'{bare}' with perception '{names[0][1]}', which has no sensor"
+                raise SettingsError(complaint("drive", field, expected, " ".join(values)))
     perceptions = tuple(
         PerceptionSpec(name=name or uses, uses=uses, checkpoint="" if uses in WITHOUT_SENSOR else checkpoint)
         for name, uses in names
