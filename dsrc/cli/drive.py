@@ -33,6 +33,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         """Drive what is missing and print the table."""
         import tempfile
 
+        self._check_together()
         if self.what.endswith(".npz"):
             self._look_again()
             return
@@ -44,6 +45,15 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             return
         with tempfile.TemporaryDirectory(prefix="dsrc-drive-") as folder:
             self._drive(Path(folder))
+
+    def _check_together(self) -> None:
+        """Raise SettingsError for options that would have no effect beside others."""
+        from sim.errors import SettingsError, complaint
+
+        if self.critical is not None and self.out is not None:
+            raise SettingsError(complaint("drive", "out", "none beside --critical, which prints", str(self.out)))
+        if self.critical is not None and self.what.endswith(".npz"):
+            raise SettingsError(complaint("drive", "critical", "a scenario to drive", self.what))
 
     def _drive(self, out: Path) -> None:
         from rich.console import Console

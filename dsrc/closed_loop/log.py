@@ -32,6 +32,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         seed: seed of the episode.
         ego_id: object id of the ego.
         perception: its perception, as the user named it.
+        detector: SHA-256 of the detector file; "" without one.
         driver: name of the driver.
         corruption: kind, or `clean`.
         severity: 1 to 5; 0 for clean.
@@ -48,7 +49,8 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     seed: int
     ego_id: int
     perception: str = "truth"
-    driver: str = "planner"
+    detector: str = ""
+    driver: str = "planning"
     corruption: str = "clean"
     severity: int = 0
     family: str = "physical"

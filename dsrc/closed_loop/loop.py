@@ -25,11 +25,13 @@ from sensors.recording.encounter_check import CONFLICT_ID, with_proven_encounter
 from sensors.recording.static_scene import solid_world
 from sim.catalog.load import load_scenario
 from sim.contact import Contact, SolidWorld, first_contact, world_contact
-from sim.errors import TrafficError
+from sim.errors import TrafficError, UserError
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, DrivableTraffic
 from sim.traffic.open import open_traffic
 
+_FARTHEST = 1e6
+"""Largest coordinate and speed of a valid percept, m and m/s."""
 _STILL_MPS = 0.1
 _AT_LIGHT_M = 40.0
 """Distance to a red light within which standing is waiting, m."""
@@ -60,7 +62,7 @@ class PerceptionClock:
         failure: why the perception failed, "" as long as it works.
 
     Args:
-        perception: after its `reset`.
+        perception: perceives.
         settings: interval, latency and limit of time.
         step_s: traffic step, s.
     """
@@ -71,6 +73,19 @@ class PerceptionClock:
         self._every = max(1, round(settings.detect_every_s / step_s))
         self._steps = 0
         self._waiting: deque[Percept] = deque()
+
+    def begin(self, scenario: Scenario, ego_id: int, seed: int) -> None:
+        """Reset the perception for an episode.
+
+        Raises:
+            UserError: a setting of the perception does not fit the scenario.
+        """
+        try:
+            self._perception.reset(scenario, ego_id, seed)
+        except UserError:
+            raise
+        except Exception as error:  # a perception of one's own may raise anything, and the campaign goes on
+            self.failure = _one_line(error)
 
     def percept(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept | None:
         """Return the percept that arrives at the next step: of this instant, or of an earlier one with a latency.
@@ -85,9 +100,9 @@ class PerceptionClock:
         if self._steps % self._every == 0 and not self.failure:
             began = time.perf_counter()
             try:
-                self._waiting.append(checked_percept(self._perception.perceive(before, now, claims)))
-            except Exception as error:  # a perception of one's own may raise anything, and the campaign goes on
-                self.failure = f"{type(error).__name__}: {' '.join(str(error).split())}"
+                self._waiting.append(checked_percept(self._perception.perceive(before, now, claims), now.time_s))
+            except Exception as error:  # as in `begin`
+                self.failure = _one_line(error)
                 return None
             if (took_s := time.perf_counter() - began) > self._settings.perception_limit_s:
                 self.failure = f"took {took_s:.0f} s, limit {self._settings.perception_limit_s:g} s"
@@ -163,7 +178,7 @@ class ClosedLoop:
         self._world: SolidWorld | None = None
         self.driver.reset()
         with self._timed("reset"):
-            self.perception.reset(self.scenario, self.ego_id, seed)
+            self._clock.begin(self.scenario, self.ego_id, seed)
         self.seed, self._route_m = seed, traffic.goal_m(self.ego_id)
         self._first = before = traffic.actors
         speed = traffic.speed(self.ego_id)
@@ -251,8 +266,8 @@ class ClosedLoop:
         """Return the log of an episode that has ended.
 
         Args:
-            names: further fields of `EpisodeSettings`: perception, driver, corruption, severity, family, who, channel,
-                engine, versions.
+            names: further fields of `EpisodeSettings`: perception, detector, driver, corruption, severity, family,
+                who, channel, engine, versions.
         """
         if self.outcome is None:
             raise TrafficError("expected an episode that has ended, found a running one")
@@ -326,21 +341,35 @@ class ClosedLoop:
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - began
 
 
-def checked_percept(percept: Percept) -> Percept:
+def checked_percept(percept: Percept, now_s: float) -> Percept:
     """Return a percept whose values are valid.
 
+    Args:
+        percept: as returned by a perception.
+        now_s: the present, s.
+
     Raises:
-        ValueError: it is no `Percept`, a value is not finite, a size is not positive, or the lengths differ.
+        ValueError: it is no `Percept`, it is of the future, a value is not finite, beyond `_FARTHEST` or out of its
+            range, a size is not positive, or the lengths differ.
     """
     if not isinstance(percept, Percept):
         raise ValueError(f"expected a Percept, found {type(percept).__name__}")
     boxes, n = percept.boxes, len(percept.boxes)
     if not (np.isfinite(boxes.array).all() and np.isfinite(percept.time_s)):
         raise ValueError("expected finite boxes, found NaN or infinity")
+    if percept.time_s > now_s + 1e-6:
+        raise ValueError(f"expected a percept up to {now_s:g} s, found one of {percept.time_s:g} s")
+    if (np.abs(boxes.array) > _FARTHEST).any():
+        raise ValueError(f"expected boxes within {_FARTHEST:g} m, found one beyond")
     if (boxes.size <= 0.0).any():
         raise ValueError("expected boxes with sizes > 0, found one without")
-    if percept.score.shape != (n,) or not (np.isfinite(percept.score).all()):
-        raise ValueError(f"expected {n} finite scores, found {percept.score.shape}")
-    if percept.velocity.shape != (n, 2):
-        raise ValueError(f"expected velocities of shape {(n, 2)}, found {percept.velocity.shape}")
+    if percept.score.shape != (n,) or not ((percept.score >= 0.0) & (percept.score <= 1.0)).all():
+        raise ValueError(f"expected {n} scores between 0 and 1, found {np.shape(percept.score)} or others")
+    if percept.velocity.shape != (n, 2) or (np.abs(percept.velocity) > _FARTHEST).any():
+        found = f"{percept.velocity.shape} or others"
+        raise ValueError(f"expected velocities of shape {(n, 2)}, NaN or finite, found {found}")
     return percept
+
+
+def _one_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

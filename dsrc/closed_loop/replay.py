@@ -12,7 +12,7 @@ from dsrc.closed_loop.ego import without_ego
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings, PerceptionClock
 from dsrc.closed_loop.tracking.tracker import Tracker
-from dsrc.closed_loop.types import Driver, Outcome, Perception, Tick
+from dsrc.closed_loop.types import Decision, Driver, Outcome, Perception, Tick
 
 
 def look_again(log: EpisodeLog, perception: Perception, name: str, driver: Driver | None = None) -> EpisodeLog:
@@ -28,9 +28,9 @@ def look_again(log: EpisodeLog, perception: Perception, name: str, driver: Drive
     loop = msgspec.convert(settings.loop, LoopSettings)
     driver, tracker = driver or PlanningDriver(), Tracker()
     driver.reset()
-    perception.reset(settings.scenario, settings.ego_id, settings.seed)
     clock = PerceptionClock(perception, loop, settings.scenario.step_s)
-    egos = [tick.ego for tick in log.ticks]
+    clock.begin(settings.scenario, settings.ego_id, settings.seed)
+    times = np.array([tick.ego.time_s for tick in log.ticks])
     before, ticks, outcome, message = log.actors[0], list[Tick](), log.outcome, log.message
     for tick in log.ticks:
         if settings.ego_id not in tick.actors.boxes.object_id:
@@ -41,10 +41,9 @@ def look_again(log: EpisodeLog, perception: Perception, name: str, driver: Drive
             break
         others = None
         if percept is not None:
-            times = np.array([ego.time_s for ego in egos])
-            others = without_ego(percept, egos[int(np.abs(times - percept.time_s).argmin())])
+            others = without_ego(percept, log.ticks[int(np.abs(times - percept.time_s).argmin())].ego)
         tracks = tracker.update(others, tick.actors.time_s)
-        decision = driver.decide(tick.ego, tracks)
+        decision = driver.decide(tick.ego, tracks) if tick.contact is None else Decision(0.0)
         ticks.append(Tick(tick.actors, tick.ego, percept, tracks, decision, tick.claims, tick.contact))
         before = tick.actors
     return EpisodeLog(msgspec.structs.replace(settings, perception=name), log.actors[0], ticks, outcome, message)

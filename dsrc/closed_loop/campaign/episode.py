@@ -139,6 +139,7 @@ def drive_episode(job: EpisodeJob) -> EpisodeLog:
     condition = job.condition
     return loop.log(
         perception=job.uses,
+        detector=job.detector,
         driver=job.driver,
         corruption=condition["kind"],
         severity=_severity(condition),

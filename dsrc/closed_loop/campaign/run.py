@@ -16,10 +16,10 @@ from typing import cast
 
 import msgspec
 
-from dsrc.closed_loop.campaign.episode import EpisodeJob, EpisodeResult, WorkUnit, drive_unit, probe_s
+from dsrc.closed_loop.campaign.episode import DRIVERS, EpisodeJob, EpisodeResult, WorkUnit, drive_unit, probe_s
 from dsrc.closed_loop.campaign.plan import Campaign, campaign_of, controls_of, episodes_of, key_of
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.perception.open import open_perception
+from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, open_perception
 from dsrc.closed_loop.replay import look_again
 from dsrc.closed_loop.types import Outcome
 from dsrc.data.drive_folder import locked
@@ -29,11 +29,9 @@ from dsrc.options.fields import takes_fields
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family
 from sim.catalog.load import load_scenario
 from sim.errors import DataError, SettingsError, UserError, complaint
-from sim.files import write_file
+from sim.files import file_sha256, write_file
 from sim.machine import core_count
 from sim.radio import IDEAL
-
-_FINE = (Outcome.ARRIVED.value, Outcome.TIMEOUT.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +161,7 @@ def _named(folder: Path, key: str, job: EpisodeJob) -> EpisodeResult:
 
 
 def _require_controls(controls: Sequence[EpisodeResult], out: Path) -> None:
-    failed = [one for one in controls if one.outcome not in _FINE]
+    failed = [one for one in controls if one.outcome != Outcome.ARRIVED.value]
     if failed:
         listed = ", ".join(f"{one.scenario} seed {one.seed}: {one.outcome}" for one in failed[:3])
         more = f" and {len(failed) - 3} more" if len(failed) > 3 else ""
@@ -196,11 +194,16 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
     Without a perception in the options it is the log's own: both logs are then the same.
 
     Raises:
-        UserError: the log or a setting is wrong.
+        UserError: the log or a setting is wrong, or the log's own detector is not the file that is given.
     """
     former = EpisodeLog.load(path)
     settings = former.settings
     uses = options.perception[0] if options.perception else settings.perception
+    if not options.perception and settings.detector:
+        file = options.checkpoint or SHIPPED_DETECTOR
+        if file_sha256(file) != settings.detector:
+            expected = f"the detector of the log, SHA-256 {settings.detector[:12]}"
+            raise SettingsError(complaint("drive", "checkpoint", expected, str(file)))
     asked = options.perception or options.corruption or options.channel
     corruption = (options.corruption or (CLEAN if asked else settings.corruption,))[0]
     perception = open_perception(
@@ -209,9 +212,10 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
         corruption=corruption,
         severity=(options.severity or (settings.severity or DEFAULT_SEVERITY,))[0],
         family=options.family or cast(Family, settings.family),
-        who=options.who or settings.who,
+        who=options.who or ("all" if corruption == CLEAN else settings.who),
         channel=(options.channel or (IDEAL if asked else settings.channel,))[0],
+        interval_s=settings.loop.get("detect_every_s", settings.scenario.step_s),
         engine=options.engine or settings.engine,
     )
     name = uses if corruption == CLEAN else f"{uses} in {corruption}"
-    return former, look_again(former, perception, name)
+    return former, look_again(former, perception, name, DRIVERS[options.driver or settings.driver]())

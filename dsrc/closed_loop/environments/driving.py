@@ -21,7 +21,7 @@ from dsrc.closed_loop.environments.viewer import CRASHED, EGO, TRACK, LoopViewer
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Decision, EgoState, Outcome, Perception, Tracks
-from sim.errors import SettingsError, complaint
+from sim.errors import SettingsError, complaint, did_you_mean
 from sim.scenario import Scenario
 
 COLLIDED = (Outcome.CRASHED, Outcome.LEFT)
@@ -142,7 +142,8 @@ class DrivingEnv(AbstractEnv):
         known = self.default_config()
         for name in config or {}:
             if name not in known:
-                raise SettingsError(complaint("environment", name, f"one of {', '.join(sorted(known))}", "it"))
+                hint = did_you_mean(name, known)
+                raise SettingsError(complaint("environment", "config", "known settings", name, hint))
         origin = (config or {}).get("origin", "world")
         if origin not in ("world", "junction"):
             raise SettingsError(complaint("environment", "origin", "'world' or 'junction'", str(origin)))

@@ -109,6 +109,20 @@ def _flat(now):
     return Percept(now.time_s, Boxes.from_array(np.zeros((1, 7))), np.ones(1), np.zeros((1, 2)))
 
 
+def _far(now):
+    boxes = Boxes.from_array([[2e9, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0]])
+    return Percept(now.time_s, boxes, np.ones(1), np.full((1, 2), np.nan))
+
+
+def _sure(now):
+    boxes = Boxes.from_array([[5.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0]])
+    return Percept(now.time_s, boxes, np.full(1, 1.5), np.full((1, 2), np.nan))
+
+
+def _early(now):
+    return Percept(now.time_s + 1.0, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
+
+
 def _slow(now):
     time.sleep(0.02)
     return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
@@ -122,13 +136,26 @@ def _slow(now):
         (_flat, "sizes"),
         (lambda now: None if now.time_s < 0 else "boxes", "expected a Percept, found str"),
         (_slow, "limit 0.01 s"),
+        (_far, "within 1e+06 m"),
+        (_sure, "scores between 0 and 1"),
+        (_early, "found one of"),
     ],
-    ids=["raises", "nan", "flat", "no percept", "slow"],
+    ids=["raises", "nan", "flat", "no percept", "slow", "far", "score", "future"],
 )
 def test_a_perception_that_fails_ends_the_episode_with_its_reason(answer, message: str) -> None:
     loop = drive("ima_building:no_conflict", Blind(answer), perception_limit_s=0.01)
     assert loop.outcome is Outcome.PERCEPTION_FAILED
     assert message in loop.message and "\n" not in loop.message
+
+
+def test_a_perception_that_fails_at_its_reset_is_an_outcome() -> None:
+    class Unready(Blind):
+        def reset(self, scenario, ego_id: int, seed: int) -> None:
+            raise RuntimeError("no weights")
+
+    loop = drive("ima_building:no_conflict", Unready())
+    assert loop.outcome is Outcome.PERCEPTION_FAILED and loop.message == "RuntimeError: no weights"
+    assert loop.log(perception="unready").outcome is Outcome.PERCEPTION_FAILED
 
 
 def test_none_is_no_percept() -> None:

@@ -173,6 +173,28 @@ def test_an_episode_is_looked_at_again_from_its_log(driven: Path) -> None:
     assert EpisodeLog.load(path).outcome is former.outcome
 
 
+def test_a_log_is_not_repeated_by_another_detector(driven: Path, tmp_path: Path) -> None:
+    log = EpisodeLog.load(driven / "episodes" / f"{rows(driven)[0]['key']}.npz")
+    log.settings = replace(log.settings, perception="team", detector="0" * 64)
+    path = log.save(tmp_path / "log.npz")
+    with pytest.raises(SettingsError, match="checkpoint: expected the detector of the log"):
+        look_again_at(path, DriveOptions(what=str(path)))
+
+
+@pytest.mark.slow
+def test_a_detector_s_episode_repeats_from_its_log(tmp_path: Path) -> None:
+    options = {"perception": ("team",), "corruption": ("fog",), "seed": (0,), "duration_s": 2.0, "detect_every_s": 0.2}
+    drive("lta_truck", **options, channel=("its-g5-6",), out=tmp_path)
+    for row in rows(tmp_path):
+        path = tmp_path / "episodes" / f"{row['key']}.npz"
+        former, again = look_again_at(path, DriveOptions(what=str(path)))
+        assert len(former) == len(again) and any(tick.percept is not None for tick in former.ticks)
+        for one, other in zip(former.ticks, again.ticks, strict=True):
+            assert (one.percept is None) == (other.percept is None)
+            if one.percept is not None:
+                assert np.array_equal(one.percept.boxes.array, other.percept.boxes.array)
+
+
 def test_two_campaigns_cannot_write_into_one_folder(tmp_path: Path) -> None:
     from dsrc.data.drive_folder import locked
 
