@@ -25,7 +25,7 @@ from sensors.recording.encounter_check import CONFLICT_ID, with_proven_encounter
 from sensors.recording.static_scene import solid_world
 from sim.catalog.load import load_scenario
 from sim.contact import Contact, SolidWorld, first_contact, world_contact
-from sim.errors import TrafficError, UserError
+from sim.errors import SettingsError, TrafficError, UserError, complaint
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, DrivableTraffic
 from sim.traffic.open import open_traffic
@@ -46,6 +46,9 @@ class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         latency_s: time from a measurement to its percept, s.
         stuck_s: time of standing without a red light after which an episode ends, s; it must have moved before.
         perception_limit_s: longest computation of one percept, s of wall time.
+
+    Raises:
+        SettingsError: a time is not finite, below 0, or 0 where only the latency may be.
     """
 
     duration_s: float = 20.0
@@ -53,6 +56,13 @@ class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     latency_s: float = 0.0
     stuck_s: float = 8.0
     perception_limit_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            value, may_be_zero = getattr(self, name), name == "latency_s"
+            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not may_be_zero):
+                expected = "seconds >= 0" if may_be_zero else "seconds > 0"
+                raise SettingsError(complaint("drive", name, expected, f"{value:g}"))
 
 
 class PerceptionClock:
@@ -65,12 +75,19 @@ class PerceptionClock:
         perception: perceives.
         settings: interval, latency and limit of time.
         step_s: traffic step, s.
+
+    Raises:
+        SettingsError: the interval of detections is no multiple of the step.
     """
 
     def __init__(self, perception: Perception, settings: LoopSettings, step_s: float) -> None:
         self.failure = ""
         self._perception, self._settings = perception, settings
-        self._every = max(1, round(settings.detect_every_s / step_s))
+        steps = settings.detect_every_s / step_s
+        self._every = max(1, round(steps))
+        if abs(steps - self._every) > 1e-6:
+            expected = f"a multiple of the traffic's step of {step_s:g} s"
+            raise SettingsError(complaint("drive", "detect_every_s", expected, f"{settings.detect_every_s:g}"))
         self._steps = 0
         self._waiting: deque[Percept] = deque()
 
