@@ -91,10 +91,10 @@ class Training:
 
 
 def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
-    """Return all trainings, in the order of dependence.
+    """Return all trainings, in the order in which they run: by phase, the students of seeds 0 and 1 first.
 
-    All students start from the teacher's weights: one with features of another origin would have to unlearn them. A
-    plain student starts where its distilled twin does.
+    Every comparison so has two seeds before any has more. All students start from the teacher's weights: one with
+    features of another origin would have to unlearn them. A plain student starts where its distilled twin does.
 
     Args:
         seeds: seeds of DSRC and of its plain twin.
@@ -131,7 +131,7 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
     parts = {"sdd": ("pcp=false", "rec=false"), "pcp": ("sdd=false", "rec=false"), "sdd-pcp": ("rec=false",)}
     teachers = {"sdd": "teacher-sdd", "pcp": "teacher-pcp", "sdd-pcp": TEACHER}
     few, two = min(seeds, 3), min(seeds, 2)
-    return [
+    planned = [
         Training(FIRST, 1, "no-collaboration", settings=(), stage="plain", passes=2),
         *teacher(TEACHER, 1),
         *(training for seed in range(seeds) for training in twins(seed)),
@@ -173,6 +173,7 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             for seed in range(two)
         ),
     ]
+    return sorted(planned, key=lambda training: training.stage == "student" and training.seed > 1)
 
 
 WEIGHTS = {"dae": 1.0, "daf": 1.0, "dap": 0.5}
