@@ -1,26 +1,28 @@
 """Cache of cells: results of a detector on some frames of a drive, each under the hash of all that decides it.
 
-`KEY.npz` holds the matches of detections and true boxes; the same settings give the same bytes. Times, which differ
-between runs, are in `KEY.seconds`. A cell is complete or missing.
+`KEY.npz` holds detections, true boxes and their matches, see `DetectionTable`; the same settings give the same bytes.
+Times, which differ between runs, are in `KEY.seconds`. A cell is complete or missing.
 """
 
 import hashlib
 import io
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from dsrc.evaluation.detect import MethodResult
+from dsrc.evaluation.detection_table import read_table
 from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, Matches
 from sim.errors import DataError, complaint
 from sim.files import write_file
+from sim.packed import read_arrays
 
 _KEYS = [(space, threshold) for space in SPACES for threshold in THRESHOLDS]
+_HINT = "; run again to compute it anew"
 
 
 class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -75,14 +77,10 @@ def has_cell(folder: Path, key: str) -> bool:
 
 def write_cell(folder: Path, settings: CellSettings, result: MethodResult) -> None:
     """Write a cell, its times first, so that a cell that exists is complete."""
-    matches = result.matches
     arrays: Mapping[str, Any] = {
         "settings": np.frombuffer(msgspec.json.encode(settings, order="deterministic"), np.uint8),
-        "truths": matches.truth_counts.astype(np.int32),
-        "found": matches.detection_counts.astype(np.int32),
-        "score": matches.score,
-        "matched": np.stack([matches.matched[key] for key in _KEYS]).astype(np.int32),
-        "ego_share": result.ego_share,
+        **result.table.arrays(),
+        "matched": np.stack([result.matches.matched[key] for key in _KEYS]).astype(np.int32),
         "traffic": np.zeros((0, 4)) if result.traffic is None else result.traffic,
     }
     buffer = io.BytesIO()
@@ -95,18 +93,51 @@ def read_cell(folder: Path, key: str) -> MethodResult:
     """Read a cell; missing times are empty.
 
     Raises:
+        DataError: it is missing or damaged; names file and array.
+    """
+    path = folder / f"{key}.npz"
+    arrays = _arrays(path)
+    table = read_table(path, arrays, _HINT)
+    matched, traffic = arrays.get("matched"), arrays.get("traffic")
+    shape = (len(_KEYS), len(table.score))
+    if matched is None or matched.dtype.kind != "i" or matched.shape != shape:
+        raise _wrong(path, "matched", f"shape {shape}", matched)
+    if matched.size and not -1 <= matched.min() <= matched.max() < len(table.truth):
+        raise DataError(complaint(path, "matched", f"-1 or a row of {len(table.truth)} true boxes", "others", _HINT))
+    if traffic is None or traffic.dtype != np.float64 or traffic.shape not in ((0, 4), (len(table), 4)):
+        raise _wrong(path, "traffic", f"shape ({len(table)}, 4)", traffic)
+    by_threshold = dict(zip(_KEYS, matched.astype(np.int64), strict=True))
+    times = path.with_suffix(".seconds")
+    try:
+        seconds = np.array(times.read_text(encoding="utf-8").split() if times.is_file() else [], np.float64)
+    except (OSError, ValueError):
+        raise DataError(complaint(times, "times", "numbers", "a damaged file", _HINT)) from None
+    matches = Matches(table.truths, table.found, table.score, by_threshold)
+    return MethodResult(table, matches, seconds, traffic if len(traffic) else None)
+
+
+def read_settings(folder: Path, key: str) -> CellSettings:
+    """Read the settings of a cell.
+
+    Raises:
         DataError: it is missing or damaged.
     """
     path = folder / f"{key}.npz"
+    stored = _arrays(path).get("settings")
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            truths, found = (file[name].astype(np.int64) for name in ("truths", "found"))
-            matched = dict(zip(_KEYS, file["matched"].astype(np.int64), strict=True))
-            matches = Matches(truths, found, file["score"], matched)
-            ego_share, traffic = file["ego_share"], file["traffic"]
-        times = path.with_suffix(".seconds")
-        seconds = np.array(times.read_text(encoding="utf-8").split() if times.is_file() else [], np.float64)
-    except (OSError, EOFError, ValueError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error):
-        hint = "; run again to compute it anew"
-        raise DataError(complaint(path, "cell", "a whole one", "a damaged one", hint)) from None
-    return MethodResult(matches, ego_share, seconds, traffic if len(traffic) else None)
+        return msgspec.json.decode(b"" if stored is None else stored.tobytes(), type=CellSettings)
+    except msgspec.MsgspecError as error:
+        raise DataError(complaint(path, "settings", "those of a cell", str(error), _HINT)) from None
+
+
+def _arrays(path: Path) -> dict[str, NDArray]:
+    try:
+        return read_arrays(path, "cell")
+    except DataError:
+        found = "a damaged one" if path.exists() else "none"
+        raise DataError(complaint(path, "cell", "a whole one", found, _HINT)) from None
+
+
+def _wrong(path: Path, name: str, expected: str, found: NDArray | None) -> DataError:
+    shown = "none" if found is None else f"{found.dtype} {found.shape}"
+    return DataError(complaint(path, name, expected, shown, _HINT))

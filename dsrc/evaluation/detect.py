@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from dsrc.data.drives import Drive
 from dsrc.data.sample import Sample, SampleDetector, inside_range, make_sample
 from dsrc.evaluation.conditions import Condition
-from dsrc.evaluation.metrics.ap import FrameResult, Matches, join_matches, match_frames
+from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
+from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
 from dsrc.models.channel import Receiver
 from dsrc.ops.grid import GridSpec
 from sensors import corruptions as registry
@@ -51,18 +52,17 @@ class Method:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MethodResult:
-    """Result of a method in F frames with N true boxes.
+    """Result of a method in F frames.
 
     Attributes:
-        matches: of its detections and the true boxes.
-        ego_share: (N,) float32 visibility from the ego: the share of its rays on a box that nothing else stops; NaN for
-            unknown.
+        table: its detections and the true boxes.
+        matches: of these.
         seconds: (F,) time of each detection.
         traffic: (F, 4) bytes, senders, senders received and ages of messages, see `make_row`; None without a channel.
     """
 
+    table: DetectionTable
     matches: Matches
-    ego_share: NDArray[np.float32]
     seconds: NDArray[np.float64]
     traffic: NDArray[np.float64] | None
 
@@ -105,8 +105,10 @@ def evaluate_drive(
         for condition, methods in work.items():
             past = _FrameHistory(recorded.at, i, partial(corrupted, condition=condition, seed=own_seed))
             samples: dict[tuple[GridSpec, int, int | None], Sample] = {}
+            left = points_left(recorded[0], past[0])
             for method in methods:
                 sample, record = _sample(past[0], method, samples, name), records[condition, method.name]
+                whole = _sample(past[0], replace(method, agents=None), samples, name)
                 if method.name in receivers:
                     grid = method.detector.settings.grid
                     sample, links = receivers[method.name].receive(past, i, sample, grid)
@@ -115,8 +117,10 @@ def evaluate_drive(
                 found = method.detector.detect(sample)
                 record.seconds.append(time.perf_counter() - start)
                 inside = found[inside_range(found.boxes, method.detector.settings.grid)]
-                record.frames.append(FrameResult(inside, sample.boxes))
-                record.ego_share.append(_ego_share(recorded[0], sample))
+                points = points_table(recorded[0], left, whole.agent_ids, sample.boxes.object_id)
+                share = _ego_share(recorded[0], sample)
+                ego_id, index = sample.agent_ids[0], recorded[0].index
+                record.frames.append(one_frame(i, index, ego_id, inside, sample.boxes, points, share))
             count_frame()
     return {key: record.result() for key, record in records.items()}
 
@@ -125,15 +129,15 @@ def evaluate_drive(
 class _Record:
     """Results of a method in the frames so far."""
 
-    frames: list[FrameResult] = field(default_factory=list)
-    ego_share: list[NDArray[np.float32]] = field(default_factory=list)
+    frames: list[DetectionTable] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     traffic: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def result(self) -> MethodResult:
+        table = join_tables(self.frames)
         return MethodResult(
-            match_frames(self.frames),
-            np.concatenate([np.zeros(0, np.float32), *self.ego_share]),
+            table,
+            match_frames(table.results()),
             np.array(self.seconds, np.float64),
             np.array(self.traffic, np.float64) if self.traffic else None,
         )
@@ -143,8 +147,8 @@ def join_results(parts: Sequence[MethodResult]) -> MethodResult:
     """Result of a method in the frames of all parts, at least one."""
     traffic = [part.traffic for part in parts if part.traffic is not None]
     return MethodResult(
+        join_tables([part.table for part in parts]),
         join_matches([part.matches for part in parts]),
-        np.concatenate([part.ego_share for part in parts]),
         np.concatenate([part.seconds for part in parts]),
         np.concatenate(traffic) if traffic else None,
     )

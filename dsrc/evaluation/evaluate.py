@@ -11,9 +11,10 @@ from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, na
 from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
-from dsrc.evaluation.report.report import provenance_of, write_results
+from dsrc.evaluation.report.report import provenance_of, stored_index, write_results
 from dsrc.evaluation.results import CLEAN, Row, summary_rows
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, run_plan
+from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Evaluation
 from sim.errors import SettingsError, complaint
 from sim.files import write_file
@@ -23,7 +24,9 @@ EGO_ALONE = "ego alone"
 
 
 def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress | None = None) -> list[Row]:
-    """Evaluate detectors, write `results.csv`, `results.json`, `timings.csv` and the plots; resume what is cached.
+    """Evaluate detectors, write results, plots and the index of detections; resume what is cached.
+
+    The files are `results.csv`, `results.json`, `timings.csv`, `detections.json` and PNGs.
 
     The results and plots are the same for the same settings; times are in `timings.csv` alone.
 
@@ -46,6 +49,7 @@ def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress 
     rows = [_with_curves(entry, config.out / "cells", bool(config.channels)) for entry, _ in entries]
     summaries = summary_rows(rows)
     write_results(config.out, made_by, [*entries, *_summary_entries(entries, summaries)])
+    write_index(config.out, stored_index(result, entries))
     rows += summaries
     figures = {
         "ap_per_corruption": corruption_bars(rows),

@@ -71,12 +71,14 @@ class CaseResult:
         case: method, training, dataset, condition and channel.
         row: the numbers.
         cells: keys of its cells.
+        drives: path of the drive of each cell.
         ranked: detections of a method in differences, where nothing is swept; else None.
     """
 
     case: Case
     row: Row
     cells: tuple[str, ...]
+    drives: tuple[Path, ...] = field(default=(), compare=False)
     ranked: RankedDetections | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -152,7 +154,7 @@ def run_plan(
         _compute(units, pool, progress)
         ranked = {name for pair in plan.differences for name in (pair.method, pair.baseline)}
         entries = [
-            _case_result(case, folder, [one.job.settings.key for one in own], case.method in ranked and not case.swept)
+            _case_result(case, folder, own, case.method in ranked and not case.swept)
             for case, own in zip(cases, planned, strict=True)
         ]
     named = {name: {Path(p).name: digest for p, digest in listed.items()} for name, listed in drives.items()}
@@ -271,7 +273,8 @@ def _compute(units: Sequence[WorkUnit], pool: Pool, progress: Progress | None) -
         raise errors[0]
 
 
-def _case_result(case: Case, folder: Path, keys: list[str], keep_detections: bool) -> CaseResult:
+def _case_result(case: Case, folder: Path, cells: Sequence[_PlannedCell], keep_detections: bool) -> CaseResult:
+    keys = [cell.job.settings.key for cell in cells]
     result = join_results([read_cell(folder, key) for key in keys])
     row = make_row(
         case.method,
@@ -285,14 +288,15 @@ def _case_result(case: Case, folder: Path, keys: list[str], keep_detections: boo
     sent = 0.0 if row.bytes_per_frame is None else row.bytes_per_frame
     metrics = {**row.metrics, **by_visibility(result)}
     row = replace(row, metrics=metrics, bytes_per_frame=sent, result=None)
-    return CaseResult(case, row, tuple(keys), RankedDetections.of(result.matches) if keep_detections else None)
+    ranked = RankedDetections.of(result.matches) if keep_detections else None
+    return CaseResult(case, row, tuple(keys), tuple(cell.drive for cell in cells), ranked)
 
 
 def by_visibility(result: MethodResult) -> dict[str, float]:
     """Return the average precision of each class of `VISIBILITY`; empty where visibility is unknown."""
-    if not np.isfinite(result.ego_share).any():
+    if not np.isfinite(result.table.ego_share).any():
         return {}
-    share = np.nan_to_num(result.ego_share, nan=0.0)
+    share = np.nan_to_num(result.table.ego_share, nan=0.0)
     named = {}
     for name, (low, high) in VISIBILITY.items():
         of_class = evaluate_matches(result.matches, (share >= low) & (share < high))

@@ -33,7 +33,8 @@ class Evaluation(Severity, frozen=True, kw_only=True):
     Attributes:
         checkpoints: detector files; NAME=FILE names a row.
         data: a drive, or a folder of drives.
-        out: folder of results.csv, results.json, plots and cached cells; an interrupted evaluation resumes.
+        out: folder of results.csv, results.json, plots and cached cells with all detections, which dsrc view opens; an
+            interrupted evaluation resumes.
         corruptions: kinds of corruption; paper_six are those of the paper's tables; clean frames are always evaluated.
         who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
             acts on their sensors and nowhere else.

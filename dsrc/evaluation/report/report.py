@@ -42,6 +42,7 @@ from dsrc.evaluation.report.paper_tables import (
 from dsrc.evaluation.report.published import published_tables
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
+from dsrc.evaluation.stored import StoredDrive, StoredIndex, StoredRun, write_index
 from dsrc.evaluation.table import ResultTable, Stat
 from sensors.corruptions import Family
 from sim.errors import DataError, complaint
@@ -105,6 +106,7 @@ def write_report(result: BenchmarkResult, out: Path) -> list[Section]:
     ]
     entries = [(entry, result.trained[entry.case.method][entry.case.training]) for entry in result.entries]
     write_results(out, made_by, entries, differences)
+    write_index(out, stored_index(result, entries))
     sections = []
     for dataset in result.drives:
         folder = slug(dataset)
@@ -133,6 +135,44 @@ def write_results(
     write_file(out / "results.json", text + "\n")
     write_file(out / "results.csv", _csv(listed, made_by))
     write_file(out / "timings.csv", _timings([entry for entry, _ in entries]))
+
+
+def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, TrainedDetector]]) -> StoredIndex:
+    """Index of the stored detections of results, named as their rows are.
+
+    Args:
+        result: the benchmark.
+        entries: results and their detectors.
+    """
+    # Paths are dict keys for their order.
+    places = list(dict.fromkeys((entry.case.dataset, path) for entry, _ in entries for path in entry.drives))
+    runs = []
+    for entry, one in entries:
+        case, condition = entry.case, entry.case.condition
+        cells: list[list[str]] = [[] for _ in places]
+        for key, path in zip(entry.cells, entry.drives, strict=True):
+            cells[places.index((case.dataset, path))].append(key)
+        limits = [one.settings.max_agents, one.agents, case.agents]
+        run = StoredRun(
+            method=case.method,
+            training=case.training,
+            kind=condition.kind,
+            severity=condition.severity,
+            family=condition.family,
+            who=condition.who,
+            channel=case.channel,
+            swept=", ".join(f"{name} {getattr(case, name):g}" for name in _SWEPT[1:] if getattr(case, name)),
+            detector=one.sha256,
+            range_m=one.settings.grid.range_m,
+            agents=min(limit for limit in limits if limit is not None),
+            cells=tuple(map(tuple, cells)),
+        )
+        runs.append(run)
+    drives = [
+        StoredDrive(dataset=dataset, path=str(path.resolve()), data=result.drives[dataset][path.name])
+        for dataset, path in places
+    ]
+    return StoredIndex(seed=result.plan.seed, drives=tuple(drives), runs=tuple(runs))
 
 
 def _difference_tables(result: BenchmarkResult) -> dict[tuple[str, Family], DifferenceTable]:

@@ -250,7 +250,7 @@ def test_a_cell_reads_back(done):
     key = done[1].entries[0].cells[0]
     result = read_cell(done[0] / "cells", key)
     assert result.matches.frames == len(result.seconds) == 2
-    assert result.ego_share.shape == (result.matches.truth,)
+    assert result.table.ego_share.shape == (result.matches.truth,)
     assert all(m.max(initial=-1) < result.matches.truth for m in result.matches.matched.values())
     assert np.all(np.isfinite(result.matches.score))
 
