@@ -1,12 +1,18 @@
-"""Details of one object in the ground truth of a frame."""
+"""Details of one object in the ground truth of a frame, or of one detection."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dsrc.review.view import ObjectDetails, ObjectVisibility
+from dsrc.data.points_in_boxes import points_in_boxes
+from dsrc.ops.detections import Detections
+from dsrc.review.matching import RankedMatches
+from dsrc.review.view import DetectionDetails, ObjectDetails, ObjectVisibility
 from sensors.frame import Frame
-from sim.boxes import CLASSES
+from sim.boxes import CLASSES, Boxes
+from sim.geometry import invert
 from sim.traffic.base import lit
 
 
@@ -14,7 +20,7 @@ def object_details(frame: Frame, object_id: int | None, ego_id: int, titles: Seq
     """Return the details of an object; None when the frame lacks it.
 
     Args:
-        frame: the frame.
+        frame: the frame, its sweeps corrupted or not.
         object_id: the object, or None.
         ego_id: the agent that detects.
         titles: names of the agents, in the order of the frame.
@@ -24,18 +30,103 @@ def object_details(frame: Frame, object_id: int | None, ego_id: int, titles: Seq
         return None
     row = int(found[0])
     yaw = frame.truth.yaw[row]
+    left = _points_left(frame, frame.truth[found[:1]])
     return ObjectDetails(
         object_id=int(frame.truth.object_id[row]),
         class_name=CLASSES[frame.truth.label[row]],
+        size=_size(frame.truth, row),
+        distance_m=_distance(frame, ego_id, frame.truth.center[row]),
         speed=float(np.hypot(*frame.velocity[row])),
         acceleration=float(frame.acceleration[row] @ [np.cos(yaw), np.sin(yaw)]),
         lights=lit(int(frame.signals[row])),
         lane=frame.lane[row],
         seen_by=int(frame.seen_by(ego_id)[row]),
         visibility=tuple(
-            ObjectVisibility(title, int(points), float(fraction))
-            for title, points, fraction in zip(
-                titles, frame.points_on[:, row], frame.visible_fraction[:, row], strict=True
+            ObjectVisibility(title, int(points), points_left, float(fraction))
+            for title, points, points_left, fraction in zip(
+                titles, frame.points_on[:, row], left, frame.visible_fraction[:, row], strict=True
             )
         ),
     )
+
+
+def verdict_on(object_id: int, truth: Boxes, matches: RankedMatches, threshold: float) -> tuple[str, float, float]:
+    """Verdict on an object, and score and IoU of its detection, NaN without one.
+
+    Args:
+        object_id: the object.
+        truth: the M evaluated objects, in the order of the matches.
+        matches: of the frame.
+        threshold: least score of a detection.
+    """
+    rows = np.flatnonzero(truth.object_id == object_id)
+    if len(rows) == 0:
+        return "not evaluated", math.nan, math.nan
+    rank = int(matches.found_by[rows[0]])
+    if rank < 0:
+        return "missed", math.nan, math.nan
+    verdict = "detected" if rank < matches.kept(threshold) else "missed"
+    return verdict, float(matches.score[rank]), float(matches.overlap[rank])
+
+
+def detection_details(
+    frame: Frame,
+    rank: int,
+    detections: Detections,
+    truth: Boxes,
+    matches: RankedMatches,
+    ego_id: int,
+    titles: Sequence[str],
+    labelled: bool,
+) -> DetectionDetails:
+    """Details of a detection.
+
+    Args:
+        frame: the frame, its sweeps corrupted or not.
+        rank: place of the detection in the order of the scores.
+        detections: of the frame, in the ego LiDAR's frame.
+        truth: the evaluated objects.
+        matches: of the frame.
+        ego_id: the agent that detects.
+        titles: names of the agents, in the order of the frame.
+        labelled: whether the drive has ground truth.
+    """
+    box = detections.boxes[rank : rank + 1].transform(frame.agent(ego_id).sweep.world_from_lidar)
+    nearest = int(matches.nearest[rank])
+    verdict = "true positive" if matches.tp[rank] else "false positive"
+    return DetectionDetails(
+        rank=rank,
+        class_name=CLASSES[box.label[0]],
+        size=_size(box, 0),
+        distance_m=_distance(frame, ego_id, box.center[0]),
+        score=float(detections.score[rank]),
+        verdict=verdict if labelled else "",
+        object_id=int(truth.object_id[nearest]) if nearest >= 0 else None,
+        iou=float(matches.overlap[rank]),
+        points=tuple(zip(titles, _points_in(frame, box), strict=True)),
+    )
+
+
+def _size(boxes: Boxes, row: int) -> tuple[float, float, float]:
+    length, width, height = boxes.size[row].tolist()
+    return length, width, height
+
+
+def _distance(frame: Frame, ego_id: int, center: NDArray[np.float64]) -> float:
+    return float(np.hypot(*(center - frame.agent(ego_id).world_from_body[:3, 3])[:2]))
+
+
+def _points_in(frame: Frame, box: Boxes) -> list[int]:
+    """Points of each agent in one box of the world frame."""
+    counts = []
+    for agent in frame.agents:
+        inside, _ = points_in_boxes(box.transform(invert(agent.sweep.world_from_lidar)), agent.sweep.points)
+        counts.append(len(inside))
+    return counts
+
+
+def _points_left(frame: Frame, box: Boxes) -> list[int]:
+    """Points of each agent on one object, by the object ids of the sweeps, or in its box where these are unknown."""
+    if not any((agent.sweep.object_id >= 0).any() for agent in frame.agents):
+        return _points_in(frame, box)
+    return [int(np.count_nonzero(agent.sweep.object_id == box.object_id[0])) for agent in frame.agents]

@@ -45,11 +45,15 @@ class RankedMatches:
         score: (N,) float32 descending.
         tp: (N,) bool, True for a true positive.
         found_by: (M,) int64 row of the detection matched with each object, -1 without one.
+        nearest: (N,) int64 row of the matched object, for a false positive of the one most overlapped, -1 without.
+        overlap: (N,) float64 bird's-eye IoU with that object.
     """
 
     score: NDArray[np.float32]
     tp: NDArray[np.bool_]
     found_by: NDArray[np.int64]
+    nearest: NDArray[np.int64]
+    overlap: NDArray[np.float64]
 
     def kept(self, threshold: float) -> int:
         """Number of detections that reach the threshold."""
@@ -78,4 +82,9 @@ def match(detections: Detections, truth: Boxes, iou: float) -> RankedMatches:
     partner = match_by_score(overlap, detections.score, iou).truth
     found_by = np.full(len(truth), -1, np.int64)
     found_by[partner[partner >= 0]] = np.flatnonzero(partner >= 0)
-    return RankedMatches(detections.score, partner >= 0, found_by)
+    most = overlap.argmax(axis=1) if len(truth) else np.zeros(len(detections), np.int64)
+    nearest = np.where(partner >= 0, partner, most)
+    shared = overlap[np.arange(len(detections)), nearest] if len(truth) else np.zeros(len(detections))
+    return RankedMatches(
+        detections.score, partner >= 0, found_by, np.where(shared > 0.0, nearest, -1).astype(np.int64), shared
+    )

@@ -1,7 +1,8 @@
 """ReviewModel: drives and detector, state to drawn arrays, with caches."""
 
+import contextlib
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
@@ -13,7 +14,7 @@ from dsrc.data.drives import Drive, open_drives
 from dsrc.data.sample import SampleDetector, make_sample
 from dsrc.ops.detections import Detections
 from dsrc.review.agents import agent_view, links
-from dsrc.review.details import object_details
+from dsrc.review.details import detection_details, object_details, verdict_on
 from dsrc.review.matching import Counts, RankedMatches, match
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
@@ -25,13 +26,15 @@ from dsrc.review.view import (
     OTHER_TRUTH,
     SELECTED,
     TRUE_POSITIVES,
+    UNJUDGED,
     AgentView,
     FrameView,
+    ObjectDetails,
 )
 from sensors.corruptions import CLEAN, CORRUPTIONS, corrupt_frame, drive_seed
 from sensors.frame import Frame
 from sim.boxes import Boxes
-from sim.errors import DataError, complaint
+from sim.errors import DataError, UserError, complaint
 
 SEED = 0
 """Seed of the corruptions, the default of `dsrc evaluate` and `dsrc corrupt`."""
@@ -86,6 +89,7 @@ class ReviewModel:
         self._agents: OrderedDict[Hashable, tuple[AgentView, ...]] = OrderedDict()
         self._detected: OrderedDict[Hashable, _FrameDetections] = OrderedDict()
         self._origin: dict[int, NDArray[np.float64]] = {}
+        self._labelled: dict[int, bool] = {}
 
     @property
     def has_detector(self) -> bool:
@@ -96,30 +100,54 @@ class ReviewModel:
         """Number of frames of a drive."""
         return len(self.drives[drive].frames)
 
-    def first_frame(self, drive: int) -> Frame:
-        """First frame of a drive."""
-        return self._raw(drive, 0)
+    def readable_frame(self, drive: int) -> Frame:
+        """First frame of a drive that can be read.
+
+        Raises:
+            DataError: no frame can be read; what is wrong with the first.
+        """
+        first: UserError | None = None
+        for row in range(self.frame_count(drive)):
+            try:
+                return self._raw(drive, row)
+            except UserError as error:
+                first = first or error
+        raise first or DataError(complaint(self.names[drive], "frames", "at least one frame", "none"))
 
     def interval_s(self, drive: int) -> float:
         """Time between frames of a drive, s; 0.1 where unknown."""
         if self.frame_count(drive) < 2:
             return 0.1
-        step = self._raw(drive, 1).time_s - self._raw(drive, 0).time_s
+        try:
+            step = self._raw(drive, 1).time_s - self._raw(drive, 0).time_s
+        except UserError:
+            return 0.1
         return step if 0.0 < step < 10.0 else 0.1
 
     def origin(self, drive: int) -> NDArray[np.float64]:
-        """(3,) world position of the review frame's origin, m: the first agent's in the first frame.
+        """(3,) world position of the review frame's origin, m: the first agent's in the first readable frame.
 
         Coordinates in the browser then fit float32, and the road is near z = 0.
         """
         if drive not in self._origin:
-            self._origin[drive] = self._raw(drive, 0).agents[0].world_from_body[:3, 3].copy()
+            self._origin[drive] = self.readable_frame(drive).agents[0].world_from_body[:3, 3].copy()
         return self._origin[drive]
+
+    def labelled(self, drive: int) -> bool:
+        """Whether a drive has ground truth: whether one of a few of its frames has any object."""
+        if drive not in self._labelled:
+            self._labelled[drive] = any(len(frame.truth) > 0 for frame in self._few_frames(drive))
+        return self._labelled[drive]
+
+    def _few_frames(self, drive: int) -> Iterator[Frame]:
+        """First, middle and last frame, those that can be read."""
+        for row in sorted({0, self.frame_count(drive) // 2, self.frame_count(drive) - 1}):
+            with contextlib.suppress(UserError):
+                yield self._raw(drive, row)
 
     def static_parts(self, drive: int) -> list[StaticPart]:
         """Static world around the agents of a drive; empty when it cannot be rebuilt."""
-        rows = sorted({0, self.frame_count(drive) // 2, self.frame_count(drive) - 1})
-        places = [agent.world_from_body[:2, 3] for row in rows for agent in self._raw(drive, row).agents]
+        places = [agent.world_from_body[:2, 3] for frame in self._few_frames(drive) for agent in frame.agents]
         protocol = getattr(self.drives[drive], "protocol", {})
         return static_parts(protocol, self.origin(drive), np.array(places, np.float64))
 
@@ -146,10 +174,12 @@ class ReviewModel:
             truth=truth,
             agent_of=agent_of,
             layers={**_no_boxes(), SELECTED: truth[truth.object_id == state.object_id]},
+            ranks={},
             linked=links(agents) if state.cooperative else np.zeros((0, 2, 3)),
             layers_off=state.layers_off,
             color_by=state.color_by,
             point_size_m=state.point_size_m,
+            labelled=self.labelled(state.drive),
             details=object_details(frame, state.object_id, ego_id, [agent.title for agent in agents]),
         )
         if self.detector is None:
@@ -157,7 +187,7 @@ class ReviewModel:
             return replace(
                 view, layers={**view.layers, DETECTED_TRUTH: truth[evaluated], OTHER_TRUTH: truth[~evaluated]}
             )
-        return self._with_detections(view, state, review_from_world @ frame.agent(ego_id).sweep.world_from_lidar)
+        return self._with_detections(view, state, frame, review_from_world)
 
     def _agent_views(
         self, frame: Frame, state: ReviewState, ego_id: int, review_from_world: NDArray[np.float64]
@@ -173,12 +203,27 @@ class ReviewModel:
         )
 
     def _with_detections(
-        self, view: FrameView, state: ReviewState, review_from_lidar: NDArray[np.float64]
+        self, view: FrameView, state: ReviewState, frame: Frame, review_from_world: NDArray[np.float64]
     ) -> FrameView:
         found = self._detections(state)
         matches = found.at(state.iou)
         kept = matches.kept(state.threshold)
+        ego_id = view.ego.agent_id
+        review_from_lidar = review_from_world @ frame.agent(ego_id).sweep.world_from_lidar
         boxes = found.detections.boxes[:kept].transform(review_from_lidar)
+        rank = np.arange(kept)
+        if state.detection is not None and state.detection < kept:
+            titles = [agent.title for agent in view.agents]
+            details = detection_details(
+                frame, state.detection, found.detections, found.truth, matches, ego_id, titles, view.labelled
+            )
+            selected = boxes[state.detection : state.detection + 1]
+            view = replace(view, details=details, layers={**view.layers, SELECTED: selected})
+        elif isinstance(view.details, ObjectDetails) and view.labelled:
+            verdict, score, iou = verdict_on(view.details.object_id, found.truth, matches, state.threshold)
+            view = replace(view, details=replace(view.details, verdict=verdict, score=score, iou=iou))
+        if not view.labelled:
+            return replace(view, detected=kept, layers={**view.layers, UNJUDGED: boxes}, ranks={UNJUDGED: rank})
         tp = matches.tp[:kept]
         # Boxes are drawn from the frame; the ego's sample only says which of them are detected.
         found_ids = found.truth.object_id[matches.found(state.threshold)]
@@ -193,11 +238,19 @@ class ReviewModel:
             FALSE_POSITIVES: boxes[~tp],
         }
         seen, seen_frames = self._seen(state)
-        return replace(view, layers=layers, counts=matches.counts(state.threshold), seen=seen, seen_frames=seen_frames)
+        return replace(
+            view,
+            layers=layers,
+            ranks={TRUE_POSITIVES: rank[tp], FALSE_POSITIVES: rank[~tp]},
+            detected=kept,
+            counts=matches.counts(state.threshold),
+            seen=seen,
+            seen_frames=seen_frames,
+        )
 
     def counts(self, state: ReviewState) -> Counts | None:
         """Counts of TP, FP and FN under a state; None without a detector."""
-        if self.detector is None:
+        if self.detector is None or not self.labelled(state.drive):
             return None
         return self._detections(state).at(state.iou).counts(state.threshold)
 

@@ -14,10 +14,12 @@ IOU_THRESHOLDS = (0.3, 0.5, 0.7)
 SHOWN_LAYERS = ("truth", "detections", "bodies", "world", "links", "labels")
 """Layers of the page that can be switched off."""
 
+Theme = Literal["dark", "light"]
+
 
 @dataclass(frozen=True, slots=True)
 class ReviewState:
-    """State of the page: drive, frame, corruption, detection settings, colours, layers.
+    """State of the page: drive, frame, corruption, detection settings, colours, layers, selection, camera.
 
     Attributes:
         drive: row of the drive.
@@ -33,8 +35,12 @@ class ReviewState:
         hidden: agents with hidden points.
         layers_off: hidden layers, of `SHOWN_LAYERS`.
         object_id: the selected object, or None.
+        detection: the selected detection, its place in the order of the scores, or None.
         max_points: most points drawn per agent.
         point_size_m: side of a drawn point, m.
+        camera: what the camera moves with: the ego and its heading, the ego alone, nothing.
+        speed: of playing, in multiples of real time.
+        theme: of the page.
     """
 
     drive: int = 0
@@ -50,5 +56,9 @@ class ReviewState:
     hidden: frozenset[int] = field(default_factory=frozenset)
     layers_off: frozenset[str] = field(default_factory=frozenset)
     object_id: int | None = None
+    detection: int | None = None
     max_points: int = 60_000
     point_size_m: float = 0.11
+    camera: Camera = "free"
+    speed: float = 1.0
+    theme: Theme = "dark"

@@ -1,5 +1,6 @@
 """FrameView: drawing of one state as plain arrays, independent of the viewer."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,9 +14,11 @@ from sim.boxes import Boxes
 
 DETECTED_TRUTH, FALSE_NEGATIVES, OTHER_TRUTH = "truth/detected", "truth/fn", "truth/other"
 TRUE_POSITIVES, FALSE_POSITIVES = "detections/tp", "detections/fp"
-SELECTED = "selected/object"
-LAYERS = (OTHER_TRUTH, DETECTED_TRUTH, FALSE_NEGATIVES, TRUE_POSITIVES, FALSE_POSITIVES, SELECTED)
-"""Names of the box layers: truth left out of the evaluation, detected truth, FN, TP, FP, the selected object."""
+UNJUDGED = "detections/unjudged"
+SELECTED = "selected/box"
+LAYERS = (OTHER_TRUTH, DETECTED_TRUTH, FALSE_NEGATIVES, TRUE_POSITIVES, FALSE_POSITIVES, UNJUDGED, SELECTED)
+"""Names of the box layers: truth left out of the evaluation, detected truth, FN, TP, FP, detections of a drive without
+labels, the selected box."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,37 +64,76 @@ class ObjectVisibility:
     Attributes:
         agent: displayed name of the agent.
         points: its LiDAR points on the object, before any corruption.
+        points_left: the same after the corruption.
         fraction: visible fraction, NaN where unknown, see `sensors.scan.visibility`.
     """
 
     agent: str
     points: int
+    points_left: int
     fraction: float
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectDetails:
-    """Ground truth of one object.
+    """Ground truth of one object, and what the detector made of it.
 
     Attributes:
         object_id: the object.
         class_name: of `sim.boxes.CLASSES`.
+        size: length, width, height, m.
+        distance_m: from the ego to its centre, in the plane.
         speed: m/s.
         acceleration: along its heading, m/s2; NaN where unknown.
         lights: names of the lights that are on, see `sim.traffic.base.SIGNALS`.
         lane: name of its lane, "" off the lanes.
         seen_by: `BY_EGO`, `BY_HELPER` or `BY_NOBODY`, see `Frame.seen_by`.
         visibility: from each agent, in the order of the frame.
+        verdict: `detected`, `missed`, `not evaluated`; "" without a detector.
+        score: of its detection; NaN without one.
+        iou: with its detection; NaN without one.
     """
 
     object_id: int
     class_name: str
+    size: tuple[float, float, float]
+    distance_m: float
     speed: float
     acceleration: float
     lights: tuple[str, ...]
     lane: str
     seen_by: int
     visibility: tuple[ObjectVisibility, ...]
+    verdict: str = ""
+    score: float = math.nan
+    iou: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class DetectionDetails:
+    """One detection.
+
+    Attributes:
+        rank: its place in the order of the scores.
+        class_name: of `sim.boxes.CLASSES`.
+        size: length, width, height, m.
+        distance_m: from the ego to its centre, in the plane.
+        score: of the detector.
+        verdict: `true positive`, `false positive`, or "" in a drive without labels.
+        object_id: the matched object, for a false positive the one that it overlaps most; None without overlap.
+        iou: with that object; 0 without overlap.
+        points: points of each agent in the box, as drawn: (displayed name, number).
+    """
+
+    rank: int
+    class_name: str
+    size: tuple[float, float, float]
+    distance_m: float
+    score: float
+    verdict: str
+    object_id: int | None
+    iou: float
+    points: tuple[tuple[str, int], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,14 +148,17 @@ class FrameView:
         truth: N objects of the frame, agents' bodies included.
         agent_of: (N,) int64 row of the agent on an object, -1 without one.
         layers: the boxes of each of `LAYERS`.
+        ranks: places in the order of the scores of the boxes of each layer of detections.
         linked: (K, 2, 3) float64 lines from the ego's sensor to its collaborators'.
         layers_off: hidden layers.
         color_by: quantity shown by the colour of a point.
         point_size_m: side of a drawn point, m.
-        counts: TP, FP, FN of this frame; None without a detector.
+        labelled: whether the drive has ground truth; without it nothing is judged.
+        detected: number of drawn detections.
+        counts: TP, FP, FN of this frame; None without a detector or labels.
         seen: their sum over the frames of the drive viewed so far with these settings.
         seen_frames: number of these frames.
-        details: of the selected object; None when the frame lacks it.
+        details: of the selected object or detection; None when the frame lacks it.
     """
 
     drive: str
@@ -123,14 +168,17 @@ class FrameView:
     truth: Boxes
     agent_of: NDArray[np.int64]
     layers: dict[str, Boxes]
+    ranks: dict[str, NDArray[np.int64]]
     linked: NDArray[np.float64]
     layers_off: frozenset[str]
     color_by: ColorBy
     point_size_m: float
+    labelled: bool = True
+    detected: int = 0
     counts: Counts | None = None
     seen: Counts = field(default_factory=Counts)
     seen_frames: int = 0
-    details: ObjectDetails | None = None
+    details: ObjectDetails | DetectionDetails | None = None
 
     @property
     def ego(self) -> AgentView:

@@ -47,7 +47,7 @@ def commands(app: Page) -> list[Command]:
         Command("Camera: reset", "R", app.reset_camera),
         Command("Points of all agents", "0", lambda: show_only_agent(app, None)),
     ]
-    for row in range(min(_AGENT_KEYS, len(app.model.first_frame(0).agents))):
+    for row in range(min(_AGENT_KEYS, len(app.model.readable_frame(0).agents))):
         listed.append(Command(f"Points of agent {row + 1} alone", str(row + 1), partial(show_only_agent, app, row)))
     if not app.model.has_detector:
         listed = [command for command in listed if " FN" not in command.label]

@@ -57,7 +57,7 @@ def export_html(options: PageOptions) -> Path:
         severity=options.severity,
         family=options.family,
         threshold=options.threshold,
-        max_points=max(budget // len(model.first_frame(options.drive).agents), 1),
+        max_points=max(budget // len(model.readable_frame(options.drive).agents), 1),
         point_size_m=POINT_SIZE_M,
         color_by=options.color_by,
     )

@@ -22,6 +22,7 @@ from dsrc.review.view import (
     OTHER_TRUTH,
     SELECTED,
     TRUE_POSITIVES,
+    UNJUDGED,
     AgentView,
     FrameView,
 )
@@ -44,6 +45,7 @@ STYLES = {
     FALSE_NEGATIVES: BoxStyle(palette.FN, 3.0, "dashed", 0.22),
     TRUE_POSITIVES: BoxStyle(palette.TP, 2.5, "solid", 0.16),
     FALSE_POSITIVES: BoxStyle(palette.FP, 3.0, "crossed", 0.22),
+    UNJUDGED: BoxStyle(palette.TRUTH, 2.5),
     SELECTED: BoxStyle(palette.SELECTED, 4.0),
 }
 _FORMS = {"solid": edges, "dashed": dashed, "crossed": crossed}
