@@ -16,6 +16,7 @@ from dsrc.models.compression import as_large, reduced
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.fusion.late import join_detections
 from dsrc.models.inputs.batch import collate, pillars_of
+from dsrc.models.inputs.trained_frame import as_trained, mirrored
 from dsrc.models.layers.backbones import BACKBONES
 from dsrc.models.layers.blocks import Compressor, Decoder, double_conv, upsample
 from dsrc.models.layers.encoder import PillarEncoder, Pillars
@@ -162,7 +163,10 @@ class Detector(nn.Module):
         return anchor_grid(self.settings.grid)
 
     def decode(self, output: Output) -> list[Detections]:
-        """Decode the heads' maps into detections inside the grid's range, one `Detections` per row of the batch."""
+        """Decode the heads' maps into detections inside the grid's range, one `Detections` per row of the batch.
+
+        Boxes are right-handed, whatever frame the network was trained in.
+        """
         settings = self.settings
         post = PostSettings(
             settings.score_threshold,
@@ -175,7 +179,8 @@ class Detector(nn.Module):
             reg = reg.reshape(len(reg), 2, 7, *reg.shape[2:])[:, :, REFERENCE_ORDER].reshape(reg.shape)
         if output.direction is not None:
             reg = headed(reg, output.direction.detach().float().cpu().numpy() > 0)
-        return [decode_detections(c, r, self.anchors, post) for c, r in zip(cls, reg, strict=True)]
+        found = [decode_detections(c, r, self.anchors, post) for c, r in zip(cls, reg, strict=True)]
+        return [Detections(mirrored(f.boxes), f.score) for f in found] if settings.left_handed else found
 
     @torch.inference_mode()
     def detect(self, sample: Sample) -> Detections:
@@ -198,7 +203,8 @@ class Detector(nn.Module):
 
     def _single_agent_detections(self, sample: Sample) -> list[Detections]:
         """Detect in each agent's cloud alone."""
-        clouds = sample.clouds[: 1 if self.settings.fusion == "none" else self.settings.max_agents]
+        count = 1 if self.settings.fusion == "none" else self.settings.max_agents
+        clouds = as_trained(sample, self.settings).clouds[:count]
         pillars = pillars_of(clouds, self.settings).to(self.cls_head.weight.device)
         return self.decode(self(pillars, AgentLayout((1,) * len(clouds))))
 

@@ -26,6 +26,10 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         fusion: key of `dsrc.models.fusion.FUSIONS`.
         backbone: key of `BACKBONES`; None is the method's own: CoAlign's residual blocks, Res2Net for all others.
         released: mistakes of the method's published code are reproduced, see its class.
+        left_handed: the network was trained in the mirror image, y to the right, as CARLA's LiDARs have it; samples and
+            detections are right-handed all the same. Grids are then even about y = 0.
+        intensity_steps: steps between 0 and 1 that intensities are rounded to; 255 for the released networks, whose
+            data hold 8 bits; None keeps them.
         own_frame: each agent's cloud is encoded in its own frame, as by an agent that broadcasts its features; the
             receiver warps the maps. Else clouds are brought to the ego's frame first.
         align_poses: poses of the collaborators are corrected by an agent-object pose graph before detection, which
@@ -67,6 +71,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fusion: str = "attention"
     backbone: Backbone | None = None
     released: bool = False
+    left_handed: bool = False
+    intensity_steps: Count | None = None
     own_frame: bool = False
     align_poses: bool = False
     compress: Count = 1
@@ -102,6 +108,9 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(f"fusion: unknown '{self.fusion}'{did_you_mean(str(self.fusion), fusions)}")
         if self.grid.width % 8 or self.grid.height % 8:
             raise ValueError(f"grid: expected multiples of 8 cells, found {self.grid.width} x {self.grid.height}")
+        if self.left_handed and self.grid.range_m[1] != -self.grid.range_m[4]:
+            found = f"{self.grid.range_m[1]:g} to {self.grid.range_m[4]:g} m"
+            raise ValueError(f"left_handed: expected a grid that is even about y = 0, found {found}")
         if min(self.stage_channels) * self.base_width < 64:
             raise ValueError(
                 f"base_width: expected at least {64 / min(self.stage_channels):g}, found {self.base_width}"

@@ -12,7 +12,7 @@ from sim.errors import CheckpointError, complaint
 from sim.files import file_sha256
 
 LOG = logging.getLogger(__name__)
-_SHARED = ("grid", "sdd", "pcp", "stage_channels", "shrink_channels", "box_order")
+_SHARED = ("grid", "sdd", "pcp", "stage_channels", "shrink_channels", "box_order", "left_handed", "intensity_steps")
 """Settings in which a teacher equals its student."""
 _FIRST = "encoder.linear.weight"
 
@@ -50,10 +50,14 @@ def initialise_from(path: Path, detector: Detector) -> dict[str, object]:
         The file's hash and the numbers of tensors taken and in all, for the run's record.
 
     Raises:
-        CheckpointError: the file is missing or damaged, or no weight matches.
+        CheckpointError: the file is missing or damaged, no weight matches, or they are of the mirror image.
     """
     own = detector.state_dict()
     start = load_detector(path)
+    wanted_hand, hand = detector.settings.left_handed, start.settings.left_handed
+    if hand != wanted_hand:
+        hint = f"; train in the frame that it knows: --set left_handed={str(hand).lower()}"
+        raise CheckpointError(complaint(path, "left_handed", f"{wanted_hand} as the network's", hand, hint))
     theirs = start.state_dict()
     first, paint = theirs[_FIRST], 4
     painted, wanted = start.settings.point_features > paint, detector.settings.point_features > paint

@@ -15,6 +15,7 @@ from dsrc.data.sample import Sample
 from dsrc.models.fusion.base import AgentLayout
 from dsrc.models.inputs.labels import LabelSettings, cells_in_boxes
 from dsrc.models.inputs.teacher import TeacherClouds, teacher_clouds
+from dsrc.models.inputs.trained_frame import as_trained, mirrored
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.reconstruction import SceneVoxels
 from dsrc.models.settings import ModelSettings
@@ -65,7 +66,7 @@ class Batch:
         pairwise: (B, L, L, 4, 4) `[b, i, j]` maps points of agent i's frame to agent j's, m; None when all clouds are
             in the ego's frame.
         grid: bird's-eye grid of all clouds.
-        boxes: (B,) ground truth.
+        boxes: (B,) ground truth, right-handed as the samples; all else is as the network was trained.
         student: pillars of the sensors' clouds; None for a teacher's batch.
         targets: targets of the heads; None outside training, like all that follows.
         teacher: pillars of the teacher's clouds, None without distillation.
@@ -121,7 +122,7 @@ def collate(
     """Make a batch of samples.
 
     Args:
-        samples: each with its clouds already cropped to the grid's range.
+        samples: each with its clouds already cropped to the grid's range, right-handed.
         settings: settings of the network. A teacher's batch has no student pillars; a student's has the teacher's
             clouds too, in training, when its settings distil.
         training: make targets and everything else that needs ground truth.
@@ -132,6 +133,7 @@ def collate(
     """
     if training and labels.max_pillars is not None:
         settings = msgspec.structs.replace(settings, max_pillars=min(labels.max_pillars, settings.max_pillars))
+    samples = [as_trained(sample, settings) for sample in samples]
     whole = [(part, sample) for sample in samples for part in fusion_samples(sample, settings)]
     samples = [part for part, _ in whole]
     for_teacher = settings.role == "teacher"
@@ -141,7 +143,7 @@ def collate(
     batch = Batch(
         keys=tuple(sample.key for sample in samples),
         agents=tuple(len(sample.clouds) for sample in samples),
-        boxes=tuple(sample.boxes for sample in samples),
+        boxes=tuple(mirrored(sample.boxes) if settings.left_handed else sample.boxes for sample in samples),
         student=None if for_teacher else _student_pillars(clean if both_views else corrupted, samples, settings),
         view=_student_pillars(corrupted, samples, settings) if two else None,
         lost=_lost(samples),

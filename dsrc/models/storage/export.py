@@ -1,7 +1,9 @@
 """ONNX export of detectors, for runtimes without PyTorch.
 
 Inputs are the pillars of one sample, as of `dsrc.models.inputs.batch.pillars_of`; outputs are the heads' maps before
-thresholds and suppression. Numbers of points and pillars are dynamic; that of agents too where the method allows it.
+thresholds and suppression. Where the settings say `left_handed`, the network's frame has y to the right, and the caller
+mirrors points and boxes; where they name `intensity_steps`, the caller rounds. Numbers of points and pillars are
+dynamic; that of agents too where the method allows it.
 """
 
 import importlib.util
@@ -20,7 +22,7 @@ from sim.errors import SettingsError, complaint
 from sim.files import replacing
 
 INPUTS = {
-    "points": "(P, 4) float32 x, y, z, m, in the ego LiDAR's frame, and intensity; pillar by pillar",
+    "points": "(P, 4) float32 x, y, z, m, in the ego LiDAR's frame as trained, and intensity; pillar by pillar",
     "pillar": "(P,) int64 row of each point's pillar, ascending",
     "coords": "(V, 3) int64 agent, row (y) and column (x) of each pillar",
     "count": "(V,) int64 points in each pillar, at least 1",
@@ -109,6 +111,7 @@ def export_onnx(detector: Detector, out: Path, agents: int = 2) -> str:
         raise RuntimeError("PyTorch's exporter gave nothing")
     made.model.metadata_props["settings"] = msgspec.json.encode(detector.settings).decode()
     made.model.metadata_props["agents"] = "any number" if is_open else str(agents)
+    made.model.producer_name = "dsrc-testbed"
     with replacing(out) as temporary:
         made.save(temporary)
     return made.model.metadata_props["agents"]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from msgspec.structs import replace
 from torch import Tensor
 
 from dsrc.models.detector import Detector
@@ -22,17 +23,19 @@ RELEASED_WIDTH = 26
 """Base width of the published Res2Net; other widths are only guessed where it does not fit."""
 
 
-def import_detector(path: Path, grid: GridSpec, teacher: bool = False) -> Detector:
+def import_detector(path: Path, grid: GridSpec, teacher: bool = False, left_handed: bool = True) -> Detector:
     """Import a state dict of the published code.
 
     Sizes are those of the tensors, all else is as released: padded slots take part in the pillars' batch norm and
     maximum, 32 points per pillar, 70,000 pillars, a score threshold of 0.25, boxes longer than 6 m along x or y
-    dropped, and regression maps with sizes in the order height, width, length.
+    dropped, regression maps with sizes in the order height, width, length, and intensities of 8 bits.
 
     Args:
         path: `net_epoch....pth` of the base model, of a student or of a teacher.
         grid: range and cells that it was trained for.
         teacher: take the teacher's half of a student's or a teacher's file.
+        left_handed: it was trained on clouds with y to the right, as OPV2V's and V2XSet's are; the detector mirrors its
+            input and its boxes. V2V4Real's and DAIR-V2X-C's are right-handed.
 
     Raises:
         CheckpointError: the file is missing, damaged or not one of these, or tensors are missing, unknown or of
@@ -53,7 +56,7 @@ def import_detector(path: Path, grid: GridSpec, teacher: bool = False) -> Detect
     )
     try:
         settings = _settings(state, grid, teacher, designed=has_teacher or any(n.startswith("pcr.") for n in reference))
-        detector = Detector(settings)
+        detector = Detector(replace(settings, left_handed=left_handed))
     except KeyError as error:
         raise CheckpointError(complaint(path, "state", f"a tensor {error.args[0]}", "none")) from None
     except (ValueError, RuntimeError, IndexError) as error:
@@ -115,6 +118,7 @@ def _settings(state: Mapping[str, Tensor], grid: GridSpec, teacher: bool, design
     return ModelSettings(
         grid=grid,
         role="teacher" if teacher else "student",
+        intensity_steps=255,
         box_order="hwl",
         sdd=designed,
         pcp=linear.shape[1] == 11 if teacher else designed,
