@@ -40,7 +40,8 @@ class DetectionTable:
         truth: (N, 7) float32.
         label: (N,) int64 index into `sim.boxes.CLASSES`.
         object_id: (N,) int64.
-        points: (N, 4) int32 points on each true box: the ego's and all agents', then both after the corruption.
+        points: (N, 4) int32 points on each true box: the ego's and all agents', then both after the corruption; -1 for
+            unknown.
         ego_share: (N,) float32 visibility from the ego: the share of its rays on a box that nothing else stops; NaN for
             unknown.
     """
@@ -69,6 +70,18 @@ class DetectionTable:
             truth = Boxes.from_array(self.truth[here], self.label[here], self.object_id[here])
             results.append(FrameResult(detections, truth))
         return results
+
+    def frames(self) -> list["DetectionTable"]:
+        """Tables of one frame each; their arrays are views."""
+        per_frame = [slice(row, row + 1) for row in range(len(self))]
+        tables = []
+        for frame, found, true in zip(per_frame, _rows(self.found), _rows(self.truths), strict=True):
+            columns: dict[str, Any] = {}
+            for name in _COLUMNS:
+                rows = frame if name in _PER_FRAME else found if name in _PER_DETECTION else true
+                columns[name] = getattr(self, name)[rows]
+            tables.append(DetectionTable(**columns))
+        return tables
 
     def arrays(self) -> dict[str, NDArray]:
         """Columns as they are stored, by name; see `read_table`."""
@@ -118,7 +131,7 @@ def one_frame(
         ego_id: agent that detects.
         detections: in the ego LiDAR's frame, in any order.
         truth: N true boxes in the same frame.
-        points: (N, 4) see `DetectionTable`; None where unknown: zeros.
+        points: (N, 4) see `DetectionTable`; None for unknown.
         ego_share: (N,) see `DetectionTable`; None for unknown.
     """
     n, best = len(truth), np.argsort(-detections.score, kind="stable")
@@ -135,7 +148,7 @@ def one_frame(
         truth=truth.array.astype(np.float32),
         label=truth.label,
         object_id=truth.object_id,
-        points=np.zeros((n, 4), np.int32) if points is None else np.asarray(points, np.int32),
+        points=np.full((n, 4), -1, np.int32) if points is None else np.asarray(points, np.int32),
         ego_share=np.full(n, np.nan, np.float32) if ego_share is None else np.asarray(ego_share, np.float32),
     )
 
@@ -174,9 +187,9 @@ def read_table(path: Path, arrays: Mapping[str, NDArray], hint: str = "") -> Det
         if len(column) > MOST_ROWS:
             raise wrong(name, f"at most {MOST_ROWS} rows", len(column))
         columns[name] = column.astype(_IN_MEMORY.get(name, np.int64))
-    for name in ("position", "found", "truths", "points"):
-        if (columns[name] < 0).any():
-            raise wrong(name, "numbers of at least 0", int(columns[name].min()))
+    for name, least in (("position", 0), ("found", 0), ("truths", 0), ("points", -1)):
+        if (columns[name] < least).any():
+            raise wrong(name, f"numbers of at least {least}", int(columns[name].min()))
     rows = {"frames": len(columns["position"])}
     rows |= {"detections": int(columns["found"].sum()), "true boxes": int(columns["truths"].sum())}
     for name, column in columns.items():

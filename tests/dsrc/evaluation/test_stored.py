@@ -124,7 +124,7 @@ def test_columns_come_back_as_they_were():
         ("score", lambda c: c[::-1], "the best first in each frame"),
         ("label", lambda c: c + np.uint8(7), "numbers below 7"),
         ("found", lambda c: -c, "numbers of at least 0"),
-        ("points", lambda c: c - np.int32(1), "numbers of at least 0"),
+        ("points", lambda c: c - np.int32(1), "numbers of at least -1"),
         ("ego_id", lambda c: None, "an array of int64, found none"),
     ],
 )

@@ -1,0 +1,188 @@
+"""Source and DetectionSet: what a review page reads frames and detections from, whatever recorded them."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.evaluation.conditions import Condition
+from dsrc.evaluation.detection_table import DetectionTable, join_tables
+from sensors.corruptions import CLEAN
+from sensors.frame import Frame
+from sim.errors import UserError
+
+Kind = Literal["drive", "episode", "live"]
+
+SEED = 0
+"""Seed of the corruptions, the default of `dsrc evaluate` and `dsrc corrupt`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """Setup of a detection: condition of the sweeps, ego, cooperation.
+
+    Attributes:
+        condition: corruption of the sweeps.
+        ego_id: agent that detects; None for the first vehicle of the frame.
+        cooperative: with the collaborators' clouds; else with the ego's alone. Recorded sets have their own.
+    """
+
+    condition: Condition = field(default_factory=Condition)
+    ego_id: int | None = None
+    cooperative: bool = True
+
+
+class DetectionSet(Protocol):
+    """Named detections of one method in the frames of a source, recorded or computed; threads may share it.
+
+    Attributes:
+        name: of the method, as shown.
+        recorded: True for what cannot be computed here.
+    """
+
+    name: str
+    recorded: bool
+
+    def conditions(self) -> tuple[Condition, ...] | None:
+        """Conditions with detections; None for any that is computed."""
+        ...
+
+    def get(self, row: int, setup: Setup) -> DetectionTable | None:
+        """Return the detections in one frame; None where they are unknown."""
+        ...
+
+    def rows(self, setup: Setup) -> NDArray[np.int64]:
+        """Return the (K,) rows of the frames with known detections, ascending."""
+        ...
+
+    def run(self, setup: Setup) -> DetectionTable:
+        """Return all known detections, in the order of the frames; `position` is the row of a frame."""
+        ...
+
+
+class Source(Protocol):
+    """Frames of a drive, an episode or a running simulation, and the detections in them.
+
+    Attributes:
+        name: as shown.
+        kind: what it is.
+        protocol: content of `data_protocol.yaml`; empty without one.
+        seed: of the corruptions.
+        sets: sets of detections by name.
+    """
+
+    name: str
+    kind: Kind
+    protocol: Mapping[str, Any]
+    seed: int
+    sets: dict[str, DetectionSet]
+
+    def __len__(self) -> int:
+        """Return the number of frames, which may grow."""
+        ...
+
+    def read(self, row: int) -> Frame:
+        """Return a frame as recorded.
+
+        Raises:
+            DataError: it is damaged, or no longer kept.
+        """
+        ...
+
+    @property
+    def labelled(self) -> bool:
+        """Whether there is ground truth; without it nothing is judged."""
+        ...
+
+
+class MemorySet:
+    """Set of detections in memory, filled frame by frame; threads may fill and read it at once.
+
+    Attributes:
+        name: of the method, as shown.
+        recorded: True for what cannot be computed here.
+    """
+
+    def __init__(self, name: str, recorded: bool = True) -> None:
+        self.name, self.recorded = name, recorded
+        self._tables: dict[Setup, dict[int, DetectionTable]] = {}
+        self._joined: dict[Setup, tuple[int, DetectionTable]] = {}
+        self._lock = threading.Lock()
+        self._changes = 0
+
+    def put(self, row: int, table: DetectionTable, setup: Setup | None = None) -> None:
+        """Keep the detections of a frame; its `position` must be the row."""
+        if len(table) != 1 or table.position[0] != row:
+            raise ValueError(f"a table of frame {row} alone is expected, found {table.position.tolist()}")
+        with self._lock:
+            self._tables.setdefault(setup or Setup(), {})[row] = table
+            self._changes += 1
+
+    def forget(self, before: int) -> None:
+        """Drop the detections of all frames before a row."""
+        with self._lock:
+            for tables in self._tables.values():
+                for row in [row for row in tables if row < before]:
+                    del tables[row]
+            self._changes += 1
+
+    def conditions(self) -> tuple[Condition, ...] | None:
+        """Conditions with detections; None for any that is computed."""
+        if not self.recorded:
+            return None
+        with self._lock:
+            return tuple(dict.fromkeys(setup.condition for setup in self._tables))
+
+    def get(self, row: int, setup: Setup) -> DetectionTable | None:
+        """Detections in one frame; None where they are unknown."""
+        with self._lock:
+            return self._tables.get(setup, {}).get(row)
+
+    def rows(self, setup: Setup) -> NDArray[np.int64]:
+        """(K,) rows of the frames with known detections, ascending."""
+        with self._lock:
+            return np.array(sorted(self._tables.get(setup, {})), np.int64)
+
+    def run(self, setup: Setup) -> DetectionTable:
+        """All known detections, in the order of the frames."""
+        with self._lock:
+            changes, tables = self._changes, dict(self._tables.get(setup, {}))
+            known = self._joined.get(setup)
+        if known is not None and known[0] == changes:
+            return known[1]
+        joined = join_tables([tables[row] for row in sorted(tables)])
+        with self._lock:
+            self._joined[setup] = changes, joined
+        return joined
+
+
+def condition_of(kind: str, severity: int, family: Any = "physical") -> Condition:
+    """Condition of everyone's sweeps; clean frames have one, whatever severity and family."""
+    return Condition() if kind == CLEAN else Condition(kind, severity, family)
+
+
+def condition_title(condition: Condition) -> str:
+    """Title of a condition: `clean`, `fog 3`, `fog 3 (paper), helpers`."""
+    if condition.kind == CLEAN:
+        return CLEAN
+    family = "" if condition.family == "physical" else f" ({condition.family})"
+    who = "" if condition.who == Condition().who else f", {condition.who}"
+    return f"{condition.kind.replace('_', ' ')} {condition.severity}{family}{who}"
+
+
+def has_labels(read: Callable[[int], Frame], count: int) -> bool:
+    """Whether the first, middle or last readable frame has any object.
+
+    Args:
+        read: function from a row to its frame.
+        count: number of frames.
+    """
+    for row in sorted({0, count // 2, count - 1} & set(range(count))):
+        with contextlib.suppress(UserError):
+            if len(read(row).truth):
+                return True
+    return False

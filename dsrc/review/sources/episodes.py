@@ -1,0 +1,295 @@
+"""EpisodeSource: an episode of the closed loop, with what its ego saw, believed and planned at each step."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.types import EgoState, Percept, Tick
+from dsrc.evaluation.detection_table import one_frame
+from dsrc.ops.detections import Detections
+from dsrc.review.sources.base import SEED, DetectionSet, Kind, MemorySet
+from sensors.frame import AgentFrame, Frame
+from sensors.sweep import make_sweep
+from sim.boxes import Boxes, concatenate
+from sim.contact import Contact
+from sim.errors import DataError, complaint
+from sim.geometry import invert, pose_matrix
+from sim.traffic.base import Actors
+
+PERCEPTS, TRACKS = "percepts", "tracks"
+"""Names of the sets of detections of an episode."""
+RANGE_M = 70.0
+"""Distance from the ego within which percepts and tracks are judged, m: the communication range."""
+PLAN_S = 3.0
+"""Duration of the drawn plan, s."""
+_PLAN_STEP_S = 0.1
+_LIDAR_M = 1.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Receptions of the helpers' messages, one row each.
+
+    Attributes:
+        sender: (K,) int64 ids.
+        line: (K, 2, 3) float64 from sender to ego, world frame, m; NaN where the log does not place the sender.
+        received: (K,) bool.
+        bytes: (K,) int64 on air.
+        age_s: (K,) float64 age of the message; NaN without one.
+    """
+
+    sender: NDArray[np.int64]
+    line: NDArray[np.float64]
+    received: NDArray[np.bool_]
+    bytes: NDArray[np.int64]
+    age_s: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EpisodeMoment:
+    """Step of an episode as drawn, world frame.
+
+    Attributes:
+        time_s: the present, s.
+        plan: (K, 4) float64 x, y, z, m, and speed, m/s: the route ahead under the decided acceleration, see `PLAN_S`.
+        route: (R, 2) float64 of the ego, m.
+        percept: boxes of the newest percept so far, with their ids.
+        percept_score: (P,) float64.
+        percept_age_s: age of its measurement; NaN without one.
+        tracks: confirmed tracks; ids are numbers of tracks.
+        track_velocity: (T, 2) float64 m/s.
+        position_sd: (T,) float64 m.
+        unseen_s: (T,) float64 time since the last detection.
+        links: receptions behind the percept.
+        claims: false objects that helpers report.
+        claimed_by: (C,) names of these helpers.
+        acceleration_mps2: that the driver wants.
+        reason: what decided.
+        decisive: number of the decisive track, -1 without one.
+        contact: first contact, at its step; else None.
+    """
+
+    time_s: float
+    plan: NDArray[np.float64]
+    route: NDArray[np.float64]
+    percept: Boxes
+    percept_score: NDArray[np.float64]
+    percept_age_s: float
+    tracks: Boxes
+    track_velocity: NDArray[np.float64]
+    position_sd: NDArray[np.float64]
+    unseen_s: NDArray[np.float64]
+    links: Links
+    claims: Boxes
+    claimed_by: tuple[str, ...]
+    acceleration_mps2: float
+    reason: str
+    decisive: int
+    contact: Contact | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EpisodeTimeline:
+    """Course of an episode of T steps, for plots and marks on the timeline.
+
+    Attributes:
+        time_s: (T,) float64.
+        speed_mps: (T,) float64 of the ego.
+        wanted_mps2: (T,) float64 acceleration that the driver wants.
+        reason: (T,) what decided.
+        percept_age_s: (T,) float64 age of the newest measurement; NaN before the first.
+        tracks: (T,) int64 number of tracks.
+        received: (T,) int64 messages in the newest percept.
+        claims: (T,) int64 false objects that helpers report.
+        contact_row: step of the first contact, None without one.
+        outcome: how it ended.
+        message: explanation of a failed perception, or "".
+    """
+
+    time_s: NDArray[np.float64]
+    speed_mps: NDArray[np.float64]
+    wanted_mps2: NDArray[np.float64]
+    reason: tuple[str, ...]
+    percept_age_s: NDArray[np.float64]
+    tracks: NDArray[np.int64]
+    received: NDArray[np.int64]
+    claims: NDArray[np.int64]
+    contact_row: int | None
+    outcome: str
+    message: str
+
+
+class EpisodeSource:
+    """Frames of an episode: its road users as ground truth, the ego without points; percepts and tracks as detections.
+
+    Attributes:
+        log: the episode.
+        name: of the scenario, perception and seed.
+        kind: `episode`.
+        protocol: empty.
+        seed: of the corruptions.
+        labelled: True.
+        sets: `PERCEPTS` and `TRACKS`.
+
+    Args:
+        log: the episode.
+        name: as shown; None for scenario, perception and seed.
+
+    Raises:
+        DataError: the episode has no step.
+    """
+
+    kind: Kind = "episode"
+    labelled = True
+    seed = SEED
+
+    def __init__(self, log: EpisodeLog, name: str | None = None) -> None:
+        settings = log.settings
+        self.name = name or f"{settings.scenario.name}, {settings.perception}, seed {settings.seed}"
+        if len(log) == 0:
+            raise DataError(complaint(self.name, "steps", "at least one", "none"))
+        self.log = log
+        self.protocol: Mapping[str, Any] = {}
+        self._percepts = _newest(log.ticks)
+        percepts, tracks = MemorySet(PERCEPTS), MemorySet(TRACKS)
+        self.sets: dict[str, DetectionSet] = {PERCEPTS: percepts, TRACKS: tracks}
+        for row, tick in enumerate(log.ticks):
+            newest = self._percepts[row]
+            boxes, score = (Boxes.zeros(), np.zeros(0)) if newest is None else (newest.boxes, newest.score)
+            percepts.put(row, self._judged(row, tick, boxes, score))
+            tracks.put(row, self._judged(row, tick, tick.tracks.boxes, tick.tracks.score))
+
+    def __len__(self) -> int:
+        return len(self.log)
+
+    def read(self, row: int) -> Frame:
+        """Return the road users of a step; sweeps are empty, points on objects unknown: 0."""
+        tick = self.log.ticks[row]
+        actors, ego = tick.actors, tick.ego
+        body = _body(ego)
+        sweep = make_sweep(np.zeros((0, 3)), body @ pose_matrix([0.0, 0.0, _LIDAR_M]), tick.actors.time_s)
+        agent = AgentFrame(self.log.settings.ego_id, "vehicle", body, ego.speed_mps, sweep)
+        return Frame(
+            index=row,
+            time_s=actors.time_s,
+            agents=(agent,),
+            truth=actors.boxes,
+            velocity=actors.velocity,
+            points_on=np.zeros((1, len(actors)), np.int32),
+            acceleration=actors.acceleration,
+            signals=actors.signals,
+            lane=actors.lane,
+        )
+
+    def moment(self, row: int) -> EpisodeMoment:
+        """Return what the ego saw, believed and planned at a step."""
+        tick, newest = self.log.ticks[row], self._percepts[row]
+        claims = list(tick.claims.items())
+        return EpisodeMoment(
+            time_s=tick.ego.time_s,
+            plan=plan_of(tick.ego, tick.decision.acceleration_mps2),
+            route=tick.ego.route,
+            percept=Boxes.zeros() if newest is None else newest.boxes,
+            percept_score=np.zeros(0) if newest is None else newest.score,
+            percept_age_s=np.nan if newest is None else tick.ego.time_s - newest.time_s,
+            tracks=tick.tracks.boxes,
+            track_velocity=tick.tracks.velocity,
+            position_sd=tick.tracks.position_sd,
+            unseen_s=tick.tracks.unseen_s,
+            links=_links(newest, tick.actors, tick.ego),
+            claims=concatenate([actors.boxes for _, actors in claims]),
+            claimed_by=tuple(name for name, actors in claims for _ in range(len(actors))),
+            acceleration_mps2=tick.decision.acceleration_mps2,
+            reason=tick.decision.reason,
+            decisive=tick.decision.track,
+            contact=tick.contact,
+        )
+
+    def timeline(self) -> EpisodeTimeline:
+        """Return the course of the episode."""
+        ticks, newest = self.log.ticks, self._percepts
+        heard = [0 if one is None else sum(link.received for link in one.links) for one in newest]
+        ages = [
+            np.nan if one is None else tick.ego.time_s - one.time_s for tick, one in zip(ticks, newest, strict=True)
+        ]
+        return EpisodeTimeline(
+            time_s=np.array([tick.ego.time_s for tick in ticks]),
+            speed_mps=np.array([tick.ego.speed_mps for tick in ticks]),
+            wanted_mps2=np.array([tick.decision.acceleration_mps2 for tick in ticks]),
+            reason=tuple(tick.decision.reason for tick in ticks),
+            percept_age_s=np.array(ages, np.float64),
+            tracks=np.array([len(tick.tracks) for tick in ticks], np.int64),
+            received=np.array(heard, np.int64),
+            claims=np.array([sum(map(len, tick.claims.values())) for tick in ticks], np.int64),
+            contact_row=next((row for row, tick in enumerate(ticks) if tick.contact is not None), None),
+            outcome=str(self.log.outcome),
+            message=self.log.message,
+        )
+
+    def _judged(self, row: int, tick: Tick, boxes: Boxes, score: NDArray[np.float64]) -> Any:
+        """Table of a step: boxes and road users around the ego, in the frame of its LiDAR."""
+        lidar_from_world = invert(_body(tick.ego) @ pose_matrix([0.0, 0.0, _LIDAR_M]))
+        ego_id = self.log.settings.ego_id
+        found, truth = boxes.transform(lidar_from_world), tick.actors.boxes.transform(lidar_from_world)
+        near = np.hypot(*found.center[:, :2].T) <= RANGE_M
+        judged = (np.hypot(*truth.center[:, :2].T) <= RANGE_M) & (truth.object_id != ego_id)
+        # A score is a confidence of 0 to 1 in the log's resolution.
+        detections = Detections(found[near], np.clip(score[near], 0.0, 1.0).astype(np.float32))
+        return one_frame(row, row, ego_id, detections, truth[judged])
+
+
+def open_episode(path: Path) -> EpisodeSource:
+    """Open an episode log; raises DataError where it is missing, damaged or no episode log."""
+    return EpisodeSource(EpisodeLog.load(path))
+
+
+def plan_of(ego: EgoState, acceleration_mps2: float) -> NDArray[np.float64]:
+    """(K, 4) x, y, z, m, and speed, m/s, of the ego on its route under a constant acceleration, until it stands.
+
+    Args:
+        ego: its state; the route begins near its centre.
+        acceleration_mps2: of the next `PLAN_S` seconds.
+    """
+    centre = np.append(ego.box.center[0, :2], ego.box.center[0, 2] - 0.5 * ego.box.size[0, 2])
+    if len(ego.route) < 2:
+        return np.array([[*centre, ego.speed_mps]])
+    times = np.arange(0.0, PLAN_S + 1e-9, _PLAN_STEP_S)
+    speed = np.maximum(ego.speed_mps + acceleration_mps2 * times, 0.0)
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * _PLAN_STEP_S)])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ego.route, axis=0), axis=1))])
+    keep = np.append(True, np.diff(way) > 0.0) & (way <= along[-1])
+    x, y = (np.interp(way[keep], along, ego.route[:, axis]) for axis in (0, 1))
+    return np.stack([x, y, np.full(len(x), centre[2]), speed[keep]], axis=1)
+
+
+def _body(ego: EgoState) -> NDArray[np.float64]:
+    """World pose of the centre of the ego's footprint."""
+    foot = ego.box.center[0] - [0.0, 0.0, 0.5 * ego.box.size[0, 2]]
+    return np.asarray(pose_matrix(foot, ego.box.yaw[0]), np.float64)
+
+
+def _newest(ticks: tuple[Tick, ...]) -> list[Percept | None]:
+    """Newest percept at each step."""
+    newest: list[Percept | None] = []
+    for tick in ticks:
+        newest.append(tick.percept if tick.percept is not None else newest[-1] if newest else None)
+    return newest
+
+
+def _links(percept: Percept | None, actors: Actors, ego: EgoState) -> Links:
+    links = () if percept is None else percept.links
+    places = dict(zip(actors.boxes.object_id.tolist(), actors.boxes.center, strict=True))
+    unknown = np.full(3, np.nan)
+    line = [[places.get(link.sender, unknown), ego.box.center[0]] for link in links]
+    return Links(
+        sender=np.array([link.sender for link in links], np.int64),
+        line=np.array(line, np.float64).reshape(-1, 2, 3),
+        received=np.array([link.received for link in links], bool),
+        bytes=np.array([link.bytes for link in links], np.int64),
+        age_s=np.array([link.age_s for link in links], np.float64),
+    )

@@ -1,0 +1,113 @@
+"""LiveSource: frames of a running simulation or training, the latest kept; whoever makes them never waits."""
+
+import threading
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+from dsrc.evaluation.detection_table import DetectionTable
+from dsrc.review.sources.base import SEED, DetectionSet, Kind, MemorySet
+from sensors.frame import Frame
+from sim.errors import DataError, complaint
+
+KEPT = 300
+"""Frames that are kept: half a minute at 10 Hz; five agents of 60,000 points take 15 MB per frame at most."""
+
+
+class LiveSource:
+    """Frames as they come; rows count from the first frame ever, and old ones are dropped.
+
+    Attributes:
+        name: as shown.
+        kind: `live`.
+        protocol: of the drive that is made; empty without one.
+        seed: of the corruptions.
+        sets: sets of detections by name.
+
+    Args:
+        name: as shown.
+        kept: number of frames that are kept.
+        protocol: of the drive that is made.
+        seed: of the corruptions.
+    """
+
+    kind: Kind = "live"
+
+    def __init__(
+        self, name: str, kept: int = KEPT, protocol: Mapping[str, Any] | None = None, seed: int = SEED
+    ) -> None:
+        if kept < 1:
+            raise ValueError(f"kept must be at least 1, got {kept}")
+        self.name, self.seed = name, seed
+        self.protocol: Mapping[str, Any] = protocol or {}
+        self.sets: dict[str, DetectionSet] = {}
+        self._frames: deque[Frame] = deque(maxlen=kept)
+        self._count = 0
+        self._labelled = self._ended = False
+        self._changed = threading.Condition()
+
+    def put(self, frame: Frame, detections: Mapping[str, DetectionTable] | None = None) -> int:
+        """Add the newest frame and the detections in it by method, and return its row.
+
+        Raises:
+            ValueError: the source has ended, a table is not one of this row, or a set of that name is computed.
+        """
+        with self._changed:
+            if self._ended:
+                raise ValueError(f"{self.name} has ended")
+            row = self._count
+            for name, table in (detections or {}).items():
+                known = self.sets.setdefault(name, MemorySet(name))
+                if not (isinstance(known, MemorySet) and known.recorded):
+                    raise ValueError(f"{name} is computed, not recorded")
+                known.put(row, table)
+            self._frames.append(frame)
+            self._count += 1
+            self._labelled |= len(frame.truth) > 0
+            for each in self.sets.values():
+                if isinstance(each, MemorySet):
+                    each.forget(self.first)
+            self._changed.notify_all()
+        return row
+
+    def end(self) -> None:
+        """Mark that no more frames come."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more frames come."""
+        return self._ended
+
+    def wait(self, count: int, timeout_s: float) -> bool:
+        """Wait until there are more frames than `count`, or no more come; return whether there are more."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._count > count or self._ended, timeout_s)
+            return self._count > count
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def first(self) -> int:
+        """Row of the oldest frame that is kept."""
+        return self._count - len(self._frames)
+
+    def read(self, row: int) -> Frame:
+        """Return a frame.
+
+        Raises:
+            DataError: it has not come yet, or is no longer kept.
+        """
+        with self._changed:
+            if not self.first <= row < self._count:
+                expected = f"{self.first} to {self._count - 1}" if self._count else "a first frame to come"
+                raise DataError(complaint(self.name, "frame", expected, row))
+            return self._frames[row - self.first]
+
+    @property
+    def labelled(self) -> bool:
+        """Whether any frame so far had an object."""
+        return self._labelled

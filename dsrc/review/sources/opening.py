@@ -1,0 +1,79 @@
+"""Opening of sources: what a path holds, told at once where it is wrong."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from dsrc.data.drives import open_drives
+from dsrc.data.sample import SampleDetector
+from dsrc.evaluation.config import named
+from dsrc.evaluation.stored import FILE, has_index
+from dsrc.review.sources.base import Source
+from dsrc.review.sources.detected import ComputedSet
+from dsrc.review.sources.drives import DriveSource
+from dsrc.review.sources.results import open_results
+from sim.errors import DataError, SettingsError, complaint
+
+
+def open_sources(path: Path, data: Path | None = None) -> list[Source]:
+    """Open what a path holds.
+
+    | path                                  | sources                                        |
+    |---------------------------------------|------------------------------------------------|
+    | a drive, or a folder of drives        | the drives                                     |
+    | results of an evaluation or benchmark | their drives, with the detections of all methods |
+    | an episode log (.npz)                 | the episode                                    |
+    | a folder of episode logs              | the episodes, sorted by name                   |
+
+    Args:
+        path: of the data.
+        data: where the drives of results are now; None for where they were.
+
+    Raises:
+        DataError: the path holds none of these, or something in it is damaged or of other data.
+    """
+    path = Path(path)
+    if has_index(path):
+        return [*open_results(path, data)]
+    if data is not None:
+        raise DataError(complaint(path, FILE, "results of dsrc evaluate or dsrc benchmark", "none"))
+    logs = [path] if path.suffix == ".npz" else _logs(path)
+    if logs:
+        # The closed loop takes a second to import.
+        from dsrc.review.sources.episodes import open_episode
+
+        return [open_episode(log) for log in logs]
+    return [DriveSource(drive) for drive in open_drives(path)]
+
+
+def _logs(folder: Path) -> list[Path]:
+    """Episode logs in a folder or in the `episodes` of a campaign, sorted."""
+    for place in (folder, folder / "episodes"):
+        found = sorted(place.glob("*.npz")) if place.is_dir() else []
+        if found:
+            return found
+    return []
+
+
+def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str]) -> None:
+    """Add a computed set for each detector to each source.
+
+    Args:
+        sources: to be detected in.
+        checkpoints: detector files, FILE or NAME=FILE.
+
+    Raises:
+        CheckpointError: a file is missing, damaged or of another model.
+        SettingsError: a name repeats.
+    """
+    if not checkpoints:
+        return
+    # Torch takes seconds to import; ground truth alone does without.
+    from dsrc.models.storage.checkpoint import load_student
+
+    detectors: dict[str, SampleDetector] = {}
+    for name, path in named(checkpoints):
+        if name in detectors or any(name in source.sets for source in sources):
+            raise SettingsError(complaint("view", "checkpoint", "names that differ", name, "; give names: name=path"))
+        detectors[name] = load_student(Path(path))
+    for source in sources:
+        source.sets.update({name: ComputedSet(name, detector) for name, detector in detectors.items()})

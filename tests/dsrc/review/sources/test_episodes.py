@@ -1,0 +1,91 @@
+"""An episode log opens as frames of its road users, with what the ego saw, believed and planned."""
+
+import numpy as np
+import pytest
+
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.review.sources.base import Setup
+from dsrc.review.sources.episodes import PERCEPTS, TRACKS, EpisodeSource, open_episode, plan_of
+from dsrc.review.sources.opening import open_sources
+from sim.errors import DataError
+from tests.dsrc.closed_loop.logged import EGO_ID, SCENARIO
+from tests.dsrc.closed_loop.test_log import full_log
+
+
+@pytest.fixture(scope="module")
+def log() -> EpisodeLog:
+    return full_log()
+
+
+@pytest.fixture(scope="module")
+def source(log) -> EpisodeSource:
+    return EpisodeSource(log)
+
+
+def test_frames_are_the_road_users_of_the_steps(log, source):
+    assert len(source) == len(log) and source.labelled and SCENARIO.name in source.name
+    for row, tick in enumerate(log.ticks):
+        frame = source.read(row)
+        np.testing.assert_array_equal(frame.truth.array, tick.actors.boxes.array)
+        assert [agent.agent_id for agent in frame.agents] == [EGO_ID] and len(frame.agents[0].sweep) == 0
+        np.testing.assert_allclose(frame.agents[0].world_from_body[:2, 3], tick.ego.box.center[0, :2])
+        assert np.isclose(frame.agents[0].world_from_body[2, 3], tick.ego.box.center[0, 2] - 0.8, atol=0.02)
+
+
+def test_a_moment_holds_the_newest_percept_tracks_claims_and_links(log, source):
+    for row, tick in enumerate(log.ticks):
+        moment = source.moment(row)
+        newest = next((t.percept for t in log.ticks[row::-1] if t.percept is not None), None)
+        assert len(moment.percept) == (0 if newest is None else len(newest.boxes)) == len(moment.percept_score)
+        np.testing.assert_array_equal(moment.tracks.array, tick.tracks.boxes.array)
+        assert (moment.reason, moment.decisive) == (tick.decision.reason, tick.decision.track)
+        assert len(moment.claims) == len(moment.claimed_by) == sum(map(len, tick.claims.values()))
+        assert moment.links.line.shape == (len(moment.links.sender), 2, 3)
+        if len(moment.links.sender):
+            np.testing.assert_allclose(moment.links.line[:, 1], tick.ego.box.center[[0] * len(moment.links.sender)])
+    # Step 3 has no percept of its own: that of step 2 is a step older.
+    ages = [source.moment(row).percept_age_s for row in (2, 3)]
+    assert ages[1] == pytest.approx(ages[0] + 0.1, abs=1e-6)
+    assert any(source.moment(row).claimed_by == ("truck",) for row in range(len(log)))
+
+
+def test_a_timeline_says_how_the_episode_went(log, source):
+    line = source.timeline()
+    assert len(line.time_s) == len(log) == len(line.reason) and (np.diff(line.time_s) > 0).all()
+    contact = next((row for row, tick in enumerate(log.ticks) if tick.contact is not None), None)
+    assert line.contact_row == contact and line.outcome == str(log.outcome)
+    np.testing.assert_array_equal(line.tracks, [len(tick.tracks) for tick in log.ticks])
+    np.testing.assert_array_equal(line.claims > 0, [bool(tick.claims) for tick in log.ticks])
+
+
+def test_percepts_and_tracks_are_sets_of_detections_around_the_ego(source):
+    assert list(source.sets) == [PERCEPTS, TRACKS]
+    for name in (PERCEPTS, TRACKS):
+        table = source.sets[name].run(Setup())
+        assert table.position.tolist() == list(range(len(source)))
+        assert EGO_ID not in table.object_id.tolist() and len(table.truth) > 0
+        assert (np.hypot(*table.truth[:, :2].T) <= 70.0).all()
+
+
+def test_a_plan_follows_the_route_and_ends_where_the_ego_stands(log):
+    from dataclasses import replace
+
+    ego = replace(log.ticks[-1].ego, speed_mps=10.0, route=np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 100.0]]))
+    coasting, braking = plan_of(ego, 0.0), plan_of(ego, -5.0)
+    np.testing.assert_allclose(coasting[-1], [20.0, 10.0, coasting[0, 2], 10.0], atol=1e-6)
+    # v²/2a = 10 m.
+    np.testing.assert_allclose(braking[-1, [0, 1]], [10.0, 0.0], atol=0.05)
+    assert braking[-1, 3] == pytest.approx(0.0, abs=1e-9)
+    assert len(plan_of(replace(ego, route=np.zeros((0, 2))), 1.0)) == 1
+
+
+def test_logs_open_by_file_and_by_folder(log, tmp_path):
+    log.save(tmp_path / "campaign/episodes/b.npz")
+    log.save(tmp_path / "campaign/episodes/a.npz")
+    assert len(open_sources(tmp_path / "campaign")) == len(open_sources(tmp_path / "campaign/episodes")) == 2
+    assert len(open_episode(tmp_path / "campaign/episodes/a.npz")) == len(log)
+    (opened,) = open_sources(tmp_path / "campaign/episodes/a.npz")
+    assert opened.kind == "episode"
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(DataError, match=r"other\.npz: episode"):
+        open_sources(tmp_path / "other.npz")

@@ -1,0 +1,138 @@
+"""Results of an evaluation open as drives with the detections of all methods, and say what is wrong with them."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.evaluation.conditions import Condition
+from dsrc.evaluation.detection_table import join_tables
+from dsrc.evaluation.evaluate import evaluate_drives
+from dsrc.evaluation.metrics.ap import evaluate
+from dsrc.models.storage.checkpoint import load_student
+from dsrc.options.detection import Evaluation
+from dsrc.review.sources.base import Setup, condition_title
+from dsrc.review.sources.detected import ComputedSet, corrupted_frame
+from dsrc.review.sources.opening import add_detectors, open_sources
+from sim.errors import CheckpointError, DataError, SettingsError
+from tests.dsrc.evaluation.small import write_detector, write_drives
+
+FOG = Setup(Condition("fog", 3))
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory) -> tuple[Path, list]:
+    root = tmp_path_factory.mktemp("results")
+    write_drives(root / "test", drives=2)
+    files = [
+        f"{name}={write_detector(root / f'{method}.pt', method)}" for name, method in (("A", "dsrc"), ("B", "attfuse"))
+    ]
+    config = Evaluation(
+        checkpoints=tuple(files), data=root / "test", out=root / "out", corruptions=("fog",), ego_alone=False
+    )
+    return root, evaluate_drives(config)
+
+
+def test_results_open_as_their_drives_with_a_set_for_each_method(done):
+    root, rows = done
+    sources = open_sources(root / "out")
+    assert [(source.name, list(source.sets)) for source in sources] == [
+        ("drive_0", ["A", "B"]),
+        ("drive_1", ["A", "B"]),
+    ]
+    assert all(source.labelled and len(source) == 2 for source in sources)
+    for row in rows:
+        if row.condition in ("clean", "fog"):
+            setup = Setup() if row.condition == "clean" else FOG
+            table = join_tables([source.sets[row.method].run(setup) for source in sources])
+            assert evaluate(table.results()).metrics() == row.metrics
+    assert sources[0].sets["A"].conditions() == (Condition(), Condition("fog", 3))
+
+
+def test_what_is_stored_is_what_the_detector_finds_here(done):
+    root, _ = done
+    (source, _), here = open_sources(root / "out"), ComputedSet("A", load_student(root / "dsrc.pt"))
+    for setup in (Setup(), FOG):
+        for row in range(2):
+            frame = source.read(row)
+            corrupted = corrupted_frame(frame, setup.condition, source.seed, source.name)
+            mine, stored = here.compute(row, frame, corrupted, setup), source.sets["A"].get(row, setup)
+            for name, column in stored.arrays().items():
+                np.testing.assert_allclose(mine.arrays()[name], column, rtol=1e-4, atol=1e-4, err_msg=name)
+        assert here.rows(setup).tolist() == [0, 1]
+
+
+def test_frames_other_egos_and_conditions_without_detections_are_unknown(done):
+    root, _ = done
+    stored = open_sources(root / "out")[0].sets["A"]
+    ego = int(stored.get(0, Setup()).ego_id[0])
+    assert stored.get(0, Setup(ego_id=ego)) is not None and stored.get(0, Setup(ego_id=ego + 1)) is None
+    assert stored.get(7, Setup()) is None and stored.get(0, Setup(Condition("snow", 3))) is None
+    assert len(stored.run(Setup(Condition("snow", 3)))) == 0 and len(stored.run(Setup(ego_id=ego + 1))) == 0
+
+
+def test_moved_drives_are_found_where_they_are_said_to_be(done, tmp_path):
+    root, _ = done
+    shutil.copytree(root / "out", tmp_path / "out")
+    shutil.move(shutil.copytree(root / "test", tmp_path / "other"), tmp_path / "moved")
+    index = json.loads((tmp_path / "out/detections.json").read_text())
+    for drive in index["drives"]:
+        drive["path"] = drive["path"].replace(str(root / "test"), str(tmp_path / "gone"))
+    (tmp_path / "out/detections.json").write_text(json.dumps(index))
+    with pytest.raises(DataError, match=r"detections\.json: drives: drive_0: .*give the folder of its drives"):
+        open_sources(tmp_path / "out")
+    assert len(open_sources(tmp_path / "out", tmp_path / "moved")) == 2
+
+
+def test_detections_of_another_data_set_are_refused(done, tmp_path):
+    root, _ = done
+    shutil.copytree(root / "out", tmp_path / "out")
+    write_drives(tmp_path / "other", drives=2, frames=3)
+    with pytest.raises(DataError, match=r"drive_0: data: expected the drive that was evaluated"):
+        open_sources(tmp_path / "out", tmp_path / "other")
+
+
+def test_what_a_path_lacks_is_one_line(done, tmp_path):
+    root, _ = done
+    with pytest.raises(DataError, match="no such folder"):
+        open_sources(tmp_path / "nowhere")
+    with pytest.raises(DataError, match="expected an OPV2V tree"):
+        open_sources(tmp_path)
+    with pytest.raises(DataError, match=r"detections\.json: expected results of dsrc evaluate"):
+        open_sources(root / "test", root / "test")
+    (tmp_path / "a.npz").write_bytes(b"nothing")
+    with pytest.raises(DataError, match=r"a\.npz"):
+        open_sources(tmp_path / "a.npz")
+
+
+def test_a_foreign_checkpoint_and_a_repeated_name_are_one_line(done, tmp_path):
+    root, _ = done
+    sources = open_sources(root / "out")
+    (tmp_path / "foreign.pt").write_bytes(b"nothing")
+    with pytest.raises(CheckpointError, match=r"foreign\.pt"):
+        add_detectors(sources, [str(tmp_path / "foreign.pt")])
+    with pytest.raises(SettingsError, match="names that differ"):
+        add_detectors(sources, [f"A={root / 'dsrc.pt'}"])
+    add_detectors(sources, [f"again={root / 'dsrc.pt'}"])
+    assert list(sources[1].sets) == ["A", "B", "again"] and sources[1].sets["again"].conditions() is None
+
+
+def test_a_damaged_cell_and_frames_of_another_drive_name_their_file(done, tmp_path):
+    root, _ = done
+    out = shutil.copytree(root / "out", tmp_path / "out")
+    index = json.loads((out / "detections.json").read_text())
+    first = index["runs"][0]["cells"]
+    (out / "cells" / f"{first[0][0]}.npz").write_bytes(b"damaged")
+    with pytest.raises(DataError, match=rf"{first[0][0]}\.npz"):
+        open_sources(out)[0].sets["A"].get(0, Setup())
+    first[1] = first[1] * 2
+    (out / "detections.json").write_text(json.dumps(index))
+    with pytest.raises(DataError, match="drive drive_1: position: expected ascending numbers"):
+        open_sources(out)[1].sets["A"].get(0, Setup())
+
+
+def test_conditions_have_titles():
+    titles = [condition_title(c) for c in (Condition(), FOG.condition, Condition("beam_missing", 5, "paper", "ego"))]
+    assert titles == ["clean", "fog 3", "beam missing 5 (paper), ego"]
