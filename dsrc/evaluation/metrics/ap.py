@@ -104,6 +104,43 @@ def metric_name(space: Space, threshold: float, *, opencood: bool = False) -> st
     return f"{'ap_opencood' if opencood else 'ap'}_{space}_{round(100 * threshold)}"
 
 
+class Pairs(NamedTuple):
+    """Pairs of overlapping detections and true boxes: (K,) rows over all frames, and IoU."""
+
+    detection: NDArray[np.int64]
+    truth: NDArray[np.int64]
+    iou: NDArray[np.float64]
+
+    def ranked(self) -> "Pairs":
+        """Pairs by detection, those of one by falling overlap."""
+        order = np.lexsort((-self.iou, self.detection))
+        return Pairs(self.detection[order], self.truth[order], self.iou[order])
+
+    def matched(self, threshold: float, detections: int) -> NDArray[np.int64]:
+        """(detections,) true box that each detection hits, or -1, for ranked pairs of detections best first."""
+        near = self.iou >= threshold
+        return match_greedily(self.detection[near], self.truth[near], detections)
+
+
+def overlapping_pairs(found: Sequence[NDArray[np.floating]], truth: Sequence[NDArray[np.floating]]) -> Pairs:
+    """Pairs with overlapping footprints, frame by frame.
+
+    Args:
+        found: detections of each frame, (D, 7).
+        truth: true boxes of each frame, (N, 7).
+    """
+    rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
+    detections = boxes = 0
+    for a, b in zip(found, truth, strict=True):
+        iou = bev_iou(a, b)
+        row, column = np.nonzero(iou)
+        rows.append(row + detections)
+        columns.append(column + boxes)
+        values.append(iou[row, column])
+        detections, boxes = detections + len(a), boxes + len(b)
+    return Pairs(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
+
+
 def evaluate(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOLDS) -> EvalResult:
     """Average precisions of frames at positive IoU thresholds; the input stays unchanged."""
     return evaluate_matches(match_frames(results, thresholds))
@@ -119,16 +156,14 @@ def match_frames(results: Sequence[FrameResult], thresholds: Sequence[float] = T
     ranked = np.lexsort((-score, frame_of))
     place = np.zeros(len(ranked), np.int64)
     place[ranked] = np.arange(len(ranked))
-    pairs = _overlapping(found, truth)
+    pairs = overlapping_pairs(found, truth)
     a, b = _stacked(found)[pairs.detection], _stacked(truth)[pairs.truth]
     overlaps = {"bev": pairs.iou, "3d": paired_volume_iou(a, b, pairs.iou)}
     matched: dict[tuple[Space, float], NDArray[np.int64]] = {}
     for space in SPACES:
-        order = np.lexsort((-overlaps[space], place[pairs.detection]))
-        iou, at, box = overlaps[space][order], place[pairs.detection][order], pairs.truth[order]
+        ordered = Pairs(place[pairs.detection], pairs.truth, overlaps[space]).ranked()
         for threshold in thresholds:
-            near = iou >= threshold
-            matched[space, threshold] = match_greedily(at[near], box[near], len(score))
+            matched[space, threshold] = ordered.matched(threshold, len(score))
     return Matches(_lengths(truth), _lengths(found), score[ranked], matched)
 
 
@@ -157,29 +192,8 @@ def evaluate_matches(matches: Matches, among: NDArray[np.bool_] | None = None) -
     curves: dict[tuple[Space, float], Curve] = {}
     for key, box in matches.matched.items():
         asked = np.ones(len(box), bool) if among is None else (box < 0) | np.append(among, False)[box]
-        curves[key] = _curve(box[asked] >= 0, matches.score[asked], n_truth)
+        curves[key] = curve_of(box[asked] >= 0, matches.score[asked], n_truth)
     return EvalResult(frames=matches.frames, truth=n_truth, detections=len(matches.score), curves=curves)
-
-
-class _Pairs(NamedTuple):
-    """Pairs of detections and true boxes with overlapping footprints: (K,) rows over all frames, and IoU."""
-
-    detection: NDArray[np.int64]
-    truth: NDArray[np.int64]
-    iou: NDArray[np.float64]
-
-
-def _overlapping(found: list[NDArray[np.float64]], truth: list[NDArray[np.float64]]) -> _Pairs:
-    rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
-    detections = boxes = 0
-    for a, b in zip(found, truth, strict=True):
-        iou = bev_iou(a, b)
-        row, column = np.nonzero(iou)
-        rows.append(row + detections)
-        columns.append(column + boxes)
-        values.append(iou[row, column])
-        detections, boxes = detections + len(a), boxes + len(b)
-    return _Pairs(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
 
 
 def _lengths(boxes: list[NDArray[np.float64]]) -> NDArray[np.int64]:
@@ -190,8 +204,14 @@ def _stacked(boxes: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     return np.concatenate([np.zeros((0, 7)), *boxes])
 
 
-def _curve(hit: NDArray[np.bool_], score: NDArray[np.float32], n_truth: int) -> Curve:
-    """Curve of detections, given frame by frame, with the average precision of both orders."""
+def curve_of(hit: NDArray[np.bool_], score: NDArray[np.float32], n_truth: int) -> Curve:
+    """Curve of (D,) detections, given frame by frame, with the average precision of both orders.
+
+    Args:
+        hit: true positives.
+        score: confidence.
+        n_truth: number of true boxes.
+    """
     order = np.argsort(-score, kind="stable")
     recall, precision = precision_recall(hit[order], n_truth)
     return Curve(

@@ -1,0 +1,156 @@
+"""NoteBook: notes and tags of errors, a JSON beside the run, and errors with their notes as CSV."""
+
+import csv
+import io
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from dsrc.review.errors.filters import FP, KINDS, SEERS
+from dsrc.review.errors.index import ErrorTable
+from sim.boxes import CLASSES
+from sim.errors import DataError, complaint
+from sim.files import write_file
+
+FILE = "notes.json"
+VERSION = 1
+_LARGEST_BYTES = 1 << 26
+_Text = Annotated[str, Meta(max_length=4000)]
+_Tag = Annotated[str, Meta(min_length=1, max_length=60)]
+
+
+class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Note on an error.
+
+    Attributes:
+        text: what a reviewer wrote.
+        tags: words to find it by.
+    """
+
+    text: _Text = ""
+    tags: tuple[_Tag, ...] = ()
+
+
+class _Book(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    version: int = VERSION
+    notes: dict[str, Note] = {}
+
+
+class NoteBook:
+    """Notes of a run; every change is saved at once, atomically. Threads may share it.
+
+    Attributes:
+        path: of the JSON.
+
+    Args:
+        path: of the JSON, which need not exist; or a folder, for its `notes.json`.
+
+    Raises:
+        DataError: the file is damaged, too large or of another version.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path / FILE if path.is_dir() else path
+        self._lock = threading.Lock()
+        self._notes: dict[str, Note] = {}
+        if self.path.is_file():
+            self._notes = _read(self.path)
+
+    def __len__(self) -> int:
+        return len(self._notes)
+
+    def get(self, key: str) -> Note | None:
+        """Note on an error by its key, see `error_key`; None without one."""
+        return self._notes.get(key)
+
+    def put(self, key: str, text: str = "", tags: Iterable[str] = ()) -> None:
+        """Write the note on an error, in place of an earlier one; without text and tags it is removed.
+
+        Raises:
+            DataError: the text or a tag is too long, or a tag is empty.
+            OSError: the file cannot be written; the note is as before.
+        """
+        note = Note(text=text, tags=tuple(dict.fromkeys(tags)))
+        try:
+            msgspec.convert(msgspec.to_builtins(note), Note)
+        except msgspec.ValidationError as error:
+            raise DataError(complaint(self.path, "note", "a short text and short tags", str(error))) from None
+        with self._lock:
+            changed = {**self._notes, key: note}
+            if not note.text and not note.tags:
+                del changed[key]
+            content = msgspec.json.encode(_Book(notes=changed), order="deterministic")
+            write_file(self.path, msgspec.json.format(content, indent=1) + b"\n", edited=True)
+            self._notes = changed
+
+    @property
+    def tags(self) -> list[str]:
+        """All tags, sorted."""
+        return sorted({tag for note in self._notes.values() for tag in note.tags})
+
+
+def _read(path: Path) -> dict[str, Note]:
+    if path.stat().st_size > _LARGEST_BYTES:
+        raise DataError(complaint(path, "size", f"at most {_LARGEST_BYTES} bytes", path.stat().st_size))
+    try:
+        book = msgspec.json.decode(path.read_bytes(), type=_Book)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise DataError(complaint(path, "content", "notes on errors", str(error))) from None
+    if book.version != VERSION:
+        raise DataError(complaint(path, "version", str(VERSION), book.version))
+    return book.notes
+
+
+def error_key(drive: str, errors: ErrorTable, row: int) -> str:
+    """Key of an error, the same whenever the same run is judged again.
+
+    A missed or poor object is known by its id; a false detection by the decimetre where it is.
+    """
+    method, kind = int(errors.method[row]), int(errors.kind[row])
+    if kind == FP or errors.object_id[row] < 0:
+        what = "at {:.1f} {:.1f}".format(*(errors.box[row, :2] + 0.0).tolist())
+    else:
+        what = f"object {errors.object_id[row]}"
+    parts = (drive, f"frame {errors.frame[row]}", errors.methods[method], errors.conditions[method], KINDS[kind], what)
+    return " / ".join(parts)
+
+
+def errors_csv(drive: str, errors: ErrorTable, notes: NoteBook | None = None) -> str:
+    """CSV of errors in their order, with notes and tags.
+
+    Args:
+        drive: name of the source.
+        errors: of the run.
+        notes: on them; None for none.
+    """
+    seers = {value: name for name, value in SEERS.items()}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    boxes = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
+    points = ("points_ego", "points_all", "points_left_ego", "points_left_all")
+    head = ("drive", "frame", "method", "condition", "kind", "class", "object_id", "score", "iou", "distance_m")
+    writer.writerow([*head, *boxes, *points, "seen_by", "loss", "tags", "note"])
+    for row in range(len(errors)):
+        note = (notes.get(error_key(drive, errors, row)) if notes is not None else None) or Note()
+        method, label, score = int(errors.method[row]), int(errors.label[row]), float(errors.score[row])
+        writer.writerow(
+            [
+                *(drive, int(errors.frame[row]), errors.methods[method], errors.conditions[method]),
+                *(KINDS[errors.kind[row]], "" if label < 0 else CLASSES[label]),
+                *("" if errors.object_id[row] < 0 else int(errors.object_id[row]), _shown(score, 4)),
+                *(_shown(float(errors.iou[row]), 4), _shown(float(errors.distance_m[row]), 2)),
+                *(_shown(value, 3) for value in errors.box[row].tolist()),
+                *("" if value < 0 else value for value in errors.points[row].tolist()),
+                *(seers.get(int(errors.seen_by[row]), ""), _shown(float(errors.loss[row]), 4)),
+                *(" ".join(note.tags), note.text),
+            ]
+        )
+    return text.getvalue()
+
+
+def _shown(value: float, digits: int) -> str:
+    return "" if value != value else f"{value:.{digits}f}"
