@@ -25,10 +25,14 @@ class ServeOptions(Review, frozen=True):
 
     Attributes:
         data: a drive, or a folder of drives.
-        port: port of the page on 127.0.0.1; default: a free one.
+        frame: frame at the start, its row in the first drive.
+        host: address to listen on; default: this machine alone.
+        port: port of the page; default: a free one.
     """
 
     data: Data
+    frame: int = 0
+    host: str = "127.0.0.1"
     port: int | None = None
 
 

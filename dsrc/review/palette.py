@@ -7,32 +7,36 @@ from sensors.sweep import ATTENUATED, KEPT, MOVED, SCATTERED
 
 Rgb = tuple[int, int, int]
 
-# Neighbours differ in lightness as well as hue (after Okabe and Ito 2008), and none is the green, red or amber
-# of TP, FP and FN.
+# Searched at random for the largest least difference, with TP in greens, FP in reds and FN in ambers; the benchmark
+# `benchmarks/review_colors.py` measures them as a browser shows them.
 AGENT_COLORS: tuple[Rgb, ...] = (
-    (56, 189, 255),
-    (255, 98, 205),
-    (250, 236, 110),
-    (158, 120, 255),
-    (94, 234, 212),
-    (255, 255, 255),
-    (176, 158, 130),
+    (64, 153, 249),
+    (248, 252, 22),
+    (82, 253, 255),
+    (149, 88, 113),
+    (180, 171, 175),
+    (4, 172, 99),
+    (13, 98, 249),
 )
 """Colours of the agents in the order of their frame; an eighth agent starts again."""
 
 TRUTH: Rgb = (226, 232, 240)
 OTHER: Rgb = (112, 122, 140)
 SELECTED: Rgb = (255, 255, 255)
-TP: Rgb = (70, 208, 60)
-FP: Rgb = (250, 58, 64)
-FN: Rgb = (242, 166, 34)
-BACKGROUND: Rgb = (10, 12, 17)
+TP: Rgb = (36, 255, 181)
+FP: Rgb = (206, 38, 20)
+FN: Rgb = (201, 177, 26)
+BODY: Rgb = (84, 92, 108)
+BACKGROUNDS: dict[str, Rgb] = {"dark": (10, 12, 17), "light": (148, 156, 168)}
+"""Colour of the sky of each theme."""
+GRID: tuple[Rgb, Rgb] = ((52, 58, 70), (76, 84, 100))
+"""Colours of the grid's cells and sections."""
 
 FATE_COLORS: dict[int, Rgb] = {
     KEPT: (96, 110, 132),
     ATTENUATED: (86, 156, 255),
-    MOVED: (214, 112, 255),
-    SCATTERED: (255, 140, 40),
+    MOVED: (0, 207, 250),
+    SCATTERED: (190, 44, 168),
 }
 """Colours of points by `Sweep.fate`."""
 FATE_NAMES = {KEPT: "untouched", ATTENUATED: "dimmer", MOVED: "moved", SCATTERED: "made by the corruption"}
@@ -51,31 +55,6 @@ def _ramp(stops: str) -> NDArray[np.uint8]:
 
 VIRIDIS = _ramp(_VIRIDIS)
 TURBO = _ramp(_TURBO)
-
-
-# The ACES curve as three.js has it (S. Hill's fit, after an exposure of 1 / 0.6): linear colours in and out.
-_ACES_IN = np.array([[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]])
-_ACES_OUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
-_FIT = (0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081)
-_EXPOSURE = 1.0 / 0.6
-
-
-def inverse_tone_mapping(rgb: Rgb) -> Rgb:
-    """Colour that the viewer's tone mapping turns into `rgb`, as nearly as it can.
-
-    The viewer maps lines and meshes but not points; unmapped, saturated colours turn pale.
-    """
-    shown = np.array(rgb, np.float64) / 255.0
-    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-    fitted = np.clip(np.linalg.solve(_ACES_OUT, linear), 0.0, 0.99)
-    a, b, c, d, e = _FIT
-    # fitted = (v^2 + a v - b) / (c v^2 + d v + e), solved for v.
-    square, slope, rest = 1.0 - c * fitted, a - d * fitted, -(b + e * fitted)
-    v = (-slope + np.sqrt(slope**2 - 4.0 * square * rest)) / (2.0 * square)
-    sent = np.clip(np.linalg.solve(_ACES_IN, v) / _EXPOSURE, 0.0, 1.0)
-    encoded = np.where(sent <= 0.0031308, 12.92 * sent, 1.055 * sent ** (1.0 / 2.4) - 0.055)
-    red, green, blue = np.round(255.0 * encoded).astype(int).tolist()
-    return red, green, blue
 
 
 def agent_color(row: int) -> Rgb:

@@ -26,6 +26,7 @@ class ReviewState:
         frame: row of the frame in the drive.
         ego_id: the agent that detects; None for the first of the frame.
         cooperative: detect with the collaborators' clouds; else with the ego's alone.
+        methods: sets of detections; the first is judged, the others are drawn over it. Empty for the first of the drive.
         corruption: `clean` or a kind of `sensors.corruptions`.
         severity: 1 to 5.
         family: of the corruption's settings.
@@ -47,6 +48,7 @@ class ReviewState:
     frame: int = 0
     ego_id: int | None = None
     cooperative: bool = True
+    methods: tuple[str, ...] = ()
     corruption: str = "clean"
     severity: int = 3
     family: Family = "physical"

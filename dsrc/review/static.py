@@ -60,15 +60,16 @@ class _MaterialStyle:
     opacity: float | None = None
 
 
-# Dark and unsaturated: bright colours belong to agents and to TP, FP and FN.
+# Unsaturated, and bright enough to be told from either sky: bright colours belong to agents and to TP, FP and FN.
 _MATERIAL_STYLES = (
-    _MaterialStyle("roads", ("asphalt", "gravel"), (30, 34, 42)),
-    _MaterialStyle("markings", ("marking",), (118, 126, 140)),
-    _MaterialStyle("pavements", ("pavement", "kerb"), (44, 49, 60)),
-    _MaterialStyle("green", ("ground", "hedge", "leaves", "bark"), (24, 38, 36)),
-    _MaterialStyle("buildings", ("brick", "plaster", "concrete", "roof", "glass"), (52, 60, 78), 0.55),
+    _MaterialStyle("roads", ("asphalt", "gravel"), (58, 62, 70)),
+    _MaterialStyle("markings", ("marking",), (150, 156, 166)),
+    _MaterialStyle("pavements", ("pavement", "kerb"), (82, 86, 94)),
+    _MaterialStyle("green", ("ground",), (52, 62, 56)),
+    _MaterialStyle("plants", ("hedge", "leaves", "bark"), (76, 98, 80)),
+    _MaterialStyle("buildings", ("brick", "plaster", "concrete", "roof", "glass"), (96, 104, 122), 0.55),
 )
-_REST = _MaterialStyle("furniture", (), (72, 80, 96))
+_REST = _MaterialStyle("furniture", (), (108, 114, 126))
 
 
 def static_parts(

@@ -1,12 +1,11 @@
-"""Texts of the live page: counts, object details, legend and keys."""
+"""Texts of the live page: counts, card of the selection and legend."""
 
 import math
-from collections.abc import Iterable
 from html import escape
 
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
-from dsrc.review.view import OTHER_TRUTH, AgentView, FrameView, ObjectDetails
+from dsrc.review.view import OTHER_TRUTH, AgentView, DetectionDetails, FrameView, ObjectDetails
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
 
 _SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by a collaborator only", BY_NOBODY: "not seen"}
@@ -15,9 +14,12 @@ _SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by a collaborator only",
 def frame_report(view: FrameView) -> str:
     """Markdown of a frame: number, time, TP, FP, FN, precision and recall."""
     head = f"**Frame {view.index}** · {view.time_s:.1f} s"
+    if not view.labelled:
+        boxes = f" {view.detected} detections." if view.detected else ""
+        return f"{head}\n\nNo labels: nothing is judged.{boxes}"
     if view.counts is None:
         evaluated = len(view.truth) - len(view.layers[OTHER_TRUTH])
-        return f"{head}\n\n{evaluated} vehicles in sight of an agent, {len(view.truth)} road users in all."
+        return f"{head}\n\n{evaluated} vehicles in sight of an agent, {len(view.truth)} road users in all. No detector."
     rows = [("this frame", view.counts), (f"{view.seen_frames} seen", view.seen)]
     table = "\n".join(
         f"| {name} | {c.tp} | {c.fp} | {c.fn} | {_share(c.precision)} | {_share(c.recall)} |" for name, c in rows
@@ -30,21 +32,50 @@ def _share(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
 
 
-def object_report(details: ObjectDetails | None) -> str:
-    """Markdown of the selected object's details."""
+def selection_report(details: ObjectDetails | DetectionDetails | None) -> str:
+    """Markdown of the card of the selected object or detection."""
     if details is None:
-        return "Click a body or select one."
+        return "Click a body or a detection, or choose an object."
+    return _object_card(details) if isinstance(details, ObjectDetails) else _detection_card(details)
+
+
+def _object_card(details: ObjectDetails) -> str:
     # In a code span a lane's underscores stay what they are.
     lane = f" · lane `{details.lane}`" if details.lane else ""
     lights = f" · {', '.join(details.lights)}" if details.lights else ""
     change = "" if math.isnan(details.acceleration) else f", {details.acceleration:+.1f} m/s²"
     head = f"**{details.class_name} {details.object_id}**, {_SEEN_BY[details.seen_by]}"
+    detected = ""
+    if details.verdict:
+        match = "" if math.isnan(details.score) else f", score {details.score:.2f}, IoU {details.iou:.2f}"
+        detected = f"\n\n**{details.verdict}**{match}"
     rows = "\n".join(
-        f"| {s.agent} | {s.points} | {'–' if math.isnan(s.fraction) else f'{100 * s.fraction:.0f} %'} |"
-        for s in details.visibility
+        f"| {s.agent} | {_points(s.points, s.points_left)} | {_percent(s.fraction)} |" for s in details.visibility
     )
     table = f"| | points | visible |\n|:--|--:|--:|\n{rows}"
-    return f"{head}\n\n{details.speed:.1f} m/s{change}{lights}{lane}\n\n{table}"
+    place = f"{_size(details.size)} · {details.distance_m:.1f} m away · {details.speed:.1f} m/s{change}{lights}{lane}"
+    return f"{head}{detected}\n\n{place}\n\n{table}"
+
+
+def _detection_card(details: DetectionDetails) -> str:
+    head = f"**{details.class_name}, score {details.score:.2f}**"
+    verdict = f", {details.verdict}" if details.verdict else ""
+    nearest = "overlaps no object" if details.object_id is None else f"IoU {details.iou:.2f} with {details.object_id}"
+    rows = "\n".join(f"| {agent} | {points} |" for agent, points in details.points)
+    place = f"{_size(details.size)} · {details.distance_m:.1f} m away"
+    return f"{head}{verdict}\n\n{nearest} · {place}\n\n| | points in the box |\n|:--|--:|\n{rows}"
+
+
+def _size(size: tuple[float, float, float]) -> str:
+    return " × ".join(f"{side:.1f}" for side in size) + " m"
+
+
+def _points(before: int, after: int) -> str:
+    return str(before) if before == after else f"{before} → {after}"
+
+
+def _percent(share: float) -> str:
+    return "–" if math.isnan(share) else f"{100 * share:.0f} %"
 
 
 def legend(view: FrameView) -> str:
@@ -52,14 +83,18 @@ def legend(view: FrameView) -> str:
     agents = "".join(_legend_row(agent.rgb, _title(agent)) for agent in view.agents)
     if view.color_by == "fate":
         agents += "".join(_legend_row(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
+    other = _legend_row(palette.OTHER, "object, not evaluated", True)
+    if not view.labelled:
+        return _box(agents + _legend_row(palette.TRUTH, "detection, not judged", True))
     if view.counts is None:
-        return _box(agents + _legend_row(palette.TRUTH, "ground truth", True))
+        return _box(agents + _legend_row(palette.TRUTH, "object in sight of an agent", True) + other)
     verdicts = (
         (palette.TP, "true positive"),
         (palette.FP, "false positive, crossed"),
         (palette.FN, "false negative, dashed"),
+        (palette.TRUTH, "detected object"),
     )
-    return _box(agents + "".join(_legend_row(rgb, text, True) for rgb, text in verdicts))
+    return _box(agents + "".join(_legend_row(rgb, text, True) for rgb, text in verdicts) + other)
 
 
 def _title(agent: AgentView) -> str:
@@ -80,9 +115,3 @@ def _legend_row(rgb: Rgb, text: str, outlined: bool = False) -> str:
     fill = f"border:2px solid {color};border-radius:2px" if outlined else f"background:{color};border-radius:50%"
     mark = f'<span style="display:inline-block;width:.7em;height:.7em;box-sizing:border-box;{fill}"></span>'
     return f'<div style="white-space:nowrap">{mark}&nbsp; {escape(text)}</div>'
-
-
-def keys_table(commands: Iterable[tuple[str, str]]) -> str:
-    """Markdown table of (label, key) pairs."""
-    rows = "\n".join(f"| `{key}` | {label} |" for label, key in commands)
-    return f"| key | |\n|:--|:--|\n{rows}\n\nCtrl-K opens all commands."

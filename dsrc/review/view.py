@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from dsrc.review.matching import Counts
 from dsrc.review.palette import Rgb
+from dsrc.review.sources.moment import EpisodeMoment
 from dsrc.review.state import ColorBy
 from sensors.frame import AgentKind
 from sim.boxes import Boxes
@@ -137,6 +138,25 @@ class DetectionDetails:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MethodView:
+    """Detections of a further method, drawn over those that are judged.
+
+    Attributes:
+        name: of the set.
+        hits: true positives.
+        false: false positives; all detections in a drive without labels.
+        missed: objects that it misses.
+        counts: its TP, FP and FN; None without labels.
+    """
+
+    name: str
+    hits: Boxes
+    false: Boxes
+    missed: Boxes
+    counts: Counts | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FrameView:
     """Frame as drawn, in the review frame: the world frame moved to the start of the drive's first ego.
 
@@ -159,6 +179,10 @@ class FrameView:
         seen: their sum over the frames of the drive viewed so far with these settings.
         seen_frames: number of these frames.
         details: of the selected object or detection; None when the frame lacks it.
+        method: set of detections that is judged, "" without one.
+        compared: further methods.
+        notice: why detections are missing, or "".
+        moment: what the ego of an episode saw, believed and planned; None elsewhere.
     """
 
     drive: str
@@ -179,8 +203,18 @@ class FrameView:
     seen: Counts = field(default_factory=Counts)
     seen_frames: int = 0
     details: ObjectDetails | DetectionDetails | None = None
+    method: str = ""
+    compared: tuple[MethodView, ...] = ()
+    notice: str = ""
+    moment: EpisodeMoment | None = None
 
     @property
     def ego(self) -> AgentView:
         """The agent that detects."""
         return next(agent for agent in self.agents if agent.is_ego)
+
+    @property
+    def selected(self) -> NDArray[np.float64] | None:
+        """(3,) centre of the selected box, None without one."""
+        boxes = self.layers[SELECTED]
+        return boxes.center[0] if len(boxes) else None

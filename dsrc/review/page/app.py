@@ -1,133 +1,57 @@
-"""Live review page: one state, one worker thread, the latest state is drawn."""
+"""Live review page: server, model and what all browsers share, and one session per browser."""
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import viser
 
 from dsrc.options.fields import takes_fields
 from dsrc.options.review import ServeOptions
-from dsrc.review.matching import Counts
 from dsrc.review.model import ReviewModel, open_model
-from dsrc.review.page import cameras
-from dsrc.review.page.cameras import CameraPose
-from dsrc.review.page.panels import Panels
-from dsrc.review.page.scene import SceneWriter, set_start_camera
-from dsrc.review.page.server import LOOPBACK, address, check_port, start_server, stop_server
-from dsrc.review.state import Camera, ReviewState
-from dsrc.review.view import FrameView
-from sensors.corruptions import CLEAN, require_corruption
-from sim.errors import UserError
+from dsrc.review.page.cameras import overview
+from dsrc.review.page.link import read_link
+from dsrc.review.page.scene import place_static, set_light, set_start_camera
+from dsrc.review.page.server import address, checked_port, link_of, start_server, stop_server
+from dsrc.review.page.session import Session, root_of
+from dsrc.review.state import ReviewState
+from sensors.corruptions import require_corruption
+from sim.errors import SettingsError, UserError, complaint
 
 log = logging.getLogger(__name__)
 
 
 class ReviewApp:
-    """Live review page.
-
-    Callbacks of viser run in a pool of threads and only replace the state. One worker thread draws the newest state
-    and skips older ones.
+    """Live review page: sessions by browser, and the static worlds that all of them see.
 
     Attributes:
-        state: newest settings.
-        view: last drawn frame, None before the first.
-        last_corruption: last corruption other than `clean`, "" before the first.
+        model: drives, detector and caches.
+        server: viser server.
+        start: state of a browser that opens the page without a link.
+        sessions: running sessions by the id of their browser.
         url: address of the page.
     """
 
-    def __init__(self, model: ReviewModel, server: viser.ViserServer, state: ReviewState | None = None) -> None:
-        """Build the page and start drawing; `close` ends it."""
-        self.model, self.server = model, server
-        self.state = state or ReviewState()
-        self.view: FrameView | None = None
+    def __init__(self, model: ReviewModel, server: viser.ViserServer, start: ReviewState | None = None) -> None:
+        """Serve the page on a running server; `close` ends it."""
+        self.model, self.server, self.start = model, server, start or ReviewState()
         self.url = address(server)
-        self.last_corruption = "" if self.state.corruption == CLEAN else self.state.corruption
-        self._camera: Camera = "free"
-        # Shared by the worker and the search for the next error.
+        self.sessions: dict[int, Session] = {}
         self._using_model = threading.Lock()
-        self._playing_speed: float | None = None
         self._changed = threading.Condition()
-        self._wanted = 1
-        self._drawn = 0
         self._closed = False
-        self._writer = SceneWriter(server, on_object=lambda object_id: self.update(object_id=object_id))
-        self._panels = Panels(self)
-        self._threads = [
-            threading.Thread(target=self._work, name="review-worker", daemon=True),
-            threading.Thread(target=self._tick, name="review-player", daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._worlds: set[int] = set()
+        set_light(server.scene)
+        server.on_client_connect(self._open)
+        server.on_client_disconnect(self._end)
 
-    def update(self, **changes: Any) -> None:
-        """Replace fields of the state and draw it, if any of them changed."""
+    def wait_session(self, count: int = 1, timeout_s: float = 30.0) -> list[Session]:
+        """Wait until at least `count` browsers are connected and return their sessions, oldest first."""
         with self._changed:
-            state = replace(self.state, **changes)
-            if state.drive != self.state.drive:
-                state = replace(state, frame=0, ego_id=None, hidden=frozenset(), object_id=None)
-            if state == self.state:
-                return
-            if state.corruption != CLEAN:
-                self.last_corruption = state.corruption
-            self.state = state
-            self._wanted += 1
-            self._changed.notify_all()
-
-    def step(self, frames: int, wrap: bool = False) -> None:
-        """Step by a number of frames, backward if negative; stop at the ends or wrap around."""
-        with self._changed:
-            count = self.model.frame_count(self.state.drive)
-            frame = self.state.frame + frames
-            self.update(frame=frame % count if wrap else min(max(frame, 0), count - 1))
-
-    @property
-    def playing(self) -> bool:
-        """Whether the drive is playing."""
-        return self._playing_speed is not None
-
-    def play(self, speed: float | None) -> None:
-        """Play at a multiple of real time; None pauses."""
-        with self._changed:
-            self._playing_speed = speed
-            self._changed.notify_all()
-        self._panels.show_playing(speed is not None)
-
-    def toggle_play(self) -> None:
-        """Play or pause."""
-        self.play(None if self.playing else self._panels.selected_speed)
-
-    def counts(self, state: ReviewState) -> Counts | None:
-        """Counts of TP, FP and FN under another state, not drawn; None without a detector."""
-        with self._using_model:
-            return self.model.counts(state)
-
-    def set_camera(self, camera: Camera) -> None:
-        """Select a camera preset; chase and bird's eye follow the ego, free stays."""
-        self._camera = camera
-        view = self.view
-        if view is None or camera == "free":
-            return
-        pose = cameras.chase(view) if camera == "chase" else cameras.birds_eye(view)
-        self._move_cameras(pose)
-
-    def reset_camera(self) -> None:
-        """Restore the camera of the start."""
-        self._camera = "free"
-        if self.view is not None:
-            self._move_cameras(cameras.overview(self.view))
-
-    def wait_drawn(self, timeout_s: float = 30.0) -> FrameView:
-        """Wait until the newest state is drawn and return it."""
-        with self._changed:
-            if not self._changed.wait_for(lambda: self._drawn == self._wanted or self._closed, timeout_s):
-                raise TimeoutError("the page was not drawn in time")
-        if self.view is None:
-            raise TimeoutError("the page was closed before it was drawn")
-        return self.view
+            if not self._changed.wait_for(lambda: len(self.sessions) >= count or self._closed, timeout_s):
+                raise TimeoutError(f"{len(self.sessions)} of {count} browsers connected in time")
+            return [session for _, session in sorted(self.sessions.items())]
 
     def wait(self) -> None:
         """Serve until the page is closed or the process interrupted."""
@@ -136,112 +60,79 @@ class ReviewApp:
                 self._changed.wait(1.0)
 
     def close(self) -> None:
-        """Stop the threads and the server."""
+        """Stop the sessions and the server."""
         with self._changed:
             self._closed = True
+            sessions, self.sessions = list(self.sessions.values()), {}
             self._changed.notify_all()
-        for thread in self._threads:
-            thread.join(timeout=10.0)
+        for session in sessions:
+            session.close()
         stop_server(self.server)
 
-    def _work(self) -> None:
-        placed = -1
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._drawn != self._wanted or self._closed)
-                if self._closed:
-                    return
-                state, number = self.state, self._wanted
-            if state.drive != placed:
-                self._writer.clear()
-            self._draw(state)
-            if state.drive != placed:
-                # After the first frame: rebuilding a city takes longer than drawing.
-                self._place_world(state.drive)
-                placed = state.drive
-            with self._changed:
-                self._drawn = number
+    def _open(self, client: viser.ClientHandle) -> None:
+        state, pose, complaints = read_link(link_of(self.server, client.client_id), self.model, self.start)
+        session = Session(
+            self.model, self._using_model, client, state, pose, "\n\n".join(complaints), self._place_world
+        )
+        with self._changed:
+            connected = not self._closed and client.client_id in self.server.get_clients()
+            if connected:
+                self.sessions[client.client_id] = session
                 self._changed.notify_all()
+        if not connected:
+            session.close()
 
-    def _draw(self, state: ReviewState) -> None:
-        try:
-            with self._using_model:
-                view = self.model.view(state)
-        except UserError as error:
-            self._panels.show_error(str(error))
-            return
-        except Exception:
-            log.exception("frame %d cannot be drawn", state.frame)
-            self._panels.show_error(f"frame {state.frame} cannot be drawn; see the log")
-            return
-        before, self.view = self.view, view
-        with self.server.atomic():
-            self._writer.write(view)
-        self._panels.show(view, state)
-        if before is None or before.drive != view.drive:
-            start = cameras.overview(view)
-            set_start_camera(self.server, start)
-            self._move_cameras(start)
-        elif self._camera != "free":
-            self._follow(before, view)
+    def _end(self, client: viser.ClientHandle) -> None:
+        with self._changed:
+            session = self.sessions.pop(client.client_id, None)
+            self._changed.notify_all()
+        if session is not None:
+            session.close()
 
     def _place_world(self, drive: int) -> None:
-        try:
-            with self._using_model:
-                parts = self.model.static_parts(drive)
-        except UserError as error:
-            self._panels.show_error(str(error))
-            parts = []
+        """Draw the static world of a drive, once for all browsers."""
+        with self._changed:
+            if drive in self._worlds:
+                return
+            self._worlds.add(drive)
+        with self._using_model:
+            parts = self.model.static_parts(drive)
         with self.server.atomic():
-            self._writer.place_static(parts)
+            self.server.scene.add_frame(root_of(drive), show_axes=False)
+            self.server.scene.add_frame(f"{root_of(drive)}/world", show_axes=False)
+            place_static(self.server.scene, root_of(drive), parts)
 
-    def _move_cameras(self, pose: CameraPose) -> None:
-        for client in self.server.get_clients().values():
-            with client.atomic():
-                client.camera.up_direction = pose.up
-                client.camera.position = pose.position
-                client.camera.look_at = pose.look_at
 
-    def _follow(self, before: FrameView, after: FrameView) -> None:
-        turn = self._camera == "chase"
-        for client in self.server.get_clients().values():
-            position = cameras.followed(client.camera.position, before, after, turn)
-            look_at = cameras.followed(client.camera.look_at, before, after, turn)
-            with client.atomic():
-                client.camera.position = position
-                client.camera.look_at = look_at
+def first_state(model: ReviewModel, options: ServeOptions) -> ReviewState:
+    """State of the first browser: the frame that was asked for, else the first drive's that can be drawn.
 
-    def _tick(self) -> None:
-        """Advance the frame while playing; slow frames are waited for, not skipped."""
-        while True:
-            with self._changed:
-                ready = self._changed.wait_for(
-                    lambda: self._closed or (self.playing and self._drawn == self._wanted), timeout=1.0
-                )
-                if self._closed:
-                    return
-                speed = self._playing_speed
-            if not ready or speed is None:
-                continue
-            started = time.monotonic()
-            self.step(1, wrap=True)
-            pause = self.model.interval_s(self.state.drive) / speed - (time.monotonic() - started)
-            if pause > 0.0:
-                time.sleep(min(pause, 2.0))
+    Raises:
+        SettingsError: the first drive has no frame of that number.
+        DataError: no frame of any drive can be read; what is wrong with the first.
+    """
+    state = ReviewState(
+        frame=options.frame, corruption=options.corruption, severity=options.severity, family=options.family
+    )
+    last = model.frame_count(0) - 1
+    if not 0 <= options.frame <= last:
+        raise SettingsError(complaint("view", "frame", f"0 to {last}", options.frame))
+    first: UserError | None = None
+    for drive in range(len(model.drives)):
+        try:
+            model.readable_frame(drive)
+        except UserError as error:
+            first = first or error
+        else:
+            return state if drive == 0 else replace(state, drive=drive, frame=0)
+    raise first or SettingsError(complaint("view", "data", "a drive", "none"))
 
 
 @takes_fields(ServeOptions)
-def serve(
-    options: ServeOptions,
-    host: str = LOOPBACK,
-    block: bool = True,
-    announce: Callable[[str], None] | None = None,
-) -> ReviewApp:
+def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], None] | None = None) -> ReviewApp:
     """Serve a review page of drives.
 
     Args:
-        options: drives, detector, first corruption and port, see `ServeOptions`; or these as arguments.
-        host: address to listen on; default: the loopback.
+        options: drives, detector, first frame and corruption, host and port, see `ServeOptions`; or these as arguments.
         block: serve until interrupted; otherwise return the running page.
         announce: called with the address of the page once it answers.
 
@@ -249,16 +140,21 @@ def serve(
         The page; `url` is its address, `close` ends it.
 
     Raises:
-        DataError: there is no drive.
-        SettingsError: the corruption is unknown, or the port taken.
+        DataError: there is no drive, or none that can be read.
+        SettingsError: the corruption or the frame is unknown, or the port taken.
         CheckpointError: the checkpoint cannot be loaded.
     """
     require_corruption(options.corruption, options.severity, options.family)
-    if options.port is not None:
-        check_port(host, options.port)
+    port = checked_port(options.host, options.port)
     model = open_model(options.data, options.checkpoint)
-    state = ReviewState(corruption=options.corruption, severity=options.severity, family=options.family)
-    app = ReviewApp(model, start_server(host, options.port), state)
+    start = first_state(model, options)
+    server = start_server(options.host, port)
+    app = ReviewApp(model, server, start)
+    try:
+        set_start_camera(server, overview(model.view(replace(start, corruption="clean"))))
+    except UserError as error:
+        # The page says so too, and draws the next frame.
+        log.warning("%s", error)
     log.info("review page: %s", app.url)
     if announce is not None:
         announce(app.url)

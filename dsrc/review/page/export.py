@@ -10,7 +10,13 @@ from dsrc.options.review import PageOptions
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.cameras import CameraPose, birds_eye, chase, overview
 from dsrc.review.page.overlay import CameraButton, add_overlay, frame_texts
-from dsrc.review.page.scene import SceneWriter, set_start_camera
+from dsrc.review.page.scene import (
+    SceneWriter,
+    place_static,
+    set_backdrop,
+    set_light,
+    set_start_camera,
+)
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, require_corruption
@@ -87,12 +93,14 @@ def export_states(model: ReviewModel, states: list[ReviewState], out: Path, foll
 
 def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewState], follow: bool) -> str:
     drive, interval_s = states[0].drive, model.interval_s(states[0].drive)
-    writer = SceneWriter(server, ROOT, POINT_STEP_M)
+    set_light(server.scene)
+    set_backdrop(server.scene, states[0].theme)
+    writer = SceneWriter(server.scene, ROOT, POINT_STEP_M)
     root = server.scene.add_frame(ROOT, show_axes=False)
-    writer.place_static(model.static_parts(drive))
     first = model.view(states[0])
     set_start_camera(server, overview(first))
     writer.write(first)
+    place_static(server.scene, ROOT, model.static_parts(drive))
     texts = [frame_texts(first)]
     serializer = server.get_scene_serializer()
     for state in states[1:]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from html import escape
 
 from dsrc.review import palette
+from dsrc.review.page.browser import HONEST_COLORS
 from dsrc.review.palette import Rgb
 from dsrc.review.view import OTHER_TRUTH, FrameView
 
@@ -109,7 +110,7 @@ def add_overlay(
     body = (
         f'<style>{_CSS}</style><div id="review"><h1>{escape(title)}</h1><p>{escape(subtitle)}</p>'
         f'<p id="review-time"></p><ul>{agents}</ul><ul>{_counts_legend(first)}</ul><nav>{buttons}</nav></div>'
-        f"<script>window.__REVIEW__={packed};{_JS}</script>"
+        f"<script>window.__REVIEW__={packed};{_JS}{HONEST_COLORS}</script>"
     )
     head = html.index("</head>")
     html = html[:head] + f"<title>{escape(title)}</title>" + html[head:]

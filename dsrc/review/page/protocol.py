@@ -1,8 +1,11 @@
-"""Page: protocol of a review page for panels and commands."""
+"""Page and Panel: protocols of a browser's page for its controls, commands and panels."""
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from dsrc.review.matching import Counts
 from dsrc.review.model import ReviewModel
@@ -10,19 +13,34 @@ from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
 
 
-class Page(Protocol):
-    """Review page as its controls use it.
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What controls and panels are set from.
 
     Attributes:
         model: drives, detector and caches.
-        server: viser server.
+        state: newest settings.
+        view: last drawn frame, None before the first.
+    """
+
+    model: ReviewModel
+    state: ReviewState
+    view: FrameView | None = None
+
+
+class Page(Protocol):
+    """Page of one browser as its controls use it.
+
+    Attributes:
+        model: drives, detector and caches.
+        gui: controls of this browser.
         state: newest settings.
         view: last drawn frame, None before the first.
         last_corruption: last corruption other than `clean`, "" before the first.
     """
 
     model: ReviewModel
-    server: viser.ViserServer
+    gui: viser.GuiApi
     state: ReviewState
     view: FrameView | None
     last_corruption: str
@@ -37,17 +55,30 @@ class Page(Protocol):
     def playing(self) -> bool:
         """Whether the drive is playing."""
 
-    def play(self, speed: float | None) -> None:
-        """Play at a multiple of real time; None pauses."""
-
     def toggle_play(self) -> None:
         """Play or pause."""
 
     def counts(self, state: ReviewState) -> Counts | None:
-        """Counts of TP, FP and FN under another state; None without a detector."""
+        """Counts of TP, FP and FN under another state; None without a detector or labels."""
 
-    def set_camera(self, camera: Camera) -> None:
-        """Select a camera preset."""
+    def place_camera(self, camera: Camera) -> None:
+        """Place the camera as a preset has it and let it move with what the preset follows."""
 
     def reset_camera(self) -> None:
         """Restore the camera of the start."""
+
+    def fly_to(self, target: NDArray[np.float64]) -> None:
+        """Move the camera near a point (3,) of the review frame, m."""
+
+    def tell(self, text: str) -> None:
+        """Show a text above the controls; "" hides it."""
+
+    def toggle_help(self) -> None:
+        """Open or close the list of keys."""
+
+
+class Panel(Protocol):
+    """Part of the controls: built once per browser from a `Page`, then set from what is shown."""
+
+    def show(self, shown: Shown) -> None:
+        """Set the panel to what is shown."""

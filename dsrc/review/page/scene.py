@@ -13,6 +13,7 @@ from dsrc.review import palette
 from dsrc.review.page.cameras import FOV_RAD, CameraPose
 from dsrc.review.palette import Rgb
 from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
+from dsrc.review.state import Theme
 from dsrc.review.static import StaticPart, body_shape
 from dsrc.review.view import (
     DETECTED_TRUTH,
@@ -45,11 +46,66 @@ STYLES = {
     FALSE_NEGATIVES: BoxStyle(palette.FN, 3.0, "dashed", 0.22),
     TRUE_POSITIVES: BoxStyle(palette.TP, 2.5, "solid", 0.16),
     FALSE_POSITIVES: BoxStyle(palette.FP, 3.0, "crossed", 0.22),
-    UNJUDGED: BoxStyle(palette.TRUTH, 2.5),
+    UNJUDGED: BoxStyle(palette.TRUTH, 2.5, "solid", 0.16),
     SELECTED: BoxStyle(palette.SELECTED, 4.0),
 }
 _FORMS = {"solid": edges, "dashed": dashed, "crossed": crossed}
-_NO_TURN = np.array([[1.0, 0.0, 0.0, 0.0]], np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class Clicked:
+    """Box that was clicked: an object by its id, or a detection by its place in the order of the scores."""
+
+    object_id: int | None = None
+    detection: int | None = None
+
+
+def set_light(scene: viser.SceneApi) -> None:
+    """Set the light: horizontal faces have the colour that they are given, upright ones are darker."""
+    # The default environment map washes colours out.
+    scene.configure_environment_map(None)
+    scene.configure_default_lights(False)
+    scene.add_light_ambient("/light/ambient", intensity=0.6 * np.pi)
+    sun = np.array([-0.4, 0.6, 1.0])
+    strength = 0.4 * np.pi * float(np.linalg.norm(sun)) / sun[2]
+    scene.add_light_directional("/light/sun", intensity=strength, position=tuple(sun))
+    scene.world_axes.visible = False
+
+
+def set_backdrop(scene: viser.SceneApi, theme: Theme) -> None:
+    """Set the background image of a theme: a sky, brighter at the horizon."""
+    height = np.linspace(0.0, 1.0, 256)[:, None, None]
+    glow = np.exp(-(((height - 0.22) / 0.25) ** 2))
+    rgb = np.array(palette.BACKGROUNDS[theme], np.float64) + glow * np.array([12.0, 17.0, 30.0])
+    scene.set_background_image(np.repeat(np.clip(rgb, 0, 255).astype(np.uint8), 4, axis=1), format="png")
+
+
+def place_static(scene: viser.SceneApi, root: str, parts: list[StaticPart]) -> None:
+    """Draw the static world of a drive below the node `world` of `root`, or a grid without one."""
+    if not parts:
+        scene.add_grid(
+            f"{root}/world/grid",
+            width=400.0,
+            height=400.0,
+            cell_size=5.0,
+            cell_color=palette.GRID[0],
+            section_size=25.0,
+            section_color=palette.GRID[1],
+            position=(0.0, 0.0, -0.05),
+            fade_distance=260.0,
+        )
+    for part in parts:
+        scene.add_mesh_simple(
+            f"{root}/world/{part.name}",
+            part.vertices,
+            part.faces,
+            color=part.rgb,
+            opacity=part.opacity,
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
 
 class SceneWriter:
@@ -57,75 +113,38 @@ class SceneWriter:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        scene: viser.SceneApi,
         root: str = "",
         point_step_m: float = 0.0,
-        on_object: Callable[[int], None] | None = None,
+        on_click: Callable[[Clicked], None] | None = None,
     ) -> None:
-        """Set the light; no drive is drawn yet.
+        """Draw nothing yet.
 
         Args:
-            server: of the page.
+            scene: of a server or of one browser.
             root: root node, "" for the top.
             point_step_m: round points to a grid of this step, which packs better; 0 keeps them.
-            on_object: called with the id of a body that is clicked.
+            on_click: called with the object or detection that is clicked.
         """
-        self.server = server
-        self.scene = server.scene
+        self.scene = scene
         self.root = root
         self.point_step_m = point_step_m
         self._nodes: dict[str, Any] = {}
         # View of each cloud: an unchanged one is not sent again.
         self._drawn: dict[str, AgentView] = {}
-        self._on_object = on_object
-        self._body_ids: dict[str, NDArray[np.int64]] = {}
-        self._background()
-
-    def _background(self) -> None:
-        # The default environment map and tone mapping wash colours out.
-        self.scene.configure_environment_map(None)
-        self.scene.configure_default_lights(False)
-        self.scene.add_light_ambient("/light/ambient", intensity=1.1)
-        self.scene.add_light_directional("/light/sun", intensity=1.3, position=(-0.4, 0.6, 1.0))
-        self.scene.set_background_image(_backdrop(), format="png")
-        self.scene.world_axes.visible = False
-
-    def place_static(self, parts: list[StaticPart]) -> None:
-        """Draw the static world, or a grid without one."""
-        self._remove("world")
-        frame = self._frame("world")
-        frame.visible = True
-        if not parts:
-            self._nodes["world/grid"] = self.scene.add_grid(
-                f"{self.root}/world/grid",
-                width=400.0,
-                height=400.0,
-                cell_size=5.0,
-                cell_color=(28, 33, 44),
-                section_size=25.0,
-                section_color=(44, 52, 68),
-                position=(0.0, 0.0, -0.05),
-                fade_distance=260.0,
-            )
-        for part in parts:
-            self._nodes[f"world/{part.name}"] = self.scene.add_mesh_simple(
-                f"{self.root}/world/{part.name}",
-                part.vertices,
-                part.faces,
-                color=part.rgb,
-                opacity=part.opacity,
-                flat_shading=True,
-                side="double",
-                cast_shadow=False,
-                receive_shadow=False,
-            )
+        self._on_click = on_click
+        self._clickable: dict[str, tuple[Clicked, ...]] = {}
 
     def clear(self) -> None:
         """Remove every node of the drive."""
         self._remove("")
 
     def write(self, view: FrameView) -> None:
-        """Draw a frame; the caller groups it with `server.atomic()`."""
+        """Draw a frame; the caller groups it with `atomic()`."""
+        drawn = {_agent_node(agent) for agent in view.agents}
+        for name in [name for name in self._nodes if name.count("/") == 1 and name.startswith("agents/")]:
+            if name not in drawn:
+                self._remove(name)
         for agent in view.agents:
             self._write_agent(agent, view)
         self._write_bodies(view)
@@ -136,22 +155,24 @@ class SceneWriter:
                 # A detected object lies under its green detection: a hairline is enough.
                 style = BoxStyle(style.rgb, 1.0, style.form, 0.0)
             self._write_boxes(name, view.layers[name], style, not off)
+            if style.fill > 0.0:
+                self._make_clickable(f"{name}/faces", _boxes_clicked(view, name))
         self._write_links(view)
-        if "world" in self._nodes:
-            self._nodes["world"].visible = "world" not in view.layers_off
+        self._frame("world").visible = "world" not in view.layers_off
 
     def _write_agent(self, agent: AgentView, view: FrameView) -> None:
-        name = f"agents/{'ego ' if agent.is_ego else ''}{agent.title}".replace(" ", "_")
-        other = f"agents/{'' if agent.is_ego else 'ego '}{agent.title}".replace(" ", "_")
-        self._remove(other)
+        name = _agent_node(agent)
         self._frame("agents")
         self._frame(name)
         lidar = self._frame(f"{name}/lidar")
-        _place(lidar, agent.review_from_lidar)
+        place_frame(lidar, agent.review_from_lidar)
         self._write_points(f"{name}/lidar/points", agent, view.point_size_m)
         if f"{name}/label" not in self._nodes:
             self._nodes[f"{name}/label"] = self.scene.add_label(
-                f"{self.root}/{name}/label", f"{'EGO ' if agent.is_ego else ''}{agent.title}", anchor="bottom-center"
+                f"{self.root}/{name}/label",
+                "EGO" if agent.is_ego else agent.title,
+                font_screen_scale=0.7,
+                anchor="bottom-center",
             )
         label = self._nodes[f"{name}/label"]
         label.position = tuple(agent.review_from_lidar[:3, 3] + [0.0, 0.0, 1.2])
@@ -177,9 +198,9 @@ class SceneWriter:
 
     def _write_bodies(self, view: FrameView) -> None:
         self._frame("bodies").visible = "bodies" not in view.layers_off
-        colors = np.full((len(view.truth), 3), (70, 78, 94), np.uint8)
+        colors = np.full((len(view.truth), 3), palette.BODY, np.uint8)
         for row, agent in enumerate(view.agents):
-            colors[view.agent_of == row] = palette.inverse_tone_mapping(agent.rgb)
+            colors[view.agent_of == row] = agent.rgb
         base = view.truth.center - [0.0, 0.0, 0.5] * view.truth.size
         for label, class_name in enumerate(CLASSES):
             rows = view.truth.label == label
@@ -190,21 +211,22 @@ class SceneWriter:
                 colors[rows],
                 opacity=None,
             )
-            self._make_clickable(f"bodies/{class_name}", view.truth.object_id[rows])
+            clicked = tuple(Clicked(object_id=number) for number in view.truth.object_id[rows].tolist())
+            self._make_clickable(f"bodies/{class_name}", clicked)
 
-    def _make_clickable(self, name: str, object_id: NDArray[np.int64]) -> None:
-        if self._on_object is None or name not in self._nodes:
+    def _make_clickable(self, name: str, clicked: tuple[Clicked, ...]) -> None:
+        if self._on_click is None or name not in self._nodes:
             return
-        known = name in self._body_ids
-        self._body_ids[name] = object_id
+        known = name in self._clickable
+        self._clickable[name] = clicked
         if known:
             return
 
         @self._nodes[name].on_click
         def _(event: Any) -> None:
-            ids = self._body_ids.get(name, np.zeros(0, np.int64))
-            if self._on_object is not None and event.instance_index is not None and event.instance_index < len(ids):
-                self._on_object(int(ids[event.instance_index]))
+            boxes = self._clickable.get(name, ())
+            if self._on_click is not None and event.instance_index is not None and event.instance_index < len(boxes):
+                self._on_click(boxes[event.instance_index])
 
     def _write_boxes(self, name: str, boxes: Boxes, style: BoxStyle, shown: bool) -> None:
         self._frame(name.split("/")[0])
@@ -212,7 +234,7 @@ class SceneWriter:
         self._lines(f"{name}/edges", _FORMS[style.form](boxes), style.rgb, style.thickness)
         if style.fill > 0.0:
             pose = (quaternions(boxes.yaw), boxes.center, boxes.size)
-            colors = np.tile(np.array(palette.inverse_tone_mapping(style.rgb), np.uint8), (len(boxes), 1))
+            colors = np.tile(np.array(style.rgb, np.uint8), (len(boxes), 1))
             self._batch(f"{name}/faces", (CUBE_VERTICES, CUBE_FACES), pose, colors, style.fill)
 
     def _write_links(self, view: FrameView) -> None:
@@ -226,7 +248,7 @@ class SceneWriter:
                 node.visible = False
             return
         # One colour for all: viser shows colours per vertex too pale, as if they were linear.
-        color = np.array(palette.inverse_tone_mapping(rgb), np.uint8)
+        color = np.array(rgb, np.uint8)
         if node is None:
             self._nodes[name] = self.scene.add_line_segments(
                 f"{self.root}/{name}", lines, color, thickness=thickness, thickness_units="screen"
@@ -281,16 +303,19 @@ class SceneWriter:
         # Children first: viser warns about a handle whose parent took it away.
         for key in sorted(below, key=len, reverse=True):
             self._drawn.pop(key, None)
-            self._body_ids.pop(key, None)
+            self._clickable.pop(key, None)
             self._nodes.pop(key).remove()
 
 
-def _backdrop() -> NDArray[np.uint8]:
-    """Background image: a night sky, brighter at the horizon."""
-    height = np.linspace(0.0, 1.0, 256)[:, None, None]
-    glow = np.exp(-(((height - 0.22) / 0.25) ** 2))
-    rgb = np.array(palette.BACKGROUND, np.float64) + glow * np.array([12.0, 17.0, 30.0])
-    return np.repeat(np.clip(rgb, 0, 255).astype(np.uint8), 4, axis=1)
+def _agent_node(agent: AgentView) -> str:
+    return f"agents/{'ego ' if agent.is_ego else ''}{agent.title}".replace(" ", "_")
+
+
+def _boxes_clicked(view: FrameView, layer: str) -> tuple[Clicked, ...]:
+    """What a click on each box of a layer selects."""
+    if layer in view.ranks:
+        return tuple(Clicked(detection=rank) for rank in view.ranks[layer].tolist())
+    return tuple(Clicked(object_id=number) for number in view.layers[layer].object_id.tolist())
 
 
 def set_start_camera(server: viser.ViserServer, pose: CameraPose) -> None:
@@ -301,6 +326,7 @@ def set_start_camera(server: viser.ViserServer, pose: CameraPose) -> None:
     camera.near, camera.far = 0.5, 2000.0
 
 
-def _place(handle: Any, parent_from_child: NDArray[np.float64]) -> None:
+def place_frame(handle: Any, parent_from_child: NDArray[np.float64]) -> None:
+    """Set the pose of a node to a (4, 4) transform."""
     handle.wxyz = SO3.from_matrix(parent_from_child[:3, :3]).wxyz
     handle.position = parent_from_child[:3, 3]

@@ -1,14 +1,28 @@
-"""viser server on the loopback, on a checked port, without its banner."""
+"""viser server on a checked port, without its banner, for pages of its own origin alone."""
 
 import contextlib
+import gzip
+import http
 import io
 import socket
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+from urllib.parse import urlsplit
 
 import viser
+import websockets.asyncio.server
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
 
+from dsrc.review.page.browser import HEAD
 from sim.errors import SettingsError, complaint
 
 LOOPBACK = "127.0.0.1"
+_LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
+_starting = threading.Lock()
+
+Process = Callable[[Any, Request], Response | None]
 
 
 def free_port(host: str = LOOPBACK) -> int:
@@ -34,8 +48,8 @@ def check_port(host: str, port: int) -> None:
             ) from None
 
 
-def start_server(host: str = LOOPBACK, port: int | None = None) -> viser.ViserServer:
-    """Start a server; the caller stops it.
+def checked_port(host: str = LOOPBACK, port: int | None = None) -> int:
+    """Return the port, a free one for None.
 
     Raises:
         SettingsError: the port is taken, or `host` is not an address of this machine.
@@ -45,9 +59,79 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> viser.ViserSe
     except OSError as error:
         raise SettingsError(complaint("view", "host", "an address of this machine", f"{host} ({error})")) from None
     check_port(host, wanted)
+    return wanted
+
+
+def start_server(host: str = LOOPBACK, port: int | None = None) -> viser.ViserServer:
+    """Start a server; the caller stops it.
+
+    Raises:
+        SettingsError: the port is taken, or `host` is not an address of this machine.
+    """
+    wanted = checked_port(host, port)
     # viser prints a banner to standard output, which belongs to the command's results.
-    with contextlib.redirect_stdout(io.StringIO()):
+    with _own_requests(host), contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host=host, port=wanted, label="Review", verbose=False)
+
+
+@contextlib.contextmanager
+def _own_requests(host: str) -> Iterator[None]:
+    """Answer the requests of servers started in the block ourselves where viser's answer does not do."""
+    # viser takes no `process_request` of its own, and starts its server while it is constructed.
+    serve = websockets.asyncio.server.serve
+
+    def guarded(*args: Any, process_request: Process, **kwargs: Any) -> Any:
+        return serve(*args, process_request=_answer(process_request, host), **kwargs)
+
+    with _starting:
+        websockets.asyncio.server.serve = guarded  # type: ignore[assignment,misc]
+        try:
+            yield
+        finally:
+            websockets.asyncio.server.serve = serve  # type: ignore[misc]
+
+
+def _answer(process: Process, host: str) -> Process:
+    """Answer of the server: nothing for other origins, and the page with our script in its head."""
+
+    def answer(connection: Any, request: Request) -> Response | None:
+        if not same_origin(request.headers, host):
+            return Response(http.HTTPStatus.FORBIDDEN, "FORBIDDEN", Headers(), b"this page is for its own origin alone")
+        response = process(connection, request)
+        if response is not None and request.path.partition("?")[0] == "/":
+            page = response.body or b""
+            if response.headers.get("Content-Encoding") == "gzip":
+                page = gzip.decompress(page)
+            response.body = page.replace(b"<head>", b"<head>" + HEAD.encode(), 1)
+            for name, value in (("Content-Encoding", "identity"), ("Content-Length", str(len(response.body)))):
+                del response.headers[name]
+                response.headers[name] = value
+        return response
+
+    return answer
+
+
+def same_origin(headers: Headers, host: str) -> bool:
+    """Whether a request comes from a page of this server, or from no page.
+
+    Pages of any origin may open a websocket to the loopback, and a foreign name may be made to lead to it: a browser
+    tells both in the headers.
+
+    Args:
+        headers: of the request.
+        host: address that the server listens on.
+    """
+    name, origin = headers.get("Host", ""), headers.get("Origin")
+    if host in _LOOPBACK_NAMES and urlsplit(f"//{name}").hostname not in _LOOPBACK_NAMES:
+        return False
+    return origin is None or urlsplit(origin).netloc == name
+
+
+def link_of(server: viser.ViserServer, client_id: int) -> str:
+    """Query of the address with which a browser connected, "" without one."""
+    connection = server._websock_server._live_connections.get(client_id)
+    request = None if connection is None else connection.request
+    return "" if request is None else request.path.partition("?")[2]
 
 
 def address(server: viser.ViserServer) -> str:

@@ -6,7 +6,7 @@ import pytest
 
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.state import ReviewState
-from dsrc.review.texts import legend, object_report
+from dsrc.review.texts import legend, selection_report
 from dsrc.review.view import (
     DETECTED_TRUTH,
     FALSE_NEGATIVES,
@@ -167,9 +167,12 @@ def test_object_details_give_motion_lights_and_visibility(truth_model):
 
 
 def test_object_details_as_text(truth_model):
-    text = object_report(truth_model.view(ReviewState(object_id=1003)).details)
+    text = selection_report(truth_model.view(ReviewState(object_id=1003)).details)
     assert "**car 1003**, seen by the ego" in text
     assert "3.0 m/s, -2.5 m/s² · brake light · lane `main_0`" in text
     assert "| vehicle 1000 | 40 | 25 % |" in text
-    unknown = object_report(truth_model.view(ReviewState(object_id=1005)).details)
-    assert "seen by the ego\n\n0.0 m/s\n\n" in unknown and "| roadside unit 1 | 40 | – |" in unknown
+    unknown = selection_report(truth_model.view(ReviewState(object_id=1005)).details)
+    assert (
+        "seen by the ego\n\n4.4 × 1.9 × 1.6 m · 60.0 m away · 0.0 m/s\n\n" in unknown
+        and "| roadside unit 1 | 40 | – |" in unknown
+    )

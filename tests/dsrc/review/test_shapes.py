@@ -3,7 +3,7 @@ import pytest
 
 from dsrc.ops.detections import Detections
 from dsrc.review.matching import Counts, match
-from dsrc.review.page.cameras import birds_eye, chase, followed, overview
+from dsrc.review.page.cameras import birds_eye, chase, overview, scene_from_review
 from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
 from dsrc.review.state import ReviewState
 from dsrc.review.static import split_by_material
@@ -77,10 +77,13 @@ def test_cameras_look_at_the_ego(truth_model):
     assert chase(view).position[0] < ego[0] < chase(view).look_at[0]
 
 
-def test_a_following_camera_keeps_its_place_beside_the_ego(truth_model):
-    before, after = truth_model.view(ReviewState()), truth_model.view(ReviewState(frame=5))
-    moved = followed(np.array([-10.0, 4.0, 8.0]), before, after, turn=True)
-    np.testing.assert_allclose(moved, [0.0, 4.0, 8.0], atol=1e-9)
+def test_the_scene_of_a_following_camera_keeps_the_ego_at_its_origin(truth_model):
+    for frame in (0, 5):
+        view = truth_model.view(ReviewState(frame=frame))
+        for camera in ("chase", "bev"):
+            ego = scene_from_review(camera, view) @ view.ego.review_from_body
+            np.testing.assert_allclose(ego[:3, 3], 0.0, atol=1e-9)
+        np.testing.assert_allclose(scene_from_review("free", view), np.eye(4))
 
 
 def test_the_world_is_cut_to_the_surroundings_and_split_by_material():

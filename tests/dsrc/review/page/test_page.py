@@ -1,19 +1,23 @@
+"""The scene that is written, and the page as it is served."""
+
 import socket
-import threading
-import time
+import urllib.error
 import urllib.request
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp, serve
-from dsrc.review.page.commands import commands, next_error
-from dsrc.review.page.scene import SceneWriter
+from dsrc.review.page.scene import SceneWriter, place_static
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
+from dsrc.review.view import UNJUDGED
+from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 
 
@@ -24,28 +28,13 @@ def server():
     stop_server(server)
 
 
-@pytest.fixture
-def app(model):
-    app = ReviewApp(model, start_server(), ReviewState())
-    app.wait_drawn()
-    yield app
-    app.close()
-
-
 def node(server, name):
     return server.scene.get_handle_by_name(name)
 
 
-def wait_for(condition, timeout_s=10.0):
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.01)
-
-
 def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(server, model):
     view = model.view(ReviewState())
-    SceneWriter(server).write(view)
+    SceneWriter(server.scene).write(view)
     cloud = node(server, "/agents/ego_vehicle_1000/lidar/points")
     np.testing.assert_array_equal(cloud.points, view.agents[0].points.astype(np.float16))
     np.testing.assert_allclose(
@@ -57,7 +46,7 @@ def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(server, mod
 
 
 def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server, model):
-    writer = SceneWriter(server)
+    writer = SceneWriter(server.scene)
     for threshold, shown in ((0.0, True), (1.0, False), (0.0, True)):
         writer.write(model.view(ReviewState(threshold=threshold)))
         assert node(server, "/detections/fp/edges").visible is shown
@@ -65,17 +54,16 @@ def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server, model):
 
 
 def test_layers_can_be_switched_off(server, model):
-    writer = SceneWriter(server)
-    writer.place_static([])
+    writer = SceneWriter(server.scene)
     writer.write(model.view(ReviewState(layers_off=frozenset(SHOWN_LAYERS))))
+    place_static(server.scene, "", [])
     names = ("/truth/detected", "/detections/tp", "/bodies", "/world", "/links", "/agents/vehicle_1002/label")
     assert [node(server, name).visible for name in names] == [False] * 6
     assert node(server, "/agents/vehicle_1002/lidar/points").visible
 
 
 def test_clearing_leaves_nothing_of_a_drive(server, model, recwarn):
-    writer = SceneWriter(server)
-    writer.place_static([])
+    writer = SceneWriter(server.scene)
     writer.write(model.view(ReviewState()))
     writer.clear()
     assert node(server, "/agents/vehicle_1002/lidar/points") is None
@@ -84,183 +72,107 @@ def test_clearing_leaves_nothing_of_a_drive(server, model, recwarn):
     assert not recwarn.list
 
 
+def test_an_agent_that_leaves_takes_its_points_with_it(server, model):
+    writer = SceneWriter(server.scene)
+    view = model.view(ReviewState())
+    writer.write(view)
+    writer.write(replace(view, agents=view.agents[:2]))
+    assert node(server, "/agents/roadside_unit_1/lidar/points") is None
+    assert node(server, "/agents/vehicle_1002/lidar/points") is not None
+
+
+def test_without_labels_nothing_is_judged(drive, detector, monkeypatch):
+    read = type(drive).read
+    empty = Boxes.zeros()
+
+    def unlabelled(self, i):
+        frame = read(self, i)
+        none = np.zeros((0, 2))
+        return replace(frame, truth=empty, velocity=none, acceleration=none, signals=np.zeros(0, np.int32), lane=(),
+                       points_on=frame.points_on[:, :0], visible_fraction=frame.visible_fraction[:, :0])  # fmt: skip
+
+    monkeypatch.setattr(type(drive), "read", unlabelled)
+    monkeypatch.setattr(type(detector), "detect", lambda self, sample: ghosts())
+    model = ReviewModel([drive], detector)
+    view = model.view(ReviewState())
+    assert view.counts is None and model.counts(ReviewState()) is None
+    assert len(view.layers[UNJUDGED]) == 2 and not len(view.layers["detections/fp"])
+    assert not view.labelled
+
+
+def ghosts():
+    from dsrc.ops.detections import Detections
+
+    boxes = Boxes.from_array([[10.0, -25.0, -1.0, 4.0, 2.0, 1.5, 0.3], [20.0, 0.0, -1.0, 4.0, 2.0, 1.5, 0.0]])
+    return Detections(boxes, np.array([0.9, 0.5], np.float32))
+
+
 def test_the_page_listens_on_the_loopback_only_and_answers(app):
     assert app.url.startswith("http://127.0.0.1:")
     with urllib.request.urlopen(app.url, timeout=10) as answer:
         assert answer.status == 200
+        assert b"review-link" in answer.read()
 
 
-def test_the_sliders_move_the_page(app):
-    app._panels.frame.value = 5
-    wait_for(lambda: app.state.frame == 5)
-    assert app.wait_drawn().index == 5
-    before = len(node(app.server, "/detections/tp/edges").points)
-    app._panels.threshold.value = 0.8
-    wait_for(lambda: app.state.threshold == 0.8)
-    assert app.wait_drawn().counts.fn > 1
-    assert len(node(app.server, "/detections/tp/edges").points) < before
+@pytest.mark.parametrize(
+    "headers", [{"Origin": "http://evil.example"}, {"Origin": "http://127.0.0.1:1"}, {"Origin": "null"}]
+)
+def test_a_page_of_another_origin_gets_neither_the_scene_nor_the_page(app, headers):
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(app.url.replace("http", "ws"), additional_headers=headers)
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(urllib.request.Request(app.url, headers=headers), timeout=10)
 
 
-def test_the_report_counts_what_is_drawn(app):
-    counts = app.view.counts
-    assert f"| this frame | {counts.tp} | {counts.fp} | {counts.fn} |" in app._panels.report.content
+def test_a_foreign_name_that_leads_to_the_loopback_gets_nothing(app):
+    port = app.url.rsplit(":", 1)[1]
+    named = {"Host": f"evil.example:{port}", "Origin": f"http://evil.example:{port}"}
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(urllib.request.Request(app.url, headers=named), timeout=10)
+    local = urllib.request.Request(app.url, headers={"Host": "localhost:1", "Origin": "http://localhost:1"})
+    # A forwarded port has another number on the other side.
+    with urllib.request.urlopen(local, timeout=10) as answer:
+        assert answer.status == 200
 
 
-def test_a_dropdown_brings_a_corruption(app, fake_fog):
-    app._panels.corruption.value = "fog"
-    wait_for(lambda: app.state.corruption == "fog")
-    app.wait_drawn()
-    assert fake_fog == [(0, "fog", 3)]
-    assert not app._panels.severity.disabled
-
-
-def test_a_dropdown_changes_the_family_of_the_settings(app, fake_fog):
-    app.update(corruption="fog")
-    app.wait_drawn()
-    app._panels.family.value = "paper"
-    wait_for(lambda: app.state.family == "paper")
-    app.wait_drawn()
-    assert len(fake_fog) == 2
-    assert not app._panels.family.disabled
-
-
-def test_an_agents_box_hides_its_points(app):
-    app._panels.agent_boxes[1002].value = False
-    wait_for(lambda: app.state.hidden == {1002})
-    app.wait_drawn()
-    assert not node(app.server, "/agents/vehicle_1002/lidar/points").visible
-
-
-def test_another_ego_is_selected_by_name(app, detector):
-    assert app._panels.ego.value == "vehicle 1000"
-    app._panels.ego.value = "vehicle 1002"
-    wait_for(lambda: app.state.ego_id == 1002)
-    assert app.wait_drawn().ego.agent_id == 1002
-    assert detector.samples[-1].agent_ids[0] == 1002
-    assert node(app.server, "/agents/ego_vehicle_1000/lidar/points") is None
-    assert node(app.server, "/agents/ego_vehicle_1002/lidar/points").visible
-
-
-def test_steps_stop_at_the_ends(app):
-    app.step(-1)
-    assert app.state.frame == 0
-    app.step(100)
-    assert app.state.frame == 11
-
-
-def test_playing_goes_around_until_it_is_paused(app):
-    app.update(frame=9)
-    app.play(20.0)
-    wait_for(lambda: app.view.index in (0, 1, 2))
-    app.toggle_play()
-    app.wait_drawn()
-    time.sleep(0.1)
-    stopped = app.state.frame
-    time.sleep(0.15)
-    assert app.state.frame == stopped and app._panels.play.label == "Play"
-
-
-def test_the_latest_state_wins(model, monkeypatch):
-    drawn, gate = [], threading.Event()
-    view = model.view
-
-    def slow_view(state):
-        drawn.append(state.frame)
-        gate.wait(5.0)
-        return view(state)
-
-    monkeypatch.setattr(model, "view", slow_view)
-    app = ReviewApp(model, start_server())
-    try:
-        wait_for(lambda: drawn)
-        for frame in range(1, 12):
-            app.update(frame=frame)
-        gate.set()
-        assert app.wait_drawn().index == 11
-        assert drawn == [0, 11]
-    finally:
-        gate.set()
-        app.close()
-
-
-def test_a_broken_frame_is_reported_on_the_page_and_the_next_is_drawn(app, drive, monkeypatch):
-    read = type(drive).read
-
-    def broken(self, i):
-        if i == 4:
-            raise DataError("street/1000/000004.pcd: cut short")
-        return read(self, i)
-
-    monkeypatch.setattr(type(drive), "read", broken)
-    app.update(frame=4)
-    app.wait_drawn()
-    assert "cut short" in app._panels.notice.content and app._panels.notice.visible
-    app.update(frame=6)
-    assert app.wait_drawn().index == 6 and not app._panels.notice.visible
-
-
-def test_another_drive_starts_at_its_first_frame(detector, drive):
-    other = type(drive)(frames=(3, 4))
-    app = ReviewApp(ReviewModel([drive, other], detector), start_server(), ReviewState(frame=7))
-    try:
-        app.wait_drawn()
-        app.update(drive=1)
-        assert app.wait_drawn().index == 3
-        assert app._panels.frame.max == 1
-    finally:
-        app.close()
-
-
-def test_keys_are_unique_and_leave_the_cameras_keys_alone(app):
-    keys = [(command.key, command.shift) for command in commands(app)]
-    assert len(set(keys)) == len(keys)
-    assert not {key.upper() for key, _ in keys} & set("WASDQE")
-
-
-def test_commands_change_the_page(app, fake_fog):
-    by_label = {command.label: command.run for command in commands(app)}
-    by_label["Last frame"]()
-    assert app.state.frame == 11
-    by_label["Clean or corrupted"]()
-    assert app.state.corruption != "clean"
-    by_label["Clean or corrupted"]()
-    assert app.state.corruption == "clean"
-    by_label["Points of agent 2 alone"]()
-    assert app.state.hidden == {1000, -1}
-    by_label["Points of all agents"]()
-    assert app.state.hidden == frozenset()
-    by_label["Next colour of the points"]()
-    assert app.state.color_by == "intensity"
-    for label in ("Camera: chase the ego", "Camera: bird's eye", "Camera: reset"):
-        by_label[label]()
-    app.wait_drawn()
-
-
-def test_the_next_error_is_the_next_frame_with_an_fp_or_fn(app):
-    next_error(app, 1)
-    assert app.state.frame == 1
-    next_error(app, -1)
-    assert app.state.frame == 0
-
-
-def test_serve_opens_a_folder_of_drives(tmp_path, frame):
+def test_serve_opens_a_folder_of_drives(tmp_path, frame, connect_browser):
     for index in (0, 1):
         write_frame(tmp_path / "drive", replace(frame, index=index))
     announced = []
-    app = serve(tmp_path, block=False, announce=announced.append)
+    app = serve(tmp_path, frame=1, block=False, announce=announced.append)
     try:
         assert announced == [app.url]
-        assert app.wait_drawn().drive == "drive"
+        view = connect_browser(app).session.wait_drawn()
+        assert (view.drive, view.index) == ("drive", 1)
     finally:
         app.close()
 
 
-def test_bad_input_fails_before_a_server_starts(tmp_path, monkeypatch):
+def test_bad_input_fails_before_a_server_starts(tmp_path, frame, monkeypatch):
     monkeypatch.setattr("dsrc.review.page.app.start_server", lambda *_: pytest.fail("a server was started"))
     with pytest.raises(SettingsError, match="unknown corruption 'clen'; did you mean 'clean'"):
         serve(tmp_path, corruption="clen", block=False)
     with pytest.raises(DataError):
         serve(tmp_path / "nowhere", block=False)
+    write_frame(tmp_path / "drive", frame)
+    with pytest.raises(SettingsError, match="frame: expected 0 to 0, found 3"):
+        serve(tmp_path, frame=3, block=False)
+    for pcd in (tmp_path / "drive").rglob("*.pcd"):
+        pcd.write_bytes(pcd.read_bytes()[:60])
+    with pytest.raises(DataError, match="pcd"):
+        serve(tmp_path, block=False)
+
+
+def test_a_drive_that_cannot_be_read_does_not_block_the_others(tmp_path, frame, connect_browser):
+    for name in ("a", "b"):
+        write_frame(tmp_path / name, frame)
+    for pcd in (tmp_path / "a").rglob("*.pcd"):
+        pcd.write_bytes(pcd.read_bytes()[:60])
+    app = serve(tmp_path, block=False)
+    try:
+        assert connect_browser(app).session.wait_drawn().drive == "b"
+    finally:
+        app.close()
 
 
 def test_a_busy_port_is_one_line(tmp_path):
@@ -273,18 +185,11 @@ def test_a_busy_port_is_one_line(tmp_path):
     with pytest.raises(SettingsError, match="expected 1 to 65535"):
         serve(tmp_path, port=70_000, block=False)
     with pytest.raises(SettingsError, match="host"):
-        start_server("256.1.1.1")
+        serve(tmp_path, host="256.1.1.1", block=False)
 
 
-def test_an_object_is_selected_in_the_list_or_by_a_click(app):
-    app._panels.object.value = "car 1003"
-    view = app.wait_drawn()
-    assert app.state.object_id == 1003 and view.details.object_id == 1003
-    assert "**car 1003**" in app._panels.object_report.content
-    app._writer._on_object(1004)
-    assert app.wait_drawn().details.object_id == 1004
-    assert app._panels.object.value == "car 1004"
-    app.step(1)
-    assert app.wait_drawn().details.object_id == 1004
-    app._panels.object.value = "none"
-    assert app.wait_drawn().details is None
+def test_the_light_is_drawn_once_for_all(app, browser, connect_browser):
+    connect_browser(app)
+    assert node(app.server, "/light/ambient") is not None
+    assert node(app.server, "/drive0/world/grid") is not None
+    assert isinstance(app, ReviewApp) and len(app.sessions) == 2

@@ -1,0 +1,168 @@
+"""Table of the controls: one row per control of a field of the state; panels, keys and links are made from it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from dsrc.review.page.protocol import Shown
+from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS
+from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
+from sim.boxes import CLASSES
+
+NOBODY = "none"
+
+SPEEDS = {"0.25×": 0.25, "0.5×": 0.5, "1×": 1.0, "2×": 2.0, "4×": 4.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Slider:
+    """Number between two bounds, the upper one fixed or a function of what is shown."""
+
+    low: float
+    high: float | Callable[[Shown], float]
+    step: float
+
+    def upper(self, shown: Shown) -> float:
+        """Upper bound."""
+        return self.high(shown) if callable(self.high) else self.high
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One of named values, which may depend on what is shown.
+
+    Attributes:
+        options: names and their values.
+        closed: whether a link may hold none but these.
+    """
+
+    options: Callable[[Shown], dict[str, Any]]
+    closed: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Switch:
+    """A field that is on or off; with `item`, whether a set of what is off lacks the item."""
+
+    item: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """Row of the table.
+
+    Attributes:
+        field: of `ReviewState`.
+        widget: what it is drawn as; None for a field that is only part of the link.
+        label: displayed name.
+        panel: title of the folder it is in; "" above the folders.
+        link: name in the link; "" for a field that is not part of it.
+        key: key that takes the next choice or turns the switch; "" without one.
+        shown: whether it is drawn.
+        enabled: whether it does anything.
+    """
+
+    field: str
+    widget: Slider | Choice | Switch | None
+    label: str = ""
+    panel: str = ""
+    link: str = ""
+    key: str = ""
+    shown: Callable[[Shown], bool] = lambda _: True
+    enabled: Callable[[Shown], bool] = lambda _: True
+
+
+def _same(*values: Any) -> Callable[[Shown], dict[str, Any]]:
+    return lambda _: {str(value): value for value in values}
+
+
+def _named(options: dict[str, Any]) -> Callable[[Shown], dict[str, Any]]:
+    return lambda _: options
+
+
+def _drives(shown: Shown) -> dict[str, Any]:
+    # Two drives of one name in different folders need different entries.
+    names = shown.model.names
+    return {name if names.count(name) == 1 else f"{row}: {name}": row for row, name in enumerate(names)}
+
+
+def _agents(shown: Shown) -> dict[str, Any]:
+    if shown.view is None:
+        return {"–": None}
+    return {agent.title: agent.agent_id for agent in shown.view.agents}
+
+
+def _objects(shown: Shown) -> dict[str, Any]:
+    """Objects of the frame, and the selected one even while absent."""
+    selected = shown.state.object_id
+    objects: dict[str, Any] = {NOBODY: None}
+    if shown.view is not None:
+        truth = shown.view.truth
+        names = [CLASSES[label] for label in truth.label.tolist()]
+        objects |= {f"{name} {number}": number for name, number in zip(names, truth.object_id.tolist(), strict=True)}
+    if selected not in objects.values():
+        objects[f"object {selected}"] = selected
+    return objects
+
+
+def _last_frame(shown: Shown) -> float:
+    return shown.model.frame_count(shown.state.drive) - 1
+
+
+def _corrupted(shown: Shown) -> bool:
+    return shown.state.corruption != CLEAN
+
+
+def _detects(shown: Shown) -> bool:
+    return shown.model.has_detector
+
+
+CONTROLS: tuple[Control, ...] = (
+    Control("drive", Choice(_drives), "Drive", link="drive", shown=lambda s: len(s.model.names) > 1),
+    Control("frame", Slider(0, _last_frame, 1), "Frame", link="frame"),
+    Control("speed", Choice(_named(SPEEDS)), "Speed", link="speed"),
+    Control("camera", Choice(_named({"Free": "free", "Chase": "chase", "Bird's eye": "bev"})), "Camera", link="camera"),
+    Control("object_id", Choice(_objects, closed=False), "Object", "Selection", link="object"),
+    Control("detection", None, link="detection"),
+    Control("corruption", Choice(_same(CLEAN, *CORRUPTIONS)), "Corruption", "Conditions", link="corruption"),
+    Control("severity", Slider(1, 5, 1), "Severity", "Conditions", link="severity", enabled=_corrupted),
+    Control("family", Choice(_same(*FAMILIES)), "Settings", "Conditions", link="family", enabled=_corrupted),
+    Control("threshold", Slider(0.0, 1.0, 0.01), "Score ≥", "Detections", link="score", shown=_detects),
+    Control("iou", Choice(_same(*IOU_THRESHOLDS)), "IoU ≥", "Detections", link="iou", key="I", shown=_detects),
+    Control("ego_id", Choice(_agents, closed=False), "Ego", "Detections", link="ego", shown=_detects),
+    Control("cooperative", Switch(), "Cooperative", "Detections", link="cooperative", key="V", shown=_detects),
+    Control("hidden", None, link="hidden"),
+    Control("color_by", Choice(_same(*COLOR_BY)), "Points by", "Look", link="color", key="P"),
+    Control("point_size_m", Slider(0.02, 0.5, 0.01), "Point size", "Look", link="size"),
+    Control("max_points", Slider(2000, 120_000, 1000), "Points/agent", "Look", link="points"),
+    Control("theme", Choice(_named({"Dark": "dark", "Light": "light"})), "Theme", "Look", link="theme", key="T"),
+    *(Control("layers_off", Switch(layer), layer.capitalize(), "Look", link="off") for layer in SHOWN_LAYERS),
+)
+"""The controls, in the order of the page."""
+
+
+def value_of(control: Control, shown: Shown) -> Any:
+    """Value of a control in the state."""
+    value = getattr(shown.state, control.field)
+    if control.field == "ego_id" and value is None and shown.view is not None:
+        return shown.view.ego.agent_id
+    if isinstance(control.widget, Switch) and control.widget.item is not None:
+        return control.widget.item not in value
+    return value
+
+
+def change_of(control: Control, shown: Shown, value: Any) -> dict[str, Any]:
+    """Changes of the state that a value of a control means."""
+    if isinstance(control.widget, Switch) and control.widget.item is not None:
+        off, item = getattr(shown.state, control.field), control.widget.item
+        return {control.field: off - {item} if value else off | {item}}
+    return {control.field: value}
+
+
+def next_value(control: Control, shown: Shown) -> Any:
+    """Value that the key of a control sets: the next choice, or the switch turned."""
+    value = value_of(control, shown)
+    if isinstance(control.widget, Choice):
+        options = list(control.widget.options(shown).values())
+        return options[(options.index(value) + 1) % len(options)] if value in options else options[0]
+    return not value

@@ -1,0 +1,129 @@
+"""Links: a state and a camera as the query of a page's address, and back."""
+
+import re
+from dataclasses import fields, replace
+from typing import Any
+from urllib.parse import parse_qsl
+
+import numpy as np
+
+from dsrc.review.model import ReviewModel
+from dsrc.review.page.cameras import UP, CameraPose
+from dsrc.review.page.controls import CONTROLS, Choice, Control, Slider
+from dsrc.review.page.protocol import Shown
+from dsrc.review.state import SHOWN_LAYERS, ReviewState
+from sim.errors import SettingsError, complaint
+
+VIEW = "view"
+"""Name of the camera's position and the point looked at: six numbers, m."""
+
+_DEFAULTS = {field.name: getattr(ReviewState(), field.name) for field in fields(ReviewState)}
+_PLAIN = re.compile(r"[\w.~-]+", re.ASCII)
+
+
+def _rows() -> dict[str, Control]:
+    """The first row of each name in links."""
+    rows: dict[str, Control] = {}
+    for control in CONTROLS:
+        if control.link:
+            rows.setdefault(control.link, control)
+    return rows
+
+
+def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None) -> str:
+    """Query of a state and a camera pose; what is as at the start is left out."""
+    parts = []
+    for name, control in _rows().items():
+        value = getattr(state, control.field)
+        if value != _DEFAULTS[control.field]:
+            parts.append(f"{name}={_text(model, control.field, value)}")
+    if pose is not None:
+        numbers = [*pose.position.tolist(), *pose.look_at.tolist()]
+        parts.append(f"{VIEW}={','.join(f'{number:.2f}' for number in numbers)}")
+    return "&".join(parts)
+
+
+def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[ReviewState, CameraPose | None, list[str]]:
+    """Return the state of a link, its camera, and one complaint per part that cannot be taken.
+
+    Args:
+        query: of the page's address.
+        model: drives that the link is about.
+        state: of a page without a link.
+    """
+    complaints: list[str] = []
+    parts = dict(parse_qsl(query, keep_blank_values=True))
+    for name, control in _rows().items():
+        if name not in parts:
+            continue
+        try:
+            state = replace(state, **{control.field: _value(control, parts[name], Shown(model, state))})
+        except SettingsError as error:
+            complaints.append(str(error))
+    pose = None
+    if VIEW in parts:
+        try:
+            pose = _pose(parts[VIEW])
+        except SettingsError as error:
+            complaints.append(str(error))
+    return state, pose, complaints
+
+
+def _text(model: ReviewModel, field: str, value: Any) -> str:
+    if field == "drive":
+        name = model.names[value]
+        return name if model.names.count(name) == 1 and _PLAIN.fullmatch(name) else str(value)
+    if isinstance(value, frozenset):
+        return ",".join(sorted(map(str, value)))
+    if isinstance(value, bool):
+        return str(int(value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _value(control: Control, text: str, shown: Shown) -> Any:
+    """Value of a part of a link.
+
+    Raises:
+        SettingsError: it is no value of the control.
+    """
+    if control.field == "drive" and text in shown.model.names:
+        return shown.model.names.index(text)
+    value = _parsed(control, text)
+    widget = control.widget
+    if isinstance(widget, Slider) and not widget.low <= value <= widget.upper(shown):
+        expected = f"{widget.low:g} to {widget.upper(shown):g}"
+        raise SettingsError(complaint("link", control.link, expected, text))
+    if isinstance(widget, Choice) and widget.closed and value not in widget.options(shown).values():
+        raise SettingsError(complaint("link", control.link, ", ".join(widget.options(shown)), text))
+    return value
+
+
+def _parsed(control: Control, text: str) -> Any:
+    kind = type(_DEFAULTS[control.field])
+    try:
+        if kind is frozenset:
+            items = frozenset(item for item in text.split(",") if item)
+            if control.field == "layers_off":
+                if not items <= set(SHOWN_LAYERS):
+                    raise SettingsError(complaint("link", control.link, ", ".join(SHOWN_LAYERS), text))
+                return items
+            return frozenset(map(int, items))
+        if kind is bool:
+            return {"0": False, "1": True}[text]
+        if kind is type(None):
+            return int(text)
+        return kind(text)
+    except (ValueError, KeyError):
+        expected = {bool: "0 or 1", float: "a number", frozenset: "whole numbers"}.get(kind, "a whole number")
+        raise SettingsError(complaint("link", control.link, expected, text)) from None
+
+
+def _pose(text: str) -> CameraPose:
+    try:
+        numbers = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        numbers = np.zeros(0)
+    # Beyond this the browser's numbers lose the metre.
+    if numbers.shape != (6,) or not (np.abs(numbers) < 1e6).all() or np.allclose(numbers[:3], numbers[3:]):
+        raise SettingsError(complaint("link", VIEW, "six numbers: position and point looked at", text))
+    return CameraPose(numbers[:3], numbers[3:], UP)

@@ -1,0 +1,21 @@
+"""Panels of the page, one file each: what they show comes as `Shown`, what they change goes to `Page`."""
+
+from collections.abc import Callable
+
+from dsrc.review.page.panels.agents import AgentsPanel
+from dsrc.review.page.panels.folders import ConditionsPanel, DetectionsPanel, LookPanel
+from dsrc.review.page.panels.report import ReportPanel
+from dsrc.review.page.panels.selection import SelectionPanel
+from dsrc.review.page.panels.timeline import TimelinePanel
+from dsrc.review.page.protocol import Page, Panel
+
+PANELS: tuple[Callable[[Page], Panel], ...] = (
+    TimelinePanel,
+    ReportPanel,
+    SelectionPanel,
+    ConditionsPanel,
+    DetectionsPanel,
+    AgentsPanel,
+    LookPanel,
+)
+"""The panels, from the top of the page."""

@@ -1,0 +1,407 @@
+"""Session: page of one browser, with its own state, camera, selection and playing."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from html import escape
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from dsrc.review.matching import Counts
+from dsrc.review.model import ReviewModel
+from dsrc.review.page import cameras
+from dsrc.review.page.browser import LINK_ID
+from dsrc.review.page.cameras import CameraPose
+from dsrc.review.page.commands import COMMANDS, Command, keys_table
+from dsrc.review.page.link import write_link
+from dsrc.review.page.panels import PANELS
+from dsrc.review.page.protocol import Shown
+from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_backdrop
+from dsrc.review.state import Camera, ReviewState
+from dsrc.review.view import FrameView
+from sensors.corruptions import CLEAN
+from sim.errors import UserError
+from sim.geometry import invert
+
+log = logging.getLogger(__name__)
+
+LINK_PAUSE_S = 0.3
+"""Least time between two links of one browser, s."""
+
+NARROW_PX = 800
+"""Width of a window in which the panel starts collapsed."""
+
+# A detection is known by its place in one list of scores.
+_LIST_OF_DETECTIONS = ("drive", "frame", "corruption", "severity", "family", "ego_id", "cooperative")
+
+
+def root_of(drive: int) -> str:
+    """Node of the scene below which a drive is drawn, in the row of its model."""
+    return f"/drive{drive}"
+
+
+class Session:
+    """Page of one browser.
+
+    Callbacks of viser run in a pool of threads and only replace the state. One worker thread draws the newest state
+    and skips older ones.
+
+    Attributes:
+        model: drives, detector and caches.
+        client: the browser; a server does in its place.
+        gui: controls of this browser.
+        state: newest settings.
+        view: last drawn frame, None before the first.
+        last_corruption: last corruption other than `clean`, "" before the first.
+        link: query of the address that shows what is drawn.
+    """
+
+    def __init__(
+        self,
+        model: ReviewModel,
+        using_model: threading.Lock,
+        client: viser.ClientHandle,
+        state: ReviewState,
+        pose: CameraPose | None = None,
+        notice: str = "",
+        place_world: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        """Build the page and start drawing; `close` ends it.
+
+        Args:
+            model: drives, detector and caches, shared by all browsers.
+            using_model: lock of the model.
+            client: the browser.
+            state: of the start.
+            pose: camera of the start, in the scene; None for that of the state.
+            notice: text above the controls at the start.
+            place_world: called with the row of a drive that is drawn, after its first frame.
+        """
+        self.model, self.client, self.gui = model, client, client.gui
+        self.state = state
+        self.view: FrameView | None = None
+        self.last_corruption = "" if state.corruption == CLEAN else state.corruption
+        self.link = ""
+        self._using_model = using_model
+        self._place_world = place_world
+        self._changed = threading.Condition()
+        self._wanted, self._drawn = 1, 0
+        self._closed = False
+        self._playing = False
+        self._next_at = 0.0
+        self._scene_from_review = np.eye(4)
+        self._placed: ReviewState | None = None
+        self._pose = pose
+        self._placing: Camera | None = None
+        self._moved = False
+        self._linked_at = 0.0
+        self._theme = ""
+        self._help: Any = None
+        self._failed, self._told_of = False, (state.drive, state.frame)
+        self._interval_s = 0.1
+        self._build(notice)
+        self._thread = threading.Thread(target=self._work, name="review-session", daemon=True)
+        self._thread.start()
+
+    def _build(self, notice: str) -> None:
+        self._show_theme()
+        self._roots = [
+            self.client.scene.add_frame(root_of(row), show_axes=False, visible=False)
+            for row in range(len(self.model.drives))
+        ]
+        self._writer = self._new_writer()
+        self._notice = self.gui.add_markdown(_quoted(notice), visible=bool(notice))
+        self.panels = [make(self) for make in PANELS]
+        with self.gui.add_folder("Help", expand_by_default=False):
+            self.gui.add_button("Keys", hint="key ? or H").on_click(lambda _: self.toggle_help())
+        self._link = self.gui.add_html("")
+        for command in COMMANDS:
+            modifier = "shift" if command.shift else None
+            handle = self.gui.add_command(command.label, hotkey=command.key, modifier=modifier)  # type: ignore[arg-type]
+            handle.on_trigger(self._trigger(command))
+        self.client.camera.on_update(self._camera_moved)
+        if 0 < self.client.camera.image_width <= NARROW_PX:
+            self.gui.main_panel.minimize()
+
+    def _trigger(self, command: Command) -> Callable[[Any], None]:
+        def run(_: Any) -> None:
+            try:
+                command.run(self)
+            except Exception as error:
+                self._tell_error(command.label, error)
+
+        return run
+
+    def update(self, **changes: Any) -> None:
+        """Replace fields of the state and draw it, if any of them changed."""
+        with self._changed:
+            state = replace(self.state, **changes)
+            if state.drive != self.state.drive:
+                state = replace(state, frame=0, ego_id=None, hidden=frozenset(), object_id=None, camera="free")
+            if "object_id" in changes and state.object_id is not None:
+                state = replace(state, detection=None)
+            elif "detection" in changes and state.detection is not None:
+                state = replace(state, object_id=None)
+            elif any(getattr(state, name) != getattr(self.state, name) for name in _LIST_OF_DETECTIONS):
+                state = replace(state, detection=None)
+            if state == self.state:
+                return
+            if state.corruption != CLEAN:
+                self.last_corruption = state.corruption
+            if state.camera != self.state.camera:
+                self._placing = state.camera
+            self.state = state
+            self._draw_soon()
+
+    def step(self, frames: int, wrap: bool = False) -> None:
+        """Step by a number of frames, backward if negative; stop at the ends or wrap around."""
+        with self._changed:
+            count = self.model.frame_count(self.state.drive)
+            frame = self.state.frame + frames
+            self.update(frame=frame % count if wrap else min(max(frame, 0), count - 1))
+
+    @property
+    def playing(self) -> bool:
+        """Whether the drive is playing."""
+        return self._playing
+
+    def toggle_play(self) -> None:
+        """Play or pause."""
+        with self._changed:
+            self._playing = not self._playing
+            self._next_at = time.monotonic()
+            self._draw_soon()
+
+    def counts(self, state: ReviewState) -> Counts | None:
+        """Counts of TP, FP and FN under another state, not drawn; None without a detector or labels."""
+        with self._using_model:
+            return self.model.counts(state)
+
+    def place_camera(self, camera: Camera) -> None:
+        """Place the camera as a preset has it and let it move with what the preset follows."""
+        with self._changed:
+            self.state = replace(self.state, camera=camera)
+            self._placing = camera
+            self._draw_soon()
+
+    def reset_camera(self) -> None:
+        """Restore the camera of the start."""
+        with self._changed:
+            self.state = replace(self.state, camera="free")
+            self._placing, self._placed = None, None
+            self._draw_soon()
+
+    def fly_to(self, target: NDArray[np.float64]) -> None:
+        """Move the camera near a point (3,) of the review frame, m."""
+        pose = self._camera()
+        if pose is None:
+            return
+        with self._changed:
+            self.state = replace(self.state, camera="free")
+            self._placing = None
+            self._pose = cameras.close_to(target, pose.moved(invert(self._scene_from_review)))
+            self._draw_soon()
+
+    def tell(self, text: str) -> None:
+        """Show a text above the controls; "" hides it."""
+        self._failed, self._told_of = False, (self.state.drive, self.state.frame)
+        self._notice.content = _quoted(text)
+        self._notice.visible = bool(text)
+
+    def toggle_help(self) -> None:
+        """Open or close the list of keys."""
+        if self._help is not None:
+            self._help.close()
+            self._help = None
+            return
+        self._help = self.gui.add_modal("Keys")
+        with self._help:
+            self.gui.add_markdown(f"{keys_table()}\n\nW A S D Q E and the arrows move the camera.")
+            self.gui.add_button("Close").on_click(lambda _: self.toggle_help())
+
+    def wait_drawn(self, timeout_s: float = 30.0) -> FrameView:
+        """Wait until the newest state is drawn, or told why it cannot be, and return the last drawn frame."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._drawn == self._wanted or self._closed, timeout_s):
+                raise TimeoutError("the page was not drawn in time")
+        if self.view is None:
+            raise TimeoutError("the page was closed before it was drawn")
+        return self.view
+
+    def close(self) -> None:
+        """Stop the worker."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(timeout=10.0)
+
+    def _draw_soon(self) -> None:
+        self._wanted += 1
+        self._changed.notify_all()
+
+    def _new_writer(self) -> SceneWriter:
+        return SceneWriter(self.client.scene, root_of(self.state.drive), on_click=self._select)
+
+    def _select(self, clicked: Clicked) -> None:
+        self.update(object_id=clicked.object_id, detection=clicked.detection)
+
+    def _work(self) -> None:
+        while (work := self._next_work()) is not None:
+            state, number = work
+            if number != self._drawn:
+                self._draw(state)
+                with self._changed:
+                    self._drawn = number
+                    self._changed.notify_all()
+            self._write_link()
+
+    def _next_work(self) -> tuple[ReviewState, int] | None:
+        """Newest state and its number, once there is something to do; None when the page is closed.
+
+        A slow frame is waited for, not skipped: the next one of a playing drive comes after it.
+        """
+        with self._changed:
+            while not self._closed:
+                now = time.monotonic()
+                due = [self._next_at] if self._playing else []
+                due += [self._linked_at + LINK_PAUSE_S] if self._moved else []
+                if self._drawn != self._wanted:
+                    return self.state, self._wanted
+                if self._playing and now >= self._next_at:
+                    self._next_at = now + min(self._interval_s / self.state.speed, 2.0)
+                    self.step(1, wrap=True)
+                    if self._drawn == self._wanted:
+                        self._draw_soon()
+                    continue
+                if due and now >= min(due):
+                    return self.state, self._wanted
+                self._changed.wait(max(min(due) - now, 0.0) if due else None)
+            return None
+
+    def _draw(self, state: ReviewState) -> None:
+        """Draw a state, or tell why that cannot be: the next one is drawn all the same."""
+        try:
+            with self._using_model:
+                view = self.model.view(state)
+                self._interval_s = self.model.interval_s(state.drive)
+            new_drive = self._placed is None or self._placed.drive != state.drive
+            self._show_theme()
+            self._write(view, state)
+            self.view = view
+            if self._failed or self._told_of != (state.drive, state.frame):
+                self.tell("")
+            if new_drive:
+                # After the first frame: rebuilding a city takes longer than drawing.
+                self._place_world(state.drive)
+        except Exception as error:
+            self._tell_error(f"frame {state.frame} of {self.model.names[state.drive]}", error)
+        try:
+            self._show_panels()
+        except Exception as error:
+            self._tell_error("the panels", error)
+
+    def _tell_error(self, what: str, error: Exception) -> None:
+        if not isinstance(error, UserError):
+            log.error("%s", what, exc_info=error)
+        text = str(error) if isinstance(error, UserError) else f"{what}: {type(error).__name__}: {error}"
+        self.tell(f"Error: {text}")
+        self._failed = True
+
+    def _show_panels(self) -> None:
+        shown = Shown(self.model, self.state, self.view)
+        for panel in self.panels:
+            panel.show(shown)
+
+    def _write(self, view: FrameView, state: ReviewState) -> None:
+        """Draw a frame and move the scene, and the camera where it is placed anew."""
+        if self._writer.root != root_of(state.drive):
+            self._writer.clear()
+            self._writer = self._new_writer()
+        before = self._scene_from_review
+        after = cameras.scene_from_review(state.camera, view)
+        pose = self._next_pose(view, state, before, after)
+        with self.client.atomic():
+            self._writer.write(view)
+            for row, root in enumerate(self._roots):
+                root.visible = row == state.drive
+            place_frame(self._roots[state.drive], after)
+            if pose is not None:
+                self._set_camera(pose)
+        self._scene_from_review, self._placed = after, state
+
+    def _next_pose(
+        self, view: FrameView, state: ReviewState, before: NDArray[np.float64], after: NDArray[np.float64]
+    ) -> CameraPose | None:
+        """Pose of the camera in the scene; None leaves it to the user."""
+        with self._changed:
+            given, placing, self._pose, self._placing = self._pose, self._placing, None, None
+            placed, self._moved = self._placed, True
+        presets: dict[str, Callable[[FrameView], CameraPose]] = {"chase": cameras.chase, "bev": cameras.birds_eye}
+        if placed is None and given is not None:
+            # Of a link: already in the scene.
+            return given
+        if given is not None:
+            return given.moved(after)
+        if placed is None or placed.drive != state.drive:
+            return presets.get(state.camera, cameras.overview)(view).moved(after)
+        if placing is not None and placing in presets:
+            return presets[placing](view).moved(after)
+        current = self._camera()
+        if placed.camera != state.camera and current is not None:
+            # The picture stays while the scene moves back.
+            return current.moved(after @ invert(before))
+        return None
+
+    def _camera(self) -> CameraPose | None:
+        """Camera of the browser, in the scene; None before it is known."""
+        camera = self.client.camera
+        if not np.isfinite(camera.position).all():
+            return None
+        return CameraPose(np.array(camera.position), np.array(camera.look_at), cameras.UP)
+
+    def _set_camera(self, pose: CameraPose) -> None:
+        camera = self.client.camera
+        camera.up_direction = pose.up
+        camera.position = pose.position
+        camera.look_at = pose.look_at
+        camera.fov = cameras.FOV_RAD
+        camera.near, camera.far = 0.5, 2000.0
+
+    def _camera_moved(self, _: Any) -> None:
+        with self._changed:
+            self._moved = True
+            self._changed.notify_all()
+
+    def _write_link(self) -> None:
+        with self._changed:
+            if not self._moved or time.monotonic() < self._linked_at + LINK_PAUSE_S:
+                return
+            self._moved, self._linked_at = False, time.monotonic()
+        link = write_link(self.model, self.state, self._camera())
+        if link != self.link:
+            self.link = link
+            self._link.content = f'<span id="{LINK_ID}" data-link="{escape(link)}"></span>'
+
+    def _show_theme(self) -> None:
+        if self._theme == self.state.theme:
+            return
+        self._theme = self.state.theme
+        self.gui.configure_theme(
+            dark_mode=self._theme == "dark",
+            show_logo=False,
+            show_share_button=False,
+            brand_color=(56, 150, 255),
+            control_width="medium",
+        )
+        set_backdrop(self.client.scene, self.state.theme)
+
+
+def _quoted(text: str) -> str:
+    """Markdown that shows a text as it is."""
+    quoted = "".join(f"\\{letter}" if letter in r"\`*_{}[]<>#|" else letter for letter in text)
+    return f"**{quoted}**" if text else ""

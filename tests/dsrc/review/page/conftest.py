@@ -1,0 +1,80 @@
+"""A page with a browser that is only a websocket: it says where its camera is and takes what comes."""
+
+import threading
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+import viser
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.server import start_server
+from dsrc.review.page.session import Session
+
+
+class SocketBrowser:
+    """Connection of a browser that draws nothing."""
+
+    def __init__(self, app: ReviewApp, link: str = "", width: int = 1280) -> None:
+        """Connect to the page of `app` as if its address had the query `link`."""
+        url = f"{app.url.replace('http', 'ws')}/?{link}"
+        known = set(app.sessions)
+        self.socket = connect(url, subprotocols=[f"viser-v{viser.__version__}"], max_size=None, compression=None)
+        self.look_from((30.0, 0.0, 20.0), (0.0, 0.0, 0.0), width)
+        threading.Thread(target=self._take, daemon=True).start()
+        app.wait_session(len(known) + 1)
+        (number,) = set(app.sessions) - known
+        self.session: Session = app.sessions[number]
+
+    def look_from(self, position, look_at, width: int = 1280) -> None:
+        """Report a pose of the camera, as a browser does after every motion."""
+        message = {
+            "type": "ViewerCameraMessage",
+            "wxyz": (1.0, 0.0, 0.0, 0.0),
+            "position": position,
+            "fov": 0.9,
+            "near": 0.5,
+            "far": 2000.0,
+            "image_height": 720,
+            "image_width": width,
+            "look_at": look_at,
+            "up_direction": (0.0, 0.0, 1.0),
+        }
+        self.socket.send(msgspec.msgpack.encode(message))
+
+    def close(self) -> None:
+        self.socket.close()
+
+    def _take(self) -> None:
+        try:
+            while True:
+                self.socket.recv()
+        except ConnectionClosed:
+            pass
+
+
+@pytest.fixture
+def app(model) -> Iterator[ReviewApp]:
+    app = ReviewApp(model, start_server())
+    yield app
+    app.close()
+
+
+@pytest.fixture
+def connect_browser():
+    """Connect a further browser: a function of a page, a link and a width."""
+    return SocketBrowser
+
+
+@pytest.fixture
+def browser(app) -> SocketBrowser:
+    browser = SocketBrowser(app)
+    browser.session.wait_drawn()
+    return browser
+
+
+@pytest.fixture
+def session(browser) -> Session:
+    return browser.session

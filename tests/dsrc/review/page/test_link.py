@@ -1,0 +1,91 @@
+"""A link holds a state and a camera, and nothing that is in it can break a page."""
+
+import time
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from dsrc.review.model import ReviewModel
+from dsrc.review.page.cameras import UP, CameraPose
+from dsrc.review.page.controls import CONTROLS
+from dsrc.review.page.link import read_link, write_link
+from dsrc.review.state import ReviewState
+
+FULL = ReviewState(
+    drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper", threshold=0.55,
+    iou=0.7, color_by="fate", hidden=frozenset({1000, -1}), layers_off=frozenset({"bodies", "labels"}), object_id=1003,
+    max_points=9000, point_size_m=0.2, camera="chase", speed=0.5, theme="light",
+)  # fmt: skip
+
+
+@pytest.fixture
+def two(drive, detector):
+    other = type(drive)()
+    other.drive = other.drive.with_name("other street")
+    return ReviewModel([drive, other], detector)
+
+
+def test_every_field_of_the_state_is_part_of_the_link():
+    assert {control.field for control in CONTROLS if control.link} == {field.name for field in fields(ReviewState)}
+
+
+@pytest.mark.parametrize("state", [ReviewState(), FULL, replace(FULL, object_id=None, detection=4, drive=0)])
+def test_a_link_restores_the_state_and_the_camera(two, state):
+    pose = CameraPose(np.array([-34.25, 0.5, 21.0]), np.array([14.0, 0.0, 0.0]), UP)
+    link = write_link(two, state, pose)
+    read, camera, complaints = read_link(link, two, ReviewState())
+    assert read == state and not complaints
+    np.testing.assert_allclose(camera.position, pose.position)
+    np.testing.assert_allclose(camera.look_at, pose.look_at)
+
+
+def test_the_link_of_the_start_is_empty(two):
+    assert write_link(two, ReviewState(), None) == ""
+
+
+def test_drives_are_named_where_their_name_can_stand_in_an_address(two):
+    assert write_link(two, ReviewState(drive=1), None) == "drive=1"
+    two.names[1] = "town_5.a"
+    assert write_link(two, ReviewState(drive=1), None) == "drive=town_5.a"
+
+
+@pytest.mark.parametrize(
+    ("query", "complaint"),
+    [
+        ("frame=12", "frame: expected 0 to 11, found 12"),
+        ("frame=x", "frame: expected a whole number"),
+        ("drive=nowhere", "drive"),
+        ("score=nan", "score: expected 0 to 1"),
+        ("score=7", "score: expected 0 to 1"),
+        ("corruption=<b>", "corruption"),
+        ("cooperative=yes", "cooperative: expected 0 or 1"),
+        ("hidden=1,b", "hidden: expected whole numbers"),
+        ("view=1,2,3", "view: expected six numbers"),
+        ("view=1,2,3,1,2,3", "view"),
+        ("view=1,2,3,inf,2,3", "view"),
+        ("off=walls", "off"),
+    ],
+)
+def test_a_wrong_part_is_told_and_the_rest_is_taken(two, query, complaint):
+    state, pose, complaints = read_link(f"{query}&iou=0.7&unknown=1", two, ReviewState())
+    assert state == ReviewState(iou=0.7) and pose is None
+    assert len(complaints) == 1 and complaint in complaints[0]
+
+
+def test_a_browser_that_connects_with_a_link_sees_its_frame(app, connect_browser):
+    session = connect_browser(app, "frame=7&camera=chase&view=-20,5,10,0,0,1&score=9&object=1003").session
+    assert session.wait_drawn().index == 7
+    assert session.view.details.object_id == 1003
+    np.testing.assert_allclose(session.client.camera.position, [-20.0, 5.0, 10.0])
+    assert "score" in session._notice.content and session._notice.visible
+
+
+def test_the_link_that_the_address_bar_shows_is_that_of_what_is_drawn(session):
+    session.update(frame=7, iou=0.7)
+    session.wait_drawn()
+    end = time.monotonic() + 5.0
+    while "frame=7&iou=0.7&view=" not in session.link:
+        assert time.monotonic() < end, session.link
+        time.sleep(0.02)
+    assert session.link.replace("&", "&amp;") in session._link.content
