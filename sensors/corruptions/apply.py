@@ -169,8 +169,9 @@ def _applied(
     corruption: Corruption, family: Family, frame: Frame, row: int, settings: Any, rng: np.random.Generator
 ) -> Sweep:
     """Return the sweep of the agent in a row of the frame, by the frame-level model where the family has one."""
-    if family == "physical" and corruption.in_frame is not None:
-        return corruption.in_frame(frame, row, settings, rng)
+    in_frame = corruption.in_frame if family == "physical" else corruption.paper_in_frame
+    if in_frame is not None:
+        return in_frame(frame, row, settings, rng)
     apply = corruption.apply if family == "physical" else corruption.paper_apply
     if apply is None:
         raise KeyError(family)

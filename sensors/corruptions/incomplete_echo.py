@@ -12,7 +12,8 @@ are unknown. Points lost at a severity are lost at the next.
 
 The shares of levels 3 to 5 are Robo3D's light, moderate and heavy; there points are lost at random. Points on vehicles
 follow from ids and materials; a frame adds the classes of its objects and, for files without ids, their boxes
-(`in_frame`). Bicycles and motorcycles count, people do not.
+(`in_frame`). Bicycles and motorcycles count, people do not. A cloud without any of these keeps all points, with a
+warning.
 """
 
 from typing import ClassVar
@@ -22,16 +23,15 @@ from numpy.typing import NDArray
 
 from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.receiver import target_power
+from sensors.corruptions.physics.vehicles import note_unlabelled, points_on_vehicles
 from sensors.frame import Frame
 from sensors.sweep import UNKNOWN_MATERIAL, Sweep
-from sim.boxes import CLASSES
 from sim.mesh.materials import material_index
 
 SHARE = (0.25, 0.50, 0.75, 0.85, 0.95)
 
 _SPECKLE_CELLS = 4.0
 _LEAST_BRIGHTNESS = 1e-3
-_MARGIN_M = 0.1
 _OF_PEOPLE = tuple(material_index(name) for name in ("skin", "hair", "cloth_light", "cloth_dark"))
 
 
@@ -62,7 +62,10 @@ def corrupt(
         rng: draws the speckle.
         on_vehicle: (P,) mask of points on vehicles; default: objects without a person's materials.
     """
-    on = np.flatnonzero(_on_vehicles(sweep) if on_vehicle is None else on_vehicle)
+    if on_vehicle is None:
+        note_unlabelled(sweep, "ids of objects, or a frame with their boxes (corrupt_frame)")
+        on_vehicle = _on_vehicles(sweep)
+    on = np.flatnonzero(on_vehicle)
     speckle = rng.gamma(_SPECKLE_CELLS, 1.0, len(on))
     lost = int(settings.share * len(on))
     if lost == 0:
@@ -75,18 +78,7 @@ def corrupt(
 
 def in_frame(frame: Frame, row: int, settings: IncompleteEcho, rng: np.random.Generator) -> Sweep:
     """Return the sweep of the agent in a row of `frame.agents`, vehicles by the frame's truth."""
-    sweep = frame.agents[row].sweep
-    ours = frame.truth.label != CLASSES.index("pedestrian")
-    vehicles = frame.truth[ours]
-    if (sweep.object_id >= 0).any():
-        return corrupt(sweep, settings, rng, np.isin(sweep.object_id, vehicles.object_id))
-    points, inside = sweep.world_points, np.zeros(len(sweep), bool)
-    for index, velocity in enumerate(frame.velocity[ours]):
-        # Place of the point at the time of the boxes.
-        way = velocity * (sweep.time_s + sweep.time_offset - frame.time_s)[:, None]
-        then = points - np.column_stack([way, np.zeros(len(sweep))])
-        inside |= vehicles[index : index + 1].contains(then, _MARGIN_M)[0]
-    return corrupt(sweep, settings, rng, inside)
+    return corrupt(frame.agents[row].sweep, settings, rng, points_on_vehicles(frame, row))
 
 
 def _on_vehicles(sweep: Sweep) -> NDArray[np.bool_]:

@@ -87,6 +87,7 @@ class Corruption:
             and frame; else the agent's.
         paper_settings: parameters of the published model by severity, None where there is none.
         paper_apply: the published model, as `apply`.
+        paper_in_frame: the published model, as `in_frame`; else None.
         steady: its draws stay the same over a drive.
         weather: shared by all agents, and drifting.
         spares_ego: the ego keeps its sweep: the corruption is an error relative to it.
@@ -97,6 +98,7 @@ class Corruption:
     in_frame: Apply | None = None
     paper_settings: SeverityTable | None = None
     paper_apply: Apply | None = None
+    paper_in_frame: Apply | None = None
     steady: bool = False
     weather: bool = False
     spares_ego: bool = False
@@ -163,6 +165,7 @@ CORRUPTIONS: Registry[Corruption] = Registry(
             incomplete_echo.in_frame,
             paper_settings=paper_incomplete_echo.PaperIncompleteEcho,
             paper_apply=paper_incomplete_echo.corrupt,
+            paper_in_frame=paper_incomplete_echo.in_frame,
         ),
         "rain": Corruption(
             rain.Rain, rain.corrupt, paper_settings=paper_rain.PaperRain, paper_apply=paper_rain.corrupt, weather=True

@@ -59,5 +59,5 @@ def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Tables:
 
 def _write(path: Path, tables: Tables) -> None:
     arrays: dict[str, Any] = dict(tables)
-    with replacing(path) as temporary, temporary.open("wb") as file:
+    with replacing(path, edited=True) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)

@@ -8,8 +8,9 @@ Of each class of vehicles with more than 10 points int(n ratio) random points ar
 
 Published for SemanticKITTI (car, bicycle, motorcycle, truck, other vehicle; `SEMANTIC_KITTI` has the raw labels of
 each, moving ones included) and nuScenes (bicycle, bus, car, construction vehicle, motorcycle, trailer, truck), where
-points have labels; a sweep has object ids, and all its objects are taken for one class. Brightness and distance have no
-influence. Points deleted at a lower severity are among those of a higher one.
+points have labels; a sweep has object ids, and all its objects are taken for one class. Where a file has no ids, points
+in the boxes of the frame's vehicles count (`in_frame`). Brightness and distance have no influence. Points deleted at a
+lower severity are among those of a higher one.
 """
 
 from collections.abc import Iterable
@@ -19,7 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.levels import SeveritySettings
+from sensors.corruptions.physics.vehicles import note_unlabelled, points_on_vehicles
 from sensors.corruptions.published.cloud import RandomSource
+from sensors.frame import Frame
 from sensors.sweep import Sweep
 
 DELETED = (0.4, 0.6, 0.75, 0.85, 0.95)
@@ -52,7 +55,19 @@ PUBLISHED: dict[str, PaperIncompleteEcho] = {
 
 def corrupt(sweep: Sweep, settings: PaperIncompleteEcho, rng: RandomSource) -> Sweep:
     """Delete points on objects; the others are unchanged."""
-    return sweep[remaining_points((sweep.object_id >= 0).astype(np.int64), ((1,),), settings, rng)]
+    note_unlabelled(sweep, "ids of objects, or a frame with their boxes (corrupt_frame)")
+    return _without(sweep, sweep.object_id >= 0, settings, rng)
+
+
+def in_frame(frame: Frame, row: int, settings: PaperIncompleteEcho, rng: RandomSource) -> Sweep:
+    """Delete points on objects of the agent in a row of `frame.agents`, by its ids or else by the frame's boxes."""
+    sweep = frame.agents[row].sweep
+    on = sweep.object_id >= 0
+    return _without(sweep, on if on.any() else points_on_vehicles(frame, row), settings, rng)
+
+
+def _without(sweep: Sweep, on: NDArray[np.bool_], settings: PaperIncompleteEcho, rng: RandomSource) -> Sweep:
+    return sweep[remaining_points(on.astype(np.int64), ((1,),), settings, rng)]
 
 
 def remaining_points(

@@ -6,8 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sensors.corruptions import FAMILIES, corrupt_frame
+from sensors.corruptions import corrupt as corrupt_any
 from sensors.corruptions.incomplete_echo import SHARE, IncompleteEcho, corrupt, in_frame
+from sensors.corruptions.physics.notice import notice
+from sensors.frame import Frame
 from sensors.sweep import STATIC, UNKNOWN_MATERIAL, Sweep
+from sim.boxes import Boxes
 from sim.errors import SettingsError
 from tests.sensors.corruptions.drives import MATERIAL, street_drive
 from tests.sensors.corruptions.street import same, spinning, street
@@ -81,6 +86,41 @@ def test_vehicles_of_a_frame_are_found_by_ids_or_boxes() -> None:
     on = np.isin(sweep.object_id, clean.truth.object_id).sum()
     assert len(sweep) - len(by_id) == int(0.75 * on) > 0
     assert abs(len(found) - len(by_id)) <= 0.05 * on
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_an_unlabelled_cloud_keeps_its_points_and_says_so_once(family: str, caplog: pytest.LogCaptureFixture) -> None:
+    def said(clean: Sweep | Frame) -> list[str]:
+        notice.cache_clear()
+        caplog.clear()
+        for _ in range(2):
+            if isinstance(clean, Sweep):
+                corrupt_any(clean, "incomplete_echo", 3, rng(), family)
+            else:
+                corrupt_frame(clean, "incomplete_echo", 3, 0, family)
+        return [record.getMessage() for record in caplog.records]
+
+    def bare(sweep: Sweep) -> Sweep:
+        unknown = np.full(len(sweep), UNKNOWN_MATERIAL, np.uint8)
+        return replace(sweep, object_id=np.full(len(sweep), STATIC, np.int32), material=unknown)
+
+    assert same(corrupt_any(bare(cars()), "incomplete_echo", 3, rng(), family), bare(cars()))
+    (message,) = said(bare(cars()))
+    assert message.startswith("incomplete_echo: expected points with ids of objects, or a frame")
+    clean = street_drive()[1]
+    with_boxes = clean.with_sweeps([bare(agent.sweep) for agent in clean.agents])
+    nothing = np.zeros((len(clean.agents), 0), np.int64)
+    (message,) = said(Frame(1, clean.time_s, with_boxes.agents, Boxes.zeros(), np.zeros((0, 2)), nothing))
+    assert message.startswith("incomplete_echo: expected points with boxes or ids of objects, found an unlabelled")
+    assert said(with_boxes) == said(cars()) == said(cars()[:0]) == []
+
+
+def test_the_published_model_finds_vehicles_without_ids_by_their_boxes() -> None:
+    clean = street_drive()[1]
+    on = np.isin(clean.agents[0].sweep.object_id, clean.truth.object_id)
+    sweeps = [replace(a.sweep, object_id=np.full(len(a.sweep), STATIC, np.int32)) for a in clean.agents]
+    out = corrupt_frame(clean.with_sweeps(sweeps), "incomplete_echo", 3, 0, "paper").agents[0].sweep
+    assert len(on) - len(out) == pytest.approx(0.75 * on.sum(), rel=0.05)
 
 
 def test_no_vehicles_no_share_and_no_points() -> None:

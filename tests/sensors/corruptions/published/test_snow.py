@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from sensors.corruptions.physics.levels import DEFAULT_SEVERITY, SEVERITIES
+from sensors.corruptions.physics.notice import notice
 from sensors.corruptions.published.ground import fit_plane, ground_of, noise_floor, noise_line
 from sensors.corruptions.published.rings import elevation_bin
 from sensors.corruptions.published.snow import (
@@ -25,7 +26,7 @@ from sensors.corruptions.published.snow_discs import disc_sample
 from sensors.sweep import ADDED, ATTENUATED, KEPT, POINT_FIELDS, SCATTERED
 from sim.errors import DataError, SettingsError
 from tests.sensors.corruptions.published.goldens import cloud, table
-from tests.sensors.corruptions.street import on_a_ray, rows_of, same, shared, spinning, street
+from tests.sensors.corruptions.street import few_discs, on_a_ray, rows_of, same, shared, spinning, street
 
 SNOWS = {"light": (0.5, 2.0), "moderate": (1.0, 1.6), "heavy": (2.5, 1.6)}
 NO_FLOOR = PaperSnow(noise_factor=None)
@@ -135,8 +136,16 @@ def test_weak_lasers_have_less_to_give() -> None:
     assert weak / strong == pytest.approx(230 / 255, abs=0.01)
 
 
-def test_beams_without_an_echo_and_far_targets_are_unchanged() -> None:
-    assert beam(0.8, 50.0, flake(0.5, 0.5), NO_FLOOR) == (UNTOUCHED, 0.8, 50.0)
+@pytest.mark.parametrize(("range_m", "share"), [(40.0, 1.0), (0.8, 0.5)])
+def test_a_beam_without_any_echo_lands_behind_the_sensor_as_released_or_stays(range_m: float, share: float) -> None:
+    # In a power of zeros the first bin is the strongest, and its range is half a pulse less.
+    label, place, intensity = beam(range_m, 50.0, flake(0.5, share), NO_FLOOR)
+    assert (label, intensity) == (MOVED, 0.0) and place == pytest.approx(-0.5 * 299_792_458.0 * 1e-8)
+    staying = replace(NO_FLOOR, silent_stay=True)
+    assert beam(range_m, 50.0, flake(0.5, share), staying) == (UNTOUCHED, range_m, 50.0)
+
+
+def test_far_targets_keep_their_place() -> None:
     label, place, _ = beam(240.0, 200.0, flake(60.0, 0.001), VARIANTS["dsrc_fixed_hard_power"])
     assert label == DIMMED and place == 240.0
 
@@ -212,6 +221,32 @@ def test_hardly_any_points_are_legal(severity: int) -> None:
         out = corrupt(few, PaperSnow.severity(severity), rng())
         assert len(out) <= len(few) and np.isfinite(out.points).all()
         assert all(getattr(out, name).dtype == getattr(few, name).dtype for name in POINT_FIELDS)
+
+
+def test_snow_without_its_calibration_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
+    notice.cache_clear()
+    with few_discs():
+        corrupt(street(), NO_FLOOR, rng())  # without a floor nothing falls below it
+        assert not caplog.records
+        for _ in range(2):
+            corrupt(street(), PaperSnow(), rng())
+    (record,) = caplog.records
+    assert record.getMessage().startswith("snow, paper: expected PaperSnow.calibration, an npz file of the HDL-64E's")
+    assert "about 22 % of the points are lost where the release, which has it, loses 5 %" in record.getMessage()
+
+
+def test_without_its_calibration_snow_takes_a_fifth_of_the_published_street() -> None:
+    some, channel = cloud("synth64").astype(np.float64), elevation_bin(cloud("synth64"))
+    some[:, 3] *= 255.0
+    ground = ground_of(some, fit_plane(some, np.random.RandomState(0)))
+    line = noise_line(ground, some[ground.rows, 3])
+    assert line is not None
+    lost = []
+    for settings in (calibrated(PaperSnow()), PaperSnow()):
+        floor = noise_floor(ground, line, 0.7)
+        out = apply_snow(some[::5], channel[::5], lambda c: disc_sample(0.5, 2.0, "gunn", c), settings, floor=floor)
+        lost.append(1 - out.kept.mean())
+    assert lost == pytest.approx([0.05, 0.22], abs=0.01)
 
 
 def test_a_calibration_must_be_one(tmp_path: Path) -> None:
