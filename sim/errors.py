@@ -33,6 +33,10 @@ class SettingsError(UserError):
     """Setting or command-line value out of its range."""
 
 
+class OutputError(SettingsError):
+    """Output where something is that must not be replaced."""
+
+
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
     """Return `; did you mean 'x'?` for the nearest of `choices`, else the list of choices."""
     choices = sorted(choices)

@@ -7,7 +7,7 @@ import msgspec
 from dsrc.cli.progress import progress
 from dsrc.data.executors import Pool
 from dsrc.options.drives import BuildOptions, Changes, ConvertOptions, CorruptOptions, GenerateOptions
-from dsrc.options.fields import Data, Folder, Splits
+from dsrc.options.fields import Data, Folder, Output, Splits
 
 
 class Generate(GenerateOptions, frozen=True):
@@ -15,6 +15,8 @@ class Generate(GenerateOptions, frozen=True):
 
     The same seed writes the same bytes; an interrupted drive resumes. `dsrc dataset build` makes many drives.
     """
+
+    output: Output = Output()
 
     def run(self) -> None:
         """Write the drive and print its folder."""
@@ -37,6 +39,7 @@ class Corrupt(CorruptOptions, frozen=True):
     """
 
     pool: Pool = Pool()
+    output: Output = Output()
 
     def run(self) -> None:
         """Write the drives and print their folder."""
@@ -54,6 +57,7 @@ class Build(BuildOptions, frozen=True):
     """
 
     pool: Pool = Pool()
+    output: Output = Output()
 
     def run(self) -> None:
         """Write the dataset and print its folder."""
@@ -97,6 +101,7 @@ class Render(msgspec.Struct, frozen=True, kw_only=True):
     out: Folder
     changes: Changes = Changes()
     pool: Pool = Pool()
+    output: Output = Output()
 
     def run(self) -> None:
         """Write the drives and print their folders."""
@@ -141,6 +146,7 @@ class Card(msgspec.Struct, frozen=True, kw_only=True):
     data: Data
     out: Folder | None = None
     pool: Pool = Pool()
+    output: Output = Output()
 
     def run(self) -> None:
         """Write the card and print its folder."""
@@ -153,6 +159,7 @@ class Convert(ConvertOptions, frozen=True):
     """Convert drives to OPV2V, DAIR-V2X-C, KITTI or MCAP; an interrupted run resumes."""
 
     pool: Pool = Pool()
+    output: Output = Output()
 
     def run(self) -> None:
         """Write the tree and print its folder."""

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.cli.options import Folder
 from dsrc.cli.progress import progress
+from dsrc.cli.view import draw
+from dsrc.options.fields import Folder, Output
 
 SCENARIO = "braunschweig"
 TRAIN_SEED = 1
@@ -31,6 +32,7 @@ class Demo(msgspec.Struct, frozen=True, kw_only=True):
 
     out: Folder = Path("demo")
     quick: bool = False
+    output: Output = Output()
 
     def run(self) -> None:
         """Run the demo."""
@@ -57,8 +59,10 @@ def run_demo(out: Path, quick: bool = False) -> None:
     from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
     from dsrc.review.page.export import export_html
-    from dsrc.review.page.screenshot import find_chromium, screenshot
+    from dsrc.review.page.screenshot import find_chromium
+    from sim.files import check_folder
 
+    check_folder(out)
     start = time.perf_counter()
     train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 2.0) if quick else (20, 24, 1.5, 12.0)
     drives = {}
@@ -74,7 +78,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
         table = result_table(evaluate_drives(config, Pool(), report))
     with progress("review page") as report:
         page = export_html(out / "test", out / "review.html", checkpoint=dsrc)
-        picture = screenshot(page, out / "review.png") if find_chromium() else None
+        picture = draw(page, out / "review.png") if find_chromium() else None
         report(1, 1)
     with progress(f"drive {ENCOUNTER} with four views of it") as report:
         driven = drive(

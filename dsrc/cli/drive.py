@@ -9,7 +9,7 @@ import msgspec
 from dsrc.cli.progress import progress
 from dsrc.data.executors import SERIAL, Pool
 from dsrc.options.driving import DriveOptions
-from dsrc.options.fields import Folder
+from dsrc.options.fields import Folder, Output
 
 
 class Drive(DriveOptions, frozen=True, kw_only=True):
@@ -28,6 +28,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     out: Folder | None = None
     critical: Literal["severity", "delay_s", "loss"] | None = None
     pool: Pool = SERIAL
+    output: Output = Output()
 
     def run(self) -> None:
         """Drive what is missing and print the table."""

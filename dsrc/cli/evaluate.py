@@ -6,13 +6,14 @@ from pathlib import Path
 from dsrc.cli.progress import progress
 from dsrc.data.executors import SERIAL, Pool
 from dsrc.options.detection import BenchmarkOptions, Device, Engine, Evaluation
-from dsrc.options.fields import File, Folder
+from dsrc.options.fields import File, Folder, Output
 
 
 class Evaluate(Evaluation, frozen=True, kw_only=True):
     """Evaluate detectors on drives, clean and corrupted: table, CSV, JSON and plots."""
 
     pool: Pool = Pool()
+    output: Output = Output()
 
     def run(self) -> None:
         """Evaluate, write the results and print the table."""
@@ -20,7 +21,9 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
 
         from dsrc.evaluation.evaluate import evaluate_drives
         from dsrc.evaluation.report.ap_table import result_table
+        from sim.files import check_apart
 
+        check_apart(self.out, self.data)
         with progress(f"evaluate {self.data}") as report:
             rows = evaluate_drives(self, self.pool, report)
         Console(highlight=False).print(result_table(rows))
@@ -48,6 +51,7 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
     device: Device = "cpu"
     engine: Engine = "fused"
     pool: Pool = SERIAL
+    output: Output = Output()
 
     def run(self) -> None:
         """Evaluate what is missing, write tables and plots and print Table 1."""

@@ -54,8 +54,13 @@ def run(args: Sequence[str] | None = None) -> None:
         prog, found = f"{prog} {word}", level[word]
         if isinstance(found, str):
             from dsrc.cli.options import parse
+            from dsrc.options.fields import Output
+            from sim.files import overwriting
 
-            parse(command_class(found), prog, words).run()
+            command = parse(command_class(found), prog, words)
+            # Only commands that write have the option.
+            with overwriting(getattr(command, "output", Output()).force):
+                command.run()
             return
         level = found
 

@@ -8,15 +8,22 @@ from tyro.conf import Positional
 
 from dsrc.cli.progress import log_lines, progress
 from dsrc.options.detection import TrainOptions
-from dsrc.options.fields import File, Folder
+from dsrc.options.fields import File, Folder, Output
 
 
 class Train(TrainOptions, frozen=True):
     """Train a detector; an interrupted training resumes."""
 
+    output: Output = Output()
+
     def run(self) -> None:
         """Train and print the detector file."""
         from dsrc.training.train import leads, train_stages
+        from sim.files import check_apart
+
+        for data in (self.data, self.validate):
+            if data is not None:
+                check_apart(self.out, data)
 
         log_lines("dsrc.training")  # a line per epoch
         detector = train_stages(self)
@@ -69,6 +76,7 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
     teacher: bool = False
     range_m: tuple[float, float, float, float, float, float] = (-140.8, -40.0, -3.0, 140.8, 40.0, 1.0)
     cell_m: float = 0.4
+    output: Output = Output()
 
     def run(self) -> None:
         """Write the detector file and print its path."""
@@ -76,7 +84,9 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
         from dsrc.models.storage.import_opencood import import_detector
         from dsrc.ops.grid import GridSpec
         from sim.errors import SettingsError
+        from sim.files import check_output
 
+        check_output(self.out, "archive")
         try:
             grid = GridSpec(range_m=self.range_m, cell_m=self.cell_m)
         except ValueError as error:
@@ -98,12 +108,15 @@ class Export(msgspec.Struct, frozen=True, kw_only=True):
     checkpoint: Positional[File]
     out: File
     agents: int = 2
+    output: Output = Output()
 
     def run(self) -> None:
         """Write the file and print its inputs and outputs."""
         from dsrc.models.storage.checkpoint import load_detector
         from dsrc.models.storage.export import INPUTS, OUTPUTS, export_onnx
+        from sim.files import check_output
 
+        check_output(self.out, "network")
         agents = export_onnx(load_detector(self.checkpoint), self.out, self.agents)
         lines = [f"{name}: {meaning}" for name, meaning in (INPUTS | OUTPUTS).items()]
         sys.stdout.write("\n".join([*lines, f"agents: {agents}", str(self.out)]) + "\n")

@@ -10,7 +10,7 @@ from typing import TextIO
 from dsrc.data.formats.opv2v.reader import PROTOCOL, frame_files
 from dsrc.data.formats.yaml import emit, read_yaml
 from sim.errors import DataError, complaint
-from sim.files import write_file
+from sim.files import check_folder, write_file
 
 try:
     import fcntl
@@ -30,8 +30,11 @@ def locked(drive: Path, patience_s: float = 0.0, what: str = "drive") -> Iterato
         what: the folder's content, for the message.
 
     Raises:
+        OutputError: it holds another program's files; a folder of datasets may, beside its splits.
         DataError: another process holds the lock, or the folder cannot be made.
     """
+    if what != "dataset":
+        check_folder(drive)
     path, deadline = drive / LOCK, time.monotonic() + patience_s
     while True:
         with _opened(path) as file:

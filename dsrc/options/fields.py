@@ -77,6 +77,16 @@ class Severity(msgspec.Struct, frozen=True, kw_only=True):
     family: Family = "physical"
 
 
+class Output(msgspec.Struct, frozen=True, kw_only=True):
+    """Treatment of files that are in the way.
+
+    Attributes:
+        force: replace files of other programs too; without it only those that dsrc wrote.
+    """
+
+    force: bool = False
+
+
 Fields = ParamSpec("Fields")
 Work = ParamSpec("Work")
 Options_contra = TypeVar("Options_contra", contravariant=True)

@@ -35,7 +35,7 @@ from dsrc.training.run_folder import DETECTOR, RunFolder, validations_decide, wr
 from dsrc.training.validation import best_device
 from dsrc.training.validation import validate as validate_detector
 from sim.errors import SettingsError, complaint, did_you_mean
-from sim.files import file_sha256
+from sim.files import check_folder, file_sha256
 
 logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 
@@ -150,6 +150,7 @@ def train(
     processes = Processes.of(recipe, devices)
     loaders = DetectionData(recipe, settings, drives, validation, seed)
     _check_frames(recipe, loaders, processes.count)
+    check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
 
     with torch.random.fork_rng():

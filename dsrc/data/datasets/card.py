@@ -21,7 +21,7 @@ from dsrc.data.jsonio import encode_json, read_json
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY, Frame
 from sim.boxes import CLASSES
 from sim.errors import DataError
-from sim.files import replacing, write_file
+from sim.files import check_apart, check_folder, replacing, write_file
 from sim.machine import installed_versions
 
 VERSION = 1
@@ -125,6 +125,8 @@ def write_card(split: Path, out: Path | None = None, pool: Pool = SERIAL) -> Pat
 
 def describe(split: Path, out: Path, executor: Executor) -> Path:
     """Write a data card with workers that are open already; see `write_card`."""
+    check_apart(out, split)
+    check_folder(out)
     drives = list_drives(split)
     digest = hashlib.sha256("".join(open_drive(drive).digest() for drive in drives).encode()).hexdigest()
     if _is_of(out, digest):
@@ -381,4 +383,4 @@ def _figure(width: float, height: float, columns: int) -> tuple[Any, Any]:
 
 def _save(figure: Any, path: Path) -> None:
     with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
+        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": "dsrc"})

@@ -104,7 +104,7 @@ def replace_block(document: Path, name: str, content: str) -> None:
     _, ended, after = rest.partition(end)
     if not (begun and ended):
         raise DataError(complaint(document, name, f"the lines {begin} and {end}", "at most one of them"))
-    write_file(document, f"{before}{begin}\n{content}\n{end}{after}")
+    write_file(document, f"{before}{begin}\n{content}\n{end}{after}", edited=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

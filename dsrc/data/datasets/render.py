@@ -17,7 +17,7 @@ from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec, make_drive
 from dsrc.options.drives import Changes
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
-from sim.files import file_sha256
+from sim.files import check_apart, file_sha256
 from sim.scenario import Scenario
 from sim.traffic.log import TrafficLog
 
@@ -59,8 +59,7 @@ def render(
     for log, spec in zip(logs, specs, strict=True):
         name = log.parent.resolve().name
         folder = Path(out) / (name if len(logs) == 1 else log.parent.relative_to(source))
-        if folder.resolve() == log.parent.resolve():
-            raise SettingsError(complaint("render", "out", "another folder than the recording's", str(out)))
+        check_apart(folder, source if source.is_dir() else log.parent)
         _, about = log_settings(log)
         more = {
             "rendered": {"sha256": file_sha256(log)},

@@ -410,5 +410,5 @@ def publish(sections: list[Section], out: Path, document: Path, name: str) -> Pa
         if not ended:
             raise DataError(complaint(document, begin, f"a line {end} after it", "none"))
         text = f"{before}{content}{after}"
-    write_file(document, text)
+    write_file(document, text, edited=True)
     return folder

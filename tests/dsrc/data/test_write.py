@@ -5,6 +5,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dsrc.data.drive_folder import LOCK, locked
@@ -12,6 +13,7 @@ from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.write import write_drive
 from sensors.deskew import deskew_frame
 from sim.errors import DataError
+from sim.packed import write_arrays
 from tests.dsrc.data.toy import SETTINGS, ToySource, same_frames, toy_frame
 from tests.paths import ROOT
 
@@ -59,13 +61,13 @@ def test_a_finished_drive_is_left_alone(drive: Path):
 def test_only_missing_frames_are_written_again(drive: Path):
     before, source = tree(drive), ToySource()
     (drive / "1002" / "000003.yaml").unlink()
-    (drive / "1000" / "000004.pcd.tmp").write_bytes(b"half")
+    (drive / "1000" / ".000004.pcd.0123abcd.tmp").write_bytes(b"half")
     write_drive(drive, SETTINGS, source.open)
     assert source.made == [3] and tree(drive) == before
 
 
 def test_a_log_of_unknown_settings_is_not_replayed(tmp_path: Path):
-    (tmp_path / "traffic.npz").write_bytes(b"of another run")
+    write_arrays(tmp_path / "traffic.npz", {"version": np.array(3)})  # of another run
     write_drive(tmp_path, SETTINGS, ToySource().open)
     assert (tmp_path / "traffic.npz").read_bytes() == b"log"
 

@@ -120,7 +120,7 @@ def test_a_finished_run_is_left_alone_and_only_missing_frames_are_made(data: Pat
     (drive, _) = corrupt_dataset(data, out, "beam_missing")
     before, times = tree(out), {p: p.stat().st_mtime_ns for p in out.rglob("*.pcd")}
     (drive / "1002" / "000003.yaml").unlink()
-    (drive / "1000" / "000004.pcd.tmp").write_bytes(b"half")
+    (drive / "1000" / ".000004.pcd.0123abcd.tmp").write_bytes(b"half")
     corrupt_dataset(data, out, "beam_missing", progress=lambda done, total: seen.append((done, total)))
     assert tree(out) == before
     changed = sorted(p.relative_to(drive).as_posix() for p, t in times.items() if p.stat().st_mtime_ns != t)

@@ -102,6 +102,6 @@ def test_impossible_changes_are_named(drive: Path, tmp_path: Path) -> None:
         render(drive, tmp_path / "out", Changes(lidar="vlp16"))
     with pytest.raises(SettingsError, match="mount_pitch_deg"):
         render(drive, tmp_path / "out", Changes(mount=(0.0, 0.0, 1.0, 200.0)))
-    with pytest.raises(SettingsError, match="out: expected another folder than the recording's"):
+    with pytest.raises(SettingsError, match="a place apart from the input"):
         render(drive, drive.parent, Changes())
     assert not (tmp_path / "out").exists()
