@@ -1,21 +1,31 @@
-"""ReviewModel: drives and detector, state to drawn arrays, with caches."""
+"""ReviewModel: sources and their sets of detections, state to drawn arrays, with caches."""
 
 import contextlib
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.drives import Drive, open_drives
-from dsrc.data.sample import SampleDetector, make_sample
+from dsrc.data.drives import Drive
+from dsrc.data.sample import SampleDetector
+from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.ops.detections import Detections
 from dsrc.review.agents import agent_view, links
 from dsrc.review.details import detection_details, object_details, verdict_on
+from dsrc.review.errors.changes import Changes, changes
+from dsrc.review.errors.filters import ErrorFilter
+from dsrc.review.errors.index import ErrorIndex
+from dsrc.review.errors.judged import JudgedRun
+from dsrc.review.frames import FrameStore, LatestUsed
 from dsrc.review.matching import Counts, RankedMatches, match
+from dsrc.review.sources.base import DetectionSet, Setup, Source, condition_of, condition_title
+from dsrc.review.sources.detected import ComputedSet
+from dsrc.review.sources.drives import DriveSource
+from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
+from dsrc.review.sources.opening import add_detectors, open_sources
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
 from dsrc.review.view import (
@@ -29,21 +39,19 @@ from dsrc.review.view import (
     UNJUDGED,
     AgentView,
     FrameView,
+    MethodView,
     ObjectDetails,
 )
-from sensors.corruptions import CLEAN, CORRUPTIONS, corrupt_frame, drive_seed
 from sensors.frame import Frame
 from sim.boxes import Boxes
-from sim.errors import DataError, UserError, complaint
+from sim.errors import DataError, SettingsError, UserError, complaint, did_you_mean
 
-SEED = 0
-"""Seed of the corruptions, the default of `dsrc evaluate` and `dsrc corrupt`."""
+DETECTOR = "detector"
+"""Name of the set of a detector without one."""
 
-T = TypeVar("T")
-
-_FRAMES_KEPT = 24
 _VIEWS_KEPT = 4
 _DETECTIONS_KEPT = 4096
+_RUNS_KEPT = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +60,7 @@ class _FrameDetections:
 
     detections: Detections
     truth: Boxes
+    ego_id: int
     matches: dict[float, RankedMatches] = field(default_factory=dict)
 
     def at(self, iou: float) -> RankedMatches:
@@ -62,43 +71,59 @@ class _FrameDetections:
 
 
 class ReviewModel:
-    """Drives, detector and caches of a page; not thread-safe.
+    """Sources, their detections and caches of a page; one thread at a time, beside a `Worker` on its stores.
 
     Attributes:
-        drives: opened drives.
-        names: names of the drives.
-        detector: None for a page without detections.
+        sources: what is reviewed.
+        drives: the same; the page's word.
+        names: names of the sources.
+        stores: frames of each source.
     """
 
-    def __init__(self, drives: list[Drive], detector: SampleDetector | None = None) -> None:
-        """Open a page on drives; `open_model` takes paths.
+    def __init__(self, sources: Sequence[Source | Drive], detector: SampleDetector | None = None) -> None:
+        """Open a page on sources or drives; `open_model` takes paths.
+
+        Args:
+            sources: sources, or drives as they are.
+            detector: gives all sources a set named `DETECTOR`.
 
         Raises:
             DataError: the list or a drive is empty.
         """
-        if not drives:
+        if not sources:
             raise DataError("review: no drives")
-        for drive in drives:
-            if len(drive.frames) == 0:
-                raise DataError(complaint(drive.drive, "frames", "at least one frame", "none"))
-        self.drives = drives
-        self.names = [drive.drive.name for drive in drives]
-        self.detector = detector
-        self._frames: OrderedDict[Hashable, Frame] = OrderedDict()
-        self._corrupted: OrderedDict[Hashable, Frame] = OrderedDict()
-        self._agents: OrderedDict[Hashable, tuple[AgentView, ...]] = OrderedDict()
-        self._detected: OrderedDict[Hashable, _FrameDetections] = OrderedDict()
+        self.sources = [cast(Source, one) if hasattr(one, "sets") else DriveSource(one) for one in sources]
+        self.drives = self.sources
+        self.names = [source.name for source in self.sources]
+        self.stores = [FrameStore(source) for source in self.sources]
+        if detector is not None:
+            for source in self.sources:
+                source.sets[DETECTOR] = ComputedSet(DETECTOR, detector)
+        self._agents: LatestUsed[tuple[AgentView, ...]] = LatestUsed(_VIEWS_KEPT)
+        self._judged: LatestUsed[_FrameDetections] = LatestUsed(_DETECTIONS_KEPT)
+        self._runs: LatestUsed[JudgedRun] = LatestUsed(_RUNS_KEPT)
         self._origin: dict[int, NDArray[np.float64]] = {}
-        self._labelled: dict[int, bool] = {}
 
     @property
     def has_detector(self) -> bool:
-        """Whether there is a detector."""
-        return self.detector is not None
+        """Whether any source has a set of detections."""
+        return any(source.sets for source in self.sources)
+
+    def methods(self, drive: int) -> list[str]:
+        """Names of the sets of detections of a source."""
+        return list(self.sources[drive].sets)
+
+    def method(self, state: ReviewState) -> str:
+        """Set of detections that is judged under a state; "" without one."""
+        return next(iter(self._asked(state)), "")
 
     def frame_count(self, drive: int) -> int:
-        """Number of frames of a drive."""
-        return len(self.drives[drive].frames)
+        """Number of frames of a source, which may grow."""
+        return len(self.sources[drive])
+
+    def first_row(self, drive: int) -> int:
+        """Row of the oldest frame that a source still has."""
+        return getattr(self.sources[drive], "first", 0)
 
     def readable_frame(self, drive: int) -> Frame:
         """First frame of a drive that can be read.
@@ -107,19 +132,21 @@ class ReviewModel:
             DataError: no frame can be read; what is wrong with the first.
         """
         first: UserError | None = None
-        for row in range(self.frame_count(drive)):
+        for row in range(self.first_row(drive), self.frame_count(drive)):
             try:
-                return self._raw(drive, row)
+                return self.stores[drive].recorded(row)
             except UserError as error:
                 first = first or error
         raise first or DataError(complaint(self.names[drive], "frames", "at least one frame", "none"))
 
     def interval_s(self, drive: int) -> float:
         """Time between frames of a drive, s; 0.1 where unknown."""
-        if self.frame_count(drive) < 2:
+        first = self.first_row(drive)
+        if self.frame_count(drive) < first + 2:
             return 0.1
         try:
-            step = self._raw(drive, 1).time_s - self._raw(drive, 0).time_s
+            read = self.stores[drive].recorded
+            step = read(first + 1).time_s - read(first).time_s
         except UserError:
             return 0.1
         return step if 0.0 < step < 10.0 else 0.1
@@ -134,26 +161,24 @@ class ReviewModel:
         return self._origin[drive]
 
     def labelled(self, drive: int) -> bool:
-        """Whether a drive has ground truth: whether one of a few of its frames has any object."""
-        if drive not in self._labelled:
-            self._labelled[drive] = any(len(frame.truth) > 0 for frame in self._few_frames(drive))
-        return self._labelled[drive]
+        """Whether a source has ground truth; without it nothing is judged."""
+        return self.sources[drive].labelled
 
     def _few_frames(self, drive: int) -> Iterator[Frame]:
         """First, middle and last frame, those that can be read."""
-        for row in sorted({0, self.frame_count(drive) // 2, self.frame_count(drive) - 1}):
+        first, last = self.first_row(drive), self.frame_count(drive) - 1
+        for row in sorted({first, (first + last + 1) // 2, last}):
             with contextlib.suppress(UserError):
-                yield self._raw(drive, row)
+                yield self.stores[drive].recorded(row)
 
     def static_parts(self, drive: int) -> list[StaticPart]:
         """Static world around the agents of a drive; empty when it cannot be rebuilt."""
         places = [agent.world_from_body[:2, 3] for frame in self._few_frames(drive) for agent in frame.agents]
-        protocol = getattr(self.drives[drive], "protocol", {})
-        return static_parts(protocol, self.origin(drive), np.array(places, np.float64))
+        return static_parts(dict(self.sources[drive].protocol), self.origin(drive), np.array(places, np.float64))
 
     def ego_id(self, state: ReviewState) -> int:
         """Id of the agent that detects under a state."""
-        ids = [agent.agent_id for agent in self._raw(state.drive, state.frame).agents]
+        ids = [agent.agent_id for agent in self.stores[state.drive].recorded(state.frame).agents]
         return state.ego_id if state.ego_id in ids else ids[0]
 
     def view(self, state: ReviewState) -> FrameView:
@@ -182,33 +207,38 @@ class ReviewModel:
             labelled=self.labelled(state.drive),
             details=object_details(frame, state.object_id, ego_id, [agent.title for agent in agents]),
         )
-        if self.detector is None:
+        view = replace(view, moment=self.moment(state))
+        method = self.method(state)
+        found = self._detections(state, method) if method else None
+        if found is None:
             evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)
-            return replace(
-                view, layers={**view.layers, DETECTED_TRUTH: truth[evaluated], OTHER_TRUTH: truth[~evaluated]}
-            )
-        return self._with_detections(view, state, frame, review_from_world)
+            layers = {**view.layers, DETECTED_TRUTH: truth[evaluated], OTHER_TRUTH: truth[~evaluated]}
+            return replace(view, layers=layers, method=method, notice=self._notice(state, method))
+        view = self._with_detections(view, state, frame, review_from_world, found)
+        compared = [self._compared(state, name, frame, review_from_world) for name in self._asked(state)[1:]]
+        return replace(view, method=method, compared=tuple(one for one in compared if one is not None))
 
     def _agent_views(
         self, frame: Frame, state: ReviewState, ego_id: int, review_from_world: NDArray[np.float64]
     ) -> tuple[AgentView, ...]:
         """Agents as drawn; the same objects while their settings stay."""
-        key = (state.drive, state.frame, self._condition(state), ego_id, state.hidden, state.color_by, state.max_points)
+        key = (state.drive, state.frame, self.setup(state), ego_id, state.hidden, state.color_by, state.max_points)
         rows = range(len(frame.agents))
-        return _remember(
-            self._agents,
-            key,
-            _VIEWS_KEPT,
-            lambda: tuple(agent_view(frame, row, state, ego_id, review_from_world) for row in rows),
+        return self._agents.get(
+            key, lambda: tuple(agent_view(frame, row, state, ego_id, review_from_world) for row in rows)
         )
 
     def _with_detections(
-        self, view: FrameView, state: ReviewState, frame: Frame, review_from_world: NDArray[np.float64]
+        self,
+        view: FrameView,
+        state: ReviewState,
+        frame: Frame,
+        review_from_world: NDArray[np.float64],
+        found: _FrameDetections,
     ) -> FrameView:
-        found = self._detections(state)
         matches = found.at(state.iou)
         kept = matches.kept(state.threshold)
-        ego_id = view.ego.agent_id
+        ego_id = found.ego_id
         review_from_lidar = review_from_world @ frame.agent(ego_id).sweep.world_from_lidar
         boxes = found.detections.boxes[:kept].transform(review_from_lidar)
         rank = np.arange(kept)
@@ -248,87 +278,151 @@ class ReviewModel:
             seen_frames=seen_frames,
         )
 
-    def counts(self, state: ReviewState) -> Counts | None:
-        """Counts of TP, FP and FN under a state; None without a detector."""
-        if self.detector is None or not self.labelled(state.drive):
+    def _compared(
+        self, state: ReviewState, name: str, frame: Frame, review_from_world: NDArray[np.float64]
+    ) -> MethodView | None:
+        """Detections of a further method; None where they are unknown."""
+        found = self._detections(state, name)
+        if found is None:
             return None
-        return self._detections(state).at(state.iou).counts(state.threshold)
+        review_from_lidar = review_from_world @ frame.agent(found.ego_id).sweep.world_from_lidar
+        matches = found.at(state.iou)
+        kept = matches.kept(state.threshold)
+        boxes = found.detections.boxes[:kept].transform(review_from_lidar)
+        missed = found.truth[~matches.found(state.threshold)].transform(review_from_lidar)
+        if not self.labelled(state.drive):
+            return MethodView(name, Boxes.zeros(), boxes, Boxes.zeros(), None)
+        tp = matches.tp[:kept]
+        return MethodView(name, boxes[tp], boxes[~tp], missed, matches.counts(state.threshold))
+
+    def counts(self, state: ReviewState) -> Counts | None:
+        """Counts of TP, FP and FN in a frame; None without detections or labels."""
+        method = self.method(state)
+        found = self._detections(state, method) if method and self.labelled(state.drive) else None
+        return None if found is None else found.at(state.iou).counts(state.threshold)
+
+    def moment(self, state: ReviewState) -> EpisodeMoment | None:
+        """What the ego of an episode saw, believed and planned, in the review frame; None elsewhere."""
+        moment = getattr(self.sources[state.drive], "moment", None)
+        return None if moment is None else moment(state.frame).moved(-self.origin(state.drive))
+
+    def timeline(self, drive: int) -> EpisodeTimeline | None:
+        """Course of an episode; None elsewhere."""
+        timeline = getattr(self.sources[drive], "timeline", None)
+        return None if timeline is None else timeline()
+
+    def setup(self, state: ReviewState) -> Setup:
+        """Setup of the detections under a state."""
+        condition = condition_of(state.corruption, state.severity, state.family)
+        return Setup(condition, state.ego_id, state.cooperative)
+
+    def index(self, state: ReviewState) -> ErrorIndex:
+        """Errors of the run under a state, of all its methods, in the frames whose detections are known."""
+        return ErrorIndex([self._run(state.drive, name, self.setup(state)) for name in self._asked(state)])
+
+    def changes(self, before: ReviewState, after: ReviewState, only: ErrorFilter | None = None) -> Changes:
+        """What changes from one state to another of the same drive: a corruption, a method, cooperation.
+
+        Args:
+            before: first state.
+            after: second state, whose threshold and IoU count.
+            only: objects to look at; None for all.
+
+        Raises:
+            SettingsError: a state has no detections.
+        """
+        return changes(self._judged_run(before), self._judged_run(after), after.threshold, after.iou, only)
+
+    def _judged_run(self, state: ReviewState) -> JudgedRun:
+        method = self.method(state)
+        if not method:
+            raise SettingsError(complaint(self.names[state.drive], "methods", "a set of detections", "none"))
+        return self._run(state.drive, method, self.setup(state))
+
+    def _run(self, drive: int, method: str, setup: Setup) -> JudgedRun:
+        """Judged run of a method, as far as its detections are known."""
+        own = self.sources[drive].sets[method]
+        rows = own.rows(setup)
+        ends = (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
+        key = (drive, method, setup, len(rows), *ends)
+        return self._runs.get(key, lambda: JudgedRun(method, setup, own.run(setup)))
+
+    def _asked(self, state: ReviewState) -> list[str]:
+        """Sets of detections under a state, the judged one first.
+
+        Raises:
+            SettingsError: a name is unknown.
+        """
+        known = self.sources[state.drive].sets
+        for name in state.methods:
+            if name not in known:
+                hint = did_you_mean(name, known)
+                raise SettingsError(complaint(self.names[state.drive], "methods", "a set of detections", name, hint))
+        return list(dict.fromkeys(state.methods)) or list(known)[:1]
+
+    def _notice(self, state: ReviewState, method: str) -> str:
+        """Explanation of missing detections."""
+        if not method:
+            return ""
+        condition = self.setup(state).condition
+        title = condition_title(condition)
+        known = self.sources[state.drive].sets[method].conditions()
+        if known is not None and condition not in known:
+            return f"{method} has no detections in {title}; it has them in {', '.join(map(condition_title, known))}."
+        return f"{method} has no detections in this frame of this ego in {title}."
 
     def _seen(self, state: ReviewState) -> tuple[Counts, int]:
-        """Sum the counts of the frames with cached detections under these settings."""
-        keys = (self._key(replace(state, frame=row)) for row in range(self.frame_count(state.drive)))
-        known = [self._detected[key] for key in keys if key in self._detected]
-        counts = (found.at(state.iou).counts(state.threshold) for found in known)
+        """Sum the counts of the frames with known detections under these settings."""
+        method = self.method(state)
+        rows = self.sources[state.drive].sets[method].rows(self.setup(state)).tolist()
+        known = [self._detections(replace(state, frame=row), method) for row in rows]
+        counts = (found.at(state.iou).counts(state.threshold) for found in known if found is not None)
         return sum(counts, Counts()), len(known)
 
-    def _key(self, state: ReviewState) -> Hashable:
-        return (state.drive, state.frame, self._condition(state), state.ego_id, state.cooperative)
+    def _detections(self, state: ReviewState, method: str) -> _FrameDetections | None:
+        """Detections of a set in a frame, computed where they can be; None where they are unknown."""
+        own, setup = self.sources[state.drive].sets[method], self.setup(state)
+        key: Hashable = (state.drive, state.frame, method, setup)
+        if key in self._judged:
+            return self._judged.get(key, _unexpected)
+        table = self._table(own, state, setup)
+        if table is None:
+            return None
+        (result,) = table.results()
+        return self._judged.get(key, lambda: _FrameDetections(result.detections, result.truth, int(table.ego_id[0])))
 
-    def _condition(self, state: ReviewState) -> Hashable:
-        """Cache key of the corruption."""
-        if state.corruption == CLEAN:
-            return CLEAN
-        known = CORRUPTIONS.get(state.corruption)
-        ego = state.ego_id if known is not None and known.spares_ego else None
-        return (state.corruption, state.severity, state.family, ego)
-
-    def _detections(self, state: ReviewState) -> _FrameDetections:
-        def detect() -> _FrameDetections:
-            detector = self.detector
-            if detector is None:
-                raise ValueError("no detector")
-            sample = make_sample(
-                self._frame(state),
-                self.ego_id(state),
-                detector.settings.grid,
-                max_agents=getattr(detector.settings, "max_agents", 5),
-                cooperative=state.cooperative,
-            )
-            return _FrameDetections(detector.detect(sample), sample.boxes)
-
-        return _remember(self._detected, self._key(state), _DETECTIONS_KEPT, detect)
-
-    def _raw(self, drive: int, row: int) -> Frame:
-        return _remember(self._frames, (drive, row), _FRAMES_KEPT, lambda: self.drives[drive].read(row))
+    def _table(self, own: DetectionSet, state: ReviewState, setup: Setup) -> DetectionTable | None:
+        table = own.get(state.frame, setup)
+        if table is not None or not isinstance(own, ComputedSet):
+            return table
+        clean = self.stores[state.drive].recorded(state.frame)
+        return own.compute(state.frame, clean, self._frame(state), setup)
 
     def _frame(self, state: ReviewState) -> Frame:
-        raw = self._raw(state.drive, state.frame)
-        if state.corruption == CLEAN:
-            return raw
-        seed = drive_seed(SEED, self.names[state.drive])
-        return _remember(
-            self._corrupted,
-            (state.drive, state.frame, self._condition(state)),
-            _FRAMES_KEPT,
-            lambda: corrupt_frame(raw, state.corruption, state.severity, seed, state.family, ego_id=self.ego_id(state)),
-        )
-
-
-def _remember(cache: "OrderedDict[Hashable, T]", key: Hashable, limit: int, make: Callable[[], T]) -> T:
-    """Return the cached value of `key`, made when missing; a full cache drops the least recently used."""
-    if key not in cache:
-        cache[key] = make()
-    cache.move_to_end(key)
-    while len(cache) > limit:
-        cache.popitem(last=False)
-    return cache[key]
+        setup = self.setup(state)
+        return self.stores[state.drive].corrupted(state.frame, setup.condition, setup.ego_id)
 
 
 def _no_boxes() -> dict[str, Boxes]:
     return {name: Boxes.zeros() for name in LAYERS}
 
 
-def open_model(root: Path, checkpoint: Path | None = None) -> ReviewModel:
-    """Open all drives at or below a folder, and a detector.
+def _unexpected() -> _FrameDetections:
+    raise KeyError("dropped by another thread")
+
+
+def open_model(root: Path, checkpoint: Path | None = None, data: Path | None = None) -> ReviewModel:
+    """Open what a path holds, see `open_sources`, and a detector.
+
+    Args:
+        root: drives, results of an evaluation or benchmark, or episode logs.
+        checkpoint: detector file; None for none.
+        data: where the drives of results are now; None for where they were.
 
     Raises:
-        DataError: the folder is missing or holds no drive.
+        DataError: the path holds nothing of these, or something in it is damaged or of other data.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    drives: list[Drive] = [*open_drives(Path(root))]
-    if checkpoint is None:
-        return ReviewModel(drives)
-    # Torch takes seconds to import; ground truth alone does without.
-    from dsrc.models.storage.checkpoint import load_student
-
-    return ReviewModel(drives, load_student(Path(checkpoint)))
+    sources = open_sources(Path(root), data)
+    add_detectors(sources, [] if checkpoint is None else [str(checkpoint)])
+    return ReviewModel(sources)

@@ -26,7 +26,7 @@ class ReviewState:
         frame: row of the frame in the drive.
         ego_id: the agent that detects; None for the first of the frame.
         cooperative: detect with the collaborators' clouds; else with the ego's alone.
-        methods: sets of detections; the first is judged, the others are drawn over it. Empty for the first of the drive.
+        methods: sets of detections: the first is judged, the others are drawn over it; empty for the drive's first.
         corruption: `clean` or a kind of `sensors.corruptions`.
         severity: 1 to 5.
         family: of the corruption's settings.

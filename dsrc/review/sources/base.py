@@ -119,7 +119,7 @@ class MemorySet:
         if len(table) != 1 or table.position[0] != row:
             raise ValueError(f"a table of frame {row} alone is expected, found {table.position.tolist()}")
         with self._lock:
-            self._tables.setdefault(setup or Setup(), {})[row] = table
+            self._tables.setdefault(self._own(setup or Setup()), {})[row] = table
             self._changes += 1
 
     def forget(self, before: int) -> None:
@@ -130,6 +130,10 @@ class MemorySet:
                     del tables[row]
             self._changes += 1
 
+    def _own(self, setup: Setup) -> Setup:
+        """Setup of the stored tables: recorded detections have their own ego and cooperation."""
+        return Setup(setup.condition) if self.recorded else setup
+
     def conditions(self) -> tuple[Condition, ...] | None:
         """Conditions with detections; None for any that is computed."""
         if not self.recorded:
@@ -138,17 +142,19 @@ class MemorySet:
             return tuple(dict.fromkeys(setup.condition for setup in self._tables))
 
     def get(self, row: int, setup: Setup) -> DetectionTable | None:
-        """Detections in one frame; None where they are unknown."""
+        """Detections in one frame; None where they are unknown, or those of another ego."""
         with self._lock:
-            return self._tables.get(setup, {}).get(row)
+            table = self._tables.get(self._own(setup), {}).get(row)
+        return None if table is None or setup.ego_id not in (None, int(table.ego_id[0])) else table
 
     def rows(self, setup: Setup) -> NDArray[np.int64]:
         """(K,) rows of the frames with known detections, ascending."""
         with self._lock:
-            return np.array(sorted(self._tables.get(setup, {})), np.int64)
+            return np.array(sorted(self._tables.get(self._own(setup), {})), np.int64)
 
     def run(self, setup: Setup) -> DetectionTable:
         """All known detections, in the order of the frames."""
+        setup = self._own(setup)
         with self._lock:
             changes, tables = self._changes, dict(self._tables.get(setup, {}))
             known = self._joined.get(setup)

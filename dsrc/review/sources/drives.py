@@ -1,7 +1,6 @@
 """DriveSource: frames of a recorded drive of any format."""
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Any
 
 from dsrc.data.drives import Drive
@@ -38,15 +37,21 @@ class DriveSource:
         self.name = drive.drive.name
         self.protocol: Mapping[str, Any] = getattr(drive, "protocol", {})
         self.sets: dict[str, DetectionSet] = {}
+        self._labelled: bool | None = None
 
     def __len__(self) -> int:
         return len(self.drive.frames)
 
     def read(self, row: int) -> Frame:
         """Return a frame as recorded; raises DataError where it is damaged."""
-        return self.drive.read(row)
+        frame = self.drive.read(row)
+        if len(frame.truth):
+            self._labelled = True
+        return frame
 
-    @cached_property
+    @property
     def labelled(self) -> bool:
-        """Whether the first, middle or last readable frame has any object."""
-        return has_labels(self.read, len(self))
+        """Whether a frame that was read has any object, or the first, middle or last readable one."""
+        if self._labelled is None:
+            self._labelled = has_labels(self.read, len(self))
+        return self._labelled

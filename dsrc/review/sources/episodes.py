@@ -1,7 +1,6 @@
 """EpisodeSource: an episode of the closed loop, with what its ego saw, believed and planned at each step."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,10 @@ from dsrc.closed_loop.types import EgoState, Percept, Tick
 from dsrc.evaluation.detection_table import one_frame
 from dsrc.ops.detections import Detections
 from dsrc.review.sources.base import SEED, DetectionSet, Kind, MemorySet
+from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline, Links
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import make_sweep
 from sim.boxes import Boxes, concatenate
-from sim.contact import Contact
 from sim.errors import DataError, complaint
 from sim.geometry import invert, pose_matrix
 from sim.traffic.base import Actors
@@ -29,99 +28,6 @@ PLAN_S = 3.0
 """Duration of the drawn plan, s."""
 _PLAN_STEP_S = 0.1
 _LIDAR_M = 1.9
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Links:
-    """Receptions of the helpers' messages, one row each.
-
-    Attributes:
-        sender: (K,) int64 ids.
-        line: (K, 2, 3) float64 from sender to ego, world frame, m; NaN where the log does not place the sender.
-        received: (K,) bool.
-        bytes: (K,) int64 on air.
-        age_s: (K,) float64 age of the message; NaN without one.
-    """
-
-    sender: NDArray[np.int64]
-    line: NDArray[np.float64]
-    received: NDArray[np.bool_]
-    bytes: NDArray[np.int64]
-    age_s: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EpisodeMoment:
-    """Step of an episode as drawn, world frame.
-
-    Attributes:
-        time_s: the present, s.
-        plan: (K, 4) float64 x, y, z, m, and speed, m/s: the route ahead under the decided acceleration, see `PLAN_S`.
-        route: (R, 2) float64 of the ego, m.
-        percept: boxes of the newest percept so far, with their ids.
-        percept_score: (P,) float64.
-        percept_age_s: age of its measurement; NaN without one.
-        tracks: confirmed tracks; ids are numbers of tracks.
-        track_velocity: (T, 2) float64 m/s.
-        position_sd: (T,) float64 m.
-        unseen_s: (T,) float64 time since the last detection.
-        links: receptions behind the percept.
-        claims: false objects that helpers report.
-        claimed_by: (C,) names of these helpers.
-        acceleration_mps2: that the driver wants.
-        reason: what decided.
-        decisive: number of the decisive track, -1 without one.
-        contact: first contact, at its step; else None.
-    """
-
-    time_s: float
-    plan: NDArray[np.float64]
-    route: NDArray[np.float64]
-    percept: Boxes
-    percept_score: NDArray[np.float64]
-    percept_age_s: float
-    tracks: Boxes
-    track_velocity: NDArray[np.float64]
-    position_sd: NDArray[np.float64]
-    unseen_s: NDArray[np.float64]
-    links: Links
-    claims: Boxes
-    claimed_by: tuple[str, ...]
-    acceleration_mps2: float
-    reason: str
-    decisive: int
-    contact: Contact | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EpisodeTimeline:
-    """Course of an episode of T steps, for plots and marks on the timeline.
-
-    Attributes:
-        time_s: (T,) float64.
-        speed_mps: (T,) float64 of the ego.
-        wanted_mps2: (T,) float64 acceleration that the driver wants.
-        reason: (T,) what decided.
-        percept_age_s: (T,) float64 age of the newest measurement; NaN before the first.
-        tracks: (T,) int64 number of tracks.
-        received: (T,) int64 messages in the newest percept.
-        claims: (T,) int64 false objects that helpers report.
-        contact_row: step of the first contact, None without one.
-        outcome: how it ended.
-        message: explanation of a failed perception, or "".
-    """
-
-    time_s: NDArray[np.float64]
-    speed_mps: NDArray[np.float64]
-    wanted_mps2: NDArray[np.float64]
-    reason: tuple[str, ...]
-    percept_age_s: NDArray[np.float64]
-    tracks: NDArray[np.int64]
-    received: NDArray[np.int64]
-    claims: NDArray[np.int64]
-    contact_row: int | None
-    outcome: str
-    message: str
 
 
 class EpisodeSource:

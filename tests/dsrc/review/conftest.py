@@ -150,10 +150,10 @@ def fake_fog(monkeypatch):
     """Fog that removes every other point and marks the rest; counts its calls."""
     calls = []
 
-    def corrupt_frame(frame: Frame, kind: str, severity: int, seed: int, family: str, ego_id: int | None) -> Frame:
+    def corrupt_frame(frame: Frame, kind: str, severity: int, seed: int, family: str, **_: object) -> Frame:
         calls.append((frame.index, kind, severity))
         halves = [replace(agent.sweep[::2], lost=len(agent.sweep) // 2) for agent in frame.agents]
         return frame.with_sweeps([replace(s, fate=np.ones(len(s), np.uint8)) for s in halves])
 
-    monkeypatch.setattr("dsrc.review.model.corrupt_frame", corrupt_frame)
+    monkeypatch.setattr("dsrc.review.sources.detected.corrupt_frame", corrupt_frame)
     return calls

@@ -1,0 +1,131 @@
+"""The worker fills sets of detections over whole runs and reads frames ahead, with progress and without a page."""
+
+import threading
+import time
+
+import pytest
+
+from dsrc.evaluation.conditions import Condition
+from dsrc.review.model import DETECTOR, ReviewModel
+from dsrc.review.sources.base import MemorySet, Setup
+from dsrc.review.state import ReviewState
+from dsrc.review.worker import Worker
+from sim.errors import DataError, SettingsError
+
+
+@pytest.fixture
+def worker():
+    worker = Worker()
+    yield worker
+    worker.close()
+
+
+def test_a_run_is_detected_once_from_a_frame_on(worker, model, drive, detector):
+    store = model.stores[0]
+    number = worker.detect(store, DETECTOR, Setup(), start=5)
+    progress = worker.wait(number, 60.0)
+    assert (progress.state, progress.done, progress.total, progress.skipped) == ("done", 12, 12, ())
+    assert store.source.sets[DETECTOR].rows(Setup()).tolist() == list(range(12))
+    order = [int(sample.key.split("/")[1]) for sample in detector.samples]
+    assert order == [*range(5, 12), *range(5)]
+    again = worker.wait(worker.detect(store, DETECTOR, Setup()), 60.0)
+    assert again.state == "done" and len(detector.samples) == 12
+    # The page finds all of them, and detects nothing itself.
+    assert model.view(ReviewState(frame=7)).seen_frames == 12 and len(detector.samples) == 12
+
+
+def test_a_cancelled_job_keeps_what_it_found(worker, model, detector):
+    entered, go = threading.Event(), threading.Event()
+    detect = detector.detect
+
+    def slow(sample):
+        entered.set()
+        assert go.wait(30.0)
+        return detect(sample)
+
+    detector.detect = slow
+    number = worker.detect(model.stores[0], DETECTOR, Setup())
+    waits = worker.detect(model.stores[0], DETECTOR, Setup(ego_id=1002))
+    assert worker.detect(model.stores[0], DETECTOR, Setup()) == number
+    assert entered.wait(30.0)
+    assert worker.progress(number).state == "running" and worker.progress(waits).state == "waiting"
+    worker.cancel(waits)
+    worker.cancel(number)
+    go.set()
+    assert worker.wait(number, 30.0).state == worker.wait(waits, 30.0).state == "cancelled"
+    assert len(model.stores[0].source.sets[DETECTOR].rows(Setup())) == 1
+    assert [one.number for one in worker.jobs()] == [number, waits]
+
+
+def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(worker, model, drive, detector):
+    read = drive.read
+
+    def broken(row):
+        if row == 3:
+            raise DataError("000003.pcd: not a readable point cloud")
+        return read(row)
+
+    drive.read = broken
+    progress = worker.wait(worker.detect(model.stores[0], DETECTOR, Setup()), 60.0)
+    assert progress.state == "done" and progress.skipped == ((3, "000003.pcd: not a readable point cloud"),)
+    assert 3 not in model.stores[0].source.sets[DETECTOR].rows(Setup())
+
+    def fails(sample):
+        raise RuntimeError("out of memory")
+
+    detector.detect = fails
+    failed = worker.wait(worker.detect(model.stores[0], DETECTOR, Setup(cooperative=False)), 60.0)
+    assert failed.state == "failed" and "RuntimeError: out of memory" in failed.error
+    # The worker itself goes on.
+    worker.prefetch(model.stores[0], [9])
+
+
+def test_frames_are_read_ahead_and_then_drawn_without_reading(worker, model, drive, fake_fog):
+    worker.prefetch(model.stores[0], [4, 5, 6, 99], Condition("fog", 3))
+    deadline = time.monotonic() + 30.0
+    while len(fake_fog) < 3 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    reads = list(drive.reads)
+    assert sorted(reads) == [4, 5, 6]
+    model.stores[0].corrupted(5, Condition("fog", 3))
+    assert drive.reads == reads and len(fake_fog) == 3
+
+
+def test_a_newer_request_replaces_what_was_to_be_read_ahead(worker, model, drive):
+    entered, go = threading.Event(), threading.Event()
+    read = drive.read
+
+    def slow(row):
+        entered.set()
+        assert go.wait(30.0)
+        return read(row)
+
+    drive.read = slow
+    worker.prefetch(model.stores[0], [0, 1, 2])
+    assert entered.wait(30.0)
+    worker.prefetch(model.stores[0], [8])
+    go.set()
+    deadline = time.monotonic() + 30.0
+    while 8 not in drive.reads and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(0.05)
+    assert drive.reads == [0, 8]
+
+
+def test_only_detectors_can_be_asked(worker, model, drive):
+    model.sources[0].sets["stored"] = MemorySet("stored")
+    with pytest.raises(SettingsError, match="street: stored: expected a detector, found recorded detections"):
+        worker.detect(model.stores[0], "stored", Setup())
+    with pytest.raises(SettingsError, match="street: nothing: expected a detector, found none"):
+        worker.detect(model.stores[0], "nothing", Setup())
+    with pytest.raises(KeyError):
+        worker.progress(77)
+
+
+def test_a_closed_worker_ends_its_jobs(drive, detector):
+    model, worker = ReviewModel([drive], detector), Worker()
+    numbers = [worker.detect(model.stores[0], DETECTOR, Setup(ego_id=ego)) for ego in (1000, 1002)]
+    worker.close()
+    assert all(worker.progress(number).state in ("cancelled", "done") for number in numbers)
+    with pytest.raises(RuntimeError, match="closed"):
+        worker.detect(model.stores[0], DETECTOR, Setup())
