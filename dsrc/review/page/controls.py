@@ -86,6 +86,17 @@ def _drives(shown: Shown) -> dict[str, Any]:
     return {name if names.count(name) == 1 else f"{row}: {name}": row for row, name in enumerate(names)}
 
 
+def _methods(shown: Shown) -> dict[str, Any]:
+    """Each method alone, and the shown one with those over it."""
+    methods = shown.state.methods
+    options: dict[str, Any] = {name: (name,) for name in shown.model.methods(shown.state.drive)}
+    return {**options, ", ".join(methods): methods} if len(methods) > 1 else options
+
+
+def _several_methods(shown: Shown) -> bool:
+    return len(shown.model.methods(shown.state.drive)) > 1
+
+
 def _agents(shown: Shown) -> dict[str, Any]:
     if shown.view is None:
         return {"–": None}
@@ -131,6 +142,7 @@ CONTROLS: tuple[Control, ...] = (
     Control("iou", Choice(_same(*IOU_THRESHOLDS)), "IoU ≥", "Detections", link="iou", key="I", shown=_detects),
     Control("ego_id", Choice(_agents, closed=False), "Ego", "Detections", link="ego", shown=_detects),
     Control("cooperative", Switch(), "Cooperative", "Detections", link="cooperative", key="V", shown=_detects),
+    Control("methods", Choice(_methods, closed=False), "Method", "Detections", link="methods", shown=_several_methods),
     Control("hidden", None, link="hidden"),
     Control("color_by", Choice(_same(*COLOR_BY)), "Points by", "Look", link="color", key="P"),
     Control("point_size_m", Slider(0.02, 0.5, 0.01), "Point size", "Look", link="size"),
@@ -144,6 +156,8 @@ CONTROLS: tuple[Control, ...] = (
 def value_of(control: Control, shown: Shown) -> Any:
     """Value of a control in the state."""
     value = getattr(shown.state, control.field)
+    if control.field == "methods" and not value:
+        return tuple(shown.model.methods(shown.state.drive)[:1])
     if control.field == "ego_id" and value is None and shown.view is not None:
         return shown.view.ego.agent_id
     if isinstance(control.widget, Switch) and control.widget.item is not None:

@@ -3,7 +3,7 @@
 import re
 from dataclasses import fields, replace
 from typing import Any
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qsl, quote
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from sim.errors import SettingsError, complaint
 VIEW = "view"
 """Name of the camera's position and the point looked at: six numbers, m."""
 
+_BETWEEN = "|"
+"""Between the names of methods, which may hold commas."""
 _DEFAULTS = {field.name: getattr(ReviewState(), field.name) for field in fields(ReviewState)}
 _PLAIN = re.compile(r"[\w.~-]+", re.ASCII)
 
@@ -73,6 +75,8 @@ def _text(model: ReviewModel, field: str, value: Any) -> str:
     if field == "drive":
         name = model.names[value]
         return name if model.names.count(name) == 1 and _PLAIN.fullmatch(name) else str(value)
+    if field == "methods":
+        return _BETWEEN.join(quote(name, safe="") for name in value)
     if isinstance(value, frozenset):
         return ",".join(sorted(map(str, value)))
     if isinstance(value, bool):
@@ -88,6 +92,8 @@ def _value(control: Control, text: str, shown: Shown) -> Any:
     """
     if control.field == "drive" and text in shown.model.names:
         return shown.model.names.index(text)
+    if control.field == "methods":
+        return _methods(control, text, shown)
     value = _parsed(control, text)
     widget = control.widget
     if isinstance(widget, Slider) and not widget.low <= value <= widget.upper(shown):
@@ -96,6 +102,14 @@ def _value(control: Control, text: str, shown: Shown) -> Any:
     if isinstance(widget, Choice) and widget.closed and value not in widget.options(shown).values():
         raise SettingsError(complaint("link", control.link, ", ".join(widget.options(shown)), text))
     return value
+
+
+def _methods(control: Control, text: str, shown: Shown) -> tuple[str, ...]:
+    known = shown.model.methods(shown.state.drive)
+    names = tuple(dict.fromkeys(name for name in text.split(_BETWEEN) if name))
+    if not set(names) <= set(known):
+        raise SettingsError(complaint("link", control.link, ", ".join(known) or "none", text))
+    return names
 
 
 def _parsed(control: Control, text: str) -> Any:

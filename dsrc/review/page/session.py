@@ -37,7 +37,7 @@ NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
 
 # A detection is known by its place in one list of scores.
-_LIST_OF_DETECTIONS = ("drive", "frame", "corruption", "severity", "family", "ego_id", "cooperative")
+_LIST_OF_DETECTIONS = ("drive", "frame", "corruption", "severity", "family", "ego_id", "cooperative", "methods")
 
 
 def root_of(drive: int) -> str:
@@ -142,7 +142,9 @@ class Session:
         with self._changed:
             state = replace(self.state, **changes)
             if state.drive != self.state.drive:
+                kept = tuple(name for name in state.methods if name in self.model.methods(state.drive))
                 state = replace(state, frame=0, ego_id=None, hidden=frozenset(), object_id=None, camera="free")
+                state = replace(state, methods=kept)
             if "object_id" in changes and state.object_id is not None:
                 state = replace(state, detection=None)
             elif "detection" in changes and state.detection is not None:

@@ -10,6 +10,7 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import UP, CameraPose
 from dsrc.review.page.controls import CONTROLS
 from dsrc.review.page.link import read_link, write_link
+from dsrc.review.sources.base import MemorySet
 from dsrc.review.state import ReviewState
 
 FULL = ReviewState(
@@ -38,6 +39,15 @@ def test_a_link_restores_the_state_and_the_camera(two, state):
     assert read == state and not complaints
     np.testing.assert_allclose(camera.position, pose.position)
     np.testing.assert_allclose(camera.look_at, pose.look_at)
+
+
+def test_methods_with_any_names_come_back_in_their_order(two):
+    for name in ("DSRC, ego alone", "50 % & more = #1"):
+        two.sources[0].sets[name] = MemorySet(name)
+    state = ReviewState(methods=("50 % & more = #1", "DSRC, ego alone", "detector"))
+    assert read_link(write_link(two, state, None), two, ReviewState()) == (state, None, [])
+    read, _, complaints = read_link("methods=detector|nothing", two, ReviewState())
+    assert read == ReviewState() and "methods: expected detector, DSRC, ego alone" in complaints[0]
 
 
 def test_the_link_of_the_start_is_empty(two):
