@@ -1,7 +1,7 @@
 """Sample: one instant seen by one ego and its collaborators, in the ego LiDAR's frame."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,8 @@ class Sample:
         agent_ids: (A,) ids, ego first.
         clouds: per agent (P, 4) float32 x, y, z, intensity; own body removed, cropped to the grid's range.
         ego_from_agent: (A, 4, 4) float64 poses of the agents' LiDARs.
-        boxes: ground truth: vehicles with a point of any agent in communication range, all corners in range, without
-            the ego.
+        boxes: ground truth: vehicles with a point of any agent that takes part, all corners in range; without the ego,
+            unless OpenCOOD judges.
         agent_boxes: per agent the vehicles of the ground truth with a point of its own.
         lost: per agent (h, w) bool tiles of its feature map that were lost, (0, 0) for none; empty where no agent lost
             one.
@@ -49,13 +49,27 @@ class SampleDetector(Protocol):
 
     @property
     def settings(self) -> Any:
-        """Settings with `grid`, and `max_agents` where the number of agents is limited."""
+        """Settings with `grid`, and those of `max_agents`, `team_by` and `judged_by` that are not the default."""
         ...
 
     def detect(self, sample: Sample) -> Detections:
         """Return detections in the ego LiDAR's frame."""
         ...
 
+
+Range = tuple[float, float, float, float, float, float]
+
+TeamBy = Literal["range", "folders"]
+"""Order of the two rules of who takes part: `range` takes the agents in range and of these the first few; `folders`, as
+OpenCOOD, the first few folders and of these the agents in range, so that fewer may be left."""
+
+JudgedBy = Literal["grid", "opencood"]
+"""Boxes that count, true or detected: `grid`, those inside the detector's range without the ego's own; `opencood`,
+those inside `OPENCOOD_RANGE_M` whatever the detector's range, the ego's own too where a collaborator has a point on
+it."""
+
+OPENCOOD_RANGE_M: Range = (-140.0, -40.0, -3.0, 140.0, 40.0, 1.0)
+"""Range in which OpenCOOD's evaluation counts boxes, in the ego LiDAR's frame, m."""
 
 # The released code drops an agent's returns on itself in this box of the LiDAR's frame, m; it fits OPV2V's Lincoln.
 _OWN_BODY_LOW = np.array([-1.95, -1.1], np.float32)
@@ -73,8 +87,10 @@ def make_sample(
     cooperative: bool = True,
     key: str = "",
     keep_ego_box: bool = False,
+    team_by: TeamBy = "range",
+    truth_range_m: Range | None = None,
 ) -> Sample:
-    """Make the sample of one ego in a frame.
+    """Make the sample of one ego in a frame; `sample_for` makes that of a detector.
 
     Args:
         frame: the frame.
@@ -85,15 +101,17 @@ def make_sample(
         cooperative: include the collaborators' clouds. The ground truth is the same either way.
         key: name of the sample.
         keep_ego_box: keep the ego's own box where a collaborator has a point on it, as OpenCOOD does.
+        team_by: order of the rules of range and number.
+        truth_range_m: range of the ground truth, where it is not the grid's.
 
     Raises:
         DataError: the frame lacks the ego.
     """
-    rows = _participants(frame, ego_id, comm_range_m, max_agents)
+    rows = _participants(frame, ego_id, comm_range_m, max_agents, team_by)
     ego = frame.agents[rows[0]]
     ego_from_world = invert(ego.sweep.world_from_lidar)
     truth = frame.truth.transform(ego_from_world)
-    eligible = truth.is_vehicle & inside_range(truth, grid)
+    eligible = truth.is_vehicle & inside(truth, truth_range_m or grid.range_m)
     if not keep_ego_box:
         eligible &= truth.object_id != ego.agent_id
     seen = frame.points_on[rows] >= 1
@@ -112,8 +130,40 @@ def make_sample(
     )
 
 
-def _participants(frame: Frame, ego_id: int | None, comm_range_m: float, max_agents: int) -> list[int]:
-    """Return rows of `frame.agents`: the ego, then the others in range."""
+def sample_for(settings: Any, frame: Frame, ego_id: int | None, *, cooperative: bool = True, key: str = "") -> Sample:
+    """Make the sample that a detector is run and judged on.
+
+    Args:
+        settings: those of a `SampleDetector`.
+        frame: as `make_sample`, like all that follow.
+        ego_id: the ego.
+        cooperative: include the collaborators' clouds.
+        key: name of the sample.
+
+    Raises:
+        DataError: the frame lacks the ego.
+    """
+    return make_sample(
+        frame,
+        ego_id,
+        settings.grid,
+        max_agents=getattr(settings, "max_agents", 5),
+        cooperative=cooperative,
+        key=key,
+        keep_ego_box=getattr(settings, "judged_by", "grid") == "opencood",
+        team_by=getattr(settings, "team_by", "range"),
+        truth_range_m=judged_range(settings),
+    )
+
+
+def judged_range(settings: Any) -> Range:
+    """Return the range in which boxes count for a detector of these settings, in the ego LiDAR's frame, m."""
+    grid_m: Range = settings.grid.range_m
+    return OPENCOOD_RANGE_M if getattr(settings, "judged_by", "grid") == "opencood" else grid_m
+
+
+def _participants(frame: Frame, ego_id: int | None, comm_range_m: float, max_agents: int, team_by: TeamBy) -> list[int]:
+    """Return rows of `frame.agents`: the ego, then the others that take part."""
     if ego_id is None:
         vehicles = [row for row, agent in enumerate(frame.agents) if agent.kind == "vehicle"]
         ego_row = vehicles[0] if vehicles else 0
@@ -126,14 +176,21 @@ def _participants(frame: Frame, ego_id: int | None, comm_range_m: float, max_age
         raise DataError(f"frame {frame.index}: expected at least one agent, found none")
     place = np.array([agent.sweep.world_from_lidar[:2, 3] for agent in frame.agents])
     distance = np.linalg.norm(place - place[ego_row], axis=1)
-    others = [row for row in range(len(frame.agents)) if row != ego_row and distance[row] <= comm_range_m]
-    return [ego_row, *others][:max_agents]
+    rows = [ego_row, *(row for row in range(len(frame.agents)) if row != ego_row)]
+    if team_by == "folders":
+        rows = rows[:max_agents]
+    return [row for row in rows if distance[row] <= comm_range_m][:max_agents]
 
 
 def inside_range(boxes: Boxes, grid: GridSpec) -> NDArray[np.bool_]:
     """Return (N,) whether all 8 corners lie in the grid's range, faces included."""
+    return inside(boxes, grid.range_m)
+
+
+def inside(boxes: Boxes, range_m: Range) -> NDArray[np.bool_]:
+    """Return (N,) whether all 8 corners lie in a range, faces included."""
     corners = boxes.corners()
-    low, high = np.array(grid.range_m[:3]), np.array(grid.range_m[3:])
+    low, high = np.array(range_m[:3]), np.array(range_m[3:])
     return np.all((corners >= low) & (corners <= high), axis=(1, 2))
 
 

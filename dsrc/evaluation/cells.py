@@ -78,7 +78,7 @@ def make_cells(unit: WorkUnit, progress: Callable[[int, int], None]) -> None:
         write_cell(unit.folder, job.settings, results[unit.condition, job.settings.key])
 
 
-def load_adjusted(path: Path, use: Mapping[str, bool | int | float], engine: str = "fused") -> Detector:
+def load_adjusted(path: Path, use: Mapping[str, bool | int | float | str], engine: str = "fused") -> Detector:
     """Load a detector file, with some of its settings changed.
 
     Args:
@@ -116,7 +116,7 @@ def _detector(job: CellJob) -> Detector:
 
 
 @lru_cache(maxsize=64)
-def _loaded(path: Path, sha256: str, use: tuple[tuple[str, bool | int | float], ...], engine: str) -> Detector:
+def _loaded(path: Path, sha256: str, use: tuple[tuple[str, bool | int | float | str], ...], engine: str) -> Detector:
     """Return a detector; the key has the file's hash, so that a changed file is loaded again."""
     return load_adjusted(path, dict(use), engine)
 

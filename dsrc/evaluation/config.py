@@ -55,7 +55,7 @@ from sim.radio import IDEAL, ChannelSpec, get_channel
 from sim.tomlfile import read_toml
 
 _Texts = Annotated[tuple[str, ...], Meta(min_length=1)]
-IN_USE = ("align_poses", "share", "bits", "score_threshold", "nms_iou")
+IN_USE = ("align_poses", "share", "bits", "score_threshold", "nms_iou", "team_by", "judged_by")
 """Model settings that a trained detector can be used with at any value."""
 
 _Amounts = tuple[Annotated[float, Meta(ge=0.0)], ...]
@@ -68,14 +68,15 @@ class MethodSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         name: in tables.
         detectors: detector files, one for each training of the method.
         use: changed model settings, of `IN_USE`: the same detectors that send less, or that correct poses, are another
-            method.
+            method. With `judged_by = "opencood"` the `ap_opencood` of a method is OpenCOOD's number, see
+            `dsrc.data.sample.JudgedBy`.
         start: weights that its trainings began with, for a column of Table 1; "" for unknown.
         agents: most agents that take part, the ego included; None for the detectors' own number.
     """
 
     name: str
     detectors: _Texts
-    use: dict[str, bool | int | float] = {}
+    use: dict[str, bool | int | float | str] = {}
     start: str = ""
     agents: Annotated[int, Meta(ge=1)] | None = None
 

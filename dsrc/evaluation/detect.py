@@ -5,13 +5,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
-from dsrc.data.sample import Sample, SampleDetector, inside_range, make_sample
+from dsrc.data.sample import JudgedBy, Sample, SampleDetector, TeamBy, inside, judged_range, sample_for
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
@@ -78,7 +78,7 @@ def evaluate_drive(
 
     Each frame is read once and corrupted once per condition; all methods get the same sweeps. Ground truth is that of
     the clean frame: an object whose points a corruption took away still counts as missed. Detections not wholly inside
-    the detector's range are left out, as such true boxes are.
+    the range in which the detector is judged are left out, as such true boxes are.
 
     Args:
         reader: of the drive.
@@ -104,7 +104,7 @@ def evaluate_drive(
         recorded = _FrameHistory(read, i)
         for condition, methods in work.items():
             past = _FrameHistory(recorded.at, i, partial(corrupted, condition=condition, seed=own_seed))
-            samples: dict[tuple[GridSpec, int, int | None], Sample] = {}
+            samples: dict[_SampleKey, Sample] = {}
             left = points_left(recorded[0], past[0])
             for method in methods:
                 sample, record = _sample(past[0], method, samples, name), records[condition, method.name]
@@ -116,11 +116,11 @@ def evaluate_drive(
                 start = time.perf_counter()
                 found = method.detector.detect(sample)
                 record.seconds.append(time.perf_counter() - start)
-                inside = found[inside_range(found.boxes, method.detector.settings.grid)]
+                counted = found[inside(found.boxes, judged_range(method.detector.settings))]
                 points = points_table(recorded[0], left, whole.agent_ids, sample.boxes.object_id)
                 share = _ego_share(recorded[0], sample)
                 ego_id, index = sample.agent_ids[0], recorded[0].index
-                record.frames.append(one_frame(i, index, ego_id, inside, sample.boxes, points, share))
+                record.frames.append(one_frame(i, index, ego_id, counted, sample.boxes, points, share))
             count_frame()
     return {key: record.result() for key, record in records.items()}
 
@@ -237,15 +237,29 @@ def frame_positions(readers: Sequence[Drive], limit: int | None) -> list[list[in
     return [[i for drive, i in places if drive == k] for k in range(len(readers))]
 
 
-def _sample(
-    frame: Frame, method: Method, samples: dict[tuple[GridSpec, int, int | None], Sample], drive: str
-) -> Sample:
-    """Input of a method; methods with the same grid and number of agents share it."""
+class _SampleKey(NamedTuple):
+    """What a sample depends on, besides the frame."""
+
+    grid: GridSpec
+    max_agents: int
+    team_by: TeamBy
+    judged_by: JudgedBy
+    agents: int | None
+
+
+def _sample(frame: Frame, method: Method, samples: dict[_SampleKey, Sample], drive: str) -> Sample:
+    """Input of a method; methods with the same grid, agents and judge share it."""
     settings = method.detector.settings
-    key = (settings.grid, getattr(settings, "max_agents", 5), method.agents)
+    key = _SampleKey(
+        settings.grid,
+        getattr(settings, "max_agents", 5),
+        getattr(settings, "team_by", "range"),
+        getattr(settings, "judged_by", "grid"),
+        method.agents,
+    )
     if key not in samples:
         if method.agents is None:
-            sample = make_sample(frame, None, key[0], max_agents=key[1])
+            sample = sample_for(settings, frame, None)
             samples[key] = replace(sample, key=f"{drive}/{sample.key}")
         else:
             whole = _sample(frame, replace(method, agents=None), samples, drive)

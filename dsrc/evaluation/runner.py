@@ -58,7 +58,7 @@ class TrainedDetector:
     sha256: str
     settings: ModelSettings
     seed: int | None
-    use: dict[str, bool | int | float]
+    use: dict[str, bool | int | float | str]
     recipe: str = ""
     agents: int | None = None
 

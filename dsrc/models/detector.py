@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dsrc.data.sample import Sample, make_sample
+from dsrc.data.sample import Sample, judged_range, sample_for
 from dsrc.models.compression import as_large, reduced
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.fusion.late import join_detections
@@ -163,7 +163,7 @@ class Detector(nn.Module):
         return anchor_grid(self.settings.grid)
 
     def decode(self, output: Output) -> list[Detections]:
-        """Decode the heads' maps into detections inside the grid's range, one `Detections` per row of the batch.
+        """Decode the heads' maps into detections in the range that counts, one `Detections` per row of the batch.
 
         Boxes are right-handed, whatever frame the network was trained in.
         """
@@ -171,7 +171,7 @@ class Detector(nn.Module):
         post = PostSettings(
             settings.score_threshold,
             settings.nms_iou,
-            range_m=settings.grid.range_m,
+            range_m=judged_range(settings),
             max_extent_m=settings.max_extent_m,
         )
         cls, reg = output.cls.detach().float().cpu().numpy(), output.reg.detach().float().cpu().numpy()
@@ -221,7 +221,4 @@ def detect(detector: Detector, frame: Frame, ego_id: int | None = None, *, coope
     Raises:
         DataError: the frame has no agent of this id.
     """
-    settings = detector.settings
-    return detector.detect(
-        make_sample(frame, ego_id, settings.grid, max_agents=settings.max_agents, cooperative=cooperative)
-    )
+    return detector.detect(sample_for(detector.settings, frame, ego_id, cooperative=cooperative))

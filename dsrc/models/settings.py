@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from dsrc.data.sample import JudgedBy, TeamBy
 from dsrc.ops.grid import GridSpec
 from sim.errors import did_you_mean
 
@@ -60,6 +61,9 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         reconstruction_channels: widths of the reconstruction head, per vertical bin and after reduction.
         reconstruction_cell_z_m: height of a reconstruction voxel; the released code's is the whole range.
         max_agents: number of agents that are fused, the ego included.
+        team_by: order of the rules of range and number by which agents take part; `folders` is OpenCOOD's.
+        judged_by: boxes that count in an evaluation, see `dsrc.data.sample.JudgedBy`; with `opencood` detections and
+            ground truth are OpenCOOD's, and so is `ap_opencood`.
         score_threshold: confidence below which detections are dropped.
         nms_iou: overlap above which the less confident of two detections is dropped.
         max_extent_m: extent along x or y above which detections are dropped, buses among them; 6 m in the released
@@ -98,6 +102,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reconstruction_channels: tuple[Count, Count] = (128, 32)
     reconstruction_cell_z_m: Annotated[float, Meta(gt=0)] = 0.4
     max_agents: Count = 5
+    team_by: TeamBy = "range"
+    judged_by: JudgedBy = "grid"
     score_threshold: Share = 0.2
     nms_iou: Share = 0.15
     max_extent_m: Annotated[float, Meta(gt=0)] | None = None

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from dsrc.data.sample import Sample
+from dsrc.data.sample import Sample, judged_range
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.settings import ModelSettings
 from dsrc.training.augment import augment, source_grid
@@ -120,13 +120,14 @@ class DetectionData(pl.LightningDataModule):
         """
         super().__init__()
         self.recipe, self.settings = recipe, settings
-        agents = (recipe.comm_range_m, recipe.model.max_agents, recipe.labels.ego_box)
+        agents = (recipe.comm_range_m, recipe.model.max_agents, recipe.labels.ego_box, recipe.model.team_by)
         wide = SampleStore(drives, source_grid(recipe.model.grid, recipe.augmentation), *agents)
         frames, held_out = wide.frames, wide.frames
         if validation_drives is None and recipe.validation_share > 0:
             held = {f for f in wide.frames if _is_held_out(f, len(wide.drives[f.drive]), recipe.validation_share)}
             frames, held_out = [f for f in wide.frames if f not in held], [f for f in wide.frames if f in held]
-        exact = SampleStore(validation_drives or drives, recipe.model.grid, *agents)
+        judged_m, with_ego = judged_range(recipe.model), recipe.model.judged_by == "opencood" or recipe.labels.ego_box
+        exact = SampleStore(validation_drives or drives, recipe.model.grid, *agents[:2], with_ego, agents[3], judged_m)
         if validation_drives is not None:
             held_out = exact.frames
         self.training = TrainingSet(wide, frames, recipe, seed)

@@ -171,11 +171,11 @@ def dsrc_paper() -> Recipe:
 def dsrc_code() -> Recipe:
     """Return the recipe of DSRC as released (github.com/Terry9a/DSRC, 9a6e3d5); needs a GPU.
 
-    Its Res2Net blocks are 3, 4, 5, its rate never reaches the configured 1e-3, its reconstruction has one bin of
-    4 m of ten, its teacher's objects are axis-aligned, and its training changes the frozen teacher's norms. Not
-    reproduced: points are not shuffled before the first 32 of a pillar are taken, a reconstructed voxel's mean is of
-        all its points and not of the first 32, and of the features of its masks any above zero counts, not one above
-        0.004.
+    Its Res2Net blocks are 3, 4, 5, its rate never reaches the configured 1e-3, its reconstruction has one bin of 4 m of
+    ten, its teacher's objects are axis-aligned, its agents are those of the first five folders that are in range, and
+    its training changes the frozen teacher's norms. Not reproduced: points are not shuffled before the first 32 of a
+    pillar are taken, a reconstructed voxel's mean is of all its points and not of the first 32, and of the features of
+    its masks any above zero counts, not one above 0.004.
     """
     model = ModelSettings(
         stage_blocks=(3, 4, 5),
@@ -183,6 +183,7 @@ def dsrc_code() -> Recipe:
         padded_slots=True,
         score_prior=None,
         reconstruction_cell_z_m=4.0,
+        team_by="folders",
         score_threshold=0.25,
         max_extent_m=6.0,
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dsrc.data.drives import open_drive
-from dsrc.data.sample import Sample, make_sample
+from dsrc.data.sample import Range, Sample, TeamBy, make_sample
 from dsrc.ops.grid import GridSpec
 from sensors.corruptions import corrupt_frame
 from sensors.frame import Frame
@@ -42,6 +42,8 @@ class SampleStore:
         comm_range_m: float,
         max_agents: int,
         keep_ego_box: bool = False,
+        team_by: TeamBy = "range",
+        truth_range_m: Range | None = None,
     ) -> None:
         """Open the drives.
 
@@ -51,13 +53,15 @@ class SampleStore:
             comm_range_m: communication range of the ego, m.
             max_agents: maximum number of agents per sample.
             keep_ego_box: count the ego's own body as an object where a collaborator has seen it.
+            team_by: order of the rules of range and number by which agents take part.
+            truth_range_m: range of the ground truth, where it is not the grid's.
 
         Raises:
             DataError: the drives have no frames.
         """
         self.drives = [open_drive(drive) for drive in drives]
         self.grid, self.comm_range_m, self.max_agents = grid, comm_range_m, max_agents
-        self.keep_ego_box = keep_ego_box
+        self.keep_ego_box, self.team_by, self.truth_range_m = keep_ego_box, team_by, truth_range_m
         self.frames = [FrameRef(d, i) for d, reader in enumerate(self.drives) for i in range(len(reader))]
         if not self.frames:
             raise DataError(complaint(drives[0] if drives else "data", "frames", "at least one", 0))
@@ -90,5 +94,7 @@ class SampleStore:
             comm_range_m=self.comm_range_m,
             max_agents=self.max_agents,
             keep_ego_box=self.keep_ego_box,
+            team_by=self.team_by,
+            truth_range_m=self.truth_range_m,
             key=f"{reader.drive.name}/{ego_id}/{reader.frames[ref.position]:06d}",
         )

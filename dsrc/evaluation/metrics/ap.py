@@ -59,7 +59,9 @@ class Curve:
     Attributes:
         ap: average precision over all detections sorted by confidence; NaN without any ground truth.
         ap_opencood: the same over detections sorted inside their frame only, frames in their order, which is the
-            default of OpenCOOD and what DSRC's tables hold.
+            default of OpenCOOD and what DSRC's tables hold. It is OpenCOOD's order over the boxes that the frames have:
+            by default those in the detector's range without the ego's own, with the setting `judged_by = "opencood"`
+            of a detector OpenCOOD's own, within 140 m and with the ego, and then it is OpenCOOD's number.
         hits: true positives.
         recall: (D,) after each detection, most confident first.
         precision: (D,) after each detection.

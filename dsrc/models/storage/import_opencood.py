@@ -28,7 +28,8 @@ def import_detector(path: Path, grid: GridSpec, teacher: bool = False, left_hand
 
     Sizes are those of the tensors, all else is as released: padded slots take part in the pillars' batch norm and
     maximum, 32 points per pillar, 70,000 pillars, a score threshold of 0.25, boxes longer than 6 m along x or y
-    dropped, regression maps with sizes in the order height, width, length, and intensities of 8 bits.
+    dropped, regression maps with sizes in the order height, width, length, intensities of 8 bits, and agents of the
+    first five folders.
 
     Args:
         path: `net_epoch....pth` of the base model, of a student or of a teacher.
@@ -130,6 +131,7 @@ def _settings(state: Mapping[str, Tensor], grid: GridSpec, teacher: bool, design
         base_width=fitting[0],
         decoder_channels=state["decoder.0.0.weight"].shape[1],
         shrink_channels=len(state["shrink.0.weight"]),
+        team_by="folders",
         score_threshold=0.25,
         max_extent_m=6.0,
     )

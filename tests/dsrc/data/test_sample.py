@@ -3,10 +3,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as changed
 
 from dsrc.data.drives import list_drives
 from dsrc.data.formats.opv2v.reader import DriveReader
-from dsrc.data.sample import inside_range, make_sample
+from dsrc.data.sample import inside_range, make_sample, sample_for
+from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
 from sensors.frame import count_points
 from sim.errors import DataError
@@ -61,6 +63,40 @@ def test_agents_out_of_range_or_over_the_limit_do_not_take_part():
     assert make_sample(frame, None, GRID, comm_range_m=25.0).agent_ids == (1000, -1)
     assert make_sample(frame, None, GRID, comm_range_m=0.0).agent_ids == (1000,)
     assert make_sample(frame, None, GRID, max_agents=2).agent_ids == (1000, 1002)
+
+
+def test_by_folders_an_agent_out_of_range_takes_the_place_of_one_in_range():
+    frame = toy_frame(0)  # the second folder's agent is 30 m away, the third's 25 m
+    assert make_sample(frame, None, GRID, comm_range_m=25.0, max_agents=2).agent_ids == (1000, -1)
+    assert make_sample(frame, None, GRID, comm_range_m=25.0, max_agents=2, team_by="folders").agent_ids == (1000,)
+    assert make_sample(frame, None, GRID, comm_range_m=25.0, team_by="folders").agent_ids == (1000, -1)
+    assert make_sample(frame, -1, GRID, max_agents=2, team_by="folders").agent_ids == (-1, 1000)
+
+
+def test_opencood_judges_by_its_own_range_whatever_the_detectors(tmp_path: Path):
+    mini, expected = goldens.unpack_opv2v_mini(tmp_path), goldens.load("opv2v_mini_expected")
+    frames = [r.read(i) for d in list_drives(mini) for r in [DriveReader(d)] for i in range(len(r))]
+    small = ModelSettings(grid=GridSpec((-51.2, -25.6, -3.0, 51.2, 25.6, 1.0)), judged_by="opencood")
+    beyond = 0
+    for k, frame in enumerate(frames):
+        sample, own = sample_for(small, frame, None), sample_for(changed(small, judged_by="grid"), frame, None)
+        assert sample.boxes.object_id.tolist() == expected[f"test/{k}/object_ids"].tolist()
+        assert set(own.boxes.object_id.tolist()) <= set(sample.boxes.object_id.tolist())
+        assert [len(cloud) for cloud in sample.clouds] == [len(cloud) for cloud in own.clouds]
+        beyond += len(sample.boxes) - len(own.boxes)
+    assert beyond > 5
+
+
+def test_a_sample_is_made_as_the_settings_of_its_detector_say():
+    frame = toy_frame(0)
+
+    class Foreign:
+        grid = GRID
+
+    assert sample_for(Foreign(), frame, None).agent_ids == make_sample(frame, None, GRID).agent_ids
+    two = ModelSettings(grid=GridSpec((-140.8, -40.0, -6.0, 140.8, 40.0, 2.8)), rec=False, max_agents=2)
+    assert sample_for(two, frame, 1002).agent_ids == (1002, 1000)
+    assert sample_for(two, frame, None, cooperative=False).agent_ids == (1000,)
 
 
 def test_clouds_of_all_agents_lie_on_the_same_objects():

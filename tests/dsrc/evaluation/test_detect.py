@@ -1,10 +1,11 @@
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from dsrc.data.drives import open_drive
+from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import make_sample
 from dsrc.evaluation.conditions import Condition, corruption_kinds
@@ -15,6 +16,7 @@ from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from sim.radio import PRESETS
+from tests.dsrc.data import goldens
 from tests.dsrc.data.toy import toy_frame
 from tests.dsrc.evaluation.fakes import GRID, PointCounter, detect_all, halve, write_drives
 
@@ -65,6 +67,17 @@ def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives):
     assert rows[0].truth == rows[1].truth
     assert rows[1].metrics["ap_bev_50"] < rows[0].metrics["ap_bev_50"]
     assert len(rows) == 2
+
+
+def test_judged_by_opencood_a_method_has_the_truth_that_opencood_has(tmp_path):
+    mini, expected = goldens.unpack_opv2v_mini(tmp_path), goldens.load("opv2v_mini_expected")
+    theirs, inside = PointCounter(need=0), PointCounter(need=0)
+    theirs.settings = SimpleNamespace(grid=GRID, judged_by="opencood", team_by="folders")
+    rows = detect_all([Method("theirs", theirs), Method("ours", inside)], list_drives(mini))
+    ids = [expected[f"test/{k}/object_ids"].tolist() for k in range(rows[0].frames)]
+    assert [sample.boxes.object_id.tolist() for sample in theirs.seen] == ids
+    assert rows[0].truth == rows[0].detections == sum(map(len, ids)) > rows[1].truth
+    assert rows[0].metrics["ap_opencood_bev_70"] == 1.0
 
 
 def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives):

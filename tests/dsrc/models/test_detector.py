@@ -183,3 +183,15 @@ def test_settings_name_what_there_is() -> None:
         changed(debug().model, fusion="cobevt", shrink_channels=40)
     with pytest.raises(ValueError, match="compress: expected no more"):
         changed(debug().model, compress=32)
+
+
+def test_opencood_counts_boxes_beyond_the_detectors_range(sample: Sample) -> None:
+    detector = talkative(fusion="attention")
+    own = detector.detect(sample)
+    detector.settings = changed(detector.settings, judged_by="opencood", score_threshold=0.005)
+    found = detector.detect(sample)
+    inside = inside_range(found.boxes, GRID)
+    assert 0 < inside.sum() < len(found)
+    assert inside_range(found.boxes, GridSpec((-140.0, -40.0, -3.0, 140.0, 40.0, 1.0))).all()
+    # What lies in the detector's range is the same, as the range is asked for after the suppression.
+    assert np.array_equal(found.boxes[inside].array, own.boxes.array)

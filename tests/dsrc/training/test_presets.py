@@ -45,6 +45,7 @@ def test_the_presets_differ_where_the_text_and_the_released_code_do() -> None:
         "model.padded_slots": (False, True),
         "model.score_prior": (0.01, None),
         "model.reconstruction_cell_z_m": (0.4, 4.0),
+        "model.team_by": ("range", "folders"),
         "model.score_threshold": (0.2, 0.25),
         "model.max_extent_m": (None, 6.0),
         "distill.dap": (0.5, 1.0),

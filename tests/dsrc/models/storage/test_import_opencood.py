@@ -45,7 +45,8 @@ def test_an_imported_detector_says_the_same_of_the_same_points(tmp_path: Path) -
     assert detector.settings.base_width == 26
     # What no tensor says is as in the preset of the released code.
     released = RECIPES["dsrc-code"]().model
-    for field in ("max_extent_m", "score_threshold", "max_points", "max_pillars", "box_order", "padded_slots"):
+    fields = ("max_extent_m", "score_threshold", "max_points", "max_pillars", "box_order", "padded_slots", "team_by")
+    for field in fields:
         assert getattr(detector.settings, field) == getattr(released, field), field
     clouds = clouds_of(arrays, grid)
     with torch.inference_mode():
