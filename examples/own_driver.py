@@ -15,8 +15,8 @@ import dsrc
 class Cautious:
     """Driver that keeps free what lies within its braking distance, ten metres to both sides."""
 
-    def reset(self) -> None:
-        """Begin an episode: nothing to forget."""
+    def reset(self, lanes: object) -> None:
+        """Begin an episode: nothing to forget, and no use of the lanes that others may take."""
 
     def decide(self, ego: dsrc.EgoState, tracks: dsrc.Tracks) -> dsrc.Decision:
         """Return full stop or free drive."""

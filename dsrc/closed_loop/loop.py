@@ -15,13 +15,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import choose_ego, ego_state, without_ego
 from dsrc.closed_loop.encounter import lost_encounter
+from dsrc.closed_loop.kept import proven_scenario
 from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Decision, Driver, EgoState, Outcome, Percept, Perception, Tick
-from sensors.recording.encounter_check import CONFLICT_ID, with_proven_encounter
+from sensors.recording.encounter_check import CONFLICT_ID
 from sensors.recording.static_scene import solid_world
 from sim.catalog.load import load_scenario
 from sim.contact import Contact, SolidWorld, first_contact, world_contact
@@ -186,14 +188,14 @@ class ClosedLoop:
             TrafficError: another simulation runs in this process, or no vehicle can be the ego.
         """
         self.close()
-        self.scenario = with_proven_encounter(self.base, seed)
+        self.scenario = proven_scenario(self.base, seed)
         self._traffic = traffic = open_traffic(self.scenario, seed)
         self.ego_id = choose_ego(traffic, self.scenario)
         self.ticks, self.outcome, self.message, self.seconds = [], None, "", {}
         self._tracker, self._stood_s, self._moved = Tracker(), 0.0, False
         self._clock = PerceptionClock(self.perception, self.settings, traffic.step_s)
         self._world: SolidWorld | None = None
-        self.driver.reset()
+        self.driver.reset(lanes_of(self.scenario, seed))
         with self._timed("reset"):
             self._clock.begin(self.scenario, self.ego_id, seed)
         self.seed, self._route_m = seed, traffic.goal_m(self.ego_id)

@@ -7,6 +7,7 @@ themselves. What its driver would have decided is in the ticks.
 import msgspec
 import numpy as np
 
+from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import without_ego
 from dsrc.closed_loop.log import EpisodeLog
@@ -27,7 +28,7 @@ def look_again(log: EpisodeLog, perception: Perception, name: str, driver: Drive
     settings = log.settings
     loop = msgspec.convert(settings.loop, LoopSettings)
     driver, tracker = driver or PlanningDriver(), Tracker()
-    driver.reset()
+    driver.reset(lanes_of(settings.scenario, settings.seed))
     clock = PerceptionClock(perception, loop, settings.scenario.step_s)
     clock.begin(settings.scenario, settings.ego_id, settings.seed)
     times = np.array([tick.ego.time_s for tick in log.ticks])

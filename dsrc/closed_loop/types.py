@@ -168,11 +168,31 @@ class Perception(Protocol):
         ...
 
 
+class LaneMap(Protocol):
+    """Map of lanes, all that a driver knows of the roads beside its own route."""
+
+    def ahead(self, pose: NDArray[np.float64], length_m: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], ...]]:
+        """Return the lanes ahead of road users, several where a lane forks, none off the lanes.
+
+        Args:
+            pose: (N, 3) x, y, m, and direction of motion, rad.
+            length_m: (N,) least length, m; shorter where a lane ends.
+
+        Returns:
+            For each of them (K, 3) polylines x, y, heading, 1 m apart, K >= 2, from its nearest point on.
+        """
+        ...
+
+
 class Driver(Protocol):
     """Driver: from the ego's own state and its tracks to an acceleration."""
 
-    def reset(self) -> None:
-        """Begin an episode."""
+    def reset(self, lanes: LaneMap | None) -> None:
+        """Begin an episode.
+
+        Args:
+            lanes: of its roads; None where there is no map of them.
+        """
         ...
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:

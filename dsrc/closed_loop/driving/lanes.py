@@ -2,19 +2,20 @@
 
 import math
 from functools import cache, lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from dsrc.closed_loop.driving.path import STEP_M, Path
+from dsrc.closed_loop.types import LaneMap
 from sim.encounters import network_file
 from sim.geometry import Array
 from sim.roads.networks import names_network, read_network
 from sim.scenario import Scenario
 
 LANE_STEP_M = 1.0
-"""Distance between points of a lane ahead, m."""
+"""Distance between points of a lane ahead, m, see `LaneMap`."""
 
 _BESIDE_M = 2.6
 _ALIKE_M = 0.9
@@ -23,22 +24,6 @@ _NEAREST = 16
 _AHEAD_M = 200.0
 _LENGTH_M = 10.0
 _FORKS = 4
-
-
-class LaneMap(Protocol):
-    """Map of lanes."""
-
-    def ahead(self, pose: Array, length_m: Array) -> list[tuple[Array, ...]]:
-        """Return the lanes ahead of road users, several where a lane forks, none off the lanes.
-
-        Args:
-            pose: (N, 3) x, y, m, and direction of motion, rad.
-            length_m: (N,) least length, m; shorter where a lane ends.
-
-        Returns:
-            For each of them (K, 3) polylines x, y, heading, `LANE_STEP_M` apart, K >= 2, from its nearest point on.
-        """
-        ...
 
 
 class RouteLanes:

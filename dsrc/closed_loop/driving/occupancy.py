@@ -24,7 +24,6 @@ class ClearanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         beside_m: beside moving ones.
         beside_standing_m: beside standing ones.
         ahead_m: behind those who move along the path.
-        still_mps: speed below which a road user stands.
         crossing_s: between the passages of the ego and of those who cross its path.
         aligned_rad: angle to the path up to which a road user moves along it.
     """
@@ -33,7 +32,6 @@ class ClearanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     beside_m: float = 0.35
     beside_standing_m: float = 0.2
     ahead_m: float = 1.5
-    still_mps: float = 0.3
     crossing_s: float = 0.8
     aligned_rad: float = 0.6
 
@@ -82,7 +80,7 @@ def occupancy_of(path: Path, size: Array, prediction: Prediction, settings: Clea
     hypothesis, instant, station = _close(path, reach, prediction)
     kept = _within(path, size, prediction, hypothesis, instant, station, settings)
     hypothesis, instant, station = hypothesis[kept], instant[kept], station[kept]
-    still = prediction.speed_mps[hypothesis, instant] < settings.still_mps
+    still = prediction.still[hypothesis, instant]
     beside = np.where(still, settings.beside_standing_m, settings.beside_m)
     beside = np.maximum(beside, settings.touch_m) + prediction.spread_m[hypothesis, instant]
     depth = 0.5 * np.hypot(*prediction.size.T)[hypothesis]
@@ -97,18 +95,21 @@ def occupancy_of(path: Path, size: Array, prediction: Prediction, settings: Clea
     rows = np.unique(hypothesis[found])
     place = np.searchsorted(rows, hypothesis[found])
     shape = (len(rows), 2, steps)
-    blocked = [np.broadcast_to(np.array([[np.inf], [-np.inf]]), shape).copy() for _ in range(2)]
+    blocked = [np.full(shape, np.inf) for _ in range(2)]
+    when = instant[found]
     for out, (low, high) in zip(blocked, (close, apart), strict=True):
-        out[place, 0, instant[found]], out[place, 1, instant[found]] = low[found], high[found]
+        out[:, 1] = -np.inf
+        out[place, 0, when], out[place, 1, when] = low[found], high[found]
     along, aligned = np.zeros((len(rows), steps)), np.zeros((len(rows), steps), bool)
     first = np.clip(np.rint(np.clip(apart[0][found], 0.0, path.along[-1]) / STEP_M).astype(np.int64), 0, len(path) - 1)
-    heading = _directions(prediction)[hypothesis[found], instant[found]]
+    heading = _directions(prediction)[hypothesis[found], when]
     turned = np.cos(heading - path.heading[first])
     stays = prediction.speed_mps[rows].max(axis=1, initial=0.0) == 0.0
-    for out in blocked:
-        out[stays] = out[stays][:, :, :1]
-    along[place, instant[found]] = prediction.speed_mps[hypothesis[found], instant[found]] * turned
-    aligned[place, instant[found]] = (turned > np.cos(settings.aligned_rad)) & ~still[found]
+    if stays.any():
+        for out in blocked:
+            out[stays] = out[stays][:, :, :1]
+    along[place, when] = prediction.speed_mps[hypothesis[found], when] * turned
+    aligned[place, when] = (turned > np.cos(settings.aligned_rad)) & ~still[found]
     near_rows, wide_rows = blocked
     step_s = float(prediction.time_s[1] - prediction.time_s[0]) if steps > 1 else 1.0
     return Occupancy(
@@ -181,12 +182,13 @@ def _touching(
 
     The separating axis theorem with the ego's box grown by the clearance.
     """
-    xy, heading = path.xy[at], path.heading[at]
+    xy = path.xy[at]
     yaw = prediction.yaw[hypothesis, instant][:, None]
     length, width = (0.5 * prediction.size[hypothesis].T)[..., None]
     dx = prediction.xy[hypothesis, instant, 0][:, None] - xy[..., 0]
     dy = prediction.xy[hypothesis, instant, 1][:, None] - xy[..., 1]
-    c, s, co, so = np.cos(heading), np.sin(heading), np.cos(yaw), np.sin(yaw)
+    # Sines of stations and of bodies, not of all their pairs.
+    c, s, co, so = np.cos(path.heading)[at], np.sin(path.heading)[at], np.cos(yaw), np.sin(yaw)
     turn_c, turn_s = np.abs(c * co + s * so), np.abs(s * co - c * so)
     front, side = 0.5 * size[0] + touch_m, 0.5 * size[1]
     meets = np.abs(dx * c + dy * s) < front + length * turn_c + width * turn_s
@@ -210,7 +212,9 @@ def _interval(at: NDArray[np.int64], hit: NDArray[np.bool_]) -> tuple[Array, Arr
 
 def _directions(prediction: Prediction) -> Array:
     """Return (H, T) directions of motion; the yaw of those who stand."""
-    step = np.gradient(prediction.xy, axis=1)
+    xy, step = prediction.xy, np.empty_like(prediction.xy)
+    step[:, 1:-1] = 0.5 * (xy[:, 2:] - xy[:, :-2])
+    step[:, 0], step[:, -1] = xy[:, 1] - xy[:, 0], xy[:, -1] - xy[:, -2]
     return np.where(np.hypot(step[..., 0], step[..., 1]) > 1e-3, np.arctan2(step[..., 1], step[..., 0]), prediction.yaw)
 
 

@@ -68,7 +68,9 @@ def path_of(route: Array, yaw: float, lateral_mps2: float, length_m: float = mat
 
 def _headings(xy: Array) -> Array:
     step = np.diff(xy, axis=0)
-    middle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    middle = np.arctan2(step[:, 1], step[:, 0])
+    if np.abs(middle[1:] - middle[:-1]).max(initial=0.0) > math.pi:
+        middle = np.unwrap(middle)
     return np.concatenate([middle[:1], 0.5 * (middle[1:] + middle[:-1]), middle[-1:]])
 
 
@@ -113,6 +115,8 @@ def _without_jumps(line: Array) -> Array:
         return line if len(line) > 1 else np.stack([line[0], line[0] + np.array([STEP_M, 0.0])])
     direction = np.arctan2(step[:, 1], step[:, 0])
     turn = np.abs(np.remainder(np.diff(direction) + np.pi, 2.0 * np.pi) - np.pi)
+    if turn.max() <= _JUMP_RAD:
+        return line
     both = np.abs(np.remainder(direction[2:] - direction[:-2] + np.pi, 2.0 * np.pi) - np.pi)
     jumps = (turn[:-1] > _JUMP_RAD) & (turn[1:] > _JUMP_RAD) & (both < _JUMP_RAD) & (length[1:-1] < _JUMP_M)
     if not jumps.any():

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.closed_loop.driving.idm import IdmSettings, following_acceleration, free_acceleration
-from dsrc.closed_loop.driving.lanes import LaneMap, RouteLanes
+from dsrc.closed_loop.driving.lanes import RouteLanes
 from dsrc.closed_loop.driving.occupancy import ClearanceSettings, Occupancy, occupancy_of
 from dsrc.closed_loop.driving.path import STEP_M, Path, path_of
 from dsrc.closed_loop.driving.prediction import PredictionSettings, predict
 from dsrc.closed_loop.driving.profiles import Profiles, profiles_of
-from dsrc.closed_loop.types import Decision, EgoState, Tracks
+from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Tracks
 from sim.geometry import Array
 from sim.traffic.base import TrafficLight
 
@@ -83,17 +83,20 @@ class PlanningDriver:
     """Driver that predicts its tracks and plans its speed along its route; see the module.
 
     Args:
-        lanes: lanes ahead of others; default: the bends of the ego's own route.
         settings: default: `PlannerSettings()`.
     """
 
-    def __init__(self, lanes: LaneMap | None = None, settings: PlannerSettings | None = None) -> None:
-        self.lanes = lanes
+    def __init__(self, settings: PlannerSettings | None = None) -> None:
         self.settings = settings or PlannerSettings()
         self.reset()
 
-    def reset(self) -> None:
-        """Begin an episode."""
+    def reset(self, lanes: LaneMap | None = None) -> None:
+        """Begin an episode.
+
+        Args:
+            lanes: lanes ahead of others; None for the bends of the ego's own route.
+        """
+        self._lanes = lanes
         self._speeds: dict[int, tuple[float, float]] = {}
         self._last_s = -math.inf
         self._stopping = self._alarmed = False
@@ -105,7 +108,7 @@ class PlanningDriver:
         reach_m = length_m + _BEYOND_M + ego.speed_mps * horizon_s + 0.5 * s.following.acceleration_mps2 * horizon_s**2
         path = path_of(ego.route, float(ego.box.yaw[0]), s.lateral_mps2, reach_m)
         tracks = selected(tracks, _relevant(ego, path, tracks, horizon_s))
-        prediction = predict(tracks, self._accelerations(tracks), self.lanes or RouteLanes(path), s.prediction)
+        prediction = predict(tracks, self._accelerations(tracks), self._lanes or RouteLanes(path), s.prediction)
         occupancy = occupancy_of(path, ego.box.size[0, :2], prediction, s.clearance)
         line_m = self._stop_line(ego)
         bound = self._bound(ego, path, occupancy, line_m, tracks, prediction.time_s)
@@ -169,7 +172,7 @@ class PlanningDriver:
         cap = min(bound.acceleration_mps2, ego.limits.acceleration_mps2)
         first = np.unique(np.minimum(np.append(_FIRST, [-hardest, cap]), cap))
         one = np.repeat(first, len(_THEN) + 1)
-        then = np.concatenate([np.append(_THEN, a) for a in first])
+        then = np.column_stack([np.broadcast_to(_THEN, (len(first), len(_THEN))), first]).ravel()
         top = max(ego.speed_mps, ego.limits.speed_mps)
         plans = profiles_of(ego.speed_mps, top, one, np.maximum(then, -hardest), s.change_s, time_s)
         plain = Decision(float(cap), bound.reason, bound.track)
@@ -277,9 +280,11 @@ def _relevant(ego: EgoState, path: Path, tracks: Tracks, horizon_s: float) -> ND
     gap = np.hypot(px, py)
     nearest = gap.min(axis=1)
     far = nearest > (speed + 2.0) * horizon_s + 0.5 * (length + boxes.size[:, 0]) + _BEYOND_M
-    towards = (velocity[:, :1] * px + velocity[:, 1:] * py) / np.maximum(gap, 1e-6)
-    away = (towards.max(axis=1) < -0.2 * speed) & (nearest > _AWAY_M) & (speed > 1.0)
-    return ~itself & ~follows & ~far & ~away
+    keep = ~itself & ~follows & ~far
+    maybe = np.flatnonzero(keep & (nearest > _AWAY_M) & (speed > 1.0))
+    towards = velocity[maybe, :1] * px[maybe] + velocity[maybe, 1:] * py[maybe]
+    keep[maybe] = (towards / np.maximum(gap[maybe], 1e-6)).max(axis=1) >= -0.2 * speed[maybe]
+    return keep
 
 
 def selected(tracks: Tracks, keep: NDArray[np.bool_]) -> Tracks:

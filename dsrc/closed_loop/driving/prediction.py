@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.driving.lanes import LANE_STEP_M, LaneMap
-from dsrc.closed_loop.types import Tracks
+from dsrc.closed_loop.driving.lanes import LANE_STEP_M
+from dsrc.closed_loop.types import LaneMap, Tracks
 from sim.boxes import CLASSES
 from sim.geometry import Array
 
@@ -30,7 +30,7 @@ class PredictionSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     Attributes:
         horizon_s: length of predictions.
         step_s: interval of predicted poses.
-        still_mps: speed below which a track stands, and stays.
+        still_mps: speed below which a road user stands; a track that does, stays.
         turn_decay_s: time in which a turn rate decays to 1/e, off the lanes.
         turn_least_rad_s: turn rate below which a track goes straight on.
         lateral_mps2: highest lateral acceleration: faster ones turn less, and take no tight bend.
@@ -69,6 +69,7 @@ class Prediction:
         size: (H, 2) length and width, m.
         spread_m: (H, T) standard deviation across the path, m.
         speed_mps: (H, T) speeds.
+        still: (H, T) stands.
         row: (H,) row of the track.
         likely: (H,) the likeliest hypothesis of its track.
     """
@@ -79,6 +80,7 @@ class Prediction:
     size: Array
     spread_m: Array
     speed_mps: Array
+    still: NDArray[np.bool_]
     row: NDArray[np.int64]
     likely: NDArray[np.bool_]
 
@@ -108,7 +110,7 @@ def predict(
     row, likely = np.arange(n), np.ones(n, bool)
     moving = np.flatnonzero(speed > settings.still_mps)
     if len(moving) == 0:
-        return Prediction(time, xy, yaw, boxes.size[:, :2], spread, speeds, row, likely)
+        return Prediction(time, xy, yaw, boxes.size[:, :2], spread, speeds, np.ones((n, count), bool), row, likely)
     direction = np.arctan2(tracks.velocity[moving, 1], tracks.velocity[moving, 0])
     walks = boxes.label[moving] == _PEDESTRIAN
     speeds[moving] = _speeds(speed[moving], np.where(walks, 0.0, acceleration[moving]), time, settings)
@@ -119,7 +121,8 @@ def predict(
     xy[moving] = _along_arcs(xy[moving], direction, turned, done)
     yaw[moving] = boxes.yaw[moving, None] + turned
     spread[moving] = np.minimum(spread[moving] + settings.spread_mps * time, settings.spread_m)
-    whole = Prediction(time, xy, yaw, boxes.size[:, :2], spread, speeds, row, likely)
+    still = speeds < settings.still_mps
+    whole = Prediction(time, xy, yaw, boxes.size[:, :2], spread, speeds, still, row, likely)
     driving = np.flatnonzero(~walks)
     if len(driving) == 0:
         return whole
@@ -200,7 +203,8 @@ def _on_lanes(
     yaw[:, 0] = tracks.boxes.yaw[row]
     fit = np.ones(len(ways), bool)
     several = np.flatnonzero(np.bincount(place, minlength=len(moving))[place] > 1)
-    fit[several] = _takes(lines[several], length[several], speed[several, 0], done[place[several], -1], settings)
+    if len(several):
+        fit[several] = _takes(lines[several], length[several], speed[several, 0], done[place[several], -1], settings)
     choice = min(round(_CHOICE_S / settings.step_s), len(whole.time_s) - 1)
     # The likeliest lane is nearest to where its turn rate leads; as long as all are, the straightest.
     end = np.minimum(done[place, -1] / LANE_STEP_M, length - 1).astype(np.int64)
@@ -211,16 +215,18 @@ def _on_lanes(
     order = np.lexsort((off, row))
     likely[order[np.concatenate([[True], np.diff(row[order]) > 0])]] = True
     taken = fit | likely
-    gone = np.isin(whole.row, row)
+    stays = np.ones(len(whole), bool)
+    stays[row] = False
     return Prediction(
         time_s=whole.time_s,
-        xy=np.concatenate([whole.xy[~gone], xy[taken]]),
-        yaw=np.concatenate([whole.yaw[~gone], yaw[taken]]),
-        size=np.concatenate([whole.size[~gone], whole.size[row[taken]]]),
-        spread_m=np.concatenate([whole.spread_m[~gone], whole.spread_m[row[taken]]]),
-        speed_mps=np.concatenate([whole.speed_mps[~gone], speed[taken]]),
-        row=np.concatenate([whole.row[~gone], row[taken]]),
-        likely=np.concatenate([whole.likely[~gone], likely[taken]]),
+        xy=np.concatenate([whole.xy[stays], xy[taken]]),
+        yaw=np.concatenate([whole.yaw[stays], yaw[taken]]),
+        size=np.concatenate([whole.size[stays], whole.size[row[taken]]]),
+        spread_m=np.concatenate([whole.spread_m[stays], whole.spread_m[row[taken]]]),
+        speed_mps=np.concatenate([whole.speed_mps[stays], speed[taken]]),
+        still=np.concatenate([whole.still[stays], whole.still[row[taken]]]),
+        row=np.concatenate([whole.row[stays], row[taken]]),
+        likely=np.concatenate([whole.likely[stays], likely[taken]]),
     )
 
 

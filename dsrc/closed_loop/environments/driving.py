@@ -20,7 +20,7 @@ from dsrc.closed_loop.environments.vehicles import TrackedVehicle
 from dsrc.closed_loop.environments.viewer import CRASHED, EGO, TRACK, LoopViewer
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.open import open_perception
-from dsrc.closed_loop.types import Decision, EgoState, Outcome, Perception, Tracks
+from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Outcome, Perception, Tracks
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.scenario import Scenario
 
@@ -32,7 +32,7 @@ _OVER = (Outcome.TIMEOUT, Outcome.DESYNCHRONISED)
 class _Agent:
     """Driver of the loop in whose place an environment's agent decides."""
 
-    def reset(self) -> None:
+    def reset(self, lanes: LaneMap | None) -> None:
         """Begin an episode."""
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:

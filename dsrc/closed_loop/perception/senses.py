@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import msgspec
 
+from dsrc.closed_loop.kept import world_scene
 from dsrc.closed_loop.perception.liars import false_actors
 from sensors.corruptions import (
     CLEAN,
@@ -23,7 +24,6 @@ from sensors.corruptions import (
 )
 from sensors.frame import Frame
 from sensors.recording.rig import Rig
-from sensors.recording.static_scene import static_scene
 from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
@@ -71,7 +71,7 @@ class Senses:
 
     def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Begin an episode."""
-        self._rig = Rig(scenario, static_scene(scenario, seed), seed, visibility=False)
+        self._rig = Rig(scenario, world_scene(scenario, seed), seed, visibility=False)
         self._ego_id, self.agents, self.index = ego_id, (), 0
         self._steps: deque[Actors] = deque(maxlen=self._rig.margin(scenario.step_s) + 1)
 

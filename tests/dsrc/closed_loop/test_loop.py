@@ -5,11 +5,12 @@ import time
 import numpy as np
 import pytest
 
+from dsrc.closed_loop.driving.lanes import NetworkLanes
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.truth import TruthPerception
 from dsrc.closed_loop.replay import look_again
-from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tracks
+from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Outcome, Percept, Tracks
 from sensors.recording.encounter_check import LATENCY_S, find_encounter
 from sim.boxes import Boxes
 from sim.catalog.load import load_scenario
@@ -43,7 +44,7 @@ class BrakeAt:
     def __init__(self, time_s: float) -> None:
         self.time_s = time_s
 
-    def reset(self) -> None:
+    def reset(self, lanes: LaneMap | None) -> None:
         pass
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
@@ -215,3 +216,29 @@ def test_an_acceleration_that_is_not_finite_is_refused() -> None:
     with pytest.raises(ValueError, match="finite"):
         loop.advance(float("nan"))
     loop.close()
+
+
+def test_the_driver_gets_the_lanes_of_its_roads() -> None:
+    class Told(BrakeAt):
+        """Keeps what it is told at its reset."""
+
+        def reset(self, lanes: LaneMap | None) -> None:
+            self.lanes = lanes
+
+    def lanes(name: str) -> LaneMap | None:
+        driver = Told(np.inf)
+        loop = ClosedLoop(name, Blind(), driver)
+        loop.start(SEED)
+        loop.close()
+        return driver.lanes
+
+    for name in ("roundabout_entry", "four_way"):
+        assert isinstance(lanes(name), NetworkLanes)
+    assert lanes("highway_env_merge") is None
+
+
+def test_on_its_lane_the_oncoming_car_is_no_reason_for_an_emergency() -> None:
+    """Straight on, the car in the bend would leave its lane and meet the ego that overtakes."""
+    loop = drive("dnpw_overtake:no_occluder")
+    assert loop.outcome is Outcome.ARRIVED
+    assert all(tick.decision.reason != "emergency" for tick in loop.ticks)

@@ -78,8 +78,8 @@ def drive(
     out = Drive()
     with open_traffic(scenario, seed) as traffic:
         ego_id = choose_ego(traffic, scenario)
-        driver = driver or PlanningDriver(lanes_of(scenario, seed))
-        driver.reset()
+        driver = driver or PlanningDriver()
+        driver.reset(lanes_of(scenario, seed))
         before, state = None, None
         for _ in range(round(seconds / traffic.step_s)):
             now = traffic.actors

@@ -93,7 +93,7 @@ def run(
 ) -> Run:
     """Drive east from x = 0 among others; with a light at `line_x` until it turns green."""
     out, x = Run(), 0.0
-    driver.reset()
+    driver.reset(None)
     for step in range(round(seconds / STEP_S)):
         time_s = step * STEP_S
         light = None

@@ -15,7 +15,7 @@ from sim.boxes import CLASSES, Boxes
 from sim.errors import SettingsError
 from sim.radio import PRESETS
 from sim.scenario import RoadsideUnit
-from tests.dsrc.closed_loop.perception.toy import EGO, HELPER, PLACES, SCENARIO, Knowing, build, instant
+from tests.dsrc.closed_loop.perception.toy import EGO, HELPER, PLACES, SCENARIO, Knowing, build, instant, show
 from tests.dsrc.evaluation.fakes import PointCounter
 from tests.sensors.fakes import StraightTraffic, cars, ground, rows_of, toy_scenario
 
@@ -150,7 +150,7 @@ def test_an_episode_begins_anew_with_reset() -> None:
 
 def test_the_world_is_built_once_for_all_perceptions_of_an_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     built = []
-    monkeypatch.setattr("sim.world.build.build_world", lambda scenario, seed: built.append(seed) or ground())
+    show(monkeypatch, lambda scenario, seed: built.append(seed) or ground())
     for perception in (started(), started(cooperative=False)):
         perception.reset(SCENARIO, EGO, 0)
         perception.reset(SCENARIO, EGO, 1)

@@ -5,7 +5,7 @@ import pytest
 
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.types import Percept
-from tests.dsrc.closed_loop.perception.toy import EGO, HELPER, HIDDEN, NEAR, SCENARIO, build, claim, instant
+from tests.dsrc.closed_loop.perception.toy import EGO, HELPER, HIDDEN, NEAR, SCENARIO, build, claim, instant, show
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def test_a_wall_hides_from_sight_what_truth_knows() -> None:
 def test_sight_without_a_wall_is_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     from tests.sensors.fakes import ground
 
-    monkeypatch.setattr("sim.world.build.build_world", lambda scenario, seed: ground())
+    show(monkeypatch, lambda scenario, seed: ground())
     assert percept(SightPerception(least_points=1)).boxes.object_id.tolist() == [HELPER, NEAR, HIDDEN]
 
 

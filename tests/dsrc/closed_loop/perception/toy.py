@@ -1,15 +1,18 @@
 """A toy encounter: a wall between the ego and a car that its helper sees, beside a car before the wall."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
+from dsrc.closed_loop import kept
 from dsrc.data.sample import Sample
 from dsrc.ops.detections import Detections
-from sensors.recording import static_scene
 from sim.boxes import Boxes
 from sim.geometry import invert
+from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from tests.dsrc.evaluation.fakes import PointCounter
 from tests.sensors.fakes import box, box_body, cars, ground, toy_scenario
@@ -27,8 +30,14 @@ def build(monkeypatch: pytest.MonkeyPatch) -> None:
     """Put the wall and box bodies in place of a scenario's world."""
     wall = box((1.0, 20.0, 4.0), (18.5, 0.0, 2.0))
     monkeypatch.setattr("sim.bodies.choice.body_mesh", box_body)
-    monkeypatch.setattr("sim.world.build.build_world", lambda scenario, seed: ground() + wall)
-    static_scene._built.cache_clear()
+    show(monkeypatch, lambda scenario, seed: ground() + wall)
+
+
+def show(monkeypatch: pytest.MonkeyPatch, world: Callable[[Scenario, int], trimesh.Trimesh]) -> None:
+    """Put a world in place of every scenario's, recorded or sensed, and none of them on disk."""
+    monkeypatch.setattr("sim.world.build.build_world", world)
+    monkeypatch.setattr(kept, "_world", world)
+    kept._scene.cache_clear()
 
 
 def instant(step: int, speed: float = 0.0) -> Actors:
