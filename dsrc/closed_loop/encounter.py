@@ -1,10 +1,12 @@
-"""Whether an ego met its encounter: a crash that never threatened says nothing about its perception."""
+"""Encounter of an episode: the class of its conflict actor, and whether the ego met it."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from dsrc.closed_loop.types import Tick
+from sim.encounters import encounter_of
+from sim.scenario import Scenario
 
 LATE_S = 1.0
 """Difference of arrival at the conflict, when its actor no longer waits, from which on an encounter is lost, s."""
@@ -14,11 +16,20 @@ _CLOSE_S = 2.0
 _TRACKED_M = 2.5
 
 
+def conflict_class(scenario: Scenario, seed: int) -> str:
+    """Return the class of the conflict actor of a scenario with its proven encounter; "" without one."""
+    if scenario.conflict is None:
+        return ""
+    actors = encounter_of(scenario, seed).layout.actors
+    return next((one.kind.label for one in actors if "conflict" in one.roles), "")
+
+
 def lost_encounter(ticks: Sequence[Tick], ego_id: int, conflict_id: int, gap_s: float) -> bool:
     """Return whether an ego that did not crash never met its encounter.
 
-    It did not if it came too late for the conflict actor, or if it was not where the actor was within `_CLOSE_S`
-    without ever having tracked it: it stood for something else.
+    A crash that never threatened says nothing about a perception. It did not meet it if it came too late for the
+    conflict actor, or if it was not where the actor was within `_CLOSE_S` without ever having tracked it: it stood for
+    something else.
 
     Args:
         ticks: of the episode.

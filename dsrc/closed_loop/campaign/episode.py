@@ -13,12 +13,14 @@ import msgspec
 
 from dsrc.closed_loop.driving.careful import CarefulDriver
 from dsrc.closed_loop.driving.planner import PlanningDriver
+from dsrc.closed_loop.encounter import conflict_class
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.metrics.episode import episode_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Driver, Perception
 from sensors.corruptions import CLEAN
+from sim.boxes import CLASSES
 from sim.files import write_file
 from sim.scenario import Scenario
 
@@ -33,7 +35,7 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
         scenario: name or path of the scenario.
         content: settings of the scenario.
         perception: name in tables.
-        uses: `truth`, `sight`, `ego`, `team` or `module:Class`.
+        uses: `truth`, `sight`, `ego`, `team`, `late` or `module:Class`.
         checkpoint: detector file; "" for the shipped one, or without one.
         detector: SHA-256 of the detector file; "" without one.
         condition: kind, severity, family and settings of the corruption.
@@ -78,6 +80,8 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
         who: agents whose sensors are corrupted.
         channel: name of the channel.
         seed: of the episode.
+        road_user: class of the conflict actor, "" without one.
+        detectable: the perception has this class, or there is none to have.
         outcome: see `dsrc.closed_loop.types.Outcome`.
         message: explanation of a failed perception.
         key: name of its cell.
@@ -92,6 +96,8 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
     who: str
     channel: str
     seed: int
+    road_user: str
+    detectable: bool
     outcome: str
     message: str
     key: str
@@ -171,8 +177,9 @@ def probe_s(job: EpisodeJob, steps: int = 4) -> float:
 
 
 def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
-    """Return the result of an episode, computed from its log alone."""
+    """Return the result of an episode, computed from its log and the classes of its perception alone."""
     condition = job.condition
+    road_user = conflict_class(log.settings.scenario, log.settings.seed)
     values = msgspec.to_builtins(episode_metrics(log))
     return EpisodeResult(
         scenario=job.scenario,
@@ -183,6 +190,8 @@ def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
         who=job.who,
         channel=job.channel,
         seed=job.seed,
+        road_user=road_user,
+        detectable=not road_user or road_user in getattr(_perception(job), "classes", CLASSES),
         outcome=log.outcome.value,
         message=log.message,
         key=key,

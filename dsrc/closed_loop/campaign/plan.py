@@ -59,7 +59,7 @@ class PerceptionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     Attributes:
         name: in tables.
         uses: `truth`, `sight` (truth in the ego's line of sight), `ego` (detector without helpers), `team` (detector
-            with helpers), or `module:Class` of one's own; "": the name.
+            with helpers), `late` (their detections joined), or `module:Class` of one's own; "": the name.
         checkpoint: detector file; "": the shipped one.
     """
 
@@ -91,6 +91,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         driver: `planning`, or `careful` for the reference driver of UN R157.
         loop: intervals and limits of time.
         controls: drive the controls of encounters with the truth first, and refuse to continue where one fails.
+        careful: drive the reference driver of UN R157 with the truth too: crashes that it avoids are avoidable.
     """
 
     scenarios: _Names
@@ -107,6 +108,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     driver: Literal["planning", "careful"] = "planning"
     loop: LoopSettings = LoopSettings()
     controls: bool = True
+    careful: bool = True
 
     @property
     def conditions(self) -> list[Condition]:
@@ -179,6 +181,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
         "clean_seeds": seeds,
         "seeds": seeds,
         "controls": False,
+        "careful": False,
         "loop": loop,
         **{name: given[name] for name in ("family", "who", "engine", "driver") if name in given},
     }
@@ -271,6 +274,21 @@ def controls_of(plan: Campaign) -> Campaign | None:
         perceptions=(PerceptionSpec(name="truth"),),
         corruptions=(CLEAN,),
         channels=(IDEAL,),
+        controls=False,
+    )
+
+
+def careful_of(plan: Campaign) -> Campaign:
+    """Return the campaign of the reference driver of UN R157: the truth on all seeds of a plan, clean."""
+    seeds = tuple(dict.fromkeys([*_listed(plan.clean_seeds), *_listed(plan.seeds)]))
+    return replace(
+        plan,
+        perceptions=(PerceptionSpec(name="truth"),),
+        corruptions=(CLEAN,),
+        channels=(IDEAL,),
+        clean_seeds=seeds,
+        seeds=seeds,
+        driver="careful",
         controls=False,
     )
 

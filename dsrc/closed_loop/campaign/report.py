@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
+from dsrc.closed_loop.campaign.plan import Campaign
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.comparison import (
     Result,
+    avoidable,
     collided,
     corruption_errors,
     counted,
@@ -30,21 +32,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WORST = 12
+_COLUMNS = ("episodes", "crashed", "stuck", "lost", "score", "progress")
 
 
 def summary_table(result: CampaignResult) -> Table:
-    """Return the table of a campaign for a terminal: a line per scenario, perception and condition."""
-    several = len(result.plan.scenarios) > 1
+    """Return the table of a campaign for a terminal: a line per scenario, perception and condition.
+
+    With episodes whose conflict actor a perception has no class for, a column counts them.
+    """
+    several, blind = len(result.plan.scenarios) > 1, not all(one.detectable for one in result.results)
     table = Table(title=result.plan.name)
     for heading in (*(["scenario"] if several else []), "perception", "condition"):
         table.add_column(heading, no_wrap=True)
-    for heading in ("episodes", "crashed", "stuck", "lost", "score", "progress"):
+    for heading in (*_COLUMNS, *(["no class"] if blind else [])):
         table.add_column(heading, justify="right", no_wrap=True)
     for scenario in dict.fromkeys(one.scenario for one in result.results):
         for perception, condition, group in _groups([r for r in result.results if r.scenario == scenario]):
-            episodes, crashed, stuck, lost, score, progress = _cells(group)
-            values = (episodes, crashed.partition(" [")[0], stuck, lost, score.partition(" [")[0], progress)
-            table.add_row(*([scenario] if several else []), perception, condition, *values)
+            values = [value.partition(" [")[0] for value in _cells(group)]
+            unknown = [_unknown(group)] if blind else []
+            table.add_row(*([scenario] if several else []), perception, condition, *values, *unknown)
     return table
 
 
@@ -95,7 +101,8 @@ def _plots(result: CampaignResult) -> "dict[str, Figure]":
         rate_over_severity,
     )
 
-    plan, every = result.plan, result.results
+    common, apart = _parts(result)
+    plan, every = result.plan, common or apart
     severity = plan.severities[len(plan.severities) // 2]
     one_channel = [one for one in every if one.channel == plan.channels[0]]
     shown = [one for one in one_channel if one.corruption == CLEAN or one.severity == severity]
@@ -125,47 +132,99 @@ def markdown(result: CampaignResult, pictures: Sequence[str] = ()) -> str:
         result: of the campaign.
         pictures: names of plots to show.
     """
-    parts = [f"# {result.plan.name}", _conditions_part(result)]
+    common, apart = _parts(result)
+    parts = [f"# {result.plan.name}", _conditions_part(result, common), _apart_part(result, apart)]
     parts += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})" for name in pictures]
-    parts += [_scenarios_part(result), _differences_part(result), _robustness_part(result), _worst_part(result)]
+    parts += [_scenarios_part(common, apart), _differences_part(result.plan, common)]
+    parts += [_robustness_part(result.plan, common), _worst_part(result)]
     if result.controls:
         fine = sum(one.outcome == Outcome.ARRIVED.value for one in result.controls)
         parts.append(f"Controls with the truth: {fine} of {len(result.controls)} arrived.")
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _conditions_part(result: CampaignResult) -> str:
-    lines = [_row("perception", "condition", "episodes", "crashed", "stuck", "lost", "score", "progress"), _rule(8)]
-    for perception, condition, group in _groups(result.results):
-        lines.append(_row(perception, condition, *_cells(group)))
+def _parts(result: CampaignResult) -> tuple[list[EpisodeResult], list[EpisodeResult]]:
+    """Return the episodes that all perceptions of a campaign have the classes for, and the others.
+
+    A comparison over the others would compare classes: who has none for a pedestrian is blind by construction.
+    """
+    unknown = {(one.scenario, one.seed) for one in result.results if not one.detectable}
+    apart = [one for one in result.results if (one.scenario, one.seed) in unknown]
+    return [one for one in result.results if (one.scenario, one.seed) not in unknown], apart
+
+
+def _unknown(group: Sequence[EpisodeResult]) -> str:
+    """Return the number of episodes with a road user that the perception has no class for."""
+    return str(sum(not one.detectable for one in group))
+
+
+def _conditions_part(result: CampaignResult, common: Sequence[EpisodeResult]) -> str:
+    if not common:
+        return ""
     text = (
         "Crashed: share of the episodes that met their encounter, with its Wilson interval of 95 %. Lost: episodes "
         "that never met it, not counted. Score: CARLA's driving score 2.1, with a bootstrap interval. Progress: share "
         "of the reference distance."
     )
-    return "## All scenarios\n\n" + "\n".join(lines) + f"\n\n{text}"
+    if result.careful:
+        text += (
+            " Avoidable: share of the crashes that the careful driver of UN R157 avoids on the same seeds when it "
+            "knows the truth, with its Wilson interval."
+        )
+    return f"## All scenarios\n\n{_conditions(result, common)}\n\n{text}"
 
 
-def _scenarios_part(result: CampaignResult) -> str:
-    """Return the clean collision rates by scenario and perception."""
-    clean = [one for one in result.results if one.corruption == CLEAN]
-    names = list(dict.fromkeys(one.perception for one in clean))
-    lines = [_row("scenario", *names), _rule(len(names) + 1)]
-    for scenario in dict.fromkeys(one.scenario for one in clean):
-        cells = []
-        for name in names:
-            group = [one for one in clean if one.scenario == scenario and one.perception == name]
-            crashed = rate([collided(one) for one in counted(group)])
-            stuck = sum(one.outcome == Outcome.STUCK.value for one in group)
-            lost = len(group) - len(counted(group))
-            cells.append(f"{_share(crashed)}, {stuck} stuck, {lost} lost" if stuck or lost else _share(crashed))
-        lines.append(_row(scenario, *cells))
-    return "## By scenario, clean\n\nShare of episodes with a crash.\n\n" + "\n".join(lines)
+def _apart_part(result: CampaignResult, apart: Sequence[EpisodeResult]) -> str:
+    """Return the table of the episodes that a perception has no class for."""
+    if not apart:
+        return ""
+    kinds = " and ".join("buses" if kind == "bus" else f"{kind}s" for kind in sorted({one.road_user for one in apart}))
+    text = (
+        f"Encounters with {kinds}, which some perceptions have no class for: no part of the table of all scenarios, of "
+        "the paired differences and of the corruption errors. No class: episodes in which the perception is blind for "
+        "the conflict actor for that reason."
+    )
+    return f"## {kinds.capitalize()}\n\n{text}\n\n{_conditions(result, apart, blind=True)}"
 
 
-def _differences_part(result: CampaignResult) -> str:
+def _conditions(result: CampaignResult, results: Sequence[EpisodeResult], blind: bool = False) -> str:
+    """Return a table with a line per perception and condition."""
+    more = (["avoidable"] if result.careful else []) + (["no class"] if blind else [])
+    headings = ("perception", "condition", *_COLUMNS, *more)
+    lines = [_row(*headings), _rule(len(headings))]
+    for perception, condition, group in _groups(results):
+        avoided = [_share(rate(avoidable(group, result.careful)))] if result.careful else []
+        unknown = [_unknown(group)] if blind else []
+        lines.append(_row(perception, condition, *_cells(group), *avoided, *unknown))
+    return "\n".join(lines)
+
+
+def _scenarios_part(common: Sequence[EpisodeResult], apart: Sequence[EpisodeResult]) -> str:
+    """Return the clean collision rates by scenario and perception, marked where it has no class."""
+    rows = []
+    names = list(dict.fromkeys(one.perception for one in (*common, *apart)))
+    for part, results in (("", common), ("apart", apart)):
+        clean = [one for one in results if one.corruption == CLEAN]
+        for scenario in dict.fromkeys(one.scenario for one in clean):
+            group = [one for one in clean if one.scenario == scenario]
+            title = f"{scenario} ({group[0].road_user})" if part else scenario
+            rows.append(_row(title, *(_crashes([one for one in group if one.perception == name]) for name in names)))
+    lines = [_row("scenario", *names), _rule(len(names) + 1), *rows]
+    text = "Share of episodes with a crash." + (" *: no class for the road user." if apart else "")
+    return f"## By scenario, clean\n\n{text}\n\n" + "\n".join(lines)
+
+
+def _crashes(group: Sequence[EpisodeResult]) -> str:
+    """Return the collision rate of some episodes, and how many were stuck or lost."""
+    met = counted(group)
+    stuck = sum(one.outcome == Outcome.STUCK.value for one in group)
+    text = _share(rate([collided(one) for one in met]))
+    text += f", {stuck} stuck, {len(group) - len(met)} lost" if stuck or len(met) < len(group) else ""
+    return text if all(one.detectable for one in group) else f"{text} *"
+
+
+def _differences_part(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
     """Return what each perception gains over `ego`, the detector without helpers, over paired episodes."""
-    plan = result.plan
     alone = next((one.name for one in plan.perceptions if one.kind == "ego"), None)
     if alone is None or len(plan.perceptions) < 2:
         return ""
@@ -173,8 +232,8 @@ def _differences_part(result: CampaignResult) -> str:
         _row("perception", "condition", "pairs", f"crashes less those of {alone}", "p", "harm rate", "gain per MB"),
         _rule(7),
     ]
-    base = [one for one in result.results if one.perception == alone]
-    for perception, condition, group in _groups(result.results):
+    base = [one for one in results if one.perception == alone]
+    for perception, condition, group in _groups(results):
         if perception == alone:
             continue
         matched = pairs(group, base, any_channel=True)
@@ -199,17 +258,16 @@ def _differences_part(result: CampaignResult) -> str:
     return "## Paired differences\n\n" + "\n".join(lines)
 
 
-def _robustness_part(result: CampaignResult) -> str:
+def _robustness_part(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
     """Return corruption errors of every perception relative to `ego`, the form of mCE."""
-    plan = result.plan
     alone = next((one.name for one in plan.perceptions if one.kind == "ego"), None)
-    kinds = list(dict.fromkeys(one.corruption for one in result.results if one.corruption != CLEAN))
+    kinds = list(dict.fromkeys(one.corruption for one in results if one.corruption != CLEAN))
     if alone is None or not kinds:
         return ""
-    base = [one for one in result.results if one.perception == alone and one.corruption != CLEAN]
+    base = [one for one in results if one.perception == alone and one.corruption != CLEAN]
     lines = [_row("perception", "mCE", *kinds), _rule(len(kinds) + 2)]
     for one in plan.perceptions:
-        own = [r for r in result.results if r.perception == one.name and r.corruption != CLEAN]
+        own = [r for r in results if r.perception == one.name and r.corruption != CLEAN]
         if own:
             errors = corruption_errors(own, base)
             values = [mean_corruption_error(errors), *(errors.get(kind, float("nan")) for kind in kinds)]
@@ -219,7 +277,7 @@ def _robustness_part(result: CampaignResult) -> str:
 
 
 def _worst_part(result: CampaignResult) -> str:
-    crashed = [one for one in result.results if one.outcome == Outcome.CRASHED.value]
+    crashed = [one for one in result.results if one.outcome == Outcome.CRASHED.value and one.detectable]
     failed = [one for one in result.results if one.outcome == Outcome.PERCEPTION_FAILED.value]
     if not crashed and not failed:
         return ""

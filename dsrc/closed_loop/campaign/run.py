@@ -17,7 +17,7 @@ from typing import cast
 import msgspec
 
 from dsrc.closed_loop.campaign.episode import DRIVERS, EpisodeJob, EpisodeResult, WorkUnit, drive_unit, probe_s
-from dsrc.closed_loop.campaign.plan import Campaign, campaign_of, controls_of, episodes_of, key_of
+from dsrc.closed_loop.campaign.plan import Campaign, campaign_of, careful_of, controls_of, episodes_of, key_of
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, open_perception
 from dsrc.closed_loop.replay import look_again
@@ -27,7 +27,6 @@ from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family
-from sim.catalog.load import load_scenario
 from sim.errors import DataError, SettingsError, UserError, complaint
 from sim.files import file_sha256, write_file
 from sim.machine import core_count
@@ -42,6 +41,7 @@ class CampaignResult:
         plan: the campaign.
         results: of all episodes, in the plan's order.
         controls: of all controls.
+        careful: of the reference driver of UN R157 with the truth.
         made: number of episodes driven in this run.
         seconds: time of this run, s.
     """
@@ -49,6 +49,7 @@ class CampaignResult:
     plan: Campaign
     results: tuple[EpisodeResult, ...]
     controls: tuple[EpisodeResult, ...]
+    careful: tuple[EpisodeResult, ...]
     made: int
     seconds: float
 
@@ -95,10 +96,18 @@ def run_campaign(plan: Campaign, out: Path, pool: Pool = SERIAL, progress: Progr
             controls, made = _driven(episodes_of(controls_plan), folder, pool, progress)
             write_file(out / "controls.csv", results_csv(controls))
             _require_controls(controls, out)
-        results, more = _driven(episodes_of(plan), folder, pool, progress)
+        own, reference = episodes_of(plan), _reference(plan)
+        both, more = _driven([*own, *reference], folder, pool, progress)
+        results, careful = both[: len(own)], both[len(own) :]
         write_file(out / "plan.json", msgspec.json.format(msgspec.json.encode(plan)))
         write_file(out / "results.csv", results_csv(results))
-    return CampaignResult(plan, results, controls, made + more, time.monotonic() - began)
+        if careful:
+            write_file(out / "careful.csv", results_csv(careful))
+    return CampaignResult(plan, results, controls, careful, made + more, time.monotonic() - began)
+
+
+def _reference(plan: Campaign) -> list[EpisodeJob]:
+    return episodes_of(careful_of(plan)) if plan.careful else []
 
 
 def results_csv(results: Iterable[EpisodeResult]) -> str:
@@ -173,19 +182,33 @@ def _require_controls(controls: Sequence[EpisodeResult], out: Path) -> None:
 def estimate_s(plan: Campaign, out: Path, pool: Pool) -> tuple[int, float]:
     """Return the number of episodes missing and the estimated time to drive them, s, by a probe of each perception.
 
+    Controls and the reference driver count. An episode lasts as long as those that are there did, else as its scenario.
+
     Args:
         plan: a valid campaign.
         out: folder of the campaign.
         pool: workers.
     """
-    missing = [job for job in episodes_of(plan) if read_result(out / "episodes", key_of(job)) is None]
-    steps = plan.loop.duration_s / load_scenario(plan.scenarios[0]).step_s
+    controls = controls_of(plan) if plan.controls else None
+    jobs = [*(episodes_of(controls) if controls else []), *episodes_of(plan), *_reference(plan)]
+    found = {key: read_result(out / "episodes", key) for key in dict.fromkeys(map(key_of, jobs))}
+    missing = [job for job in {key_of(job): job for job in jobs}.values() if found[key_of(job)] is None]
+    driven = [one.metrics["duration_s"] for one in found.values() if one is not None]
+    known_s = [seconds for seconds in driven if seconds is not None]
     total = 0.0
-    for _, jobs in groupby(sorted(missing, key=lambda job: job.uses), key=lambda job: job.uses):
-        several = list(jobs)
-        total += len(several) * steps * probe_s(several[0])
+    for _, group in groupby(sorted(missing, key=_probed), key=_probed):
+        several = list(group)
+        step_s = probe_s(several[0])
+        for job in several:
+            longest_s = min(plan.loop.duration_s, job.content["duration_s"])
+            seconds = sum(known_s) / len(known_s) if known_s else longest_s
+            total += step_s * seconds / job.content["step_s"]
     workers = core_count() if pool.workers is None else pool.workers
     return len(missing), total / max(min(workers, core_count()), 1)
+
+
+def _probed(job: EpisodeJob) -> tuple[str, str]:
+    return job.uses, job.checkpoint
 
 
 def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog]:

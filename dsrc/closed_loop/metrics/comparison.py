@@ -178,6 +178,22 @@ def gain_per_megabyte(together: Sequence[Result], alone: Sequence[Result], value
     return sum(value(theirs) - value(ours) for ours, theirs in found) / received
 
 
+def avoidable(results: Sequence[Result], careful: Sequence[Result]) -> list[float]:
+    """Return for each crash 1 if a careful driver avoids it on the same scenario and seed, else 0.
+
+    Crashes on seeds that the careful driver has not driven, or on which it lost the encounter, are left out.
+
+    Source: UN Regulation No. 157, annex 3: a crash is unavoidable if a competent and careful human driver crashes too.
+
+    Args:
+        results: of any perceptions.
+        careful: of `CarefulDriver` with the truth.
+    """
+    known = {(one.scenario, one.seed): collided(one) for one in counted(careful)}
+    crashes = [(one.scenario, one.seed) for one in counted(results) if collided(one)]
+    return [1.0 - known[key] for key in crashes if key in known]
+
+
 def sight_lead_s(team: Result, alone: Result) -> float:
     """Return how much earlier the team saw the conflict actor than the ego alone, s.
 

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from collections.abc import Sequence
 
 import msgspec
 
@@ -144,27 +143,3 @@ def episode_metrics(log: EpisodeLog, reference: EpisodeLog | None = None) -> Epi
 def _hardest_brake(log: EpisodeLog, steps: int) -> float:
     speeds = [tick.ego.speed_mps for tick in log.ticks[:steps]]
     return max((a - b for a, b in itertools.pairwise(speeds)), default=0.0) / log.actors.step_s
-
-
-def avoidable(log: EpisodeLog, reference: EpisodeLog) -> float:
-    """Return 1 for a crash that the reference driver avoids on the same seed, 0 for one that it does not; else NaN.
-
-    Source: UN Regulation No. 157, annex 3: a crash is unavoidable if a competent and careful human driver crashes too.
-
-    Args:
-        log: of the episode.
-        reference: of the reference driver in the same encounter.
-    """
-    if log.contact is None or Outcome.DESYNCHRONISED in (log.outcome, reference.outcome):
-        return math.nan
-    return float(reference.contact is None)
-
-
-def avoidable_share(pairs: Sequence[tuple[EpisodeLog, EpisodeLog]]) -> float:
-    """Return the share of crashes that the reference driver avoids; NaN without a crash.
-
-    Args:
-        pairs: of an episode and the reference driver's, see `avoidable`.
-    """
-    known = [value for value in (avoidable(*pair) for pair in pairs) if not math.isnan(value)]
-    return sum(known) / len(known) if known else math.nan

@@ -11,7 +11,7 @@ from dsrc.data.sample import Sample, SampleDetector, make_sample
 from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections
 from sensors.frame import Frame
-from sim.boxes import Boxes
+from sim.boxes import VEHICLES, Boxes
 from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
@@ -41,6 +41,11 @@ class DetectorPerception:
         self.senses = Senses(faults or Faults(), cooperative)
         self._interval_s = interval_s
         self._ego_id = -1
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Classes that the detector names, else vehicles, which all detectors that train here are for."""
+        return tuple(getattr(self.detector, "classes", VEHICLES))
 
     def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Begin an episode."""

@@ -12,6 +12,7 @@ from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.types import Perception
 from dsrc.data.sample import SampleDetector
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Family, Who, parse_who
+from sim.boxes import VEHICLES
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
 
@@ -23,8 +24,10 @@ ALONE = "ego"
 """A detector on the ego's sweeps alone."""
 TOGETHER = ("team", "dsrc")
 """A detector with helpers."""
+LATE = "late"
+"""A detector of each agent alone, and their boxes joined."""
 
-_NAMES = (*WITHOUT_SENSOR, ALONE, *TOGETHER)
+_NAMES = (*WITHOUT_SENSOR, ALONE, *TOGETHER, LATE)
 _IDEAL = PRESETS[IDEAL]
 
 
@@ -47,12 +50,14 @@ def open_perception(
         text: one of
 
             * `truth`: all road users near the ego; `sight`: those that its LiDAR can see;
-            * `ego`: a detector on the ego's sweeps alone; `team` or `dsrc`: one with helpers;
-            * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`: without;
+            * `ego`: a detector on the ego's sweeps alone; `team` or `dsrc`: one with helpers; `late`: each agent's
+              detections, joined, by a detector whose fusion has no weights, such as the shipped ones;
+            * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`: without; `late=FILE`: late fusion;
             * `module:Class` of one's own, made without arguments: a perception (`reset`, `perceive`), or a detector
               (`detect(sample) -> Detections`, and `settings` with a `grid` unless the shipped detector's serves).
-              Modules of the current folder are found.
-        checkpoint: detector file of `ego` and `team`; None for the shipped one.
+              `classes` names what it detects: by default a detector vehicles, a perception everything. Modules of the
+              current folder are found.
+        checkpoint: detector file of `ego`, `team` and `late`; None for the shipped one.
         corruption: kind or `clean`.
         severity: 1 to 5; any for `clean`.
         family: of the corruption's settings.
@@ -65,7 +70,7 @@ def open_perception(
     Raises:
         SettingsError: an unknown name, corruption or channel, a setting of something that the perception has not, or a
             class that does not load.
-        CheckpointError: the detector file is missing or wrong.
+        CheckpointError: the detector file is missing or wrong, or its fusion has weights that `late` cannot have.
     """
     name, file = _split(text)
     radio = get_channel(channel) if isinstance(channel, str) else channel
@@ -91,7 +96,7 @@ def open_perception(
         if not file and name not in _NAMES:
             hint = did_you_mean(name, _NAMES)
             raise SettingsError(complaint("perception", "name", "a name, FILE, NAME=FILE or module:Class", name, hint))
-        detector = _loaded(path, device, engine)
+        detector = _loaded(path, device, engine, late=name == LATE)
     from dsrc.closed_loop.perception.detector import DetectorPerception
 
     cooperative = name != ALONE
@@ -126,10 +131,14 @@ def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
             )
 
 
-def _loaded(path: Path, device: str, engine: str) -> SampleDetector:
-    from dsrc.models.storage.checkpoint import load_student
+def _loaded(path: Path, device: str, engine: str, late: bool) -> SampleDetector:
+    from dsrc.models.storage.checkpoint import load_student, with_fusion
+    from dsrc.models.storage.deploy import ENGINES
 
-    return load_student(path, device, engine)
+    if not late or engine not in ENGINES:
+        return load_student(path, device, engine)
+    # Weights of optimised networks have other names: first the fusion is exchanged.
+    return ENGINES[engine](with_fusion(load_student(path, device, "plain"), LATE))
 
 
 def _own(text: str) -> Any:
@@ -167,3 +176,4 @@ class _WithGrid:
 
         self.settings = load_detector(SHIPPED_DETECTOR).settings
         self.detect = detector.detect
+        self.classes = getattr(detector, "classes", VEHICLES)

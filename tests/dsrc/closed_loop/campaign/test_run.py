@@ -22,7 +22,7 @@ from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.types import Percept
 from dsrc.data.executors import Pool
 from dsrc.options.driving import DriveOptions
-from sim.boxes import Boxes
+from sim.boxes import VEHICLES, Boxes
 from sim.errors import DataError, SettingsError
 
 PLAN = Campaign(
@@ -33,6 +33,7 @@ PLAN = Campaign(
     seeds=1,
     loop=LoopSettings(duration_s=15.0),
     controls=False,
+    careful=False,
 )
 
 
@@ -46,6 +47,12 @@ class Blind:
 
     def perceive(self, before, now, claims) -> Percept:
         return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
+
+
+class BlindForPeople(Blind):
+    """Perceives nothing, and says that it has classes for vehicles alone."""
+
+    classes = VEHICLES
 
 
 class Broken(Blind):
@@ -161,6 +168,46 @@ def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
     assert all(path.stat().st_size > 0 for path in paths)
     assert "| nothing | clean | 2 | 100 %" in text and "Hardest crashes" in text
     assert summary_table(result).row_count == 2
+
+
+def test_encounters_of_a_class_that_a_perception_has_not_are_kept_apart(tmp_path: Path) -> None:
+    blind = PerceptionSpec(name="vehicles only", uses=f"{__name__}:BlindForPeople")
+    plan = replace(
+        PLAN, scenarios=("ima_building", "ped_dartout"), perceptions=(*PLAN.perceptions, blind), clean_seeds=1
+    )
+    result = run_campaign(plan, tmp_path)
+    marked = {(one.scenario, one.perception): (one.road_user, one.detectable) for one in result.results}
+    assert marked["ima_building", "vehicles only"] == ("car", True)
+    assert marked["ped_dartout", "nothing"] == ("pedestrian", True)
+    assert marked["ped_dartout", "vehicles only"] == ("pedestrian", False)
+    together, apart = markdown(result).split("## Pedestrians")
+    assert "| vehicles only | clean | 1 |" in together and "| vehicles only | clean | 2 |" not in together
+    # A perception that has the class counts there as everywhere: its crash is one.
+    lines = apart.splitlines()
+    assert next(line for line in lines if line.startswith("| nothing")).endswith("| 0 |")
+    assert next(line for line in lines if line.startswith("| vehicles only")).endswith("| 1 |")
+    (scenario,) = (line for line in lines if line.startswith("| ped_dartout (pedestrian)"))
+    assert scenario.count("*") == 1
+    assert str(summary_table(result).columns[-1].header) == "no class"
+
+
+def test_crashes_that_the_careful_driver_avoids_are_avoidable(tmp_path: Path) -> None:
+    result = run_campaign(replace(PLAN, careful=True, clean_seeds=1), tmp_path)
+    assert [one.outcome for one in result.careful] == ["arrived"]
+    text = markdown(result)
+    (line,) = (line for line in text.splitlines() if line.startswith("| nothing | clean"))
+    assert line.split("|")[-2].strip().startswith("100 %")
+    (truth,) = (line for line in text.splitlines() if line.startswith("| truth | clean"))
+    assert not truth.split("|")[-2].strip(), "without a crash there is no share of them"
+    assert (tmp_path / "careful.csv").is_file()
+
+
+def test_an_estimate_counts_all_that_is_missing(tmp_path: Path) -> None:
+    plan = replace(PLAN, controls=True, careful=True, clean_seeds=1)
+    episodes, seconds = runner.estimate_s(plan, tmp_path, Pool())
+    assert (episodes, seconds > 0.0) == (2 + 2 + 1, True)
+    assert runner.run_campaign(plan, tmp_path).made == episodes
+    assert runner.estimate_s(plan, tmp_path, Pool()) == (0, 0.0)
 
 
 def test_an_episode_is_looked_at_again_from_its_log(driven: Path) -> None:

@@ -1,11 +1,12 @@
 """Comparisons of perceptions over results made by hand."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 
 from dsrc.closed_loop.metrics.comparison import (
+    avoidable,
     collided,
     corruption_errors,
     gain_per_megabyte,
@@ -92,3 +93,11 @@ def test_the_gain_per_megabyte_is_what_was_saved_over_what_was_received() -> Non
 def test_the_lead_of_the_team(team: float | None, ego: float | None, lead: float) -> None:
     found = sight_lead_s(One(metrics={"seen_s": team}), One(metrics={"seen_s": ego}))
     assert found == lead or (math.isnan(found) and math.isnan(lead))
+
+
+def test_a_crash_is_avoidable_if_the_careful_driver_avoids_it() -> None:
+    """Of five crashes it avoids two and shares one; one it has not driven, and on one it lost its encounter."""
+    results = [result(1.0, seed) for seed in range(5)] + [result(0.0, 5)]
+    careful = [result(0.0, 0), result(0.0, 1), result(1.0, 2), replace(result(0.0, 3), outcome="desynchronised")]
+    assert avoidable(results, [*careful, result(0.0, 5)]) == [1.0, 1.0, 0.0]
+    assert avoidable([result(0.0)], careful) == []

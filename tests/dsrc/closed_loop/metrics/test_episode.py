@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.metrics.episode import avoidable, avoidable_share, episode_metrics
+from dsrc.closed_loop.metrics.episode import episode_metrics
 from dsrc.closed_loop.types import Outcome
 from sim.contact import Contact
 from tests.dsrc.closed_loop.logged import Mover, ahead, episode, percept_of
@@ -75,13 +75,3 @@ def test_a_log_without_steps_has_no_metrics() -> None:
     log = crash()
     with pytest.raises(ValueError, match="at least one step"):
         episode_metrics(EpisodeLog(log.settings, log.actors[0], [], Outcome.PERCEPTION_FAILED))
-
-
-def test_a_crash_is_avoidable_if_the_reference_driver_avoids_it() -> None:
-    fine = episode([Mover("ego", ahead(10.0))], 3, Outcome.ARRIVED)
-    lost = episode([Mover("ego", ahead(10.0))], 3, Outcome.DESYNCHRONISED)
-    assert avoidable(crash(), fine) == 1.0
-    assert avoidable(crash(), crash()) == 0.0
-    assert math.isnan(avoidable(fine, fine)) and math.isnan(avoidable(crash(), lost))
-    assert avoidable_share([(crash(), fine), (crash(), crash()), (fine, fine), (crash(), fine)]) == pytest.approx(2 / 3)
-    assert math.isnan(avoidable_share([(fine, fine)]))

@@ -1,13 +1,18 @@
 """Perceptions by name, by file and of one's own."""
 
+from dataclasses import replace as copied
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, name_of, open_perception
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
+from dsrc.models.fusion.late import join_detections
+from sim.boxes import CLASSES, VEHICLES
 from sim.errors import CheckpointError, SettingsError
 from sim.radio import get_channel
 
@@ -17,6 +22,9 @@ from dsrc.ops.detections import Detections
 class Blind:
     def detect(self, sample):
         return Detections.zeros()
+
+class Everyone(Blind):
+    from sim.boxes import CLASSES as classes
 
 class Own:
     cooperative = False
@@ -54,6 +62,8 @@ def test_truth_and_sight() -> None:
         (str(SHIPPED_DETECTOR), True),
         (f"mine={SHIPPED_DETECTOR}", True),
         (f"ego={SHIPPED_DETECTOR}", False),
+        ("late", True),
+        (f"late={SHIPPED_DETECTOR}", True),
     ],
 )
 def test_detectors_by_name_and_file(text: str, cooperative: bool) -> None:
@@ -62,7 +72,33 @@ def test_detectors_by_name_and_file(text: str, cooperative: bool) -> None:
     assert perception.cooperative is cooperative
     assert perception.senses.faults.severity == 4
     assert perception.channel.name == ("paper" if cooperative else "ideal")
-    assert perception.detector.settings.fusion == "attention"
+    assert perception.detector.settings.fusion == ("late" if text.startswith("late") else "attention")
+    assert perception.classes == VEHICLES
+
+
+def test_late_fusion_joins_what_each_agent_detects_alone() -> None:
+    late, team = open_perception("late"), open_perception("team")
+    loop = ClosedLoop("lta_truck", open_perception("truth"))
+    loop.run(1)
+    late.reset(loop.scenario, loop.ego_id, 1)
+    sample, _ = late.sample(loop.ticks[40].actors, loop.ticks[41].actors, {})
+    parts = [
+        team.detector.detect(
+            copied(
+                sample,
+                agent_ids=sample.agent_ids[k : k + 1],
+                clouds=sample.clouds[k : k + 1],
+                ego_from_agent=sample.ego_from_agent[k : k + 1],
+                agent_boxes=sample.agent_boxes[k : k + 1],
+            )
+        )
+        for k in range(len(sample.agent_ids))
+    ]
+    joined = late.detector.detect(sample)
+    assert len(parts) > 2 and len(joined) > len(parts[0])
+    expected = join_detections(parts, late.detector.settings.nms_iou)
+    assert np.allclose(joined.boxes.array, expected.boxes.array, atol=1e-3)
+    assert np.allclose(joined.score, expected.score, atol=1e-4)
 
 
 def test_names_of_tables() -> None:
@@ -79,6 +115,8 @@ def test_classes_of_ones_own(own: None) -> None:
     perception = open_perception("my_eyes:Blind", corruption="snow", channel="paper")
     assert isinstance(perception, DetectorPerception) and perception.cooperative
     assert perception.detector.settings.grid.range_m[3] == 51.2
+    assert perception.classes == VEHICLES
+    assert open_perception("my_eyes:Everyone").classes == CLASSES
 
 
 @pytest.mark.parametrize(
