@@ -38,16 +38,17 @@ def subsample(sweep: Sweep, max_points: int) -> NDArray[np.intp]:
 
 def _strided(far: NDArray[np.floating], budget: int) -> NDArray[np.intp]:
     """Rows of every k-th point, k falling with the distance `far` (P,), within the budget."""
-    order = np.arange(len(far))
-
-    def kept(reach: float) -> NDArray[np.bool_]:
-        return order % np.ceil(np.maximum(reach / far, 1.0)) == 0
-
+    # How many a reach keeps is known well enough from a histogram: searched in all points it takes 40 ms per sweep.
+    count, edges = np.histogram(far, bins=256)
+    middle = np.maximum(0.5 * (edges[1:] + edges[:-1]), 1e-3)
     low, high = 0.0, float(far.max()) * (len(far) / max(budget, 1) + 1.0)
     for _ in range(20):
         reach = 0.5 * (low + high)
-        low, high = (reach, high) if np.count_nonzero(kept(reach)) > budget else (low, reach)
-    return np.flatnonzero(kept(high))[:budget]
+        kept = float((count / np.ceil(np.maximum(reach / middle, 1.0))).sum())
+        low, high = (reach, high) if kept > budget else (low, reach)
+    rows = np.flatnonzero(np.arange(len(far)) % np.ceil(np.maximum(high / far, 1.0)).astype(np.int64) == 0)
+    # The few too many that the histogram leaves are taken from everywhere, not from the end.
+    return rows if len(rows) <= budget else rows[np.linspace(0, len(rows) - 1, budget).astype(np.intp)]
 
 
 def point_colors(sweep: Sweep, color_by: ColorBy, agent_rgb: Rgb, ground_z: float) -> NDArray[np.uint8]:

@@ -89,7 +89,7 @@ def _drives(shown: Shown) -> dict[str, Any]:
 def _methods(shown: Shown) -> dict[str, Any]:
     """Each method alone, and the shown one with those over it."""
     methods = shown.state.methods
-    options: dict[str, Any] = {name: (name,) for name in shown.model.methods(shown.state.drive)}
+    options: dict[str, Any] = {name: (name,) for name in shown.model.methods(shown.state.drive)} or {NOBODY: ()}
     return {**options, ", ".join(methods): methods} if len(methods) > 1 else options
 
 

@@ -56,6 +56,7 @@ CHANGES = {
     "frame": 3, "speed": 2.0, "camera": "chase", "object_id": 1003, "corruption": "fog", "severity": 5,
     "family": "paper", "threshold": 0.7, "iou": 0.3, "ego_id": 1002, "cooperative": False, "color_by": "height",
     "point_size_m": 0.3, "max_points": 9000, "theme": "light", "layers_off": frozenset({"bodies"}),
+    "methods": ("detector",),
 }  # fmt: skip
 
 
@@ -66,7 +67,7 @@ def test_every_control_follows_the_state(session, fake_fog, field):
     bound = [control for panel in session.panels for control in getattr(panel, "controls", ())]
     for one in (one for one in bound if one.control.field == field):
         shown = {"camera": "Chase", "object_id": "car 1003", "speed": "2×", "ego_id": "vehicle 1002", "iou": "0.3",
-                 "theme": "Light", "layers_off": one.control.label != "Bodies"}  # fmt: skip
+                 "theme": "Light", "methods": "detector", "layers_off": one.control.label != "Bodies"}  # fmt: skip
         assert one.handle.value == shown.get(field, CHANGES[field])
 
 
