@@ -21,10 +21,9 @@ from sim.traffic.base import Actors
 from sim.traffic.parking import parked_cars
 from sim.traffic.sumo.demand import write_demand
 from sim.traffic.sumo.traffic import SumoTraffic
-from sim.world.build import MARGIN_M, build_world
+from sim.world.build import MARGIN_M
 from sim.world.buildings.footprints import outlined
-from sim.world.roads.streets import read_streets
-from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand, every
+from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand, every, streets_of, world_of
 
 LATERAL_M, YAW_DEGPS, DEEP_M = 0.25, 120.0, 0.15
 TOUCHING = 0.1
@@ -61,15 +60,12 @@ def test_traffic_stays_physical_for_a_minute(name: str) -> None:
 
 @pytest.mark.parametrize("name", every())
 def test_no_lane_centre_lies_inside_a_house(name: str) -> None:
-    scenario = at_hand(name)
-    net = read_network(resolve_network(scenario, 1))
-    mesh = build_world(scenario, 1)
+    scenario, mesh, streets = at_hand(name), world_of(name), streets_of(name)
     material = mesh.face_attributes["material"]
     house = np.isin(material, [material_index(kind) for kind in ("brick", "plaster", "concrete", "roof", "glass")])
     triangles = mesh.triangles[house]
     low = triangles[triangles[:, :, 2].min(axis=1) < 4.4][:, :, :2]
     hulls = [shapely.MultiPoint(corners).convex_hull for corners in low]
-    streets = read_streets(net, scenario.network.area_m, MARGIN_M)
     frame = shapely.box(*streets.window)
     places = []
     for lane in streets.lanes:
@@ -89,8 +85,7 @@ def test_no_lane_centre_lies_inside_a_house(name: str) -> None:
 
 @pytest.mark.parametrize("name", every([name for name in PLACES if name not in MOTORWAYS]))
 def test_a_town_has_lights_kerbs_and_something_that_hides(name: str) -> None:
-    scenario = at_hand(name)
-    mesh = build_world(scenario, 1)
+    mesh = world_of(name)
     material = mesh.face_attributes["material"]
     for kind in ("kerb", "signal_lamp", "pavement", "leaves", "metal"):
         assert (material == material_index(kind)).any(), kind
@@ -99,10 +94,8 @@ def test_a_town_has_lights_kerbs_and_something_that_hides(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["four_way", "helsinki", "rilsa_1"])
 def test_a_light_stands_at_every_stop_line_of_a_signalled_junction_and_none_on_the_road(name: str) -> None:
-    scenario = at_hand(name)
-    mesh = build_world(scenario, 1)
+    mesh, streets = world_of(name), streets_of(name)
     lamps = mesh.triangles[mesh.face_attributes["material"] == material_index("signal_lamp")].mean(axis=1)[:, :2]
-    streets = read_streets(read_network(resolve_network(scenario, 1)), scenario.network.area_m, MARGIN_M)
     area = shapely.box(*streets.area)
     ends = [
         lane.line[-1]
@@ -130,7 +123,7 @@ def test_parked_cars_stand_beside_the_lanes_and_are_the_same_again(name: str) ->
     boxes = first.boxes[parked]
     assert np.array_equal(boxes.array, later.boxes[later.parked()].array)
     assert not len(overlapping_pairs(boxes))
-    streets = read_streets(net, scenario.network.area_m, MARGIN_M)
+    streets = streets_of(name)
     lanes = shapely.union_all(
         [
             shapely.LineString(lane.line).buffer(0.5 * lane.width, cap_style="flat")
