@@ -7,8 +7,8 @@ from sensors.sweep import ATTENUATED, KEPT, MOVED, SCATTERED
 
 Rgb = tuple[int, int, int]
 
-# Searched at random for the largest least difference, with TP in greens, FP in reds and FN in ambers; the benchmark
-# `benchmarks/review_colors.py` measures them as a browser shows them.
+# Searched at random for the largest least difference in normal vision, protanopia and deuteranopia, with TP in greens,
+# FP in reds and FN in ambers; tests hold the difference, and that a browser shows these very colours.
 AGENT_COLORS: tuple[Rgb, ...] = (
     (64, 153, 249),
     (248, 252, 22),

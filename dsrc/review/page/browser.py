@@ -4,8 +4,8 @@ viser tells the server nothing about the address of the page, cannot write it, l
 choice and maps all colours to paler ones. The script does these four things, and nothing of the page depends on more.
 """
 
-LINK_ID = "review-link"
-"""Id of the HTML element whose `data-link` the address bar shows."""
+LINK_KEY = "review-link"
+"""Key of the browser's storage under which the server writes the query that the address bar shows."""
 
 HONEST_COLORS = """
 (()=>{const t=setInterval(()=>{const m=window.__viserMutable,s=m&&m.scene,r=s&&s.__r3f&&(s.__r3f.root||s.__r3f);
@@ -21,15 +21,15 @@ Worker.prototype.postMessage=function(d,...rest){
   if(d.server)this.reviewServer=d.server;
   if(this.reviewServer)d={type:'set_server',server:this.reviewServer+'/'+location.search};}
  return post.call(this,d,...rest);};
-const own=['fixedDpr','darkMode','showStats','websocket'];
-setInterval(()=>{const e=document.getElementById('__LINK_ID__');if(!e)return;
- const kept=new URLSearchParams(location.search),all=new URLSearchParams(e.dataset.link);
- const text=[...own.filter(k=>kept.has(k)).map(k=>k+'='+kept.get(k)),...[...all].map(([k,v])=>k+'='+v)].join('&');
- const next=text?'?'+text:location.pathname;
- if(next!==(location.search||location.pathname))history.replaceState(null,'',next);},400);
+const own=['fixedDpr','darkMode','showStats','websocket'],store=Storage.prototype.setItem;
+Storage.prototype.setItem=function(key,value){
+ if(!key.endsWith('__LINK_KEY__'))return store.call(this,key,value);
+ const kept=new URLSearchParams(location.search);
+ const text=[...own.filter(k=>kept.has(k)).map(k=>k+'='+kept.get(k)),...(value?[value]:[])].join('&');
+ history.replaceState(null,'',text?'?'+text:location.pathname);};
 })();
-""".replace("__LINK_ID__", LINK_ID)
-# Safari takes a hundred changes of the address in 30 s.
+""".replace("__LINK_KEY__", LINK_KEY)
+# viser's own command writes to the storage, wherever the panels are; the script takes the link out of its way.
 
 _KEYS = """
 (()=>{const free=()=>setTimeout(()=>{const a=document.activeElement;

@@ -35,9 +35,14 @@ document.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root
 """
 # The player of an exported page is the only one with a slider and without a connection to a server.
 _READY = "document.querySelector('canvas') && (!window.__VISER_EMBED_DATA__ || document.querySelector('[role=slider]'))"
-_PAUSE = """
-if(window.__VISER_EMBED_DATA__)window.dispatchEvent(new KeyboardEvent('keydown',{code:'Space',key:' '}))
+STOP = """
+(()=>{const slider=document.querySelector('[role=slider]');
+if(!window.__VISER_EMBED_DATA__||!slider)return;
+window.dispatchEvent(new KeyboardEvent('keydown',{code:'Space',key:' '}));
+for(const key of ['End','Home'])
+ slider.dispatchEvent(new KeyboardEvent('keydown',{key,bubbles:true,cancelable:true}));})()
 """
+"""Pause the player of an exported page and go back to its first frame."""
 
 
 def find_chromium() -> str | None:
@@ -161,7 +166,7 @@ def screenshot(
         out_png: the picture.
         size: width and height in pixels.
         settle_s: time for drawing once the canvas exists, s.
-        pause: pause an exported page: software rendering is slower than its player.
+        pause: stop an exported page at its first frame: software rendering is slower than its player.
         script: JavaScript to run first, such as a click on a button.
 
     Raises:
@@ -178,7 +183,7 @@ def screenshot(
         page.wait_for(_READY, 90.0)
         page.evaluate(_HIDE_NOTICES)
         if pause:
-            page.evaluate(_PAUSE)
+            page.evaluate(STOP)
         if script:
             page.evaluate(script)
         time.sleep(settle_s)

@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from dsrc.review.matching import Counts
 from dsrc.review.model import ReviewModel
 from dsrc.review.page import cameras
-from dsrc.review.page.browser import LINK_ID
+from dsrc.review.page.browser import LINK_KEY
 from dsrc.review.page.cameras import CameraPose
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
 from dsrc.review.page.link import write_link
@@ -31,7 +30,7 @@ from sim.geometry import invert
 log = logging.getLogger(__name__)
 
 LINK_PAUSE_S = 0.3
-"""Least time between two links of one browser, s."""
+"""Least time between two links of one browser, s: Safari takes a hundred changes of the address in 30 s."""
 
 NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
@@ -119,7 +118,6 @@ class Session:
         self.panels = [make(self) for make in PANELS]
         with self.gui.add_folder("Help", expand_by_default=False):
             self.gui.add_button("Keys", hint="key ? or H").on_click(lambda _: self.toggle_help())
-        self._link = self.gui.add_html("")
         for command in COMMANDS:
             modifier = "shift" if command.shift else None
             handle = self.gui.add_command(command.label, hotkey=command.key, modifier=modifier)  # type: ignore[arg-type]
@@ -387,7 +385,7 @@ class Session:
         link = write_link(self.model, self.state, self._camera())
         if link != self.link:
             self.link = link
-            self._link.content = f'<span id="{LINK_ID}" data-link="{escape(link)}"></span>'
+            self.client.local_storage.set_item(LINK_KEY, link)
 
     def _show_theme(self) -> None:
         if self._theme == self.state.theme:

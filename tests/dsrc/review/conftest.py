@@ -140,6 +140,12 @@ def model(drive, detector) -> ReviewModel:
     return ReviewModel([drive], detector)
 
 
+@pytest.fixture(scope="module")
+def street() -> ReviewModel:
+    """Model of three hundred frames, for all tests of a module."""
+    return ReviewModel([FakeDrive(frames=tuple(range(300)))], FakeDetector())
+
+
 @pytest.fixture
 def truth_model(drive) -> ReviewModel:
     return ReviewModel([drive])

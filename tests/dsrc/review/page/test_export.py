@@ -1,7 +1,6 @@
 import base64
 import json
 import re
-import time
 from dataclasses import replace
 
 import msgspec
@@ -10,10 +9,8 @@ import pytest
 
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.review import palette
-from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.export import export_html, export_states
-from dsrc.review.page.screenshot import find_chromium, open_page, screenshot
-from dsrc.review.page.server import start_server
+from dsrc.review.page.screenshot import STOP, find_chromium, open_page, screenshot
 from dsrc.review.state import ReviewState
 from sim.errors import DataError, SettingsError
 
@@ -114,34 +111,6 @@ def near(image: np.ndarray, rgb: palette.Rgb) -> int:
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_tp_fp_and_fn_are_seen_in_their_colours(model, tmp_path):
-    quiet = frozenset({"bodies", "labels", "links"})
-    state = ReviewState(threshold=0.0, hidden=frozenset({1000, 1002, -1}), layers_off=quiet)
-    app = ReviewApp(model, start_server(), state)
-    try:
-        app.wait_drawn()
-        with open_page(f"{app.url}?fixedDpr=1&darkMode", (640, 400)) as page:
-            end = time.monotonic() + 60
-            while not app.server.get_clients():
-                assert time.monotonic() < end, f"no browser connected: {page.evaluate('document.title')}"
-                time.sleep(0.1)
-            client = next(iter(app.server.get_clients().values()))
-            render = {"height": 400, "width": 640, "transport_format": "png", "timeout": 60.0}
-            client.get_render(**render)
-            # The first picture can come before the browser has built all nodes.
-            time.sleep(1.0)
-            image = client.get_render(**render)
-            assert min(near(image, rgb) for rgb in (palette.TP, palette.FP, palette.FN)) > 15
-            app.update(threshold=1.0)
-            app.wait_drawn()
-            image = client.get_render(**render)
-            assert near(image, palette.TP) == 0 and near(image, palette.FN) > 50
-    finally:
-        app.close()
-
-
-@pytest.mark.browser
-@pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
 def test_an_exported_page_shows_the_scene_and_its_legend(page, tmp_path):
     from matplotlib.image import imread
 
@@ -149,6 +118,18 @@ def test_an_exported_page_shows_the_scene_and_its_legend(page, tmp_path):
     image = (imread(picture) * 255).astype(np.uint8)
     assert image.shape[:2] == (400, 640)
     assert near(image[:, 340:], palette.TP) > 15
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
+def test_a_picture_shows_the_first_frame_and_no_other(page):
+    with open_page(f"{page.resolve().as_uri()}?fixedDpr=1", (640, 400)) as opened:
+        opened.wait_for("document.querySelector('[role=slider]')", 60.0)
+        opened.evaluate("new Promise(done=>setTimeout(done,500))")
+        opened.evaluate(STOP)
+        opened.evaluate("new Promise(done=>setTimeout(done,1500))")
+        assert opened.evaluate("document.querySelector('[role=slider]').getAttribute('aria-valuenow')") == "0"
+        assert "frame 0" in opened.evaluate("document.getElementById('review-time').textContent")
 
 
 def test_pictures_leave_no_browser_behind(tmp_path, monkeypatch):

@@ -1,0 +1,222 @@
+"""The page in a real Chromium: what only a browser can show."""
+
+import time
+
+import numpy as np
+import pytest
+
+from dsrc.review import palette
+from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.commands import COMMANDS
+from dsrc.review.page.screenshot import find_chromium, open_page
+from dsrc.review.page.server import start_server
+from dsrc.review.state import ReviewState
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(find_chromium() is None, reason="needs Chromium"),
+]
+SIZE = (1000, 600)
+RUN = {command.label: command.run for command in COMMANDS}
+
+
+class Opened:
+    """A page in a browser, with the session that it belongs to."""
+
+    def __init__(self, app, page):
+        self.app, self.page = app, page
+        page.send("Emulation.setFocusEmulationEnabled", enabled=True)
+        page.wait_for("document.querySelector('canvas') && window.__viserMutable", 60.0)
+        self.session.wait_drawn()
+
+    @property
+    def session(self):
+        """Session of the newest browser."""
+        return self.app.wait_session(1, 60.0)[-1]
+
+    def key(self, key, **more):
+        self.page.send("Input.dispatchKeyEvent", type="keyDown", key=key, **more)
+        self.page.send("Input.dispatchKeyEvent", type="keyUp", key=key, **more)
+
+    def click(self, x, y):
+        for kind in ("mousePressed", "mouseReleased"):
+            self.page.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def place_of(self, script):
+        """Middle of an element on the screen, px."""
+        box = self.page.evaluate(
+            f"(()=>{{const r=({script}).getBoundingClientRect();return [r.x+r.width/2,r.y+r.height/2]}})()"
+        )
+        return tuple(box)
+
+    def text(self):
+        return self.page.evaluate("document.body.innerText")
+
+    def image(self):
+        render = {"height": SIZE[1], "width": SIZE[0], "transport_format": "png", "timeout": 60.0}
+        self.session.client.get_render(**render)
+        # The first picture can come before the browser has built all nodes.
+        time.sleep(1.0)
+        return self.session.client.get_render(**render)[..., :3].astype(int)
+
+
+def wait_for(condition, timeout_s=20.0):
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def opened(street):
+    app = ReviewApp(street, start_server())
+    try:
+        with open_page(f"{app.url}/?fixedDpr=1", SIZE) as page:
+            yield Opened(app, page)
+    finally:
+        app.close()
+
+
+@pytest.fixture(autouse=True)
+def afresh(opened):
+    opened.session.update(**{field: getattr(ReviewState(), field) for field in ReviewState.__slots__})
+    RUN["Camera: reset"](opened.session)
+    opened.session.wait_drawn()
+
+
+def shown(image, rgb, tolerance=3):
+    """Pixels of exactly this colour, up to rounding."""
+    return int(np.count_nonzero(np.abs(image - np.array(rgb)).max(axis=-1) <= tolerance))
+
+
+def test_colours_are_shown_as_they_are_named_and_the_threshold_takes_detections_away(opened):
+    session = opened.session
+    quiet = frozenset({"bodies", "labels", "links", "world"})
+    session.update(threshold=0.0, layers_off=quiet, hidden=frozenset({1000, 1002, -1}))
+    session.wait_drawn()
+    image = opened.image()
+    assert min(shown(image, rgb) for rgb in (palette.TP, palette.FP, palette.FN)) > 15
+    session.update(threshold=1.0)
+    session.wait_drawn()
+    image = opened.image()
+    assert shown(image, palette.TP) == shown(image, palette.FP) == 0 and shown(image, palette.FN) > 50
+
+
+def test_an_agents_body_and_its_points_have_one_colour(opened):
+    session = opened.session
+    session.update(layers_off=frozenset({"truth", "detections", "labels", "world"}), hidden=frozenset({1000, 1002, -1}))
+    session.place_camera("bev")
+    session.wait_drawn()
+    bodies = opened.image()
+    from collections import Counter
+    print(Counter(map(tuple, bodies.reshape(-1, 3).tolist())).most_common(14))
+    for row in (0, 1):
+        assert shown(bodies, palette.AGENT_COLORS[row], 6) > 10, f"roof of agent {row}"
+
+
+def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened):
+    session = opened.session
+    session.update(frame=5, iou=0.7)
+    session.place_camera("chase")
+    session.wait_drawn()
+    wait_for(lambda: "frame=5" in opened.page.evaluate("location.search"))
+    wait_for(lambda: "view=-34.00,0.00,21.00" in opened.page.evaluate("location.search"))
+    opened.page.send("Page.reload")
+    wait_for(lambda: opened.session is not session and opened.session.view is not None, 60.0)
+    again = opened.session
+    assert again.wait_drawn().index == 5
+    assert (again.state.iou, again.state.camera) == (0.7, "chase")
+    wait_for(lambda: np.allclose(again.client.camera.position, [-34.0, 0.0, 21.0], atol=0.02))
+
+
+def test_a_lost_connection_comes_back_to_the_same_frame(opened):
+    session = opened.session
+    session.update(frame=4)
+    session.wait_drawn()
+    wait_for(lambda: "frame=4" in opened.page.evaluate("location.search"))
+    opened.app.server._websock_server.disconnect_all_clients()
+    wait_for(lambda: opened.app.sessions and opened.session is not session, 60.0)
+    assert opened.session.wait_drawn().index == 4
+
+
+def test_keys_work_after_a_choice_in_a_dropdown(opened):
+    before = opened.session.state.frame
+    opened.click(*opened.place_of("[...document.querySelectorAll('input')].find(e=>e.value==='clean')"))
+    option = "[...document.querySelectorAll('[role=option]')].find(e=>e.textContent==='fog')"
+    opened.page.wait_for(f"{option} && {option}.getBoundingClientRect().height", 20.0)
+    opened.click(*opened.place_of(option))
+    wait_for(lambda: opened.session.state.corruption == "fog")
+    time.sleep(0.3)
+    opened.key("l", code="KeyL", text="l", windowsVirtualKeyCode=76)
+    wait_for(lambda: opened.session.state.frame == before + 1)
+
+
+def test_help_opens_on_a_question_mark(opened):
+    opened.key("?", code="Slash", text="?", modifiers=8)
+    opened.page.wait_for("document.body.innerText.includes('Ten frames forward')", 20.0)
+    opened.session.toggle_help()
+    opened.page.wait_for("!document.body.innerText.includes('Ten frames forward')", 20.0)
+
+
+@pytest.mark.parametrize(("layer", "field"), [("detections/fp", "detection"), ("truth/fn", "object_id")])
+def test_a_click_on_a_box_opens_its_card(opened, layer, field):
+    session = opened.session
+    session.update(frame=1, threshold=0.0, layers_off=frozenset({"labels", "links"}))
+    session.fly_to(session.wait_drawn().layers[layer].center[0])
+    session.wait_drawn()
+    opened.image()
+    opened.click(SIZE[0] / 2, SIZE[1] / 2)
+    wait_for(lambda: getattr(session.state, field) is not None)
+    details = session.wait_drawn().details
+    words = f"score {details.score:.2f}, false positive" if field == "detection" else f"car {details.object_id}"
+    opened.page.wait_for(f"document.body.innerText.includes('{words}')", 20.0)
+
+
+def test_what_cannot_be_drawn_is_told_on_the_page_and_the_next_frame_is_drawn(opened, monkeypatch):
+    view = opened.app.model.view
+
+    def broken(state):
+        if state.frame == 3:
+            raise KeyError("yaw of the bus")
+        return view(state)
+
+    monkeypatch.setattr(opened.app.model, "view", broken)
+    opened.session.update(frame=3)
+    opened.page.wait_for("document.body.innerText.includes('yaw of the bus')", 20.0)
+    opened.session.update(frame=6)
+    assert opened.session.wait_drawn().index == 6
+    opened.page.wait_for("!document.body.innerText.includes('yaw of the bus')", 20.0)
+
+
+def test_a_chasing_camera_is_within_a_metre_after_300_frames(opened):
+    session = opened.session
+    session.place_camera("chase")
+    session.wait_drawn()
+    for frame in range(300):
+        session.update(frame=frame)
+        time.sleep(0.02)
+    session.wait_drawn()
+    time.sleep(1.0)
+    ego = session.view.ego.review_from_body[:3, 3]
+    root = opened.page.evaluate("window.__viserMutable.nodePoseData['/drive0'].position")
+    assert np.linalg.norm(ego) > 500.0
+    away = np.linalg.norm(np.array(session.client.camera.position) - (ego + np.array(root)))
+    assert away == pytest.approx(np.hypot(34.0, 21.0), abs=1.0)
+
+
+def test_a_narrow_window_starts_without_the_panel_and_moves_no_other_browser(opened):
+    first = opened.session
+    place = np.array(first.client.camera.position)
+    with open_page(f"{opened.app.url}/?fixedDpr=1", (700, 500)) as page:
+        wait_for(lambda: len(opened.app.sessions) == 2, 60.0)
+        second = Opened(opened.app, page)
+        assert second.session is not first
+        second.session.update(frame=7)
+        second.session.place_camera("bev")
+        second.session.wait_drawn()
+        wait_for(lambda: "frame=7" in page.evaluate("location.search"))
+        assert "Corruption" not in page.evaluate("document.body.innerText")
+        time.sleep(1.0)
+        assert first.state.frame == 0
+        np.testing.assert_allclose(first.client.camera.position, place, atol=1e-3)
+    wait_for(lambda: len(opened.app.sessions) == 1)
