@@ -425,17 +425,22 @@ def precision_recall_curves(rows: Sequence[Row]) -> Figure:
 
 
 def training_curves(epochs: Sequence[Mapping[str, str]], title: str = "") -> Figure:
-    """Draw the parts of the loss, average precision in validation and learning rate over the epochs.
+    """Draw the parts of the loss, average precision and learning rate over the epochs.
+
+    Precisions on validation frames are named `val/ap_...`; on training frames, where none are held out, `train/ap_...`.
 
     Args:
         epochs: rows of a training's `metrics.csv`; numbers may be empty or missing.
         title: of the figure.
     """
     names = list(dict.fromkeys(name for row in epochs for name in row))
-    parts = [name for name in names if name.startswith("train/") and name != "train/loss"]
+    precisions = [name for name in names if name.startswith(("val/ap_", "train/ap_"))]
+    others = ("train/loss", "train/heading", *precisions)
+    where = {name.partition("/")[0] for name in precisions}
+    on = "training frames" if where == {"train"} else "validation frames"
     shown_in = {
-        "Loss, each part with its weight": parts,
-        "Average precision in validation, %": [name for name in names if name.startswith("val/ap_")],
+        "Loss, each part with its weight": [n for n in names if n.startswith("train/") and n not in others],
+        f"Average precision on {on}, %": precisions,
         "Learning rate": ["lr"],
     }
     with figure_style():
@@ -444,8 +449,8 @@ def training_curves(epochs: Sequence[Mapping[str, str]], title: str = "") -> Fig
             scale = 100.0 if heading.endswith("%") else 1.0
             for name, style in styles_of(shown).items():
                 known = [(int(row["epoch"]) + 1, scale * float(row[name])) for row in epochs if row.get(name)]
-                label = name.removeprefix("train/").removeprefix("val/ap_").replace("_", " ")
-                label = f"IoU 0.{label[-2:-1]}, bird's eye" if name.startswith("val/ap_bev_") else label
+                label = name.partition("/")[2].replace("_", " ")
+                label = f"IoU 0.{label[-2:-1]}, bird's eye" if label.startswith("ap bev ") else label
                 panel.plot(*zip(*known, strict=True), label=label, **{**style.line(), "markersize": 4.0})
             panel.set(title=heading, xlabel="epoch")
             panel.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))

@@ -10,9 +10,10 @@ from torch import Tensor
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.training.recipes import Recipe
+from dsrc.training.validation import is_metric
 
-SCORE = ("val/ap_bev_50", "val/ap_bev_70")
-"""Metrics whose sum ranks the weights."""
+SCORE = ("ap_bev_50", "ap_bev_70")
+"""Metrics whose sum ranks the weights; only those of unseen frames decide anything."""
 
 
 class WeightSelection(pl.Callback):
@@ -75,8 +76,8 @@ class WeightSelection(pl.Callback):
 
     def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Keep the weights if they are the best so far, and swap the average out."""
-        metrics = {k: float(v) for k, v in trainer.callback_metrics.items() if k.startswith("val/")}
-        score = sum(metrics[name] for name in SCORE)
+        metrics = {name: float(value) for name, value in trainer.callback_metrics.items() if is_metric(name)}
+        score = sum(value for name, value in metrics.items() if name.rpartition("/")[2] in SCORE)
         better = score > self._highest
         self._highest, self._waited = max(score, self._highest), 0 if better else self._waited + 1
         if better or self.recipe.keep == "last":

@@ -132,6 +132,7 @@ class DetectionData(pl.LightningDataModule):
             held_out = exact.frames
         self.training = TrainingSet(wide, frames, recipe, seed)
         self.validation = ValidationSet(exact, _evenly(held_out or exact.frames, recipe.validation_frames))
+        # Else validation frames are training frames, and whoever shows their metrics says so.
         self.validates_on_unseen = validation_drives is not None or len(frames) < len(wide.frames)
 
     def train_dataloader(self) -> DataLoader:

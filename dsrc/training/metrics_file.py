@@ -11,6 +11,7 @@ import lightning.pytorch as pl
 import msgspec
 
 from dsrc.evaluation.plots import png_bytes, training_curves
+from dsrc.training.validation import is_metric
 from sim.files import write_file
 
 LOG = logging.getLogger(__name__)
@@ -52,9 +53,9 @@ class MetricsFile(pl.Callback):
         values["seconds"] = f"{time.monotonic() - self._started:.1f}"
         values["lr"] = f"{trainer.optimizers[0].param_groups[0]['lr']:.3e}"
         for name, value in sorted(trainer.callback_metrics.items()):
-            if name.startswith("val/") and not _validated(trainer):
+            if is_metric(name) and not _validated(trainer):
                 continue
-            if name.startswith("val/") or name.endswith("_epoch"):
+            if is_metric(name) or name.endswith("_epoch"):
                 values[name.removesuffix("_epoch")] = f"{float(value):.5g}"
         if not trainer.is_global_zero:
             return

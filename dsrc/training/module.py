@@ -16,7 +16,7 @@ from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.reconstruction import Reconstruction, reconstruction_losses
 from dsrc.training.losses import consistency_loss, detection_loss, direction_loss, distillation_losses
 from dsrc.training.recipes import Recipe
-from dsrc.training.validation import detections_of, metrics_of
+from dsrc.training.validation import detections_of, frames_named, metrics_of, prefixed
 from sim.errors import UserError
 
 
@@ -27,7 +27,15 @@ class TrainingAlarm(UserError):
 class DetectionModule(pl.LightningModule):
     """Training of a teacher, a plain student, or a student with distillation and reconstruction."""
 
-    def __init__(self, recipe: Recipe, detector: Detector, teacher: Detector | None = None, seed: int = 0) -> None:
+    def __init__(
+        self,
+        recipe: Recipe,
+        detector: Detector,
+        teacher: Detector | None = None,
+        seed: int = 0,
+        *,
+        validates_on_unseen: bool = True,
+    ) -> None:
         """Set up the networks.
 
         Args:
@@ -35,9 +43,10 @@ class DetectionModule(pl.LightningModule):
             detector: trained network; its settings choose the losses.
             teacher: frozen teacher of a detector that distils.
             seed: seed of draws within the network: dropout, and the cells that Where2comm sends.
+            validates_on_unseen: validation frames are not trained on; else their metrics are called `train/...`.
         """
         super().__init__()
-        self.recipe, self.detector, self.seed = recipe, detector, seed
+        self.recipe, self.detector, self.seed, self.unseen = recipe, detector, seed, validates_on_unseen
         settings = detector.settings
         self.reconstruction = Reconstruction(settings) if settings.rec and settings.role == "student" else None
         # In a tuple the teacher is not a submodule: it is neither saved with the student nor trained.
@@ -132,16 +141,17 @@ class DetectionModule(pl.LightningModule):
         Raises:
             TrainingAlarm: they were 0 in `alarm_after` validations in a row.
         """
-        ap = metrics_of(self._all_results())
+        ap = metrics_of(self._all_results(), self.unseen)
         self._results.clear()
         self.log_dict({name: 0.0 if math.isnan(value) else value for name, value in ap.items()})
-        if self.trainer.sanity_checking or math.isnan(ap["val/ap_bev_50"]):
+        if self.trainer.sanity_checking or math.isnan(ap[prefixed("ap_bev_50", self.unseen)]):
             return
-        self._zeros_in_a_row = self._zeros_in_a_row + 1 if ap["val/ap_bev_30"] == 0 else 0
+        self._zeros_in_a_row = self._zeros_in_a_row + 1 if ap[prefixed("ap_bev_30", self.unseen)] == 0 else 0
         if self._zeros_in_a_row >= self.recipe.alarm_after:
             raise TrainingAlarm(
-                f"training: AP@0.3: expected more than 0 by epoch {self.current_epoch}, found 0 in "
-                f"{self._zeros_in_a_row} validations in a row; look at the labels' frame and the learning rate"
+                f"training: AP@0.3 on {frames_named(self.unseen)}: expected more than 0 by epoch {self.current_epoch}, "
+                f"found 0 in {self._zeros_in_a_row} validations in a row; look at the labels' frame and the learning "
+                "rate"
             )
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:

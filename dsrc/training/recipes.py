@@ -86,7 +86,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         clip: largest gradient norm; 0 does not clip.
         comm_range_m: communication range of the ego, m.
         validate_every: epochs between validations; the last epoch always has one.
-        validation_share: without a validation set, this last part of each drive is held out.
+        validation_share: without a validation set, this last part of each drive is held out; with 0, the metrics are
+            those on training frames, and called so.
         validation_frames: maximum number of validation frames, evenly spread.
         patience: validations in a row without a better AP@0.5 + AP@0.7 that end the training; None never ends it early.
         keep: resulting weights: the `last`, or the `best` by AP@0.5 + AP@0.7 of the validations.

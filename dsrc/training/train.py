@@ -37,6 +37,7 @@ from dsrc.training.validation import validate as validate_detector
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.files import check_folder, file_sha256
 
+LOG = logging.getLogger(__name__)
 logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 
 
@@ -109,7 +110,8 @@ def train(
 
     * `settings.json`: recipe, seed, versions, hashes of the data, of the teacher and of the start,
     * `environment.json`: the machine and its libraries, one more entry for each start on another,
-    * `metrics.csv`: one row per epoch, and `curves.png`, its plot; `tensorboard/` where that is installed,
+    * `metrics.csv`: one row per epoch, and `curves.png`, its plot; `tensorboard/` where that is installed. Average
+      precisions are called `val/...` on validation frames, `train/...` where none are held out,
     * `checkpoints/last.ckpt` to resume from and, where a recipe keeps the best weights, `checkpoints/best.pt`,
     * `detector.pt` for use, and `result.json`: its hash and average precision, which `dsrc model verify` compares.
 
@@ -155,7 +157,8 @@ def train(
 
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        module = DetectionModule(recipe, Detector(settings), taught_by, seed)
+        detector = Detector(settings)
+        module = DetectionModule(recipe, detector, taught_by, seed, validates_on_unseen=loaders.validates_on_unseen)
     record = {
         **provenance({"recipe": msgspec.to_builtins(recipe), "stage": stage}, seed, drives),
         "validation": None if validation is None else hashes(validation),
@@ -171,6 +174,8 @@ def train(
             folder.note_environment(processes.count)
         return folder.detector
 
+    if not loaders.validates_on_unseen and leads():
+        LOG.warning("%s: no frame is held out: average precisions are those on training frames, train/ap_...", out)
     selection = WeightSelection(recipe, folder.best)
     with _without_advice():
         trainer = _trainer(recipe, folder, processes, [selection, *callbacks])
@@ -202,7 +207,7 @@ def _finish(
         meta = {**record, "epoch": selection.epoch, "metrics": selection.metrics}
         save_detector(folder.detector, trained, meta, half=half)
     detector = load_detector(folder.detector, best_device())
-    metrics = validate_detector(detector, loaders.validation_batches())
+    metrics = validate_detector(detector, loaders.validation_batches(), loaders.validates_on_unseen)
     sha256 = file_sha256(folder.detector)
     write_json(folder.result, {"detector": sha256, "epoch": selection.epoch, "metrics": metrics})
 

@@ -1,4 +1,8 @@
-"""Validation metrics: average precision and heading accuracy, of a network in training and of its detector file."""
+"""Metrics of a network in training and of its detector file: average precision and heading accuracy.
+
+They are called `val/...` on frames that are not trained on, and `train/...` where nothing is held out, as by the recipe
+that overfits: there they say that a network learns, and nothing of what it does elsewhere.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -11,6 +15,22 @@ from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import Batch
 
 THRESHOLDS = (0.3, 0.5, 0.7)
+_METRICS = (*(f"ap_bev_{round(100 * t)}" for t in THRESHOLDS), "heading")
+
+
+def prefixed(name: str, unseen: bool) -> str:
+    """Return the name in logs of a metric on frames that are held out (`unseen`), or else trained on."""
+    return f"{'val' if unseen else 'train'}/{name}"
+
+
+def is_metric(name: str) -> bool:
+    """Return whether a name in logs is a metric's, on either kind of frames, and not a loss's."""
+    return name.removeprefix("val/").removeprefix("train/") in _METRICS
+
+
+def frames_named(unseen: bool) -> str:
+    """Return what the frames of the metrics are called in messages."""
+    return "validation frames" if unseen else "training frames"
 
 
 def best_device() -> str:
@@ -30,19 +50,23 @@ def detections_of(detector: Detector, batch: Batch) -> list[FrameResult]:
     return [FrameResult(f, truth) for f, truth in zip(found, batch.boxes, strict=True)]
 
 
-def metrics_of(results: Sequence[FrameResult]) -> dict[str, float]:
+def metrics_of(results: Sequence[FrameResult], unseen: bool) -> dict[str, float]:
     """Return the average precisions by their names in logs, and the share of correct headings.
 
     NaN without ground truth, or without headings.
+
+    Args:
+        results: of the frames.
+        unseen: the frames are not trained on.
     """
     curves = evaluate(results, thresholds=THRESHOLDS).curves
-    precision = {f"val/ap_bev_{round(100 * t)}": float(curves["bev", t].ap) for t in THRESHOLDS}
-    return {**precision, "val/heading": heading_share(results)}
+    values = (*(float(curves["bev", t].ap) for t in THRESHOLDS), heading_share(results))
+    return {prefixed(name, unseen): value for name, value in zip(_METRICS, values, strict=True)}
 
 
 @torch.inference_mode()
-def validate(detector: Detector, batches: Iterable[Batch]) -> dict[str, float]:
-    """Return the metrics of a detector over batches; 0 without ground truth, as in a training."""
+def validate(detector: Detector, batches: Iterable[Batch], unseen: bool) -> dict[str, float]:
+    """Return the metrics of a detector over batches, see `metrics_of`; 0 without ground truth, as in a training."""
     device = detector.cls_head.weight.device
     results = [result for batch in batches for result in detections_of(detector.eval(), batch.to(device))]
-    return {name: 0.0 if math.isnan(value) else value for name, value in metrics_of(results).items()}
+    return {name: 0.0 if math.isnan(value) else value for name, value in metrics_of(results, unseen).items()}

@@ -14,7 +14,7 @@ from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.recipes import Recipe, Stage
 from dsrc.training.run_folder import DETECTOR, RESULT, SETTINGS
-from dsrc.training.validation import best_device, validate
+from dsrc.training.validation import best_device, frames_named, validate
 from sim.errors import CheckpointError, DataError, complaint
 from sim.files import file_sha256
 
@@ -96,6 +96,8 @@ def verify(
 ) -> list[Comparison]:
     """Evaluate a run's detector on its validation frames again and compare everything with the record.
 
+    Without validation drives and a hold-out these are training frames, and the comparison says so.
+
     Compared are the hash and the settings of the detector file, the hashes of the data, package versions, teacher,
     start and epoch if recorded, and the average precisions within `AP_TOLERANCE`.
 
@@ -135,11 +137,14 @@ def verify(
         *_fields("version", record.versions, versions()),
     ]
     batches = loaders.validation_batches()
-    found = validate(detector, _counted(batches, len(batches), progress))
-    for name in {**found, **result.metrics}:
-        recorded, now = result.metrics.get(name), found.get(name)
+    unseen = loaders.validates_on_unseen
+    found = _bare(validate(detector, _counted(batches, len(batches), progress), unseen))
+    before = _bare(result.metrics)
+    for name in {**found, **before}:
+        recorded, now = before.get(name), found.get(name)
         agrees = recorded is not None and now is not None and _near(recorded, now)
-        checks.append(Comparison(name.removeprefix("val/"), _rounded(recorded), _rounded(now), agrees))
+        where = f"{name} on {frames_named(unseen)}"
+        checks.append(Comparison(where, _rounded(recorded), _rounded(now), agrees))
     return checks
 
 
@@ -185,6 +190,11 @@ def _plain(settings: object) -> dict[str, Any]:
     """Return settings as JSON types."""
     plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(settings))
     return plain
+
+
+def _bare(metrics: dict[str, float]) -> dict[str, float]:
+    """Return metrics by name alone: a run's frames follow from its record, not from how it called them."""
+    return {name.rpartition("/")[2]: value for name, value in metrics.items()}
 
 
 def _near(a: float, b: float) -> bool:

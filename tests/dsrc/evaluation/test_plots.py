@@ -154,9 +154,15 @@ def test_a_training_is_drawn_with_gaps_where_it_was_not_validated():
         },
     ]
     losses, precisions, rates = training_curves(rows).axes
+    assert precisions.get_title(loc="left") == "Average precision on validation frames, %"
     assert [line.get_label() for line in losses.lines] == ["cls", "reg"]
     np.testing.assert_allclose(precisions.lines[0].get_xydata(), [[2, 60]])
     np.testing.assert_allclose(rates.lines[0].get_xydata(), [[1, 1e-4], [2, 2e-4]])
+    seen = [{name.replace("val/", "train/"): value for name, value in row.items()} for row in rows]
+    losses, precisions, _ = training_curves(seen).axes
+    assert precisions.get_title(loc="left") == "Average precision on training frames, %"
+    assert [line.get_label() for line in losses.lines] == ["cls", "reg"]
+    np.testing.assert_allclose(precisions.lines[0].get_xydata(), [[2, 60]])
     figure = training_curves(rows[:1], "a run")
     png_bytes(figure, dpi=40)
     for axes in figure.axes:

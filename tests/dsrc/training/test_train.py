@@ -53,7 +53,12 @@ def test_a_resumed_training_ends_with_the_same_weights(
     with (tmp_path / "cut/metrics.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["epoch"] for row in rows] == ["0", "1", "2", "3"]
-    assert [bool(row["val/ap_bev_50"]) for row in rows] == [False, True, False, True]
+    # Nothing is held out without a share: the precision is that on training frames, and nothing is called validation.
+    frames, others = ("val", "train") if recipe.validation_share else ("train", "val")
+    assert [bool(row[f"{frames}/ap_bev_50"]) for row in rows] == [False, True, False, True]
+    metrics = json.loads((tmp_path / "cut/result.json").read_text())["metrics"]
+    assert {name for name in [*rows[0], *metrics] if name.startswith((f"{others}/ap", f"{others}/head"))} == set()
+    assert len([name for name in metrics if name.startswith(f"{frames}/")]) == len(metrics) == 4
     for name in ("settings.json", "environment.json", "result.json", "curves.png"):
         assert (tmp_path / "cut" / name).exists(), name
     assert list((tmp_path / "cut/tensorboard").glob("events*"))
@@ -218,7 +223,7 @@ def test_an_ap_that_stays_zero_stops_the_training(data: Path, tmp_path: Path) ->
     from dsrc.training.module import TrainingAlarm
 
     recipe = tiny(learning_rate=1e-9, alarm_after=2)
-    with pytest.raises(TrainingAlarm, match="found 0 in 2 validations"):
+    with pytest.raises(TrainingAlarm, match="AP@0.3 on training frames: .* found 0 in 2 validations"):
         train(recipe, data, tmp_path, "plain")
 
 
