@@ -57,6 +57,13 @@ VIRIDIS = _ramp(_VIRIDIS)
 TURBO = _ramp(_TURBO)
 
 
+def linear(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Linear light of (N, 3) sRGB colours, both 0 to 255: the viewer takes the colours of instances as linear."""
+    encoded = np.asarray(rgb, np.float64) / 255.0
+    light = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    return np.round(255.0 * light).astype(np.uint8)
+
+
 def agent_color(row: int) -> Rgb:
     """Colour of the agent in a row of its frame."""
     return AGENT_COLORS[row % len(AGENT_COLORS)]

@@ -24,7 +24,7 @@ class Command:
     @property
     def key_text(self) -> str:
         """Displayed key."""
-        return f"{'Shift-' if self.shift else ''}{self.key.capitalize()}"
+        return f"{'Shift-' if self.shift else ''}{self.key.replace('page', 'page ').capitalize()}"
 
 
 def next_error(page: Page, direction: int) -> None:

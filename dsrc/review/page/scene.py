@@ -272,6 +272,7 @@ class SceneWriter:
             if node is not None:
                 node.visible = False
             return
+        colors = palette.linear(colors)
         wxyz, position, size = (np.asarray(part, np.float32) for part in pose)
         if node is None:
             self._nodes[name] = self.scene.add_batched_meshes_simple(

@@ -44,6 +44,7 @@ class Opened:
 
     def place_of(self, script):
         """Middle of an element on the screen, px."""
+        self.page.evaluate(f"({script}).scrollIntoView({{block:'center'}})")
         box = self.page.evaluate(
             f"(()=>{{const r=({script}).getBoundingClientRect();return [r.x+r.width/2,r.y+r.height/2]}})()"
         )
@@ -104,14 +105,14 @@ def test_colours_are_shown_as_they_are_named_and_the_threshold_takes_detections_
 
 def test_an_agents_body_and_its_points_have_one_colour(opened):
     session = opened.session
-    session.update(layers_off=frozenset({"truth", "detections", "labels", "world"}), hidden=frozenset({1000, 1002, -1}))
+    session.update(
+        layers_off=frozenset({"truth", "detections", "labels", "world", "links"}), hidden=frozenset({1000, 1002, -1})
+    )
     session.place_camera("bev")
     session.wait_drawn()
     bodies = opened.image()
-    from collections import Counter
-    print(Counter(map(tuple, bodies.reshape(-1, 3).tolist())).most_common(14))
     for row in (0, 1):
-        assert shown(bodies, palette.AGENT_COLORS[row], 6) > 10, f"roof of agent {row}"
+        assert shown(bodies, palette.AGENT_COLORS[row], 8) > 10, f"roof of agent {row}"
 
 
 def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened):
