@@ -20,7 +20,8 @@ from tests.dsrc.data.toy import toy_frame
 
 
 @pytest.mark.parametrize(
-    "name", ["lidar", "corruptions", "generate", "inference", "evaluation", "reading", "training", "closed_loop"]
+    "name",
+    ["lidar", "corruptions", "generate", "inference", "evaluation", "reading", "training", "closed_loop", "review"],
 )
 def test_benchmark_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as stop:

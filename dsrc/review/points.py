@@ -33,7 +33,9 @@ def subsample(sweep: Sweep, max_points: int) -> NDArray[np.intp]:
     others = in_kept_rings if len(in_kept_rings) >= budget else others
     if len(others) > budget:
         others = others[_strided(np.maximum(far[others], 1.0), budget)]
-    return np.sort(np.concatenate([actors, others]))
+    chosen = np.zeros(len(sweep), bool)
+    chosen[actors] = chosen[others] = True
+    return np.flatnonzero(chosen)
 
 
 def _strided(far: NDArray[np.floating], budget: int) -> NDArray[np.intp]:

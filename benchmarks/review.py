@@ -1,0 +1,249 @@
+"""The review's model without a browser: a step, the index of errors, the threshold over a run, memory.
+
+A drive of five agents with 85,000 points each, of which 60,000 are shown, lies on the disk and is stepped through;
+frames that were seen are no longer kept when their turn comes again. A run of 200 frames has 60 detections and 40
+objects in each, of three methods: right ones off by some decimetres, some twice, some missed, some of nothing.
+
+Figures are medians of the CPU time of one thread, which other processes disturb least; `..._wall` of the wall time.
+
+    python -m benchmarks.review            # about a minute
+    python -m benchmarks.review --quick    # fewer steps, under half a minute
+"""
+
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from dsrc.data.drives import open_drive
+from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame
+from dsrc.ops.detections import Detections
+from dsrc.review.errors.changes import changes
+from dsrc.review.errors.filters import ErrorFilter, Span
+from dsrc.review.errors.index import ErrorIndex, worst_frames
+from dsrc.review.errors.judged import JudgedRun
+from dsrc.review.frames import KEPT
+from dsrc.review.model import ReviewModel
+from dsrc.review.sources.base import MemorySet, Setup
+from dsrc.review.sources.drives import DriveSource
+from dsrc.review.state import ReviewState
+from sensors.frame import AgentFrame, Frame, count_points
+from sensors.sweep import STATIC, Sweep, make_sweep
+from sim.boxes import Boxes
+from sim.geometry import invert, pose_matrix, transform_points
+
+METHODS = ("A", "B", "C")
+FRAMES, BOXES, OBJECTS = 200, 60, 40
+AGENTS, POINTS, SHOWN_POINTS = 5, 85_000, 60_000
+GOALS = {"step_ms": 50.0, "threshold_ms": 100.0, "index_s": 1.0}
+"""The most that a figure may be."""
+
+
+def draw_truth(rng: np.random.Generator) -> Boxes:
+    """Objects in the lanes of a street, the agents first."""
+    spots = rng.permutation(24 * 8)[:OBJECTS]
+    xy = np.stack([(spots % 24 - 12) * 8.0, (spots // 24 - 4) * 3.6], axis=1)
+    size = np.array([[4.5, 1.8, 1.5], [5.9, 2.0, 2.6], [7.4, 2.4, 3.2]])[rng.choice(3, OBJECTS, p=[0.8, 0.15, 0.05])]
+    yaw = rng.choice([0.0, np.pi], OBJECTS)
+    return Boxes.from_array(np.column_stack([xy, 0.5 * size[:, 2], size, yaw]), object_id=1000 + np.arange(OBJECTS))
+
+
+def draw_table(rng: np.random.Generator, row: int, truth: Boxes) -> DetectionTable:
+    """Draw the detections of one frame: most objects, off a little, and boxes of nothing."""
+    right = truth.array[rng.random(len(truth)) < 0.85]
+    again = right[rng.random(len(right)) < 0.2]
+    found = np.concatenate([right, again])
+    found[:, :2] += rng.normal(0.0, 0.25, (len(found), 2))
+    found[:, 6] += rng.normal(0.0, 0.05, len(found))
+    ghosts = np.column_stack(
+        [rng.uniform(-90, 90, (BOXES, 1)), rng.uniform(-35, 35, (BOXES, 1)), np.ones(BOXES), np.full((BOXES, 3), 2.5)]
+    )
+    boxes = np.concatenate([found, np.column_stack([ghosts, rng.uniform(-3, 3, BOXES)])])[:BOXES]
+    score = rng.random(BOXES).astype(np.float32)
+    ego = rng.integers(0, 50, len(truth))
+    points = np.stack([ego, ego + rng.integers(0, 90, len(truth)), ego // 2, ego], axis=1)
+    return one_frame(row, row, int(truth.object_id[0]), Detections(Boxes.from_array(boxes), score), truth, points)
+
+
+def draw_run(seed: int, frames: int) -> DetectionTable:
+    """Draw a run; seeds share the objects."""
+    tables = []
+    for row in range(frames):
+        truth = draw_truth(np.random.default_rng([7, row]))
+        tables.append(draw_table(np.random.default_rng([seed, row]), row, truth))
+    return join_tables(tables)
+
+
+def draw_frame(index: int) -> Frame:
+    """Draw a frame of agents on a street, each with points on the road and on the objects."""
+    rng = np.random.default_rng([11, index])
+    truth = draw_truth(rng)
+    agents = [_agent(rng, index, truth, row) for row in range(AGENTS)]
+    points_on = np.stack([count_points(agent.sweep, truth.object_id) for agent in agents])
+    return Frame(index, 0.1 * index, tuple(agents), truth, np.zeros((len(truth), 2)), points_on)
+
+
+def _agent(rng: np.random.Generator, index: int, truth: Boxes, row: int) -> AgentFrame:
+    foot = truth.center[row] - [0.0, 0.0, 0.5 * truth.size[row, 2]]
+    body = np.asarray(pose_matrix(foot, truth.yaw[row]), np.float64)
+    return AgentFrame(
+        int(truth.object_id[row]), "vehicle", body, 8.0, _sweep(rng, truth, row, body @ pose_matrix([0, 0, 1.9]), index)
+    )
+
+
+def _sweep(
+    rng: np.random.Generator, truth: Boxes, own: int, world_from_lidar: NDArray[np.float64], index: int
+) -> Sweep:
+    others = np.delete(np.arange(len(truth)), own)
+    on = rng.choice(others, POINTS // 4)
+    local = (rng.random((len(on), 3)) - 0.5) * truth.size[on]
+    turn = np.stack([np.cos(truth.yaw[on]), np.sin(truth.yaw[on])], axis=1)
+    across = np.stack([-turn[:, 1], turn[:, 0]], axis=1)
+    objects = truth.center[on] + np.column_stack([turn * local[:, :1] + across * local[:, 1:2], local[:, 2]])
+    radius, angle = rng.uniform(3.0, 90.0, POINTS - len(on)), rng.uniform(0.0, 2.0 * np.pi, POINTS - len(on))
+    road = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(len(radius))], axis=1)
+    world = np.concatenate([objects, road + np.append(world_from_lidar[:2, 3], 0.0)])
+    return make_sweep(
+        np.asarray(transform_points(invert(world_from_lidar), world)),
+        world_from_lidar,
+        0.1 * index,
+        intensity=rng.random(POINTS),
+        ring=np.arange(POINTS) % 64,
+        object_id=np.concatenate([truth.object_id[on], np.full(len(road), STATIC)]),
+    )
+
+
+def make_model(folder: Path, frames: int) -> ReviewModel:
+    """Write a drive and open it with the detections of all methods."""
+    drive = folder / "drive"
+    sets = {name: MemorySet(name) for name in METHODS}
+    for index in range(frames):
+        frame = draw_frame(index)
+        write_frame(drive, frame)
+        inverse = invert(frame.agents[0].sweep.world_from_lidar)
+        for seed, name in enumerate(METHODS):
+            seen = frame.truth.transform(inverse)
+            sets[name].put(index, draw_table(np.random.default_rng([seed, index]), index, seen))
+    source = DriveSource(open_drive(drive))
+    source.sets.update(sets)
+    return ReviewModel([source])
+
+
+def seconds_of(run: Callable[[int], object], times: int) -> tuple[float, float]:
+    """Median CPU and wall seconds of several calls, which get their number."""
+    taken = []
+    for number in range(times):
+        wall, cpu = time.perf_counter(), time.process_time()
+        run(number)
+        taken.append((time.process_time() - cpu, time.perf_counter() - wall))
+    busy, passed = np.median(taken, axis=0).tolist()
+    return busy, passed
+
+
+def in_ms(name: str, seconds: tuple[float, float]) -> dict[str, float]:
+    """Figures of CPU and wall seconds, in ms."""
+    return {f"{name}_ms": round(1e3 * seconds[0], 1), f"{name}_ms_wall": round(1e3 * seconds[1], 1)}
+
+
+def resident_mb() -> float:
+    """Memory of this process, MB."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def step_figures(quick: bool) -> dict[str, float]:
+    """Milliseconds of a step with its frame on the disk and read ahead, and the memory that many steps leave, MB."""
+    frames, steps = KEPT + 6, 100 if quick else 1000
+    with tempfile.TemporaryDirectory() as folder:
+        model = make_model(Path(folder), frames)
+        states = [ReviewState(frame=row, methods=METHODS, max_points=SHOWN_POINTS) for row in range(frames)]
+        for state in states:
+            model.view(state)
+        before = resident_mb()
+        step = seconds_of(lambda number: model.view(states[number % frames]), steps)
+        grown = resident_mb() - before
+        ahead = []
+        for row in range(frames):
+            model.stores[0].recorded(row)
+            ahead.append(seconds_of(lambda _, row=row: model.view(states[row]), 1))  # type: ignore[misc]
+    busy, passed = np.median(ahead, axis=0).tolist()
+    return {
+        **in_ms("step", step),
+        **in_ms("step_ahead", (busy, passed)),
+        "growth_mb": round(grown, 1),
+        "steps": steps,
+    }
+
+
+def run_figures(quick: bool) -> dict[str, float]:
+    """Seconds of the index of three methods, and milliseconds of what follows the threshold, a filter, a comparison."""
+    tables = {name: draw_run(seed, FRAMES) for seed, name in enumerate(METHODS)}
+
+    def index() -> ErrorIndex:
+        made = ErrorIndex([JudgedRun(name, Setup(), table) for name, table in tables.items()])
+        made.errors(0.3, 0.5)
+        return made
+
+    known, times = index(), 5 if quick else 21
+    near = ErrorFilter(distance_m=Span(0.0, 30.0), classes=("car",))
+
+    def move(number: int, only: ErrorFilter | None = None) -> None:
+        threshold = 0.05 + 0.9 * number / times
+        errors = known.errors(threshold, 0.5, only)
+        known.counts(threshold, 0.5, only)
+        known.curves(0.5, only)
+        worst_frames(errors, known.runs["A"].table.position)
+
+    runs, seconds = list(known.runs.values()), seconds_of(lambda _: index(), times)
+    return {
+        "index_s": round(seconds[0], 3),
+        "index_s_wall": round(seconds[1], 3),
+        **in_ms("threshold", seconds_of(move, times)),
+        **in_ms("filter", seconds_of(lambda number: move(number, near), times)),
+        **in_ms("changes", seconds_of(lambda _: changes(runs[0], runs[1], 0.3, 0.5), times)),
+        "errors": len(known.errors(0.3, 0.5)),
+    }
+
+
+_WHAT = {
+    "step_ms": "a step: five clouds from the disk, thinned, coloured, matches of three methods",
+    "step_ahead_ms": "the same with the frame read ahead",
+    "index_s": f"index of the errors of {FRAMES} frames x {BOXES} boxes x {len(METHODS)} methods",
+    "threshold_ms": "another threshold over the run: errors, counts, curves, worst frames",
+    "filter_ms": "the same with a filter of distance and class",
+    "changes_ms": "what one method finds and another misses",
+    "growth_mb": "memory that the steps leave behind",
+}
+
+
+def main(quick: bool = False) -> None:
+    """Time the review without a browser: a table for people, then one line of JSON.
+
+    Args:
+        quick: fewer steps and repetitions.
+    """
+    figures = {**run_figures(quick), **step_figures(quick)}
+    table = Table(title=f"Review: {AGENTS} agents of {POINTS:,} points, {SHOWN_POINTS:,} shown")
+    for column in ("figure", "what", "measured", "goal"):
+        table.add_column(column, justify="left" if column in ("figure", "what") else "right")
+    for name, what in _WHAT.items():
+        goal = GOALS.get(name)
+        table.add_row(name, what, f"{figures[name]:g}", "" if goal is None else f"<= {goal:g}")
+    Console(width=120, highlight=False).print(table)
+    print(json.dumps({**figures, "cores": os.cpu_count()}))
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
