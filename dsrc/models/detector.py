@@ -71,14 +71,14 @@ class Detector(nn.Module):
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.settings = settings
-        decoder, shrink, momentum = settings.decoder_channels, settings.shrink_channels, settings.norm_momentum
+        widths, shrink, momentum = settings.decoder_widths, settings.shrink_channels, settings.norm_momentum
         self.encoder = PillarEncoder(settings)
         self.backbone = BACKBONES[settings.backbone_name](settings)
         self.fusion = FUSIONS[settings.fusion].from_settings(settings)
         self.by_stage = self.fusion.place == "stages"
-        self.decoder = Decoder(upsample(settings.stage_channels[k], decoder, 2**k, momentum) for k in range(3))
+        self.decoder = Decoder(upsample(settings.stage_channels[k], widths[k], 2**k, momentum) for k in range(3))
         self.shrink = double_conv(
-            3 * decoder,
+            sum(widths),
             shrink,
             stride=1 if self.by_stage else 2,
             norm_momentum=momentum if settings.shrink_norm else None,

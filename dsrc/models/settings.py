@@ -51,8 +51,10 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         stage_channels: widths of the three backbone stages, each at half the resolution of the one before.
         stage_blocks: residual blocks of the stages.
         base_width: width of a Res2Net split at 64 channels; the split is `channels * base_width // 64`.
-        decoder_channels: width of each scale after upsampling to half the grid's resolution.
+        decoder_channels: width of each scale after upsampling to half the grid's resolution, one for all or three.
         shrink_channels: width of the two 3 x 3 convolutions before the heads.
+        attention_channels: width of V2X-ViT's attentions, heads times channels of a head: one for all, or those over
+            agents and in windows of 4, 8 and 16 cells; None is that of the map.
         shrink_norm: batch norms in these two convolutions. The published networks have none; ours then lost nearly half
             of the channels, which were negative in every cell.
         norm_momentum: momentum of the batch norms of the encoder, the decoder and the shrink convolutions.
@@ -93,8 +95,9 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     stage_channels: tuple[Count, Count, Count] = (64, 128, 256)
     stage_blocks: tuple[Count, Count, Count] = (3, 5, 8)
     base_width: Count = 26
-    decoder_channels: Count = 128
+    decoder_channels: int | tuple[int, ...] = 128
     shrink_channels: Count = 256
+    attention_channels: int | tuple[int, ...] | None = None
     shrink_norm: bool = False
     norm_momentum: Share = 0.01
     direction: bool = False
@@ -134,7 +137,18 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(f"bits: expected 32 with compressed maps, found {self.bits}")
         if self.compress > min(*self.stage_channels, self.shrink_channels):
             raise ValueError(f"compress: expected no more than a map has channels, found {self.compress}")
-        if self.shrink_channels % 16 and self.fusion in ("v2xvit", "cobevt", "ermvp"):
+        for name, number in (("decoder_channels", 3), ("attention_channels", 4)):
+            # Not in the types: msgspec 0.22 reads beyond its memory in a union of bounded integers and fixed tuples.
+            widths = getattr(self, name)
+            listed = widths if isinstance(widths, tuple) else (1 if widths is None else widths,) * number
+            if len(listed) != number or min(listed) < 1:
+                raise ValueError(f"{name}: expected a width or {number}, at least 1 each, found {widths}")
+        if self.attention_channels is not None and self.fusion != "v2xvit":
+            raise ValueError(f"attention_channels: expected none with fusion {self.fusion}, found those of v2xvit")
+        if self.attention_channels is not None and any(width % 16 for width in self.attention_widths):
+            raise ValueError(f"attention_channels: expected multiples of 16 heads, found {self.attention_channels}")
+        one_width = self.fusion in ("cobevt", "ermvp") or (self.fusion == "v2xvit" and self.attention_channels is None)
+        if self.shrink_channels % 16 and one_width:
             raise ValueError(f"shrink_channels: expected a multiple of 16 heads, found {self.shrink_channels}")
         if self.rec and self.reconstruction_bins % 2:
             raise ValueError(f"grid: expected an even number of 0.4 m layers, found {self.reconstruction_bins}")
@@ -143,6 +157,19 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def backbone_name(self) -> Backbone:
         """Key of `BACKBONES`."""
         return self.backbone or ("resnet" if self.fusion == "coalign" else "res2net")
+
+    @property
+    def decoder_widths(self) -> tuple[int, int, int]:
+        """Widths of the three scales after upsampling."""
+        one = self.decoder_channels
+        first, second, third = (one, one, one) if isinstance(one, int) else one
+        return first, second, third
+
+    @property
+    def attention_widths(self) -> tuple[int, ...]:
+        """Four widths of V2X-ViT's attentions: over agents and in windows of 4, 8 and 16 cells."""
+        one = self.shrink_channels if self.attention_channels is None else self.attention_channels
+        return (one,) * 4 if isinstance(one, int) else one
 
     @property
     def point_features(self) -> int:

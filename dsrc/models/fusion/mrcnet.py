@@ -65,7 +65,7 @@ class MRCNetStyle(Fusion):
     @classmethod
     def from_settings(cls, settings: ModelSettings) -> Self:
         """Make the fusion of a detector with these settings."""
-        return cls(settings.stage_channels, settings.decoder_channels)
+        return cls(settings.stage_channels, max(settings.decoder_widths))
 
     def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
         """Fuse the scales."""

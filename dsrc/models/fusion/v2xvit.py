@@ -1,6 +1,7 @@
 """V2X-ViT: vision transformer with separate weights for vehicles and roadside units."""
 
 import math
+from collections.abc import Sequence
 from typing import Self
 
 import torch
@@ -44,6 +45,7 @@ class V2XViT(Fusion):
         windows: tuple[tuple[int, int], ...] = ((4, 16), (8, 8), (16, 4)),
         hidden: int | None = None,
         dropout: float = 0.3,
+        widths: tuple[int, ...] | None = None,
     ) -> None:
         """Make the blocks.
 
@@ -54,14 +56,17 @@ class V2XViT(Fusion):
             windows: side and heads of each size of windows.
             hidden: width of the feed-forward layers; None is that of the maps.
             dropout: dropout in training.
+            widths: heads times channels of a head, of the attention over agents and of each size of windows; None is
+                that of the maps.
         """
         super().__init__()
+        over_agents, *in_windows = widths or (channels,) * (1 + len(windows))
         self.delay = zeroed(nn.Linear(channels, channels))
         self.blocks = nn.ModuleList(
             nn.ModuleDict(
                 {
-                    "agents": AgentAttention(channels, heads, dropout),
-                    "windows": Residual(channels, MultiScaleWindows(channels, windows, dropout)),
+                    "agents": AgentAttention(channels, heads, dropout, over_agents),
+                    "windows": Residual(channels, MultiScaleWindows(channels, windows, dropout, in_windows)),
                     "feed": Residual(channels, FeedForward(channels, hidden or channels, dropout)),
                 }
             )
@@ -76,7 +81,7 @@ class V2XViT(Fusion):
     @classmethod
     def from_settings(cls, settings: ModelSettings) -> Self:
         """Make the fusion of a detector with these settings."""
-        return cls(settings.shrink_channels)
+        return cls(settings.shrink_channels, widths=settings.attention_widths)
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse the maps."""
@@ -124,16 +129,17 @@ class AgentAttention(nn.Module):
     Norm first, residual.
     """
 
-    def __init__(self, channels: int, heads: int, dropout: float, kinds: int = 2) -> None:
+    def __init__(self, channels: int, heads: int, dropout: float, width: int, kinds: int = 2) -> None:
         super().__init__()
-        width = channels // heads
-        self.heads, self.kinds, self.scale = heads, kinds, width**-0.5
+        each = width // heads
+        self.heads, self.kinds, self.scale = heads, kinds, each**-0.5
         self.norm = nn.LayerNorm(channels)
+        ends = (channels, width), (channels, width), (channels, width), (width, channels)
         self.query, self.key, self.value, self.out = (
-            nn.ModuleList(nn.Linear(channels, channels) for _ in range(kinds)) for _ in range(4)
+            nn.ModuleList(nn.Linear(*sizes) for _ in range(kinds)) for sizes in ends
         )
-        self.relation_score = nn.Parameter(torch.zeros(kinds**2, heads, width, width))
-        self.relation_message = nn.Parameter(torch.zeros(kinds**2, heads, width, width))
+        self.relation_score = nn.Parameter(torch.zeros(kinds**2, heads, each, each))
+        self.relation_message = nn.Parameter(torch.zeros(kinds**2, heads, each, each))
         nn.init.xavier_uniform_(self.relation_score)
         nn.init.xavier_uniform_(self.relation_message)
         self.dropout = nn.Dropout(dropout)
@@ -187,9 +193,14 @@ class AgentAttention(nn.Module):
 class MultiScaleWindows(nn.Module):
     """Multi-scale window attention per agent, joined by split attention: MSwin of V2X-ViT."""
 
-    def __init__(self, channels: int, windows: tuple[tuple[int, int], ...], dropout: float) -> None:
+    def __init__(
+        self, channels: int, windows: tuple[tuple[int, int], ...], dropout: float, widths: Sequence[int]
+    ) -> None:
         super().__init__()
-        self.branches = nn.ModuleList(WindowAttention(channels, size, heads, dropout) for size, heads in windows)
+        self.branches = nn.ModuleList(
+            WindowAttention(channels, size, heads, dropout, width)
+            for (size, heads), width in zip(windows, widths, strict=True)
+        )
         self.squeeze = nn.Linear(channels, channels, bias=False)
         self.norm = nn.LayerNorm(channels)
         self.split = nn.Linear(channels, channels * len(windows), bias=False)
@@ -208,12 +219,12 @@ class MultiScaleWindows(nn.Module):
 class WindowAttention(nn.Module):
     """Multi-head attention within windows of each agent's map; all heads share one bias table."""
 
-    def __init__(self, channels: int, window: int, heads: int, dropout: float) -> None:
+    def __init__(self, channels: int, window: int, heads: int, dropout: float, width: int) -> None:
         super().__init__()
         self.window, self.heads = window, heads
         self.place: Tensor
-        self.qkv = nn.Linear(channels, 3 * channels, bias=False)
-        self.out = nn.Linear(channels, channels)
+        self.qkv = nn.Linear(channels, 3 * width, bias=False)
+        self.out = nn.Linear(width, channels)
         self.dropout = nn.Dropout(dropout)
         self.bias = nn.Parameter(torch.randn(2 * window - 1, 2 * window - 1) * 0.02)
         place = torch.stack(torch.meshgrid(torch.arange(window), torch.arange(window), indexing="ij")).flatten(1)
@@ -235,5 +246,6 @@ class WindowAttention(nn.Module):
             seen = cut(valid[:1, ..., None], self.window)[:, None, None, :, 0]
             mask = mask.masked_fill(~seen, -torch.inf).repeat(agents, 1, 1, 1)
         found = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
-        whole = paste(found.transpose(1, 2).flatten(2), below, self.window).view(filled.shape)
+        joined = found.transpose(1, 2).flatten(2)
+        whole = paste(joined, (*below[:3], joined.shape[-1]), self.window).view(*filled.shape[:3], -1)
         return self.dropout(self.out(whole[:, :height, :width]))

@@ -12,7 +12,7 @@ from dsrc.models.fusion.ermvp import ERMVP, density_clusters
 from dsrc.models.fusion.max import MaxFusion
 from dsrc.models.fusion.mrcnet import _over_channels
 from dsrc.models.fusion.v2vnet import V2VNet
-from dsrc.models.fusion.v2xvit import V2XViT, delay_code
+from dsrc.models.fusion.v2xvit import AgentAttention, V2XViT, WindowAttention, delay_code
 from dsrc.models.fusion.warp import about_centre, in_cells, into_ego, normalised, shifted
 from dsrc.models.fusion.where2comm import Where2comm, gaussian
 from dsrc.models.layers.backbones import plain
@@ -251,6 +251,58 @@ def test_v2xvit_equals_the_reference() -> None:
     np.testing.assert_array_equal(seen.permute(1, 2, 0), arrays["inter/com_mask"][0, ..., :3])
     near(fusion.fuse(x, layout), arrays["out_delay_warp"], 2e-4)
     near(delay_code(torch.arange(8), x.shape[1]), arrays["state/encoder.rte.emb.emb.weight"][::2], 1e-6)
+
+
+def spread(weight: torch.Tensor, heads: int, dim: int) -> torch.Tensor:
+    """Give each head as many channels again, of zeros, along a dimension of heads times channels."""
+    parts = weight.unflatten(dim, (heads, -1))
+    return torch.cat([parts, torch.zeros_like(parts)], dim=dim + 1).flatten(dim, dim + 1)
+
+
+def test_heads_with_idle_channels_attend_as_those_without() -> None:
+    torch.manual_seed(0)
+    channels, heads = 16, 4
+    narrow, wide = (stirred(AgentAttention(channels, heads, 0.0, width)).eval() for width in (channels, 2 * channels))
+    state = narrow.state_dict()
+    twice = 2.0**0.5  # the scale is by the channels of a head
+    for kind in range(2):
+        for layer in ("query", "key", "value"):
+            factor = twice if layer == "query" else 1.0
+            for end in ("weight", "bias"):
+                state[f"{layer}.{kind}.{end}"] = factor * spread(state[f"{layer}.{kind}.{end}"], heads, 0)
+        state[f"out.{kind}.weight"] = spread(state[f"out.{kind}.weight"], heads, 1)
+    for name in ("relation_score", "relation_message"):
+        state[name] = nn.functional.pad(state[name], (0, 4, 0, 4))
+    wide.load_state_dict(state)
+    x, kind = torch.randn(3, 5, 6, channels), torch.tensor([0, 1, 0])
+    near(wide(x, kind, None, 3), narrow(x, kind, None, 3).detach().numpy(), 1e-5)
+
+    narrow, wide = (stirred(WindowAttention(channels, 4, heads, 0.0, width)).eval() for width in (16, 32))
+    state = narrow.state_dict()
+    query, key, value = (spread(part, heads, 0) for part in state["qkv.weight"].chunk(3))
+    state |= {"qkv.weight": torch.cat([twice * query, key, value]), "out.weight": spread(state["out.weight"], heads, 1)}
+    wide.load_state_dict(state)
+    near(wide(x), narrow(x).detach().numpy(), 1e-5)
+
+
+def test_v2xvit_takes_any_width_of_its_heads() -> None:
+    settings = ModelSettings(
+        fusion="v2xvit", shrink_channels=24, stage_channels=(16, 16, 16), attention_channels=(32, 16, 48, 64)
+    )
+    fusion = stirred(V2XViT.from_settings(settings))
+    assert [layer.weight.shape for layer in fusion.blocks[0]["agents"].query] == [(32, 24)] * 2
+    assert [b.qkv.weight.shape[0] for b in fusion.blocks[0]["windows"].inner.branches] == [48, 144, 192]
+    assert fusion.fuse(torch.randn(3, 24, 9, 11), AgentLayout((2, 1))).shape == (2, 24, 9, 11)
+    with pytest.raises(ValueError, match=r"attention_channels: expected multiples of 16 heads, found 24"):
+        ModelSettings(fusion="v2xvit", attention_channels=24)
+    with pytest.raises(
+        ValueError, match=r"attention_channels: expected a width or 4, at least 1 each, found \(16, 16\)"
+    ):
+        ModelSettings(fusion="v2xvit", attention_channels=(16, 16))
+    with pytest.raises(ValueError, match=r"decoder_channels: expected a width or 3, at least 1 each, found 0"):
+        ModelSettings(decoder_channels=0)
+    with pytest.raises(ValueError, match=r"attention_channels: expected none with fusion max, found those of v2xvit"):
+        ModelSettings(fusion="max", attention_channels=32)
 
 
 class Network(nn.Module):

@@ -9,7 +9,8 @@ import torch
 from dsrc.__main__ import main
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import pillars_of
-from dsrc.models.storage.checkpoint import load_detector
+from dsrc.models.storage.checkpoint import load_detector, save_detector
+from dsrc.models.storage.deploy import deployed
 from dsrc.models.storage.import_opencood import import_detector
 from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import RECIPES
@@ -98,3 +99,36 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
             import_detector(tmp_path / "garbage.pth", grid)
     with pytest.raises(CheckpointError, match="no such"):
         import_detector(tmp_path / "nothing.pth", grid)
+
+
+def test_decoder_widths_by_stage_are_imported(tmp_path: Path) -> None:
+    arrays, notes = golden("dsrc_base_small")
+    reference, widths = state(arrays), (24, 32, 40)
+    for k, width in enumerate(widths):
+        # One stage gets fewer channels than the golden has, one more; those left out or added are silent.
+        for name in ("0.weight", "1.weight", "1.bias", "1.running_mean", "1.running_var"):
+            tensor, along = reference[f"backbone.deblocks.{k}.{name}"], int(name == "0.weight")
+            kept = tensor.narrow(along, 0, min(width, tensor.shape[along]))
+            more = list(kept.shape)
+            more[along] = width - more[along]
+            filled = torch.ones(more) if name == "1.running_var" else torch.zeros(more)
+            reference[f"backbone.deblocks.{k}.{name}"] = torch.cat([kept, filled], along)
+    shrink = reference["shrink_conv.layers.0.double_conv.0.weight"]
+    parts = [part[:, :width] for part, width in zip(shrink.split(32, dim=1), widths, strict=True)]
+    parts = [torch.nn.functional.pad(p, (0, 0, 0, 0, 0, w - p.shape[1])) for p, w in zip(parts, widths, strict=True)]
+    reference["shrink_conv.layers.0.double_conv.0.weight"] = torch.cat(parts, dim=1)
+    detector = import_detector(written(tmp_path / "wide.pth", reference), grid_of(notes))
+    assert detector.settings.decoder_channels == widths
+    assert [up[0].weight.shape[1] for up in detector.decoder] == list(widths)
+    # The same network in ours with one width, where the channels that were cut are silent.
+    even = state(arrays)
+    for name in ("1.weight", "1.bias"):
+        even[f"backbone.deblocks.0.{name}"][24:] = 0.0
+    same = import_detector(written(tmp_path / "even.pth", even), grid_of(notes))
+    assert same.settings.decoder_channels == 32
+    pillars = pillars_of(clouds_of(arrays, grid_of(notes)), same.settings)
+    with torch.inference_mode():
+        for made in (detector, deployed(detector)):
+            torch.testing.assert_close(made(pillars, AgentLayout((3,))).cls, same(pillars, AgentLayout((3,))).cls)
+    save_detector(tmp_path / "detector.pt", detector, half=False)
+    assert load_detector(tmp_path / "detector.pt").settings == detector.settings
