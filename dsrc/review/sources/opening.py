@@ -1,5 +1,6 @@
 """Opening of sources: what a path holds, told at once where it is wrong."""
 
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -48,10 +49,15 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
 def _logs(folder: Path) -> list[Path]:
     """Episode logs in a folder or in the `episodes` of a campaign, sorted."""
     for place in (folder, folder / "episodes"):
-        found = sorted(place.glob("*.npz")) if place.is_dir() else []
+        found = [path for path in sorted(place.glob("*.npz")) if _is_log(path)]
         if found:
             return found
     return []
+
+
+def _is_log(path: Path) -> bool:
+    """Whether an npz says that it is an episode; a drive's traffic and world are npz too."""
+    return zipfile.is_zipfile(path) and "episode.npy" in zipfile.ZipFile(path).namelist()
 
 
 def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str]) -> None:

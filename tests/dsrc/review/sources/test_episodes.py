@@ -89,3 +89,10 @@ def test_logs_open_by_file_and_by_folder(log, tmp_path):
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(DataError, match=r"other\.npz: episode"):
         open_sources(tmp_path / "other.npz")
+
+
+def test_the_traffic_and_the_world_of_a_drive_are_no_episodes(tmp_path):
+    for name in ("traffic", "world"):
+        np.savez(tmp_path / f"{name}.npz", version=1)
+    with pytest.raises(DataError, match="drive"):
+        open_sources(tmp_path)
