@@ -33,6 +33,15 @@ def test_every_agent_has_every_frame_at_the_same_instant():
         assert {agent.sweep.time_s for agent in frame.agents} == {frame.time_s}
 
 
+def test_a_longer_drive_begins_with_the_same_traffic_and_may_have_another_ego():
+    gone_at = {1000: 6, 1002: 6}
+    short, long = (recording_of(frames=frames, seed=3, gone_at=gone_at) for frames in (3, 9))
+    for first, second in zip(short.steps[:3], long.steps[:3], strict=True):
+        assert np.array_equal(first.boxes.array, second.boxes.array)
+    assert short.vehicles != long.vehicles and set(long.vehicles) == {1001, 1003}
+    assert recording_of(frames=3, seed=3, gone_at=gone_at).vehicles == short.vehicles
+
+
 def test_truth_holds_actors_near_any_agent_and_the_agents_themselves():
     frame = recording_of().frame(0)
     assert frame.truth.object_id.tolist() == [1000, 1001, 1002, 1003]
