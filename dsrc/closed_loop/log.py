@@ -16,6 +16,7 @@ from dsrc.closed_loop.log_columns import ColumnReader, below, read_ticks, rounde
 from dsrc.closed_loop.types import Outcome, Tick
 from sim.contact import Contact
 from sim.packed import read_arrays, write_arrays
+from sim.reading import parsing
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.log import TrafficLog
@@ -128,6 +129,11 @@ class EpisodeLog:
         """
         path = Path(path)
         reader = ColumnReader(path, read_arrays(path, "episode log"))
+        with parsing(path, "episode log"):
+            return cls._of(reader)
+
+    @classmethod
+    def _of(cls, reader: ColumnReader) -> Self:
         version = reader.columns.get("episode", np.array(-1))
         if version.shape != () or version.dtype.kind not in "iu" or int(version) != VERSION:
             found = str(reader.columns.get("episode", "none"))

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rich.box import SIMPLE
 from rich.table import Table
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
@@ -36,21 +37,27 @@ _COLUMNS = ("episodes", "crashed", "stuck", "lost", "score", "progress")
 
 
 def summary_table(result: CampaignResult) -> Table:
-    """Return the table of a campaign for a terminal: a line per scenario, perception and condition.
+    """Return the table of a campaign for a terminal: a line per perception and condition, by scenario.
 
-    With episodes whose conflict actor a perception has no class for, a column counts them.
+    A star marks perceptions that have no class for a conflict actor.
     """
     several, blind = len(result.plan.scenarios) > 1, not all(one.detectable for one in result.results)
-    table = Table(title=result.plan.name)
-    for heading in (*(["scenario"] if several else []), "perception", "condition"):
-        table.add_column(heading, no_wrap=True)
-    for heading in (*_COLUMNS, *(["no class"] if blind else [])):
+    caption = "*: no class for the road user" if blind else None
+    table = Table(title=result.plan.name, caption=caption, box=SIMPLE, padding=0)
+    # Names of perceptions and conditions may wrap where the terminal is narrow, the rest may not.
+    scenarios = [one.scenario for one in result.results] if several else []
+    table.add_column("perception", min_width=max(map(len, scenarios), default=None))
+    table.add_column("condition")
+    for heading in _COLUMNS:
         table.add_column(heading, justify="right", no_wrap=True)
     for scenario in dict.fromkeys(one.scenario for one in result.results):
+        if several:
+            table.add_section()
+            table.add_row(f"[bold]{scenario}[/]")
         for perception, condition, group in _groups([r for r in result.results if r.scenario == scenario]):
             values = [value.partition(" [")[0] for value in _cells(group)]
-            unknown = [_unknown(group)] if blind else []
-            table.add_row(*([scenario] if several else []), perception, condition, *values, *unknown)
+            name = perception if all(one.detectable for one in group) else f"{perception} *"
+            table.add_row(name, condition, *values)
     return table
 
 
@@ -111,9 +118,11 @@ def _plots(result: CampaignResult) -> "dict[str, Figure]":
         figures["corruptions"] = deadly_corruptions(shown)
     if len(plan.severities) > 1:
         figures["severities"] = rate_over_severity(one_channel)
-    if len(plan.channels) > 1:
-        cost = {"delay, s": _delay_s, "lost packets": _loss}
-        figures["channels"] = cost_of_channel([one for one in every if one.corruption == CLEAN], cost)
+    clean = [one for one in every if one.corruption == CLEAN]
+    quantities = {"delay, s": _delay_s, "lost packets": _loss}
+    cost = {label: value for label, value in quantities.items() if len({value(one) for one in clean}) > 1}
+    if cost:
+        figures["channels"] = cost_of_channel(clean, cost)
     return figures
 
 
@@ -135,7 +144,9 @@ def markdown(result: CampaignResult, pictures: Sequence[str] = ()) -> str:
     common, apart = _parts(result)
     parts = [f"# {result.plan.name}", _conditions_part(result, common), _apart_part(result, apart)]
     parts += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})" for name in pictures]
-    parts += [_scenarios_part(common, apart), _differences_part(result.plan, common)]
+    first = result.plan.channels[0]
+    parts += [_scenarios_part([[one for one in part if one.channel == first] for part in (common, apart)])]
+    parts += [_differences_part(result.plan, common)]
     parts += [_robustness_part(result.plan, common), _worst_part(result)]
     if result.controls:
         fine = sum(one.outcome == Outcome.ARRIVED.value for one in result.controls)
@@ -199,8 +210,13 @@ def _conditions(result: CampaignResult, results: Sequence[EpisodeResult], blind:
     return "\n".join(lines)
 
 
-def _scenarios_part(common: Sequence[EpisodeResult], apart: Sequence[EpisodeResult]) -> str:
-    """Return the clean collision rates by scenario and perception, marked where it has no class."""
+def _scenarios_part(parts: Sequence[Sequence[EpisodeResult]]) -> str:
+    """Return the clean collision rates by scenario and perception, marked where it has no class.
+
+    Args:
+        parts: of one channel, the episodes for all perceptions and those that are apart.
+    """
+    common, apart = parts
     rows = []
     names = list(dict.fromkeys(one.perception for one in (*common, *apart)))
     for part, results in (("", common), ("apart", apart)):
@@ -210,16 +226,18 @@ def _scenarios_part(common: Sequence[EpisodeResult], apart: Sequence[EpisodeResu
             title = f"{scenario} ({group[0].road_user})" if part else scenario
             rows.append(_row(title, *(_crashes([one for one in group if one.perception == name]) for name in names)))
     lines = [_row("scenario", *names), _rule(len(names) + 1), *rows]
-    text = "Share of episodes with a crash." + (" *: no class for the road user." if apart else "")
+    text = "Share of episodes with a crash, through the first channel." + (
+        " *: no class for the road user." if apart else ""
+    )
     return f"## By scenario, clean\n\n{text}\n\n" + "\n".join(lines)
 
 
 def _crashes(group: Sequence[EpisodeResult]) -> str:
     """Return the collision rate of some episodes, and how many were stuck or lost."""
     met = counted(group)
-    stuck = sum(one.outcome == Outcome.STUCK.value for one in group)
-    text = _share(rate([collided(one) for one in met]))
-    text += f", {stuck} stuck, {len(group) - len(met)} lost" if stuck or len(met) < len(group) else ""
+    counts = {"stuck": sum(one.outcome == Outcome.STUCK.value for one in group), "lost": len(group) - len(met)}
+    rates = _share(rate([collided(one) for one in met]))
+    text = ", ".join([rates, *(f"{count} {what}" for what, count in counts.items() if count)])
     return text if all(one.detectable for one in group) else f"{text} *"
 
 

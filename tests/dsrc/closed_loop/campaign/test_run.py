@@ -1,6 +1,8 @@
 """Campaigns: cells that resume, failures that are rows, controls that guard them, plans that are checked."""
 
 import csv
+import dataclasses
+import io
 import json
 import os
 import signal
@@ -12,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from rich.console import Console
 
 from dsrc.closed_loop.campaign import run as runner
 from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec, campaign_of, episodes_of, key_of, read_campaign
@@ -188,7 +191,18 @@ def test_encounters_of_a_class_that_a_perception_has_not_are_kept_apart(tmp_path
     assert next(line for line in lines if line.startswith("| vehicles only")).endswith("| 1 |")
     (scenario,) = (line for line in lines if line.startswith("| ped_dartout (pedestrian)"))
     assert scenario.count("*") == 1
-    assert str(summary_table(result).columns[-1].header) == "no class"
+    names = [str(name) for name in summary_table(result).columns[0].cells]
+    assert names[1:4] == ["truth", "nothing", "vehicles only"] and names[5:] == ["truth", "nothing", "vehicles only *"]
+
+
+def test_a_narrow_terminal_shows_every_number(tmp_path: Path) -> None:
+    plan = replace(PLAN, perceptions=(PerceptionSpec(name="truth with a long name", uses="truth"),), clean_seeds=1)
+    result = run_campaign(plan, tmp_path)
+    result = dataclasses.replace(result, plan=replace(plan, scenarios=("ima_building", "ima_queue")))
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary_table(result))
+    text = console.export_text()
+    assert "…" not in text and all(column in text for column in ("episodes", "crashed", "stuck", "lost", "100 %"))
 
 
 def test_crashes_that_the_careful_driver_avoids_are_avoidable(tmp_path: Path) -> None:
