@@ -8,7 +8,7 @@ from tyro.conf import Positional, arg
 from dsrc.options.detection import Engine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, choice
 
-PERCEPTIONS = ("truth", "sight", "ego", "team", "MODULE:CLASS")
+PERCEPTIONS = ("truth", "sight", "ego", "team", "late", "MODULE:CLASS")
 
 
 class DriveOptions(msgspec.Struct, frozen=True):
