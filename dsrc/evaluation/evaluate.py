@@ -133,4 +133,5 @@ def _summary_entries(
         clean, trained = own[0]
         condition = replace(clean.case.condition, kind=row.condition)
         cells = tuple(key for entry, _ in own for key in entry.cells)
-        yield CaseResult(replace(clean.case, condition=condition), row, cells), trained
+        drives = tuple(path for entry, _ in own for path in entry.drives)
+        yield CaseResult(replace(clean.case, condition=condition), row, cells, drives), trained

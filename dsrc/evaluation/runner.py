@@ -78,7 +78,7 @@ class CaseResult:
     case: Case
     row: Row
     cells: tuple[str, ...]
-    drives: tuple[Path, ...] = field(default=(), compare=False)
+    drives: tuple[Path, ...] = field(compare=False)
     ranked: RankedDetections | None = field(default=None, compare=False, repr=False)
 
     @property

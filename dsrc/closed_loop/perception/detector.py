@@ -7,7 +7,7 @@ import numpy as np
 
 from dsrc.closed_loop.perception.senses import Faults, Senses
 from dsrc.closed_loop.types import Percept
-from dsrc.data.sample import Sample, SampleDetector, make_sample
+from dsrc.data.sample import Sample, SampleDetector, sample_for
 from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections
 from sensors.frame import Frame
@@ -58,8 +58,7 @@ class DetectorPerception:
     def sample(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> tuple[Sample, tuple[Link, ...]]:
         """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""
         frame, settings = self.senses.frame(before, now, claims), self.detector.settings
-        agents = getattr(settings, "max_agents", 5)
-        sample = make_sample(frame, self._ego_id, settings.grid, max_agents=agents, cooperative=self.cooperative)
+        sample = sample_for(settings, frame, self._ego_id, cooperative=self.cooperative)
         self._past.appendleft(frame)
         sample, links = self._receiver.receive(self._past, self.senses.index, sample, settings.grid)
         none = (Boxes.zeros(),) * len(sample.agent_ids)

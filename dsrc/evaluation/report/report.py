@@ -15,6 +15,7 @@ import msgspec
 from matplotlib.figure import Figure
 
 from dsrc.data.provenance import commit, versions
+from dsrc.data.sample import judged_range
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
 from dsrc.evaluation.plots import (
     Style,
@@ -163,7 +164,7 @@ def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, Tr
             channel=case.channel,
             swept=", ".join(f"{name} {getattr(case, name):g}" for name in _SWEPT[1:] if getattr(case, name)),
             detector=one.sha256,
-            range_m=one.settings.grid.range_m,
+            range_m=judged_range(one.settings),
             agents=min(limit for limit in limits if limit is not None),
             cells=tuple(map(tuple, cells)),
         )

@@ -4,9 +4,10 @@ import threading
 
 import numpy as np
 
-from dsrc.data.sample import SampleDetector, inside_range, make_sample
+from dsrc.data.sample import SampleDetector, inside, judged_range, sample_for
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, one_frame, points_left, points_table
+from dsrc.review.labs.parameters import TunedCondition, tuned_settings
 from dsrc.review.sources.base import MemorySet, Setup
 from sensors.corruptions import CLEAN, corrupt_frame, drive_seed, parse_who
 from sensors.frame import Frame
@@ -47,11 +48,9 @@ class ComputedSet(MemorySet):
             if known is not None:
                 return known
             settings = self.detector.settings
-            limit = getattr(settings, "max_agents", 5)
-            everyone = make_sample(corrupted, setup.ego_id, settings.grid, max_agents=limit)
-            sample = everyone
+            everyone = sample = sample_for(settings, corrupted, setup.ego_id)
             if not setup.cooperative:
-                sample = make_sample(corrupted, setup.ego_id, settings.grid, max_agents=limit, cooperative=False)
+                sample = sample_for(settings, corrupted, setup.ego_id, cooperative=False)
             found = self.detector.detect(sample)
             ego_id, objects = sample.agent_ids[0], sample.boxes.object_id
             share = clean.visible_fraction[[agent.agent_id for agent in clean.agents].index(ego_id)]
@@ -59,7 +58,7 @@ class ComputedSet(MemorySet):
                 row,
                 clean.index,
                 ego_id,
-                found[inside_range(found.boxes, settings.grid)],
+                found[inside(found.boxes, judged_range(settings))],
                 sample.boxes,
                 points_table(clean, points_left(clean, corrupted), everyone.agent_ids, objects),
                 share[np.searchsorted(clean.truth.object_id, objects)],
@@ -79,11 +78,14 @@ def corrupted_frame(frame: Frame, condition: Condition, seed: int, drive: str, e
         ego_id: agent that detects; None for the first vehicle.
 
     Raises:
-        SettingsError: the corruption is unknown.
+        SettingsError: the corruption, or one of its parameters, is unknown.
         DataError: a sweep lacks what the corruption needs.
     """
     if condition.kind == CLEAN:
         return frame
     who = parse_who(condition.who)
     own = drive_seed(seed, drive)
-    return corrupt_frame(frame, condition.kind, condition.severity, own, condition.family, ego_id=ego_id, who=who)
+    settings = tuned_settings(condition) if isinstance(condition, TunedCondition) else None
+    return corrupt_frame(
+        frame, condition.kind, condition.severity, own, condition.family, ego_id=ego_id, who=who, settings=settings
+    )

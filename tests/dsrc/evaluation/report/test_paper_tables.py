@@ -75,7 +75,7 @@ def outcome_of(methods: dict[str, int], **settings: object) -> BenchmarkResult:
         metrics |= {"ap_opencood_bev_50": metrics["ap_bev_50"] - 0.1, "ap_opencood_bev_70": 0.0}
         condition = case.condition
         row = Row(case.method, condition.kind, condition.severity, 10, 40, 35, metrics, 0.02, 1500.0, 0.0, 1.0)
-        entries.append(CaseResult(case, row, ("ab",)))
+        entries.append(CaseResult(case, row, ("ab",), (Path("drive"),)))
     return BenchmarkResult(plan, trained, {"made up": {"drive": "cd"}}, {"made up": (10,)}, entries, 0)
 
 
