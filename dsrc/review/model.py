@@ -224,8 +224,9 @@ class ReviewModel:
         """Agents as drawn; the same objects while their settings stay."""
         key = (state.drive, state.frame, self.setup(state), ego_id, state.hidden, state.color_by, state.max_points)
         rows = range(len(frame.agents))
+        recorded = self.stores[state.drive].recorded(state.frame) if state.color_by == "fate" else frame
         return self._agents.get(
-            key, lambda: tuple(agent_view(frame, row, state, ego_id, review_from_world) for row in rows)
+            key, lambda: tuple(agent_view(frame, row, state, ego_id, review_from_world, recorded) for row in rows)
         )
 
     def _with_detections(
@@ -313,7 +314,7 @@ class ReviewModel:
 
     def setup(self, state: ReviewState) -> Setup:
         """Setup of the detections under a state."""
-        condition = condition_of(state.corruption, state.severity, state.family)
+        condition = condition_of(state.corruption, state.severity, state.family, state.parameters)
         return Setup(condition, state.ego_id, state.cooperative)
 
     def index(self, state: ReviewState) -> ErrorIndex:

@@ -39,6 +39,8 @@ FATE_COLORS: dict[int, Rgb] = {
     SCATTERED: (190, 44, 168),
 }
 """Colours of points by `Sweep.fate`."""
+LOST: Rgb = (249, 253, 132)
+"""Colour of points that a corruption removed."""
 FATE_NAMES = {KEPT: "untouched", ATTENUATED: "dimmer", MOVED: "moved", SCATTERED: "made by the corruption"}
 """Names of the same."""
 

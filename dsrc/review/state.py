@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from dsrc.options.review import ColorBy
+from dsrc.review.labs.parameters import Changes
 from sensors.corruptions import Family
 
 Camera = Literal["chase", "bev", "free"]
@@ -30,6 +31,7 @@ class ReviewState:
         corruption: `clean` or a kind of `sensors.corruptions`.
         severity: 1 to 5.
         family: of the corruption's settings.
+        parameters: those of the corruption that differ from the severity's.
         threshold: least score of a shown detection.
         iou: least bird's-eye IoU of a true positive.
         color_by: quantity shown by the colour of a point.
@@ -52,6 +54,7 @@ class ReviewState:
     corruption: str = "clean"
     severity: int = 3
     family: Family = "physical"
+    parameters: Changes = ()
     threshold: float = 0.3
     iou: float = 0.5
     color_by: ColorBy = "agent"

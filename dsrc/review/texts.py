@@ -7,6 +7,7 @@ from dsrc.review import palette
 from dsrc.review.palette import Rgb
 from dsrc.review.view import OTHER_TRUTH, AgentView, DetectionDetails, FrameView, ObjectDetails
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
+from sensors.sweep import MOVED, SCATTERED
 
 _SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by a collaborator only", BY_NOBODY: "not seen"}
 
@@ -83,6 +84,7 @@ def legend(view: FrameView) -> str:
     agents = "".join(_legend_row(agent.rgb, _title(agent)) for agent in view.agents)
     if view.color_by == "fate":
         agents += "".join(_legend_row(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
+        agents += _legend_row(palette.LOST, "lost to the corruption")
     other = _legend_row(palette.OTHER, "object, not evaluated", True)
     if not view.labelled:
         return _box(agents + _legend_row(palette.TRUTH, "detection, not judged", True))
@@ -95,6 +97,17 @@ def legend(view: FrameView) -> str:
         (palette.TRUTH, "detected object"),
     )
     return _box(agents + "".join(_legend_row(rgb, text, True) for rgb, text in verdicts) + other)
+
+
+def fates_table(view: FrameView) -> str:
+    """Markdown table of what the corruption did to the points of each agent."""
+    rows = "\n".join(
+        f"| {agent.title} | {_thousands(agent.total)} | "
+        + " | ".join(_thousands(number) for number in (agent.fates[SCATTERED], agent.fates[MOVED], agent.lost))
+        + " |"
+        for agent in view.agents
+    )
+    return f"| | points | added | moved | lost |\n|:--|--:|--:|--:|--:|\n{rows}"
 
 
 def _title(agent: AgentView) -> str:

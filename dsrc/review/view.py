@@ -38,6 +38,8 @@ class AgentView:
         colors: (P, 3) uint8.
         total: points of the sweep before thinning.
         lost: points lost to a corruption.
+        fates: number of points of each `Sweep.fate` in the whole sweep.
+        lost_points: (L, 3) float32 the lost points that are drawn, in the sensor frame, m.
     """
 
     agent_id: int
@@ -51,6 +53,8 @@ class AgentView:
     colors: NDArray[np.uint8]
     total: int
     lost: int = 0
+    fates: tuple[int, ...] = (0, 0, 0, 0)
+    lost_points: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
     @property
     def title(self) -> str:

@@ -61,6 +61,7 @@ def corrupt_frame(
     *,
     ego_id: int | None = None,
     who: Who = EVERYONE,
+    settings: Any = None,
 ) -> Frame:
     """Corrupt the sweeps of the agents of a frame; ground truth and its point counts stay.
 
@@ -73,6 +74,7 @@ def corrupt_frame(
         ego_id: agent without errors of pose and clock, and the ego of `who`; None for the first vehicle in the order
             of the folders, else the first agent.
         who: agents whose sweeps are corrupted.
+        settings: of the corruption, in place of those of the severity; weather drifts about them.
 
     Raises:
         SettingsError: an unknown kind, severity or family, or `who` names nobody that the kind can corrupt.
@@ -84,7 +86,8 @@ def corrupt_frame(
     if kind == CLEAN:
         return frame
     corruption = CORRUPTIONS[kind]
-    settings = corruption.settings_of(family).severity(severity)
+    if settings is None:
+        settings = corruption.settings_of(family).severity(severity)
     if corruption.weather and family == "physical":
         settings = settings.scaled(strength(seed, kind, frame.time_s))
     shared = corruption.weather and corruption.in_frame is not None and family == "physical"

@@ -48,8 +48,10 @@ def next_error(page: Page, direction: int) -> None:
 
 def toggle_corruption(page: Page) -> None:
     """Switch between clean and the last corruption."""
-    kind = page.last_corruption or next(iter(CORRUPTIONS))
-    page.update(corruption=kind if page.state.corruption == CLEAN else CLEAN)
+    if page.state.corruption != CLEAN:
+        page.update(corruption=CLEAN)
+        return
+    page.update(corruption=page.last_corruption or next(iter(CORRUPTIONS)), parameters=page.last_parameters)
 
 
 def show_only_agent(page: Page, row: int | None) -> None:

@@ -7,6 +7,14 @@ from urllib.parse import parse_qsl, quote
 
 import numpy as np
 
+from dsrc.review.labs.parameters import (
+    Changes,
+    TunedCondition,
+    changed,
+    parameters_of,
+    parse_change,
+    tuned_settings,
+)
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import UP, CameraPose
 from dsrc.review.page.controls import CONTROLS, Choice, Control, Slider
@@ -75,6 +83,8 @@ def _text(model: ReviewModel, field: str, value: Any) -> str:
     if field == "drive":
         name = model.names[value]
         return name if model.names.count(name) == 1 and _PLAIN.fullmatch(name) else str(value)
+    if field == "parameters":
+        return ",".join(f"{name}:{number}" for name, number in value)
     if field == "methods":
         return _BETWEEN.join(quote(name, safe="") for name in value)
     if isinstance(value, frozenset):
@@ -94,6 +104,8 @@ def _value(control: Control, text: str, shown: Shown) -> Any:
         return shown.model.names.index(text)
     if control.field == "methods":
         return _methods(control, text, shown)
+    if control.field == "parameters":
+        return _parameters(text, shown.state)
     value = _parsed(control, text)
     widget = control.widget
     if isinstance(widget, Slider) and not widget.low <= value <= widget.upper(shown):
@@ -110,6 +122,16 @@ def _methods(control: Control, text: str, shown: Shown) -> tuple[str, ...]:
     if not set(names) <= set(known):
         raise SettingsError(complaint("link", control.link, ", ".join(known) or "none", text))
     return names
+
+
+def _parameters(text: str, state: ReviewState) -> Changes:
+    known = parameters_of(state.corruption, state.severity, state.family)
+    changes: Changes = ()
+    for part in text.split(","):
+        changes = changed(changes, *parse_change(part, known, "link"), known)
+    if changes:
+        tuned_settings(TunedCondition(state.corruption, state.severity, state.family, changes=changes))
+    return changes
 
 
 def _parsed(control: Control, text: str) -> Any:

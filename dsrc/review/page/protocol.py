@@ -8,6 +8,7 @@ import viser
 from numpy.typing import NDArray
 
 from dsrc.review.matching import Counts
+from dsrc.review.labs.parameters import Changes
 from dsrc.review.model import ReviewModel
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
@@ -37,6 +38,7 @@ class Page(Protocol):
         state: newest settings.
         view: last drawn frame, None before the first.
         last_corruption: last corruption other than `clean`, "" before the first.
+        last_parameters: its parameters that differed from those of the severity.
     """
 
     model: ReviewModel
@@ -44,6 +46,7 @@ class Page(Protocol):
     state: ReviewState
     view: FrameView | None
     last_corruption: str
+    last_parameters: Changes
 
     def update(self, **changes: Any) -> None:
         """Replace fields of the state and draw it."""

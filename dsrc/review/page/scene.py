@@ -167,6 +167,7 @@ class SceneWriter:
         lidar = self._frame(f"{name}/lidar")
         place_frame(lidar, agent.review_from_lidar)
         self._write_points(f"{name}/lidar/points", agent, view.point_size_m)
+        self._write_lost(f"{name}/lidar/lost", agent, view.point_size_m)
         if f"{name}/label" not in self._nodes:
             self._nodes[f"{name}/label"] = self.scene.add_label(
                 f"{self.root}/{name}/label",
@@ -195,6 +196,22 @@ class SceneWriter:
         node.points, node.colors = points, agent.colors
         node.point_size = point_size_m
         node.visible = agent.visible and len(points) > 0
+
+    def _write_lost(self, name: str, agent: AgentView, point_size_m: float) -> None:
+        """Draw what a corruption removed."""
+        if len(agent.lost_points) == 0:
+            if name in self._nodes:
+                self._nodes[name].visible = False
+            return
+        color = np.array(palette.LOST, np.uint8)
+        if name not in self._nodes:
+            self._nodes[name] = self.scene.add_point_cloud(
+                f"{self.root}/{name}", agent.lost_points, color, point_shape="circle", point_shading="flat"
+            )
+        node = self._nodes[name]
+        if self._drawn.get(name) is not agent:
+            node.points, self._drawn[name] = agent.lost_points, agent
+        node.point_size, node.visible = point_size_m, True
 
     def _write_bodies(self, view: FrameView) -> None:
         self._frame("bodies").visible = "bodies" not in view.layers_off

@@ -36,7 +36,8 @@ NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
 
 # A detection is known by its place in one list of scores.
-_LIST_OF_DETECTIONS = ("drive", "frame", "corruption", "severity", "family", "ego_id", "cooperative", "methods")
+_OF_CORRUPTION = ("corruption", "severity", "family")
+_LIST_OF_DETECTIONS = ("drive", "frame", *_OF_CORRUPTION, "parameters", "ego_id", "cooperative", "methods")
 
 
 def root_of(drive: int) -> str:
@@ -57,6 +58,7 @@ class Session:
         state: newest settings.
         view: last drawn frame, None before the first.
         last_corruption: last corruption other than `clean`, "" before the first.
+        last_parameters: its parameters that differed from those of the severity.
         link: query of the address that shows what is drawn.
     """
 
@@ -85,6 +87,7 @@ class Session:
         self.state = state
         self.view: FrameView | None = None
         self.last_corruption = "" if state.corruption == CLEAN else state.corruption
+        self.last_parameters = state.parameters
         self.link = ""
         self._using_model = using_model
         self._place_world = place_world
@@ -143,6 +146,10 @@ class Session:
                 kept = tuple(name for name in state.methods if name in self.model.methods(state.drive))
                 state = replace(state, frame=0, ego_id=None, hidden=frozenset(), object_id=None, camera="free")
                 state = replace(state, methods=kept)
+            if "parameters" not in changes and any(
+                getattr(state, name) != getattr(self.state, name) for name in _OF_CORRUPTION
+            ):
+                state = replace(state, parameters=())
             if "object_id" in changes and state.object_id is not None:
                 state = replace(state, detection=None)
             elif "detection" in changes and state.detection is not None:
@@ -152,7 +159,7 @@ class Session:
             if state == self.state:
                 return
             if state.corruption != CLEAN:
-                self.last_corruption = state.corruption
+                self.last_corruption, self.last_parameters = state.corruption, state.parameters
             if state.camera != self.state.camera:
                 self._placing = state.camera
             self.state = state

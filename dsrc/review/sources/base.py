@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables
+from dsrc.review.labs.parameters import Changes, TunedCondition
 from sensors.corruptions import CLEAN
 from sensors.frame import Frame
 from sim.errors import UserError
@@ -166,18 +167,24 @@ class MemorySet:
         return joined
 
 
-def condition_of(kind: str, severity: int, family: Any = "physical") -> Condition:
-    """Condition of everyone's sweeps; clean frames have one, whatever severity and family."""
-    return Condition() if kind == CLEAN else Condition(kind, severity, family)
+def condition_of(kind: str, severity: int, family: Any = "physical", parameters: Changes = ()) -> Condition:
+    """Condition of everyone's sweeps; clean frames have one, whatever severity, family and parameters."""
+    if kind == CLEAN:
+        return Condition()
+    if parameters:
+        return TunedCondition(kind, severity, family, changes=parameters)
+    return Condition(kind, severity, family)
 
 
 def condition_title(condition: Condition) -> str:
-    """Title of a condition: `clean`, `fog 3`, `fog 3 (paper), helpers`."""
+    """Title of a condition: `clean`, `fog 3`, `fog 3 (paper), helpers`, `fog 3 with extinction 0.1`."""
     if condition.kind == CLEAN:
         return CLEAN
     family = "" if condition.family == "physical" else f" ({condition.family})"
     who = "" if condition.who == Condition().who else f", {condition.who}"
-    return f"{condition.kind.replace('_', ' ')} {condition.severity}{family}{who}"
+    changes = condition.changes if isinstance(condition, TunedCondition) else ()
+    with_changes = " with " + ", ".join(f"{name} {value}" for name, value in changes) if changes else ""
+    return f"{condition.kind.replace('_', ' ')} {condition.severity}{family}{who}{with_changes}"
 
 
 def has_labels(read: Callable[[int], Frame], count: int) -> bool:

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 
 from dsrc.review.page.panels.agents import AgentsPanel
-from dsrc.review.page.panels.folders import ConditionsPanel, DetectionsPanel, LookPanel
+from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
+from dsrc.review.page.panels.folders import DetectionsPanel, LookPanel
 from dsrc.review.page.panels.report import ReportPanel
 from dsrc.review.page.panels.selection import SelectionPanel
 from dsrc.review.page.panels.timeline import TimelinePanel
@@ -13,7 +14,7 @@ PANELS: tuple[Callable[[Page], Panel], ...] = (
     TimelinePanel,
     ReportPanel,
     SelectionPanel,
-    ConditionsPanel,
+    CorruptionLabPanel,
     DetectionsPanel,
     AgentsPanel,
     LookPanel,

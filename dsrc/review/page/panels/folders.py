@@ -23,12 +23,6 @@ class _Folder:
             self.folder.visible = visible
 
 
-class ConditionsPanel(_Folder):
-    """Corruption of the sweeps."""
-
-    title = "Conditions"
-
-
 class DetectionsPanel(_Folder):
     """Threshold, IoU and who detects."""
 

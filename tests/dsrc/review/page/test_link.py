@@ -14,7 +14,8 @@ from dsrc.review.sources.base import MemorySet
 from dsrc.review.state import ReviewState
 
 FULL = ReviewState(
-    drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper", threshold=0.55,
+    drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper",
+    parameters=(("backscatter", 0.3), ("variant", "v2"), ("rounded", True)), threshold=0.55,
     iou=0.7, color_by="fate", hidden=frozenset({1000, -1}), layers_off=frozenset({"bodies", "labels"}), object_id=1003,
     max_points=9000, point_size_m=0.2, camera="chase", speed=0.5, theme="light",
 )  # fmt: skip

@@ -1,0 +1,122 @@
+"""Corruption lab: a corruption with its parameters, what it does to the points and to the AP of the drive."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from dsrc.review.labs.parameters import Parameter, changed, parameters_of
+from dsrc.review.page.panels.widgets import build_controls
+from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.state import ReviewState
+from dsrc.review.texts import fates_table
+from sensors.corruptions import CLEAN
+
+
+def _known(state: ReviewState) -> tuple[Parameter, ...]:
+    return parameters_of(state.corruption, state.severity, state.family)
+
+
+class _BoundParameter:
+    """Widget of one parameter: what a user sets changes the state, what the state is sets the widget."""
+
+    def __init__(self, parameter: Parameter, page: Page) -> None:
+        self.name = parameter.name
+        self._page = page
+        self._written: Any = self
+        label, gui = parameter.name.replace("_", " "), page.gui
+        if not parameter.choices:
+            value = _inside(parameter, parameter.value)
+            self.handle: Any = gui.add_slider(label, parameter.low, parameter.high, parameter.step, initial_value=value)
+        elif isinstance(parameter.value, bool):
+            self.handle = gui.add_checkbox(label, parameter.value)
+        else:
+            self.handle = gui.add_dropdown(
+                label, tuple(map(str, parameter.choices)), initial_value=str(parameter.value)
+            )
+        self.handle.on_update(self._take)
+
+    def show(self, parameter: Parameter, value: Any) -> None:
+        """Set the widget to a value."""
+        wanted = value if isinstance(value, bool) else str(value) if parameter.choices else _inside(parameter, value)
+        if self.handle.value != wanted:
+            self._written = wanted
+            self.handle.value = wanted
+
+    def _take(self, event: Any) -> None:
+        value = event.target.value
+        # Setting a widget fires this too: what was written here is not the user's.
+        if event.client_id is None and value == self._written:
+            return
+        self._written = self
+        state = self._page.state
+        known = _known(state)
+        parameter = next((one for one in known if one.name == self.name), None)
+        if parameter is None:
+            return
+        if parameter.choices:
+            value = next((choice for choice in parameter.choices if str(choice) == str(value)), parameter.value)
+        else:
+            if not math.isfinite(value):
+                return
+            value = type(parameter.value)(_inside(parameter, value))
+        self._page.update(parameters=changed(state.parameters, self.name, value, known))
+
+
+def _inside(parameter: Parameter, value: Any) -> float:
+    return min(max(value, parameter.low), parameter.high)
+
+
+class CorruptionLabPanel:
+    """Folder with the corruption, its parameters, the points that it adds, moves and removes, and the AP under it."""
+
+    def __init__(self, page: Page) -> None:
+        """Build the folder; the parameters come with the corruption."""
+        self._page = page
+        self._shapes: tuple[Any, ...] = ()
+        self.parameters: dict[str, _BoundParameter] = {}
+        with page.gui.add_folder("Corruption lab"):
+            self.controls = build_controls("Corruption lab", page)
+            self._folder = page.gui.add_folder("Parameters", visible=False)
+            self.reset = page.gui.add_button("Parameters of the severity", visible=False)
+            self.reset.on_click(lambda _: page.update(parameters=()))
+            self.effects = page.gui.add_markdown("", visible=False)
+            self.fates = page.gui.add_button("Colour points by their fate", visible=False)
+            self.fates.on_click(self._turn_fates)
+
+    def show(self, shown: Shown) -> None:
+        """Set the controls and parameters, and count the points of the drawn frame."""
+        for control in self.controls:
+            control.show(shown)
+        self._show_parameters(shown.state)
+        corrupted = shown.state.corruption != CLEAN
+        _set(self.effects, visible=corrupted and shown.view is not None)
+        if corrupted and shown.view is not None:
+            _set(self.effects, content=fates_table(shown.view))
+        other = "agent" if shown.state.color_by == "fate" else "fate"
+        _set(self.fates, visible=corrupted, label=f"Colour points by their {other}")
+
+    def _show_parameters(self, state: ReviewState) -> None:
+        known = _known(state)
+        # Values alone move the widgets that there are; a slider under the mouse must not be built again.
+        shapes = tuple(replace(parameter, value=type(parameter.value)()) for parameter in known)
+        if shapes != self._shapes:
+            for bound in self.parameters.values():
+                bound.handle.remove()
+            with self._folder:
+                self.parameters = {parameter.name: _BoundParameter(parameter, self._page) for parameter in known}
+            self._shapes = shapes
+        values = dict(state.parameters)
+        for parameter in known:
+            self.parameters[parameter.name].show(parameter, values.get(parameter.name, parameter.value))
+        _set(self._folder, visible=bool(known))
+        _set(self.reset, visible=bool(values) and bool(known))
+
+    def _turn_fates(self, _: Any) -> None:
+        self._page.update(color_by="agent" if self._page.state.color_by == "fate" else "fate")
+
+
+def _set(handle: Any, **values: Any) -> None:
+    """Set the fields of a widget that differ."""
+    for name, value in values.items():
+        if getattr(handle, name) != value:
+            setattr(handle, name, value)
