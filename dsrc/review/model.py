@@ -19,6 +19,7 @@ from dsrc.review.errors.changes import Changes, changes
 from dsrc.review.errors.filters import ErrorFilter
 from dsrc.review.errors.index import ErrorIndex
 from dsrc.review.errors.judged import JudgedRun
+from dsrc.review.errors.notes import NoteBook
 from dsrc.review.frames import FrameStore, LatestUsed
 from dsrc.review.matching import Counts, RankedMatches, match
 from dsrc.review.sources.base import DetectionSet, Setup, Source, condition_of, condition_title
@@ -78,14 +79,21 @@ class ReviewModel:
         drives: the same; the page's word.
         names: names of the sources.
         stores: frames of each source.
+        notes: on the errors, None where they cannot be kept.
     """
 
-    def __init__(self, sources: Sequence[Source | Drive], detector: SampleDetector | None = None) -> None:
+    def __init__(
+        self,
+        sources: Sequence[Source | Drive],
+        detector: SampleDetector | None = None,
+        notes: NoteBook | None = None,
+    ) -> None:
         """Open a page on sources or drives; `open_model` takes paths.
 
         Args:
             sources: sources, or drives as they are.
             detector: gives all sources a set named `DETECTOR`.
+            notes: on the errors; None for none.
 
         Raises:
             DataError: the list or a drive is empty.
@@ -93,7 +101,7 @@ class ReviewModel:
         if not sources:
             raise DataError("review: no drives")
         self.sources = [cast(Source, one) if hasattr(one, "sets") else DriveSource(one) for one in sources]
-        self.drives = self.sources
+        self.drives, self.notes = self.sources, notes
         self.names = [source.name for source in self.sources]
         self.stores = [FrameStore(source) for source in self.sources]
         if detector is not None:
@@ -116,6 +124,11 @@ class ReviewModel:
     def method(self, state: ReviewState) -> str:
         """Set of detections that is judged under a state; "" without one."""
         return next(iter(self._asked(state)), "")
+
+    def computes(self, state: ReviewState) -> bool:
+        """Whether the judged detections of a state are computed here."""
+        method = self.method(state)
+        return bool(method) and isinstance(self.sources[state.drive].sets[method], ComputedSet)
 
     def frame_count(self, drive: int) -> int:
         """Number of frames of a source, which may grow."""
@@ -424,6 +437,9 @@ def open_model(root: Path, checkpoint: Path | None = None, data: Path | None = N
         DataError: the path holds nothing of these, or something in it is damaged or of other data.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    sources = open_sources(Path(root), data)
+    root = Path(root)
+    sources = open_sources(root, data)
     add_detectors(sources, [] if checkpoint is None else [str(checkpoint)])
-    return ReviewModel(sources)
+    # Notes lie beside what they are about; a split of DAIR-V2X-C is no folder.
+    notes = NoteBook(root if root.is_dir() else root.with_name(f"{root.name}.notes.json"))
+    return ReviewModel(sources, notes=notes)

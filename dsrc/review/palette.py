@@ -20,6 +20,9 @@ AGENT_COLORS: tuple[Rgb, ...] = (
 )
 """Colours of the agents in the order of their frame; an eighth agent starts again."""
 
+METHOD_COLORS: tuple[Rgb, ...] = ((255, 255, 255), (214, 140, 255), (114, 96, 255), (82, 124, 156))
+"""Colours of the methods in the order in which they are shown: curves, and boxes over those of the judged one."""
+
 TRUTH: Rgb = (226, 232, 240)
 OTHER: Rgb = (112, 122, 140)
 SELECTED: Rgb = (255, 255, 255)
@@ -69,6 +72,11 @@ def linear(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def agent_color(row: int) -> Rgb:
     """Colour of the agent in a row of its frame."""
     return AGENT_COLORS[row % len(AGENT_COLORS)]
+
+
+def method_color(row: int) -> Rgb:
+    """Colour of a method in the row of those shown: white for the judged one."""
+    return METHOD_COLORS[row % len(METHOD_COLORS)]
 
 
 def ramp(values: NDArray[np.floating], low: float, high: float, table: NDArray[np.uint8]) -> NDArray[np.uint8]:

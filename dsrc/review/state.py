@@ -17,6 +17,11 @@ SHOWN_LAYERS = ("truth", "detections", "bodies", "world", "links", "labels")
 
 Theme = Literal["dark", "light"]
 
+Listed = Literal["all", "missed", "false", "poor", "broken", "fixed"]
+"""Errors in the list: all of them, those of a kind, objects that only the other run finds, or only this one."""
+Band = Literal["any", "0-30", "30-50", "50-100"]
+"""Distances from the ego's LiDAR in the plane, m."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReviewState:
@@ -44,6 +49,13 @@ class ReviewState:
         camera: what the camera moves with: the ego and its heading, the ego alone, nothing.
         speed: of playing, in multiples of real time.
         theme: of the page.
+        listed: errors in the list.
+        versus: run that tells what is broken and fixed: `clean`, `alone`, the name of a method after `method `; "" for
+            `clean` where the sweeps are corrupted, else none.
+        error_method: set of detections whose errors are listed, "" for those of all that are shown.
+        error_class: class of the listed objects, "" for all.
+        error_range: distance of the listed errors.
+        error_seen_by: who has points on the listed objects, of `SEERS`; "" for all.
     """
 
     drive: int = 0
@@ -67,3 +79,9 @@ class ReviewState:
     camera: Camera = "free"
     speed: float = 1.0
     theme: Theme = "dark"
+    listed: Listed = "all"
+    versus: str = ""
+    error_method: str = ""
+    error_class: str = ""
+    error_range: Band = "any"
+    error_seen_by: str = ""

@@ -16,6 +16,7 @@ from dsrc.review.page.scene import place_static, set_light, set_start_camera
 from dsrc.review.page.server import address, checked_port, link_of, start_server, stop_server
 from dsrc.review.page.session import Session, root_of
 from dsrc.review.state import ReviewState
+from dsrc.review.worker import Worker
 from sensors.corruptions import require_corruption
 from sim.errors import SettingsError, UserError, complaint
 
@@ -30,6 +31,7 @@ class ReviewApp:
         server: viser server.
         start: state of a browser that opens the page without a link.
         sessions: running sessions by the id of their browser.
+        worker: detects over whole runs in the background.
         url: address of the page.
     """
 
@@ -38,6 +40,7 @@ class ReviewApp:
         self.model, self.server, self.start = model, server, start or ReviewState()
         self.url = address(server)
         self.sessions: dict[int, Session] = {}
+        self.worker = Worker()
         self._using_model = threading.Lock()
         self._changed = threading.Condition()
         self._closed = False
@@ -67,12 +70,14 @@ class ReviewApp:
             self._changed.notify_all()
         for session in sessions:
             session.close()
+        self.worker.close()
         stop_server(self.server)
 
     def _open(self, client: viser.ClientHandle) -> None:
         state, pose, complaints = read_link(link_of(self.server, client.client_id), self.model, self.start)
         session = Session(
-            self.model, self._using_model, client, state, pose, "\n\n".join(complaints), self._place_world
+            *(self.model, self._using_model, self.worker, client, state),
+            *(pose, "\n\n".join(complaints), self._place_world),
         )
         with self._changed:
             connected = not self._closed and client.client_id in self.server.get_clients()

@@ -1,11 +1,15 @@
 """Table of the commands: what a key does that is no control of its own."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from dsrc.review.errors.index import next_error
 from dsrc.review.page.controls import CONTROLS, Control, change_of, next_value
 from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.run import first_unknown, shown_error
+from dsrc.review.state import Listed
 from sensors.corruptions import CLEAN, CORRUPTIONS
 
 STEP = 10
@@ -27,23 +31,48 @@ class Command:
         return f"{'Shift-' if self.shift else ''}{self.key.replace('page', 'page ').capitalize()}"
 
 
-def next_error(page: Page, direction: int) -> None:
-    """Go to the nearest frame with an FP or FN in a direction, and say so when there is none."""
-    state = page.state
-    if page.counts(state) is None:
-        page.tell("No errors: nothing is judged without a detector and labels.")
+_NAMES = {"all": "error", "missed": "missed object", "false": "false detection", "poor": "poor box",
+          "broken": "broken object", "fixed": "fixed object"}  # fmt: skip
+_LOOK_S = 0.3
+
+
+def go_to_error(page: Page, step: int, listed: Listed | None = None) -> None:
+    """Go to the next error of a kind in a direction, detecting in further frames where that is needed.
+
+    Args:
+        page: of the browser.
+        step: 1 for the next, -1 for the one before.
+        listed: kind of error; None for those that are listed.
+    """
+    start = page.state
+    wanted = replace(start, listed=listed or start.listed)
+    name = _NAMES[wanted.listed]
+    if not page.model.method(start) or not page.model.labelled(start.drive):
+        page.tell(f"No {name}: nothing is judged without a detector and labels.")
         return
-    count = page.model.frame_count(state.drive)
-    for ahead in range(1, count):
-        row = (state.frame + direction * ahead) % count
-        if ahead % STEP == 0:
-            page.tell(f"Looking for an FP or FN: {ahead} of {count} frames.")
-        counts = page.counts(replace(state, frame=row))
-        if counts is not None and counts.fp + counts.fn > 0:
+    detecting = False
+    while page.state == start:
+        report = page.report(wanted)
+        errors = report.errors.in_order()
+        row = next_error(errors, start.frame, shown_error(errors, start), step)
+        with page.using_model:
+            gap = first_unknown(page.model, start, step)
+        running = bool(page.detecting())
+        if row is not None and (gap is None or (errors.row[row] - gap) * step < 0 or (detecting and not running)):
             page.tell("")
-            page.update(frame=row)
+            page.show_error(errors, row)
             return
-    page.tell("No other frame of this drive has an FP or FN.")
+        if gap is None or (detecting and not running):
+            where = "after" if step > 0 else "before"
+            elsewhere = f"; {len(errors)} in the whole run" if len(errors) else ""
+            known = f" in the {report.known} frames with detections" if report.known < report.total else ""
+            page.tell(f"No {name} {where} this one{known}{elsewhere}.")
+            return
+        if not detecting:
+            page.detect_all()
+            detecting = True
+        page.tell(f"Looking for a {name}: {report.known} of {report.total} frames.")
+        time.sleep(_LOOK_S)
 
 
 def toggle_corruption(page: Page) -> None:
@@ -90,8 +119,12 @@ COMMANDS: tuple[Command, ...] = (
     Command("Ten frames back", "pageup", lambda page: page.step(-STEP)),
     Command("First frame", "home", lambda page: page.update(frame=0)),
     Command("Last frame", "end", lambda page: page.step(page.model.frame_count(page.state.drive))),
-    Command("Next frame with an FP or FN", "N", lambda page: next_error(page, 1)),
-    Command("Previous frame with an FP or FN", "N", lambda page: next_error(page, -1), shift=True),
+    Command("Next missed object", "N", partial(go_to_error, step=1, listed="missed")),
+    Command("Previous missed object", "N", partial(go_to_error, step=-1, listed="missed"), shift=True),
+    Command("Next false detection", "P", partial(go_to_error, step=1, listed="false")),
+    Command("Previous false detection", "P", partial(go_to_error, step=-1, listed="false"), shift=True),
+    Command("Next listed error", "K", partial(go_to_error, step=1)),
+    Command("Previous listed error", "K", partial(go_to_error, step=-1), shift=True),
     Command("Clean or corrupted", "X", toggle_corruption),
     Command("Camera: chase the ego", "C", lambda page: page.place_camera("chase")),
     Command("Camera: bird's eye", "B", lambda page: page.place_camera("bev")),

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from dsrc.review.page.protocol import Shown
-from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS
+from dsrc.review.run import BANDS, BROKEN, FIXED, other_run, versus_options
+from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS, Listed
 from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
 from sim.boxes import CLASSES
 
@@ -128,6 +129,35 @@ def _detects(shown: Shown) -> bool:
     return shown.model.has_detector
 
 
+def _listed(shown: Shown) -> dict[str, Any]:
+    """Kinds of errors; what is broken and fixed only against another run."""
+    against = other_run(shown.state) is not None
+    return {name: name for name in get_args(Listed) if against or name not in (BROKEN, FIXED)}
+
+
+def _versus(shown: Shown) -> dict[str, Any]:
+    return versus_options(shown.model, shown.state)
+
+
+def _several_runs(shown: Shown) -> bool:
+    return shown.model.has_detector and len(_versus(shown)) > 1
+
+
+def _blamed(shown: Shown) -> dict[str, Any]:
+    names = shown.state.methods or shown.model.methods(shown.state.drive)
+    return {"all methods": "", **{name: name for name in names}}
+
+
+def _compares(shown: Shown) -> bool:
+    return len(shown.state.methods) > 1
+
+
+def _classes(_: Shown) -> dict[str, Any]:
+    return {"all": "", **{name: name for name in CLASSES}}
+
+
+_SEEN = {"anybody or none": "", "the ego": "ego", "helpers alone": "helper", "nobody": "nobody"}
+
 CONTROLS: tuple[Control, ...] = (
     Control("drive", Choice(_drives), "Drive", link="drive", shown=lambda s: len(s.model.names) > 1),
     Control("frame", Slider(0, _last_frame, 1), "Frame", link="frame"),
@@ -145,7 +175,13 @@ CONTROLS: tuple[Control, ...] = (
     Control("cooperative", Switch(), "Cooperative", "Detections", link="cooperative", key="V", shown=_detects),
     Control("methods", Choice(_methods, closed=False), "Method", "Detections", link="methods", shown=_several_methods),
     Control("hidden", None, link="hidden"),
-    Control("color_by", Choice(_same(*COLOR_BY)), "Points by", "Look", link="color", key="P"),
+    Control("listed", Choice(_listed), "List", "Errors", link="errors", shown=_detects),
+    Control("versus", Choice(_versus, closed=False), "Against", "Errors", link="against", shown=_several_runs),
+    Control("error_method", Choice(_blamed, closed=False), "Of", "Errors", link="of", shown=_compares),
+    Control("error_class", Choice(_classes), "Class", "Errors", link="class", shown=_detects),
+    Control("error_range", Choice(_same(*BANDS)), "Distance, m", "Errors", link="distance", shown=_detects),
+    Control("error_seen_by", Choice(_named(_SEEN)), "Seen by", "Errors", link="seen", shown=_detects),
+    Control("color_by", Choice(_same(*COLOR_BY)), "Points by", "Look", link="color", key="U"),
     Control("point_size_m", Slider(0.02, 0.5, 0.01), "Point size", "Look", link="size"),
     Control("max_points", Slider(2000, 120_000, 1000), "Points/agent", "Look", link="points"),
     Control("theme", Choice(_named({"Dark": "dark", "Light": "light"})), "Theme", "Look", link="theme", key="T"),

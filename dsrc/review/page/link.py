@@ -91,7 +91,7 @@ def _text(model: ReviewModel, field: str, value: Any) -> str:
         return ",".join(sorted(map(str, value)))
     if isinstance(value, bool):
         return str(int(value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:g}" if isinstance(value, float) else quote(str(value), safe="")
 
 
 def _value(control: Control, text: str, shown: Shown) -> Any:

@@ -1,5 +1,6 @@
 """Page and Panel: protocols of a browser's page for its controls, commands and panels."""
 
+import threading
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -7,11 +8,14 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from dsrc.review.matching import Counts
+from dsrc.review.errors.index import ErrorTable
+from dsrc.review.errors.notes import NoteBook
 from dsrc.review.labs.parameters import Changes
 from dsrc.review.model import ReviewModel
+from dsrc.review.run import RunReport
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
+from dsrc.review.worker import Progress, Worker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,9 +43,15 @@ class Page(Protocol):
         view: last drawn frame, None before the first.
         last_corruption: last corruption other than `clean`, "" before the first.
         last_parameters: its parameters that differed from those of the severity.
+        using_model: to be held while the model is asked.
+        worker: detects over whole runs in the background.
+        notes: on the errors, None where they cannot be kept.
     """
 
     model: ReviewModel
+    using_model: threading.Lock
+    worker: Worker
+    notes: NoteBook | None
     gui: viser.GuiApi
     state: ReviewState
     view: FrameView | None
@@ -61,8 +71,23 @@ class Page(Protocol):
     def toggle_play(self) -> None:
         """Play or pause."""
 
-    def counts(self, state: ReviewState) -> Counts | None:
-        """Counts of TP, FP and FN under another state; None without a detector or labels."""
+    def report(self, state: ReviewState, patience_s: float = 0.0) -> RunReport:
+        """Report of the run under a state, see `Reports.of`."""
+
+    def detect_all(self) -> None:
+        """Detect in the background, in all frames, what the report of the state lacks."""
+
+    def detecting(self) -> list[Progress]:
+        """Detections over the whole drive that have not ended."""
+
+    def cancel(self) -> None:
+        """End these detections."""
+
+    def show_error(self, errors: ErrorTable, row: int) -> None:
+        """Go to an error: its frame, its box selected, the camera near it."""
+
+    def download(self, name: str, content: str) -> None:
+        """Give the browser a text file."""
 
     def place_camera(self, camera: Camera) -> None:
         """Place the camera as a preset has it and let it move with what the preset follows."""

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from dsrc.review.matching import Counts
+from dsrc.review.errors.index import ErrorTable
 from dsrc.review.model import ReviewModel
 from dsrc.review.page import cameras
 from dsrc.review.page.browser import LINK_KEY
@@ -21,8 +21,10 @@ from dsrc.review.page.link import write_link
 from dsrc.review.page.panels import PANELS
 from dsrc.review.page.protocol import Shown
 from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_backdrop
+from dsrc.review.run import Reports, RunReport, place_of, selection_of, to_detect
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
+from dsrc.review.worker import Progress, Worker
 from sensors.corruptions import CLEAN
 from sim.errors import UserError
 from sim.geometry import invert
@@ -31,6 +33,9 @@ log = logging.getLogger(__name__)
 
 LINK_PAUSE_S = 0.3
 """Least time between two links of one browser, s: Safari takes a hundred changes of the address in 30 s."""
+
+REFRESH_S = 0.5
+"""Time between two looks at what goes on in the background, s."""
 
 NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
@@ -60,12 +65,16 @@ class Session:
         last_corruption: last corruption other than `clean`, "" before the first.
         last_parameters: its parameters that differed from those of the severity.
         link: query of the address that shows what is drawn.
+        using_model: to be held while the model is asked.
+        worker: detects over whole runs in the background.
+        notes: on the errors, None where they cannot be kept.
     """
 
     def __init__(
         self,
         model: ReviewModel,
         using_model: threading.Lock,
+        worker: Worker,
         client: viser.ClientHandle,
         state: ReviewState,
         pose: CameraPose | None = None,
@@ -77,6 +86,7 @@ class Session:
         Args:
             model: drives, detector and caches, shared by all browsers.
             using_model: lock of the model.
+            worker: detects over whole runs in the background, for all browsers.
             client: the browser.
             state: of the start.
             pose: camera of the start, in the scene; None for that of the state.
@@ -89,7 +99,9 @@ class Session:
         self.last_corruption = "" if state.corruption == CLEAN else state.corruption
         self.last_parameters = state.parameters
         self.link = ""
-        self._using_model = using_model
+        self.using_model, self.worker, self.notes = using_model, worker, model.notes
+        self._reports = Reports(model)
+        self._refresh_at, self._busy = 0.0, False
         self._place_world = place_world
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
@@ -145,7 +157,7 @@ class Session:
             if state.drive != self.state.drive:
                 kept = tuple(name for name in state.methods if name in self.model.methods(state.drive))
                 state = replace(state, frame=0, ego_id=None, hidden=frozenset(), object_id=None, camera="free")
-                state = replace(state, methods=kept)
+                state = replace(state, methods=kept, versus="", error_method="")
             if "parameters" not in changes and any(
                 getattr(state, name) != getattr(self.state, name) for name in _OF_CORRUPTION
             ):
@@ -184,10 +196,42 @@ class Session:
             self._next_at = time.monotonic()
             self._draw_soon()
 
-    def counts(self, state: ReviewState) -> Counts | None:
-        """Counts of TP, FP and FN under another state, not drawn; None without a detector or labels."""
-        with self._using_model:
-            return self.model.counts(state)
+    def report(self, state: ReviewState, patience_s: float = 0.0) -> RunReport:
+        """Report of the run under a state, see `Reports.of`."""
+        with self.using_model:
+            return self._reports.of(state, patience_s)
+
+    def detect_all(self) -> None:
+        """Detect in the background, in all frames, what the report of the state lacks."""
+        state = self.state
+        with self.using_model:
+            wanted = to_detect(self.model, state)
+        for method, setup in wanted:
+            self.worker.detect(self.model.stores[state.drive], method, setup, state.frame)
+        with self._changed:
+            self._changed.notify_all()
+
+    def cancel(self) -> None:
+        """End the detections over the whole drive."""
+        for job in self.detecting():
+            self.worker.cancel(job.number)
+
+    def detecting(self) -> list[Progress]:
+        """Detections over the whole drive that have not ended."""
+        name = self.model.names[self.state.drive]
+        return [job for job in self.worker.jobs() if not job.ended and job.source == name]
+
+    def show_error(self, errors: ErrorTable, row: int) -> None:
+        """Go to an error: its frame, its box selected, the camera near it."""
+        with self.using_model:
+            place = place_of(self.model, self.state.drive, errors, row)
+        with self._changed:
+            self.update(**selection_of(errors, row))
+            self.fly_to(place)
+
+    def download(self, name: str, content: str) -> None:
+        """Give the browser a text file."""
+        self.client.send_file_download(name, content.encode())
 
     def place_camera(self, camera: Camera) -> None:
         """Place the camera as a preset has it and let it move with what the preset follows."""
@@ -265,7 +309,21 @@ class Session:
                 with self._changed:
                     self._drawn = number
                     self._changed.notify_all()
+            else:
+                self._refresh()
             self._write_link()
+
+    def _refresh(self) -> None:
+        """Set the panels again while something goes on in the background, and once after it."""
+        if time.monotonic() < self._refresh_at:
+            return
+        busy = bool(self.detecting())
+        if busy or self._busy:
+            try:
+                self._show_panels()
+            except Exception as error:
+                self._tell_error("the panels", error)
+        self._busy, self._refresh_at = busy, time.monotonic() + REFRESH_S
 
     def _next_work(self) -> tuple[ReviewState, int] | None:
         """Newest state and its number, once there is something to do; None when the page is closed.
@@ -277,6 +335,7 @@ class Session:
                 now = time.monotonic()
                 due = [self._next_at] if self._playing else []
                 due += [self._linked_at + LINK_PAUSE_S] if self._moved else []
+                due += [self._refresh_at] if self._busy or self.detecting() else []
                 if self._drawn != self._wanted:
                     return self.state, self._wanted
                 if self._playing and now >= self._next_at:
@@ -293,7 +352,7 @@ class Session:
     def _draw(self, state: ReviewState) -> None:
         """Draw a state, or tell why that cannot be: the next one is drawn all the same."""
         try:
-            with self._using_model:
+            with self.using_model:
                 view = self.model.view(state)
                 self._interval_s = self.model.interval_s(state.drive)
             new_drive = self._placed is None or self._placed.drive != state.drive

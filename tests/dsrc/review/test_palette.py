@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, FN, FP, LOST, TP
+from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, FN, FP, LOST, METHOD_COLORS, TP
 from sensors.sweep import MOVED, SCATTERED
 from tests.dsrc.review.vision import VISIONS, seen_as
 
@@ -12,6 +12,15 @@ NAMED = {
     "lost": LOST,
     **{f"agent {row}": rgb for row, rgb in enumerate(AGENT_COLORS)},
 }  # fmt: skip
+
+METHODS = {**{f"method {row}": rgb for row, rgb in enumerate(METHOD_COLORS)}, "TP": TP, "FP": FP, "FN": FN}
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+def test_colours_of_methods_differ_from_each_other_and_from_verdicts(vision):
+    lab = seen_as(np.array(list(METHODS.values())), vision)
+    apart = np.linalg.norm(lab[:, None] - lab[None], axis=-1) + 1e3 * np.eye(len(lab))
+    assert apart.min() >= 20.0
 
 
 @pytest.mark.parametrize("vision", VISIONS)

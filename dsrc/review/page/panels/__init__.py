@@ -4,7 +4,9 @@ from collections.abc import Callable
 
 from dsrc.review.page.panels.agents import AgentsPanel
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
+from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.folders import DetectionsPanel, LookPanel
+from dsrc.review.page.panels.notes import NotesPanel
 from dsrc.review.page.panels.report import ReportPanel
 from dsrc.review.page.panels.selection import SelectionPanel
 from dsrc.review.page.panels.timeline import TimelinePanel
@@ -14,6 +16,8 @@ PANELS: tuple[Callable[[Page], Panel], ...] = (
     TimelinePanel,
     ReportPanel,
     SelectionPanel,
+    NotesPanel,
+    ErrorsPanel,
     CorruptionLabPanel,
     DetectionsPanel,
     AgentsPanel,

@@ -8,7 +8,7 @@ import pytest
 
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
-from dsrc.review.page.commands import COMMANDS, next_error
+from dsrc.review.page.commands import COMMANDS
 from dsrc.review.page.controls import CONTROLS
 from dsrc.review.page.panels.agents import AgentsPanel
 from dsrc.review.page.panels.report import ReportPanel
@@ -56,7 +56,8 @@ CHANGES = {
     "frame": 3, "speed": 2.0, "camera": "chase", "object_id": 1003, "corruption": "fog", "severity": 5,
     "family": "paper", "threshold": 0.7, "iou": 0.3, "ego_id": 1002, "cooperative": False, "color_by": "height",
     "point_size_m": 0.3, "max_points": 9000, "theme": "light", "layers_off": frozenset({"bodies"}),
-    "methods": ("detector",),
+    "methods": ("detector",), "listed": "missed", "versus": "alone", "error_method": "detector", "error_class": "truck",
+    "error_range": "30-50", "error_seen_by": "helper",
 }  # fmt: skip
 
 
@@ -67,7 +68,8 @@ def test_every_control_follows_the_state(session, fake_fog, field):
     bound = [control for panel in session.panels for control in getattr(panel, "controls", ())]
     for one in (one for one in bound if one.control.field == field):
         shown = {"camera": "Chase", "object_id": "car 1003", "speed": "2×", "ego_id": "vehicle 1002", "iou": "0.3",
-                 "theme": "Light", "methods": "detector", "layers_off": one.control.label != "Bodies"}  # fmt: skip
+                 "theme": "Light", "versus": "ego alone", "error_seen_by": "helpers alone",
+                 "methods": "detector", "layers_off": one.control.label != "Bodies"}  # fmt: skip
         assert one.handle.value == shown.get(field, CHANGES[field])
 
 
@@ -300,21 +302,6 @@ def test_commands_change_the_page(session, fake_fog):
         run[label](session)
         session.wait_drawn()
     assert session.state.camera == "free"
-
-
-def test_the_next_error_is_the_next_frame_with_an_fp_or_fn(session):
-    next_error(session, 1)
-    assert session.state.frame == 1
-    next_error(session, -1)
-    assert session.state.frame == 0
-
-
-def test_a_drive_without_errors_says_so(session, monkeypatch):
-    from dsrc.review.matching import Counts
-
-    monkeypatch.setattr(session, "counts", lambda state: Counts(tp=3))
-    next_error(session, 1)
-    assert session.state.frame == 0 and "No other frame" in session._notice.content
 
 
 def test_an_object_is_selected_in_the_list_or_by_a_click(session):

@@ -1,0 +1,221 @@
+"""Errors: every error of the run in a list, average precision and its curve, the worst frames, and background work."""
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+from viser import uplot
+
+from dsrc.review.errors.filters import KINDS
+from dsrc.review.errors.index import ErrorTable
+from dsrc.review.errors.notes import errors_csv
+from dsrc.review.page.panels.widgets import build_controls
+from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.palette import method_color
+from dsrc.review.run import RunReport, curve_on_grid, shown_error
+from dsrc.review.state import IOU_THRESHOLDS, ReviewState
+from dsrc.review.worker import Progress
+from sim.boxes import CLASSES
+from sim.errors import SettingsError
+
+ROWS = 8
+"""Errors on a page of the list."""
+FRAMES = 30
+"""Worst frames in their list."""
+_RECALL = np.linspace(0.0, 1.0, 101)
+_PATIENCE_S = 2.0
+_CHOSEN, _OTHER = (56, 150, 255), (62, 70, 84)
+_NO_FRAME = "–"
+
+
+class ErrorsPanel:
+    """Folder with filters, the errors from the worst on, scores of the run and a button that detects in all of it."""
+
+    def __init__(self, page: Page) -> None:
+        """Build it, hidden until there is something to judge."""
+        self._page = page
+        self._first = 0
+        self._report: RunReport | None = None
+        gui = page.gui
+        self.folder = gui.add_folder("Errors of the run", visible=False)
+        with self.folder:
+            self.progress = gui.add_markdown("")
+            self.bar: Any = gui.add_progress_bar(0.0, visible=False)
+            self.detect = gui.add_button("Detect in all frames", visible=False)
+            self.controls = build_controls("Errors", page)
+            self.rows = [gui.add_button("", visible=False) for _ in range(ROWS)]
+            self.pages = gui.add_button_group("Errors", ("‹", "›"))
+            self.frames = gui.add_dropdown("Worst frames", (_NO_FRAME,))
+            self.scores = gui.add_markdown("")
+            self.plot: Any = None
+            self.csv = gui.add_button("Save list as CSV")
+        for number, button in enumerate(self.rows):
+            button.on_click(partial(self._open, number))
+        self.pages.on_click(lambda event: self._turn(-ROWS if event.target.value == "‹" else ROWS))
+        self.frames.on_update(self._to_frame)
+        self.detect.on_click(lambda _: self._page.cancel() if self._page.detecting() else self._page.detect_all())
+        self.csv.on_click(lambda _: self._save())
+
+    def show(self, shown: Shown) -> None:
+        """Write list, scores and progress; a list that is only longer than shown is written again every two seconds."""
+        judged = bool(shown.model.methods(shown.state.drive)) and shown.model.labelled(shown.state.drive)
+        if self.folder.visible != judged:
+            self.folder.visible = judged
+        if not judged:
+            return
+        for control in self.controls:
+            control.show(shown)
+        try:
+            report = self._page.report(
+                shown.state, _PATIENCE_S if self._page.playing or self._page.detecting() else 0.0
+            )
+        except SettingsError as error:
+            self.progress.content = str(error)
+            return
+        if report is not self._report:
+            self._first, self._report = 0, report
+            self._show_scores(shown.state, report)
+            self._show_frames(report)
+        self._show_rows(shown.state, report)
+        self._show_progress(shown, report)
+
+    def _show_progress(self, shown: Shown, report: RunReport) -> None:
+        jobs = self._page.detecting()
+        text = f"**{len(report.errors)} errors** in {report.known} of {report.total} frames"
+        against = f" · against {report.versus}" if report.versus else ""
+        self.progress.content = f"{text}{against}{_running(jobs)}"
+        self.bar.visible = bool(jobs)
+        if jobs:
+            self.bar.value = 100.0 * sum(job.done for job in jobs) / max(sum(job.total for job in jobs), 1)
+        lacking = report.known < report.total and shown.model.computes(shown.state)
+        self.detect.visible = bool(jobs) or lacking
+        label = "Stop detecting" if jobs else "Detect in all frames"
+        if self.detect.label != label:
+            self.detect.label = label
+
+    def _show_scores(self, state: ReviewState, report: RunReport) -> None:
+        head = " | ".join(f"AP@{iou:g}" for iou in IOU_THRESHOLDS)
+        lines = [f"| | {head} | TP | FP | FN |", f"|:--|{'--:|' * (len(IOU_THRESHOLDS) + 3)}"]
+        for name, c in report.counts.items():
+            ap = " | ".join(_number(report.curves[name, iou].ap) for iou in IOU_THRESHOLDS)
+            lines.append(f"| {name.replace('|', '/')} | {ap} | {c.tp} | {c.fp} | {c.fn} |")
+        self.scores.content = "\n".join(lines)
+        self._draw_curves(state, report)
+
+    def _draw_curves(self, state: ReviewState, report: RunReport) -> None:
+        """Draw a curve per method, and the point of the threshold on it."""
+        curves, marks, series = [], [], [uplot.Series(label="recall")]
+        for row, (name, counts) in enumerate(report.counts.items()):
+            curves.append(curve_on_grid(report.curves[name, state.iou], _RECALL))
+            mark = np.full(len(_RECALL), np.nan)
+            if counts.recall is not None and counts.precision is not None:
+                mark[np.argmin(np.abs(_RECALL - counts.recall))] = counts.precision
+            marks.append(mark)
+            color = "rgb({},{},{})".format(*method_color(row))
+            series.append(uplot.Series(label=name, stroke=color, width=2, spanGaps=False))
+        names = list(report.counts)
+        series += [
+            uplot.Series(label=f"{name} at {state.threshold:g}", stroke="rgb({},{},{})".format(*method_color(row)),
+                         width=0, points={"show": True, "size": 9})  # type: ignore[typeddict-item]
+            for row, name in enumerate(names)
+        ]  # fmt: skip
+        data = (_RECALL, *curves, *marks)
+        if self.plot is not None and len(self.plot.data) == len(data):
+            self.plot.data, self.plot.series = data, tuple(series)
+            return
+        if self.plot is not None:
+            self.plot.remove()
+        with self.folder:
+            self.plot = self._page.gui.add_uplot(
+                data,
+                tuple(series),
+                scales={"x": uplot.Scale(time=False, range=(0.0, 1.0)), "y": uplot.Scale(range=(0.0, 1.0))},
+                axes=(uplot.Axis(label="recall"), uplot.Axis(label="precision")),
+                legend=uplot.Legend(show=False),
+                height=190,
+            )
+
+    def _show_frames(self, report: RunReport) -> None:
+        frames = report.frames
+        worst = min(FRAMES, int(np.count_nonzero(frames.loss > 0.0)))
+        kinds = zip(frames.missed[:worst], frames.false[:worst], frames.poor[:worst], strict=True)
+        names = [f"{rank + 1}: frame {frames.row[rank]}, {_kinds(*counts)}" for rank, counts in enumerate(kinds)]
+        options = (_NO_FRAME, *names)
+        if tuple(self.frames.options) != options:
+            self.frames.options = options
+
+    def _show_rows(self, state: ReviewState, report: RunReport) -> None:
+        errors = report.errors
+        chosen = shown_error(errors, state)
+        for number, button in enumerate(self.rows):
+            row = self._first + number
+            if button.visible != (row < len(errors)):
+                button.visible = row < len(errors)
+            if row >= len(errors):
+                continue
+            label, color = _title(errors, row, self._page), _CHOSEN if row == chosen else _OTHER
+            if button.label != label:
+                button.label = label
+            if button.color != color:
+                button.color = color
+        several = len(errors) > ROWS
+        if self.pages.visible != several:
+            self.pages.visible = several
+        self.csv.disabled = len(errors) == 0
+
+    def _open(self, number: int, _: Any = None) -> None:
+        report = self._report
+        if report is None or self._first + number >= len(report.errors):
+            return
+        self._page.show_error(report.errors, self._first + number)
+
+    def _turn(self, rows: int) -> None:
+        if self._report is not None:
+            last = max(len(self._report.errors) - 1, 0) // ROWS * ROWS
+            self._first = min(max(self._first + rows, 0), last)
+            self._show_rows(self._page.state, self._report)
+
+    def _to_frame(self, event: Any) -> None:
+        place = tuple(self.frames.options).index(event.target.value)
+        # The list is set to its head when it is written again.
+        if self._report is not None and place and event.client_id is not None:
+            self._page.update(frame=int(self._report.frames.row[place - 1]))
+
+    def _save(self) -> None:
+        if self._report is None:
+            return
+        page = self._page
+        drive = page.model.names[page.state.drive]
+        page.download("errors.csv", errors_csv(drive, self._report.errors, page.notes))
+
+
+def _title(errors: ErrorTable, row: int, page: Page) -> str:
+    """Label of an error in the list."""
+    label = errors.label[row]
+    what = f"{KINDS[errors.kind[row]]} {CLASSES[label] if label >= 0 else 'object'}"
+    if KINDS[errors.kind[row]] == "false":
+        what = f"false {errors.score[row]:.2f}"
+    elif KINDS[errors.kind[row]] == "poor":
+        what += f" {errors.iou[row]:.2f}"
+    points = f", {errors.points[row, 3]} points" if errors.points[row, 3] >= 0 else ""
+    method = f", {errors.methods[errors.method[row]]}" if len(errors.methods) > 1 else ""
+    return f"{what}, frame {errors.row[row]}, {errors.distance_m[row]:.0f} m{points}{method}"
+
+
+def _kinds(missed: int, false: int, poor: int) -> str:
+    parts = ((missed, "missed"), (false, "false"), (poor, "poor"))
+    return ", ".join(f"{count} {name}" for count, name in parts if count)
+
+
+def _running(jobs: list[Progress]) -> str:
+    if not jobs:
+        return ""
+    left = [job.left_s for job in jobs]
+    known = [one for one in left if one is not None]
+    wait = f", {math.ceil(sum(known))} s left" if len(known) == len(left) else ""
+    return f" · detecting{wait}"
+
+
+def _number(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.2f}"

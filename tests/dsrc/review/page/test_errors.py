@@ -1,0 +1,132 @@
+"""Errors on the page: the list, its keys, background detection and notes."""
+
+import json
+
+import pytest
+
+from dsrc.review.errors.filters import FP, KINDS
+from dsrc.review.errors.notes import NoteBook
+from dsrc.review.model import ReviewModel
+from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.commands import COMMANDS, go_to_error
+from dsrc.review.page.panels.errors import ErrorsPanel
+from dsrc.review.page.panels.notes import NotesPanel
+from dsrc.review.page.server import start_server
+from tests.dsrc.review.page.test_session import panel, wait_for
+
+RUN = {command.label: command.run for command in COMMANDS}
+
+
+@pytest.fixture
+def model(drive, detector, tmp_path) -> ReviewModel:
+    return ReviewModel([drive], detector, NoteBook(tmp_path / "notes.json"))
+
+
+def missed(session):
+    details = session.wait_drawn().details
+    return None if details is None else getattr(details, "verdict", None)
+
+
+def test_n_goes_to_the_next_missed_object_box_card_and_camera(session, browser):
+    RUN["Next missed object"](session)
+    state = session.state
+    assert state.frame == 0 and state.object_id is not None
+    assert missed(session) == "missed"
+    place = session.view.selected
+    wait_for(lambda: session._writer is not None and abs(session.client.camera.look_at - place).max() < 1e-3)
+    RUN["Next missed object"](session)
+    assert session.state.frame == 1 and missed(session) == "missed"
+    RUN["Previous missed object"](session)
+    assert (session.state.frame, session.state.object_id) == (0, state.object_id)
+
+
+def test_p_goes_to_false_detections_alone(session):
+    RUN["Next false detection"](session)
+    assert session.state.detection is not None and missed(session) == "false positive"
+    first = session.state.frame
+    RUN["Next false detection"](session)
+    assert session.state.frame == first + 1 and missed(session) == "false positive"
+
+
+def test_the_last_one_says_that_there_is_none_after_it(session):
+    session.update(frame=11)
+    RUN["Next missed object"](session)
+    here = session.state
+    RUN["Next missed object"](session)
+    assert session.state == here and "No missed object after this one" in session._notice.content
+    assert "in the whole run" in session._notice.content
+
+
+def test_without_any_it_says_so_after_all_frames(session):
+    session.update(threshold=1.0)
+    go_to_error(session, 1, "false")
+    assert "No false detection after this one" in session._notice.content
+    assert session.report(session.state).known == 12, "all frames were looked at"
+
+
+def test_without_labels_or_detector_it_says_why(truth_model, connect_browser):
+    app = ReviewApp(truth_model, start_server())
+    try:
+        session = connect_browser(app).session
+        session.wait_drawn()
+        go_to_error(session, 1)
+        assert "nothing is judged" in session._notice.content
+        assert not panel(session, ErrorsPanel).folder.visible
+    finally:
+        app.close()
+
+
+def test_detecting_in_all_frames_fills_the_list(session):
+    errors = panel(session, ErrorsPanel)
+    assert errors.detect.visible and "1 of 12 frames" in errors.progress.content
+    session.detect_all()
+    wait_for(lambda: "12 of 12 frames" in errors.progress.content)
+    assert not errors.detect.visible and not errors.bar.visible
+    assert errors.scores.content.count("|\n|") == 2
+    listed = session.report(session.state).errors
+    assert [button.visible for button in errors.rows] == [row < len(listed) for row in range(len(errors.rows))]
+    assert errors.rows[0].label.startswith(KINDS[listed.kind[0]])
+
+
+def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_again(session):
+    session.detect_all()
+    errors = panel(session, ErrorsPanel)
+    wait_for(lambda: "12 of 12 frames" in errors.progress.content)
+    table = session.report(session.state).errors
+    errors._open(1)
+    session.wait_drawn()
+    assert session.state.frame == table.row[1]
+    chosen = [button.color for button in errors.rows]
+    assert chosen[1] != chosen[0] == chosen[2]
+    session.update(threshold=0.99)
+    session.wait_drawn()
+    wait_for(lambda: not any("false" in button.label for button in errors.rows if button.visible))
+    assert (session.report(session.state).errors.kind != FP).all()
+
+
+def test_a_note_is_saved_beside_the_run_and_comes_back(session, tmp_path):
+    notes = panel(session, NotesPanel)
+    assert not notes.folder.visible
+    RUN["Next missed object"](session)
+    session.wait_drawn()
+    wait_for(lambda: notes.folder.visible)
+    notes.text.value, notes.tags.value = "behind the truck", "occluded far"
+    notes._save()
+    (note,) = json.loads((tmp_path / "notes.json").read_text())["notes"].values()
+    assert note == {"text": "behind the truck", "tags": ["occluded", "far"]}
+    session.update(object_id=None)
+    session.wait_drawn()
+    wait_for(lambda: not notes.folder.visible)
+    RUN["Next missed object"](session)
+    wait_for(lambda: notes.folder.visible and notes.text.value == "behind the truck")
+
+
+def test_the_list_is_saved_with_its_notes(session, monkeypatch):
+    given = []
+    monkeypatch.setattr(session.client, "send_file_download", lambda name, content: given.append((name, content)))
+    errors = panel(session, ErrorsPanel)
+    wait_for(lambda: errors._report is not None)
+    errors._save()
+    name, content = given[0]
+    assert name == "errors.csv" and content.decode().splitlines()[0].startswith("drive,frame,method")
+    assert len(content.decode().splitlines()) == 1 + len(session.report(session.state).errors)
