@@ -5,7 +5,6 @@ minor versions; modules below it may move.
 """
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -165,6 +164,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
+        from importlib.metadata import version  # as slow to import as all else here
+
         return version("dsrc-testbed")
     if name not in _HOME:
         raise AttributeError(f"module 'dsrc' has no attribute '{name}'")

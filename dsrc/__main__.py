@@ -2,17 +2,57 @@
 
 import errno
 import os
+import signal
 import sys
+from typing import TextIO
 
-_PATH_ERRORS = (errno.EACCES, errno.EEXIST, errno.EISDIR, errno.ENOSPC, errno.ENOTDIR, errno.EROFS)
-"""Errors of the file system that are the fault of a path the user gave, or of a full disk."""
+from dsrc.cli.interrupts import Interrupts
+
+_PATH_ERRORS = frozenset(
+    getattr(errno, name)
+    for name in (
+        *("EACCES", "EBUSY", "EDQUOT", "EEXIST", "EFBIG", "EIO", "EISDIR", "ELOOP", "EMFILE", "ENAMETOOLONG", "ENFILE"),
+        *("ENODEV", "ENOENT", "ENOSPC", "ENOTDIR", "ENOTEMPTY", "ENXIO", "EPERM", "EROFS", "ETXTBSY", "EXDEV"),
+    )
+    if hasattr(errno, name)
+)
+"""Errors of the file system that are the fault of a path that the user gave, or of the disk."""
 
 
 def main(args: list[str] | None = None) -> None:
     """Run the command line.
 
-    A user's mistake is one line on standard error and exit code 2, an interrupt exit code 130, a closed pipe 141.
+    A user's mistake is one line on standard error and exit code 2, Ctrl-C exit code 130, SIGTERM 143, a closed pipe
+    141.
+
+    Args:
+        args: words after `dsrc`; None for those of the process, which ends afterwards.
     """
+    if args is None:
+        for stream in (sys.stdout, sys.stderr):
+            if hasattr(stream, "reconfigure"):  # a name of a file need not have an encoding
+                stream.reconfigure(errors="backslashreplace")
+    with Interrupts(ending=args is None) as interrupts:
+        try:
+            code, line = _outcome(args)
+            interrupts.settle()
+        except BaseException:
+            interrupts.settle()
+            if not interrupts.received:
+                raise
+            code, line = 1, ""
+        # A view that ends by an interrupt says so with 0; without a code a package may have swallowed the interrupt.
+        if interrupts.received and code != 0:
+            word = "terminated" if interrupts.received == signal.SIGTERM else "interrupted"
+            line = f"dsrc: {word}; generate, corrupt, dataset, model train, benchmark and demo resume\n"
+            code = 128 + interrupts.received
+        code = _write(line, code)
+        if code is not None:
+            raise SystemExit(code)
+
+
+def _outcome(args: list[str] | None) -> tuple[object, str]:
+    """Run the command; return its exit code, None where it gives none, and the line of a mistake."""
     from dsrc.cli.main import run
     from sim.errors import UserError
 
@@ -21,27 +61,47 @@ def main(args: list[str] | None = None) -> None:
             run(args)
         finally:
             sys.stdout.flush()
+    except SystemExit as leaving:
+        return leaving.code, ""
     except UserError as error:
-        _end(f"dsrc: {error}\n", 2)
-    except BrokenPipeError:
-        try:
-            sys.stdout.write("\n")
-            sys.stdout.flush()
-        except BrokenPipeError:  # the reader of standard output, such as `head`, has gone
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise SystemExit(141) from None
-        raise
+        return 2, f"dsrc: {error}\n"
     except OSError as error:
-        if error.errno not in _PATH_ERRORS or error.filename is None:
+        lost = _lost(sys.stdout)
+        if lost == errno.EPIPE:
+            return 141, ""
+        if error.errno not in _PATH_ERRORS:
             raise
-        _end(f"dsrc: {error.filename2 or error.filename}: {error.strerror}\n", 2)
-    except KeyboardInterrupt:
-        _end("dsrc: interrupted; generate, corrupt, dataset, model train, benchmark and demo resume\n", 130)
+        name = error.filename2 or error.filename or ("standard output" if lost else None)
+        place = "" if name is None else f"{os.fsdecode(name) if isinstance(name, str | bytes) else name}: "
+        return 2, f"dsrc: {place}{error.strerror}\n"
+    return None, ""
 
 
-def _end(line: str, code: int) -> None:
-    sys.stderr.write(line)
-    raise SystemExit(code) from None
+def _write(line: str, code: object) -> object:
+    """Write the last line; return the exit code, 141 where its reader has gone."""
+    try:
+        sys.stderr.write(line)
+        sys.stderr.flush()
+    except OSError:
+        _silence(sys.stderr)
+        return 141
+    return code
+
+
+def _lost(stream: TextIO) -> int:
+    """Return the number of the error with which a stream is lost: its reader has gone, its file is full; else 0."""
+    try:
+        stream.write("\n")
+        stream.flush()
+    except OSError as error:
+        _silence(stream)
+        return error.errno or errno.EIO
+    return 0
+
+
+def _silence(stream: TextIO) -> None:
+    """Drop what waits for a stream: it would fail again when the process ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 if __name__ == "__main__":

@@ -208,6 +208,17 @@ def replacing(path: Path, *, edited: bool = False) -> Iterator[Path]:
         raise
 
 
+@contextmanager
+def named(path: Path) -> Iterator[None]:
+    """Give errors of the system within a block, such as that of a full disk, the name of a file."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno and error.filename is None:
+            raise OSError(error.errno, error.strerror, str(path)) from None
+        raise
+
+
 def signed_picture(png: bytes) -> bytes:
     """Return a PNG with the note `Software: dsrc`, by which it is known as ours."""
     header = 33  # signature and first chunk

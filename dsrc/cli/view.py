@@ -33,7 +33,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
             from dsrc.review.page.app import serve
 
             serve(self, announce=_announce)
-            return
+            raise SystemExit(0)  # an interrupt is how it ends
         from dsrc.review.page.export import export_html
         from sim.files import check_apart, check_output
 

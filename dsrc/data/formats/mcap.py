@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sensors.frame import AgentFrame, Frame
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
-from sim.files import replacing
+from sim.files import named, replacing
 from sim.geometry import invert, pose_matrix
 from sim.traffic.base import lit
 
@@ -124,6 +124,10 @@ class McapFile:
 
     def write(self, frame: Frame) -> None:
         """Append a frame."""
+        with named(self.path):
+            self._append(frame)
+
+    def _append(self, frame: Frame) -> None:
         self._message("/tf", "foxglove.FrameTransforms", frame.time_s, _transforms(frame))
         for agent in frame.agents:
             topic = f"/agents/{agent.agent_id}/points"
@@ -137,9 +141,10 @@ class McapFile:
 
     def close(self) -> None:
         """Finish the file and move it to its path."""
-        self._writer.finish()
-        self._file.close()
-        self._replacing.__exit__(None, None, None)
+        with named(self.path):
+            self._writer.finish()
+            self._file.close()
+            self._replacing.__exit__(None, None, None)
 
     def _message(self, topic: str, schema: str, time_s: float, message: dict[str, Any]) -> None:
         if topic not in self._channels:

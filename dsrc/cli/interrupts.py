@@ -1,0 +1,72 @@
+"""Interrupts: Ctrl-C and SIGTERM end a command, at a moment when nobody takes the exception for an error of their own.
+
+Packages try imports with `except BaseException`, and Python drops an exception out of `__del__`: an interrupt there
+would be lost. It stays pending until the stack is clear of both.
+"""
+
+import signal
+from collections.abc import Mapping
+from types import FrameType
+from typing import Any, Self
+
+RETRY_S = 0.02
+"""Time until a pending interrupt looks again, s."""
+_FINALISERS = ("__del__",)
+
+
+class Interrupts:
+    """Context in which SIGINT and SIGTERM raise KeyboardInterrupt, once nobody would swallow it.
+
+    Args:
+        ending: the process ends with the context; further signals then end it at once, without a stack trace.
+
+    Attributes:
+        received: number of the last signal; 0 for none. It tells a swallowed interrupt from a finished command.
+    """
+
+    def __init__(self, ending: bool = False) -> None:
+        self.received = 0
+        self._ending = ending
+        self._settled = False
+        self._before: Mapping[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        try:
+            self._before = {number: signal.signal(number, self._take) for number in (signal.SIGINT, signal.SIGTERM)}
+            if hasattr(signal, "SIGALRM"):
+                self._before = {**self._before, signal.SIGALRM: signal.signal(signal.SIGALRM, self._look_again)}
+        except ValueError:  # not in the main thread, which alone has signals
+            pass
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if hasattr(signal, "setitimer") and self._before:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number, handler in self._before.items():
+            signal.signal(number, signal.SIG_DFL if self._ending else handler)
+
+    def settle(self) -> None:
+        """Raise no more: the command has ended, and what is left to do takes a moment."""
+        self._settled = True
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        self.received = number
+        self._look_again(number, frame)
+
+    def _look_again(self, number: int, frame: FrameType | None) -> None:
+        if self._settled or not self.received:
+            return
+        if hasattr(signal, "setitimer") and _would_be_lost(frame):
+            signal.setitimer(signal.ITIMER_REAL, RETRY_S)
+        else:
+            raise KeyboardInterrupt
+
+
+def _would_be_lost(frame: FrameType | None) -> bool:
+    """Return whether an import or a finaliser runs, in any frame of the stack."""
+    while frame is not None:
+        code = frame.f_code
+        if code.co_filename.startswith("<frozen importlib") or code.co_name in _FINALISERS:
+            return True
+        frame = frame.f_back
+    return False

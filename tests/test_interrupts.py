@@ -1,0 +1,154 @@
+"""Interrupts, full disks and closed pipes: an exit code and at most one line, at any moment of a command."""
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dsrc.cli.interrupts import Interrupts
+from dsrc.data.write import write_drive
+from dsrc.models.detector import Detector
+from dsrc.models.storage.checkpoint import save_detector
+from dsrc.training.recipes import debug
+from tests.dsrc.data.toy import SETTINGS, ToySource
+
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a drive and a detector."""
+    folder = tmp_path_factory.mktemp("place")
+    write_drive(folder / "data" / "toy_3", {**SETTINGS, "frames": 60}, ToySource().open)
+    save_detector(folder / "detector.pt", Detector(debug().model))
+    return folder
+
+
+VERBS = {
+    "corrupt": ("corrupt", "data", "--corruption", "fog", "--out", "foggy{n}"),
+    "workers": ("corrupt", "data", "--corruption", "snow", "--workers", "2", "--out", "snowy{n}"),
+    "generate": ("generate", "four_way", "--frames", "50", "--out", "new{n}"),
+    "evaluate": ("evaluate", "data", "--checkpoint", "detector.pt", "--out", "results{n}"),
+    "train": ("model", "train", "debug", "--data", "data", "--out", "run{n}", "--epochs", "500"),
+    "view": ("view", "data", "--out", "page{n}.html"),
+}
+
+
+@pytest.mark.parametrize("delay_s", [0.3, 0.9, 3.0])
+@pytest.mark.parametrize("verb", VERBS)
+def test_an_interrupt_ends_a_command_with_one_line(verb: str, delay_s: float, place: Path) -> None:
+    number = signal.SIGTERM if delay_s == 0.9 else signal.SIGINT
+    words = [word.format(n=f"{delay_s:g}") for word in VERBS[verb]]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dsrc", *words],
+        cwd=place,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    time.sleep(delay_s)
+    if process.poll() is None:
+        os.killpg(process.pid, number)  # as a terminal does: to the workers too
+    _, said = process.communicate(timeout=60)
+    if process.returncode == 0:  # had ended before
+        assert "Traceback" not in said
+        return
+    assert process.returncode == CODES[number], said
+    assert "Traceback" not in said and said.count("dsrc: ") == 1, said
+    word = "terminated" if number == signal.SIGTERM else "interrupted"
+    assert said.splitlines()[-1].startswith(f"dsrc: {word}; "), said
+
+
+def test_an_interrupt_waits_for_an_import_that_would_swallow_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As packages of the wild do: whatever goes wrong means that an optional part is missing.
+    (tmp_path / "greedy_import.py").write_text(
+        "import os, signal, time\n"
+        "try:\n    os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(0.1)\n"
+        "except BaseException:\n    swallowed = True\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with Interrupts() as interrupts:
+        try:
+            module = importlib.import_module("greedy_import")
+            assert not hasattr(module, "swallowed") and interrupts.received == signal.SIGINT
+            time.sleep(5.0)
+        except KeyboardInterrupt:
+            return
+    raise AssertionError("lost")
+
+
+def test_the_handlers_of_the_caller_are_put_back() -> None:
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)]
+    with Interrupts():
+        assert signal.getsignal(signal.SIGINT) != before[0]
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)] == before
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_standard_output_is_one_line() -> None:
+    with open("/dev/full", "w") as full:
+        result = subprocess.run(
+            [sys.executable, "-m", "dsrc", "scenario", "list"], stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert (result.returncode, result.stderr) == (2, "dsrc: standard output: No space left on device\n")
+
+
+def test_a_closed_standard_error_is_no_stack_trace() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as closed:
+        result = subprocess.run(
+            [sys.executable, "-m", "dsrc", "scenario", "show", "none"], stdout=subprocess.PIPE, stderr=closed, text=True
+        )
+    assert (result.returncode, result.stdout) == (141, "")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("corrupt", "{data}", "--corruption", "beam_missing", "--out", "{out}"),
+        ("dataset", "convert", "{data}", "--to", "mcap", "--out", "{out}"),
+        ("model", "import", "{detector}", "--out", "{out}/x.pt"),
+        ("view", "{data}", "--out", "{out}/page.html", "--frames", "1"),
+        ("model", "train", "debug", "--data", "{data}", "--out", "{out}", "--epochs", "1"),
+        ("dataset", "card", "{data}", "--out", "{out}"),
+    ],
+)
+def test_a_full_disk_is_one_line_with_the_name_of_a_file(words: tuple[str, ...], place: Path, tmp_path: Path) -> None:
+    # A limit on the size of files stands for a disk that is full: writing fails after some bytes.
+    out = tmp_path / "out"
+    values = {"data": place / "data", "detector": place / "detector.pt", "out": out}
+    code = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500));"
+        "from dsrc.__main__ import main; main(sys.argv[1:])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code, *(word.format(**values) for word in words)], capture_output=True, text=True
+    )
+    said = [line for line in result.stderr.splitlines() if "Traceback" in line or line.startswith("dsrc: ")]
+    assert result.returncode == 2 and len(said) == 1, result.stderr[-2000:]
+    assert str(out) in said[0] or words[1] == "import", said
+
+
+def test_impossible_names_are_one_line(place: Path, tmp_path: Path) -> None:
+    long = "n" * 300
+    for words in (
+        ("view", place / "data", "--out", tmp_path / f"{long}.html"),
+        ("corrupt", place / "data", "--corruption", "fog", "--out", tmp_path / long),
+        ("generate", long, "--out", tmp_path / "out"),
+        ("view", tmp_path / long, "--out", tmp_path / "page.html"),
+        ("evaluate", place / "data", "--checkpoint", long, "--out", tmp_path / "out"),
+        ("scenario", "show", long + ".toml"),
+    ):
+        result = subprocess.run([sys.executable, "-m", "dsrc", *map(str, words)], capture_output=True, text=True)
+        assert result.returncode == 2 and result.stderr.count("\n") == 1, (words, result.stderr)
