@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: demo test test-slow test-browser test-explore lint format types clean
+.PHONY: demo test test-slow test-browser test-explore fuzz lint format types clean
 
 # An interrupted demo resumes.
 demo: $(READY)
@@ -21,6 +21,10 @@ test-browser: $(READY)
 # Property tests on new random examples.
 test-explore: $(READY)
 	$(BIN)/python -m pytest --hypothesis-profile explore $$(grep -rl --include 'test_*.py' hypothesis tests)
+
+# Broken files for every reader, ten minutes of new ones; the last line says how many.
+fuzz: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -W ignore -m tests.fuzz.run --seconds 600
 
 lint: $(READY)
 	$(BIN)/ruff check .

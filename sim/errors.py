@@ -5,6 +5,7 @@ stack trace. A message names the file, the field, what was expected, what was fo
 """
 
 import difflib
+import reprlib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -47,13 +48,40 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
 
 
 def complaint(file: Path | str, field: str, expected: str, found: object, hint: str = "") -> str:
-    """Return the one-line message of a bad value: file, field, expected, found and an optional hint."""
-    shown = found if isinstance(found, str) else repr(found)
-    if len(shown) > 80:
-        shown = shown[:77] + "..."
-    return f"{file}: {field}: expected {expected}, found {shown}{hint}"
+    """Return the one-line message of a bad value: file, field, expected, found and an optional hint.
+
+    What was found is cut to 80 characters before it is written out, however large it is.
+    """
+    shown = found if isinstance(found, str) else _SHORT.repr(found)
+    return f"{one_line(file, 1000)}: {one_line(field, 200)}: expected {one_line(expected, 1000)}, found {one_line(shown, 80)}{hint}"
 
 
 def unreadable(file: Path | str, what: str, error: Exception) -> str:
     """Return the one-line message of a file that a parser refuses."""
-    return f"{file}: not a readable {what}: {' '.join(str(error).split())}"
+    said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return f"{one_line(file, 1000)}: not a readable {what}: {one_line(said, 200) or type(error).__name__}"
+
+
+def one_line(value: object, most: int) -> str:
+    """Return a text of at most so many characters, all in one line and printable."""
+    text = str(value)
+    cut = " ".join(text[: 4 * most].split())
+    cut = "".join(char if char.isprintable() else "?" for char in cut)
+    return cut if len(cut) <= most and len(text) <= 4 * most else cut[: most - 3] + "..."
+
+
+class _Short(reprlib.Repr):
+    """Representation of a value in bounded time: a bomb of aliases or a number of 5,000 digits is not written out."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel = 3
+        self.maxstring = self.maxother = 200
+        self.maxdict = self.maxlist = self.maxtuple = self.maxset = 8
+
+    def repr_int(self, x: int, level: int) -> str:
+        """Return an integer, or its size in bits."""
+        return repr(x) if x.bit_length() < 300 else f"a whole number of {x.bit_length()} bits"
+
+
+_SHORT = _Short()

@@ -4,20 +4,21 @@ numpy reads them as any other archive. Equal arrays give equal bytes.
 """
 
 import io
-import lzma
 import math
 import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import DataError, complaint, unreadable
 from sim.files import replacing
+from sim.reading import check_regular, parsing
 
-LARGEST_BYTES = 1 << 31
+LARGEST_BYTES = 1 << 30
 """Largest size of an archive when unpacked: a city's static world takes a tenth of it."""
+
+MOST_ARRAYS = 10_000
+"""Most arrays of an archive."""
 
 
 def packed(values: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -79,19 +80,20 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray]:
     Raises:
         DataError: the file is missing, damaged or larger than `LARGEST_BYTES` in memory.
     """
-    if not path.is_file():
-        raise DataError(complaint(path, what, "an existing file", "no such file"))
-    broken = (OSError, ValueError, EOFError, KeyError, AttributeError, NotImplementedError)
-    try:
-        # Opened here, because numpy leaves a damaged archive open.
-        with path.open("rb") as file:
-            with zipfile.ZipFile(file) as members:
-                _check_sizes(members)
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                return {name: archive[name] for name in archive.files}
-    except (*broken, zipfile.BadZipFile, zlib.error, lzma.LZMAError) as error:
-        raise DataError(unreadable(path, what, error)) from None
+    check_regular(path, what)
+    # Opened here, because numpy leaves a damaged archive open.
+    with parsing(path, what), path.open("rb") as file:
+        with zipfile.ZipFile(file) as members:
+            _check_sizes(members)
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        for name, array in arrays.items():
+            if array.dtype.kind == "U":
+                "".join(array.ravel().tolist()).encode()  # a surrogate is no text: it could not be written again
+            if array.dtype.kind == "f" and array.dtype.itemsize > 8:
+                raise ValueError(f"{name}: numbers of {array.dtype}")
+        return arrays
 
 
 def _check_sizes(archive: zipfile.ZipFile) -> None:
@@ -102,10 +104,12 @@ def _check_sizes(archive: zipfile.ZipFile) -> None:
     infos = archive.infolist()
     if sum(info.file_size for info in infos) > LARGEST_BYTES:
         raise ValueError(f"more than {LARGEST_BYTES} bytes when unpacked")
+    if len(infos) > MOST_ARRAYS:
+        raise ValueError(f"more than {MOST_ARRAYS} arrays")
     for info in infos:
         with archive.open(info) as member:
             first = np.lib.format.read_magic(member) == (1, 0)
             read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
             shape, _, dtype = read(member)
-        if math.prod(shape) * dtype.itemsize > info.file_size:
+        if math.prod(shape) * max(dtype.itemsize, 1) > info.file_size:
             raise ValueError(f"{info.filename}: an array of {shape} in {info.file_size} bytes")

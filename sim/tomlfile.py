@@ -8,6 +8,10 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 import msgspec
 
 from sim.errors import UserError, complaint, did_you_mean
+from sim.reading import parsing, read_text
+
+LARGEST_BYTES = 1 << 24
+"""Most bytes of a file of settings."""
 
 Settings = TypeVar("Settings", bound=msgspec.Struct)
 
@@ -23,20 +27,27 @@ def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Setti
     Raises:
         UserError: of the class `error`: the file is unreadable, a key unknown, or a value missing or wrong.
     """
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as wrong:
-        raise error(f"{path}: expected a TOML file, found {(wrong.strerror or str(wrong)).lower()}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as wrong:
-        raise error(f"{path}: not a readable TOML file: {' '.join(str(wrong).split())}") from None
+    raw = read_tables(path, error)
     for keys, struct in _unknown_keys(raw, kind, ()):
         *where, key = keys
         hint = did_you_mean(str(key), struct.__struct_fields__)
         raise error(complaint(path, dotted(where) or "top level", "known keys only", f"key '{key}'", hint))
-    try:
-        return msgspec.convert(raw, kind, strict=True)
-    except msgspec.ValidationError as wrong:
-        raise error(_explain(path, raw, _named(raw, kind) or str(wrong))) from None
+    with parsing(path, "TOML file", error):
+        try:
+            return msgspec.convert(raw, kind, strict=True)
+        except msgspec.ValidationError as wrong:
+            raise error(_explain(path, raw, _named(raw, kind) or str(wrong))) from None
+
+
+def read_tables(path: Path, error: type[UserError]) -> dict[str, Any]:
+    """Read a TOML file as plain values.
+
+    Raises:
+        UserError: of the class `error`: the file is unreadable, too large or nested too deeply.
+    """
+    text = read_text(path, "TOML file", error, LARGEST_BYTES)
+    with parsing(path, "TOML file", error):
+        return tomllib.loads(text)
 
 
 def dotted(keys: Iterable[str | int]) -> str:

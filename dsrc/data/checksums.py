@@ -6,6 +6,7 @@ from pathlib import Path
 
 from sim.errors import DataError, complaint
 from sim.files import file_sha256, write_file
+from sim.reading import read_text
 
 CHECKSUMS = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
@@ -25,10 +26,7 @@ def read_checksums(folder: Path) -> dict[str, str]:
         DataError: the file is missing or damaged.
     """
     path = folder / CHECKSUMS
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read: {error}") from None
+    lines = read_text(path, "list of checksums").splitlines()
     sums = {}
     for number, line in enumerate(lines, 1):
         match = _LINE.fullmatch(line)

@@ -7,9 +7,7 @@ from typing import TypeVar
 import msgspec
 
 from sim.errors import DataError, complaint
-
-LARGEST_BYTES = 512 * 1024 * 1024
-"""Limit on a file that is read; the largest known index has 15 MB."""
+from sim.reading import parsing, read_bytes
 
 _PLACE = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<field>.*)`)?$", re.DOTALL)
 _WRONG = re.compile(r"Expected `(?P<expected>.*)`, got `(?P<found>.*)`")
@@ -24,21 +22,12 @@ def read_json(path: Path, kind: type[T]) -> T:
     Raises:
         DataError: the file is missing, is not JSON, or a value is missing or of another type.
     """
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_BYTES:
-            raise DataError(complaint(path, "file", f"at most {LARGEST_BYTES} bytes", f"{size} bytes"))
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise DataError(f"{path}: file not found") from None
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}") from None
-    try:
-        return msgspec.json.decode(content, type=kind, strict=False)
-    except msgspec.ValidationError as error:
-        raise DataError(_explained(path, str(error))) from None
-    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
-        raise DataError(f"{path}: not JSON: {' '.join(str(error).split())}") from None
+    content = read_bytes(path, "JSON file")
+    with parsing(path, "JSON file"):
+        try:
+            return msgspec.json.decode(content, type=kind, strict=False)
+        except msgspec.ValidationError as error:
+            raise DataError(_explained(path, str(error))) from None
 
 
 def _explained(path: Path, message: str) -> str:

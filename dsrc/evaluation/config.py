@@ -58,7 +58,7 @@ _Texts = Annotated[tuple[str, ...], Meta(min_length=1)]
 IN_USE = ("align_poses", "share", "bits", "score_threshold", "nms_iou", "team_by", "judged_by")
 """Model settings that a trained detector can be used with at any value."""
 
-_Amounts = tuple[Annotated[float, Meta(ge=0.0)], ...]
+_Amounts = tuple[Annotated[float, Meta(ge=0.0, le=1e6)], ...]
 
 
 class MethodSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

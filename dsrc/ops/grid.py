@@ -1,6 +1,11 @@
 """Bird's-eye grid of a detector."""
 
+import math
+
 import msgspec
+
+MOST_CELLS = 5e7
+"""Most cells of a grid: 2.8 km squared of the paper's."""
 
 
 class GridSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -18,6 +23,13 @@ class GridSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ends = zip(self.range_m[:3], self.range_m[3:], strict=True)
         if not (self.cell_m > 0 and all(low < high for low, high in ends)):
             raise ValueError(f"grid: expected a positive cell and minima below maxima, found {self}")
+        if not all(map(math.isfinite, (*self.range_m, self.cell_m))) or self._sides() > MOST_CELLS:
+            raise ValueError(f"grid: expected at most {MOST_CELLS:g} cells, found {self}")
+
+    def _sides(self) -> float:
+        """Return the cells along x times those along y, not rounded."""
+        x, y = self.range_m[3] - self.range_m[0], self.range_m[4] - self.range_m[1]
+        return x / self.cell_m * (y / self.cell_m)
 
     @property
     def width(self) -> int:

@@ -12,7 +12,7 @@ from dsrc.models.settings import Count, ModelSettings
 from dsrc.ops.grid import GridSpec
 from dsrc.training.losses import DistillSettings, released
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX
-from sim.errors import SettingsError, complaint, did_you_mean
+from sim.errors import SettingsError, complaint, did_you_mean, one_line
 
 Stage = Literal["teacher", "student", "plain"]
 PARTS = ("model", "distill", "labels", "augmentation")
@@ -306,15 +306,17 @@ def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
         if field not in parts.get(part, Recipe.__struct_fields__ if not part else ()):
             dotted = [f"{part}.{field}" for part, fields in parts.items() if part != "model" for field in fields]
             known = [*parts["model"], *Recipe.__struct_fields__, *dotted]
-            raise SettingsError(f"--set {name}: no such setting{did_you_mean(name, known)}")
+            raise SettingsError(f"--set {one_line(name, 80)}: no such setting{did_you_mean(name[:80], known)}")
         try:
             parsed = msgspec.json.decode(value)
         except msgspec.DecodeError:
             parsed = value
+        except RecursionError:
+            raise SettingsError(complaint("--set", name, "a value", "one nested too deeply")) from None
         plain = msgspec.to_builtins(recipe)
         (plain[part] if part else plain)[field] = parsed
         try:
             recipe = msgspec.convert(plain, Recipe, strict=False)
         except msgspec.ValidationError as error:
-            raise SettingsError(f"--set {text}: {error}") from None
+            raise SettingsError(f"--set {one_line(text, 80)}: {error}") from None
     return recipe

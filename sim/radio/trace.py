@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from sim.errors import DataError, complaint, unreadable
+from sim.errors import DataError, complaint
+from sim.reading import parsing, read_text
 
 _COLUMNS = {"time_s": (-math.inf, math.inf), "delay_s": (0.0, math.inf), "loss": (0.0, 1.0)}
 
@@ -64,10 +65,12 @@ def read_trace(path: str) -> Trace:
     Raises:
         DataError: the file cannot be read, a column is missing or a value is wrong.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(unreadable(path, "CSV file", error)) from None
+    text = read_text(Path(path), "CSV file").removeprefix("\ufeff")
+    with parsing(path, "CSV file"):
+        return _trace(path, text)
+
+
+def _trace(path: str, text: str) -> Trace:
     reader = csv.DictReader(text.splitlines())
     names = [name.strip() for name in reader.fieldnames or []]
     for name in _COLUMNS:

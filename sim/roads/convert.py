@@ -3,16 +3,15 @@
 import bz2
 import gzip
 import hashlib
-import shutil
 import tempfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from sim.errors import ScenarioError, complaint, unreadable
+from sim.errors import ScenarioError, complaint
+from sim.reading import check_regular, parsing
 from sim.roads import kerbside, rounding
-from sim.roads.pbf import pbf_to_xml
+from sim.roads.pbf import MOST_BYTES, pbf_to_xml
 from sim.roads.tools import Option, drop_header, run_tool, sumo_home
 
 MAP_SUFFIXES = (".net.xml", ".net.xml.gz", ".osm", ".osm.xml", ".osm.gz", ".osm.bz2", ".osm.pbf", ".pbf", ".xodr")
@@ -105,8 +104,7 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
         ScenarioError: the file is missing, of an unknown format, or refused by netconvert.
     """
     kind = map_kind(source)
-    if not source.is_file():
-        raise ScenarioError(complaint(source, "map", "an existing file", "no such file"))
+    check_regular(source, "map", ScenarioError)
     net = folder / "map.net.xml"
     options: dict[str, Option]
     with tempfile.TemporaryDirectory(dir=folder) as work:
@@ -142,11 +140,12 @@ def _plain_osm(source: Path, kind: str, work: Path) -> Path:
     if kind.endswith(".pbf"):
         pbf_to_xml(source, target)
         return target
-    try:
-        with (gzip if kind.endswith(".gz") else bz2).open(source) as packed, target.open("wb") as plain:
-            shutil.copyfileobj(packed, plain)
-    except (OSError, EOFError, zlib.error) as error:
-        raise ScenarioError(unreadable(source, f"{kind} file", error)) from None
+    opened = gzip if kind.endswith(".gz") else bz2
+    with parsing(source, f"{kind} file", ScenarioError), opened.open(source) as packed, target.open("wb") as plain:
+        while content := packed.read(1 << 20):
+            plain.write(content)
+            if plain.tell() > MOST_BYTES:
+                raise ValueError(f"more than {MOST_BYTES} bytes when unpacked")
     return target
 
 

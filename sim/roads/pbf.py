@@ -12,10 +12,15 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import ScenarioError, unreadable
+from sim.errors import ScenarioError
+from sim.reading import parsing, read_bytes
 
 _MEMBER = ("node", "way", "relation")
 _NANODEGREE = 1e-9
+_LONGEST_VARINT = 70
+_LARGEST_BLOB = 1 << 25
+MOST_BYTES = 1 << 30
+"""Most bytes of a map when unpacked."""
 
 Fields = dict[int, list]
 """Fields of a message: field number -> values in order, int or bytes."""
@@ -27,21 +32,19 @@ def pbf_to_xml(source: Path, target: Path) -> None:
     Raises:
         ScenarioError: the file is missing, truncated or of another format.
     """
-    try:
-        data = source.read_bytes()
+    data = read_bytes(source, ".osm.pbf file", ScenarioError)
+    with parsing(source, ".osm.pbf file", ScenarioError):
         blocks = [block for kind, block in _blobs(data) if kind == b"OSMData"]
         lines = [line for element in _ELEMENTS for block in blocks for line in _block(block, element)]
         if not lines:
             raise ValueError("it holds no nodes")
-    except (OSError, struct.error, zlib.error, ValueError, IndexError, KeyError) as error:
-        raise ScenarioError(unreadable(source, ".osm.pbf file", error)) from None
     head = '<?xml version="1.0" encoding="UTF-8"?>\n<osm version="0.6">\n'
     target.write_text(head + "".join(lines) + "</osm>\n", encoding="utf-8")
 
 
 def _blobs(data: bytes) -> Iterator[tuple[bytes, bytes]]:
     """Yield (type, content) of the blobs of a file."""
-    at = 0
+    at = unpacked = 0
     while at < len(data):
         (length,) = struct.unpack_from(">I", data, at)
         header = _fields(data[at + 4 : at + 4 + length])
@@ -53,7 +56,20 @@ def _blobs(data: bytes) -> Iterator[tuple[bytes, bytes]]:
         at += size
         if 1 not in blob and 3 not in blob:
             raise ValueError("its blobs are neither plain nor packed by zlib")
-        yield header[1][0], blob[1][0] if 1 in blob else zlib.decompress(blob[3][0])
+        content = blob[1][0] if 1 in blob else _inflated(blob[3][0])
+        unpacked += len(content)
+        if unpacked > MOST_BYTES:
+            raise ValueError(f"more than {MOST_BYTES} bytes when unpacked")
+        yield header[1][0], content
+
+
+def _inflated(packed: bytes) -> bytes:
+    """Return the content of a blob, which the format bounds."""
+    inflater = zlib.decompressobj()
+    content = inflater.decompress(packed, _LARGEST_BLOB)
+    if not inflater.eof:
+        raise ValueError(f"a blob is cut short, or larger than {_LARGEST_BLOB} bytes when unpacked")
+    return content
 
 
 def _fields(data: bytes) -> Fields:
@@ -85,6 +101,8 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
         at += 1
         value |= (byte & 0x7F) << shift
         shift += 7
+        if shift > _LONGEST_VARINT:
+            raise ValueError("a number of more than 64 bits")
         if byte < 0x80:
             return value, at
 

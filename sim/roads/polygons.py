@@ -9,8 +9,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from sim.errors import ScenarioError, complaint, unreadable
+from sim.errors import ScenarioError, complaint
 from sim.mesh.solids import rings_of
+from sim.reading import LARGEST_BYTES, parsing, read_bytes, read_text
 
 STOREY_M = 3.0
 """Height of a storey, m."""
@@ -38,10 +39,7 @@ def has_buildings(path: Path) -> bool:
     Raises:
         ScenarioError: the file is missing or not text.
     """
-    try:
-        return ' type="building' in path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(unreadable(path, ".poly.xml file", error)) from None
+    return ' type="building' in read_text(path, ".poly.xml file", ScenarioError, LARGEST_BYTES)
 
 
 def read_outlines(path: Path) -> list[BuildingOutline]:
@@ -53,10 +51,12 @@ def read_outlines(path: Path) -> list[BuildingOutline]:
     Raises:
         ScenarioError: the file is missing, of another format or without buildings.
     """
-    try:
-        root = ET.fromstring(path.read_bytes())
-    except (OSError, ET.ParseError, ValueError, LookupError) as error:
-        raise ScenarioError(unreadable(path, ".poly.xml file", error)) from None
+    content = read_bytes(path, ".poly.xml file", ScenarioError)
+    with parsing(path, ".poly.xml file", ScenarioError):
+        return _outlines(path, ET.fromstring(content))
+
+
+def _outlines(path: Path, root: ET.Element) -> list[BuildingOutline]:
     outlines = []
     for poly in root.iter("poly"):
         kind = poly.get("type", "")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
 from sim.packed import differences, packed, read_arrays, sums, unpacked, write_arrays
+from sim.reading import parsing
 from sim.scenario import Area
 from sim.traffic.base import (
     ACCELERATION_MPS2,
@@ -29,6 +30,8 @@ from sim.traffic.base import (
 )
 
 VERSION = 3
+LARGEST_M = 1e4
+"""Largest edge of an object, m."""
 
 # Columns of the file: per object (in order of id), per lane (in order of name), per run of consecutive steps of one
 # object (in order of object, then step), and per actor and step (run after run), packed. Files of version 2 held
@@ -94,7 +97,9 @@ class TrafficLog:
         Raises:
             DataError: the file is missing, damaged or no traffic log.
         """
-        return cls.from_columns(read_log_columns(Path(path)))
+        columns = read_log_columns(Path(path))
+        with parsing(path, "traffic log"):
+            return cls.from_columns(columns)
 
     @classmethod
     def from_columns(cls, columns: dict[str, NDArray]) -> Self:
@@ -224,6 +229,11 @@ def read_log_columns(path: Path) -> dict[str, NDArray]:
 
 def check_log_columns(path: Path, columns: dict[str, NDArray]) -> None:
     """Raise DataError, which names `path`, unless the columns are those of a log."""
+    with parsing(path, "traffic log"):
+        _check_columns(path, columns)
+
+
+def _check_columns(path: Path, columns: dict[str, NDArray]) -> None:
     version = columns.get("version", np.array(-1))
     if version.shape != () or version.dtype.kind not in "iu" or int(version) != VERSION:
         hint = "; generate the drive again"
@@ -264,6 +274,9 @@ def check_log_columns(path: Path, columns: dict[str, NDArray]) -> None:
     same = np.diff(columns["run/object"]) == 0
     if (np.diff(columns["run/object"]) < 0).any() or (start[1:] <= end[:-1])[same].any():
         raise DataError(complaint(path, "run/object", "runs in order of object and step", "others"))
+    size = columns["object/size"]
+    if len(size) and (size.min() <= 0 or size.max() > LARGEST_M / POSITION_M):
+        raise DataError(complaint(path, "object/size", f"positive sizes up to {LARGEST_M:g} m", "others"))
     if _outside(columns["object/label"], len(CLASSES)):
         raise DataError(complaint(path, "object/label", f"indices of {len(CLASSES)} classes", "others"))
     if len(start) and _outside(sums(unpacked(columns["row/lane"]), columns["run/length"]), lanes):

@@ -17,6 +17,7 @@ from sim.errors import DataError, complaint
 from sim.mesh.materials import MATERIALS, material_index
 from sim.mesh.solids import MeshPart, fit, to_mesh
 from sim.packed import packed, read_arrays, unpacked, write_arrays
+from sim.reading import parsing
 from sim.traffic.base import from_steps, in_steps
 
 VERSION = 1
@@ -81,6 +82,11 @@ def load_world(path: Path) -> World:
         DataError: the file is missing, damaged or no world.
     """
     columns = read_arrays(path, "static world")
+    with parsing(path, "static world"):
+        return _world(path, columns)
+
+
+def _world(path: Path, columns: Mapping[str, NDArray]) -> World:
     if int(columns.get("version", np.array(-1))) != VERSION:
         raise DataError(
             complaint(path, "version", f"a world of version {VERSION}", str(columns.get("version", "none")))
@@ -118,7 +124,7 @@ def _columns(part: MeshPart, grid: float) -> dict[str, NDArray]:
     }
 
 
-def _piece(path: Path, columns: dict[str, NDArray], name: str) -> MeshPart:
+def _piece(path: Path, columns: Mapping[str, NDArray], name: str) -> MeshPart:
     kinds = {"materials": ("U", 1), "material": ("u", 1), **dict.fromkeys(("x", "y", "z", "corner"), ("u", 2))}
     for key, (kind, axes) in kinds.items():
         array = columns.get(f"{name}/{key}")

@@ -20,7 +20,6 @@ Paths are relative to the file, or else to the current folder.
 """
 
 import hashlib
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -43,7 +42,7 @@ from sim.encounters import ENCOUNTERS
 from sim.errors import SettingsError, complaint
 from sim.files import file_sha256
 from sim.radio import IDEAL, get_channel
-from sim.tomlfile import read_toml
+from sim.tomlfile import read_tables, read_toml
 
 CONTROLS = ("no_occluder", "no_conflict")
 COMPUTED_BY = "dsrc.closed_loop.campaign.episode"
@@ -196,8 +195,8 @@ def campaign_of(options: DriveOptions) -> Campaign:
 def is_campaign(path: Path) -> bool:
     """Whether a TOML describes a campaign, not a scenario: it has perceptions."""
     try:
-        return "perceptions" in tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return "perceptions" in read_tables(path, SettingsError)
+    except SettingsError:
         return False
 
 

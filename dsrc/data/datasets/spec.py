@@ -17,7 +17,7 @@ A drive is a work item, keyed by the hash of all settings that decide its bytes.
 
 import hashlib
 import itertools
-import tomllib
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,8 +31,9 @@ from dsrc.data.write import DriveSpec
 from dsrc.options.drives import DriveOptions
 from sim.catalog.load import ROOT, load_scenario
 from sim.errors import DataError, ScenarioError, SettingsError, complaint
+from sim.reading import parsing
 from sim.scenario import Scenario
-from sim.tomlfile import read_toml
+from sim.tomlfile import read_tables, read_toml
 from sim.traffic.log import read_log_columns
 
 SPLIT_FILE = "split.toml"
@@ -110,6 +111,10 @@ class DriveItem:
         return hashlib.sha256(text).hexdigest()
 
 
+MOST_DRIVES = 100_000
+"""Most drives of a group."""
+
+
 def find_split_file(name_or_path: str | Path) -> Path | None:
     """Return the split file of a shipped dataset or of a path; None for anything else, such as a scenario."""
     path = Path(name_or_path)
@@ -119,8 +124,8 @@ def find_split_file(name_or_path: str | Path) -> Path | None:
     if path.suffix != ".toml" or not path.is_file():
         return None
     try:
-        fields = tomllib.loads(path.read_text(encoding="utf-8")).keys()
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        fields = read_tables(path, DataError).keys()
+    except DataError:
         return None
     # A file without splits is a scenario only where it defines its traffic.
     return path if "split" in fields or not fields & {"network", "demand", "conflict"} else None
@@ -173,13 +178,16 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
     vehicles: Sequence[int | None] = group.vehicles or (None,)
     lidars: Sequence[str | None] = group.lidars or (None,)
     roadside: Sequence[str | None] = group.roadside_lidars or (None,)
+    count = math.prod(map(len, (group.scenarios, group.seeds, group.frames, vehicles, lidars, roadside)))
+    if count > MOST_DRIVES:
+        raise SettingsError(complaint(where, "drives", f"at most {MOST_DRIVES} in a group", count))
     combinations = itertools.product(group.scenarios, group.seeds, group.frames, vehicles, lidars, roadside)
-    for name, seed, frames, count, lidar, roadside_lidar in combinations:
+    for name, seed, frames, number, lidar, roadside_lidar in combinations:
         marks = [
             mark
             for axis, mark in (
                 (group.frames, f"{frames}f"),
-                (vehicles, f"{count}v"),
+                (vehicles, f"{number}v"),
                 (lidars, lidar),
                 (roadside, roadside_lidar),
             )
@@ -197,7 +205,7 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
                 raise ScenarioError(f"{where}: scenarios: {error}") from None
         else:
             scenario, proof = _recorded_scenario(recorded / TRAFFIC_LOG)
-        scenario = with_sensors(scenario, count, lidar, roadside_lidar, group.roadside)
+        scenario = with_sensors(scenario, number, lidar, roadside_lidar, group.roadside)
         spec = DriveSpec(scenario, seed, frames, **group.shared())
         spec.check(where)
         yield DriveItem(split, drive, spec, recorded, proof)
@@ -231,10 +239,17 @@ def log_settings(path: Path) -> tuple[Scenario, dict]:
         DataError: the log is damaged or lacks its scenario.
     """
     about = msgspec.json.decode(str(read_log_columns(path)["about"]))
-    try:
-        return msgspec.convert(about.pop("scenario", None), Scenario), about
-    except msgspec.ValidationError as error:
-        raise DataError(f"{path}: about.scenario: not one of this version: {error}; record the drive again") from None
+    with parsing(path, "traffic log"):
+        try:
+            scenario = msgspec.convert(about.pop("scenario", None), Scenario)
+        except msgspec.ValidationError as error:
+            raise DataError(
+                f"{path}: about.scenario: not one of this version: {error}; record the drive again"
+            ) from None
+        for name, kind in {"seed": int, "frames": int, "interval_s": (int, float)}.items():
+            if not isinstance(about.get(name), kind) or isinstance(about[name], bool):  # type: ignore[arg-type]
+                raise DataError(complaint(path, f"about.{name}", "a number", about.get(name, "nothing")))
+        return scenario, about
 
 
 def _recorded_scenario(log: Path) -> tuple[Scenario, dict | None]:

@@ -8,6 +8,7 @@ Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -79,11 +80,13 @@ def vehicles_of(path: Path, content: dict) -> dict[int, dict]:
     found = {}
     for key, entry in vehicles.items():
         # Tools that convert by way of JSON leave the ids as text.
-        number = int(key) if isinstance(key, str) and key.lstrip("-").isdecimal() else key
+        number = int(key) if isinstance(key, str) and len(key) < 20 and key.lstrip("-").isdecimal() else key
         if not isinstance(number, int) or isinstance(number, bool) or abs(number) >= ID_LIMIT:
             raise DataError(complaint(path, "vehicles", "whole numbers as ids", key))
         if not isinstance(entry, dict):
             raise DataError(complaint(path, f"vehicles.{key}", "a mapping", type(entry).__name__))
+        if number in found:
+            raise DataError(complaint(path, "vehicles", "each id once", f"{number} twice"))
         found[number] = entry
     return found
 
@@ -93,9 +96,8 @@ def _vehicle(path: Path, key: int, entry: dict) -> tuple[int, list[float], list[
     where = f"vehicles.{key}."
     location, center = numbers(path, entry, "location", 3, where), numbers(path, entry, "center", 3, where)
     angle, extent = numbers(path, entry, "angle", 3, where), numbers(path, entry, "extent", 3, where)
-    if min(extent) <= 0.0:
-        raise DataError(complaint(path, f"{where}extent", "positive half sizes", extent))
     middle = [a + b for a, b in zip(location, center, strict=True)]
+    check_box(path, f"{where}extent", middle, [2.0 * half for half in extent], max(angle, key=abs))
     speed = number(path, f"{where}speed", entry["speed"]) / 3.6 if "speed" in entry else math.nan
     return key, middle, angle, extent, speed
 
@@ -165,6 +167,32 @@ def with_own_bodies(frame: Frame) -> Frame:
     )
 
 
+FARTHEST_M = 1e8
+"""Farthest place of anything, m: beyond the coordinates of any national grid."""
+LARGEST_M = 1e4
+"""Largest edge of a box, m."""
+_LARGEST_ANGLE = 1e6
+
+
+def check_box(path: Path, field: str, center: Sequence[float], size: Sequence[float], angle: float) -> None:
+    """Check that a box can be one of the world.
+
+    Args:
+        path: of its file.
+        field: its name in the file.
+        center: its centre, m.
+        size: its edges, m.
+        angle: its largest angle, in any unit.
+
+    Raises:
+        DataError: an edge is not positive or absurdly long, or the box absurdly far away.
+    """
+    if min(size) <= 0.0 or max(size) > LARGEST_M:
+        raise DataError(complaint(path, field, f"positive sizes up to {LARGEST_M:g} m", [float(x) for x in size]))
+    if max(map(abs, center)) > FARTHEST_M or abs(angle) > _LARGEST_ANGLE:
+        raise DataError(complaint(path, field, f"a place within {FARTHEST_M:g} m", [*map(float, center), float(angle)]))
+
+
 def numbers(path: Path, content: dict, key: str, count: int, where: str = "") -> list[float]:
     """Return `count` finite numbers under a key; DataError names the file and the field."""
     value = content.get(key)
@@ -177,7 +205,7 @@ def number(path: Path, field: str, value: object) -> float:
     """Return a finite number, also of text (YAML reads `1e-3` as text); DataError names the file and the field."""
     try:
         number = float(value) if not isinstance(value, bool) else math.nan  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
         raise DataError(complaint(path, field, "a finite number", value))

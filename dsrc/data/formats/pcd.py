@@ -17,6 +17,7 @@ from dsrc.data.formats.lzf import decompress
 from sensors.spec import LidarSpec
 from sensors.sweep import Sweep, make_sweep
 from sim.errors import DataError, complaint
+from sim.reading import parsing, read_bytes
 
 _HEADER = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _KINDS = {"F": "f", "U": "u", "I": "i"}
@@ -88,12 +89,12 @@ def read_table(path: Path) -> NDArray[np.void]:
     Raises:
         DataError: the file is missing, truncated or damaged, or its header contradicts itself.
     """
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise DataError(f"{path}: file not found") from None
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}") from None
+    content = read_bytes(path, "PCD file")
+    with parsing(path, "PCD file"):
+        return _table_of(path, content)
+
+
+def _table_of(path: Path, content: bytes) -> NDArray[np.void]:
     header, body = _split_header(path, content)
     dtype, points = _record_type(path, header), _point_count(path, header)
     form = header["DATA"][0]
@@ -157,6 +158,20 @@ def read_pcd(
         DataError: the file cannot be read, lacks a coordinate or intensity, or has a coordinate that is not finite.
     """
     table = read_table(path)
+    with parsing(path, "PCD file"):
+        return _sweep(path, table, world_from_lidar, time_s, spec, mirrored, full_scale)
+
+
+def _sweep(
+    path: Path,
+    table: NDArray[np.void],
+    world_from_lidar: NDArray[np.float64] | None,
+    time_s: float,
+    spec: LidarSpec | None,
+    mirrored: bool,
+    full_scale: float | None,
+) -> Sweep:
+    """Return the sweep of the records of a file; see `read_pcd`."""
     names = table.dtype.names or ()
     for field in ("x", "y", "z"):
         if field not in names:
@@ -289,6 +304,8 @@ def _compressed_table(path: Path, body: memoryview, dtype: np.dtype, points: int
 def _ascii_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> NDArray[np.void]:
     names = dtype.names or ()
     widths = [int(np.prod(dtype[name].shape, dtype=int)) for name in names]
+    if points * sum(widths) > len(body):  # before memory is taken for what a damaged header promises
+        raise DataError(complaint(path, "DATA", f"{points * sum(widths)} numbers", f"{len(body)} bytes"))
     values = _numbers(path, body, (points, sum(widths)))
     table = np.zeros(points, dtype)
     column = 0

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dsrc.data.formats.annotation import ID_LIMIT, Annotation, flattened, number, numbers, vehicles_of
+from dsrc.data.formats.annotation import ID_LIMIT, Annotation, check_box, flattened, number, numbers, vehicles_of
 from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
 from sim.geometry import carla_matrix, nearest_rotation
@@ -44,8 +44,7 @@ def annotation(path: Path, content: dict) -> Annotation:
         where = f"vehicles.{key}."
         center = np.add(numbers(path, entry, "location", 3, where), numbers(path, entry, "center", 3, where))
         extent = numbers(path, entry, "extent", 3, where)
-        if min(extent) <= 0.0:
-            raise DataError(complaint(path, f"{where}extent", "positive half sizes", extent))
+        check_box(path, f"{where}extent", center.tolist(), [2.0 * half for half in extent], 0.0)
         shared = int(number(path, f"{where}ass_id", entry.get("ass_id", key)))
         object_id = _SHARED + shared if shared >= 0 else _ALONE + _PER_AGENT * abs(agent) + key
         if not 0 <= object_id < ID_LIMIT:

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from sim.errors import DataError
+from sim.errors import DataError, complaint
+from sim.reading import parsing, read_text
 
 Plain = dict | list | tuple | str | int | float | bool | None
 
@@ -74,27 +75,20 @@ def read_yaml(path: Path) -> dict:
     Raises:
         DataError: the file is missing, is not YAML, has an unknown tag or is not a mapping.
     """
-    return parse_yaml(path, read_text(path))
-
-
-def read_text(path: Path) -> str:
-    """Return the UTF-8 text of a file; DataError for a missing file or other bytes."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise DataError(f"{path}: file not found") from None
-    except UnicodeDecodeError:
-        raise DataError(f"{path}: expected UTF-8 text, found other bytes") from None
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}") from None
+    return parse_yaml(path, read_text(path, "YAML file"))
 
 
 def parse_yaml(path: Path, text: str) -> dict:
     """Parse the text of a file as `read_yaml` does."""
-    value = _blocks(text)
-    if value is not None:
-        return value
+    with parsing(path, "YAML file"):
+        value = _blocks(text)
+        return _loaded(path, text) if value is None else value
+
+
+def _loaded(path: Path, text: str) -> dict:
+    """Parse any YAML with PyYAML."""
     try:
+        _check_bounds(path, text)
         value = yaml.load(text, _Loader)  # noqa: S506 - a safe loader, in C where there is one
     except yaml.constructor.ConstructorError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
@@ -104,13 +98,37 @@ def parse_yaml(path: Path, text: str) -> dict:
         where = f"line {mark.line + 1}: " if mark else ""
         problem = getattr(error, "problem", None) or str(error)
         raise DataError(f"{path}: {where}not YAML: {' '.join(str(problem).split())}") from None
-    except (ValueError, AttributeError, RecursionError) as error:
-        # The library's own converters: a date of month 99, `0x` without digits.
-        raise DataError(f"{path}: expected plain values, found one that cannot be read ({error})") from None
     if not isinstance(value, dict):
         raise DataError(f"{path}: expected a mapping, found {type(value).__name__}")
     return value
 
+
+def _check_bounds(path: Path, text: str) -> None:
+    """Refuse nesting that would overflow the stack of the C loader, and aliases that stand for more than they say."""
+    sizes: dict[str, int] = {}
+    open_nodes: list[list[Any]] = [["", 0]]
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor not in sizes:
+                raise DataError(complaint(path, "aliases", "of values that are complete", f"*{event.anchor}"))
+            open_nodes[-1][1] += sizes[event.anchor]
+        elif isinstance(event, yaml.CollectionStartEvent):
+            open_nodes.append([event.anchor, 1])
+            if len(open_nodes) > DEEPEST:
+                raise DataError(complaint(path, "nesting", f"at most {DEEPEST} levels", "more"))
+        elif isinstance(event, yaml.CollectionEndEvent | yaml.ScalarEvent):
+            anchor, size = (event.anchor, 1) if isinstance(event, yaml.ScalarEvent) else open_nodes.pop()
+            open_nodes[-1][1] += size
+            if anchor:
+                sizes[anchor] = size
+        if open_nodes[-1][1] > MOST_VALUES:
+            raise DataError(complaint(path, "values", f"at most {MOST_VALUES} with aliases written out", "more"))
+
+
+DEEPEST = 64
+"""Most levels of a file; OPV2V's have six."""
+MOST_VALUES = 2_000_000
+"""Most values of a file with its aliases written out; the largest known has 100,000."""
 
 _NUMBER = r"-?(?:\d+\.\d+(?:e[-+]\d+)?|0|[1-9]\d{0,17})"
 _OTHER = rf"(?!(?i:{'|'.join(sorted(_RESERVED))})[:\n])[A-Za-z]"

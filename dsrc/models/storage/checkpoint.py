@@ -11,10 +11,12 @@ from msgspec.structs import replace
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.deploy import ENGINES
+from dsrc.models.storage.tensors import is_plain, read_tensors
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 from sim.files import replacing
 
 FORMAT = "dsrc-detector-1"
+_MOST_BLOCKS = 1000
 
 
 def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None = None, half: bool = True) -> None:
@@ -41,13 +43,15 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
         CheckpointError: the file is missing, damaged, not a detector, or of another version of the network.
     """
     content = _content(Path(path))
+    state = content.get("state")
     try:
         settings = msgspec.convert(content["settings"], ModelSettings)
-        detector = Detector(settings)
-    except (KeyError, msgspec.ValidationError, ValueError, TypeError, RuntimeError) as error:
+        if max(settings.stage_blocks) > _MOST_BLOCKS:
+            raise ValueError(f"a stage of {max(settings.stage_blocks)} blocks")
+        with torch.device("meta"):  # sizes without memory: settings may ask for any
+            wanted = Detector(settings).state_dict()
+    except Exception as error:  # of the parts, which check their own settings
         raise CheckpointError(complaint(path, "settings", "those of a detector", str(error))) from None
-    state = content.get("state")
-    wanted = detector.state_dict()
     if not isinstance(state, dict) or set(state) != set(wanted):
         name = next(iter(sorted(set(wanted) ^ set(state if isinstance(state, dict) else {}))))
         raise CheckpointError(complaint(path, "state", "the tensors of its settings", f"{name} missing or too many"))
@@ -55,8 +59,11 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
         shape = tuple(getattr(state[name], "shape", (-1,)))
         if shape != tuple(tensor.shape):
             raise CheckpointError(complaint(path, f"state.{name}", f"shape {tuple(tensor.shape)}", shape))
+        if not is_plain(state[name]):
+            raise CheckpointError(complaint(path, f"state.{name}", "a dense tensor", "another layout"))
         if tensor.is_floating_point() and not bool(torch.isfinite(state[name]).all()):
             raise CheckpointError(complaint(path, f"state.{name}", "finite numbers", "NaN or infinity"))
+    detector = Detector(settings)
     detector.load_state_dict({name: state[name].to(tensor.dtype) for name, tensor in wanted.items()})
     return detector.to(device).eval()
 
@@ -124,12 +131,7 @@ def read_meta(path: Path) -> dict[str, Any]:
 
 
 def _content(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise CheckpointError(f"{path}: no such checkpoint file")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception:  # torch's reader raises many types for damaged files
-        raise CheckpointError(complaint(path, "file", f"a {FORMAT} checkpoint", "something else or damaged")) from None
+    content = read_tensors(path, f"a {FORMAT} checkpoint")
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format", "none") if isinstance(content, dict) else type(content).__name__
         hint = "; the deployable file of a training is its detector.pt"

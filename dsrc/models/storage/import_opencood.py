@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
 from msgspec.structs import replace
@@ -12,6 +11,7 @@ from torch import Tensor
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.reference_names import detector_state
+from dsrc.models.storage.tensors import is_plain, read_tensors
 from dsrc.ops.grid import GridSpec
 from sim.errors import CheckpointError, complaint
 
@@ -79,18 +79,12 @@ def import_detector(path: Path, grid: GridSpec, teacher: bool = False, left_hand
 
 def _tensors(path: Path) -> dict[str, Tensor]:
     """Read the tensors of a file by their published names, without running code from it."""
-    if not path.is_file():
-        raise CheckpointError(f"{path}: no such checkpoint file")
-    try:
-        content: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception:  # torch's reader raises many types for damaged files
-        hint = "; only tensors are read, no pickled objects"
-        raise CheckpointError(complaint(path, "file", "a state dict", "something else or damaged", hint)) from None
+    content = read_tensors(path, "a state dict", "; only tensors are read, no pickled objects")
     for wrapper in _WRAPPERS:
         if isinstance(content, Mapping) and isinstance(content.get(wrapper), Mapping):
             content = content[wrapper]
-    if not isinstance(content, Mapping) or not all(isinstance(tensor, Tensor) for tensor in content.values()):
-        raise CheckpointError(complaint(path, "file", "a state dict of tensors", type(content).__name__))
+    if not isinstance(content, Mapping) or not all(map(is_plain, content.values())):
+        raise CheckpointError(complaint(path, "file", "a state dict of dense tensors", type(content).__name__))
     return {str(name).removeprefix("module."): tensor for name, tensor in content.items()}
 
 

@@ -63,6 +63,8 @@ from sensors.corruptions.published.snow_discs import DISCS, Law, disc_sample
 from sensors.sweep import ATTENUATED, KEPT, SCATTERED, Sweep
 from sim.errors import DataError, complaint
 from sim.geometry import Array
+from sim.packed import read_arrays
+from sim.reading import parsing
 
 SNOWFALL_MM_H = (0.125, 0.25, 0.5, 1.0, 2.5)
 FALL_SPEED_MPS = (2.0, 2.0, 2.0, 1.6, 1.6)
@@ -236,13 +238,11 @@ def read_calibration(path: str) -> Calibration:
     Raises:
         DataError: the file is missing or not a calibration.
     """
-    try:
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
-            distance, slope, darkest = (
-                np.asarray(data[name], np.float64) for name in ("focal_distance_m", "focal_slope", "min_intensity")
-            )
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise DataError(complaint(path, "calibration", "an npz file of an HDL-64E's focus", str(error))) from None
+    data = read_arrays(Path(path), "calibration of an HDL-64E's focus")
+    with parsing(path, "calibration of an HDL-64E's focus"):
+        distance, slope, darkest = (
+            np.asarray(data[name], np.float64) for name in ("focal_distance_m", "focal_slope", "min_intensity")
+        )
     if not distance.shape == slope.shape == darkest.shape == (LASERS,):
         raise DataError(complaint(path, "focal_slope", f"{LASERS} lasers", f"shape {slope.shape}"))
     return Calibration(slope, (1.0 - 100.0 * distance / 13100.0) ** 2, darkest)

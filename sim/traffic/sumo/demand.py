@@ -1,16 +1,17 @@
 """SUMO demand: seeded trips of vehicles, bicycles and pedestrians as a .rou.xml."""
 
 import gzip
+import io
 import xml.etree.ElementTree as ET
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sim.errors import ScenarioError, complaint, unreadable
+from sim.errors import ScenarioError, complaint
 from sim.files import write_file
+from sim.reading import LARGEST_BYTES, parsing, read_bytes
 from sim.roads.networks import resolve_trips
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
@@ -87,9 +88,12 @@ def _read_trips(path: Path) -> list[tuple[float, list[str], bool]]:
     Raises:
         ScenarioError: the file is of another format or without trips.
     """
-    try:
-        raw = path.read_bytes()
-        root = ET.fromstring(gzip.decompress(raw) if path.suffix == ".gz" else raw)
+    raw = read_bytes(path, ".rou.xml file", ScenarioError)
+    with parsing(path, ".rou.xml file", ScenarioError):
+        if path.suffix == ".gz":
+            with gzip.open(io.BytesIO(raw)) as packed:
+                raw = packed.read(LARGEST_BYTES)
+        root = ET.fromstring(raw)
         found = []
         for element in root:
             depart = element.get("depart", "")
@@ -98,8 +102,6 @@ def _read_trips(path: Path) -> list[tuple[float, list[str], bool]]:
                 found.append((float(depart), route.get("edges", "").split(), True))
             elif element.tag == "trip" and element.get("from") and element.get("to"):
                 found.append((float(depart), [element.get("from", ""), element.get("to", "")], False))
-    except (OSError, EOFError, ET.ParseError, ValueError, zlib.error) as error:
-        raise ScenarioError(unreadable(path, ".rou.xml file", error)) from None
     if not found:
         raise ScenarioError(complaint(path, "demand.trips", "vehicles with routes, or trips with from and to", "none"))
     return sorted(found)

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from sim.errors import ScenarioError, unreadable
+from sim.errors import ScenarioError
 from sim.geometry import Array
+from sim.reading import parsing, read_bytes
 from sim.world.furniture.barriers import HEIGHT_M
 
 _POINTS = {
@@ -40,8 +41,9 @@ def read_map_objects(path: Path) -> MapObjects:
     Raises:
         ScenarioError: the file is missing or of another format.
     """
-    try:
-        root = ET.fromstring(path.read_bytes())
+    content = read_bytes(path, ".poly.xml file", ScenarioError)
+    with parsing(path, ".poly.xml file", ScenarioError):
+        root = ET.fromstring(content)
         found: dict[str, list[list[float]]] = {}
         for poi in root.iter("poi"):
             kind = _POINTS.get(poi.get("type", ""))
@@ -63,8 +65,6 @@ def read_map_objects(path: Path) -> MapObjects:
                 found.setdefault("tree", []).extend(row.tolist())
             else:
                 barriers.append((name, line, _height(poly, HEIGHT_M[name])))
-    except (OSError, ET.ParseError, ValueError, LookupError) as error:
-        raise ScenarioError(unreadable(path, ".poly.xml file", error)) from None
     return MapObjects({kind: np.array(places) for kind, places in found.items()}, tuple(barriers))
 
 

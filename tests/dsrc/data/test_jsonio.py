@@ -1,12 +1,13 @@
+import os
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from dsrc.data import jsonio
 from dsrc.data.jsonio import encode_json, read_json
 from sim.errors import DataError
 from sim.files import write_file
+from sim.reading import LARGEST_BYTES
 
 
 class Thing(msgspec.Struct):
@@ -28,12 +29,12 @@ def test_numbers_may_be_text_and_unknown_names_are_left_alone(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "not JSON"),
+        ("{", "not a readable JSON file"),
         ('{"name": 1}', "name: expected str, found int"),
         ('{"name": "a", "sizes": [1, "x"]}', "sizes[1]: expected float, found str"),
         ("{}", "name: expected a value, found nothing"),
         ("[1]", "content: expected object, found array"),
-        ('{"name": "a", "sizes": [NaN]}', "not JSON"),
+        ('{"name": "a", "sizes": [NaN]}', "not a readable JSON file"),
     ],
 )
 def test_a_wrong_value_is_named(tmp_path: Path, text: str, message: str):
@@ -43,10 +44,10 @@ def test_a_wrong_value_is_named(tmp_path: Path, text: str, message: str):
     assert str(caught.value).startswith(f"{tmp_path / 'a.json'}: {message}") and "\n" not in str(caught.value)
 
 
-def test_an_absurd_file_and_none_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "a.json").write_text(" " * 100)
-    monkeypatch.setattr(jsonio, "LARGEST_BYTES", 99)
-    with pytest.raises(DataError, match="expected at most 99 bytes, found 100 bytes"):
+def test_an_absurd_file_and_none_are_refused(tmp_path: Path):
+    (tmp_path / "a.json").touch()
+    os.truncate(tmp_path / "a.json", 1 << 40)  # a hole, which takes no disk
+    with pytest.raises(DataError, match=f"expected at most {LARGEST_BYTES} bytes, found {1 << 40} bytes"):
         read_json(tmp_path / "a.json", Thing)
     with pytest.raises(DataError, match="file not found"):
         read_json(tmp_path / "b.json", Thing)

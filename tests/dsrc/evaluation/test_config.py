@@ -164,7 +164,7 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path, old, new, words):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(SettingsError, match=r"none\.toml: expected a TOML file, found no such file or directory$"):
+    with pytest.raises(SettingsError, match=r"none\.toml: file not found; expected a TOML file$"):
         read_benchmark(tmp_path / "none.toml")
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.formats import v2v4real
-from dsrc.data.formats.annotation import Annotation, annotation
-from dsrc.data.formats.yaml import emit, parse_yaml, read_text
+from dsrc.data.formats.annotation import FARTHEST_M, Annotation, annotation, check_box
+from dsrc.data.formats.yaml import emit, parse_yaml
 from sensors.frame import AgentKind, Frame
 from sensors.motion import Path as LidarPath
 from sensors.spec import LidarSpec
@@ -27,6 +27,7 @@ from sensors.sweep import Motion
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, SettingsError, complaint
 from sim.geometry import carla_from_matrix
+from sim.reading import parsing, read_text
 
 VERSION = 1
 _PREFIX = "testbed: '"
@@ -191,14 +192,12 @@ def read_agent(path: Path) -> Record | Annotation:
     Raises:
         DataError: the file cannot be read, a value is missing or wrong, or the file was edited after its record.
     """
-    text = read_text(path)
+    text = read_text(path, "YAML file")
     if not text.startswith(_PREFIX):
         return _annotation(path, parse_yaml(path, text))
     line, _, rest = text.partition("\n")
-    try:
-        record = msgspec.json.decode(line[len(_PREFIX) : -1], type=Record)
-    except (msgspec.DecodeError, UnicodeError, SettingsError) as error:
-        raise DataError(f"{path}: testbed: damaged record: {error}") from None
+    with parsing(path, "record of the key testbed"):
+        record = _decoded(path, line[len(_PREFIX) : -1])
     if record.version != VERSION:
         raise DataError(complaint(path, "testbed.version", str(VERSION), record.version))
     if record.check != zlib.crc32(rest.encode()):
@@ -210,14 +209,21 @@ def read_agent(path: Path) -> Record | Annotation:
     return _checked(path, record)
 
 
+def _decoded(path: Path, text: str) -> Record:
+    try:
+        return msgspec.json.decode(text, type=Record)
+    except (msgspec.MsgspecError, SettingsError) as error:  # the latter of the LiDAR in it
+        raise DataError(f"{path}: testbed: damaged record: {error}") from None
+
+
 def read_plan(path: Path) -> NDArray[np.float64]:
     """Return (K, 3) x, y in our world, m, and speed, m/s, of an agent's coming path; empty where the file has none."""
-    text = read_text(path)
+    text = read_text(path, "YAML file")
     content = parse_yaml(path, text.partition("\n")[2] if text.startswith(_PREFIX) else text)
     rows = content.get("plan_trajectory")
     try:
         plan = np.array(rows, np.float64).reshape(-1, 3)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return np.zeros((0, 3))
     return plan / [1.0, -1.0, 3.6] if np.isfinite(plan).all() else np.zeros((0, 3))
 
@@ -238,9 +244,14 @@ def _checked(path: Path, record: Record) -> Record:
     times = [knot[0] for knot in record.path]
     if len(times) == 1 or any(b <= a for a, b in pairwise(times)):
         raise DataError(complaint(path, "testbed.path", "none or at least two poses, times ascending", times))
-    flat = next((i for i, box in zip(record.object_id, record.box, strict=True) if min(box[3:6]) <= 0.0), None)
-    if flat is not None:
-        raise DataError(complaint(path, f"testbed.box of object {flat}", "positive sizes", "a size of 0 or less"))
+    for object_id, box in zip(record.object_id, record.box, strict=True):
+        check_box(path, f"testbed.box of object {object_id}", box[:3], box[3:6], box[6])
+    for name in ("object_id", "agents"):
+        if len(set(getattr(record, name))) < len(getattr(record, name)):
+            raise DataError(complaint(path, f"testbed.{name}", "each id once", "one twice"))
+    for name in ("world_from_body", "world_from_lidar"):
+        if max(abs(value) for row in getattr(record, name) for value in row) > FARTHEST_M:
+            raise DataError(complaint(path, f"testbed.{name}", f"places within {FARTHEST_M:g} m", "one beyond"))
     unknown = set(record.label) - set(CLASSES)
     if unknown:
         raise DataError(complaint(path, "testbed.label", f"one of {', '.join(CLASSES)}", min(unknown)))

@@ -1,0 +1,250 @@
+"""Readers of untrusted files, each with a real small file to start from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from dsrc.closed_loop.campaign.plan import is_campaign, read_campaign
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.data.checksums import read_checksums
+from dsrc.data.datasets.manifest import read_manifest
+from dsrc.data.datasets.spec import expand, find_split_file, log_settings, read_dataset
+from dsrc.data.drives import open_drive
+from dsrc.data.formats.pcd import encode_pcd, read_pcd
+from dsrc.data.write import write_drive
+from dsrc.evaluation.config import check as check_plan
+from dsrc.evaluation.config import read_benchmark
+from dsrc.models.detector import Detector
+from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
+from dsrc.models.storage.import_opencood import import_detector
+from dsrc.ops.grid import GridSpec
+from dsrc.training.recipes import RECIPES, debug, override
+from sensors.corruptions.published.snow import read_calibration
+from sim.catalog.load import load_scenario
+from sim.mesh.solids import to_mesh
+from sim.radio.trace import read_trace
+from sim.roads.pbf import pbf_to_xml
+from sim.roads.polygons import has_buildings, read_outlines
+from sim.traffic.log import TrafficLog
+from sim.traffic.sumo.demand import _read_trips
+from sim.world.furniture.map_objects import read_map_objects
+from sim.world.world_file import load_world
+from tests.dsrc.closed_loop.logged import Mover, ahead, episode
+from tests.dsrc.data import dair_tree
+from tests.dsrc.data.toy import SETTINGS, ToySource, toy_frame
+from tests.paths import ROOT
+from tests.sim.catalog.test_import_map import packed_file
+from tests.sim.traffic.test_log import example
+
+RECORDED = ROOT / "scenarios" / "dsrc-sim" / "recorded" / "validation" / "ped_bus_stop_203"
+
+POLYGONS = """<additional>
+  <poly id="1" type="building.house" color="gray" layer="0" shape="0,0 10,0 10,8 0,8">
+    <param key="height" value="9 m"/></poly>
+  <poly id="2" type="barrier.hedge" color="gray" layer="0" shape="0,20 30,20"><param key="height" value="1.5"/></poly>
+  <poi id="3" type="natural.tree" color="gray" x="3.5" y="14.25"/>
+</additional>
+"""
+TRIPS = """<routes>
+  <vehicle id="a" depart="3.50"><route edges="e1 e2 e3"/></vehicle>
+  <trip id="b" depart="7.25" from="e1" to="e3"/>
+</routes>
+"""
+TRACE = "time_s,delay_s,loss,sender,receiver\n0.0,0.1,0.02,1000,*\n1.5,0.25,0.5,,\n"
+BENCHMARK = """[[methods]]
+name = "DSRC"
+detectors = ["a.pt"]
+[[datasets]]
+name = "x"
+drives = ["y"]
+[sweeps]
+agents = [1, 2]
+delay_s = [0.1, 0.2]
+pose_error = [0.2]
+"""
+DATASET = """name = "few"
+[[split.train]]
+scenarios = ["four_way"]
+seeds = [1, 2]
+frames = [5]
+vehicles = [2, 3]
+[[split.test]]
+scenarios = ["ima_building"]
+seeds = [7]
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Reader under test.
+
+    Attributes:
+        name: in messages.
+        path: file that is mutated; all others stay.
+        read: reads it, as a command would.
+        kind: of its mutations, see `mutated`.
+        is_file: it is a file to the reader too, not words of a command.
+    """
+
+    name: str
+    path: Path
+    read: Callable[[], object]
+    kind: str = "bytes"
+    is_file: bool = True
+
+
+def targets(folder: Path) -> list[Target]:
+    """Write a small file for every reader; return the readers."""
+    return [
+        *_drives(folder),
+        *_clouds(folder),
+        *_archives(folder),
+        *_settings(folder),
+        *_maps(folder),
+        *_detectors(folder),
+    ]
+
+
+def _drives(folder: Path) -> list[Target]:
+    own, foreign, dair = folder / "own" / "toy_3", folder / "foreign" / "toy_3", folder / "dair"
+    write_drive(own, {**SETTINGS, "frames": 1}, ToySource().open)
+    write_drive(foreign, {**SETTINGS, "frames": 1}, ToySource().open)
+    notes = sorted(foreign.glob("*/*.yaml"))
+    for path in notes:
+        path.write_text(path.read_text().partition("\n")[2])
+    (foreign / "data_protocol.yaml").unlink()
+    dair_tree.make(dair, tracks=True)
+
+    def first(drive: Path) -> Callable[[], object]:
+        return lambda: open_drive(drive).read(0)
+
+    def batch() -> object:
+        from dsrc.data.drives import open_drives
+
+        return [drive.read(0) for drive in open_drives(dair)]
+
+    tables = sorted(path for path in dair.rglob("*.json") if path.stat().st_size < 100_000)
+    return [
+        Target("OPV2V annotation, own", sorted(own.glob("*/*.yaml"))[0], first(own), "text"),
+        Target("OPV2V protocol", own / "data_protocol.yaml", first(own), "text"),
+        Target("OPV2V annotation, of others", notes[0], first(foreign), "text"),
+        Target("checksums", own / "SHA256SUMS", lambda: read_checksums(own), "text"),
+        *(Target(f"DAIR-V2X-C {path.relative_to(dair)}", path, batch, "text") for path in tables),
+    ]
+
+
+def _clouds(folder: Path) -> list[Target]:
+    sweep = toy_frame(0, points=30).agents[0].sweep
+    binary, text = folder / "binary.pcd", folder / "text.pcd"
+    binary.write_bytes(encode_pcd(sweep))
+    head = (
+        "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\n"
+    )
+    text.write_text(f"{head}DATA ascii\n1 2 3 0.5\n4.5 -1 0 1\n7 8 9 0\n")
+    packed = folder / "packed.pcd"
+    columns = np.arange(12, dtype="<f4").tobytes()
+    # Literals of at most 32 bytes are valid LZF.
+    literals = b"".join(bytes([len(part) - 1]) + part for part in (columns[k : k + 32] for k in range(0, 48, 32)))
+    sizes = np.array([len(literals), len(columns)], "<u4").tobytes()
+    packed.write_bytes(f"{head}DATA binary_compressed\n".encode() + sizes + literals)
+    return [
+        Target("PCD, binary", binary, lambda: read_pcd(binary), "text"),
+        Target("PCD, ASCII", text, lambda: read_pcd(text), "text"),
+        Target("PCD, compressed", packed, lambda: read_pcd(packed), "text"),
+    ]
+
+
+def _archives(folder: Path) -> list[Target]:
+    log, world, recorded = folder / "log.npz", folder / "world.npz", folder / "recorded" / "traffic.npz"
+    example().save(log)
+    world.write_bytes((RECORDED / "world.npz").read_bytes())
+    recorded.parent.mkdir()
+    recorded.write_bytes((RECORDED / "traffic.npz").read_bytes())
+    driven = folder / "episode.npz"
+    episode([Mover(1, ahead(8.0)), Mover(2, ahead(3.0, 30.0))], 5).save(driven)
+    focus = folder / "focus.npz"
+    np.savez(focus, focal_distance_m=np.full(64, 10.0), focal_slope=np.ones(64), min_intensity=np.zeros(64))
+
+    def calibration() -> object:
+        read_calibration.cache_clear()
+        return read_calibration(str(focus))
+
+    return [
+        Target("traffic log", log, lambda: TrafficLog.load(log), "arrays"),
+        Target("recorded log", recorded, lambda: (log_settings(recorded), TrafficLog.load(recorded)), "arrays"),
+        Target("static world", world, lambda: to_mesh_of(world), "arrays"),
+        Target("episode log", driven, lambda: EpisodeLog.load(driven), "arrays"),
+        Target("calibration", focus, calibration, "arrays"),
+    ]
+
+
+def to_mesh_of(path: Path) -> object:
+    """Read a world and the meshes of its bodies."""
+    world = load_world(path)
+    return world.static.vertices.sum(), [to_mesh(part) for part in world.shapes.values()]
+
+
+def _settings(folder: Path) -> list[Target]:
+    scenario = folder / "scenario.toml"
+    scenario.write_text((ROOT / "scenarios" / "four_way" / "scenario.toml").read_text())
+    campaign = folder / "campaign.toml"
+    shipped = (ROOT / "docs" / "results" / "closed-loop" / "campaign.toml").read_text()
+    campaign.write_text(shipped.replace("../../../dsrc", f"{ROOT}/dsrc"))
+    files = {"benchmark.toml": BENCHMARK, "few.toml": DATASET, "trace.csv": TRACE, "set.txt": "batch_size=2"}
+    benchmark, dataset, trace, override_file = (folder / name for name in files)
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    manifest = folder / "built" / "manifest.json"
+    manifest.parent.mkdir()
+    manifest.write_text('{"version": 1, "name": "a", "description": "b", "drives": 0, "items": [], "failed": {}}')
+
+    def channel() -> object:
+        read_trace.cache_clear()
+        return read_trace(str(trace)).at(0.5, 1000, 2)
+
+    def plan() -> None:
+        check_plan(read_benchmark(benchmark), "benchmark")
+
+    def drives() -> object:
+        found = find_split_file(dataset)
+        return None if found is None else expand(read_dataset(found), found)
+
+    def setting() -> object:
+        return override(RECIPES["debug"](), [override_file.read_bytes().decode("utf-8", "replace")])
+
+    return [
+        Target("scenario", scenario, lambda: load_scenario(scenario), "text"),
+        Target("campaign", campaign, lambda: is_campaign(campaign) and read_campaign(campaign), "text"),
+        Target("benchmark", benchmark, plan, "text"),
+        Target("dataset", dataset, drives, "text"),
+        Target("channel trace", trace, channel, "text"),
+        Target("manifest", manifest, lambda: read_manifest(manifest.parent), "text"),
+        Target("--set", override_file, setting, "text", is_file=False),
+    ]
+
+
+def _maps(folder: Path) -> list[Target]:
+    packed, polygons, trips = folder / "two.osm.pbf", folder / "map.poly.xml", folder / "trips.rou.xml"
+    packed_file(packed)
+    polygons.write_text(POLYGONS)
+    trips.write_text(TRIPS)
+    return [
+        Target("OpenStreetMap, binary", packed, lambda: pbf_to_xml(packed, folder / "two.osm")),
+        Target("buildings", polygons, lambda: has_buildings(polygons) and read_outlines(polygons), "text"),
+        Target("roadside objects", polygons, lambda: read_map_objects(polygons), "text"),
+        Target("trips", trips, lambda: _read_trips(trips), "text"),
+    ]
+
+
+def _detectors(folder: Path) -> list[Target]:
+    detector, imported = folder / "detector.pt", folder / "net_epoch1.pth"
+    made = Detector(debug().model)
+    save_detector(detector, made, {"seed": 1})
+    torch.save({f"pillar_vfe.{name}": tensor for name, tensor in list(made.state_dict().items())[:20]}, imported)
+    return [
+        Target("detector", detector, lambda: (load_detector(detector), read_meta(detector)), "tensors"),
+        Target("published detector", imported, lambda: import_detector(imported, GridSpec()), "tensors"),
+    ]

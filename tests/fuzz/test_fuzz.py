@@ -1,0 +1,15 @@
+"""A minute of fuzzing; `make fuzz` takes longer, with new seeds."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.run import fuzz
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs fork and limits of Linux")
+def test_no_reader_has_a_stack_trace_or_hangs(tmp_path: Path) -> None:
+    outcome = fuzz(tmp_path, seconds=45.0, seed=1)
+    print(outcome)
+    assert not outcome.traces and not outcome.hangs, "\n".join([*outcome.hangs, *outcome.traces])
+    assert outcome.inputs > 200
