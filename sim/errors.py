@@ -53,7 +53,8 @@ def complaint(file: Path | str, field: str, expected: str, found: object, hint: 
     What was found is cut to 80 characters before it is written out, however large it is.
     """
     shown = found if isinstance(found, str) else _SHORT.repr(found)
-    return f"{one_line(file, 1000)}: {one_line(field, 200)}: expected {one_line(expected, 1000)}, found {one_line(shown, 80)}{hint}"
+    where = f"{one_line(file, 1000)}: {one_line(field, 200)}"
+    return f"{where}: expected {one_line(expected, 1000)}, found {one_line(shown, 80)}{hint}"
 
 
 def unreadable(file: Path | str, what: str, error: Exception) -> str:

@@ -165,9 +165,9 @@ PAIRS = "cooperative/data_info.json"
 @pytest.mark.parametrize(
     ("break_it", "file", "message"),
     [
-        (lambda r: (r / LABEL).write_text("[{"), LABEL, "not JSON"),
+        (lambda r: (r / LABEL).write_text("[{"), LABEL, "not a readable JSON file"),
         (lambda r: (r / LABEL).write_text("[" * 100_000), LABEL, "[0]: expected object, found array"),
-        (lambda r: (r / LABEL).write_bytes(b"\xff\xfe"), LABEL, "not JSON"),
+        (lambda r: (r / LABEL).write_bytes(b"\xff\xfe"), LABEL, "not a readable JSON file"),
         (edit(LABEL, lambda v: {"a": 1}), LABEL, "content: expected array, found object"),
         (edit(LABEL, lambda v: v[0].pop("type") and None), LABEL, "[0].type: expected a value, found nothing"),
         (edit(LABEL, lambda v: v[1].update(type="Tank")), LABEL, "[1].type: expected one of Car"),
