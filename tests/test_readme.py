@@ -29,6 +29,7 @@ def test_the_example_of_a_drive_detects_in_fog(tmp_path, monkeypatch):
     assert len(names["frame"].truth) > 0
     assert isinstance(names["detections"].boxes, Boxes)
     assert len(names["first"].agents) > 1
+    assert np.isfinite(names["reward"]) and names["env"].observation_space.contains(names["observation"])
     raw, middle = names["raw"].agents[0].sweep, names["frame"].agents[0].sweep
     assert (raw.motion, middle.motion) == ("raw", "middle")
     np.testing.assert_allclose(deskew(raw, "middle").points, middle.points, atol=1e-3)
