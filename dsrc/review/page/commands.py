@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from dsrc.review.errors.index import next_error
+from dsrc.review.errors.report import first_unknown, shown_error
 from dsrc.review.page.controls import CONTROLS, Control, change_of, next_value
 from dsrc.review.page.protocol import Page, Shown
-from dsrc.review.run import first_unknown, shown_error
 from dsrc.review.state import Listed
 from sensors.corruptions import CLEAN, CORRUPTIONS
 

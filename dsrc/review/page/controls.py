@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, get_args
 
+from dsrc.review.errors.report import BANDS, BROKEN, FIXED, other_run, versus_options
 from dsrc.review.page.protocol import Shown
-from dsrc.review.run import BANDS, BROKEN, FIXED, other_run, versus_options
 from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS, Listed
 from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
 from sim.boxes import CLASSES

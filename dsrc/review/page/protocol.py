@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.notes import NoteBook
+from dsrc.review.errors.report import RunReport
 from dsrc.review.labs.parameters import Changes
 from dsrc.review.model import ReviewModel
-from dsrc.review.run import RunReport
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
 from dsrc.review.worker import Progress, Worker

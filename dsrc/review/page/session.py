@@ -12,6 +12,7 @@ import viser
 from numpy.typing import NDArray
 
 from dsrc.review.errors.index import ErrorTable
+from dsrc.review.errors.report import Reports, RunReport, place_of, selection_of, to_detect
 from dsrc.review.model import ReviewModel
 from dsrc.review.page import cameras
 from dsrc.review.page.browser import LINK_KEY
@@ -21,7 +22,6 @@ from dsrc.review.page.link import write_link
 from dsrc.review.page.panels import PANELS
 from dsrc.review.page.protocol import Shown
 from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_backdrop
-from dsrc.review.run import Reports, RunReport, place_of, selection_of, to_detect
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
 from dsrc.review.worker import Progress, Worker

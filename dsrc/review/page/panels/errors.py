@@ -10,10 +10,10 @@ from viser import uplot
 from dsrc.review.errors.filters import KINDS
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.notes import errors_csv
+from dsrc.review.errors.report import RunReport, curve_on_grid, shown_error
 from dsrc.review.page.panels.widgets import build_controls
 from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.palette import method_color
-from dsrc.review.run import RunReport, curve_on_grid, shown_error
 from dsrc.review.state import IOU_THRESHOLDS, ReviewState
 from dsrc.review.worker import Progress
 from sim.boxes import CLASSES

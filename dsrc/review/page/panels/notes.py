@@ -3,8 +3,8 @@
 from typing import Any
 
 from dsrc.review.errors.notes import Note, error_key
+from dsrc.review.errors.report import shown_error
 from dsrc.review.page.protocol import Page, Shown
-from dsrc.review.run import shown_error
 from sim.errors import DataError, SettingsError
 
 _PATIENCE_S = 2.0

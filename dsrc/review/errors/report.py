@@ -2,17 +2,18 @@
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.evaluation.metrics.ap import Curve
+from dsrc.review.errors.changes import Changes
 from dsrc.review.errors.filters import ANY, FP, KINDS, ErrorFilter, Span
 from dsrc.review.errors.index import ErrorIndex, ErrorTable, FrameRanking, worst_frames
+from dsrc.review.frames import FrameStore
 from dsrc.review.matching import Counts
-from dsrc.review.model import ReviewModel
-from dsrc.review.sources.base import Setup
+from dsrc.review.sources.base import Setup, Source
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import IOU_THRESHOLDS, Band, ReviewState
 from sensors.corruptions import CLEAN
@@ -24,6 +25,42 @@ METHOD = "method "
 BROKEN, FIXED = "broken", "fixed"
 _REPORTS_KEPT = 6
 BANDS: tuple[Band, ...] = get_args(Band)
+
+
+class Runs(Protocol):
+    """What reports are made from; `ReviewModel` is it.
+
+    Attributes:
+        sources: what is reviewed.
+        stores: frames of each source.
+    """
+
+    sources: list[Source]
+    stores: list[FrameStore]
+
+    def frame_count(self, drive: int) -> int:
+        """Return the number of frames of a source."""
+        ...
+
+    def method(self, state: ReviewState) -> str:
+        """Return the set of detections that is judged; "" without one."""
+        ...
+
+    def setup(self, state: ReviewState) -> Setup:
+        """Return the setup of the detections."""
+        ...
+
+    def index(self, state: ReviewState) -> ErrorIndex:
+        """Return the errors of the run, of all its methods."""
+        ...
+
+    def changes(self, before: ReviewState, after: ReviewState, only: ErrorFilter | None = None) -> Changes:
+        """Return what changes from one state to another."""
+        ...
+
+    def origin(self, drive: int) -> NDArray[np.float64]:
+        """Return the (3,) world position of the review frame's origin, m."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +108,7 @@ def other_run(state: ReviewState) -> ReviewState | None:
     return replace(state, methods=(versus.removeprefix(METHOD),)) if versus else None
 
 
-def versus_options(model: ReviewModel, state: ReviewState) -> dict[str, str]:
+def versus_options(model: Runs, state: ReviewState) -> dict[str, str]:
     """Runs that a state can be compared with: displayed names and values of `ReviewState.versus`."""
     own, sets = model.method(state), model.sources[state.drive].sets
     options = {"clean" if state.corruption != CLEAN else "none": ""}
@@ -80,7 +117,7 @@ def versus_options(model: ReviewModel, state: ReviewState) -> dict[str, str]:
     return options | {name: f"{METHOD}{name}" for name in sets if name != own}
 
 
-def listed_errors(model: ReviewModel, state: ReviewState) -> ErrorTable:
+def listed_errors(model: Runs, state: ReviewState) -> ErrorTable:
     """Errors that a state lists, the worst first.
 
     What is broken is missed by the run of the state and found by the other; what is fixed is missed by the other.
@@ -106,7 +143,7 @@ def listed_errors(model: ReviewModel, state: ReviewState) -> ErrorTable:
     return missed[np.array([key in pairs for key in keys], bool)]
 
 
-def report(model: ReviewModel, state: ReviewState) -> RunReport:
+def report(model: Runs, state: ReviewState) -> RunReport:
     """Report of the run under a state, as far as its detections are known.
 
     Raises:
@@ -132,7 +169,7 @@ def _ranking(index: ErrorIndex, state: ReviewState, only: ErrorFilter) -> FrameR
     return worst_frames(index.errors(state.threshold, state.iou, only), rows)
 
 
-def _title(model: ReviewModel, state: ReviewState, before: ReviewState) -> str:
+def _title(model: Runs, state: ReviewState, before: ReviewState) -> str:
     if before.corruption != state.corruption:
         return CLEAN
     return "the ego alone" if before.cooperative != state.cooperative else model.method(before)
@@ -161,7 +198,7 @@ def shown_error(errors: ErrorTable, state: ReviewState) -> int:
     return int(found[0]) if len(found) else -1
 
 
-def place_of(model: ReviewModel, drive: int, errors: ErrorTable, row: int) -> NDArray[np.float64]:
+def place_of(model: Runs, drive: int, errors: ErrorTable, row: int) -> NDArray[np.float64]:
     """(3,) centre of an error in the review frame; raises DataError where its frame is damaged."""
     frame = model.stores[drive].recorded(int(errors.row[row]))
     ego = int(errors.ego_id[row])
@@ -179,7 +216,7 @@ def curve_on_grid(curve: Curve, recall: NDArray[np.float64]) -> NDArray[np.float
     return np.where(at < len(best), np.append(best, np.nan)[np.minimum(at, len(best))], np.nan)
 
 
-def to_detect(model: ReviewModel, state: ReviewState) -> list[tuple[str, Setup]]:
+def to_detect(model: Runs, state: ReviewState) -> list[tuple[str, Setup]]:
     """Computed sets and setups that the report of a state needs and that lack frames."""
     before = other_run(state)
     wanted = [(name, model.setup(state)) for name in state.methods or (model.method(state),)]
@@ -192,7 +229,7 @@ def to_detect(model: ReviewModel, state: ReviewState) -> list[tuple[str, Setup]]
     ]
 
 
-def first_unknown(model: ReviewModel, state: ReviewState, step: int) -> int | None:
+def first_unknown(model: Runs, state: ReviewState, step: int) -> int | None:
     """First frame from a state's on in a direction whose detections can be computed and are not; None without one."""
     count = model.frame_count(state.drive)
     ahead = range(state.frame, count) if step > 0 else range(state.frame, -1, -1)
@@ -216,7 +253,7 @@ class Reports:
         model: of the page.
     """
 
-    def __init__(self, model: ReviewModel) -> None:
+    def __init__(self, model: Runs) -> None:
         self._model = model
         self._known: dict[tuple[Any, ...], tuple[tuple[int, ...], float, RunReport]] = {}
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dsrc.review import run
+from dsrc.review.errors import report as run
 from dsrc.review.errors.filters import FN, FP
 from dsrc.review.model import ReviewModel
 from dsrc.review.sources.detected import ComputedSet
