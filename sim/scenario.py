@@ -162,7 +162,7 @@ class EncounterSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Scenario of a drive; times in s. An encounter (`conflict`) has its own roads and actors, others roads and demand.
 
-    `attribution` names the owners of the map data where their terms require it.
+    `attribution` names the owners of map data; `sim.catalog.attribution` adds those of the sources of the network.
     """
 
     name: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")]

@@ -30,7 +30,7 @@ class List(msgspec.Struct, frozen=True):
 
 
 class Show(msgspec.Struct, frozen=True):
-    """Print a scenario's settings as JSON, defaults included.
+    """Print a scenario's settings as JSON, defaults and the attributions of its sources included.
 
     Attributes:
         scenario: shipped scenario, or path of a scenario.toml.
@@ -41,10 +41,12 @@ class Show(msgspec.Struct, frozen=True):
     def run(self) -> None:
         """Load, check and print it."""
         from sensors.presets import scenario_lidars
+        from sim.catalog.attribution import attributions
         from sim.catalog.load import load_scenario
 
         scenario = load_scenario(self.scenario)
         scenario_lidars(scenario)  # unknown sensors are refused here as in `dsrc generate`
+        scenario = msgspec.structs.replace(scenario, attribution="; ".join(attributions(scenario)))
         sys.stdout.write(f"{msgspec.json.format(msgspec.json.encode(scenario).decode(), indent=2)}\n")
 
 

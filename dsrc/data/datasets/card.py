@@ -20,11 +20,13 @@ from dsrc.data.formats.opv2v.reader import own_settings
 from dsrc.data.jsonio import encode_json, read_json
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY, Frame
 from sim.boxes import CLASSES
+from sim.catalog.attribution import attributions
 from sim.errors import DataError
 from sim.files import check_apart, check_folder, replacing, write_file
 from sim.machine import installed_versions
+from sim.scenario import Scenario
 
-VERSION = 1
+VERSION = 2
 SAMPLES = 20
 """Frames of a drive that are sampled."""
 
@@ -35,6 +37,7 @@ SEEN_BY = {"ego": BY_EGO, "helper only": BY_HELPER, "nobody": BY_NOBODY}
 
 _PICTURES = 4
 _VIEW_M = 100.0
+_SEEN, _UNSEEN = "black", "#c00000"
 _PACKAGES = ("dsrc-testbed", "numpy", "embreex", "libsumo", "eclipse-sumo")
 
 
@@ -56,6 +59,7 @@ class DriveCard(msgspec.Struct, kw_only=True):
         visible: by visible fraction of the best agent, bins of `SHARE`.
         seen: boxes within 100 m of the ego seen by it, by a helper only, by nobody.
         labelled: share of the points with an object id.
+        sources: works of others in the drive, see `sim.catalog.attribution`; none where its scenario is unknown.
     """
 
     drive: str
@@ -72,6 +76,7 @@ class DriveCard(msgspec.Struct, kw_only=True):
     visible: list[int]
     seen: dict[str, int]
     labelled: float
+    sources: list[str]
 
 
 class Card(msgspec.Struct, kw_only=True):
@@ -141,12 +146,12 @@ def describe(split: Path, out: Path, executor: Executor) -> Path:
     _draw(out, card)
     rows = np.unique(np.linspace(0, len(drives) - 1, min(_PICTURES, len(drives))).round().astype(int))
     pictures = []
-    for number, row in enumerate(rows.tolist()):
+    for row in rows.tolist():
         reader = open_drive(drives[row])
-        middle = len(reader) // 2
-        title = f"{card.drives[row].drive}, frame {reader.frames[middle]}"
-        _draw_frame(out / f"frame_{number}.png", reader.read(middle), title)
-        pictures.append((f"frame_{number}.png", title))
+        middle, drive = len(reader) // 2, card.drives[row].drive
+        title, file = f"{drive}, frame {reader.frames[middle]}", f"drive_{row}_frame_{reader.frames[middle]}.png"
+        _draw_frame(out / file, reader.read(middle), title)
+        pictures.append((file, title))
     write_file(out / "card.md", _markdown(card, pictures))
     # Last: it marks a complete card.
     write_file(out / "card.json", msgspec.json.format(encode_json(card), indent=1))
@@ -182,6 +187,7 @@ def _describe(place: tuple[Path, Path], report: Progress) -> DriveCard:
         visible=_sum([_visible(frame) for frame in frames], len(SHARE) - 1),
         seen={name: sum(_seen(frame, value) for frame in frames) for name, value in SEEN_BY.items()},
         labelled=_labelled(frames),
+        sources=_sources(own_settings(reader.protocol)),
     )
 
 
@@ -190,6 +196,13 @@ def _settings(own: dict) -> dict[str, Any]:
     keys = ("seed", "interval_s", "motion", "connected_vehicles", "visibility", "corruptions", "rendered", "proof")
     named = {"scenario": scenario["name"]} if isinstance(scenario, dict) and "name" in scenario else {}
     return {**named, **{key: own[key] for key in keys if key in own}}
+
+
+def _sources(own: dict) -> list[str]:
+    try:
+        return list(attributions(msgspec.convert(own.get("scenario"), Scenario)))
+    except msgspec.ValidationError:
+        return []
 
 
 def _agents(frame: Frame) -> dict[str, dict[str, str]]:
@@ -292,10 +305,26 @@ def _markdown(card: Card, pictures: Sequence[tuple[str, str]]) -> str:
         "",
         *(f"![{title}]({file})" for file, title in pictures),
         "",
+        *_terms(card),
         "Made with " + ", ".join(f"{name} {number}" for name, number in card.packages.items()) + ".",
         f"SHA-256 of the drives: `{card.sha256}`.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _terms(card: Card) -> list[str]:
+    """Return the section on the works of others that the drives are derived from."""
+    drives_of: dict[str, list[str]] = {}
+    for drive in card.drives:
+        for source in drive.sources:
+            drives_of.setdefault(source, []).append(drive.drive)
+    if not drives_of:
+        return []
+    lines = [
+        f"* {source}" + ("" if len(drives) == len(card.drives) else f" ({', '.join(drives)})")
+        for source, drives in drives_of.items()
+    ]
+    return ["Works of others that the drives are derived from, to be named with them:", "", *lines, ""]
 
 
 def _spread(points: NDArray[Any]) -> str:
@@ -353,8 +382,8 @@ def _draw(out: Path, card: Card) -> None:
 
 
 def _draw_frame(path: Path, frame: Frame, title: str) -> None:
-    """Draw a frame in bird's eye view: points in the colour of their agent, boxes black where an agent sees them."""
-    figure, axes = _figure(7.0, 7.0, 1)
+    """Draw a frame in bird's eye view: points in the colour of their agent, boxes black where an agent has points."""
+    figure, axes = _figure(7.0, 7.4, 1)
     ego = frame.agents[0].world_from_body[:2, 3]
     colours = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b")
     for number, agent in enumerate(frame.agents):
@@ -363,11 +392,16 @@ def _draw_frame(path: Path, frame: Frame, title: str) -> None:
         colour = colours[number % len(colours)]
         axes.plot(*xy.T, ",", color=colour, alpha=0.5, rasterized=True)
         place = agent.world_from_body[:2, 3] - ego
-        axes.plot(*place, "^" if agent.kind == "vehicle" else "s", color=colour, markeredgecolor="black", zorder=3)
+        marker = {"marker": "^" if agent.kind == "vehicle" else "s", "linestyle": "", "markeredgecolor": "black"}
+        name = f"{'ego' if number == 0 else agent.kind} {agent.agent_id}"
+        axes.plot(*place, color=colour, zorder=3, label=name, **marker)
     seen = frame.points_on.sum(axis=0) > 0
     for points, corners in zip(seen, frame.truth.corners()[:, :4, :2] - ego, strict=True):
         if float(np.abs(corners).max()) < _VIEW_M:
-            axes.fill(*corners.T, fill=False, color="black" if points else "#c00000", linewidth=0.8)
+            axes.fill(*corners.T, fill=False, color=_SEEN if points else _UNSEEN, linewidth=0.8)
+    for colour, meaning in ((_SEEN, "box with points of an agent"), (_UNSEEN, "box without")):
+        axes.plot([], [], color=colour, linewidth=0.8, label=meaning)
+    figure.legend(loc="outside lower center", ncols=4, fontsize=8)
     axes.set(xlim=(-_VIEW_M, _VIEW_M), ylim=(-_VIEW_M, _VIEW_M), aspect="equal", title=title, xlabel="m", ylabel="m")
     _save(figure, path)
 
