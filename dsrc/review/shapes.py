@@ -32,18 +32,27 @@ def crossed(boxes: Boxes) -> NDArray[np.float32]:
 
 def dashed(boxes: Boxes, dash_m: float = 0.45) -> NDArray[np.float32]:
     """(K, 2, 3) lines of `edges` as dashes of about `dash_m` with gaps of the same length."""
-    lines = edges(boxes)
+    return dashes(edges(boxes), dash_m)
+
+
+def dashes(lines: NDArray[np.float32], dash_m: float) -> NDArray[np.float32]:
+    """(K, 2, 3) dashes of (N, 2, 3) lines, about `dash_m` long, with gaps of the same length."""
     if len(lines) == 0:
         return lines
     length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
-    dashes = np.maximum(np.round((length / dash_m + 1.0) / 2.0), 1).astype(np.intp)
-    of_line = np.repeat(np.arange(len(lines)), dashes)
-    first = np.concatenate([np.arange(n) for n in dashes])
+    number = np.maximum(np.round((length / dash_m + 1.0) / 2.0), 1).astype(np.intp)
+    of_line = np.repeat(np.arange(len(lines)), number)
+    first = np.concatenate([np.arange(n) for n in number])
     # n dashes and n - 1 gaps of one length fill the line and end it on both sides with a dash.
-    start = 2.0 * first / (2.0 * dashes[of_line] - 1.0)
-    end = start + 1.0 / (2.0 * dashes[of_line] - 1.0)
+    start = 2.0 * first / (2.0 * number[of_line] - 1.0)
+    end = start + 1.0 / (2.0 * number[of_line] - 1.0)
     origin, along = lines[of_line, 0], lines[of_line, 1] - lines[of_line, 0]
     return np.stack([origin + start[:, None] * along, origin + end[:, None] * along], axis=1).astype(np.float32)
+
+
+def polyline(points: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(K - 1, 2, 3) lines between (K, 3) points in their order."""
+    return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32).reshape(-1, 2, 3)
 
 
 def quaternions(yaw: NDArray[np.float64]) -> NDArray[np.float32]:

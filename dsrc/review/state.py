@@ -12,8 +12,9 @@ Camera = Literal["chase", "bev", "free"]
 COLOR_BY: tuple[ColorBy, ...] = get_args(ColorBy)
 IOU_THRESHOLDS = (0.3, 0.5, 0.7)
 
-SHOWN_LAYERS = ("truth", "detections", "bodies", "world", "links", "labels")
-"""Layers of the page that can be switched off."""
+SHOWN_LAYERS = ("truth", "detections", "bodies", "world", "links", "labels", "plan", "tracks", "claims")
+"""Layers of the page that can be switched off; the last three are of episodes."""
+EPISODE_LAYERS = SHOWN_LAYERS[-3:]
 
 Theme = Literal["dark", "light"]
 

@@ -5,6 +5,7 @@ from html import escape
 
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
+from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
 from dsrc.review.view import OTHER_TRUTH, AgentView, DetectionDetails, FrameView, ObjectDetails
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
 from sensors.sweep import MOVED, SCATTERED
@@ -27,6 +28,39 @@ def frame_report(view: FrameView) -> str:
     )
     columns = "| | TP | FP | FN | prec. | recall |\n|:--|--:|--:|--:|--:|--:|"
     return f"{head}\n\n{columns}\n{table}"
+
+
+def notice(view: FrameView) -> str:
+    """Explanation of missing detections in a frame, and counts of the methods drawn over the judged one."""
+    compared = [one for one in view.compared if one.counts is not None]
+    rows = "\n".join(
+        f"| {one.name.replace('|', '/')} | {one.counts.tp} | {one.counts.fp} | {one.counts.fn} |"
+        for one in compared
+        if one.counts is not None
+    )
+    table = f"| over it | TP | FP | FN |\n|:--|--:|--:|--:|\n{rows}" if rows else ""
+    return "\n\n".join(part for part in (view.notice, table) if part)
+
+
+def moment_report(moment: EpisodeMoment, timeline: EpisodeTimeline, row: int) -> str:
+    """Markdown of a step of an episode: what the driver does and why, what it has heard, and how it ends."""
+    track = f", track {moment.decisive}" if moment.decisive >= 0 else ""
+    percept = "none yet" if math.isnan(moment.percept_age_s) else f"{1e3 * moment.percept_age_s:.0f} ms old"
+    heard = f"{int(moment.links.received.sum())} of {len(moment.links.received)} messages"
+    lines = [
+        f"**{moment.acceleration_mps2:+.1f} m/s²**, {moment.reason}{track} · {timeline.speed_mps[row]:.1f} m/s",
+        f"percept {percept} · {heard} · {len(moment.tracks)} tracks"
+        + (
+            f" · {len(moment.claims)} claims of {', '.join(dict.fromkeys(moment.claimed_by))}"
+            if moment.claimed_by
+            else ""
+        ),
+    ]
+    if moment.contact is not None:
+        lines.append(f"**contact** with {moment.contact.other} at {moment.contact.closing_mps:.1f} m/s")
+    end = f"contact at {timeline.time_s[timeline.contact_row]:.1f} s" if timeline.contact_row is not None else ""
+    outcome = f"outcome: {timeline.outcome}"
+    return "\n\n".join([*lines, " · ".join(part for part in (outcome, end, timeline.message) if part)])
 
 
 def _share(value: float | None) -> str:
@@ -85,6 +119,15 @@ def legend(view: FrameView) -> str:
     if view.color_by == "fate":
         agents += "".join(_legend_row(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
         agents += _legend_row(palette.LOST, "lost to the corruption")
+    for row, method in enumerate(view.compared):
+        agents += _legend_row(
+            palette.method_color(row + 1), f"{method.name}: found, false crossed, missed dashed", True
+        )
+    if view.moment is not None:
+        agents += _legend_row(palette.method_color(1), "track, with its way in a second; thick where it decides", True)
+        agents += _legend_row(view.ego.rgb, "plan of three seconds; messages received")
+        agents += _legend_row(palette.FP, "message lost, dashed")
+        agents += _legend_row(palette.FATE_COLORS[SCATTERED], "false object that a helper claims, crossed", True)
     other = _legend_row(palette.OTHER, "object, not evaluated", True)
     if not view.labelled:
         return _box(agents + _legend_row(palette.TRUTH, "detection, not judged", True))

@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 from dsrc.review.errors.report import BANDS, BROKEN, FIXED, other_run, versus_options
 from dsrc.review.page.protocol import Shown
-from dsrc.review.state import COLOR_BY, IOU_THRESHOLDS, SHOWN_LAYERS, Listed
+from dsrc.review.state import COLOR_BY, EPISODE_LAYERS, IOU_THRESHOLDS, SHOWN_LAYERS, Listed
 from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
 from sim.boxes import CLASSES
 
@@ -129,6 +129,10 @@ def _detects(shown: Shown) -> bool:
     return shown.model.has_detector
 
 
+def _of_episode(shown: Shown) -> bool:
+    return shown.view is not None and shown.view.moment is not None
+
+
 def _listed(shown: Shown) -> dict[str, Any]:
     """Kinds of errors; what is broken and fixed only against another run."""
     against = other_run(shown.state) is not None
@@ -185,7 +189,17 @@ CONTROLS: tuple[Control, ...] = (
     Control("point_size_m", Slider(0.02, 0.5, 0.01), "Point size", "Look", link="size"),
     Control("max_points", Slider(2000, 120_000, 1000), "Points/agent", "Look", link="points"),
     Control("theme", Choice(_named({"Dark": "dark", "Light": "light"})), "Theme", "Look", link="theme", key="T"),
-    *(Control("layers_off", Switch(layer), layer.capitalize(), "Look", link="off") for layer in SHOWN_LAYERS),
+    *(
+        Control(
+            "layers_off",
+            Switch(layer),
+            layer.capitalize(),
+            "Look",
+            link="off",
+            shown=_of_episode if layer in EPISODE_LAYERS else lambda _: True,
+        )
+        for layer in SHOWN_LAYERS
+    ),
 )
 """The controls, in the order of the page."""
 

@@ -1,7 +1,7 @@
 """SceneWriter: FrameViews drawn into a viser scene, one named node each, updated in place."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from viser.transforms import SO3
 from dsrc.review import palette
 from dsrc.review.page.cameras import FOV_RAD, CameraPose
 from dsrc.review.palette import Rgb
-from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
+from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, dashes, edges, polyline, quaternions
 from dsrc.review.state import Theme
 from dsrc.review.static import StaticPart, body_shape
 from dsrc.review.view import (
@@ -50,6 +50,12 @@ STYLES = {
     SELECTED: BoxStyle(palette.SELECTED, 4.0),
 }
 _FORMS = {"solid": edges, "dashed": dashed, "crossed": crossed}
+
+
+AROUND_M = 0.12
+"""Width by which the boxes of each further method are drawn larger, m: they do not cover those of the others."""
+PLAN_M = 0.25
+"""Height of the drawn plan and route above the road, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +140,7 @@ class SceneWriter:
         self._drawn: dict[str, AgentView] = {}
         self._on_click = on_click
         self._clickable: dict[str, tuple[Clicked, ...]] = {}
+        self._compared = 0
 
     def clear(self) -> None:
         """Remove every node of the drive."""
@@ -157,7 +164,9 @@ class SceneWriter:
             self._write_boxes(name, view.layers[name], style, not off)
             if style.fill > 0.0:
                 self._make_clickable(f"{name}/faces", _boxes_clicked(view, name))
+        self._write_compared(view)
         self._write_links(view)
+        self._write_moment(view)
         self._frame("world").visible = "world" not in view.layers_off
 
     def _write_agent(self, agent: AgentView, view: FrameView) -> None:
@@ -257,6 +266,43 @@ class SceneWriter:
     def _write_links(self, view: FrameView) -> None:
         self._frame("links").visible = "links" not in view.layers_off
         self._lines("links/heard", view.linked.astype(np.float32), view.ego.rgb, 1.5)
+
+    def _write_compared(self, view: FrameView) -> None:
+        """Draw the boxes of further methods, each in its colour and a little around those of the others."""
+        self._frame("compared").visible = "detections" not in view.layers_off
+        for row in range(max(len(view.compared), self._compared)):
+            method = view.compared[row] if row < len(view.compared) else None
+            for kind, form in (("hits", edges), ("false", crossed), ("missed", dashed)):
+                boxes = Boxes.zeros() if method is None else getattr(method, kind)
+                around = replace(boxes, size=boxes.size + AROUND_M * (row + 1))
+                self._lines(f"compared/{row}/{kind}", form(around), palette.method_color(row + 1), 2.5)
+        self._compared = len(view.compared)
+
+    def _write_moment(self, view: FrameView) -> None:
+        """Draw what the ego of an episode plans, tracks, hears and is made to believe; hide it elsewhere."""
+        moment = view.moment
+        for name in ("plan", "tracks", "claims"):
+            self._frame(name).visible = moment is not None and name not in view.layers_off
+        if moment is None:
+            return
+        ground = view.ego.review_from_body[2, 3] + PLAN_M
+        plan = moment.plan[:, :3] + [0.0, 0.0, PLAN_M]
+        route = np.column_stack([moment.route, np.full(len(moment.route), ground)])
+        self._lines("plan/route", dashes(polyline(route), 1.0), palette.OTHER, 1.5)
+        self._lines("plan/way", polyline(plan), view.ego.rgb, 7.0)
+        decisive = moment.tracks.object_id == moment.decisive
+        heading = np.column_stack([np.nan_to_num(moment.track_velocity), np.zeros(len(moment.tracks))])
+        ahead = np.stack([moment.tracks.center, moment.tracks.center + heading], axis=1).astype(np.float32)
+        self._lines("tracks/boxes", edges(moment.tracks[~decisive]), palette.method_color(1), 1.5)
+        self._lines("tracks/decisive", edges(moment.tracks[decisive]), palette.method_color(1), 5.0)
+        self._lines("tracks/second_ahead", ahead, palette.method_color(1), 2.0)
+        self._lines("claims/boxes", crossed(moment.claims), palette.FATE_COLORS[SCATTERED], 3.0)
+        line, heard = moment.links.line.astype(np.float32), moment.links.received
+        placed = np.isfinite(line).all(axis=(1, 2))
+        self._lines("links/received", line[placed & heard], view.ego.rgb, 2.0)
+        self._lines("links/lost", dashes(line[placed & ~heard], 1.5), palette.FP, 2.0)
+        touched = view.truth[view.agent_of == 0] if moment.contact is not None else Boxes.zeros()
+        self._lines("plan/contact", crossed(replace(touched, size=touched.size + 0.5)), palette.FP, 8.0)
 
     def _lines(self, name: str, lines: NDArray[np.float32], rgb: Rgb, thickness: float) -> None:
         node = self._nodes.get(name)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from dsrc.review.page.panels.agents import AgentsPanel
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
+from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.folders import DetectionsPanel, LookPanel
 from dsrc.review.page.panels.notes import NotesPanel
@@ -15,6 +16,7 @@ from dsrc.review.page.protocol import Page, Panel
 PANELS: tuple[Callable[[Page], Panel], ...] = (
     TimelinePanel,
     ReportPanel,
+    EpisodePanel,
     SelectionPanel,
     NotesPanel,
     ErrorsPanel,

@@ -27,6 +27,7 @@ _RECALL = np.linspace(0.0, 1.0, 101)
 _PATIENCE_S = 2.0
 _CHOSEN, _OTHER = (56, 150, 255), (62, 70, 84)
 _NO_FRAME = "–"
+_AXIS = "rgb(112,122,140)"
 
 
 class ErrorsPanel:
@@ -131,7 +132,7 @@ class ErrorsPanel:
                 data,
                 tuple(series),
                 scales={"x": uplot.Scale(time=False, range=(0.0, 1.0)), "y": uplot.Scale(range=(0.0, 1.0))},
-                axes=(uplot.Axis(label="recall"), uplot.Axis(label="precision")),
+                axes=(uplot.Axis(label="recall", stroke=_AXIS), uplot.Axis(label="precision", stroke=_AXIS)),
                 legend=uplot.Legend(show=False),
                 height=190,
             )

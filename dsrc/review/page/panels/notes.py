@@ -17,7 +17,7 @@ class NotesPanel:
         """Build it, hidden."""
         self._page = page
         self._key = ""
-        self.folder = page.gui.add_folder("Note", visible=False)
+        self.folder = page.gui.add_folder("Note", visible=False, expand_by_default=False)
         with self.folder:
             self.text: Any = page.gui.add_text("Note", "", multiline=True)
             self.tags: Any = page.gui.add_text("Tags", "", hint="words between blanks")

@@ -1,0 +1,76 @@
+"""Episode: what the driver does at the drawn step and why, and speed, wanted acceleration and contact over time."""
+
+from typing import Any
+
+import numpy as np
+from viser import uplot
+
+from dsrc.review import palette
+from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.sources.moment import EpisodeTimeline
+from dsrc.review.texts import moment_report
+
+_HEIGHT_PX = 170
+
+
+class EpisodePanel:
+    """Folder with the step in words and the course of the episode, hidden in drives."""
+
+    def __init__(self, page: Page) -> None:
+        """Build it, hidden."""
+        self._page = page
+        self._drive: int | None = None
+        self._line: EpisodeTimeline | None = None
+        self.folder = page.gui.add_folder("Episode", visible=False)
+        with self.folder:
+            self.text = page.gui.add_markdown("")
+            self.plot: Any = None
+
+    def show(self, shown: Shown) -> None:
+        """Write the step, and mark it in the course."""
+        view = shown.view
+        moment = None if view is None else view.moment
+        if self.folder.visible != (moment is not None):
+            self.folder.visible = moment is not None
+        if view is None or moment is None:
+            return
+        if self._drive != shown.state.drive:
+            self._drive, self._line = shown.state.drive, shown.model.timeline(shown.state.drive)
+        if self._line is None:
+            return
+        self.text.content = moment_report(moment, self._line, view.index)
+        self._draw(self._line, view.index)
+
+    def _draw(self, line: EpisodeTimeline, row: int) -> None:
+        """Draw speed and wanted acceleration, the present and the contact."""
+        data = (line.time_s, line.speed_mps, line.wanted_mps2, _mark(line, row), _mark(line, line.contact_row))
+        if self.plot is not None:
+            self.plot.data = data
+            return
+        dot = {"show": True, "size": 9}
+        with self.folder:
+            self.plot = self._page.gui.add_uplot(
+                data,
+                (
+                    uplot.Series(label="time"),
+                    uplot.Series(label="speed, m/s", stroke=_css(palette.AGENT_COLORS[0]), width=2),
+                    uplot.Series(label="wanted, m/s²", stroke=_css(palette.FN), width=1),
+                    uplot.Series(label="now", stroke=_css(palette.SELECTED), width=0, points=dot),  # type: ignore[typeddict-item]
+                    uplot.Series(label="contact", stroke=_css(palette.FP), width=0, points=dot),  # type: ignore[typeddict-item]
+                ),
+                scales={"x": uplot.Scale(time=False)},
+                axes=(uplot.Axis(label="s", stroke=_css(palette.OTHER)), uplot.Axis(stroke=_css(palette.OTHER))),
+                height=_HEIGHT_PX,
+            )
+
+
+def _mark(line: EpisodeTimeline, row: int | None) -> Any:
+    """(T,) speed at one step, NaN elsewhere."""
+    mark = np.full(len(line.time_s), np.nan)
+    if row is not None:
+        mark[row] = line.speed_mps[row]
+    return mark
+
+
+def _css(rgb: palette.Rgb) -> str:
+    return "rgb({},{},{})".format(*rgb)

@@ -1,0 +1,38 @@
+"""Methods over each other: each further one is drawn in its own colour and form."""
+
+import numpy as np
+import pytest
+
+from dsrc.review import palette
+from dsrc.review.model import ReviewModel
+from dsrc.review.page.panels.report import ReportPanel
+from dsrc.review.sources.detected import ComputedSet
+from tests.dsrc.review.errors.test_report import Blind
+from tests.dsrc.review.page.test_session import node, panel, wait_for
+
+
+@pytest.fixture
+def model(drive, detector) -> ReviewModel:
+    model = ReviewModel([drive], detector)
+    model.sources[0].sets["blind"] = ComputedSet("blind", Blind())
+    return model
+
+
+def test_two_methods_are_drawn_over_each_other_and_told_apart(session):
+    session.update(methods=("detector", "blind"))
+    view = session.wait_drawn()
+    (blind,) = view.compared
+    drawn = {kind: node(session, f"/compared/0/{kind}") for kind in ("false", "missed")}
+    assert len(drawn["false"].points) == 15 * len(blind.false) > 0
+    assert len(drawn["missed"].points) > 13 * len(blind.missed) > 0
+    np.testing.assert_array_equal(np.unique(drawn["missed"].colors.reshape(-1, 3), axis=0), [palette.method_color(1)])
+    counts = f"| blind | {blind.counts.tp} | {blind.counts.fp} | {blind.counts.fn} |"
+    wait_for(lambda: counts in panel(session, ReportPanel).notice.content)
+
+
+def test_one_method_alone_leaves_nothing_of_the_other(session):
+    session.update(methods=("detector", "blind"))
+    session.wait_drawn()
+    session.update(methods=("blind",))
+    assert session.wait_drawn().compared == ()
+    assert not any(node(session, f"/compared/0/{kind}").visible for kind in ("false", "missed"))

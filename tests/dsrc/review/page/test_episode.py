@@ -1,0 +1,80 @@
+"""An episode on the page: plan, tracks, links, claims and contact are drawn, and the course of the episode is told."""
+
+import numpy as np
+import pytest
+
+from dsrc.review.model import ReviewModel
+from dsrc.review.page.panels.episode import EpisodePanel
+from dsrc.review.page.panels.report import ReportPanel
+from dsrc.review.sources.episodes import EpisodeSource
+from tests.dsrc.closed_loop.test_log import full_log
+from tests.dsrc.review.page.test_session import node, panel, wait_for
+
+
+@pytest.fixture
+def model() -> ReviewModel:
+    return ReviewModel([EpisodeSource(full_log())])
+
+
+def lines(session, name):
+    handle = node(session, name)
+    return 0 if handle is None or not handle.visible else len(handle.points)
+
+
+def test_every_step_is_drawn_as_the_log_has_it(session):
+    ticks = session.model.sources[0].log.ticks
+    for row, tick in enumerate(ticks):
+        session.update(frame=row)
+        session.wait_drawn()
+        drawn = {name: lines(session, f"/tracks/{name}") for name in ("boxes", "decisive", "second_ahead")}
+        assert drawn["boxes"] + drawn["decisive"] == 13 * len(tick.tracks)
+        assert drawn["second_ahead"] == len(tick.tracks)
+        assert lines(session, "/claims/boxes") == 15 * sum(map(len, tick.claims.values()))
+        links = session.view.moment.links
+        placed = np.isfinite(links.line).all(axis=(1, 2))
+        assert lines(session, "/links/received") == np.count_nonzero(placed & links.received)
+        assert (lines(session, "/links/lost") > 0) == (placed & ~links.received).any()
+        assert (lines(session, "/plan/contact") > 0) == (tick.contact is not None)
+
+
+def test_layers_of_an_episode_can_be_switched_off(session):
+    for name in ("plan", "tracks", "claims"):
+        session.update(layers_off=frozenset({name}))
+        session.wait_drawn()
+        assert not node(session, f"/{name}").visible
+
+
+def test_the_panel_says_why_the_driver_brakes_and_how_it_ends(session):
+    episode = panel(session, EpisodePanel)
+    log = session.model.sources[0].log
+    for row in (0, len(log) - 1):
+        session.update(frame=row)
+        session.wait_drawn()
+        reason = log.ticks[row].decision.reason
+        wait_for(lambda reason=reason: reason in episode.text.content)
+        assert f"outcome: {log.outcome}" in episode.text.content
+        now = episode.plot.data[3]
+        assert np.flatnonzero(~np.isnan(now)).tolist() == [row]
+    assert episode.folder.visible
+
+
+def test_a_drive_has_no_episode(model, detector, drive, connect_browser):
+    from dsrc.review.page.app import ReviewApp
+    from dsrc.review.page.server import start_server
+
+    app = ReviewApp(ReviewModel([drive]), start_server())
+    try:
+        session = connect_browser(app).session
+        session.wait_drawn()
+        assert not panel(session, EpisodePanel).folder.visible
+        assert not node(session, "/plan").visible
+    finally:
+        app.close()
+
+
+def test_missing_detections_are_explained(session):
+    session.update(corruption="fog")
+    view = session.wait_drawn()
+    report = panel(session, ReportPanel)
+    assert "percepts has no detections in fog 3" in view.notice
+    wait_for(lambda: report.notice.visible and report.notice.content == view.notice)
