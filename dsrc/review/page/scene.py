@@ -27,6 +27,7 @@ from dsrc.review.view import (
     AgentView,
     FrameView,
 )
+from sensors.sweep import SCATTERED
 from sim.boxes import CLASSES, Boxes
 
 
