@@ -44,6 +44,8 @@ FATE_COLORS: dict[int, Rgb] = {
 """Colours of points by `Sweep.fate`."""
 LOST: Rgb = (249, 253, 132)
 """Colour of points that a corruption removed."""
+SENSOR: Rgb = (156, 200, 97)
+"""Colour of the points of a sensor that the recording lacks."""
 FATE_NAMES = {KEPT: "untouched", ATTENUATED: "dimmer", MOVED: "moved", SCATTERED: "made by the corruption"}
 """Names of the same."""
 

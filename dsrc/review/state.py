@@ -50,6 +50,9 @@ class ReviewState:
         camera: what the camera moves with: the ego and its heading, the ego alone, nothing.
         speed: of playing, in multiples of real time.
         theme: of the page.
+        sensor: preset of a sensor that is cast anew, "" for none.
+        carrier: what carries it: `ego`, `pole` or the id of an agent.
+        placement: x, y, z on the carrier, m, yaw and pitch, degrees; () for the usual place.
         listed: errors in the list.
         versus: run that tells what is broken and fixed: `clean`, `alone`, the name of a method after `method `; "" for
             `clean` where the sweeps are corrupted, else none.
@@ -80,6 +83,9 @@ class ReviewState:
     camera: Camera = "free"
     speed: float = 1.0
     theme: Theme = "dark"
+    sensor: str = ""
+    carrier: str = "ego"
+    placement: tuple[float, ...] = ()
     listed: Listed = "all"
     versus: str = ""
     error_method: str = ""

@@ -241,8 +241,8 @@ def first_unknown(model: Runs, state: ReviewState, step: int) -> int | None:
 
 
 _FIELDS = (
-    *("drive", "ego_id", "cooperative", "methods", "corruption", "severity", "family", "threshold", "iou"),
-    *("listed", "versus", "error_method", "error_class", "error_range", "error_seen_by"),
+    *("drive", "ego_id", "cooperative", "methods", "corruption", "severity", "family", "parameters"),
+    *("threshold", "iou", "listed", "versus", "error_method", "error_class", "error_range", "error_seen_by"),
 )
 
 

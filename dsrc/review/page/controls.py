@@ -8,6 +8,7 @@ from dsrc.review.errors.report import BANDS, BROKEN, FIXED, other_run, versus_op
 from dsrc.review.page.protocol import Shown
 from dsrc.review.state import COLOR_BY, EPISODE_LAYERS, IOU_THRESHOLDS, SHOWN_LAYERS, Listed
 from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
+from sensors.presets import LIDARS
 from sim.boxes import CLASSES
 
 NOBODY = "none"
@@ -117,6 +118,19 @@ def _objects(shown: Shown) -> dict[str, Any]:
     return objects
 
 
+def _sensors(_: Shown) -> dict[str, Any]:
+    return {NOBODY: "", **{name: name for name in LIDARS}}
+
+
+def _senses(shown: Shown) -> bool:
+    return bool(shown.state.sensor)
+
+
+def _carriers(shown: Shown) -> dict[str, Any]:
+    agents = () if shown.view is None else shown.view.agents
+    return {"ego": "ego", "pole": "pole", **{agent.title: str(agent.agent_id) for agent in agents}}
+
+
 def _last_frame(shown: Shown) -> float:
     return shown.model.frame_count(shown.state.drive) - 1
 
@@ -173,6 +187,9 @@ CONTROLS: tuple[Control, ...] = (
     Control("severity", Slider(1, 5, 1), "Severity", "Corruption lab", link="severity", enabled=_corrupted),
     Control("family", Choice(_same(*FAMILIES)), "Settings", "Corruption lab", link="family", enabled=_corrupted),
     Control("parameters", None, link="parameters"),
+    Control("sensor", Choice(_sensors), "Sensor", "Sensor lab", link="sensor"),
+    Control("carrier", Choice(_carriers, closed=False), "Carrier", "Sensor lab", link="carrier", enabled=_senses),
+    Control("placement", None, link="placement"),
     Control("threshold", Slider(0.0, 1.0, 0.01), "Score ≥", "Detections", link="score", shown=_detects),
     Control("iou", Choice(_same(*IOU_THRESHOLDS)), "IoU ≥", "Detections", link="iou", key="I", shown=_detects),
     Control("ego_id", Choice(_agents, closed=False), "Ego", "Detections", link="ego", shown=_detects),

@@ -25,6 +25,8 @@ from sim.errors import SettingsError, complaint
 VIEW = "view"
 """Name of the camera's position and the point looked at: six numbers, m."""
 
+_FARTHEST_M = 1000.0
+"""Farthest place of a sensor on its carrier, m."""
 _BETWEEN = "|"
 """Between the names of methods, which may hold commas."""
 _DEFAULTS = {field.name: getattr(ReviewState(), field.name) for field in fields(ReviewState)}
@@ -85,6 +87,8 @@ def _text(model: ReviewModel, field: str, value: Any) -> str:
         return name if model.names.count(name) == 1 and _PLAIN.fullmatch(name) else str(value)
     if field == "parameters":
         return ",".join(f"{name}:{number}" for name, number in value)
+    if field == "placement":
+        return ",".join(f"{number:g}" for number in value)
     if field == "methods":
         return _BETWEEN.join(quote(name, safe="") for name in value)
     if isinstance(value, frozenset):
@@ -104,6 +108,8 @@ def _value(control: Control, text: str, shown: Shown) -> Any:
         return shown.model.names.index(text)
     if control.field == "methods":
         return _methods(control, text, shown)
+    if control.field == "placement":
+        return _placement(control, text)
     if control.field == "parameters":
         return _parameters(text, shown.state)
     value = _parsed(control, text)
@@ -122,6 +128,17 @@ def _methods(control: Control, text: str, shown: Shown) -> tuple[str, ...]:
     if not set(names) <= set(known):
         raise SettingsError(complaint("link", control.link, ", ".join(known) or "none", text))
     return names
+
+
+def _placement(control: Control, text: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    bounds = (_FARTHEST_M, _FARTHEST_M, _FARTHEST_M, 360.0, 90.0)
+    if len(numbers) != len(bounds) or not all(abs(n) <= bound for n, bound in zip(numbers, bounds, strict=True)):
+        raise SettingsError(complaint("link", control.link, "five numbers: x, y, z, m, yaw and pitch, degrees", text))
+    return numbers
 
 
 def _parameters(text: str, state: ReviewState) -> Changes:

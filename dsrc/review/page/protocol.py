@@ -39,6 +39,7 @@ class Page(Protocol):
     Attributes:
         model: drives, detector and caches.
         gui: controls of this browser.
+        scene: nodes of this browser.
         state: newest settings.
         view: last drawn frame, None before the first.
         last_corruption: last corruption other than `clean`, "" before the first.
@@ -53,6 +54,7 @@ class Page(Protocol):
     worker: Worker
     notes: NoteBook | None
     gui: viser.GuiApi
+    scene: viser.SceneApi
     state: ReviewState
     view: FrameView | None
     last_corruption: str
@@ -60,6 +62,10 @@ class Page(Protocol):
 
     def update(self, **changes: Any) -> None:
         """Replace fields of the state and draw it."""
+
+    @property
+    def root(self) -> str:
+        """Node of the scene below which the shown drive is drawn, in the review frame."""
 
     def step(self, frames: int, wrap: bool = False) -> None:
         """Step by a number of frames, backward if negative."""

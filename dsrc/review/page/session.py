@@ -60,6 +60,7 @@ class Session:
         model: drives, detector and caches.
         client: the browser; a server does in its place.
         gui: controls of this browser.
+        scene: nodes of this browser.
         state: newest settings.
         view: last drawn frame, None before the first.
         last_corruption: last corruption other than `clean`, "" before the first.
@@ -93,7 +94,7 @@ class Session:
             notice: text above the controls at the start.
             place_world: called with the row of a drive that is drawn, after its first frame.
         """
-        self.model, self.client, self.gui = model, client, client.gui
+        self.model, self.client, self.gui, self.scene = model, client, client.gui, client.scene
         self.state = state
         self.view: FrameView | None = None
         self.last_corruption = "" if state.corruption == CLEAN else state.corruption
@@ -162,6 +163,8 @@ class Session:
                 getattr(state, name) != getattr(self.state, name) for name in _OF_CORRUPTION
             ):
                 state = replace(state, parameters=())
+            if "placement" not in changes and (state.drive, state.carrier) != (self.state.drive, self.state.carrier):
+                state = replace(state, placement=())
             if "object_id" in changes and state.object_id is not None:
                 state = replace(state, detection=None)
             elif "detection" in changes and state.detection is not None:
@@ -176,6 +179,11 @@ class Session:
                 self._placing = state.camera
             self.state = state
             self._draw_soon()
+
+    @property
+    def root(self) -> str:
+        """Node of the scene below which the shown drive is drawn, in the review frame."""
+        return root_of(self.state.drive)
 
     def step(self, frames: int, wrap: bool = False) -> None:
         """Step by a number of frames, backward if negative; stop at the ends or wrap around."""

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, FN, FP, LOST, METHOD_COLORS, TP
+from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, FN, FP, LOST, METHOD_COLORS, SENSOR, TP
 from sensors.sweep import MOVED, SCATTERED
 from tests.dsrc.review.vision import VISIONS, seen_as
 
 NAMED = {
     "TP": TP, "FP": FP, "FN": FN, "added": FATE_COLORS[SCATTERED], "moved": FATE_COLORS[MOVED],
-    "lost": LOST,
+    "lost": LOST, "sensor": SENSOR,
     **{f"agent {row}": rgb for row, rgb in enumerate(AGENT_COLORS)},
 }  # fmt: skip
 

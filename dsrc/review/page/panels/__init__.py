@@ -10,6 +10,7 @@ from dsrc.review.page.panels.folders import DetectionsPanel, LookPanel
 from dsrc.review.page.panels.notes import NotesPanel
 from dsrc.review.page.panels.report import ReportPanel
 from dsrc.review.page.panels.selection import SelectionPanel
+from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.panels.timeline import TimelinePanel
 from dsrc.review.page.protocol import Page, Panel
 
@@ -21,6 +22,7 @@ PANELS: tuple[Callable[[Page], Panel], ...] = (
     NotesPanel,
     ErrorsPanel,
     CorruptionLabPanel,
+    SensorLabPanel,
     DetectionsPanel,
     AgentsPanel,
     LookPanel,

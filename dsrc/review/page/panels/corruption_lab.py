@@ -7,9 +7,16 @@ from typing import Any
 from dsrc.review.labs.parameters import Parameter, changed, parameters_of
 from dsrc.review.page.panels.widgets import build_controls
 from dsrc.review.page.protocol import Page, Shown
-from dsrc.review.state import ReviewState
+from dsrc.review.state import IOU_THRESHOLDS, ReviewState
 from dsrc.review.texts import fates_table
 from sensors.corruptions import CLEAN
+
+_PATIENCE_S = 2.0
+"""Age up to which scores may lack frames that were detected in since, s."""
+_WHOLE_RUN: dict[str, Any] = {
+    "listed": "all", "versus": "", "error_method": "", "error_class": "", "error_range": "any", "error_seen_by": "",
+}  # fmt: skip
+"""Fields of a state whose scores are those of all objects."""
 
 
 def _known(state: ReviewState) -> tuple[Parameter, ...]:
@@ -82,9 +89,12 @@ class CorruptionLabPanel:
             self.effects = page.gui.add_markdown("", visible=False)
             self.fates = page.gui.add_button("Colour points by their fate", visible=False)
             self.fates.on_click(self._turn_fates)
+            self.scores = page.gui.add_markdown("", visible=False)
+            self.detect = page.gui.add_button("AP over the drive", visible=False)
+            self.detect.on_click(self._detect)
 
     def show(self, shown: Shown) -> None:
-        """Set the controls and parameters, and count the points of the drawn frame."""
+        """Set the controls and parameters, count the points of the drawn frame, and write the AP that is known."""
         for control in self.controls:
             control.show(shown)
         self._show_parameters(shown.state)
@@ -94,6 +104,7 @@ class CorruptionLabPanel:
             _set(self.effects, content=fates_table(shown.view))
         other = "agent" if shown.state.color_by == "fate" else "fate"
         _set(self.fates, visible=corrupted, label=f"Colour points by their {other}")
+        self._show_scores(shown)
 
     def _show_parameters(self, state: ReviewState) -> None:
         known = _known(state)
@@ -110,6 +121,38 @@ class CorruptionLabPanel:
             self.parameters[parameter.name].show(parameter, values.get(parameter.name, parameter.value))
         _set(self._folder, visible=bool(known))
         _set(self.reset, visible=bool(values) and bool(known))
+
+    def _show_scores(self, shown: Shown) -> None:
+        """Write the AP of the judged method on clean and on corrupted sweeps, as far as its detections are known."""
+        state = shown.state
+        method = shown.model.method(state)
+        judged = state.corruption != CLEAN and bool(method) and shown.model.labelled(state.drive)
+        _set(self.scores, visible=judged)
+        if not judged:
+            _set(self.detect, visible=False)
+            return
+        lacking, jobs = False, bool(self._page.detecting())
+        patience = _PATIENCE_S if jobs or self._page.playing else 0.0
+        clean_and_corrupted = (CLEAN, CLEAN), (state.corruption.replace("_", " "), state.corruption)
+        rows = []
+        for title, corruption in clean_and_corrupted:
+            run = self._page.report(replace(state, corruption=corruption, methods=(method,), **_WHOLE_RUN), patience)
+            lacking |= run.known < run.total
+            known = [f"{100 * run.curves[method, iou].ap:.1f}" if run.known else "–" for iou in IOU_THRESHOLDS]
+            rows.append(f"| {title} | {' | '.join(known)} | {run.known} of {run.total} |")
+        label = "Stop" if jobs else "AP over the drive"
+        _set(self.detect, visible=jobs or (lacking and shown.model.computes(state)), label=label)
+        head = " | ".join(f"AP@{iou:g}" for iou in IOU_THRESHOLDS)
+        table = "\n".join(rows)
+        _set(self.scores, content=f"| % | {head} | frames |\n|:--|{'--:|' * (len(IOU_THRESHOLDS) + 1)}\n{table}")
+
+    def _detect(self, _: Any) -> None:
+        if self._page.detecting():
+            self._page.cancel()
+            return
+        # Against clean sweeps: these are detected in as well.
+        self._page.update(versus="")
+        self._page.detect_all()
 
     def _turn_fates(self, _: Any) -> None:
         self._page.update(color_by="agent" if self._page.state.color_by == "fate" else "fate")

@@ -1,14 +1,23 @@
 """The labs of the page: what their widgets set, draw and count."""
 
+import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from viser.transforms import SO3
 
+from dsrc.data.drives import open_drive
+from dsrc.review.model import ReviewModel
+from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import toggle_corruption
 from dsrc.review.page.link import read_link, write_link
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
+from dsrc.review.page.panels.sensor_lab import SensorLabPanel
+from dsrc.review.page.server import start_server
 from dsrc.review.state import ReviewState
+from tests.dsrc.review.labs.drive import small_drive
 
 
 def wait_for(condition, timeout_s=10.0):
@@ -109,3 +118,135 @@ def test_a_link_with_parameters_that_do_not_exist_is_refused(model):
     assert state.parameters == () and "extinction: expected 0 to" in complaints[0]
     tuned = ReviewState(corruption="fog", parameters=(("extinction", 0.123),))
     assert write_link(model, tuned, None) == "corruption=fog&parameters=extinction:0.123"
+
+
+def test_the_ap_of_the_drive_is_filled_in_clean_and_corrupted(session, lab):
+    session.update(corruption="point_dropping", parameters=(("share", 0.6),))
+    session.wait_drawn()
+    wait_for(lambda: "| 1 of 12 |" in lab.scores.content and lab.detect.visible)
+    lab._detect(None)
+    wait_for(lambda: lab.scores.content.count("| 12 of 12 |") == 2)
+    clean, corrupted = (line.split("|")[2:5] for line in lab.scores.content.splitlines()[2:])
+    expected = session.report(ReviewState()).curves["detector", 0.5].ap
+    assert clean[1].strip() == f"{100 * expected:.1f}" and corrupted[1].strip() != "–"
+    wait_for(lambda: not lab.detect.visible)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Page of a simulated drive, which has a world."""
+    drive = open_drive(small_drive(tmp_path_factory.mktemp("data")))
+    app = ReviewApp(ReviewModel([drive]), start_server())
+    yield app
+    app.close()
+
+
+@pytest.fixture
+def placed(recorded, connect_browser):
+    browser = connect_browser(recorded)
+    browser.session.wait_drawn()
+    session = browser.session
+    yield session
+    session.update(sensor="")
+    session.wait_drawn()
+    wait_for(lambda: not panel(session, SensorLabPanel)._latest.running)
+    browser.close()
+    wait_for(lambda: not recorded.sessions)
+
+
+def cast_of(session):
+    sensors = panel(session, SensorLabPanel)
+    wait_for(lambda: sensors.cast is not None)
+    return sensors.cast
+
+
+def cast_after(session, **changes):
+    """Cast of a change of the state."""
+    before = panel(session, SensorLabPanel).cast
+    session.update(**changes)
+    session.wait_drawn()
+    wait_for(lambda: panel(session, SensorLabPanel).cast not in (before, None))
+    return cast_of(session)
+
+
+def test_a_preset_on_the_ego_is_cast_and_counted(placed):
+    sensors = panel(placed, SensorLabPanel)
+    made = cast_after(placed, sensor="vlp-16")
+    assert made.rays == made.sweep.spec.rings * made.sweep.spec.columns
+    text = sensors.text.content.replace("\u2009", "")
+    assert (
+        f"**{len(made.sweep)} points** of {made.rays} rays" in text and f"{made.rays * 10 / 1e6:.2f} M rays/s." in text
+    )
+    cloud = node(placed, "/lab/lidar/points")
+    assert cloud.visible and len(cloud.points) == len(made.sweep) > 1000
+    denser = cast_after(placed, sensor="opv2v-64")
+    assert denser.rays > made.rays and sensors.text.visible
+    placed.update(sensor="")
+    placed.wait_drawn()
+    wait_for(lambda: node(placed, "/lab/lidar/points") is None and node(placed, "/lab/gizmo") is None)
+    assert not sensors.text.visible
+
+
+def test_the_gizmo_moves_the_sensor(placed):
+    sensors = panel(placed, SensorLabPanel)
+    cast_after(placed, sensor="vlp-16")
+    ego = placed.view.ego.review_from_body
+    wanted = ego[:3, 3] + ego[:3, :3] @ [1.0, 2.0, 4.0]
+    target = SimpleNamespace(wxyz=SO3.from_matrix(ego[:3, :3]).wxyz, position=wanted)
+    before = sensors.cast
+    sensors._drag(SimpleNamespace(target=target, phase="end"))
+    wait_for(lambda: sensors.cast not in (before, None))
+    assert placed.state.placement == pytest.approx((1.0, 2.0, 4.0, 0.0, 0.0), abs=0.01)
+    np.testing.assert_allclose(node(placed, "/lab/gizmo").position, wanted, atol=0.01)
+    np.testing.assert_allclose(node(placed, "/lab/lidar").position, wanted, atol=0.01)
+    assert sensors.position.value == pytest.approx((1.0, 2.0, 4.0), abs=0.01)
+
+
+def test_numbers_move_the_sensor_and_the_usual_place_brings_it_back(placed):
+    sensors = panel(placed, SensorLabPanel)
+    cast_after(placed, sensor="vlp-16", carrier="pole")
+    sensors.position.value = (3.0, -2.0, 7.0)
+    wait_for(lambda: placed.state.placement[:3] == (3.0, -2.0, 7.0))
+    np.testing.assert_allclose(placed.wait_drawn() and node(placed, "/lab/gizmo").position, (3.0, -2.0, 7.0))
+    placed.update(carrier="ego")
+    assert placed.state.placement == ()
+
+
+def test_the_newest_place_wins(placed, monkeypatch):
+    from dsrc.review.labs.casting import DriveWorld
+
+    gate, cast, places = threading.Event(), DriveWorld.cast, []
+
+    def slow(self, index, time_s, spec, placement, carrier):
+        places.append(placement.xyz_m[2])
+        gate.wait(5.0)
+        return cast(self, index, time_s, spec, placement, carrier)
+
+    monkeypatch.setattr(DriveWorld, "cast", slow)
+    placed.update(sensor="vlp-16", carrier="pole", placement=(0.0, 0.0, 3.0, 0.0, 0.0))
+    wait_for(lambda: places == [3.0])
+    for height in (4.0, 5.0, 6.0, 7.0):
+        placed.update(placement=(0.0, 0.0, height, 0.0, 0.0))
+        placed.wait_drawn()
+    gate.set()
+    wait_for(lambda: panel(placed, SensorLabPanel).cast is not None)
+    assert places == [3.0, 7.0]
+    np.testing.assert_allclose(node(placed, "/lab/lidar").position, (0.0, 0.0, 7.0))
+
+
+def test_a_drive_without_a_world_says_so_in_a_line(session):
+    session.update(sensor="vlp-16")
+    session.wait_drawn()
+    text = panel(session, SensorLabPanel).text
+    wait_for(lambda: "world.npz: expected the world and traffic of the drive, found none" in text.content)
+    assert "\n" not in text.content and node(session, "/lab/lidar/points") is None
+
+
+def test_a_placement_of_a_link_is_five_numbers_within_reach(model):
+    state, _, complaints = read_link("sensor=vlp-16&carrier=pole&placement=1,2,5,90,-10", model, ReviewState())
+    assert (state.sensor, state.carrier, state.placement) == ("vlp-16", "pole", (1.0, 2.0, 5.0, 90.0, -10.0))
+    assert not complaints
+    for wrong in ("1,2", "1,2,nan,0,0", "1,2,3,0,100", "a,b,c,d,e"):
+        state, _, complaints = read_link(f"placement={wrong}", model, ReviewState())
+        assert state.placement == () and "five numbers" in complaints[0]
+    assert "expected none, " in read_link("sensor=lidar9000", model, ReviewState())[2][0]

@@ -1,0 +1,151 @@
+"""DriveWorld: static world and traffic of a recorded drive, through which further sensors are cast."""
+
+import math
+import threading
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.simulate import TRAFFIC_LOG, WORLD
+from sensors.motion import Path as MotionPath
+from sensors.scan.lidar import Sensor, scan_all
+from sensors.scan.scene import RayScene
+from sensors.spec import LidarSpec
+from sensors.sweep import Sweep
+from sim.errors import DataError, complaint
+from sim.geometry import pose_matrix
+from sim.streams import Stream, random_generator
+from sim.traffic.base import Actors
+from sim.traffic.log import TrafficLog
+from sim.world.world_file import load_world
+
+_WORLDS_KEPT = 2
+"""Worlds kept: a city takes some hundred MB."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Place of a sensor on a carrier.
+
+    Attributes:
+        xyz_m: in the carrier's body frame, m.
+        yaw_deg: counter-clockwise from the carrier's heading.
+        pitch_deg: positive looks down.
+    """
+
+    xyz_m: tuple[float, float, float]
+    yaw_deg: float = 0.0
+    pitch_deg: float = 0.0
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """(4, 4) body_from_lidar."""
+        yaw, pitch = math.radians(self.yaw_deg), math.radians(self.pitch_deg)
+        return np.asarray(pose_matrix(np.array(self.xyz_m), yaw, pitch), np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cast:
+    """Sweep of a sensor that the recording lacks.
+
+    Attributes:
+        sweep: its points.
+        rays: that were cast.
+        seconds: that it took.
+    """
+
+    sweep: Sweep
+    rays: int
+    seconds: float
+
+
+class DriveWorld:
+    """Static world and traffic of a simulated drive; threads may share it.
+
+    Args:
+        folder: of the drive.
+
+    Raises:
+        DataError: a file is missing, as in drives of real sensors, or damaged.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        for name in (WORLD, TRAFFIC_LOG):
+            if not (folder / name).is_file():
+                hint = "; drives of dsrc generate have it"
+                raise DataError(complaint(folder, name, "the world and traffic of the drive", "none", hint))
+        world = load_world(folder / WORLD)
+        self._folder = folder
+        self._log = TrafficLog.load(folder / TRAFFIC_LOG)
+        self._scene = RayScene(world.static, body_mesh=world.body_mesh)
+        self._casting = threading.Lock()
+
+    def cast(
+        self,
+        index: int,
+        time_s: float,
+        spec: LidarSpec,
+        placement: Placement,
+        carrier: int | NDArray[np.float64],
+    ) -> Cast:
+        """Cast the sweep of a sensor at one instant.
+
+        Args:
+            index: of the frame, which draws the sensor's noise.
+            time_s: of the frame, s.
+            spec: the sensor.
+            placement: on its carrier.
+            carrier: id of a road user, with which the sensor moves; or (4, 4) world_from_body of something that stands.
+
+        Raises:
+            DataError: the traffic lacks the instant or the road user.
+        """
+        step, margin = self._step(time_s), math.ceil(0.5 * spec.period_s / self._log.step_s - 1e-9)
+        now, known = self._log[step], range(len(self._log))
+        ends = [self._log[row] for row in (step - margin, step + margin) if row in known]
+        scene = self._scene.with_bodies(now, *(ends if len(ends) == 2 else []), reach_s=0.5 * spec.period_s)
+        sensor = _mounted(scene, now, index, spec, placement, carrier)
+        rays = spec.rings * spec.columns * spec.subrays
+        with self._casting:
+            started = time.perf_counter()
+            (sweep,) = scan_all(scene, [sensor])
+            return Cast(sweep, rays, time.perf_counter() - started)
+
+    def _step(self, time_s: float) -> int:
+        first = self._log[0].time_s
+        step = round((time_s - first) / self._log.step_s)
+        if not 0 <= step < len(self._log) or abs(self._log[step].time_s - time_s) > 0.5 * self._log.step_s:
+            found = f"{first:g} to {self._log[len(self._log) - 1].time_s:g} s"
+            raise DataError(complaint(self._folder, TRAFFIC_LOG, f"traffic at {time_s:g} s", found))
+        return step
+
+
+def _mounted(
+    scene: RayScene,
+    now: Actors,
+    index: int,
+    spec: LidarSpec,
+    placement: Placement,
+    carrier: int | NDArray[np.float64],
+) -> Sensor:
+    rng = random_generator(0, Stream.LIDAR_NOISE, index)
+    if isinstance(carrier, np.ndarray):
+        pose = carrier @ placement.matrix
+        return Sensor(
+            spec, MotionPath.through(now.time_s + np.array([-1.0, 1.0]), np.stack([pose] * 2)), now.time_s, rng
+        )
+    if carrier not in now.boxes.object_id:
+        raise DataError(complaint("traffic", "carrier", f"road user {carrier} at {now.time_s:g} s", "none"))
+    body = scene.bodies.path[now.row(carrier)]
+    path = MotionPath.through(body.time_s, body.at(body.time_s) @ placement.matrix)
+    return Sensor(spec, path, now.time_s, rng, rides_on=carrier)
+
+
+@lru_cache(maxsize=_WORLDS_KEPT)
+def open_world(folder: Path) -> DriveWorld:
+    """World of a drive, the latest used kept; raises as `DriveWorld`."""
+    return DriveWorld(folder)
