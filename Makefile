@@ -35,10 +35,18 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# The site in docs/_site; a warning is an error.
+docs: $(READY)
+	$(INSTALL) --editable '.[docs]'
+	rm -rf docs/_site
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs docs/_site
+
+# An index that cannot be reached is left out: the packages then come from the registry alone.
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(INSTALL) --retries 1 --extra-index-url $(TORCH_INDEX) --no-deps torch
+	$(INSTALL) --editable '.[dev]'
 	touch $@
 
 clean:
-	rm -rf .venv demo runs
+	rm -rf .venv demo runs docs/_site

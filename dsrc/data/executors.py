@@ -168,7 +168,7 @@ class RayExecutor:
         try:
             import ray
         except ImportError:
-            hint = "; run: pip install 'dsrc-testbed[ray]'"
+            hint = "; run: pip install ray"
             raise SettingsError(complaint("pool", "executor ray", "the package ray", "none", hint)) from None
         self._ray, self._workers, self._address, self._retries = ray, workers, address, retries
         self._started = False

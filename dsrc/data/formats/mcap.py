@@ -4,7 +4,7 @@
     /agents/ID/points   foxglove.PointCloud        x, y, z, intensity, ring, object_id in lidar_ID
     /truth              foxglove.SceneUpdate       a box per object in the world, coloured by class, and its velocity
 
-Needs the package `mcap`: pip install 'dsrc-testbed[mcap]'.
+Needs the package `mcap`: pip install mcap.
 
 Source: https://docs.foxglove.dev/docs/sdk/schemas, https://mcap.dev/spec
 """
@@ -107,7 +107,7 @@ class McapFile:
             from mcap.writer import Writer
         except ImportError:
             raise SettingsError(
-                "mcap: expected the package mcap, found none; pip install 'dsrc-testbed[mcap]'"
+                "mcap: expected the package mcap, found none; pip install mcap"
             ) from None
         self.path = path
         self._replacing = replacing(path)

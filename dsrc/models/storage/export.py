@@ -81,7 +81,7 @@ def export_onnx(detector: Detector, out: Path, agents: int = 2) -> str:
         raise SettingsError(complaint("export", "agents", f"1 to {most}", agents))
     for package in ("onnx", "onnxscript"):
         if importlib.util.find_spec(package) is None:
-            hint = "; run: pip install 'dsrc-testbed[onnx]'"
+            hint = "; run: pip install onnx onnxscript onnxruntime"
             raise SettingsError(complaint("export", "packages", package, "none", hint))
     network = _Network(detector.eval())
     dims = {name: torch.export.Dim(name, min=2) for name in ("points", "pillars")}

@@ -107,5 +107,5 @@ def test_without_the_package_one_line_names_the_install(tmp_path: Path, monkeypa
 
     write_frame(tmp_path / "data" / "toy", toy_frame(0))
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(SettingsError, match=r"pip install 'dsrc-testbed\[mcap\]'"):
+    with pytest.raises(SettingsError, match=r"pip install mcap"):
         convert(tmp_path / "data", tmp_path / "out", "mcap")
