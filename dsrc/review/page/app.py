@@ -4,6 +4,7 @@ import logging
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from urllib.parse import parse_qsl
 
 import viser
 
@@ -11,6 +12,8 @@ from dsrc.options.fields import takes_fields
 from dsrc.options.review import ServeOptions
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.cameras import overview
+from dsrc.review.page.cells.html import PAIR
+from dsrc.review.page.cells.pairs import Pair
 from dsrc.review.page.link import read_link
 from dsrc.review.page.scene import place_static, set_light, set_start_camera
 from dsrc.review.page.server import address, checked_port, link_of, start_server, stop_server
@@ -45,6 +48,7 @@ class ReviewApp:
         self._changed = threading.Condition()
         self._closed = False
         self._worlds: set[int] = set()
+        self._pairs: dict[str, Pair] = {}
         set_light(server.scene)
         server.on_client_connect(self._open)
         server.on_client_disconnect(self._end)
@@ -74,7 +78,8 @@ class ReviewApp:
         stop_server(self.server)
 
     def _open(self, client: viser.ClientHandle) -> None:
-        state, pose, complaints = read_link(link_of(self.server, client.client_id), self.model, self.start)
+        link = link_of(self.server, client.client_id)
+        state, pose, complaints = read_link(link, self.model, self.start)
         session = Session(
             *(self.model, self._using_model, self.worker, client, state),
             *(pose, "\n\n".join(complaints), self._place_world),
@@ -86,11 +91,23 @@ class ReviewApp:
                 self._changed.notify_all()
         if not connected:
             session.close()
+            return
+        name = dict(parse_qsl(link)).get(PAIR, "")
+        if name:
+            with self._changed:
+                pair = self._pairs.setdefault(name, Pair())
+            session.pair = pair
+            pair.add(session)
 
     def _end(self, client: viser.ClientHandle) -> None:
         with self._changed:
             session = self.sessions.pop(client.client_id, None)
             self._changed.notify_all()
+            left = session.pair if session is not None else None
+        if left is not None and session is not None:
+            left.remove(session)
+            with self._changed:
+                self._pairs = {name: pair for name, pair in self._pairs.items() if pair.cells}
         if session is not None:
             session.close()
 

@@ -1,8 +1,11 @@
 """Script that a live page runs in the browser before viser's own.
 
 viser tells the server nothing about the address of the page, cannot write it, leaves the focus in a dropdown after a
-choice and maps all colours to paler ones. The script does these four things, and nothing of the page depends on more.
+choice and maps all colours to paler ones. The script does these four things and goes to the addresses that the server
+writes; nothing of the page depends on more.
 """
+
+from dsrc.review.page.cells.html import OPEN_KEY
 
 LINK_KEY = "review-link"
 """Key of the browser's storage under which the server writes the query that the address bar shows."""
@@ -21,14 +24,16 @@ Worker.prototype.postMessage=function(d,...rest){
   if(d.server)this.reviewServer=d.server;
   if(this.reviewServer)d={type:'set_server',server:this.reviewServer+'/'+location.search};}
  return post.call(this,d,...rest);};
-const own=['fixedDpr','darkMode','showStats','websocket'],store=Storage.prototype.setItem;
+const own=['fixedDpr','darkMode','showStats','websocket','pair'],store=Storage.prototype.setItem;
 Storage.prototype.setItem=function(key,value){
+ if(key.endsWith('__OPEN_KEY__')){window.top.location.href=value;return;}
  if(!key.endsWith('__LINK_KEY__'))return store.call(this,key,value);
  const kept=new URLSearchParams(location.search);
  const text=[...own.filter(k=>kept.has(k)).map(k=>k+'='+kept.get(k)),...(value?[value]:[])].join('&');
- history.replaceState(null,'',text?'?'+text:location.pathname);};
+ history.replaceState(null,'',text?'?'+text:location.pathname);
+ if(window.parent!==window)window.parent.postMessage({review:value||''},location.origin);};
 })();
-""".replace("__LINK_KEY__", LINK_KEY)
+""".replace("__LINK_KEY__", LINK_KEY).replace("__OPEN_KEY__", OPEN_KEY)
 # viser's own command writes to the storage, wherever the panels are; the script takes the link out of its way.
 
 _KEYS = """

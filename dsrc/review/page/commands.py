@@ -83,6 +83,16 @@ def toggle_corruption(page: Page) -> None:
     page.update(corruption=page.last_corruption or next(iter(CORRUPTIONS)), parameters=page.last_parameters)
 
 
+def lay_over(page: Page) -> None:
+    """Draw all methods over the judged one, or that one alone."""
+    known, shown = page.model.methods(page.state.drive), page.state.methods
+    if len(known) < 2:
+        page.tell("There is one method, or none: nothing lies over it.")
+        return
+    first = page.model.method(page.state)
+    page.update(methods=(first,) if len(shown) > 1 else (first, *(name for name in known if name != first)))
+
+
 def show_only_agent(page: Page, row: int | None) -> None:
     """Show the points of the agent in a row alone; None shows all."""
     view = page.view
@@ -126,6 +136,8 @@ COMMANDS: tuple[Command, ...] = (
     Command("Next listed error", "K", partial(go_to_error, step=1)),
     Command("Previous listed error", "K", partial(go_to_error, step=-1), shift=True),
     Command("Clean or corrupted", "X", toggle_corruption),
+    Command("Side by side, or one page", "Y", lambda page: page.side_by_side()),
+    Command("Methods over each other", "O", lay_over),
     Command("Camera: chase the ego", "C", lambda page: page.place_camera("chase")),
     Command("Camera: bird's eye", "B", lambda page: page.place_camera("bev")),
     Command("Camera: free", "F", lambda page: page.update(camera="free")),

@@ -104,6 +104,9 @@ class Page(Protocol):
     def fly_to(self, target: NDArray[np.float64]) -> None:
         """Move the camera near a point (3,) of the review frame, m."""
 
+    def side_by_side(self) -> None:
+        """Open two cells with linked cameras, or go back to one page from there."""
+
     def tell(self, text: str) -> None:
         """Show a text above the controls; "" hides it."""
 

@@ -16,6 +16,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from dsrc.review.page.browser import HEAD
+from dsrc.review.page.cells.html import HTML, PATH
 from sim.errors import SettingsError, complaint
 
 LOOPBACK = "127.0.0.1"
@@ -97,6 +98,10 @@ def _answer(process: Process, host: str) -> Process:
     def answer(connection: Any, request: Request) -> Response | None:
         if not same_origin(request.headers, host):
             return Response(http.HTTPStatus.FORBIDDEN, "FORBIDDEN", Headers(), b"this page is for its own origin alone")
+        if request.path.partition("?")[0] == PATH:
+            body = HTML.encode()
+            head = Headers([("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(body)))])
+            return Response(http.HTTPStatus.OK, "OK", head, body)
         response = process(connection, request)
         if response is not None and request.path.partition("?")[0] == "/":
             page = response.body or b""

@@ -17,6 +17,8 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page import cameras
 from dsrc.review.page.browser import LINK_KEY
 from dsrc.review.page.cameras import CameraPose
+from dsrc.review.page.cells.html import OPEN_KEY, compare_address
+from dsrc.review.page.cells.pairs import Pair, cells_of
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
 from dsrc.review.page.link import write_link
 from dsrc.review.page.panels import PANELS
@@ -69,6 +71,7 @@ class Session:
         using_model: to be held while the model is asked.
         worker: detects over whole runs in the background.
         notes: on the errors, None where they cannot be kept.
+        pair: cells side by side that this one belongs to, None for a page of its own.
     """
 
     def __init__(
@@ -102,6 +105,7 @@ class Session:
         self.link = ""
         self.using_model, self.worker, self.notes = using_model, worker, model.notes
         self._reports = Reports(model)
+        self.pair: Pair | None = None
         self._refresh_at, self._busy = 0.0, False
         self._place_world = place_world
         self._changed = threading.Condition()
@@ -313,6 +317,8 @@ class Session:
         while (work := self._next_work()) is not None:
             state, number = work
             if number != self._drawn:
+                if self.pair is not None:
+                    self.pair.state_changed(self, state)
                 self._draw(state)
                 with self._changed:
                     self._drawn = number
@@ -446,10 +452,29 @@ class Session:
         camera.fov = cameras.FOV_RAD
         camera.near, camera.far = 0.5, 2000.0
 
+    def look(self, pose: CameraPose) -> None:
+        """Set the camera to a pose in the scene."""
+        with self.client.atomic():
+            self._set_camera(pose)
+
+    def side_by_side(self) -> None:
+        """Open two cells with linked cameras, or go back to one page from there."""
+        pose = self._camera()
+        if self.pair is not None:
+            address = f"/?{write_link(self.model, self.state, pose)}"
+        else:
+            with self.using_model:
+                left, right = cells_of(self.model, self.state, self.last_corruption)
+            address = compare_address(*(write_link(self.model, one, pose) for one in (left, right)))
+        self.client.local_storage.set_item(OPEN_KEY, address)
+
     def _camera_moved(self, _: Any) -> None:
         with self._changed:
             self._moved = True
             self._changed.notify_all()
+        pose = self._camera()
+        if self.pair is not None and pose is not None:
+            self.pair.camera_moved(self, pose)
 
     def _write_link(self) -> None:
         with self._changed:

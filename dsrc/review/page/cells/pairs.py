@@ -1,0 +1,117 @@
+"""Pair: two cells that show one moment from one camera; what makes them differ stays each one's own."""
+
+import threading
+import time
+from collections import deque
+from dataclasses import fields, replace
+from typing import Any, Protocol
+
+from dsrc.review.model import ReviewModel
+from dsrc.review.page.cameras import CameraPose
+from dsrc.review.state import ReviewState
+from sensors.corruptions import CLEAN, CORRUPTIONS
+
+ECHO_S = 0.25
+"""Time for which a browser reports a pose that it was given, s."""
+
+_OWN = frozenset({"corruption", "severity", "family", "parameters", "methods", "cooperative", "detection", "versus"})
+_SHARED = tuple(field.name for field in fields(ReviewState) if field.name not in _OWN)
+_REMEMBERED = 30
+
+
+class Cell(Protocol):
+    """Session of a cell.
+
+    Attributes:
+        state: newest settings.
+    """
+
+    state: ReviewState
+
+    def update(self, **changes: Any) -> None:
+        """Replace fields of the state and draw it."""
+
+    def look(self, pose: CameraPose) -> None:
+        """Set the camera to a pose in the scene."""
+
+
+class Pair:
+    """Cells that follow each other; threads share it."""
+
+    def __init__(self) -> None:
+        self.cells: list[Cell] = []
+        self._given: dict[int, deque[tuple[Any, ...]]] = {}
+        self._looked_at: dict[int, float] = {}
+        self._lock = threading.Lock()
+
+    def add(self, cell: Cell) -> None:
+        """Add a cell, which takes what it shares from one that is there."""
+        with self._lock:
+            others = list(self.cells)
+            self.cells.append(cell)
+            self._given[id(cell)] = deque(maxlen=_REMEMBERED)
+        for other in others[:1]:
+            self._give(cell, other.state)
+
+    def remove(self, cell: Cell) -> None:
+        """Remove a cell."""
+        with self._lock:
+            self.cells = [one for one in self.cells if one is not cell]
+
+    def state_changed(self, cell: Cell, state: ReviewState) -> None:
+        """Take a state of a cell to the others, unless it has it from them."""
+        with self._lock:
+            # A state that came from another cell is behind that one's by now.
+            if _shared(state) in self._given.get(id(cell), ()):
+                return
+            others = [one for one in self.cells if one is not cell]
+        for other in others:
+            self._give(other, state)
+
+    def camera_moved(self, cell: Cell, pose: CameraPose) -> None:
+        """Take the camera of a cell to the others, unless it has it from them."""
+        now = time.monotonic()
+        with self._lock:
+            if now < self._looked_at.get(id(cell), 0.0) + ECHO_S:
+                return
+            others = [one for one in self.cells if one is not cell]
+            self._looked_at.update({id(one): now for one in others})
+        for other in others:
+            other.look(pose)
+
+    def _give(self, cell: Cell, state: ReviewState) -> None:
+        with self._lock:
+            self._given[id(cell)].append(_shared(state))
+        wanted = {name: getattr(state, name) for name in _SHARED}
+        if state.drive != cell.state.drive:
+            # Another drive starts anew; the rest follows.
+            cell.update(drive=state.drive)
+        cell.update(**{name: value for name, value in wanted.items() if value != getattr(cell.state, name)})
+
+
+def _shared(state: ReviewState) -> tuple[Any, ...]:
+    return tuple(getattr(state, name) for name in _SHARED)
+
+
+def cells_of(model: ReviewModel, state: ReviewState, last_corruption: str = "") -> tuple[ReviewState, ReviewState]:
+    """Two states that are compared side by side.
+
+    Two methods where two are shown; clean and corrupted sweeps; else the drive's first two methods, or clean sweeps and
+    the last corruption.
+
+    Args:
+        model: of the page.
+        state: of the page.
+        last_corruption: kind of the last corruption, "" for none.
+    """
+    methods = model.methods(state.drive)
+    if len(state.methods) > 1:
+        first, second = state.methods[:2]
+        return replace(state, methods=(first,)), replace(state, methods=(second,))
+    if state.corruption != CLEAN:
+        return replace(state, corruption=CLEAN), state
+    if len(methods) > 1:
+        shown = model.method(state)
+        other = next(name for name in methods if name != shown)
+        return replace(state, methods=(shown,)), replace(state, methods=(other,))
+    return state, replace(state, corruption=last_corruption or next(iter(CORRUPTIONS)))

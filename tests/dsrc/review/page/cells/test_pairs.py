@@ -1,0 +1,140 @@
+"""Two cells show one moment from one camera, and differ in what is compared."""
+
+import time
+import urllib.request
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dsrc.review.model import ReviewModel
+from dsrc.review.page.cells.html import OPEN_KEY, compare_address
+from dsrc.review.page.cells.pairs import ECHO_S, Pair, cells_of
+from dsrc.review.page.commands import COMMANDS
+from dsrc.review.sources.detected import ComputedSet
+from dsrc.review.state import ReviewState
+from tests.dsrc.review.errors.test_report import Blind
+from tests.dsrc.review.page.test_session import wait_for
+
+RUN = {command.label: command.run for command in COMMANDS}
+
+
+@pytest.fixture
+def model(drive, detector) -> ReviewModel:
+    model = ReviewModel([drive], detector)
+    model.sources[0].sets["blind"] = ComputedSet("blind", Blind())
+    return model
+
+
+def pose(browser):
+    return np.array(browser.session.client.camera.position)
+
+
+@pytest.fixture
+def cells(app, connect_browser, fake_fog):
+    left, right = connect_browser(app, "pair=a"), connect_browser(app, "pair=a&corruption=fog")
+    for cell in (left, right):
+        cell.session.wait_drawn()
+    wait_for(lambda: left.session.pair is right.session.pair is not None and len(left.session.pair.cells) == 2)
+    return left, right
+
+
+def test_what_is_compared_is_methods_then_sweeps(model):
+    state = ReviewState(frame=3)
+    assert [one.methods for one in cells_of(model, state)] == [("detector",), ("blind",)]
+    both = replace(state, methods=("blind", "detector"))
+    assert [one.methods for one in cells_of(model, both)] == [("blind",), ("detector",)]
+    foggy = replace(state, corruption="fog")
+    assert [one.corruption for one in cells_of(model, foggy)] == ["clean", "fog"]
+    del model.sources[0].sets["blind"]
+    assert [one.corruption for one in cells_of(model, state, "rain")] == ["clean", "rain"]
+
+
+def test_frames_threshold_and_selection_go_along_and_sweeps_do_not(cells):
+    left, right = (cell.session for cell in cells)
+    left.update(frame=7, threshold=0.6, object_id=1003, methods=("blind",))
+    wait_for(lambda: (right.state.frame, right.state.threshold, right.state.object_id) == (7, 0.6, 1003))
+    assert (right.state.corruption, left.state.corruption, right.state.methods) == ("fog", "clean", ())
+    right.step(-2)
+    wait_for(lambda: left.state.frame == 5)
+
+
+def test_a_camera_moves_the_other_and_no_echo_comes_back(cells):
+    left, right = cells
+    time.sleep(2 * ECHO_S)
+    left.look_from((5.0, 6.0, 7.0), (1.0, 2.0, 0.0))
+    wait_for(lambda: np.allclose(pose(right), [5.0, 6.0, 7.0]))
+    # What the other browser reports late is no motion of its user.
+    right.look_from((5.0, 6.0, 6.0), (1.0, 2.0, 0.0))
+    time.sleep(0.1)
+    np.testing.assert_allclose(pose(left), [5.0, 6.0, 7.0])
+    time.sleep(2 * ECHO_S)
+    right.look_from((0.0, 6.0, 9.0), (1.0, 2.0, 0.0))
+    wait_for(lambda: np.allclose(pose(left), [0.0, 6.0, 9.0]))
+
+
+def test_playing_takes_the_other_along(cells):
+    left, right = (cell.session for cell in cells)
+    left.update(speed=4.0)
+    left.toggle_play()
+    wait_for(lambda: right.state.frame > 3)
+    left.toggle_play()
+    wait_for(lambda: right.state.frame == left.state.frame)
+
+
+def test_pages_of_their_own_and_other_pairs_stay(app, cells, connect_browser):
+    alone, other = connect_browser(app), connect_browser(app, "pair=b")
+    cells[0].session.update(frame=4)
+    wait_for(lambda: cells[1].session.state.frame == 4)
+    assert (alone.session.state.frame, other.session.state.frame) == (0, 0)
+
+
+def test_a_cell_that_is_closed_leaves_its_pair(app, cells):
+    left, right = cells
+    right.close()
+    wait_for(lambda: len(app.sessions) == 1)
+    wait_for(lambda: left.session.pair.cells == [left.session])
+    left.session.update(frame=2)
+    assert left.session.wait_drawn().index == 2
+
+
+def test_a_key_opens_the_cells_and_another_press_leaves_them(session, cells, monkeypatch):
+    opened = []
+    for one in (session, cells[1].session):
+        monkeypatch.setattr(one.client.local_storage, "set_item", lambda key, value: opened.append((key, value)))
+    session.update(frame=3, corruption="fog")
+    session.wait_drawn()
+    RUN["Side by side, or one page"](session)
+    RUN["Side by side, or one page"](cells[1].session)
+    (_, address), (_, back) = [one for one in opened if one[0] == OPEN_KEY]
+    assert address.startswith("/compare?left=frame%3D3") and "corruption%3Dfog" in address.split("&right=")[1]
+    assert "corruption" not in address.split("&right=")[0] and back.startswith("/?corruption=fog")
+
+
+def test_the_page_of_the_cells_is_served(app):
+    with urllib.request.urlopen(app.url + compare_address("frame=1", "frame=1&corruption=fog"), timeout=10) as answer:
+        assert answer.status == 200 and b"side by side" in answer.read()
+
+
+def test_a_cell_takes_what_a_later_one_lacks():
+    class Cell:
+        def __init__(self, **changes):
+            self.state = ReviewState(**changes)
+
+        def update(self, **changes):
+            self.state = replace(self.state, **changes)
+
+    pair, first, late = Pair(), Cell(frame=9, corruption="fog"), Cell(corruption="rain")
+    pair.add(first), pair.add(late)
+    assert (late.state.frame, late.state.corruption) == (9, "rain")
+    pair.state_changed(late, late.state)
+    first.update(frame=12)
+    pair.state_changed(late, late.state)
+    assert first.state.frame == 12, "an echo does not set it back"
+
+
+def test_all_methods_lie_over_each_other_at_a_key(session):
+    RUN["Methods over each other"](session)
+    assert session.state.methods == ("detector", "blind")
+    RUN["Methods over each other"](session)
+    assert session.state.methods == ("detector",)

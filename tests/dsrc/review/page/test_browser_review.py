@@ -1,0 +1,82 @@
+"""Errors, cells and live frames in a real Chromium."""
+
+import time
+
+import numpy as np
+import pytest
+
+from dsrc.review.errors.report import shown_error
+from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.cells.html import compare_address
+from dsrc.review.page.screenshot import find_chromium, open_page
+from dsrc.review.page.server import start_server
+from tests.dsrc.review.page.test_browser import SIZE, Opened, wait_for
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(find_chromium() is None, reason="needs Chromium"),
+]
+
+
+def press_n(opened, shift=False):
+    opened.key("N" if shift else "n", code="KeyN", text="n", windowsVirtualKeyCode=78, modifiers=8 if shift else 0)
+
+
+def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model):
+    app = ReviewApp(model, start_server())
+    try:
+        with open_page(f"{app.url}/?fixedDpr=1", SIZE) as page:
+            opened = Opened(app, page)
+            session = opened.session
+            page.wait_for("document.body.innerText.includes('Errors of the run')", 60.0)
+            press_n(opened)
+            wait_for(lambda: session.state.object_id is not None)
+            view = session.wait_drawn()
+            assert view.details.verdict == "missed"
+            page.wait_for(f"document.body.innerText.includes('car {view.details.object_id}')", 20.0)
+            wait_for(lambda: np.allclose(session.client.camera.look_at, view.selected, atol=0.05))
+            away = np.linalg.norm(np.array(session.client.camera.position) - view.selected)
+            assert away == pytest.approx(24.0, abs=1.0)
+            session.update(frame=11, object_id=None)
+            session.wait_drawn()
+            press_n(opened)
+            wait_for(lambda: session.state.object_id is not None)
+            press_n(opened)
+            page.wait_for("document.body.innerText.includes('No missed object after this one')", 20.0)
+            press_n(opened, shift=True)
+            wait_for(lambda: session.state.frame == 10)
+            errors = session.report(session.state).errors
+            assert shown_error(errors, session.state) >= 0
+    finally:
+        app.close()
+
+
+def test_two_cells_have_one_camera_after_a_drag(model, fake_fog):
+    app = ReviewApp(model, start_server())
+    try:
+        with open_page(app.url + compare_address("frame=2", "frame=2&corruption=fog"), (1200, 600)) as page:
+            left, right = app.wait_session(2, 60.0)
+            if left.state.corruption == "fog":
+                left, right = right, left
+            wait_for(
+                lambda: left.pair is right.pair is not None and left.view is not None and right.view is not None, 60.0
+            )
+            assert (left.state.corruption, right.state.corruption) == ("clean", "fog")
+            time.sleep(2.0)
+            before = np.array(left.client.camera.position)
+            move = {"button": "left", "buttons": 1, "clickCount": 1}
+            page.send("Input.dispatchMouseEvent", type="mousePressed", x=300, y=300, **move)
+            for x in range(310, 420, 10):
+                page.send("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=300, **move)
+            page.send("Input.dispatchMouseEvent", type="mouseReleased", x=420, y=300, **move)
+            wait_for(lambda: np.linalg.norm(np.array(left.client.camera.position) - before) > 2.0)
+            time.sleep(1.5)
+            for name in ("position", "look_at"):
+                one, other = (np.array(getattr(cell.client.camera, name)) for cell in (left, right))
+                np.testing.assert_allclose(one, other, atol=0.01)
+            left.update(frame=6)
+            wait_for(lambda: right.view.index == 6)
+            wait_for(lambda: "frame%3D6" in page.evaluate("location.search"))
+            assert page.evaluate("[...document.querySelectorAll('h1')].map(e=>e.textContent)") == ["clean", "fog 3"]
+    finally:
+        app.close()
