@@ -14,8 +14,12 @@ class Generate(GenerateOptions, frozen=True):
     """Simulate one drive of a scenario and write it as an OPV2V tree.
 
     The same seed writes the same bytes; an interrupted drive resumes. `dsrc dataset build` makes many drives.
+
+    Attributes:
+        view: show the frames in the browser as they come, and go on showing them until interrupted.
     """
 
+    view: bool = False
     output: Output = Output()
 
     def run(self) -> None:
@@ -27,9 +31,20 @@ class Generate(GenerateOptions, frozen=True):
         if find_split_file(str(self.scenario)) is not None:
             hint = f"; run: dsrc dataset build {self.scenario}"
             raise SettingsError(complaint("generate", "scenario", "a scenario", "a dataset", hint))
-        with progress(f"generate {self.scenario}") as report:
-            drive = generate(self, progress=report)
-        sys.stdout.write(f"{drive}\n")
+        if not self.view:
+            with progress(f"generate {self.scenario}") as report:
+                drive = generate(self, progress=report)
+            sys.stdout.write(f"{drive}\n")
+            return
+        from dsrc.review.page.app import live_page
+
+        with live_page(str(self.scenario)) as page:
+            sys.stderr.write(f"{page.url}\n")
+            with progress(f"generate {self.scenario}") as report:
+                drive = generate(self, progress=report, watch=page.put)
+            sys.stdout.write(f"{drive}\n")
+            sys.stdout.flush()
+            page.wait()
 
 
 class Corrupt(CorruptOptions, frozen=True):

@@ -47,6 +47,8 @@ class FrameSource(Protocol):
         ...
 
 
+Watch = Callable[[Frame], None]
+"""Function that is shown every frame that is written."""
 Opener = Callable[[Path], AbstractContextManager[FrameSource]]
 """Opener of a frame source: (path of the traffic log, existing or not) -> context manager."""
 
@@ -108,12 +110,13 @@ class DriveSpec(DriveOptions, frozen=True):
 
 
 @takes_fields(GenerateOptions)
-def generate(options: GenerateOptions, progress: Progress | None = None) -> Path:
+def generate(options: GenerateOptions, progress: Progress | None = None, watch: Watch | None = None) -> Path:
     """Simulate, scan and write one drive; an interrupted run resumes.
 
     Args:
         options: scenario, folder, frames and more, see `GenerateOptions`; or these as arguments.
         progress: called after every frame.
+        watch: called with every frame that is written.
 
     Returns:
         The folder of the drive.
@@ -127,7 +130,7 @@ def generate(options: GenerateOptions, progress: Progress | None = None) -> Path
     spec = DriveSpec(scenario, seed, options.frames, **options.shared())
     spec.check()
     drive = Path(options.out) / spec.name
-    make_drive(spec, drive, progress)
+    make_drive(spec, drive, progress, watch=watch)
     return drive
 
 
@@ -139,6 +142,7 @@ def make_drive(
     threads: int | None = None,
     more: dict | None = None,
     patience_s: float = 0.0,
+    watch: Watch | None = None,
 ) -> None:
     """Write the missing frames of a drive.
 
@@ -150,6 +154,7 @@ def make_drive(
         threads: see `sensors.scan.lidar.scan_all`.
         more: further entries of the protocol's settings; with a `proof` the encounter is taken as it is.
         patience_s: time to wait for another process in the drive's folder, s.
+        watch: called with every frame that is written.
     """
     if len(spec.scenario.agents.roadside) > 1:
         _log.warning("%s: OpenCOOD takes a roadside unit as ego when a drive has more than one", spec.scenario.name)
@@ -171,7 +176,7 @@ def make_drive(
             {name: more[name] for name in more if name == "proof"},
         )
 
-    write_drive(drive, {**spec.settings(), **more}, open_source, progress, patience_s)
+    write_drive(drive, {**spec.settings(), **more}, open_source, progress, patience_s, watch)
 
 
 def settle_encounter(spec: DriveSpec) -> tuple[DriveSpec, dict]:
@@ -194,6 +199,7 @@ def write_drive(
     open_source: Opener,
     progress: Progress | None = None,
     patience_s: float = 0.0,
+    watch: Watch | None = None,
 ) -> None:
     """Write the missing frames of a drive from any source.
 
@@ -204,6 +210,7 @@ def write_drive(
         open_source: opens the frames; not called for a finished drive.
         progress: called once at the start and after every frame.
         patience_s: time to wait for another process in the folder, s.
+        watch: called with every frame that is written.
     """
     report = progress or (lambda done, total: None)
     frames = settings["frames"]
@@ -231,6 +238,8 @@ def write_drive(
                     write_frame(
                         drive, frame, settings["connected_vehicles"], source.plans(i), motion=settings["motion"]
                     )
+                    if watch is not None:
+                        watch(frame)
                     done += 1
                     report(done, frames)
         remove_leftovers(drive)

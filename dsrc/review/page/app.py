@@ -1,8 +1,9 @@
 """Live review page: server, model and what all browsers share, and one session per browser."""
 
+import contextlib
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from urllib.parse import parse_qsl
 
@@ -16,11 +17,13 @@ from dsrc.review.page.cells.html import PAIR
 from dsrc.review.page.cells.pairs import Pair
 from dsrc.review.page.link import read_link
 from dsrc.review.page.scene import place_static, set_light, set_start_camera
-from dsrc.review.page.server import address, checked_port, link_of, start_server, stop_server
+from dsrc.review.page.server import LOOPBACK, address, checked_port, link_of, start_server, stop_server
 from dsrc.review.page.session import Session, root_of
+from dsrc.review.sources.live import LiveSource
 from dsrc.review.state import ReviewState
 from dsrc.review.worker import Worker
 from sensors.corruptions import require_corruption
+from sensors.frame import Frame
 from sim.errors import SettingsError, UserError, complaint
 
 log = logging.getLogger(__name__)
@@ -123,6 +126,56 @@ class ReviewApp:
             self.server.scene.add_frame(root_of(drive), show_axes=False)
             self.server.scene.add_frame(f"{root_of(drive)}/world", show_axes=False)
             place_static(self.server.scene, root_of(drive), parts)
+
+
+class LivePage:
+    """Page on frames that are still being made; whoever makes them hands them over and never waits.
+
+    Attributes:
+        source: the frames, the latest kept.
+        app: the page.
+        url: its address.
+    """
+
+    def __init__(self, name: str, host: str = LOOPBACK, port: int | None = None) -> None:
+        """Serve a page without frames.
+
+        Args:
+            name: of what makes the frames.
+            host: address to listen on.
+            port: of the page; None for a free one.
+
+        Raises:
+            SettingsError: the port is taken, or `host` is not an address of this machine.
+        """
+        self.source = LiveSource(name)
+        self.app = ReviewApp(ReviewModel([self.source]), start_server(host, port))
+        self.url = self.app.url
+
+    def put(self, frame: Frame) -> None:
+        """Add the newest frame."""
+        self.source.put(frame)
+
+    def wait(self) -> None:
+        """Mark that no more frames come, and serve until interrupted."""
+        self.source.end()
+        with contextlib.suppress(KeyboardInterrupt):
+            self.app.wait()
+
+    def close(self) -> None:
+        """Stop the page."""
+        self.source.end()
+        self.app.close()
+
+
+@contextlib.contextmanager
+def live_page(name: str, host: str = LOOPBACK, port: int | None = None) -> Iterator[LivePage]:
+    """Serve a page on frames to come during the block; arguments and errors as of `LivePage`."""
+    page = LivePage(name, host, port)
+    try:
+        yield page
+    finally:
+        page.close()
 
 
 def first_state(model: ReviewModel, options: ServeOptions) -> ReviewState:

@@ -39,6 +39,9 @@ LINK_PAUSE_S = 0.3
 REFRESH_S = 0.5
 """Time between two looks at what goes on in the background, s."""
 
+GROW_S = 0.1
+"""Time between two looks at whether a running simulation has a new frame, s."""
+
 NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
 
@@ -107,6 +110,7 @@ class Session:
         self._reports = Reports(model)
         self.pair: Pair | None = None
         self._refresh_at, self._busy = 0.0, False
+        self._seen_frames = model.frame_count(state.drive)
         self._place_world = place_world
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
@@ -163,6 +167,7 @@ class Session:
                 kept = tuple(name for name in state.methods if name in self.model.methods(state.drive))
                 state = replace(state, frame=0, ego_id=None, hidden=frozenset(), object_id=None, camera="free")
                 state = replace(state, methods=kept, versus="", error_method="")
+                self._seen_frames = self.model.frame_count(state.drive)
             if "parameters" not in changes and any(
                 getattr(state, name) != getattr(self.state, name) for name in _OF_CORRUPTION
             ):
@@ -327,17 +332,29 @@ class Session:
                 self._refresh()
             self._write_link()
 
+    def _grows(self) -> bool:
+        """Whether more frames of the drive are to come."""
+        return getattr(self.model.sources[self.state.drive], "ended", True) is False
+
     def _refresh(self) -> None:
-        """Set the panels again while something goes on in the background, and once after it."""
+        """Follow a drive that grows, and set the panels again while something goes on, and once after it."""
         if time.monotonic() < self._refresh_at:
             return
-        busy = bool(self.detecting())
-        if busy or self._busy:
+        busy = bool(self.detecting()) or self._grows()
+        if self._seen_frames != (frames := self.model.frame_count(self.state.drive)):
+            before, self._seen_frames = self._seen_frames, frames
+            with self._changed:
+                # Whoever looks at an earlier frame stays there, as long as it is kept.
+                newest = self.view is None or self.state.frame >= before - 1
+                oldest = self.model.first_row(self.state.drive)
+                self.state = replace(self.state, frame=frames - 1 if newest else max(self.state.frame, oldest))
+                self._draw_soon()
+        elif busy or self._busy:
             try:
                 self._show_panels()
             except Exception as error:
                 self._tell_error("the panels", error)
-        self._busy, self._refresh_at = busy, time.monotonic() + REFRESH_S
+        self._busy, self._refresh_at = busy, time.monotonic() + (GROW_S if self._grows() else REFRESH_S)
 
     def _next_work(self) -> tuple[ReviewState, int] | None:
         """Newest state and its number, once there is something to do; None when the page is closed.
@@ -349,7 +366,7 @@ class Session:
                 now = time.monotonic()
                 due = [self._next_at] if self._playing else []
                 due += [self._linked_at + LINK_PAUSE_S] if self._moved else []
-                due += [self._refresh_at] if self._busy or self.detecting() else []
+                due += [self._refresh_at] if self._busy or self.detecting() or self._grows() else []
                 if self._drawn != self._wanted:
                     return self.state, self._wanted
                 if self._playing and now >= self._next_at:

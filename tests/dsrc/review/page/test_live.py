@@ -1,0 +1,61 @@
+"""A page on frames that are still being made."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from dsrc.review.page.app import live_page
+from tests.dsrc.review.conftest import street_frame
+from tests.dsrc.review.page.test_session import handle, wait_for
+
+
+@pytest.fixture
+def page():
+    with live_page("street") as page:
+        yield page
+
+
+def test_a_page_opened_before_the_first_frame_shows_it_when_it_comes(page, connect_browser):
+    session = connect_browser(page.app).session
+    wait_for(lambda: "first frame to come" in session._notice.content)
+    page.put(street_frame(0))
+    wait_for(lambda: session.view is not None and session.view.index == 0)
+    wait_for(lambda: not session._notice.visible)
+
+
+def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(page, connect_browser):
+    page.put(street_frame(0))
+    session = connect_browser(page.app).session
+    for index in range(1, 5):
+        page.put(street_frame(index))
+        wait_for(lambda index=index: session.view is not None and session.view.index == index)
+    assert handle(session, "frame").max == 4
+    session.update(frame=1)
+    session.wait_drawn()
+    page.put(street_frame(5))
+    wait_for(lambda: handle(session, "frame").max == 5)
+    assert session.state.frame == 1
+    session.step(100)
+    page.put(street_frame(6))
+    wait_for(lambda: session.view.index == 6)
+
+
+def test_whoever_makes_frames_never_waits_for_the_page(page, connect_browser):
+    connect_browser(page.app)
+    frame = street_frame(0)
+    started = time.perf_counter()
+    for _ in range(200):
+        page.put(frame)
+    assert (time.perf_counter() - started) / 200 < 0.005
+
+
+def test_generate_hands_every_frame_to_who_watches(tmp_path: Path):
+    from dsrc.data.write import generate
+
+    seen = []
+    drive = generate(scenario="four_way", out=tmp_path, frames=2, seed=3, visibility=False, watch=seen.append)
+    assert [frame.index for frame in seen] == [0, 1] and drive.is_dir()
+    again = []
+    generate(scenario="four_way", out=tmp_path, frames=2, seed=3, visibility=False, watch=again.append)
+    assert again == [], "what is on disk is not made again"
