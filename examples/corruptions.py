@@ -2,10 +2,11 @@
 
 Usage:
     python examples/corruptions.py --out docs/pictures/corruptions
-    python examples/corruptions.py --out /tmp/pictures --only fog snow --severity 5 --scenario ingolstadt
+    python examples/corruptions.py --out pictures --only fog snow --severity 5 --scenario ingolstadt
 """
 
 import argparse
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -76,7 +77,9 @@ class Panel:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder of the pictures: one per kind, and all.png")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder of the pictures: one per kind, and, of all kinds, all.png"
+    )
     parser.add_argument("--only", nargs="+", choices=CORRUPTIONS, default=list(CORRUPTIONS), help="default: all")
     parser.add_argument("--severity", type=int, choices=SEVERITIES, help="default: 3, 5 for pose_error")
     parser.add_argument("--scenario", help="default: braunschweig, or highway for kinds that show at speed")
@@ -84,8 +87,12 @@ def main() -> None:
     places = {kind: options.scenario or ("highway" if kind in FAST else "braunschweig") for kind in options.only}
     streets = {place: street(place) for place in sorted(set(places.values()))}
     frames = {kind: shown(streets[place], kind) for kind, place in places.items()}
-    figures = {kind: partial(draw, frame, kind, options.severity) for kind, frame in frames.items()}
-    for name, figure in {**figures, "all": partial(overview, frames, options.severity)}.items():
+    figures: dict[str, Callable[[], Figure]] = {
+        kind: partial(draw, frame, kind, options.severity) for kind, frame in frames.items()
+    }
+    if list(frames) == list(CORRUPTIONS):  # the sheet of all is not of some
+        figures["all"] = partial(overview, frames, options.severity)
+    for name, figure in figures.items():
         path = options.out / f"{name}.png"
         with style():
             save(figure(), path, colors=96, keep=(*COLOR.values(), PAGE, INK))

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from dsrc.data.write import write_drive
 from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
+from tests.dsrc.data.toy import SETTINGS, ToySource
 from tests.paths import ROOT
 
 SCRIPTS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != "look.py")
@@ -58,6 +60,66 @@ def test_an_example_draws_in_seconds_on_a_small_setting(script: Path, tmp_path: 
         assert str(picture) in printed
         assert picture.read_bytes().startswith(b"\x89PNG")
         assert picture.stat().st_size < 300_000
+
+
+def test_some_corruptions_are_drawn_beside_the_sheet_of_all(tmp_path: Path) -> None:
+    (tmp_path / "all.png").write_bytes(b"of all")
+    run(ROOT / "examples/corruptions.py", "--out", str(tmp_path), "--only", "fog", "--scenario", "four_way")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["all.png", "fog.png"]
+    assert (tmp_path / "all.png").read_bytes() == b"of all"
+
+
+FAKE_LOADER = '''
+"""A loader with the interface of OpenCOOD's, by the rules of tests/dsrc/data/loaders.py."""
+from pathlib import Path
+
+import numpy as np
+
+from tests.dsrc.data.loaders import opv2v
+
+
+class BaseDataset:
+    def __init__(self, params, visualize, train):
+        self.samples = opv2v(Path(params["validate_dir"]))
+
+    def __len__(self):
+        return len(self.samples)
+
+    def retrieve_base_data(self, index):
+        agents = self.samples[index]["agents"]
+        poses = {name: one["world_from_lidar"] for name, one in agents.items()}
+        ego = next(iter(agents))
+        return {
+            str(name): {
+                "ego": name == ego,
+                "lidar_np": one["points"] + np.float32(SHIFT_M),
+                "params": {
+                    "transformation_matrix": np.linalg.inv(poses[ego]) @ poses[name],
+                    "vehicles": {
+                        number: {"location": pose[:3, 3], "center": [0.0, 0.0, 0.0], "extent": half}
+                        for number, (pose, half) in one["boxes"].items()
+                    },
+                },
+            }
+            for name, one in agents.items()
+        }
+'''
+
+
+@pytest.mark.parametrize(("shift_m", "code"), [(0.0, 0), (0.001, 1)])
+def test_what_a_loader_of_others_reads_is_compared(tmp_path: Path, shift_m: float, code: int) -> None:
+    for name in ("one", "two"):
+        write_drive(tmp_path / "test" / name, SETTINGS, ToySource().open)
+    module = tmp_path / "checkout/opencood/data_utils/datasets/basedataset.py"
+    module.parent.mkdir(parents=True)
+    module.write_text(f"SHIFT_M = {shift_m}\n{FAKE_LOADER}")
+    words = [ROOT / "examples/read_by_opencood.py", tmp_path / "test", "--opencood", tmp_path / "checkout"]
+    done = subprocess.run(
+        [sys.executable, *map(str, words)], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}
+    )
+    assert done.returncode == code, done.stderr
+    assert ("sweeps of other points" in done.stdout) == bool(code)
+    assert "centres of boxes, m" in done.stdout
 
 
 def test_a_driver_of_one_s_own_drives_beside_the_shipped_one() -> None:

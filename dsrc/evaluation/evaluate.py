@@ -26,7 +26,8 @@ EGO_ALONE = "ego alone"
 def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress | None = None) -> list[Row]:
     """Evaluate detectors, write results, plots and the index of detections; resume what is cached.
 
-    The files are `results.csv`, `results.json`, `timings.csv`, `detections.json` and PNGs.
+    The files are `results.csv`, `results.json`, `timings.csv`, `detections.json` and PNGs; `mce_map.png` needs a
+    corruption.
 
     The results and plots are the same for the same settings; times are in `timings.csv` alone.
 
@@ -53,9 +54,12 @@ def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress 
     rows += summaries
     figures = {
         "ap_per_corruption": corruption_bars(rows),
-        "mce_map": robustness_scatter(rows),
         "precision_recall": precision_recall_curves(rows),
     }
+    if summaries:
+        figures["mce_map"] = robustness_scatter(rows)
+    else:
+        (config.out / "mce_map.png").unlink(missing_ok=True)  # of an evaluation here before
     for name, figure in figures.items():
         write_file(config.out / f"{name}.png", png_bytes(figure, made_by))
     return rows

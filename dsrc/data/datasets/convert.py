@@ -38,7 +38,7 @@ Format = Literal["opv2v", "dair", "kitti", "mcap"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 
 CONVERSION = "conversion.json"
-_VERSION = 1
+_VERSION = 2
 _SPLITS = {"train": "train", "validate": "val", "validation": "val", "val": "val", "test": "test"}
 _EGO, _ALL = "ego", "all"
 
@@ -322,13 +322,13 @@ class _Kitti:
         return [(source.first + i * len(agents) + k, agent) for k, agent in enumerate(agents)]
 
     def done(self, source: Source, i: int) -> bool:
-        return all(self._writer.done(number, source.split) for number, _ in self._views(source, i))
+        return all(self._writer.done(number) for number, _ in self._views(source, i))
 
     def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
         frame = _compensated(source, frame)
         ids = [agent.agent_id for agent in frame.agents]
         for number, agent in self._views(source, i):
-            self._writer.write(number, source.split, frame, ids.index(agent))
+            self._writer.write(number, frame, ids.index(agent))
 
     def finish(self, sources: Sequence[Source]) -> None:
         self._writer.finish(

@@ -1,8 +1,10 @@
 """KITTI writer: the object tree, one frame for one agent at one instant.
 
-    OUT/training/{velodyne/N.bin, label_2/N.txt, calib/N.txt, image_2/N.png}    and OUT/testing of the test split
+    OUT/training/{velodyne/N.bin, label_2/N.txt, calib/N.txt, image_2/N.png}
     OUT/ImageSets/{train,val,trainval,test}.txt
     OUT/frames.csv            drive, frame and agent of each number
+
+KITTI's `testing` holds frames without labels; all of ours have them, those of test drives too.
 
 Velodyne points are x forward, y left, z up, as ours, with intensity from 0 to 1. The camera is a nominal one: KITTI's
 intrinsics, 0.27 m before and 0.08 m below the LiDAR, looking along its x axis; the images are black, for loaders that
@@ -60,34 +62,34 @@ class KittiWriter:
         """Set the folder and the labels: those in the camera's image or all around."""
         self.out, self.view = out, view
 
-    def done(self, number: int, split: str) -> bool:
+    def done(self, number: int) -> bool:
         """Return whether a frame is complete."""
-        return self._file(split, "label_2", number, "txt").exists()
+        return self._file("label_2", number, "txt").exists()
 
-    def write(self, number: int, split: str, frame: Frame, row: int) -> None:
-        """Write the frame of the agent in a row; split is train, val or test."""
+    def write(self, number: int, frame: Frame, row: int) -> None:
+        """Write the frame of the agent in a row."""
         sweep = frame.agents[row].sweep
         if frame.agents[row].kind == "roadside":
             sweep = levelled(sweep)
         cloud = np.concatenate([sweep.points, sweep.intensity[:, None]], axis=1)
         seen = (frame.points_on[row] >= 1) & (frame.truth.object_id != frame.agents[row].agent_id)
         boxes = frame.truth[seen].transform(invert(sweep.world_from_lidar))
-        write_file(self._file(split, "velodyne", number, "bin"), cloud.astype("<f4").tobytes())
-        write_file(self._file(split, "calib", number, "txt"), _calibration().encode())
-        write_file(self._file(split, "image_2", number, "png"), _black())
+        write_file(self._file("velodyne", number, "bin"), cloud.astype("<f4").tobytes())
+        write_file(self._file("calib", number, "txt"), _calibration().encode())
+        write_file(self._file("image_2", number, "png"), _black())
         labels = encode_labels(boxes, self.view, occlusion(frame.visible_fraction[row, seen]))
-        write_file(self._file(split, "label_2", number, "txt"), labels.encode())
+        write_file(self._file("label_2", number, "txt"), labels.encode())
 
     def finish(self, places: Sequence[tuple[int, str, str, int, int]]) -> None:
-        """Write the lists of frames; places are (number, split, drive, frame, agent)."""
+        """Write the lists of frames; places are (number, split, drive, frame, agent), split train, val or test."""
         for name in _SETS:
             _list(self.out / "ImageSets" / f"{name}.txt", [place[0] for place in places if place[1] == name])
         _list(self.out / "ImageSets" / "trainval.txt", [place[0] for place in places if place[1] != "test"])
         rows = [f"{number:06d},{split},{drive},{index},{agent}\n" for number, split, drive, index, agent in places]
         write_file(self.out / "frames.csv", ("number,split,drive,frame,agent\n" + "".join(rows)).encode())
 
-    def _file(self, split: str, folder: str, number: int, ending: str) -> Path:
-        return self.out / ("testing" if split == "test" else "training") / folder / f"{number:06d}.{ending}"
+    def _file(self, folder: str, number: int, ending: str) -> Path:
+        return self.out / "training" / folder / f"{number:06d}.{ending}"
 
 
 def encode_labels(boxes: Boxes, view: LabelView, hidden: NDArray[np.int64]) -> str:

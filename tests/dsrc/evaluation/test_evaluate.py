@@ -96,6 +96,9 @@ def test_clean_only_and_cooperative_only(world):
     evaluate_drives(config_of(world, "clean", corruptions=("clean",), ego_alone=False))
     rows = json.loads((world / "clean" / "results.json").read_text())["rows"]
     assert [(row["method"], row["condition"]) for row in rows] == [("DSRC", "clean"), ("plain", "clean")]
+    # Without a corruption nothing is lost: a map of what is lost would be empty.
+    assert files_in(world / "clean") >= FILES - {"mce_map.png"}
+    assert not (world / "clean" / "mce_map.png").exists()
 
 
 def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world):
