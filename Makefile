@@ -2,8 +2,12 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
+INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
+# Builds of PyTorch for the CPU; on Linux the registry's build brings gigabytes of CUDA. For a GPU:
+# make clean test TORCH_INDEX=https://pypi.org/simple
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: demo test test-slow test-browser test-explore fuzz lint format types clean
+.PHONY: demo test test-slow test-browser test-explore fuzz lint format docs clean
 
 # An interrupted demo resumes.
 demo: $(READY)
@@ -35,11 +39,16 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# The site in docs/_site; a warning is an error.
-docs: $(READY)
+# The site in docs/_site, with review pages of some scenarios; a warning is an error.
+docs: $(READY) docs/_pages/four_way.html docs/_pages/ima_queue.html docs/_pages/helsinki.html
 	$(INSTALL) --editable '.[docs]'
 	rm -rf docs/_site
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs docs/_site
+
+docs/_pages/%.html: $(READY)
+	mkdir -p $(@D)
+	$(BIN)/dsrc generate $* --seed 1 --frames 20 --interval-s 0.2 --out runs/docs/$*
+	$(BIN)/dsrc view runs/docs/$* --checkpoint dsrc/checkpoints/small-dsrc.pt --frames 20 --out $@
 
 # An index that cannot be reached is left out: the packages then come from the registry alone.
 $(READY): pyproject.toml constraints.txt
@@ -49,4 +58,4 @@ $(READY): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf .venv demo runs docs/_site
+	rm -rf .venv demo runs docs/_site docs/_pages
