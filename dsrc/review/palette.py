@@ -37,7 +37,7 @@ GRID: tuple[Rgb, Rgb] = ((52, 58, 70), (76, 84, 100))
 
 FATE_COLORS: dict[int, Rgb] = {
     KEPT: (96, 110, 132),
-    ATTENUATED: (86, 156, 255),
+    ATTENUATED: (112, 142, 186),
     MOVED: (0, 207, 250),
     SCATTERED: (190, 44, 168),
 }

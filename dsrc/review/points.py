@@ -11,6 +11,10 @@ FLOAT16_LIMIT_M = 1000.0
 """Greatest coordinate that is drawn, m: the wire format is float16, with steps of 0.5 m there."""
 
 
+HEIGHT_M = (-0.5, 8.0)
+"""Heights above the road between which points are coloured by height, m."""
+
+
 def subsample(sweep: Sweep, max_points: int) -> NDArray[np.intp]:
     """Rows of at most `max_points` points, ascending.
 
@@ -66,7 +70,7 @@ def point_colors(sweep: Sweep, color_by: ColorBy, agent_rgb: Rgb, ground_z: floa
         # A square root spreads the dark materials that make most of a street.
         return ramp(np.sqrt(np.clip(sweep.intensity, 0.0, 1.0)), 0.0, 1.0, VIRIDIS)
     if color_by == "height":
-        return ramp(sweep.points[:, 2] - ground_z, -0.5, 8.0, TURBO)
+        return ramp(sweep.points[:, 2] - ground_z, *HEIGHT_M, TURBO)
     if color_by == "ring":
         rings = sweep.spec.rings if sweep.spec is not None else int(sweep.ring.max(initial=0)) + 1
         return ramp(sweep.ring.astype(np.float64), 0.0, max(rings - 1, 1), TURBO)

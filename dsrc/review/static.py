@@ -16,6 +16,9 @@ log = logging.getLogger(__name__)
 
 SINK_M = 0.12
 """Depth of the drawn world below the real one, m: points on the road stay visible."""
+GROUND_SINK_M = 0.4
+"""The same of the ground: from afar a browser cannot tell which of two planes some centimetres apart is in front."""
+_GROUND = "green"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +68,7 @@ _MATERIAL_STYLES = (
     _MaterialStyle("roads", ("asphalt", "gravel"), (58, 62, 70)),
     _MaterialStyle("markings", ("marking",), (150, 156, 166)),
     _MaterialStyle("pavements", ("pavement", "kerb"), (82, 86, 94)),
-    _MaterialStyle("green", ("ground",), (52, 62, 56)),
+    _MaterialStyle(_GROUND, ("ground",), (40, 47, 45)),
     _MaterialStyle("plants", ("hedge", "leaves", "bark"), (76, 98, 80)),
     _MaterialStyle("buildings", ("brick", "plaster", "concrete", "roof", "glass"), (96, 104, 122), 0.55),
 )
@@ -111,10 +114,12 @@ def split_by_material(
     from sim.mesh.materials import MATERIALS
 
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
-    middle = vertices[faces].mean(axis=1)[:, :2]
+    corners = vertices[faces, :2]
+    low, high = corners.min(axis=1), corners.max(axis=1)
     near = np.zeros(len(faces), bool)
     for place in places:
-        near |= np.hypot(*(middle - place).T) <= radius_m
+        # To the box around a face: the ground is two triangles whose middles are far from everything.
+        near |= np.hypot(*(np.clip(place, low, high) - place).T) <= radius_m
     style_of = {name: row for row, style in enumerate(_MATERIAL_STYLES) for name in style.materials}
     style_of_material = np.array([style_of.get(m.name, len(_MATERIAL_STYLES)) for m in MATERIALS])
     group = style_of_material[np.asarray(mesh.face_attributes["material"])]
@@ -124,6 +129,7 @@ def split_by_material(
         if len(group_faces) == 0:
             continue
         used, flat = np.unique(group_faces, return_inverse=True)
-        moved = (vertices[used] - origin - [0.0, 0.0, SINK_M]).astype(np.float32)
+        sink = GROUND_SINK_M if style.name == _GROUND else SINK_M
+        moved = (vertices[used] - origin - [0.0, 0.0, sink]).astype(np.float32)
         parts.append(StaticPart(style.name, moved, flat.reshape(-1, 3).astype(np.uint32), style.rgb, style.opacity))
     return parts

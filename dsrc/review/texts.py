@@ -1,10 +1,13 @@
 """Texts of the live page: counts, card of the selection and legend."""
 
 import math
+from collections.abc import Sequence
 from html import escape
 
+from dsrc.options.review import ColorBy
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
+from dsrc.review.points import HEIGHT_M
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
 from dsrc.review.view import OTHER_TRUTH, AgentView, DetectionDetails, FrameView, ObjectDetails
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
@@ -115,7 +118,8 @@ def _percent(share: float) -> str:
 
 def legend(view: FrameView) -> str:
     """HTML of the legend."""
-    agents = "".join(_legend_row(agent.rgb, _title(agent)) for agent in view.agents)
+    agents = _scale(view.color_by)
+    agents += "".join(_legend_row(agent.rgb, _title(agent)) for agent in view.agents)
     if view.color_by == "fate":
         agents += "".join(_legend_row(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
         agents += _legend_row(palette.LOST, "lost to the corruption")
@@ -143,14 +147,47 @@ def legend(view: FrameView) -> str:
 
 
 def fates_table(view: FrameView) -> str:
-    """Markdown table of what the corruption did to the points of each agent."""
-    rows = "\n".join(
-        f"| {agent.title} | {_thousands(agent.total)} | "
-        + " | ".join(_thousands(number) for number in (agent.fates[SCATTERED], agent.fates[MOVED], agent.lost))
-        + " |"
+    """HTML table of what the corruption did to the points of each agent."""
+    rows = [
+        (agent.title, *map(_thousands, (agent.total, agent.fates[SCATTERED], agent.fates[MOVED], agent.lost)))
         for agent in view.agents
+    ]
+    return _table(("", "points", "added", "moved", "lost"), rows)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """HTML table whose first column is left-aligned."""
+
+    def cells(row: Sequence[str], kind: str) -> str:
+        sides = ["left", *["right"] * (len(row) - 1)]
+        style = "padding:0 0 0 .9em;font-weight:normal;white-space:nowrap;text-align"
+        return "".join(
+            f'<{kind} style="{style}:{side}">{escape(text)}</{kind}>' for side, text in zip(sides, row, strict=True)
+        )
+
+    lines = [cells(head, "th"), *(cells(row, "td") for row in rows)]
+    return _box(f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>")
+
+
+def _scale(color_by: ColorBy) -> str:
+    """HTML scale bar of the points' colours; "" where colours are no scale."""
+    low, high = HEIGHT_M
+    bars = {
+        # Colours follow the square root: the middle of the bar is a quarter.
+        "intensity": (palette.VIRIDIS, ("0", "intensity", "1"), "¼"),
+        "height": (palette.TURBO, (f"{low:g} m", "above the road", f"{high:g} m"), f"{0.5 * (low + high):g}"),
+        "ring": (palette.TURBO, ("top ring", "", "lowest"), ""),
+    }
+    if color_by not in bars:
+        return ""
+    table, (first, name, last), middle = bars[color_by]
+    stops = ",".join("rgb({},{},{})".format(*rgb) for rgb in table[:: len(table) // 15].tolist())
+    texts = (first, f"{middle} {name}".strip(), last)
+    names = "".join(f"<span>{escape(text)}</span>" for text in texts)
+    return (
+        f'<div style="height:.7em;border-radius:3px;background:linear-gradient(to right,{stops})"></div>'
+        f'<div style="display:flex;justify-content:space-between">{names}</div>'
     )
-    return f"| | points | added | moved | lost |\n|:--|--:|--:|--:|--:|\n{rows}"
 
 
 def _title(agent: AgentView) -> str:

@@ -187,7 +187,9 @@ class SceneWriter:
             )
         label = self._nodes[f"{name}/label"]
         label.position = tuple(agent.review_from_lidar[:3, 3] + [0.0, 0.0, 1.2])
-        label.visible = "labels" not in view.layers_off
+        # The others have their colour and the legend; the name that is asked for is shown.
+        asked = agent.is_ego or agent.agent_id == getattr(view.details, "object_id", None)
+        label.visible = asked and "labels" not in view.layers_off
 
     def _write_points(self, name: str, agent: AgentView, point_size_m: float) -> None:
         node = self._nodes.get(name)

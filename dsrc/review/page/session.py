@@ -22,6 +22,7 @@ from dsrc.review.page.cells.pairs import Pair, cells_of
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
 from dsrc.review.page.link import write_link
 from dsrc.review.page.panels import PANELS
+from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.protocol import Shown
 from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_backdrop
 from dsrc.review.state import Camera, ReviewState
@@ -302,7 +303,10 @@ class Session:
         return self.view
 
     def close(self) -> None:
-        """Stop the worker."""
+        """Stop the worker, and what panels do in the background."""
+        for panel in self.panels:
+            if isinstance(panel, SensorLabPanel):
+                panel.close()
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -101,3 +101,19 @@ def test_the_world_is_cut_to_the_surroundings_and_split_by_material():
     parts = {p.name: p for p in split_by_material(mesh, np.zeros(3), np.zeros((1, 2)), 50.0)}
     assert {name: len(p.faces) for name, p in parts.items()} == {"roads": 10, "buildings": 2}
     assert all(p.faces.max() < len(p.vertices) for p in parts.values())
+
+
+def test_ground_of_two_large_triangles_is_drawn_below_the_roads():
+    import trimesh
+
+    from sim.mesh.materials import MATERIALS
+
+    names = [m.name for m in MATERIALS]
+    corners = np.array([[-600, -600, -0.05], [600, -600, -0.05], [600, 600, -0.05], [-600, 600, -0.05]])
+    road = np.array([[-5, -300, 0], [5, -300, 0], [5, 300, 0]])
+    mesh = trimesh.Trimesh(np.concatenate([corners, road]), [[0, 1, 2], [0, 2, 3], [4, 5, 6]], process=False)
+    mesh.face_attributes["material"] = np.array([names.index(m) for m in ("ground", "ground", "asphalt")], np.uint8)
+    parts = {p.name: p for p in split_by_material(mesh, np.zeros(3), np.array([[10.0, 20.0]]), 50.0)}
+    assert {name: len(p.faces) for name, p in parts.items()} == {"roads": 1, "green": 2}
+    assert parts["green"].vertices[:, 2].max() < parts["roads"].vertices[:, 2].min() - 0.2
+    assert not split_by_material(mesh, np.zeros(3), np.array([[900.0, 900.0]]), 50.0)

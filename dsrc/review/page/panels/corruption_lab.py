@@ -86,7 +86,7 @@ class CorruptionLabPanel:
             self._folder = page.gui.add_folder("Parameters", visible=False)
             self.reset = page.gui.add_button("Parameters of the severity", visible=False)
             self.reset.on_click(lambda _: page.update(parameters=()))
-            self.effects = page.gui.add_markdown("", visible=False)
+            self.effects = page.gui.add_html("", visible=False)
             self.fates = page.gui.add_button("Colour points by their fate", visible=False)
             self.fates.on_click(self._turn_fates)
             self.scores = page.gui.add_markdown("", visible=False)

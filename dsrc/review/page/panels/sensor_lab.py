@@ -123,6 +123,11 @@ class SensorLabPanel:
                 self.text.content = "Casting."
             self._latest.ask(lambda: self._run(wish))
 
+    def close(self) -> None:
+        """Draw nothing any more: the browser is gone."""
+        self._wish = None
+        self._latest.drop()
+
     def _show_place(self, wish: _Wish) -> None:
         place = wish.placement
         for handle, values in ((self.position, place.xyz_m), (self.angles, (place.yaw_deg, place.pitch_deg))):

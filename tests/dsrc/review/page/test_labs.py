@@ -1,5 +1,6 @@
 """The labs of the page: what their widgets set, draw and count."""
 
+import re
 import threading
 import time
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import toggle_corruption
 from dsrc.review.page.link import read_link, write_link
+from dsrc.review.page.panels.agents import AgentsPanel
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.server import start_server
@@ -36,7 +38,9 @@ def node(session, name):
 
 
 def counted(lab):
-    return lab.effects.content.replace("\u2009", "")
+    """Cells of each row of the table of points."""
+    rows = re.findall("<tr>(.*?)</tr>", lab.effects.content.replace("\u2009", ""))
+    return [re.findall("<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
 
 
 @pytest.fixture
@@ -91,7 +95,7 @@ def test_lost_points_are_drawn_and_all_are_counted(session, lab):
     np.testing.assert_allclose(drawn, agent.lost_points, atol=0.05)
     ours = {tuple(point) for point in whole.points.tolist()} - {tuple(point) for point in agent.points.tolist()}
     assert ours == {tuple(point) for point in agent.lost_points.tolist()}
-    wait_for(lambda: f"| vehicle 1000 | {agent.total} | 0 | 0 | {agent.lost} |" in counted(lab))
+    wait_for(lambda: ["vehicle 1000", f"{agent.total}", "0", "0", f"{agent.lost}"] in counted(lab))
     session.update(color_by="agent")
     session.wait_drawn()
     assert not node(session, "/agents/ego_vehicle_1000/lidar/lost").visible
@@ -100,7 +104,28 @@ def test_lost_points_are_drawn_and_all_are_counted(session, lab):
 def test_moved_points_are_counted_as_such(session, lab):
     session.update(corruption="noise", parameters=(("size_m", 0.2),))
     agent = session.wait_drawn().agents[0]
-    wait_for(lambda: f"| vehicle 1000 | {agent.total} | 0 | {agent.total} | 0 |" in counted(lab))
+    wait_for(lambda: ["vehicle 1000", f"{agent.total}", "0", f"{agent.total}", "0"] in counted(lab))
+    assert counted(lab)[0] == ["", "points", "added", "moved", "lost"]
+
+
+def test_colours_that_are_a_scale_have_a_bar(session):
+    agents = panel(session, AgentsPanel)
+    for color_by, ends in (("height", ("-0.5 m", "8 m")), ("intensity", ("0", "1"))):
+        session.update(color_by=color_by)
+        session.wait_drawn()
+        wait_for(lambda ends=ends: all(f"<span>{end}</span>" in agents.legend.content for end in ends))
+        assert "linear-gradient" in agents.legend.content
+    session.update(color_by="agent")
+    session.wait_drawn()
+    wait_for(lambda: "linear-gradient" not in agents.legend.content)
+
+
+def test_the_ego_is_named_and_others_when_they_are_selected(session):
+    names = {"ego": "/agents/ego_vehicle_1000/label", "other": "/agents/vehicle_1002/label"}
+    assert node(session, names["ego"]).visible and not node(session, names["other"]).visible
+    session.update(object_id=1002)
+    session.wait_drawn()
+    assert node(session, names["other"]).visible
 
 
 def test_clean_and_back_keeps_the_parameters(session):

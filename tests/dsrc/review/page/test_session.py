@@ -57,7 +57,7 @@ CHANGES = {
     "family": "paper", "threshold": 0.7, "iou": 0.3, "ego_id": 1002, "cooperative": False, "color_by": "height",
     "point_size_m": 0.3, "max_points": 9000, "theme": "light", "layers_off": frozenset({"bodies"}),
     "methods": ("detector",), "listed": "missed", "versus": "alone", "error_method": "detector", "error_class": "truck",
-    "error_range": "30-50", "error_seen_by": "helper",
+    "error_range": "30-50", "error_seen_by": "helper", "sensor": "vlp-16", "carrier": "pole",
 }  # fmt: skip
 
 
