@@ -14,22 +14,28 @@ class View(ServeOptions, frozen=True, kw_only=True):
 
     Attributes:
         out: HTML page to write; default: serve the page.
-        picture: PNG of the written page, drawn by Chromium; default: none.
-        frames: frames of a written page, from the first.
+        picture: PNG of the written page, or of the view of the link, drawn by Chromium; default: none.
+        animation: GIF of the view of the link, drawn by Chromium; default: none.
+        link: what a picture shows, as a page's address has it after the question mark; default: the first frame.
+        size: width and height of a picture or animation, px.
+        frames: frames of a written page from the first, or of an animation from the link's.
     """
 
     out: File | None = None
     picture: File | None = None
+    animation: File | None = None
+    link: str = ""
+    size: tuple[int, int] = (1280, 720)
     frames: int = 40
     output: Output = Output()
 
     def run(self) -> None:
         """Serve the page until interrupted, or write it and print its path."""
+        self._check()
+        if self.out is None and (self.picture is not None or self.animation is not None):
+            self._draw()
+            return
         if self.out is None:
-            if self.picture is not None:
-                from sim.errors import SettingsError, complaint
-
-                raise SettingsError(complaint("view", "picture", "a page to draw, --out", "nothing"))
             from dsrc.review.page.app import serve
 
             serve(self, announce=_announce)
@@ -47,16 +53,54 @@ class View(ServeOptions, frozen=True, kw_only=True):
             report(1, 1)
         sys.stdout.write(f"{page}\n")
         if self.picture is not None:
-            sys.stdout.write(f"{draw(page, self.picture)}\n")
+            sys.stdout.write(f"{draw(page, self.picture, self.size)}\n")
+
+    def _check(self) -> None:
+        """Raise SettingsError for numbers out of their range and options that exclude each other."""
+        from sim.errors import SettingsError, complaint
+
+        if not all(16 <= side <= 8192 for side in self.size):
+            raise SettingsError(complaint("view", "size", "16 to 8192 px each", str(self.size)))
+        if self.frames < 1:
+            raise SettingsError(complaint("view", "frames", "at least 1", self.frames))
+        if self.out is not None and self.animation is not None:
+            raise SettingsError(complaint("view", "animation", "none beside --out", str(self.animation)))
+
+    def _draw(self) -> None:
+        """Write the picture and the animation of the link's view, and print their paths."""
+        from dsrc.review.model import open_model
+        from dsrc.review.page.export import export_pictures, write_animation, write_picture
+        from dsrc.review.page.link import read_link
+        from dsrc.review.state import ReviewState
+        from sim.files import check_apart, check_output
+
+        for path, kind in ((self.picture, "picture"), (self.animation, None)):
+            if path is not None:
+                check_apart(path, self.data)
+                check_output(path, kind)
+        model = open_model(self.data, self.checkpoint)
+        state, _, _ = read_link(self.link, model, ReviewState())
+        if self.picture is not None:
+            (image,) = export_pictures(model, self.link, self.size)
+            sys.stdout.write(f"{write_picture(image, self.picture)}\n")
+        if self.animation is not None:
+            rows = range(state.frame, min(state.frame + self.frames, model.frame_count(state.drive)))
+            with progress(f"draw {self.animation}") as report:
+                images = []
+                for image in export_pictures(model, self.link, self.size, rows):
+                    images.append(image)
+                    report(len(images), len(rows))
+            pause_s = model.interval_s(state.drive) / state.speed
+            sys.stdout.write(f"{write_animation(images, self.animation, pause_s)}\n")
 
 
-def draw(page: Path, out: Path) -> Path:
+def draw(page: Path, out: Path, size: tuple[int, int] = (1280, 720)) -> Path:
     """Write a PNG of a written page, with the note by which it is known as ours; raises as `screenshot`."""
     from dsrc.review.page.screenshot import screenshot
     from sim.files import signed_picture, write_file
 
     with tempfile.TemporaryDirectory() as folder:
-        content = screenshot(page, Path(folder) / "page.png").read_bytes()
+        content = screenshot(page, Path(folder) / "page.png", size).read_bytes()
     write_file(out, signed_picture(content))
     return out
 

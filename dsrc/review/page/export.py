@@ -1,27 +1,37 @@
-"""Export of a drive as one self-contained animated HTML page."""
+"""Export of a drive as one self-contained animated HTML page, and of any view as a picture or an animation."""
 
+import io
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from dsrc.options.fields import takes_fields
 from dsrc.options.review import PageOptions
 from dsrc.review.model import ReviewModel, open_model
+from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cameras import CameraPose, birds_eye, chase, overview
+from dsrc.review.page.link import read_link
 from dsrc.review.page.overlay import CameraButton, add_overlay, frame_texts
 from dsrc.review.page.scene import (
     SceneWriter,
+    backdrop,
     place_static,
     set_backdrop,
     set_light,
     set_start_camera,
 )
+from dsrc.review.page.screenshot import open_page
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, require_corruption
 from sim.errors import SettingsError, complaint
-from sim.files import write_file
+from sim.files import signed_picture, write_file
 
 ROOT = "/drive"
 """Root frame of the scene; moving it lets the camera of an exported page follow the ego."""
@@ -30,6 +40,8 @@ MAX_POINTS = 44_000
 """Most points of one frame: enough to recognise rings and objects, few enough for a laptop."""
 PAGE_POINTS = 40 * MAX_POINTS
 """Most points of a page: about 10 MB."""
+SETTLE_S = 2.0
+"""Time for which a browser builds the first picture, s."""
 POINT_SIZE_M = 0.13
 """Side of a drawn point, m: thinned clouds need larger ones."""
 POINT_STEP_M = 1.0 / 32.0
@@ -68,6 +80,82 @@ def export_html(options: PageOptions) -> Path:
         color_by=options.color_by,
     )
     return export_states(model, [replace(state, frame=row) for row in rows], Path(options.out), options.follow)
+
+
+def export_pictures(
+    model: ReviewModel, link: str, size: tuple[int, int] = (1280, 720), frames: Sequence[int] | None = None
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield a (H, W, 3) picture of the scene without panels, drawn by Chromium, for each frame.
+
+    Args:
+        model: drives, detectors and caches.
+        link: query of the page's address, which says what is shown.
+        size: width and height, px.
+        frames: rows of the frames; None for that of the link alone.
+
+    Raises:
+        SettingsError: a part of the link is wrong, or no Chromium is installed.
+        DataError: a frame is damaged.
+    """
+    state, _, complaints = read_link(link, model, ReviewState())
+    if complaints:
+        raise SettingsError(complaints[0])
+    sky = np.repeat(backdrop(state.theme, size[1])[:, None], size[0], axis=1).astype(np.float64)
+    app = ReviewApp(model, start_server(), state)
+    try:
+        with open_page(f"{app.url}/?fixedDpr=1&{link}", size) as page:
+            page.wait_for("document.querySelector('canvas') && window.__viserMutable", 60.0)
+            (session,) = app.wait_session(1, 60.0)
+            for number, row in enumerate([state.frame] if frames is None else frames):
+                model.stores[state.drive].recorded(row)
+                session.update(frame=row)
+                session.wait_drawn(120.0)
+                render: dict[str, Any] = {
+                    "height": size[1],
+                    "width": size[0],
+                    "transport_format": "png",
+                    "timeout": 120.0,
+                }
+                if number == 0:
+                    # The first picture can come before the browser has built all nodes, cities and cameras among them.
+                    session.client.get_render(**render)
+                    time.sleep(SETTLE_S)
+                image = session.client.get_render(**render).astype(np.float64)
+                share = image[..., 3:] / 255.0
+                yield np.round(image[..., :3] * share + sky * (1.0 - share)).astype(np.uint8)
+    finally:
+        app.close()
+
+
+def write_picture(image: NDArray[np.uint8], out: Path) -> Path:
+    """Write a (H, W, 3) picture as PNG, with the note by which it is known as ours."""
+    from PIL import Image
+
+    content = io.BytesIO()
+    Image.fromarray(image).save(content, "png", optimize=True)
+    write_file(out, signed_picture(content.getvalue()))
+    return out
+
+
+def write_animation(images: Iterable[NDArray[np.uint8]], out: Path, interval_s: float) -> Path:
+    """Write (H, W, 3) pictures as an endless GIF of one palette.
+
+    Args:
+        images: at least one.
+        out: the file.
+        interval_s: time between two of them, s; browsers show none faster than 0.02.
+    """
+    from PIL import Image
+
+    first, *others = [Image.fromarray(image) for image in images]
+    # One palette for all: with one for each the colours of what stands still flicker.
+    colors = first.quantize(128, method=Image.Quantize.MEDIANCUT)
+    frames = [one.quantize(palette=colors, dither=Image.Dither.NONE) for one in (first, *others)]
+    content = io.BytesIO()
+    pause_ms = max(round(1e3 * interval_s), 20)
+    frames[0].save(content, "gif", save_all=True, append_images=frames[1:], duration=pause_ms, loop=0, optimize=True)
+    write_file(out, content.getvalue())
+    return out
 
 
 def _rows(model: ReviewModel, drive: int, frames: slice | int) -> list[int]:

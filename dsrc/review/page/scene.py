@@ -79,12 +79,17 @@ def set_light(scene: viser.SceneApi) -> None:
     scene.world_axes.visible = False
 
 
-def set_backdrop(scene: viser.SceneApi, theme: Theme) -> None:
-    """Set the background image of a theme: a sky, brighter at the horizon."""
-    height = np.linspace(0.0, 1.0, 256)[:, None, None]
+def backdrop(theme: Theme, height_px: int = 256) -> NDArray[np.uint8]:
+    """(H, 3) colours of a theme's background from the top down: a sky, brighter at the horizon."""
+    height = np.linspace(0.0, 1.0, height_px)[:, None]
+    rgb = np.array(palette.BACKGROUNDS[theme], np.float64)
     glow = np.exp(-(((height - 0.22) / 0.25) ** 2))
-    rgb = np.array(palette.BACKGROUNDS[theme], np.float64) + glow * np.array([12.0, 17.0, 30.0])
-    scene.set_background_image(np.repeat(np.clip(rgb, 0, 255).astype(np.uint8), 4, axis=1), format="png")
+    return np.clip(rgb + glow * np.array([12.0, 17.0, 30.0]), 0, 255).astype(np.uint8)
+
+
+def set_backdrop(scene: viser.SceneApi, theme: Theme) -> None:
+    """Set the background image of a theme."""
+    scene.set_background_image(np.repeat(backdrop(theme)[:, None], 4, axis=1), format="png")
 
 
 def place_static(scene: viser.SceneApi, root: str, parts: list[StaticPart]) -> None:

@@ -1,0 +1,96 @@
+"""Pictures of the review page for its documentation, made in a real Chromium.
+
+    python examples/review_pictures.py data/test/berlin_301 --checkpoint dsrc/checkpoints/small-dsrc.pt
+
+An episode is added with `--episode EPISODE.npz`, a log of `dsrc drive`.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from dsrc.review.model import ReviewModel, open_model
+from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.cells.html import compare_address
+from dsrc.review.page.commands import go_to_error
+from dsrc.review.page.export import export_pictures, write_animation, write_picture
+from dsrc.review.page.screenshot import BrowserPage, open_page
+from dsrc.review.page.server import start_server
+from dsrc.review.page.session import Session
+from sim.files import signed_picture, write_file
+
+SIZE = (1500, 850)
+VIEW = "frame=10&camera=chase&off=labels"
+HIDE_NOTICES = (
+    "document.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')"
+)
+TO_ERRORS = """
+[...document.querySelectorAll('p')].find(e=>e.innerText.includes('errors'))?.scrollIntoView({block:'start'})
+"""
+
+
+def picture_of_page(
+    model: ReviewModel, address: str, out: Path, prepare: Callable[[Session, BrowserPage], None], cells: int = 1
+) -> None:
+    """Write a picture of a page with its panels.
+
+    Args:
+        model: of the page.
+        address: path and query.
+        out: PNG.
+        prepare: called with the first session and the page before the picture is taken.
+        cells: sessions of the page.
+    """
+    app = ReviewApp(model, start_server())
+    try:
+        with open_page(app.url + address, SIZE) as page:
+            sessions = app.wait_session(cells, 120.0)
+            for session in sessions:
+                session.wait_drawn(120.0)
+            page.evaluate(HIDE_NOTICES)
+            time.sleep(3.0)
+            prepare(sessions[0], page)
+            for session in sessions:
+                session.wait_drawn(120.0)
+            time.sleep(5.0)
+            write_file(out, signed_picture(page.png()))
+    finally:
+        app.close()
+    print(out)
+
+
+def show_errors(session: Session, page: BrowserPage) -> None:
+    """Detect in all frames and go to the first missed object."""
+    session.detect_all()
+    while session.detecting():
+        time.sleep(0.5)
+    go_to_error(session, 1, "missed")
+    time.sleep(2.0)
+    page.evaluate(TO_ERRORS)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("drive", type=Path, help="drive to show")
+    parser.add_argument("--checkpoint", type=Path, required=True, help="detector")
+    parser.add_argument("--episode", type=Path, help="log of an episode")
+    parser.add_argument("--out", type=Path, default=Path("docs/pictures/review"), help="folder of the pictures")
+    parser.add_argument("--frames", type=int, default=30, help="frames of the animation")
+    given = parser.parse_args()
+    model = open_model(given.drive, given.checkpoint)
+    picture_of_page(model, "/?fixedDpr=1&frame=3", given.out / "errors.png", show_errors)
+    foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
+    picture_of_page(model, compare_address(VIEW, foggy), given.out / "cells.png", lambda *_: None, cells=2)
+    rows = range(10, min(10 + given.frames, model.frame_count(0)))
+    animation = write_animation(export_pictures(model, VIEW, (640, 320), rows), given.out / "drive.gif", 0.1)
+    print(animation)
+    if given.episode is not None:
+        episode = open_model(given.episode)
+        picture_of_page(episode, "/?fixedDpr=1&camera=chase&frame=40", given.out / "episode.png", lambda *_: None)
+    (view,) = export_pictures(model, VIEW, SIZE)
+    print(write_picture(view, given.out / "view.png"))
+
+
+if __name__ == "__main__":
+    main()

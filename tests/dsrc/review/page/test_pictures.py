@@ -1,0 +1,53 @@
+"""Pictures and animations of a view."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dsrc.review import palette
+from dsrc.review.page.export import export_pictures, write_animation, write_picture
+from dsrc.review.page.screenshot import find_chromium
+from sim.errors import SettingsError
+from sim.files import check_output
+
+
+def squares(count):
+    """Pictures of a red square that moves to the right over blue."""
+    for number in range(count):
+        image = np.tile(np.array([0, 0, 200], np.uint8), (40, 60, 1))
+        image[10:20, 10 * number : 10 * number + 10] = 220, 0, 0
+        yield image
+
+
+def test_a_picture_is_written_as_it_is_and_may_be_written_again(tmp_path):
+    (image,) = squares(1)
+    out = write_picture(image, tmp_path / "view.png")
+    np.testing.assert_array_equal(np.asarray(Image.open(out)), image)
+    check_output(out, "picture")
+
+
+def test_an_animation_has_every_picture_at_its_pace(tmp_path):
+    out = write_animation(squares(5), tmp_path / "view.gif", 0.1)
+    with Image.open(out) as gif:
+        assert gif.n_frames == 5 and gif.info["duration"] == 100 and gif.info["loop"] == 0
+        for number in range(5):
+            gif.seek(number)
+            frame = np.asarray(gif.convert("RGB")).astype(int)
+            red = frame[15, :, 0] > 150
+            assert np.flatnonzero(red).tolist() == list(range(10 * number, 10 * number + 10))
+
+
+def test_a_wrong_link_is_told_before_a_browser_opens(model, monkeypatch):
+    monkeypatch.setattr("dsrc.review.page.export.open_page", lambda *_: pytest.fail("a browser was opened"))
+    with pytest.raises(SettingsError, match="link: frame: expected 0 to 11"):
+        list(export_pictures(model, "frame=99"))
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
+def test_a_view_is_drawn_without_panels_at_any_size(model):
+    first, second = export_pictures(model, "camera=bev&score=0&off=labels,links", (500, 300), [0, 6])
+    assert first.shape == second.shape == (300, 500, 3)
+    for image in (first, second):
+        assert (np.abs(image.astype(int) - palette.TP).max(axis=-1) <= 3).sum() > 15
+    assert (first != second).any()
