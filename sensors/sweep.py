@@ -47,7 +47,7 @@ class Sweep:
         return_number: (P,) uint8, 1 = the nearest of those that the beam reports.
         fate: (P,) uint8 effect of corruptions on the point: `KEPT`, `ATTENUATED`, `MOVED`, `SCATTERED`.
         material: (P,) uint8 index into `sim.mesh.materials.MATERIALS`, `UNKNOWN_MATERIAL` where unknown.
-        cosine: (P,) float32 |cos| of the angle between ray and surface normal, 0 where unknown.
+        cosine: (P,) float32 cosine of the angle between ray and surface normal, from 0 to 1; 0 where unknown.
         world_from_lidar: (4, 4) float64 pose of the sensor at `time_s`.
         time_s: reference time of the sweep, s: its middle unless `motion` says start or end.
         spec: the sensor, None where unknown.

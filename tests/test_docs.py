@@ -1,0 +1,113 @@
+"""Docs: no link leads nowhere, and the tutorials run as they are written."""
+
+import hashlib
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from dsrc.cli.demo import SCENARIO, TEST_SEED
+from dsrc.cli.main import COMMANDS, command_class
+from dsrc.cli.options import parse
+from tests.paths import ROOT
+from tests.test_readme import commands_of
+
+PAGES = sorted(
+    path
+    for pattern in ("*.md", "docs/**/*.md", "examples/*.md", "benchmarks/*.md", "scenarios/**/*.md")
+    for path in ROOT.glob(pattern)
+    if "_site" not in path.parts
+)
+TUTORIALS = [
+    ROOT / "docs/tutorials" / f"{name}.md"
+    for name in (ROOT / "docs/tutorials/index.md").read_text().split("```")[1].split("\n\n")[1].split()
+]
+
+
+def prose(page: Path) -> str:
+    """Return the text of a page without its code."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"`[^`\n]*`", "`code`", text)
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub and myst-parser make them."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    titles = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", title) for title in re.findall(r"^#+ (.+)$", text, re.MULTILINE)]
+    return {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_link_of_a_page_leads_somewhere(page: Path) -> None:
+    lost = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if re.match(r"[a-z]+:", link):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        if not target.exists() or not target.is_relative_to(ROOT) or (anchor and anchor not in anchors(target)):
+            lost.append(link)
+    assert lost == []
+
+
+def test_every_picture_is_on_a_page() -> None:
+    shown = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    pictures = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs/pictures").rglob("*.*")}
+    assert {picture for picture in pictures if picture not in shown} == set()
+
+
+@pytest.mark.parametrize("name", ["ap_per_corruption", "mce_map"])
+def test_the_pictures_of_the_demo_are_of_its_drive_and_of_the_shipped_detectors(name: str) -> None:
+    with Image.open(ROOT / f"docs/pictures/{name}.png") as picture:
+        settings = json.loads(picture.text["Description"])["settings"]
+    assert list(settings["datasets"]["test"]) == [f"{SCENARIO}_{TEST_SEED}"]
+    for detector in (one for files in settings["methods"].values() for one in files):
+        shipped = ROOT / "dsrc/checkpoints" / detector["file"]
+        assert hashlib.sha256(shipped.read_bytes()).hexdigest() == detector["sha256"], "copy the new demo's pictures"
+
+
+def test_the_order_of_the_tutorials_has_them_all() -> None:
+    assert sorted(TUTORIALS) == sorted(set((ROOT / "docs/tutorials").glob("*.md")) - {ROOT / "docs/tutorials/index.md"})
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_every_command_of_a_tutorial_parses(page: Path) -> None:
+    commands = list(commands_of(page))
+    assert commands
+    for name, *words in commands:
+        found = COMMANDS[name]
+        if not isinstance(found, str):
+            found = found[words.pop(0)]
+        parse(command_class(found), "dsrc", words)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_tutorials_run_one_after_another_as_they_are_written(tmp_path: Path) -> None:
+    for name in ("dsrc", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    own = {"PATH": path}
+    for page in TUTORIALS:
+        for kind, block in re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE):
+            words = [sys.executable, "-c", block] if kind == "python" else ["bash", "-euc", block]
+            done = subprocess.run(words, cwd=tmp_path, env=os.environ | own, capture_output=True, text=True)
+            assert done.returncode == 0, f"{page.name}:\n{block}\n{done.stdout}\n{done.stderr}"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    pytest.importorskip("furo", reason="furo is not installed: pip install -e '.[docs]'")
+    words = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", "docs", str(tmp_path)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for page in ("index", "gallery", "api", "tutorials/drive", "results"):
+        assert (tmp_path / f"{page}.html").is_file()
+    assert 'id="dsrc.LidarSpec"' in (tmp_path / "api.html").read_text()
+    assert "helsinki_above.png" in (tmp_path / "gallery.html").read_text()
