@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import msgspec
 
-from sim.errors import DataError, complaint
+from sim.errors import DataError, complaint, one_line
 from sim.reading import parsing, read_bytes
 
 _PLACE = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<field>.*)`)?$", re.DOTALL)
@@ -39,7 +39,7 @@ def _explained(path: Path, message: str) -> str:
         return complaint(path, f"{field}.{absent['name']}".lstrip("."), "a value", "nothing")
     if wrong:
         return complaint(path, field or "content", wrong["expected"], wrong["found"])
-    return f"{path}: {field or 'content'}: {what}"
+    return f"{path}: {one_line(field, 200) or 'content'}: {one_line(what, 200)}"
 
 
 def encode_json(value: object) -> bytes:

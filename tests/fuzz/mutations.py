@@ -114,7 +114,7 @@ def of_arrays(content: bytes, rng: Rng) -> bytes:
             del arrays[name]
         case 6:
             arrays[name] = np.concatenate([np.atleast_1d(array)] * 2)
-        case 7:
+        case 7 if array.dtype.kind != "U":
             arrays[name] = array.astype(rng.choice(["f4", "f8", "i2", "U5", "S5", "c16", "?", "u1"]))
         case 8 if array.size:
             arrays[name] = array.copy()

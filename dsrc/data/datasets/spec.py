@@ -157,6 +157,11 @@ def expand(dataset: DatasetSpec, path: Path) -> list[DriveItem]:
         ScenarioError: a scenario or a LiDAR is unknown.
         DataError: a recorded log is damaged.
     """
+    with parsing(path, "dataset", SettingsError):
+        return _expanded(dataset, path)
+
+
+def _expanded(dataset: DatasetSpec, path: Path) -> list[DriveItem]:
     items: dict[str, DriveItem] = {}
     taken: dict[tuple[str, int], str] = {}
     for split, groups in dataset.split.items():

@@ -257,9 +257,8 @@ class DairReader:
         pair = self._pairs[i]
         boxes, names, tracks = read_labels(self._label_file(pair))
         ids = np.arange(1, len(boxes) + 1, dtype=np.int64)
-        tracked = all(track.isdigit() and int(track) < 2**31 - 1 for track in tracks) and len(set(tracks)) == len(
-            tracks
-        )
+        numbers = all(len(track) < 20 and track.isdecimal() and int(track) < 2**31 - 1 for track in tracks)
+        tracked = numbers and len(set(map(int, tracks))) == len(tracks)
         if tracked:
             # Ids from 1 on leave 0 to the vehicle; in our trees they are those of the simulation.
             ids = np.array([int(track) for track in tracks], np.int64) + (0 if self._own else 1)

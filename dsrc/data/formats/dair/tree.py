@@ -193,7 +193,7 @@ def _open_tree(root: Path, stamps: tuple[int, ...]) -> Tree:
     left_out = 0
     for row, pair in enumerate(pairs):
         first, second = pair.stems
-        if not first.isdigit():
+        if len(first) >= 20 or not first.isdecimal():
             raise DataError(complaint(root / PAIRS, f"[{row}].vehicle_pointcloud_path", "a number as name", first))
         # The published list has pairs of frames that were held back for testing or lie at the edge of a batch.
         listed = first in vehicle and second in infrastructure
@@ -226,7 +226,8 @@ def _splits(root: Path) -> dict[str, frozenset[str]]:
 
 
 def _by_number(item: tuple[str, object]) -> tuple[int, str]:
-    return (int(item[0]) if item[0].isdigit() else 2**31, item[0])
+    short = len(item[0]) < 20 and item[0].isdecimal()
+    return (int(item[0]) if short else 2**31, item[0])
 
 
 def _side(path: Path) -> dict[str, SideInfo]:

@@ -25,7 +25,7 @@ from sensors.motion import Path as LidarPath
 from sensors.spec import LidarSpec
 from sensors.sweep import Motion
 from sim.boxes import CLASSES, Boxes
-from sim.errors import DataError, SettingsError, complaint
+from sim.errors import DataError, SettingsError, complaint, one_line
 from sim.geometry import carla_from_matrix
 from sim.reading import parsing, read_text
 
@@ -213,7 +213,7 @@ def _decoded(path: Path, text: str) -> Record:
     try:
         return msgspec.json.decode(text, type=Record)
     except (msgspec.MsgspecError, SettingsError) as error:  # the latter of the LiDAR in it
-        raise DataError(f"{path}: testbed: damaged record: {error}") from None
+        raise DataError(f"{path}: testbed: damaged record: {one_line(error, 200)}") from None
 
 
 def read_plan(path: Path) -> NDArray[np.float64]:
