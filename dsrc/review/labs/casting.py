@@ -106,8 +106,10 @@ class DriveWorld:
         """
         step, margin = self._step(time_s), math.ceil(0.5 * spec.period_s / self._log.step_s - 1e-9)
         now, known = self._log[step], range(len(self._log))
-        ends = [self._log[row] for row in (step - margin, step + margin) if row in known]
-        scene = self._scene.with_bodies(now, *(ends if len(ends) == 2 else []), reach_s=0.5 * spec.period_s)
+        # At an end of the log both sides are extrapolated.
+        inside = step - margin in known and step + margin in known
+        before, after = (self._log[step - margin], self._log[step + margin]) if inside else (None, None)
+        scene = self._scene.with_bodies(now, before, after, reach_s=0.5 * spec.period_s)
         sensor = _mounted(scene, now, index, spec, placement, carrier)
         rays = spec.rings * spec.columns * spec.subrays
         with self._casting:

@@ -73,7 +73,8 @@ def parameters_of(kind: str, severity: int, family: Family = "physical") -> tupl
     if not isinstance(settings, msgspec.Struct):
         return ()
     limits = getattr(type(settings), "RANGES", {})
-    varying, steady = [], []
+    varying: list[Parameter] = []
+    steady: list[Parameter] = []
     for field in msgspec.structs.fields(settings):
         values = [getattr(level, field.name) for level in levels]
         made = _parameter(field.name, field.type, getattr(settings, field.name), values, limits.get(field.name))

@@ -130,7 +130,11 @@ class SensorLabPanel:
 
     def _show_place(self, wish: _Wish) -> None:
         place = wish.placement
-        for handle, values in ((self.position, place.xyz_m), (self.angles, (place.yaw_deg, place.pitch_deg))):
+        widgets: tuple[tuple[Any, tuple[float, ...]], ...] = (
+            (self.position, place.xyz_m),
+            (self.angles, (place.yaw_deg, place.pitch_deg)),
+        )
+        for handle, values in widgets:
             rounded = tuple(round(value, 3) for value in values)
             if tuple(handle.value) != rounded:
                 self._written[handle.label] = rounded
