@@ -50,7 +50,7 @@ def _gallery() -> str:
             cards += [f":::{{grid-item-card}} {name}", f":img-top: {picture}", f":img-alt: {name} from above", ""]
             cards += [load_scenario(name).description]
             if (DOCS / "_pages" / f"{name}.html").is_file():
-                cards += ["+++", f'<a href="{name}.html">Look around in it</a>']
+                cards += ["", f'<a href="{name}.html">Look around in it</a>']
             cards += [":::", ""]
     return "\n".join([*cards, "::::", ""])
 
