@@ -106,9 +106,7 @@ class McapFile:
         try:
             from mcap.writer import Writer
         except ImportError:
-            raise SettingsError(
-                "mcap: expected the package mcap, found none; pip install mcap"
-            ) from None
+            raise SettingsError("mcap: expected the package mcap, found none; pip install mcap") from None
         self.path = path
         self._replacing = replacing(path)
         self._file = self._replacing.__enter__().open("wb")

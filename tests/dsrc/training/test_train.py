@@ -223,7 +223,7 @@ def test_an_ap_that_stays_zero_stops_the_training(data: Path, tmp_path: Path) ->
     from dsrc.training.module import TrainingAlarm
 
     recipe = tiny(learning_rate=1e-9, alarm_after=2)
-    with pytest.raises(TrainingAlarm, match="AP@0.3 on training frames: .* found 0 in 2 validations"):
+    with pytest.raises(TrainingAlarm, match=r"AP@0\.3 on training frames: .* found 0 in 2 validations"):
         train(recipe, data, tmp_path, "plain")
 
 
