@@ -22,9 +22,10 @@ from sim.files import signed_picture, write_file
 
 SIZE = (1500, 850)
 VIEW = "frame=10&camera=chase&off=labels"
-HIDE_NOTICES = (
-    "document.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')"
-)
+HIDE_NOTICES = """
+for(const page of [document,...[...document.querySelectorAll('iframe')].map(cell=>cell.contentDocument)])
+ page.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')
+"""
 TO_ERRORS = """
 [...document.querySelectorAll('p')].find(e=>e.innerText.includes('errors'))?.scrollIntoView({block:'start'})
 """
@@ -58,6 +59,21 @@ def picture_of_page(
     finally:
         app.close()
     print(out)
+
+
+def show_lab(title: str) -> Callable[[Session, BrowserPage], None]:
+    """Scroll to the folder of a lab, opened."""
+    folder = f"[...document.querySelectorAll('*')].filter(e=>(e.innerText||'').trim()==='{title}').pop()"
+
+    def show(_: Session, page: BrowserPage) -> None:
+        page.wait_for(folder, 60.0)
+        if title == "Sensor lab":
+            # It starts closed.
+            page.evaluate(f"{folder}.click()")
+            time.sleep(1.0)
+        page.evaluate(f"{folder}.scrollIntoView({{block:'start'}})")
+
+    return show
 
 
 def show_errors(session: Session, page: BrowserPage) -> None:

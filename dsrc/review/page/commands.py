@@ -52,12 +52,13 @@ def go_to_error(page: Page, step: int, listed: Listed | None = None) -> None:
         return
     detecting = False
     while page.state == start:
+        # Asked before the report: what ends after this is in the next one.
+        running = bool(page.detecting())
+        with page.using_model:
+            gap = first_unknown(page.model, start, step)
         report = page.report(wanted)
         errors = report.errors.in_order()
         row = next_error(errors, start.frame, shown_error(errors, start), step)
-        with page.using_model:
-            gap = first_unknown(page.model, start, step)
-        running = bool(page.detecting())
         if row is not None and (gap is None or (errors.row[row] - gap) * step < 0 or (detecting and not running)):
             page.tell("")
             page.show_error(errors, row)

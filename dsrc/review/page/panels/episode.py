@@ -14,7 +14,7 @@ _HEIGHT_PX = 170
 
 
 class EpisodePanel:
-    """Folder with the step in words and the course of the episode, hidden in drives."""
+    """Folder with the step in words and the course of speed, blue, and wanted acceleration, amber; hidden in drives."""
 
     def __init__(self, page: Page) -> None:
         """Build it, hidden."""
@@ -58,10 +58,19 @@ class EpisodePanel:
                     uplot.Series(label="now", stroke=_css(palette.SELECTED), width=0, points=dot),  # type: ignore[typeddict-item]
                     uplot.Series(label="contact", stroke=_css(palette.FP), width=0, points=dot),  # type: ignore[typeddict-item]
                 ),
-                scales={"x": uplot.Scale(time=False)},
+                # A range of one's own: NaN, where there is no mark, leaves uPlot without one.
+                scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=_range(line))},
+                legend=uplot.Legend(show=False),
                 axes=(uplot.Axis(label="s", stroke=_css(palette.OTHER)), uplot.Axis(stroke=_css(palette.OTHER))),
                 height=_HEIGHT_PX,
             )
+
+
+def _range(line: EpisodeTimeline) -> tuple[float, float]:
+    """Bounds of what is plotted."""
+    values = np.concatenate([line.speed_mps, line.wanted_mps2])
+    values = values[np.isfinite(values)]
+    return min(float(values.min(initial=0.0)), 0.0) - 0.5, float(values.max(initial=1.0)) + 0.5
 
 
 def _mark(line: EpisodeTimeline, row: int | None) -> Any:

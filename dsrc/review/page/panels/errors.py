@@ -96,7 +96,7 @@ class ErrorsPanel:
             self.detect.label = label
 
     def _show_scores(self, state: ReviewState, report: RunReport) -> None:
-        head = " | ".join(f"AP@{iou:g}" for iou in IOU_THRESHOLDS)
+        head = " | ".join(f"AP{100 * iou:.0f}" for iou in IOU_THRESHOLDS)
         lines = [f"| | {head} | TP | FP | FN |", f"|:--|{'--:|' * (len(IOU_THRESHOLDS) + 3)}"]
         for name, c in report.counts.items():
             ap = " | ".join(_number(report.curves[name, iou].ap) for iou in IOU_THRESHOLDS)
@@ -192,16 +192,16 @@ class ErrorsPanel:
 
 
 def _title(errors: ErrorTable, row: int, page: Page) -> str:
-    """Label of an error in the list."""
+    """Label of an error in the list: frame, kind and class, distance, points that are left."""
     label = errors.label[row]
     what = f"{KINDS[errors.kind[row]]} {CLASSES[label] if label >= 0 else 'object'}"
     if KINDS[errors.kind[row]] == "false":
         what = f"false {errors.score[row]:.2f}"
     elif KINDS[errors.kind[row]] == "poor":
         what += f" {errors.iou[row]:.2f}"
-    points = f", {errors.points[row, 3]} points" if errors.points[row, 3] >= 0 else ""
+    points = f", {errors.points[row, 3]} pts" if errors.points[row, 3] >= 0 else ""
     method = f", {errors.methods[errors.method[row]]}" if len(errors.methods) > 1 else ""
-    return f"{what}, frame {errors.row[row]}, {errors.distance_m[row]:.0f} m{points}{method}"
+    return f"{errors.row[row]}: {what}, {errors.distance_m[row]:.0f} m{points}{method}"
 
 
 def _kinds(missed: int, false: int, poor: int) -> str:

@@ -85,7 +85,7 @@ def test_detecting_in_all_frames_fills_the_list(session):
     assert errors.scores.content.count("|\n|") == 2
     listed = session.report(session.state).errors
     assert [button.visible for button in errors.rows] == [row < len(listed) for row in range(len(errors.rows))]
-    assert errors.rows[0].label.startswith(KINDS[listed.kind[0]])
+    assert errors.rows[0].label.startswith(f"{listed.row[0]}: {KINDS[listed.kind[0]]}")
 
 
 def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_again(session):
