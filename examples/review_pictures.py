@@ -63,7 +63,7 @@ def picture_of_page(
 
 def show_lab(title: str) -> Callable[[Session, BrowserPage], None]:
     """Scroll to the folder of a lab, opened."""
-    folder = f"[...document.querySelectorAll('*')].filter(e=>(e.innerText||'').trim()==='{title}').pop()"
+    folder = f"[...document.querySelectorAll('*')].filter(e=>e.textContent.trim()==='{title}').pop()"
 
     def show(_: Session, page: BrowserPage) -> None:
         page.wait_for(folder, 60.0)
@@ -98,6 +98,10 @@ def main() -> None:
     picture_of_page(model, "/?fixedDpr=1&frame=3", given.out / "errors.png", show_errors)
     foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
     picture_of_page(model, compare_address(VIEW, foggy), given.out / "cells.png", lambda *_: None, cells=2)
+    fog = "/?fixedDpr=1&frame=3&color=fate&corruption=fog&parameters=extinction:0.05"
+    picture_of_page(model, fog, given.out / "corruption_lab.png", show_lab("Corruption lab"))
+    pole = "/?fixedDpr=1&frame=3&color=height&sensor=vlp-16&carrier=pole&placement=0,0,6,0,15"
+    picture_of_page(model, pole, given.out / "sensor_lab.png", show_lab("Sensor lab"))
     rows = range(10, min(10 + given.frames, model.frame_count(0)))
     animation = write_animation(export_pictures(model, VIEW, (640, 320), rows), given.out / "drive.gif", 0.1)
     print(animation)

@@ -160,13 +160,14 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
     def cells(row: Sequence[str], kind: str) -> str:
         sides = ["left", *["right"] * (len(row) - 1)]
-        style = "padding:0 0 0 .9em;font-weight:normal;white-space:nowrap;text-align"
+        style = "padding:0 .5em 0 0;font-weight:normal;white-space:nowrap;text-align"
         return "".join(
             f'<{kind} style="{style}:{side}">{escape(text)}</{kind}>' for side, text in zip(sides, row, strict=True)
         )
 
     lines = [cells(head, "th"), *(cells(row, "td") for row in rows)]
-    return _box(f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>")
+    style = "margin:0 1em;font-size:.78em;line-height:1.6"
+    return f'<table style="{style}">{"".join(f"<tr>{line}</tr>" for line in lines)}</table>'
 
 
 def _scale(color_by: ColorBy) -> str:
