@@ -116,7 +116,8 @@ def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str |
         ]
         browser = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            with connect(_page_socket(browser, Path(profile)), max_size=None) as socket:
+            # A browser that draws in software may leave a ping unanswered for minutes.
+            with connect(_page_socket(browser, Path(profile)), max_size=None, ping_interval=None) as socket:
                 page = BrowserPage(socket)
                 page.send("Page.enable")
                 page.send("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1,

@@ -43,6 +43,9 @@ REFRESH_S = 0.5
 GROW_S = 0.1
 """Time between two looks at whether a running simulation has a new frame, s."""
 
+LATE_S = 5.0
+"""Longest time after which a browser still reports poses from before the one that it was given, s."""
+
 NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
 
@@ -110,6 +113,8 @@ class Session:
         self.using_model, self.worker, self.notes = using_model, worker, model.notes
         self._reports = Reports(model)
         self.pair: Pair | None = None
+        self._given: tuple[CameraPose, bool] | None = None
+        self._given_at = 0.0
         self._refresh_at, self._busy = 0.0, False
         self._seen_frames = model.frame_count(state.drive)
         self._place_world = place_world
@@ -465,7 +470,9 @@ class Session:
             return None
         return CameraPose(np.array(camera.position), np.array(camera.look_at), cameras.UP)
 
-    def _set_camera(self, pose: CameraPose) -> None:
+    def _set_camera(self, pose: CameraPose, own: bool = True) -> None:
+        with self._changed:
+            self._given, self._given_at = (pose, own), time.monotonic()
         camera = self.client.camera
         camera.up_direction = pose.up
         camera.position = pose.position
@@ -474,9 +481,9 @@ class Session:
         camera.near, camera.far = 0.5, 2000.0
 
     def look(self, pose: CameraPose) -> None:
-        """Set the camera to a pose in the scene."""
+        """Set the camera to a pose in the scene, that of another cell."""
         with self.client.atomic():
-            self._set_camera(pose)
+            self._set_camera(pose, own=False)
 
     def side_by_side(self) -> None:
         """Open two cells with linked cameras, or go back to one page from there."""
@@ -494,8 +501,24 @@ class Session:
             self._moved = True
             self._changed.notify_all()
         pose = self._camera()
-        if self.pair is not None and pose is not None:
+        if self.pair is not None and pose is not None and self._is_new(pose):
             self.pair.camera_moved(self, pose)
+
+    def _is_new(self, pose: CameraPose) -> bool:
+        """Whether a reported pose is one that the other cells lack.
+
+        A browser reports late: until it reports the pose that it was given last, it tells of earlier ones.
+        """
+        with self._changed:
+            if self._placed is None:
+                return False
+            if self._given is None or time.monotonic() > self._given_at + LATE_S:
+                return True
+            given, own = self._given
+            if not np.allclose([pose.position, pose.look_at], [given.position, given.look_at], atol=0.01):
+                return False
+            self._given = None
+            return own
 
     def _write_link(self) -> None:
         with self._changed:

@@ -1,7 +1,6 @@
 """Pair: two cells that show one moment from one camera; what makes them differ stays each one's own."""
 
 import threading
-import time
 from collections import deque
 from dataclasses import fields, replace
 from typing import Any, Protocol
@@ -10,9 +9,6 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import CameraPose
 from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, CORRUPTIONS
-
-ECHO_S = 0.25
-"""Time for which a browser reports a pose that it was given, s."""
 
 _OWN = frozenset({"corruption", "severity", "family", "parameters", "methods", "cooperative", "detection", "versus"})
 _SHARED = tuple(field.name for field in fields(ReviewState) if field.name not in _OWN)
@@ -41,7 +37,6 @@ class Pair:
     def __init__(self) -> None:
         self.cells: list[Cell] = []
         self._given: dict[int, deque[tuple[Any, ...]]] = {}
-        self._looked_at: dict[int, float] = {}
         self._lock = threading.Lock()
 
     def add(self, cell: Cell) -> None:
@@ -69,13 +64,9 @@ class Pair:
             self._give(other, state)
 
     def camera_moved(self, cell: Cell, pose: CameraPose) -> None:
-        """Take the camera of a cell to the others, unless it has it from them."""
-        now = time.monotonic()
+        """Take the camera of a cell, which its user moved, to the others."""
         with self._lock:
-            if now < self._looked_at.get(id(cell), 0.0) + ECHO_S:
-                return
             others = [one for one in self.cells if one is not cell]
-            self._looked_at.update({id(one): now for one in others})
         for other in others:
             other.look(pose)
 

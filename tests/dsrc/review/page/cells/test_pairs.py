@@ -9,7 +9,7 @@ import pytest
 
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cells.html import OPEN_KEY, compare_address
-from dsrc.review.page.cells.pairs import ECHO_S, Pair, cells_of
+from dsrc.review.page.cells.pairs import Pair, cells_of
 from dsrc.review.page.commands import COMMANDS
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import ReviewState
@@ -59,18 +59,45 @@ def test_frames_threshold_and_selection_go_along_and_sweeps_do_not(cells):
     wait_for(lambda: left.state.frame == 5)
 
 
+def arrive(*cells):
+    """Report the poses that the browsers were given, until none is on its way."""
+
+    def reported():
+        for cell in cells:
+            given = cell.session._given
+            if given is not None:
+                cell.look_from(given[0].position.tolist(), given[0].look_at.tolist())
+                time.sleep(0.05)
+        return all(cell.session._given is None for cell in cells)
+
+    wait_for(reported)
+
+
 def test_a_camera_moves_the_other_and_no_echo_comes_back(cells):
     left, right = cells
-    time.sleep(2 * ECHO_S)
+    arrive(left, right)
     left.look_from((5.0, 6.0, 7.0), (1.0, 2.0, 0.0))
     wait_for(lambda: np.allclose(pose(right), [5.0, 6.0, 7.0]))
-    # What the other browser reports late is no motion of its user.
+    # What the other browser reports late is no motion of its user, nor is the arrival of what it was given.
     right.look_from((5.0, 6.0, 6.0), (1.0, 2.0, 0.0))
-    time.sleep(0.1)
+    right.look_from((5.0, 6.0, 7.0), (1.0, 2.0, 0.0))
+    wait_for(lambda: right.session._given is None)
     np.testing.assert_allclose(pose(left), [5.0, 6.0, 7.0])
-    time.sleep(2 * ECHO_S)
     right.look_from((0.0, 6.0, 9.0), (1.0, 2.0, 0.0))
     wait_for(lambda: np.allclose(pose(left), [0.0, 6.0, 9.0]))
+
+
+def test_where_a_browser_looked_before_it_was_placed_moves_no_other(cells):
+    left, right = cells
+    arrive(left, right)
+    left.session.place_camera("chase")
+    left.session.wait_drawn()
+    wait_for(lambda: right.session.state.camera == "chase")
+    right.session.wait_drawn()
+    placed = pose(right).copy()
+    left.look_from((3.0, 3.0, 3.0), (0.0, 0.0, 0.0))
+    time.sleep(0.2)
+    np.testing.assert_allclose(pose(right), placed)
 
 
 def test_playing_takes_the_other_along(cells):
