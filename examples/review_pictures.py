@@ -1,5 +1,6 @@
 """Pictures of the review page for its documentation, made in a real Chromium.
 
+Usage:
     python examples/review_pictures.py data/test/berlin_301 --checkpoint dsrc/checkpoints/small-dsrc.pt
 
 An episode is added with `--episode EPISODE.npz`, a log of `dsrc drive`.
