@@ -177,7 +177,6 @@ def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
         (("drive", "four_way", "--latency-s", "-0.1"), "latency_s"),
         (("drive", "four_way", "--perception", "nobody:Here"), "nobody"),
         (("drive", "four_way", "--seed", "-1", "--out", "{out}/rows.csv"), "seed"),
-        (("view", "{data}", "--picture", "{out}"), "picture"),
         (("view", "{data}", "--out", "{out}", "--frames", "0"), "frames"),
         (("view", "{data}", "--port", "99999999"), "port"),
         (("model", "train", "debug", "--data", "{data}", "--out", "{out}", "--epochs", "0"), "epochs"),

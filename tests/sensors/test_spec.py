@@ -85,7 +85,7 @@ def test_an_impossible_sensor_is_refused_with_its_name_the_field_what_was_expect
         msgspec.structs.replace(get_lidar("debug-16"), **changes)
     message = str(error.value)
     assert message.startswith(f"LidarSpec 'debug-16': {field}: expected ")
-    assert f"found {shown[:60]}" in message
+    assert f"found {shown[:40]}" in message
     assert "\n" not in message
 
 
@@ -148,7 +148,7 @@ MISTAKEN = [
 def test_a_value_of_another_type_is_refused_like_an_impossible_one(field, found, expected):
     with pytest.raises(SettingsError, match=re.escape(f"{field}: expected {expected}, found ")) as error:
         msgspec.structs.replace(get_lidar("debug-16"), **{field: found})
-    assert repr(found).replace("\n", "")[:60] in str(error.value)
+    assert " ".join(repr(found).split())[:30] in str(error.value)
     assert "\n" not in str(error.value)
 
 

@@ -46,7 +46,7 @@ def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
     ]
     trips.sort()
     body = [kind.xml() for kind in TYPES.values()] + [text for _, _, text in trips]
-    write_file(path, "<routes>\n  " + "\n  ".join(body) + "\n</routes>\n")
+    write_file(path, "<routes>\n  " + "\n  ".join(body) + "\n</routes>\n", edited=True)
     return path
 
 

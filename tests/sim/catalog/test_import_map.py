@@ -259,7 +259,7 @@ def test_a_bad_file_is_told_in_one_line_and_leaves_nothing(tmp_path: Path, name:
 
 
 def test_a_missing_file_and_a_full_folder_are_told(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match=r"gone\.osm: map: expected an existing file"):
+    with pytest.raises(ScenarioError, match=r"gone\.osm: file not found"):
         import_map(tmp_path / "gone.osm", out=tmp_path / "made")
     (tmp_path / "town.osm").write_text(town(), encoding="utf-8")
     with pytest.raises(ScenarioError, match="expected a folder that is empty"):

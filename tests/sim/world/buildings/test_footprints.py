@@ -172,5 +172,5 @@ def test_a_broken_file_is_one_line(tmp_path: Path, case: str) -> None:
 
 def test_a_missing_file_is_told(scenario: Scenario, tmp_path: Path) -> None:
     network = msgspec.structs.replace(scenario.network, polygons=str(tmp_path / "gone.poly.xml"))
-    with pytest.raises(ScenarioError, match=r"gone\.poly\.xml: not a readable"):
+    with pytest.raises(ScenarioError, match=r"gone\.poly\.xml: file not found"):
         build_world(msgspec.structs.replace(scenario, network=network), 1)
