@@ -4,6 +4,7 @@ Packages try imports with `except BaseException`, and Python drops an exception 
 would be lost. It stays pending until the stack is clear of both.
 """
 
+import atexit
 import signal
 from collections.abc import Mapping
 from types import FrameType
@@ -14,11 +15,20 @@ RETRY_S = 0.02
 _FINALISERS = ("__del__",)
 
 
+class Interrupted(KeyboardInterrupt):
+    """Signal that ends a command.
+
+    A class of its own: CPython kills a process at its end, whatever its exit code, once a plain KeyboardInterrupt has
+    left code that is compiled from text, as that of dataclasses is, although it was caught later.
+    """
+
+
 class Interrupts:
-    """Context in which SIGINT and SIGTERM raise KeyboardInterrupt, once nobody would swallow it.
+    """Context in which SIGINT and SIGTERM raise `Interrupted`, once nobody would swallow it.
 
     Args:
-        ending: the process ends with the context; further signals then end it at once, without a stack trace.
+        ending: the process ends with the context. A first signal after a finished command changes nothing; one more,
+            or one after an interrupt, ends the process at once, without a stack trace.
 
     Attributes:
         received: number of the last signal; 0 for none. It tells a swallowed interrupt from a finished command.
@@ -37,19 +47,34 @@ class Interrupts:
                 self._before = {**self._before, signal.SIGALRM: signal.signal(signal.SIGALRM, self._look_again)}
         except ValueError:  # not in the main thread, which alone has signals
             pass
+        if self._ending and self._before:
+            atexit.register(self._leave)
         return self
 
     def __exit__(self, *exc: object) -> None:
         if hasattr(signal, "setitimer") and self._before:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in self._before.items():
-            signal.signal(number, signal.SIG_DFL if self._ending else handler)
+            if not self._ending:
+                signal.signal(number, handler)
+            elif self.received:
+                signal.signal(number, signal.SIG_DFL)
 
     def settle(self) -> None:
         """Raise no more: the command has ended, and what is left to do takes a moment."""
         self._settled = True
 
+    def _leave(self) -> None:
+        # From here on Python would let a first signal kill the process of a finished command. Registered before all
+        # packages, this runs after their exits, which may wait and are to be interrupted.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if signal.getsignal(number) == self._take:
+                signal.signal(number, signal.SIG_IGN)
+
     def _take(self, number: int, frame: FrameType | None) -> None:
+        if self._settled:
+            signal.signal(number, signal.SIG_DFL)
+            return
         self.received = number
         self._look_again(number, frame)
 
@@ -59,7 +84,7 @@ class Interrupts:
         if hasattr(signal, "setitimer") and _would_be_lost(frame):
             signal.setitimer(signal.ITIMER_REAL, RETRY_S)
         else:
-            raise KeyboardInterrupt
+            raise Interrupted
 
 
 def _would_be_lost(frame: FrameType | None) -> bool:
