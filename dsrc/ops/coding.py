@@ -80,3 +80,23 @@ def headed(deltas: NDArray[np.floating], against: NDArray[np.bool_]) -> NDArray[
     yaw = turned[:, 6::7]
     yaw[(np.cos(yaw) < 0) != against] += np.pi
     return turned
+
+
+def in_half_turn(
+    deltas: NDArray[np.floating], second: NDArray[np.bool_], anchors: NDArray[np.floating], start: float
+) -> NDArray[np.floating]:
+    """Turn the boxes of (B, 14, h, w) deltas into one of the two half turns that follow a heading.
+
+    Source: the direction classes of SECOND, Sensors 2018, 18, 3337, Section 3.2.3, as PointPillars and CoAlign have
+    them.
+
+    Args:
+        deltas: headings at 6 and 13.
+        second: (B, 2, h, w) bool, True where a box heads into the second half turn.
+        anchors: (h, w, 2, 7).
+        start: heading at which the first half turn begins, rad.
+    """
+    turned = deltas.copy()
+    anchor_yaw = np.moveaxis(anchors[..., 6], -1, 0)
+    turned[:, 6::7] = (turned[:, 6::7] + anchor_yaw - start) % np.pi + start + np.pi * second - anchor_yaw
+    return turned
