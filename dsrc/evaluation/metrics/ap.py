@@ -16,6 +16,15 @@ Space = Literal["bev", "3d"]
 SPACES: tuple[Space, ...] = ("bev", "3d")
 THRESHOLDS = (0.3, 0.5, 0.7)
 
+Order = Literal["global", "frame"]
+"""Order in which detections are counted: by confidence over all frames, or frame by frame and by confidence in each."""
+Recalls = Literal["all", "all-but-first", "11", "40"]
+"""Recalls at which the falling envelope of precision is taken: the area under all of it (VOC 2010), the area from the
+recall of the first detection on (DAIR-V2X), its mean at 0, 0.1, ..., 1 (VOC 2007, KITTI until 2019) or at 1/40, ..., 1
+(KITTI since; A. Simonelli et al., ICCV 2019, section 5)."""
+MatchedBy = Literal["detections", "truth"]
+"""Who chooses: detections, the best first, or true boxes, in their order, the free one that overlaps most."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult:
@@ -58,10 +67,10 @@ class Curve:
 
     Attributes:
         ap: average precision over all detections sorted by confidence; NaN without any ground truth.
-        ap_opencood: the same over detections sorted inside their frame only, frames in their order, which is the
-            default of OpenCOOD and what DSRC's tables hold. It is OpenCOOD's order over the boxes that the frames have:
-            by default those in the detector's range without the ego's own, with the setting `judged_by = "opencood"`
-            of a detector OpenCOOD's own, within 140 m and with the ego, and then it is OpenCOOD's number.
+        ap_opencood: the same in the order "frame", which is the default of OpenCOOD and what DSRC's tables hold, over
+            the boxes that the frames have: by default those in the detector's range without the ego's own. With the
+            setting `judged_by = "opencood"` of a detector they are those of the protocol `opencood`, and it is
+            OpenCOOD's number; see `dsrc.evaluation.metrics.protocols`.
         hits: true positives.
         recall: (D,) after each detection, most confident first.
         precision: (D,) after each detection.
@@ -119,9 +128,13 @@ class Pairs(NamedTuple):
         return Pairs(self.detection[order], self.truth[order], self.iou[order])
 
     def matched(self, threshold: float, detections: int) -> NDArray[np.int64]:
-        """(detections,) true box that each detection hits, or -1, for ranked pairs of detections best first."""
+        """(detections,) true box that each detection hits, or -1, for ranked pairs of detections, the first first."""
         near = self.iou >= threshold
         return match_greedily(self.detection[near], self.truth[near], detections)
+
+    def swapped(self) -> "Pairs":
+        """Pairs with the two sides in each other's place."""
+        return Pairs(self.truth, self.detection, self.iou)
 
 
 def overlapping_pairs(found: Sequence[NDArray[np.floating]], truth: Sequence[NDArray[np.floating]]) -> Pairs:
@@ -148,7 +161,9 @@ def evaluate(results: Sequence[FrameResult], thresholds: Sequence[float] = THRES
     return evaluate_matches(match_frames(results, thresholds))
 
 
-def match_frames(results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOLDS) -> Matches:
+def match_frames(
+    results: Sequence[FrameResult], thresholds: Sequence[float] = THRESHOLDS, by: MatchedBy = "detections"
+) -> Matches:
     """Match the detections of frames with their true boxes, at positive IoU thresholds."""
     found = [frame.detections.boxes.array for frame in results]
     truth = [frame.truth.array for frame in results]
@@ -163,9 +178,14 @@ def match_frames(results: Sequence[FrameResult], thresholds: Sequence[float] = T
     overlaps = {"bev": pairs.iou, "3d": paired_volume_iou(a, b, pairs.iou)}
     matched: dict[tuple[Space, float], NDArray[np.int64]] = {}
     for space in SPACES:
-        ordered = Pairs(place[pairs.detection], pairs.truth, overlaps[space]).ranked()
+        ordered = Pairs(place[pairs.detection], pairs.truth, overlaps[space])
+        ordered = ordered.ranked() if by == "detections" else ordered.swapped().ranked()
         for threshold in thresholds:
-            matched[space, threshold] = ordered.matched(threshold, len(score))
+            if by == "detections":
+                matched[space, threshold] = ordered.matched(threshold, len(score))
+            else:
+                chosen = ordered.matched(threshold, int(_lengths(truth).sum()))
+                matched[space, threshold] = _inverse(chosen, len(score))
     return Matches(_lengths(truth), _lengths(found), score[ranked], matched)
 
 
@@ -198,6 +218,14 @@ def evaluate_matches(matches: Matches, among: NDArray[np.bool_] | None = None) -
     return EvalResult(frames=matches.frames, truth=n_truth, detections=len(matches.score), curves=curves)
 
 
+def _inverse(chosen: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """(count,) row of `chosen` that holds each number, or -1."""
+    rows = np.flatnonzero(chosen >= 0)
+    inverse = np.full(count, -1, np.int64)
+    inverse[chosen[rows]] = rows
+    return inverse
+
+
 def _lengths(boxes: list[NDArray[np.float64]]) -> NDArray[np.int64]:
     return np.array([len(array) for array in boxes], np.int64)
 
@@ -214,16 +242,21 @@ def curve_of(hit: NDArray[np.bool_], score: NDArray[np.float32], n_truth: int) -
         score: confidence.
         n_truth: number of true boxes.
     """
-    order = np.argsort(-score, kind="stable")
-    recall, precision = precision_recall(hit[order], n_truth)
+    rows = rank(score, "global")
+    recall, precision = precision_recall(hit[rows], n_truth)
     return Curve(
         ap=average_precision(recall, precision, n_truth),
-        ap_opencood=average_precision(*precision_recall(hit, n_truth), n_truth),
+        ap_opencood=average_precision(*precision_recall(hit[rank(score, "frame")], n_truth), n_truth),
         hits=int(hit.sum()),
         recall=recall,
         precision=precision,
-        score=score[order],
+        score=score[rows],
     )
+
+
+def rank(score: NDArray[np.float32], order: Order) -> NDArray[np.int64]:
+    """(D,) rows of detections, given frame by frame and in each the best first, in the order they are counted."""
+    return np.argsort(-score, kind="stable") if order == "global" else np.arange(len(score))
 
 
 def precision_recall(hit: NDArray[np.bool_], n_truth: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -241,9 +274,16 @@ def envelope(
     return recall, np.maximum.accumulate(precision[::-1])[::-1]
 
 
-def average_precision(recall: NDArray[np.float64], precision: NDArray[np.float64], n_truth: int) -> float:
-    """Average precision: area under the envelope at every recall (VOC 2010); NaN without ground truth."""
+def average_precision(
+    recall: NDArray[np.float64], precision: NDArray[np.float64], n_truth: int, recalls: Recalls = "all"
+) -> float:
+    """Average precision: that of the envelope at the given recalls; NaN without ground truth."""
     if n_truth == 0:
         return float("nan")
     recall, precision = envelope(recall, precision)
-    return float(np.sum(np.diff(recall) * precision[1:]))
+    if recalls in ("11", "40"):
+        # Quotients, as recalls are: equal fractions are equal numbers.
+        at = np.arange(11) / 10 if recalls == "11" else np.arange(1, 41) / 40
+        return float(precision[np.searchsorted(recall, at)].mean())
+    steps = np.diff(recall) * precision[1:]
+    return float(steps[1:].sum() if recalls == "all-but-first" else steps.sum())

@@ -55,14 +55,14 @@ def test_every_detection_of_the_golden_frames_is_judged_as_released():
             np.testing.assert_array_equal(hit, golden[f"tp_{digit}/{i}"].astype(bool), err_msg=f"{i} {digit}")
 
 
-def test_ap_equals_the_released_one_in_both_orders():
+def test_ap_equals_the_released_one_to_twelve_digits_in_both_orders():
     expected = json.loads((GOLDENS / "ap.json").read_text())["results"]
     golden, frames = golden_frames()
     result = evaluate(frames)
     for digit in (3, 5, 7):
         curve, want = result.curves["bev", digit / 10], expected[str(digit / 10)]
-        assert curve.ap == pytest.approx(want["ap_global"], abs=1e-9)
-        assert curve.ap_opencood == pytest.approx(want["ap_local"], abs=1e-9)
+        assert curve.ap == pytest.approx(want["ap_global"], rel=1e-12)
+        assert curve.ap_opencood == pytest.approx(want["ap_local"], rel=1e-12)
         assert (result.truth, result.detections, curve.hits) == (want["gt"], want["n_det"], want["tp"])
         recall, precision = envelope(curve.recall, curve.precision)
         np.testing.assert_allclose(recall, golden[f"curve_{digit}_global/rec"], atol=1e-9)
@@ -192,3 +192,51 @@ def test_without_detections_ap_is_0_and_without_truth_it_is_undefined():
 def test_metrics_are_named_by_order_space_and_threshold():
     assert metric_name("bev", 0.5) == "ap_bev_50"
     assert metric_name("3d", 0.7, opencood=True) == "ap_opencood_3d_70"
+
+
+def curve(hits, n_truth):
+    return *precision_recall(np.array(hits, bool), n_truth), n_truth
+
+
+def test_the_recalls_of_kitti_by_hand():
+    # Hit, miss, hit of four objects: precision 1 up to recall 1/4, 2/3 up to 1/2, 0 beyond.
+    found = curve([1, 0, 1], 4)
+    assert average_precision(*found, "11") == pytest.approx((3 * 1.0 + 3 * 2 / 3) / 11)  # 0 .1 .2, .3 .4 .5
+    assert average_precision(*found, "40") == pytest.approx((10 * 1.0 + 10 * 2 / 3) / 40)  # up to 10/40, up to 20/40
+    assert average_precision(*found) == pytest.approx(1 / 4 + 2 / 3 / 4)
+    # One hit of many objects is worth a point of the eleven, none of the forty.
+    lucky = curve([1], 1000)
+    assert average_precision(*lucky, "11") == pytest.approx(1 / 11) and average_precision(*lucky, "40") == 0.0
+
+
+@pytest.mark.parametrize("n_truth", [3, 7, 10, 20, 40, 120])
+def test_a_perfect_detector_has_every_recall(n_truth):
+    perfect = curve([1] * n_truth, n_truth)
+    assert average_precision(*perfect) == average_precision(*perfect, "11") == average_precision(*perfect, "40") == 1.0
+    # DAIR-V2X's area begins at the first detection: its share of the objects is lost.
+    assert average_precision(*perfect, "all-but-first") == pytest.approx(1 - 1 / n_truth)
+
+
+@pytest.mark.parametrize("recalls", ["all", "all-but-first", "11", "40"])
+def test_no_detections_and_no_objects(recalls):
+    assert average_precision(*curve([], 5), recalls) == 0.0
+    assert math.isnan(average_precision(*curve([0], 0), recalls))
+
+
+def test_true_boxes_that_choose_first_take_the_nearest_detection():
+    truth = Boxes.from_array([[0, 0, 0, 4, 2, 1.5, 0], [1.0, 0, 0, 4, 2, 1.5, 0]])
+    # The best detection lies nearer to the second object, the other one nearer to it too.
+    found = Detections(
+        Boxes.from_array([[0.6, 0, 0, 4, 2, 1.5, 0], [1.0, 0, 0, 4, 2, 1.5, 0]]), np.array([0.9, 0.8], np.float32)
+    )
+    frames = [FrameResult(found, truth)]
+    assert match_frames(frames).matched["bev", 0.7].tolist() == [1, -1]
+    assert match_frames(frames, by="truth").matched["bev", 0.7].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_object_or_none_gives_the_same_matches_whoever_chooses(seed):
+    frames = [FrameResult(f.detections, f.truth[:1]) for f in random_frames(np.random.default_rng(seed), 12)]
+    ours, theirs = match_frames(frames), match_frames(frames, by="truth")
+    for key, matched in ours.matched.items():
+        assert ((matched >= 0).sum(), (theirs.matched[key] >= 0).sum()) == ((matched >= 0).sum(),) * 2
