@@ -291,7 +291,7 @@ def _output(detector: Detector, sample: Sample) -> Output:
 
 @torch.inference_mode()
 def vehicle_evidence(detector: Detector, sample: Sample, *, fused: bool = True) -> NDArray[np.float32]:
-    """(h, w) evidence for a vehicle in each cell, logits, at least 0.
+    """(h, w) evidence for a vehicle in each cell of the grid, y upwards and x to the right, logits, at least 0.
 
     The sum over the channels c of relu(w_c f_c), with f the feature after the shrink convolutions and w the weights of
     the class head, for the cell's anchor with the larger sum. The logit is this plus the negative terms and the bias.
@@ -307,7 +307,9 @@ def vehicle_evidence(detector: Detector, sample: Sample, *, fused: bool = True) 
         output = detector.heads(output.stages, [own[:1] for own in detector.maps(output.stages)])
     weight = detector.cls_head.weight[:, :, 0, 0]
     by_anchor = (weight[:, :, None, None] * output.fused[:1]).relu().sum(1)
-    return by_anchor.amax(0).float().cpu().numpy()
+    evidence = by_anchor.amax(0).float().cpu().numpy()
+    # The maps of a network that was trained in the mirror image have y to the right.
+    return np.ascontiguousarray(evidence[::-1]) if detector.settings.left_handed else evidence
 
 
 @torch.inference_mode()

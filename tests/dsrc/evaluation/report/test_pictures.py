@@ -39,6 +39,7 @@ from dsrc.evaluation.report.pictures import (
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate
+from dsrc.models.inputs.trained_frame import as_trained
 from dsrc.models.storage.checkpoint import save_detector, with_fusion
 from dsrc.ops.detections import Detections
 from dsrc.ops.iou import bev_iou
@@ -251,6 +252,15 @@ def test_evidence_before_fusion_is_the_egos_own(drawn_frame):
         alone, vehicle_evidence(with_fusion(detector, "none"), drawn_frame.sample), rtol=1e-4, atol=1e-5
     )
     assert not np.allclose(alone, vehicle_evidence(detector, drawn_frame.sample), rtol=0.01)
+
+
+def test_evidence_of_a_network_of_the_mirror_image_lies_where_the_vehicles_are(drawn_frame):
+    detector = make_detector("dsrc")
+    left = copy.deepcopy(detector)
+    left.settings = replace(detector.settings, left_handed=True)
+    # Seen in a mirror, what the network finds is where it was, seen in a mirror.
+    there = vehicle_evidence(left, as_trained(drawn_frame.sample, left.settings))
+    np.testing.assert_allclose(there[::-1], vehicle_evidence(detector, drawn_frame.sample), atol=1e-4)
 
 
 def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(drawn_frame):
