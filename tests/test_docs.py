@@ -14,6 +14,9 @@ from PIL import Image
 from dsrc.cli.demo import SCENARIO, TEST_SEED
 from dsrc.cli.main import COMMANDS, command_class
 from dsrc.cli.options import parse
+from dsrc.models.compression import message_bytes
+from dsrc.models.fusion import FUSIONS
+from dsrc.training.recipes import METHODS, of_method, opv2v, small
 from tests.paths import ROOT
 from tests.test_readme import commands_of
 
@@ -84,6 +87,19 @@ def test_every_command_of_a_tutorial_parses(page: Path) -> None:
         if not isinstance(found, str):
             found = found[words.pop(0)]
         parse(command_class(found), "dsrc", words)
+
+
+def test_the_page_of_models_has_every_method_with_the_bytes_that_it_sends() -> None:
+    page = (ROOT / "docs/models.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`[^|]*) \|[^|]*\| ([\d,–]+) \| ([\d,–]+) \|$", page, re.MULTILINE)
+    found = {name: sizes for names, *sizes in rows for name in re.findall(r"`([\w-]+)`", names)}
+    assert set(found) == set(METHODS)
+    for name, sizes in found.items():
+        for recipe, size in zip((opv2v(), small()), sizes, strict=True):
+            model = of_method(recipe, name).model
+            fusion = FUSIONS[model.fusion]
+            sent = message_bytes(model, fusion.values_sent(model), fusion.channels_sent(model))
+            assert size == ("–" if name in ("early", "late") else f"{sent:,}"), (name, recipe.name)
 
 
 @pytest.mark.slow
