@@ -26,14 +26,11 @@ MOST_M = 0.01
 
 
 def main() -> None:
-    description, _, usage = (__doc__ or "").partition("\n\n")
-    parser = argparse.ArgumentParser(
-        description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser()
     parser.add_argument("data", type=Path, help="folder of drives that `dsrc generate` wrote")
     parser.add_argument("--opencood", type=Path, required=True, help="checkout with a package opencood")
     parser.add_argument("--frames", type=int, default=10, help="frames of each drive, evenly spread; default: 10")
-    options = parser.parse_args()
+    options = parsed(parser, __doc__)
     sys.path.insert(0, str(options.opencood.resolve()))
     base = importlib.import_module("opencood.data_utils.datasets.basedataset").BaseDataset
     settings = {"data_augment": [], "root_dir": str(options.data), "validate_dir": str(options.data)}
@@ -48,12 +45,23 @@ def main() -> None:
         for row in rows.tolist():
             compare(drive.read(row), theirs.retrieve_base_data(first + row), totals)
         first += len(drive)
+    told(totals)
+
+
+def parsed(parser: argparse.ArgumentParser, text: str | None) -> argparse.Namespace:
+    """Return the options of a command line; a script's text is its help."""
+    parser.description, _, parser.epilog = (text or "").partition("\n\n")
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    return parser.parse_args()
+
+
+def told(totals: Mapping[str, float]) -> None:
+    """Print the totals and exit, with 1 where points or agents differ, or anything by more than 1 cm."""
     for name, value in totals.items():
         print(f"{name:45s} {value:g}")
     worst = max(value for name, value in totals.items() if name.endswith("m"))
-    sys.exit(
-        int(totals.get("frames of other agents", 0) + totals.get("sweeps of other points", 0) > 0 or worst > MOST_M)
-    )
+    others = totals.get("frames of other agents", 0) + totals.get("sweeps of other points", 0)
+    sys.exit(int(others > 0 or worst > MOST_M))
 
 
 def compare(ours: dsrc.Frame, theirs: Mapping[str, Mapping[str, Any]], totals: dict[str, float]) -> None:
