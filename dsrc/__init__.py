@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from dsrc.closed_loop.perception.open import open_perception
     from dsrc.closed_loop.replay import look_again
     from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tracks
+    from dsrc.data.clouds.corrupt import corrupt
+    from dsrc.data.clouds.transform import CorruptTransform
     from dsrc.data.drives import Drive, open_drive, open_drives
     from dsrc.data.frames import simulate_frames
     from dsrc.data.sample import Sample, make_sample
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     from dsrc.ops.detections import Detections
     from dsrc.options.detection import Evaluation
     from dsrc.review.page.export import export_html
-    from sensors.corruptions import check_corruption, corrupt, corrupt_frame, kinds_of, register_corruption
+    from sensors.corruptions import check_corruption, corrupt_frame, kinds_of, register_corruption
     from sensors.deskew import deskew
     from sensors.frame import AgentFrame, Frame
     from sensors.presets import get_lidar, register_sensor
@@ -61,6 +63,8 @@ _MODULES = {
     "dsrc.closed_loop.types": ("Decision", "EgoState", "Outcome", "Percept", "Tracks"),
     "dsrc.data.drives": ("Drive", "open_drive", "open_drives"),
     "dsrc.data.frames": ("simulate_frames",),
+    "dsrc.data.clouds.corrupt": ("corrupt",),
+    "dsrc.data.clouds.transform": ("CorruptTransform",),
     "dsrc.data.sample": ("Sample", "make_sample"),
     "dsrc.data.write": ("generate",),
     "dsrc.evaluation.evaluate": ("evaluate_drives",),
@@ -72,7 +76,7 @@ _MODULES = {
     "dsrc.ops.detections": ("Detections",),
     "dsrc.options.detection": ("Evaluation",),
     "dsrc.review.page.export": ("export_html",),
-    "sensors.corruptions": ("check_corruption", "corrupt", "corrupt_frame", "kinds_of", "register_corruption"),
+    "sensors.corruptions": ("check_corruption", "corrupt_frame", "kinds_of", "register_corruption"),
     "sensors.deskew": ("deskew",),
     "sensors.frame": ("AgentFrame", "Frame"),
     "sensors.presets": ("get_lidar", "register_sensor"),
@@ -123,6 +127,7 @@ __all__ = [
     "load_detector",
     "Detector",
     "detect",
+    "CorruptTransform",
     "Detections",
     "Sample",
     "make_sample",

@@ -18,6 +18,7 @@ from sensors.corruptions.apply import (
 )
 from sensors.corruptions.check import check_corruption
 from sensors.corruptions.physics.levels import DEFAULT_SEVERITY, SEVERITIES
+from sensors.corruptions.presets import PRESETS, preset_settings
 from sensors.corruptions.registry import (
     CLEAN,
     CORRUPTIONS,
@@ -38,6 +39,7 @@ __all__ = [
     "EVERYONE",
     "FAMILIES",
     "PAPER_SIX",
+    "PRESETS",
     "SEVERITIES",
     "Corruption",
     "Family",
@@ -49,6 +51,7 @@ __all__ = [
     "drive_seed",
     "kinds_of",
     "parse_who",
+    "preset_settings",
     "register_corruption",
     "require_corruption",
     "require_family",

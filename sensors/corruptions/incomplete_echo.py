@@ -64,7 +64,7 @@ def corrupt(
     """
     if on_vehicle is None:
         note_unlabelled(sweep, "ids of objects, or a frame with their boxes (corrupt_frame)")
-        on_vehicle = _on_vehicles(sweep)
+        on_vehicle = on_vehicles(sweep)
     on = np.flatnonzero(on_vehicle)
     speckle = rng.gamma(_SPECKLE_CELLS, 1.0, len(on))
     lost = int(settings.share * len(on))
@@ -81,7 +81,8 @@ def in_frame(frame: Frame, row: int, settings: IncompleteEcho, rng: np.random.Ge
     return corrupt(frame.agents[row].sweep, settings, rng, points_on_vehicles(frame, row))
 
 
-def _on_vehicles(sweep: Sweep) -> NDArray[np.bool_]:
+def on_vehicles(sweep: Sweep) -> NDArray[np.bool_]:
+    """Return the (P,) mask of points on objects without a person's materials."""
     of_person = np.zeros(UNKNOWN_MATERIAL + 1, bool)
     of_person[list(_OF_PEOPLE)] = True
     return (sweep.object_id >= 0) & ~of_person[sweep.material]

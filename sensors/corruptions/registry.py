@@ -91,6 +91,7 @@ class Corruption:
         steady: its draws stay the same over a drive.
         weather: shared by all agents, and drifting.
         spares_ego: the ego keeps its sweep: the corruption is an error relative to it.
+        of_objects: acts on objects, or by them: nothing happens to points of which none is known to be on one.
     """
 
     settings: SeverityTable
@@ -102,6 +103,7 @@ class Corruption:
     steady: bool = False
     weather: bool = False
     spares_ego: bool = False
+    of_objects: bool = False
 
     @property
     def level(self) -> Level:
@@ -166,11 +168,12 @@ CORRUPTIONS: Registry[Corruption] = Registry(
             paper_settings=paper_incomplete_echo.PaperIncompleteEcho,
             paper_apply=paper_incomplete_echo.corrupt,
             paper_in_frame=paper_incomplete_echo.in_frame,
+            of_objects=True,
         ),
         "rain": Corruption(
             rain.Rain, rain.corrupt, paper_settings=paper_rain.PaperRain, paper_apply=paper_rain.corrupt, weather=True
         ),
-        "spray": Corruption(spray.Spray, in_frame=spray.corrupt, weather=True),
+        "spray": Corruption(spray.Spray, in_frame=spray.corrupt, weather=True, of_objects=True),
         "pose_error": Corruption(pose_error.PoseError, in_frame=pose_error.in_frame, steady=True, spares_ego=True),
         "clock_offset": Corruption(
             clock_offset.ClockOffset, in_frame=clock_offset.in_frame, steady=True, spares_ego=True

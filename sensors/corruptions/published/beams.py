@@ -21,7 +21,8 @@ n-th point by azimuth.
 | one point kept of     | 1  | 1                     | 2         | 2                | 4  |
 
 Robo3D's light, moderate and heavy delete 16, 32, 48 (nuScenes 8, 16, 24) and keep every second point; moderate is what
-DSRC does. Cross sensor has no randomness.
+DSRC does, and what CoopDiff calls electromagnetic interference (EMI). MultiCorrupt keeps every second, fourth or eighth
+ring whole, from the second lowest on. Cross sensor has no randomness.
 """
 
 from typing import ClassVar, Literal
@@ -71,15 +72,17 @@ class PaperCrossSensor(SeveritySettings, frozen=True, kw_only=True):
         keep_one_of: n: every n-th point is kept.
         method: `list` deletes rings and thins the list of the rest (DSRC, Robo3D); `azimuth` keeps every n-th ring from
             the lowest on, n the share that remains, and thins each by azimuth (LiDAR-Distillation).
+        first: lowest ring that `azimuth` keeps, 0 = bottom.
         rings: source of the points' rings.
     """
 
     LEVELS: ClassVar = {"rings_of_64": DELETED_OF_64, "keep_one_of": KEEP_ONE_OF}
-    RANGES: ClassVar = {"rings_of_64": (0, 63), "keep_one_of": (1, 1000)}
+    RANGES: ClassVar = {"rings_of_64": (0, 63), "keep_one_of": (1, 1000), "first": (0, 63)}
 
     rings_of_64: int = 32
     keep_one_of: int = 2
     method: Literal["list", "azimuth"] = "list"
+    first: int = 0
     rings: RingSource = "sweep"
 
 
@@ -94,6 +97,10 @@ PUBLISHED_BEAM_MISSING: dict[str, PaperBeamMissing] = {
 
 PUBLISHED_CROSS_SENSOR: dict[str, PaperCrossSensor] = {
     "dsrc": PaperCrossSensor(rings="azimuth_wrap"),
+    "coopdiff_emi": PaperCrossSensor(rings="azimuth_wrap"),
+    "multicorrupt_1": PaperCrossSensor(rings_of_64=32, keep_one_of=1, method="azimuth", first=1),
+    "multicorrupt_2": PaperCrossSensor(rings_of_64=48, keep_one_of=1, method="azimuth", first=1),
+    "multicorrupt_3": PaperCrossSensor(rings_of_64=56, keep_one_of=1, method="azimuth", first=1),
     "robo3d_light": PaperCrossSensor(rings_of_64=16),
     "robo3d_moderate": PaperCrossSensor(rings_of_64=32),
     "robo3d_heavy": PaperCrossSensor(rings_of_64=48),
@@ -174,5 +181,5 @@ def _thinned_by_azimuth(
     sorted_ring = ring[order]
     place = np.arange(len(order)) - np.searchsorted(sorted_ring, sorted_ring)
     kept = np.zeros(len(points), bool)
-    kept[order] = ((rings - 1 - sorted_ring) % every == 0) & (place % settings.keep_one_of == 0)
+    kept[order] = ((rings - 1 - sorted_ring) % every == settings.first % every) & (place % settings.keep_one_of == 0)
     return kept

@@ -109,6 +109,9 @@ PUBLISHED: dict[str, PaperFog] = {
     "robo3d_light": PaperFog(backscatter=0.008),
     "robo3d_moderate": PaperFog(backscatter=0.05),
     "robo3d_heavy": PaperFog(backscatter=0.2),
+    "multicorrupt_1": PaperFog(extinction=0.02, backscatter=0.008, scale=255.0, rounded=True),
+    "multicorrupt_2": PaperFog(extinction=0.03, backscatter=0.008, scale=255.0, rounded=True),
+    "multicorrupt_3": PaperFog(extinction=0.06, backscatter=0.05, scale=255.0, rounded=True),
     **{f"hahner_{alpha:g}": hahner(alpha) for alpha in (0.005, 0.01, 0.02, 0.03, 0.06, 0.1, 0.12, 0.15, 0.2)},
 }
 

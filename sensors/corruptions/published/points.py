@@ -11,7 +11,8 @@ Formulas, with g drawn per point and column from N(0, 1):
 
 * motion blur: p + s g, on the coordinates in DSRC's text, on the intensity too (`columns="all"`) in its code. Robo3D
   (`shared`): one N(0, s) per axis for the whole frame, and 0.1 s g (z: 0.05 s g) clipped at 3 s, which never happens;
-  s = 0.2, 0.25, 0.3 m for SemanticKITTI, 0.04, 0.08, 0.1 m for KITTI. The model has no motion and no time.
+  s = 0.2, 0.25, 0.3 m for SemanticKITTI, 0.04, 0.08, 0.1 m for KITTI. MultiCorrupt: the same with 0.06, 0.1, 0.13 m,
+  and 0.15, 0.2, 0.12 s g along x, y, z. The model has no motion and no time.
 * crosstalk: int(share P) points drawn without replacement, p + 3 g, on all columns, the intensity included, of which
   then half are beyond [0, 1]. (DSRC changes its input in place; this module does not.)
 
@@ -33,7 +34,6 @@ Columns = Literal["coordinates", "all"]
 BLUR_M = (0.08, 0.1, 0.2, 0.25, 0.3)
 CROSSTALK_SHARE = (0.006, 0.008, 0.01, 0.016, 0.02)
 
-_OWN_JITTER = (0.1, 0.1, 0.05)
 _JITTER_CLIP = 3.0
 
 
@@ -43,7 +43,8 @@ class PaperMotionBlur(SeveritySettings, frozen=True, kw_only=True):
     Attributes:
         deviation_m: s.
         columns: columns with noise.
-        shared: one offset for the whole frame, a tenth of it per point (Robo3D); coordinates only.
+        shared: one offset for the whole frame, and `own` of its deviation per point (Robo3D); coordinates only.
+        own: deviation of a point along x, y, z as a share of `deviation_m`.
     """
 
     LEVELS: ClassVar = {"deviation_m": BLUR_M}
@@ -52,6 +53,7 @@ class PaperMotionBlur(SeveritySettings, frozen=True, kw_only=True):
     deviation_m: float = 0.2
     columns: Columns = "coordinates"
     shared: bool = False
+    own: tuple[float, float, float] = (0.1, 0.1, 0.05)
 
 
 class PaperCrosstalk(SeveritySettings, frozen=True, kw_only=True):
@@ -81,6 +83,9 @@ PUBLISHED_MOTION_BLUR: dict[str, PaperMotionBlur] = {
     "robo3d_semantickitti_moderate": PaperMotionBlur(deviation_m=0.25, shared=True),
     "robo3d_semantickitti_heavy": PaperMotionBlur(deviation_m=0.30, shared=True),
     "robo3d_nuscenes_light": PaperMotionBlur(deviation_m=0.20, shared=True),
+    "multicorrupt_1": PaperMotionBlur(deviation_m=0.06, shared=True, own=(0.15, 0.2, 0.12)),
+    "multicorrupt_2": PaperMotionBlur(deviation_m=0.10, shared=True, own=(0.15, 0.2, 0.12)),
+    "multicorrupt_3": PaperMotionBlur(deviation_m=0.13, shared=True, own=(0.15, 0.2, 0.12)),
 }
 
 PUBLISHED_CROSSTALK: dict[str, PaperCrosstalk] = {
@@ -111,7 +116,7 @@ def apply_motion_blur(cloud: Cloud, settings: PaperMotionBlur, rng: RandomSource
     if not settings.shared:
         return _plus(cloud, rng.normal(0.0, s, (len(cloud), _width(cloud, settings.columns))))
     frame = rng.normal(0.0, s, 3)
-    own = rng.normal(0.0, s, (3, len(cloud))).T * np.array(_OWN_JITTER)
+    own = rng.normal(0.0, s, (3, len(cloud))).T * np.array(settings.own)
     return _plus(cloud, frame + np.clip(own, -_JITTER_CLIP * s, _JITTER_CLIP * s))
 
 

@@ -84,7 +84,7 @@ _WEAK_LASERS, _WEAK = (53, 55, 56, 58), 230.0
 _CELLS = 4_000_000
 _UNCALIBRATED = (
     "snow, paper: expected PaperSnow.calibration, an npz file of the HDL-64E's focus, found none: about 22 % of the "
-    "points are lost where the release, which has it, loses 5 %"
+    "points are lost where the release, which has it, loses 5 % (`dsrc corrupt ... --set calibration=FILE`)"
 )
 
 
@@ -133,6 +133,9 @@ PUBLISHED: dict[str, PaperSnow] = {
     "robo3d_light": PaperSnow(last_bin=True, darkest=True),
     "robo3d_moderate": PaperSnow(snowfall_mm_h=1.0, fall_speed_mps=1.6, last_bin=True, darkest=True),
     "robo3d_heavy": PaperSnow(snowfall_mm_h=2.5, fall_speed_mps=1.6, last_bin=True, darkest=True),
+    "multicorrupt_1": PaperSnow(snowfall_mm_h=0.5, fall_speed_mps=1.2, last_bin=True, rings="sweep"),
+    "multicorrupt_2": PaperSnow(snowfall_mm_h=2.5, fall_speed_mps=1.6, last_bin=True, rings="sweep"),
+    "multicorrupt_3": PaperSnow(snowfall_mm_h=1.5, fall_speed_mps=0.4, last_bin=True, rings="sweep"),
     "hahner_repaired": PaperSnow(own_power=True, last_bin=True, darkest=True, whole_seam=True, silent_stay=True),
 }
 

@@ -15,11 +15,12 @@ with refractive indices 1.0003 and 1.33, and T_wa = T_aw, R_wa = R_aw as at an i
 | water, mm     | 0.2 | 0.5 | 1.0                         | 1.2              | 1.2 |
 | noise factor  | 0.7 | 0.7 | 0.7                         | 0.7              | 1.0 |
 
-1.2 mm fill the pavement, and more water changes nothing here. Robo3D has 0.2, 1.0 and 1.2 mm with noise factors of 0.2
-(KITTI), 0.3, 0.3, 0.7 (SemanticKITTI) and 0.2, 0.3, 0.7 (nuScenes), and takes the ground from labels for the latter two
-(`labelled`; here from the points' materials, or the plane below the sensor where they have none). Both KITTIs have
-intensities of 0 to 1 (`scale`), of which hardly any reach the noise line's bins, so that its level is far above all the
-rest: most ground is lost.
+1.2 mm fill the pavement, and more water changes nothing here: so CoopDiff's "water" of 1.5 mm, with a noise factor of
+0.25, intensities of 0 to 1 and bins from 0 instead of 5, is this kind at 1.2 mm. Robo3D has 0.2, 1.0 and 1.2 mm with
+noise factors of 0.2 (KITTI), 0.3, 0.3, 0.7 (SemanticKITTI) and 0.2, 0.3, 0.7 (nuScenes), and takes the ground from
+labels for the latter two (`labelled`; here from the points' materials, or the plane below the sensor where they have
+none). Both KITTIs have intensities of 0 to 1 (`scale`), of which hardly any reach the noise line's bins, so that its
+level is far above all the rest: most ground is lost.
 
 Quirks: the plane is sought in a strip 6 m wide straight ahead (`ground`), so behind a lorry there is none, and nothing
 gets wet; t is divided by the angle in radians, not its cosine; thickness and absorption of the film do not matter; with
@@ -91,6 +92,7 @@ PUBLISHED: dict[str, PaperWetGround] = {
     "robo3d_nuscenes_light": PaperWetGround(water_mm=0.2, noise_factor=0.2, labelled=True),
     "robo3d_nuscenes_moderate": PaperWetGround(water_mm=1.0, noise_factor=0.3, labelled=True),
     "robo3d_nuscenes_heavy": PaperWetGround(water_mm=1.2, noise_factor=0.7, labelled=True),
+    "coopdiff_water": PaperWetGround(water_mm=1.5, noise_factor=0.25, scale=1.0),
 }
 
 

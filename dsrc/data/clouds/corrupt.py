@@ -1,0 +1,163 @@
+"""Corruption of single clouds, without a drive around them.
+
+A cloud is taken for a frame of a drive with one agent, id 0, whose sensor is the origin: it gets the bytes that
+`corrupt_frame` gives that frame. Kinds that act on objects need boxes, or a mask of the points on vehicles.
+"""
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dsrc.data.clouds.cloud import Cloud
+from sensors.corruptions import CLEAN, CORRUPTIONS, Family, corrupt_frame, preset_settings, require_corruption
+from sensors.corruptions.incomplete_echo import on_vehicles
+from sensors.frame import AgentFrame, Frame
+from sensors.presets import get_lidar
+from sensors.spec import LidarSpec
+from sensors.sweep import Sweep
+from sim.boxes import Boxes
+from sim.errors import DataError, SettingsError, complaint
+
+Points = TypeVar("Points", NDArray[np.generic], Sweep)
+
+INTERVAL_S = 0.1
+"""Time from one frame to the next."""
+SPEED_MPS = 10.0
+"""Assumed speed of a sensor, for which the shares of `motion_blur` are set."""
+
+
+def corrupt(
+    points: Points,
+    kind: str,
+    severity: int = 3,
+    seed: int = 0,
+    *,
+    sensor: str | LidarSpec | None = None,
+    boxes: ArrayLike | None = None,
+    on_vehicle: NDArray[np.bool_] | None = None,
+    ring: int | None = None,
+    family: Family = "physical",
+    preset: str | None = None,
+    index: int = 0,
+    speed: float = SPEED_MPS,
+) -> Points:
+    """Corrupt one cloud: an array of points of any data set, or a sweep.
+
+    Args:
+        points: (P, C) x forward, y left, z up in the sensor frame, m; intensity from 0 to 1 or to 255 where C > 3; or
+            a `Sweep`. Further columns stay with their points and are 0 in added ones.
+        kind: key of `sensors.corruptions.CORRUPTIONS`, or `clean`.
+        severity: 1 to 5; 3 is the DSRC paper's.
+        seed: of the drive; its weather and its faults that stay are the same for all `index`.
+        sensor: LiDAR or name of a preset; None finds rings by elevation where a kind needs them, and takes the
+            HDL-64E's detection limit. A sweep has its own.
+        boxes: (M, 7) x, y, z, l, w, h, yaw of the vehicles in the sensor frame, centres, m and rad; or (M, 9) with
+            velocities x, y, m/s.
+        on_vehicle: (P,) mask of the points on vehicles, instead of boxes.
+        ring: column of the beam index, from the top or from the bottom; None where there is none.
+        family: of the settings: physical causes or published models.
+        preset: published settings by name in place of `severity` and `family`, see `sensors.corruptions.PRESETS`.
+        index: number of the frame, 0.1 s apart.
+        speed: of the sensor along x, m/s; for `motion_blur`.
+
+    Returns:
+        (Q, C) array of the type of `points`, or a sweep.
+
+    Raises:
+        SettingsError: an unknown kind, severity, family, preset or sensor, or a kind that needs boxes or other agents.
+        DataError: points, boxes or rings of a wrong shape or value, or the cloud lacks what the kind needs.
+    """
+    settings = None
+    if preset is not None:
+        family, settings = preset_settings(kind, preset)
+    frame: dict[str, Any] = {"family": family, "settings": settings, "boxes": boxes, "index": index, "speed": speed}
+    if isinstance(points, Sweep):
+        labelled = bool((points.object_id >= 0).any())
+        return corrupt_sweep(points, kind, severity, seed, labelled=labelled, **frame)
+    cloud = cloud_of(points, ring)
+    spec = get_lidar(sensor) if isinstance(sensor, str) else sensor
+    if on_vehicle is not None and np.shape(on_vehicle) != (len(cloud),):
+        raise DataError(complaint("corrupt", "on_vehicle", f"a mask of shape ({len(cloud)},)", np.shape(on_vehicle)))
+    before = cloud.sweep(spec, on_vehicle)
+    after = corrupt_sweep(before, kind, severity, seed, labelled=on_vehicle is not None, **frame)
+    return array_of(cloud.of(after), np.asarray(points).dtype)
+
+
+def cloud_of(points: ArrayLike, ring: int | None = None) -> Cloud:
+    """Return an array of points as a cloud; DataError for another shape or type.
+
+    Args:
+        points: (P, C) x, y, z, intensity where C > 3, anything.
+        ring: column of the beam index.
+    """
+    rows = np.ascontiguousarray(points)
+    if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind != "f":
+        found = f"{rows.dtype} {rows.shape}"
+        raise DataError(complaint("points", "shape", "floats of shape (P, 3), (P, 4) or more columns", found))
+    if ring is not None and not 3 <= ring < rows.shape[1]:
+        raise SettingsError(complaint("corrupt", "ring", f"a column from 3 to {rows.shape[1] - 1}", ring))
+    names = [str(column) for column in range(rows.shape[1])]
+    table = rows.view([(name, rows.dtype) for name in names])[:, 0]
+    intensity = "3" if len(names) > 3 and ring != 3 else None
+    return Cloud(table, ("0", "1", "2"), intensity, None if ring is None else str(ring))
+
+
+def array_of(table: NDArray[np.void], dtype: np.dtype) -> NDArray[np.generic]:
+    """Return (P, C) array of a table whose columns are all of one type."""
+    return np.ascontiguousarray(table).view(dtype).reshape(len(table), len(table.dtype.names or ()))
+
+
+def corrupt_sweep(
+    sweep: Sweep,
+    kind: str,
+    severity: int,
+    seed: int,
+    *,
+    family: Family = "physical",
+    settings: Any = None,
+    boxes: ArrayLike | None = None,
+    labelled: bool = False,
+    index: int = 0,
+    time_s: float | None = None,
+    speed: float = SPEED_MPS,
+) -> Sweep:
+    """Return a sweep under a corruption, as that of the only agent of a frame.
+
+    Arguments and errors are those of `corrupt`. Ids of a `labelled` sweep tell which points are on objects; `settings`
+    are in place of those of the severity; `time_s` is that of the frame, s, None for 0.1 s times its number.
+    """
+    require_corruption(kind, severity, family)
+    if kind == CLEAN:
+        return sweep
+    time_s = INTERVAL_S * index if time_s is None else time_s
+    truth, velocity = _truth(sweep, boxes, labelled)
+    corruption = CORRUPTIONS[kind]
+    where = f"corruption '{kind}'"
+    if corruption.spares_ego:
+        raise SettingsError(complaint(where, "points", "frames of several agents, as in a drive", "a single cloud"))
+    if corruption.of_objects and len(truth) == 0 and boxes is None and not labelled:
+        raise SettingsError(complaint(where, "boxes", "boxes of the vehicles, or labels of the points", "none"))
+    if corruption.apply is None and not velocity.any() and len(truth):
+        raise SettingsError(complaint(where, "boxes", "velocities in columns 7 and 8, m/s", "none"))
+    agent = AgentFrame(0, "vehicle", np.eye(4), speed, sweep)
+    counts = np.zeros((1, len(truth)), np.int32)
+    frame = Frame(index, time_s, (agent,), truth, velocity, counts)
+    try:
+        done = corrupt_frame(frame, kind, severity, seed, family, settings=settings)
+    except DataError as error:
+        raise DataError(str(error).removeprefix(f"frame {index}: agent 0: ")) from None
+    return done.agents[0].sweep
+
+
+def _truth(sweep: Sweep, boxes: ArrayLike | None, labelled: bool) -> tuple[Boxes, NDArray[np.float64]]:
+    """Return the N objects of a sweep and (N, 2) their velocities: its boxes, or those of its ids."""
+    if boxes is None:
+        ids = np.unique(sweep.object_id[on_vehicles(sweep)]) if labelled else np.zeros(0, np.int64)
+        return Boxes.from_array(np.zeros((len(ids), 7)), object_id=ids), np.zeros((len(ids), 2))
+    rows = np.asarray(boxes, np.float64)
+    rows = rows.reshape(0, 9) if rows.size == 0 else rows
+    if rows.ndim != 2 or rows.shape[1] not in (7, 9) or not np.isfinite(rows).all():
+        raise DataError(complaint("corrupt", "boxes", "finite numbers of shape (M, 7) or (M, 9)", f"{rows.shape}"))
+    velocity = rows[:, 7:] if rows.shape[1] == 9 else np.zeros((len(rows), 2))
+    return Boxes.from_array(rows[:, :7], object_id=np.arange(len(rows))), velocity
