@@ -47,6 +47,7 @@ _SIGNATURES = {
 _MANIFESTS = {
     "data_protocol.yaml": b"testbed:",
     "conversion.json": b'"drives"',
+    "corruption.json": b'"corruption"',
     "manifest.json": b'"drives"',
     "card.json": b'"agent_frames"',
     "settings.json": b'"recipe"',

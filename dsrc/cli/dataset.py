@@ -48,7 +48,7 @@ class Generate(GenerateOptions, frozen=True):
 
 
 class Corrupt(CorruptOptions, frozen=True):
-    """Write drives again under weather or with failing sensors.
+    """Write drives, or scans of other data sets, again under weather or with failing sensors.
 
     The bytes are the same for any number of workers; an interrupted run resumes.
     """
@@ -57,10 +57,10 @@ class Corrupt(CorruptOptions, frozen=True):
     output: Output = Output()
 
     def run(self) -> None:
-        """Write the drives and print their folder."""
+        """Write the drives or scans and print their place."""
         from dsrc.data.datasets.corrupt import corrupt_dataset
 
-        with progress(f"corrupt {self.corruption}, severity {self.severity}") as report:
+        with progress(f"corrupt {self.corruption}, {self.preset or f'severity {self.severity}'}") as report:
             corrupt_dataset(self, pool=self.pool, progress=report)
         sys.stdout.write(f"{self.out}\n")
 

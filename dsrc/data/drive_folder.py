@@ -91,14 +91,14 @@ def read_settings(drive: Path) -> dict | None:
     return settings
 
 
-def check_same(drive: Path, found: dict, wanted: dict) -> None:
-    """Compare settings; DataError names the first difference."""
+def check_same(drive: Path, found: dict, wanted: dict, file: str = PROTOCOL) -> None:
+    """Compare settings with those in a file of the folder; DataError names the first difference."""
     have, want = dict(_leaves(found, "")), dict(_leaves(wanted, ""))
     for key in [*want, *have]:
         if key not in have or key not in want or have[key] != want[key]:
             asked = f"{want[key]!r} as asked for now" if key in want else "no such setting"
-            hint = "; choose another folder or remove this drive"
-            raise DataError(complaint(drive / PROTOCOL, key, asked, have.get(key, "nothing"), hint))
+            hint = f"; choose another folder or remove this {'drive' if file == PROTOCOL else 'one'}"
+            raise DataError(complaint(drive / file, key, asked, have.get(key, "nothing"), hint))
 
 
 def is_complete(drive: Path, agent_ids: Sequence[int], index: int) -> bool:

@@ -53,12 +53,21 @@ class Drive(Protocol):
 
 
 def list_drives(root: Path) -> list[Path]:
+    """Return the paths of the drives at or below a folder, as `find_drives`; DataError if it holds none."""
+    found = find_drives(root)
+    if not found:
+        expected = "an OPV2V tree (drive/agent/000000.yaml) or a DAIR-V2X-C one (cooperative/data_info.json)"
+        raise DataError(complaint(root, "folder", expected, "none"))
+    return found
+
+
+def find_drives(root: Path) -> list[Path]:
     """Return the paths of the drives at or below a folder (itself, its children, theirs), sorted.
 
     A path in a DAIR-V2X-C tree need not exist: `TREE/val` gives the drives of that split.
 
     Raises:
-        DataError: the folder is missing or holds no drive.
+        DataError: the folder is missing.
     """
     root = Path(root)
     address = dairv2x.locate(root)
@@ -68,11 +77,7 @@ def list_drives(root: Path) -> list[Path]:
         raise DataError(f"{root}: not a folder" if root.exists() else f"{root}: no such folder")
     below = [folder for pattern in ("*/", "*/*/") for folder in sorted(root.glob(pattern)) if dairv2x.is_tree(folder)]
     found = [drive for tree in below for drive in list_drives(tree)]
-    found += opv2v.drives_below(root)
-    if not found:
-        expected = "an OPV2V tree (drive/agent/000000.yaml) or a DAIR-V2X-C one (cooperative/data_info.json)"
-        raise DataError(complaint(root, "folder", expected, "none"))
-    return found
+    return found + opv2v.drives_below(root)
 
 
 def open_drive(path: Path, motion: Motion | None = None) -> Drive:

@@ -55,21 +55,29 @@ class GenerateOptions(DriveOptions, frozen=True):
 
 
 class CorruptOptions(Severity, frozen=True):
-    """Options of corrupted drives.
+    """Options of corrupted drives and scans.
 
     Attributes:
-        data: a drive, or a folder of drives.
-        out: folder of the corrupted drives, which keep their names; the drive itself where `data` is one.
+        data: a drive, or a folder of drives; or a scan of another data set (.bin of KITTI, .pcd.bin of nuScenes, .npy,
+            .pcd, .ply), or a folder of scans.
+        out: folder of the corrupted drives or scans, which keep their names; the drive or the file itself where `data`
+            is one.
         corruption: kind of the corruption.
+        preset: published settings by name in place of severity and family, such as robo3d_heavy.
         who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
             acts on their sensors and nowhere else.
+        set: settings in place of the severity's, such as calibration=hdl64.npz
+        sensor: preset of the LiDAR of scans, such as hdl-64e-s2; default: rings are found in the points.
         seed: seed of the corruption; every drive draws its own weather and faults from it.
     """
 
     data: Data
-    out: Folder
+    out: Path
     corruption: Annotated[str, choice(CORRUPTIONS)]
+    preset: str | None = None
     who: Who = "all"
+    set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE [...]")] = ()
+    sensor: str | None = None
     seed: int = 0
 
 

@@ -1,4 +1,4 @@
-"""Corruption of a dataset: its drives under one corruption, written as OPV2V trees.
+"""Corruption of a dataset: its drives under one corruption, written as OPV2V trees; scans go to `corrupt_scans`.
 
 Frames are independent of each other (`corrupt_frame`): their bytes are the same for any number of workers, and existing
 frames are skipped. The protocol of a corrupted drive is that of its source with one more entry in
@@ -13,9 +13,12 @@ from pathlib import Path
 
 import msgspec
 
+from dsrc.data.clouds.files import scans_below
 from dsrc.data.code_hash import code_hash
+from dsrc.data.datasets.corrupt_scans import corrupt_scans
+from dsrc.data.datasets.corruption_settings import run_settings
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
-from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.drives import Drive, find_drives, list_drives, open_drive
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles, own_settings, write_frame
 from dsrc.options.drives import CorruptOptions
@@ -57,10 +60,10 @@ class CorruptionJob:
 
 @takes_fields(CorruptOptions)
 def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Progress | None = None) -> list[Path]:
-    """Write the drives at or below a folder under a corruption; an interrupted run resumes.
+    """Write the drives or scans at or below a path under a corruption; an interrupted run resumes.
 
-    Sweeps, poses and ground truth are written; camera images and further keys of other tools' files are left out. The
-    ground truth and its point counts are those of the source.
+    Of drives sweeps, poses and ground truth are written; camera images and further keys of other tools' files are left
+    out. The ground truth and its point counts are those of the source.
 
     Args:
         options: drives, folder, corruption and seed, see `CorruptOptions`; or these as arguments.
@@ -68,7 +71,7 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
         progress: called with (frames done, frames in all).
 
     Returns:
-        The folders of the corrupted drives.
+        The folders of the corrupted drives, or the files of the scans.
 
     Raises:
         SettingsError: an unknown kind, a setting out of its range, or `out` is not apart from `data`.
@@ -79,11 +82,16 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
     if options.corruption == CLEAN:
         raise SettingsError(complaint("corrupt", "corruption", f"one of {', '.join(CORRUPTIONS)}", CLEAN))
     require_who(options.corruption, parse_who(options.who))
+    run_settings(options)  # a wrong one is told before the work
     if options.seed < 0:
         raise SettingsError(complaint("corrupt", "seed", "at least 0", options.seed))
     data, out = Path(options.data).resolve(), Path(options.out).resolve()
     if out.is_relative_to(data) or data.is_relative_to(out):
-        raise SettingsError(complaint("corrupt", "out", f"a folder apart from {data}", str(out)))
+        raise SettingsError(complaint("corrupt", "out", f"a place apart from {data}", str(out)))
+    if _holds_scans(data):
+        return corrupt_scans(options, pool, progress)
+    if options.sensor is not None:
+        raise SettingsError(complaint("corrupt", "sensor", "none: drives know their sensors", options.sensor))
     jobs = [CorruptionJob(drive, out / drive.relative_to(data), options) for drive in list_drives(data)]
     readers = [open_drive(job.source) for job in jobs]
     total, done = sum(len(reader) for reader in readers), 0
@@ -94,6 +102,13 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
                 done += count
                 report(done, total)
     return [job.out for job in jobs]
+
+
+def _holds_scans(data: Path) -> bool:
+    """Return whether a path is a scan, or a folder with scans and without drives."""
+    if data.is_dir() and not find_drives(data):
+        return len(scans_below(data)) > 0
+    return data.is_file()
 
 
 def _corrupt_drive(job: CorruptionJob, reader: Drive, executor: Executor) -> Iterator[int]:
@@ -130,7 +145,9 @@ def corrupted(job: CorruptionJob, reader: Drive, i: int) -> Frame:
     frame, options = replace(reader.read(i), index=reader.frames[i]), job.options
     try:
         who = parse_who(options.who)
-        return corrupt_frame(frame, options.corruption, options.severity, job.drive_seed, options.family, who=who)
+        family, settings = run_settings(options)
+        words = options.corruption, options.severity, job.drive_seed, family
+        return corrupt_frame(frame, *words, who=who, settings=settings)
     except DataError as error:
         raise DataError(f"{job.source}: {error}") from None
 
@@ -144,17 +161,19 @@ def _write(job: CorruptionJob, reader: Drive, frame: Frame) -> None:
 def _protocol(job: CorruptionJob, reader: Drive) -> dict:
     """Return the protocol of the corrupted drive: that of its source with the corruption."""
     options = job.options
-    settings = CORRUPTIONS[options.corruption].settings_of(options.family).severity(options.severity)
+    family, settings = run_settings(options)
     entry = {
         "kind": options.corruption,
         "severity": options.severity,
-        "family": options.family,
+        "family": family,
         "seed": options.seed,
         "drive_seed": job.drive_seed,
         "settings": msgspec.to_builtins(settings),
         "code": code_hash(corrupt_frame.__module__),
         "source": {"drive": job.source.name, "sha256": reader.digest()},
     }
+    if options.preset is not None:
+        entry["preset"] = options.preset
     if options.who != EVERYONE:
         entry["who"] = options.who
     own = own_settings(reader.protocol)

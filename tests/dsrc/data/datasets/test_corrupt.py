@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dsrc.data.datasets.corrupt import corrupt_dataset
-from dsrc.data.drive_folder import LOCK, locked
+from dsrc.data.drive_folder import LOCK, locked, read_settings
 from dsrc.data.drives import list_drives
 from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import DriveReader
@@ -52,6 +52,27 @@ def test_every_frame_is_that_of_corrupt_frame_with_the_seed_of_its_drive(data: P
         seed = drive_seed(5, drive.name)
         for i in range(5):
             assert same_frames(out.read(i), corrupt_frame(source.read(i), "motion_blur", 4, seed))
+
+
+def test_settings_of_the_severity_can_be_changed(data: Path, tmp_path: Path) -> None:
+    (one, _) = corrupt_dataset(data, tmp_path / "out", "beam_missing", severity=1, set=("rings_of_64=20",))
+    (five, _) = corrupt_dataset(data, tmp_path / "five", "beam_missing", severity=5)
+    settings = [read_settings(drive)["corruptions"][-1]["settings"] for drive in (one, five)]
+    assert settings[0] == {**settings[1], "rings_of_64": 20}
+    for wrong, said in (("rings=3", "rings_of_64"), ("rings_of_64=many", "set"), ("rings_of_64=99", "0 to 64")):
+        with pytest.raises(SettingsError, match=said):
+            corrupt_dataset(data, tmp_path / "wrong", "beam_missing", set=(wrong,))
+    assert not (tmp_path / "wrong").exists()
+
+
+def test_the_papers_snow_takes_its_sensors_calibration_from_the_command_line(data: Path, tmp_path: Path) -> None:
+    focus = tmp_path / "hdl64.npz"
+    np.savez(focus, focal_distance_m=np.full(64, 10.0), focal_slope=np.ones(64), min_intensity=np.zeros(64))
+    words = {"family": "paper", "set": (f"calibration={focus}",)}
+    (with_it, _) = corrupt_dataset(data, tmp_path / "with", "snow", **words)
+    (without, _) = corrupt_dataset(data, tmp_path / "without", "snow", family="paper")
+    points = [sum(len(a.sweep) for a in DriveReader(d).read(0).agents) for d in (with_it, without)]
+    assert points[0] != points[1]
 
 
 def test_only_the_agents_asked_for_are_corrupted(data: Path, tmp_path: Path) -> None:
@@ -191,7 +212,7 @@ def test_a_wrong_setting_is_named_before_anything_is_written(
 @pytest.mark.parametrize("out", ["data", "data/one", "data/foggy", "."])
 def test_a_dataset_is_not_written_into_itself(data: Path, tmp_path: Path, out: str) -> None:
     before = tree(data)
-    with pytest.raises(SettingsError, match="a folder apart from"):
+    with pytest.raises(SettingsError, match="a place apart from"):
         corrupt_dataset(data, tmp_path / out, "fog")
     assert tree(data) == before
 

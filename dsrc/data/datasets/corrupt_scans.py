@@ -1,0 +1,186 @@
+"""Corruption of scans of other people's data sets: a file, or all scans below a folder, in their own formats.
+
+A folder of scans is taken for a drive: its weather and its dead beams are one, and the frame's number is that in the
+name of the file. So the bytes of a scan depend on the seed, on the names of the file and of the two folders above it,
+and on nothing else: not on other files, not on the number of workers. Labels of SemanticKITTI stay in step: added
+points get label 0, unlabelled.
+
+`corruption.json` in the new folder holds the settings; a scan that is older than its corrupted one is not made again.
+"""
+
+import re
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dsrc.data.clouds.cloud import rows_of
+from dsrc.data.clouds.corrupt import INTERVAL_S, corrupt_sweep
+from dsrc.data.clouds.files import ending_of, labels_of, read_labels, read_scan, scans_below, vehicles_among
+from dsrc.data.code_hash import code_hash
+from dsrc.data.datasets.corruption_settings import run_settings
+from dsrc.data.drive_folder import check_same, locked
+from dsrc.data.executors import Pool, Progress
+from dsrc.data.jsonio import read_json
+from dsrc.options.drives import CorruptOptions
+from sensors.corruptions import EVERYONE, drive_seed
+from sensors.presets import get_lidar
+from sim.errors import DataError, SettingsError, complaint
+from sim.files import remove_leftovers, write_file
+
+MANIFEST = "corruption.json"
+
+_CHUNK = 8
+_NUMBER = re.compile(r"(\d+)\D*$")
+_MICROSECONDS = 16
+"""Digits of a name that is an instant, as nuScenes has them, µs."""
+
+
+class ScanCorruption(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Content of `MANIFEST`.
+
+    Attributes:
+        corruption: kind, severity, family, preset, seed, sensor, settings and hash of the code.
+    """
+
+    corruption: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class ScanJob:
+    """Scan to corrupt.
+
+    Attributes:
+        source: its file.
+        out: the new file.
+        options: of the whole run.
+    """
+
+    source: Path
+    out: Path
+    options: CorruptOptions
+
+    @property
+    def drive_seed(self) -> int:
+        """Seed of the folder's weather and faults."""
+        return drive_seed(self.options.seed, "/".join(self.source.resolve().parts[-3:-1]))
+
+    @property
+    def done(self) -> bool:
+        """Whether the new file is there, and not older than its source."""
+        return self.out.is_file() and self.out.stat().st_mtime_ns >= self.source.stat().st_mtime_ns
+
+
+def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None = None) -> list[Path]:
+    """Write a scan or all scans below a folder under a corruption; an interrupted folder resumes.
+
+    Args:
+        options: scans, file or folder of the corrupted ones, corruption and seed.
+        pool: workers.
+        progress: called with (scans done, scans in all).
+
+    Returns:
+        The new files.
+
+    Raises:
+        SettingsError: the kind needs other agents or objects, or an option is one of drives.
+        DataError: a scan cannot be read or lacks what the corruption needs, or the folder holds scans of other
+            settings.
+    """
+    data, out = Path(options.data), Path(options.out)
+    if options.who != EVERYONE:
+        raise SettingsError(complaint("corrupt", "who", "all: a scan has one sensor", options.who))
+    if options.sensor is not None:
+        get_lidar(options.sensor)
+    if data.is_file():
+        if ending_of(out) != ending_of(data):
+            raise SettingsError(complaint("corrupt", "out", f"a file *{ending_of(data)}, as the scan's", out.name))
+        _corrupt_scan(ScanJob(data, out, options))
+        return [out]
+    jobs = [ScanJob(path, out / path.relative_to(data), options) for path in scans_below(data)]
+    report, manifest = progress or (lambda done, total: None), _manifest(options)
+    with locked(out, what="folder of scans"):
+        if (out / MANIFEST).exists():
+            check_same(out, read_json(out / MANIFEST, ScanCorruption).corruption, manifest, MANIFEST)
+        else:
+            write_file(out / MANIFEST, msgspec.json.format(msgspec.json.encode({"corruption": manifest})) + b"\n")
+        missing = [job for job in jobs if not job.done]
+        done = len(jobs) - len(missing)
+        report(done, len(jobs))
+        chunks = [missing[k : k + _CHUNK] for k in range(0, len(missing), _CHUNK)]
+        with pool.open(max(1, len(chunks))) as executor:
+            for result in executor.run(_corrupt_chunk, chunks):
+                if result.error is not None:
+                    raise result.error
+                done += len(chunks[result.row])
+                report(done, len(jobs))
+        remove_leftovers(out)
+    return [job.out for job in jobs]
+
+
+def _manifest(options: CorruptOptions) -> dict[str, Any]:
+    family, settings = run_settings(options)
+    entry = {
+        "kind": options.corruption,
+        "severity": None if options.preset else options.severity,
+        "family": family,
+        "preset": options.preset,
+        "seed": options.seed,
+        "sensor": options.sensor,
+        "settings": settings,
+        "code": code_hash(__name__),
+    }
+    return msgspec.json.decode(msgspec.json.encode(entry), type=dict[str, Any])
+
+
+def _corrupt_chunk(jobs: list[ScanJob], progress: Progress) -> None:
+    """Write some scans; a task."""
+    for job in jobs:
+        _corrupt_scan(job)
+
+
+def _corrupt_scan(job: ScanJob) -> None:
+    """Write one scan, after its labels where it has some."""
+    scan, options, labels = read_scan(job.source), job.options, None
+    if labels_of(job.source).is_file():
+        labels = read_labels(labels_of(job.source), len(scan.cloud))
+    name = options.sensor or scan.sensor
+    index, time_s = frame_number(job.source)
+    family, settings = run_settings(options)
+    try:
+        after = corrupt_sweep(
+            scan.cloud.sweep(
+                None if name is None else get_lidar(name), None if labels is None else vehicles_among(labels)
+            ),
+            options.corruption,
+            options.severity,
+            job.drive_seed,
+            family=family,
+            settings=settings,
+            labelled=labels is not None,
+            index=index,
+            time_s=time_s,
+        )
+    except DataError as error:
+        raise DataError(f"{job.source}: {error}") from None
+    if labels is not None and job.out.parent != job.source.parent:
+        row = rows_of(after)
+        kept = np.where(row < 0, 0, np.append(labels, 0)[row]).astype("<u4")
+        write_file(labels_of(job.out), kept.tobytes())
+    write_file(job.out, scan.encode(scan.cloud.of(after)))
+
+
+def frame_number(path: Path) -> tuple[int, float]:
+    """Return number and time, s, of the frame of a scan by its name.
+
+    The last digits are the number of a frame, 0.1 s apart; 16 of them are microseconds. A name without digits stands
+    for an instant of its own.
+    """
+    found = _NUMBER.search(path.name.removesuffix(ending_of(path) or ""))
+    if found is None:
+        return zlib.crc32(path.name.encode()), 0.0
+    number = int(found[1])
+    return number, number * (1e-6 if len(found[1]) == _MICROSECONDS else INTERVAL_S)
