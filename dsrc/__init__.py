@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from dsrc.data.write import generate
     from dsrc.evaluation.evaluate import evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
+    from dsrc.evaluation.scoring.report import score_table
+    from dsrc.evaluation.scoring.score import score
     from dsrc.models.detector import Detector, detect
     from dsrc.models.fusion import AgentLayout, Fusion, register_fusion
     from dsrc.models.fusion_check import check_fusion
@@ -69,6 +71,8 @@ _MODULES = {
     "dsrc.data.write": ("generate",),
     "dsrc.evaluation.evaluate": ("evaluate_drives",),
     "dsrc.evaluation.report.ap_table": ("result_table",),
+    "dsrc.evaluation.scoring.report": ("score_table",),
+    "dsrc.evaluation.scoring.score": ("score",),
     "dsrc.models.detector": ("Detector", "detect"),
     "dsrc.models.fusion": ("AgentLayout", "Fusion", "register_fusion"),
     "dsrc.models.fusion_check": ("check_fusion",),
@@ -134,6 +138,8 @@ __all__ = [
     "Evaluation",
     "evaluate_drives",
     "result_table",
+    "score",
+    "score_table",
     # closed loop and review
     "ClosedLoop",
     "LoopSettings",

@@ -52,6 +52,7 @@ _MANIFESTS = {
     "card.json": b'"agent_frames"',
     "settings.json": b'"recipe"',
     "results.json": b'"provenance"',
+    "scores.json": b'"provenance"',
     "plan.json": b'"perceptions"',
 }
 """Manifests of the folders that this package writes, each with bytes that it holds."""

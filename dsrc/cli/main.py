@@ -20,6 +20,7 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
     "model": {"train": "model.Train", "verify": "model.Verify", "import": "model.Import", "export": "model.Export"},
     "evaluate": "evaluate.Evaluate",
     "benchmark": "evaluate.Benchmark",
+    "score": "score.Score",
     "view": "view.View",
     "drive": "drive.Drive",
     "demo": "demo.Demo",

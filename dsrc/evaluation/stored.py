@@ -1,6 +1,6 @@
 """Index of stored detections: `detections.json` of an evaluation or benchmark says which cells hold them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -137,3 +137,17 @@ def read_run(folder: Path, keys: Iterable[str]) -> DetectionTable:
         DataError: a cell is missing or damaged; names file and column.
     """
     return join_tables([read_table_file(folder / "cells" / f"{key}.npz", _HINT) for key in keys])
+
+
+def run_names(runs: Sequence[StoredRun]) -> list[str]:
+    """Names of runs: the method, and what differs within it: training, channel, swept quantity."""
+    names = []
+    for run in runs:
+        own = [other for other in runs if other.method == run.method]
+        parts = [run.method]
+        if len({other.training for other in own}) > 1:
+            parts.append(f"training {run.training}")
+        if len({other.channel for other in own}) > 1:
+            parts.append(run.channel)
+        names.append(", ".join([*parts, *([run.swept] if run.swept else [])]))
+    return names

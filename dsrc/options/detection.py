@@ -1,5 +1,6 @@
 """Options of commands around detectors: `dsrc evaluate`, `benchmark` and `model train`."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
@@ -25,6 +26,21 @@ Kinds = Annotated[tuple[str, ...], choice(("clean", "paper_six", "all", *CORRUPT
 Engine = Literal["fused", "bf16", "compiled", "plain"]
 Device = Literal["cpu", "cuda"]
 Channels = Annotated[tuple[str, ...], choice(CHANNELS, several=True)]
+PROTOCOLS = (
+    "opencood",
+    "opencood-global",
+    "opencood-no-ego",
+    "opencood-global-no-ego",
+    "v2v4real",
+    "coalign",
+    "coalign-v2x-vit",
+    "coalign-dair",
+    "dair-vic",
+    "kitti-r11",
+    "kitti-r40",
+    "testbed",
+)
+"""Names for the help text; `dsrc.evaluation.metrics.protocols` decides, a test compares."""
 
 
 class Evaluation(Severity, frozen=True, kw_only=True):
@@ -58,6 +74,23 @@ class Evaluation(Severity, frozen=True, kw_only=True):
     channels: Channels = field(default=(), name="channel")
     engine: Engine = "fused"
     device: Device = "cpu"
+
+
+class Scoring(msgspec.Struct, frozen=True, kw_only=True):
+    """Options of scores under published protocols.
+
+    Attributes:
+        detections: results of dsrc evaluate or benchmark, a JSON file, a folder of KITTI's labels with scores, or
+            OpenCOOD's 0000_pred.npy.
+        truth: tree of the true boxes: OPV2V, V2V4Real, DAIR-V2X-C or KITTI; default: those stored with the detections.
+        protocol: published protocols.
+        corruption: corruption of stored results.
+    """
+
+    detections: Positional[Annotated[Path, arg(metavar="DETECTIONS")]]
+    truth: Folder | None = None
+    protocol: Annotated[tuple[str, ...], choice(("all", *PROTOCOLS), several=True)] = ("all",)
+    corruption: Annotated[str, choice(("clean", "all", *CORRUPTIONS))] = "clean"
 
 
 class BenchmarkOptions(msgspec.Struct, frozen=True, kw_only=True):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables
-from dsrc.evaluation.stored import FILE, StoredDrive, StoredIndex, StoredRun, read_index, read_run
+from dsrc.evaluation.stored import FILE, StoredDrive, StoredIndex, StoredRun, read_index, read_run, run_names
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.drives import DriveSource
 from sim.errors import DataError, complaint
@@ -105,7 +105,7 @@ def open_results(folder: Path, data: Path | None = None) -> list[DriveSource]:
     sources = []
     for number, stored in enumerate(index.drives):
         source = DriveSource(_drive(folder, stored, moved), index.seed)
-        names = set_names(index.runs)
+        names = run_names(index.runs)
         for name, runs in _by_name(index, number, names).items():
             source.sets[name] = StoredSet(name, folder, source.drive, number, runs)
         sources.append(source)
@@ -133,17 +133,3 @@ def _by_name(index: StoredIndex, number: int, names: Sequence[str]) -> dict[str,
         if run.cells[number]:
             found.setdefault(name, {})[run.condition] = run
     return found
-
-
-def set_names(runs: Sequence[StoredRun]) -> list[str]:
-    """Names of the sets of runs: the method, and what differs within it: training, channel, swept quantity."""
-    names = []
-    for run in runs:
-        own = [other for other in runs if other.method == run.method]
-        parts = [run.method]
-        if len({other.training for other in own}) > 1:
-            parts.append(f"training {run.training}")
-        if len({other.channel for other in own}) > 1:
-            parts.append(run.channel)
-        names.append(", ".join([*parts, *([run.swept] if run.swept else [])]))
-    return names

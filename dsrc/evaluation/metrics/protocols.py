@@ -1,0 +1,172 @@
+"""Protocols: what a published average precision counts, one struct each.
+
+Matches, orders and recalls are those of `dsrc.evaluation.metrics.ap`; a protocol says which of them it takes and which
+boxes count. `Curve.ap_opencood` is `opencood` and `Curve.ap` is `testbed`, over boxes already chosen.
+"""
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.sample import OPENCOOD_RANGE_M, Range
+from dsrc.evaluation.metrics.ap import MatchedBy, Order, Recalls, Space
+from sim.boxes import Boxes
+from sim.errors import SettingsError, complaint, did_you_mean
+
+ALL = "all"
+
+
+class Protocol(msgspec.Struct, frozen=True, kw_only=True):
+    """Protocol of an average precision.
+
+    Attributes:
+        name: unique.
+        source: where it is published.
+        range_m: range of the boxes in the ego LiDAR's frame, m; None for those that are given.
+        corners: least number of a box's eight corners in that range, of true and of detected boxes.
+        reach_m: greatest distance from the ego of an agent whose objects count, m.
+        ego: the ego's own box is one of the true boxes.
+        order: of the detections.
+        recalls: of the area.
+        matched_by: who chooses.
+        spaces: overlap in bird's-eye view, of volumes, or both.
+    """
+
+    name: str
+    source: str
+    range_m: Range | None = None
+    corners: int = 8
+    reach_m: float = 70.0
+    ego: bool = False
+    order: Order = "global"
+    recalls: Recalls = "all"
+    matched_by: MatchedBy = "detections"
+    spaces: tuple[Space, ...] = ("bev",)
+
+    @property
+    def card(self) -> str:
+        """What is counted, in one line."""
+        parts = ["all boxes given"]
+        if self.range_m is not None:
+            how = "whole boxes" if self.corners == 8 else f"boxes with {self.corners} of 8 corners"
+            parts = [f"{how} in {_words(self.range_m)}"]
+        if math.isfinite(self.reach_m):
+            parts.append(f"agents within {self.reach_m:g} m")
+        parts.append("with the ego" if self.ego else "without the ego")
+        parts.append("sorted per frame" if self.order == "frame" else "sorted over all frames")
+        if self.matched_by == "truth":
+            parts.append("true boxes choose")
+        parts.append(_RECALLS[self.recalls])
+        return ", ".join(parts)
+
+    def counts(self, boxes: Boxes) -> NDArray[np.bool_]:
+        """(N,) boxes in its range."""
+        if self.range_m is None:
+            return np.ones(len(boxes), bool)
+        corners = boxes.corners()
+        low, high = np.array(self.range_m[:3]), np.array(self.range_m[3:])
+        within: NDArray[np.bool_] = ((corners >= low) & (corners <= high)).all(axis=2).sum(axis=1) >= self.corners
+        return within
+
+
+_RECALLS: dict[Recalls, str] = {
+    "all": "all recalls",
+    "all-but-first": "recalls from the first detection's on",
+    "11": "11 recalls",
+    "40": "40 recalls",
+}
+
+
+def _words(range_m: Range) -> str:
+    spans = [
+        f"±{high:g}" if low == -high else f"{low:g} to {high:g}"
+        for low, high in zip(range_m[:3], range_m[3:], strict=True)
+    ]
+    return f"x {spans[0]}, y {spans[1]}, z {spans[2]} m"
+
+
+_OPENCOOD = "R. Xu et al., OPV2V, ICRA 2022; OpenCOOD, eval_utils.py and GT_RANGE, also V2X-ViT's and DSRC's"
+_SORTED = "OpenCOOD with --global_sort_detections"
+_EGO = "; the ego's own box left out, as OpenCOOD issue 141 asks"
+_COALIGN = "Y. Lu et al., CoAlign, ICRA 2023; its eval_utils.py and gt_range of "
+_KITTI = (
+    "A. Geiger et al., CVPR 2012, and KITTI's devkit, without its degrees of difficulty and regions not to care for"
+)
+_BOTH: tuple[Space, ...] = ("bev", "3d")
+
+_TABLE = (
+    Protocol(name="opencood", range_m=OPENCOOD_RANGE_M, ego=True, order="frame", source=_OPENCOOD),
+    Protocol(name="opencood-global", range_m=OPENCOOD_RANGE_M, ego=True, source=_SORTED),
+    Protocol(name="opencood-no-ego", range_m=OPENCOOD_RANGE_M, order="frame", source=_OPENCOOD + _EGO),
+    Protocol(name="opencood-global-no-ego", range_m=OPENCOOD_RANGE_M, source=_SORTED + _EGO),
+    Protocol(
+        name="v2v4real",
+        range_m=(-100.0, -40.0, -5.0, 100.0, 40.0, 3.0),
+        ego=True,
+        order="frame",
+        source="R. Xu et al., V2V4Real, CVPR 2023; its eval_utils.py and GT_RANGE",
+    ),
+    Protocol(
+        name="coalign", range_m=(-140.8, -40.0, -3.0, 140.8, 40.0, 1.0), ego=True, source=_COALIGN + "OPV2V, CoAlign"
+    ),
+    Protocol(
+        name="coalign-v2x-vit",
+        range_m=(-140.8, -38.4, -3.0, 140.8, 38.4, 1.0),
+        ego=True,
+        source=_COALIGN + "OPV2V, V2X-ViT",
+    ),
+    Protocol(
+        name="coalign-dair",
+        range_m=(-100.8, -40.0, -3.5, 100.8, 40.0, 1.5),
+        reach_m=100.0,
+        ego=True,
+        source=_COALIGN + "DAIR-V2X",
+    ),
+    Protocol(
+        name="dair-vic",
+        range_m=(0.0, -39.68, -3.0, 100.0, 39.68, 1.0),
+        corners=1,
+        reach_m=math.inf,
+        recalls="all-but-first",
+        matched_by="truth",
+        spaces=_BOTH,
+        source="H. Yu et al., DAIR-V2X, CVPR 2022; its eval_utils.py, filter_utils.py and --extended-range",
+    ),
+    Protocol(name="kitti-r11", reach_m=math.inf, recalls="11", spaces=_BOTH, source=_KITTI),
+    Protocol(
+        name="kitti-r40",
+        reach_m=math.inf,
+        recalls="40",
+        spaces=_BOTH,
+        source=_KITTI + "; A. Simonelli et al., ICCV 2019",
+    ),
+    Protocol(name="testbed", spaces=_BOTH, source="`ap` of dsrc evaluate, over the boxes given"),
+)
+PROTOCOLS = {protocol.name: protocol for protocol in _TABLE}
+"""Protocols by name."""
+
+
+def get_protocols(names: str | Protocol | Sequence[str | Protocol]) -> tuple[Protocol, ...]:
+    """Protocols of a name or several, `all` for every one; a struct of one's own stays as it is.
+
+    Raises:
+        SettingsError: a name is unknown, or none is given.
+    """
+    given = [names] if isinstance(names, str | Protocol) else list(names)
+    found: dict[str, Protocol] = {}
+    for one in given:
+        if isinstance(one, Protocol):
+            found[one.name] = one
+        elif one == ALL:
+            found |= PROTOCOLS
+        elif one in PROTOCOLS:
+            found[one] = PROTOCOLS[one]
+        else:
+            hint = did_you_mean(one, (*PROTOCOLS, ALL))
+            raise SettingsError(complaint("score", "protocol", "the name of a protocol", one, hint))
+    if not found:
+        raise SettingsError(complaint("score", "protocol", f"at least one of {', '.join(PROTOCOLS)}", "none"))
+    return tuple(found.values())

@@ -1,0 +1,136 @@
+"""Average precision of any boxes under published protocols, `dsrc score`."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from dsrc.data.drives import list_drives
+from dsrc.data.executors import Progress
+from dsrc.data.formats.kitti_labels import label_folder
+from dsrc.data.provenance import provenance
+from dsrc.evaluation.metrics.ap import (
+    THRESHOLDS,
+    Matches,
+    Space,
+    average_precision,
+    match_frames,
+    precision_recall,
+    rank,
+)
+from dsrc.evaluation.metrics.protocols import Protocol, get_protocols
+from dsrc.evaluation.results import CLEAN
+from dsrc.evaluation.scoring.frames import DetectionSet, FrameKey, Truth, select
+from dsrc.evaluation.scoring.read import read_detections
+from dsrc.evaluation.scoring.truth import read_truth
+from dsrc.ops.detections import Detections
+from dsrc.options.detection import Scoring
+from sim.boxes import Boxes
+from sim.errors import DataError, complaint
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Average precisions of a set of detections under a protocol.
+
+    Attributes:
+        name: of the set.
+        protocol: what is counted.
+        frames: number of frames.
+        truth: number of true boxes that count.
+        detections: number of detections that count.
+        ap: by overlap in "bev" or "3d" and IoU threshold; NaN without true boxes, and where scores are needed but
+            unknown.
+        note: what limits the set; "" for nothing.
+    """
+
+    name: str
+    protocol: Protocol
+    frames: int
+    truth: int
+    detections: int
+    ap: Mapping[tuple[Space, float], float]
+    note: str = ""
+
+
+def score(
+    detections: Path | str | Sequence[Detections],
+    truth: Path | str | Sequence[Boxes] | None = None,
+    protocol: str | Protocol | Sequence[str | Protocol] = "opencood",
+    *,
+    corruption: str = CLEAN,
+    progress: Progress | None = None,
+) -> list[Score]:
+    """Score detections under published protocols.
+
+    Args:
+        detections: file or folder, see `dsrc.evaluation.scoring.read`; or those of each frame, in the LiDAR's frame.
+        truth: tree of OPV2V, V2V4Real, DAIR-V2X-C or KITTI; or the true boxes of each frame, of which the one around
+            the origin is the ego's own; None for those that are stored with the detections.
+        protocol: name, several, `all`, or a `Protocol` of one's own.
+        corruption: of stored sets: `clean`, a kind, or `all`.
+        progress: called with frames read and frames to read.
+
+    Returns:
+        Scores by set and protocol.
+
+    Raises:
+        UserError: a file, a frame or a setting is wrong.
+    """
+    protocols = get_protocols(protocol)
+    tree = Path(truth) if isinstance(truth, str | Path) else None
+    if isinstance(detections, str | Path):
+        where = str(detections)
+        sets = read_detections(Path(detections), tree, corruption)
+    else:
+        where = "detections"
+        sets = [DetectionSet(where, {FrameKey("", i): found for i, found in enumerate(detections)})]
+    known: Mapping[FrameKey, Truth] | None = None
+    if tree is not None:
+        known = read_truth(tree, dict.fromkeys(key for one in sets for key in one.frames), progress)
+    elif truth is not None and not isinstance(truth, str | Path):
+        known = {FrameKey("", i): Truth.of(boxes) for i, boxes in enumerate(truth)}
+        if any(known.keys() != one.frames.keys() for one in sets):
+            found = f"{len(known)} of {len(sets[0].frames)}"
+            raise DataError(complaint(where, "truth", "the true boxes of each frame", found))
+    results: list[Score] = []
+    for one in sets:
+        own = one.truth if known is None else known
+        if own is None:
+            raise DataError(complaint(where, "truth", "a tree of true boxes, since none are stored here", "none"))
+        results += _scores(one, own, protocols)
+    return results
+
+
+def _scores(one: DetectionSet, truth: Mapping[FrameKey, Truth], protocols: Iterable[Protocol]) -> Iterator[Score]:
+    matches: dict[tuple[object, ...], Matches] = {}
+    for protocol in protocols:
+        # Protocols that differ in order or recalls alone share their matches.
+        counted = (protocol.range_m, protocol.corners, protocol.reach_m, protocol.ego, protocol.matched_by)
+        if counted not in matches:
+            frames = [select(protocol, found, truth[key]) for key, found in one.frames.items()]
+            matches[counted] = match_frames(frames, THRESHOLDS, protocol.matched_by)
+        yield _score(one, protocol, matches[counted])
+
+
+def _score(one: DetectionSet, protocol: Protocol, matches: Matches) -> Score:
+    known = one.has_scores or protocol.order == "frame"
+    ap = {}
+    for space in protocol.spaces:
+        for threshold in THRESHOLDS:
+            hit = matches.matched[space, threshold][rank(matches.score, protocol.order)] >= 0
+            recall, precision = precision_recall(hit, matches.truth)
+            found = average_precision(recall, precision, matches.truth, protocol.recalls)
+            ap[space, threshold] = found if known else math.nan
+    return Score(one.name, protocol, matches.frames, matches.truth, len(matches.score), ap, one.note)
+
+
+def provenance_of(options: Scoring) -> dict[str, Any]:
+    """Provenance of scores: settings, hashes of the drives, versions, machine and commit."""
+    tree = options.truth
+    drives = list_drives(tree) if tree is not None and label_folder(tree) is None else []
+    settings = {name: getattr(options, name) for name in Scoring.__struct_fields__}
+    return provenance(msgspec.to_builtins(settings, enc_hook=str), 0, drives)

@@ -1,0 +1,113 @@
+"""True boxes of frames in a tree: OPV2V, V2V4Real, DAIR-V2X-C or KITTI."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.executors import Progress
+from dsrc.data.formats import kitti_labels
+from dsrc.evaluation.scoring.frames import FrameKey, Truth
+from sensors.frame import Frame
+from sim.boxes import Boxes
+from sim.errors import DataError, complaint
+from sim.geometry import invert
+
+MOST_AGENTS = 5
+"""Agents of a frame whose objects count: the first in the order of the folders, as in OpenCOOD and its forks."""
+
+
+def truth_of_frame(frame: Frame, ego_id: int | None = None) -> Truth:
+    """True vehicles with a point of one of the first agents, as an ego knows them.
+
+    Args:
+        frame: the frame.
+        ego_id: the ego; None for the first vehicle, else the first agent.
+
+    Raises:
+        DataError: the frame has no such agent.
+    """
+    ids = [agent.agent_id for agent in frame.agents]
+    if ego_id is None:
+        ego_id = next((agent.agent_id for agent in frame.agents if agent.kind == "vehicle"), ids[0] if ids else None)
+    if ego_id is None or ego_id not in ids:
+        raise DataError(complaint(f"frame {frame.index}", "ego", f"one of the agents {ids}", ego_id))
+    ego = ids.index(ego_id)
+    rows = [ego, *(row for row in range(len(ids)) if row != ego)][:MOST_AGENTS]
+    place = np.array([frame.agents[row].sweep.world_from_lidar[:2, 3] for row in rows])
+    distance = np.linalg.norm(place - place[0], axis=1)
+    others = frame.truth.object_id != np.array([ids[row] for row in rows])[:, None]
+    sees = (frame.points_on[rows] >= 1) & others
+    reach = np.where(sees, distance[:, None], np.inf).min(axis=0)
+    boxes = frame.truth.transform(invert(frame.agents[ego].sweep.world_from_lidar))
+    kept = boxes.is_vehicle & np.isfinite(reach)
+    return Truth(boxes[kept], boxes.object_id[kept] == ego_id, reach[kept])
+
+
+def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None = None) -> dict[FrameKey, Truth]:
+    """Read the true boxes of frames.
+
+    Boxes are rounded to float32, as stored detections are.
+
+    Args:
+        tree: drive, folder of drives, or KITTI's object tree.
+        keys: of the frames.
+        progress: called with frames read and frames to read.
+
+    Raises:
+        DataError: the tree, a drive or a frame is missing or damaged.
+    """
+    keys = list(keys)
+    labels = kitti_labels.label_folder(tree)
+    drives = _Drives(tree) if labels is None else None
+    found = {}
+    for done, key in enumerate(keys, 1):
+        truth = truth_of_frame(drives.read(key), key.ego_id) if drives else _of_labels(tree, labels, key)
+        rounded = Boxes.from_array(truth.boxes.array.astype(np.float32), truth.boxes.label, truth.boxes.object_id)
+        found[key] = Truth(rounded, truth.own, truth.reach_m)
+        if progress:
+            progress(done, len(keys))
+    return found
+
+
+class _Drives:
+    """Frames of the drives of a tree, by name and number."""
+
+    def __init__(self, tree: Path) -> None:
+        self.tree = tree
+        self.paths: dict[str, list[Path]] = {}
+        for path in list_drives(tree):
+            self.paths.setdefault(path.name, []).append(path)
+        self.opened: tuple[str, Drive] | None = None
+
+    def read(self, key: FrameKey) -> Frame:
+        """Read a frame."""
+        if self.opened is None or self.opened[0] != key.drive:
+            self.opened = key.drive, open_drive(self._path(key.drive))
+        drive = self.opened[1]
+        if key.frame not in drive.frames:
+            expected = f"frames {drive.frames[0]} to {drive.frames[-1]}" if drive.frames else "frames"
+            raise DataError(complaint(drive.drive, "frame", f"{expected} with detections", f"no frame {key.frame}"))
+        return drive.read(drive.frames.index(key.frame))
+
+    def _path(self, name: str) -> Path:
+        if not name and len(self.paths) == 1:
+            name = next(iter(self.paths))
+        found = self.paths.get(name, [])
+        if len(found) != 1:
+            names = ", ".join(sorted(self.paths))
+            what = (
+                f"{len(found)} drives of that name" if found else repr(name) if name else "detections without a drive"
+            )
+            raise DataError(complaint(self.tree, "drive", f"one of {names}", what))
+        return found[0]
+
+
+def _of_labels(tree: Path, folder: Path | None, key: FrameKey) -> Truth:
+    assert folder is not None
+    path = folder / f"{key.frame:06d}.txt"
+    if key.drive or not path.is_file():
+        found = f"detections of {key.drive}/{key.frame:06d}" if key.drive else "none"
+        raise DataError(complaint(tree, f"label_2/{path.name}", "labels of every frame with detections", found))
+    return Truth.of(kitti_labels.read_labels(path, kitti_labels.calibration_of(folder, key.frame))[0])

@@ -1,0 +1,217 @@
+"""Scores of boxes from files: the same boxes give the same numbers, whatever form they come in."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.cli.score import Score as Command
+from dsrc.data.drives import open_drive
+from dsrc.data.formats.kitti import encode_labels
+from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.evaluation.evaluate import evaluate_drives
+from dsrc.evaluation.metrics.protocols import PROTOCOLS
+from dsrc.evaluation.scoring.frames import FrameKey
+from dsrc.evaluation.scoring.report import score_markdown, score_table
+from dsrc.evaluation.scoring.score import score
+from dsrc.evaluation.scoring.truth import read_truth
+from dsrc.ops.detections import Detections
+from dsrc.options.detection import Evaluation
+from sim.boxes import Boxes
+from sim.errors import DataError, SettingsError
+from tests.dsrc.data.toy import toy_frame
+from tests.dsrc.evaluation.metrics.test_ap import golden_frames
+from tests.dsrc.evaluation.small import write_detector, write_drives
+
+FRAMES = 3
+
+
+def found_in(boxes: Boxes, seed: int) -> Detections:
+    """Detections near true boxes, some of them far from any."""
+    rng = np.random.default_rng(seed)
+    kept = boxes.array[rng.random(len(boxes)) < 0.8]
+    array = np.concatenate([kept + rng.normal(0, [0.3, 0.2, 0.1, 0.2, 0.1, 0.1, 0.05], kept.shape), kept[:1]])
+    array[-1, 0] += 15.0
+    order = np.sort(rng.permutation(100)[: len(array)])[::-1] / 100
+    return Detections(Boxes.from_array(array), order.astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory) -> tuple[Path, dict[FrameKey, Detections]]:
+    """One drive, and detections in its frames."""
+    root = tmp_path_factory.mktemp("score")
+    for index in range(FRAMES):
+        write_frame(root / "data" / "one", toy_frame(index, seed=1))
+    keys = [FrameKey("one", index) for index in range(FRAMES)]
+    truth = read_truth(root / "data", keys)
+    return root, {key: found_in(truth[key].boxes, key.frame) for key in keys}
+
+
+def as_json(path: Path, frames: dict[FrameKey, Detections]) -> Path:
+    listed = [
+        {
+            "drive": key.drive,
+            "frame": key.frame,
+            "boxes": found.boxes.array.tolist(),
+            "scores": [float(score) for score in found.score],
+        }
+        for key, found in frames.items()
+    ]
+    path.write_text(json.dumps({"frames": listed}))
+    return path
+
+
+def as_kitti(folder: Path, frames: dict[FrameKey, Detections]) -> Path:
+    folder.mkdir(parents=True)
+    for key, found in frames.items():
+        lines = encode_labels(found.boxes, "around", np.zeros(len(found), np.int64)).splitlines()
+        text = "".join(f"{line} {score:.6f}\n" for line, score in zip(lines, found.score, strict=True))
+        (folder / f"{key.frame:06d}.txt").write_text(text)
+    return folder
+
+
+def numbers(scores):
+    return {(one.protocol.name, *key): value for one in scores for key, value in one.ap.items()}
+
+
+def test_json_kitti_and_memory_score_alike(world) -> None:
+    root, frames = world
+    by_json = score(as_json(root / "boxes.json", frames), root / "data", "all")
+    assert [(one.name, one.protocol.name) for one in by_json] == [("boxes", name) for name in PROTOCOLS]
+    assert len({round(one.ap["bev", 0.5], 6) for one in by_json}) > 3  # one detector, several numbers
+    for folder in (root / "one_folder", root / "by_drive" / "one"):
+        as_kitti(folder, frames)
+    for folder in (root / "one_folder", root / "by_drive"):
+        by_kitti = score(folder, str(root / "data"), "all")
+        assert numbers(by_kitti) == pytest.approx(numbers(by_json))
+        assert [one.truth for one in by_kitti] == [one.truth for one in by_json]
+    truth = read_truth(root / "data", frames)
+    # In memory, the ego's own box is the one around the origin; agents' reach is not known.
+    in_memory = score(list(frames.values()), [truth[key].boxes for key in frames], ["opencood", "opencood-no-ego"])
+    assert numbers(in_memory).items() <= numbers(by_json).items()
+    own = sum(int(truth[key].own.sum()) for key in frames)
+    assert in_memory[0].truth - in_memory[1].truth == own > 0
+
+
+def test_dumped_corners_score_as_opencood_scored_them(tmp_path: Path) -> None:
+    golden, frames = golden_frames()
+    for i in range(len(frames)):
+        best = np.argsort(-golden[f"score/{i}"], kind="stable")
+        np.save(tmp_path / f"{i:04d}_pred.npy", golden[f"det/{i}"][best])
+        np.save(tmp_path / f"{i:04d}_gt{'_test' if i % 2 else ''}.npy", golden[f"gt/{i}"])
+        np.save(tmp_path / f"{i:04d}_pcd.npy", np.zeros((4, 4), np.float32))
+    in_memory = {
+        one.protocol.name: one for one in score([f.detections for f in frames], [f.truth for f in frames], "all")
+    }
+    for one in score(tmp_path, None, "all"):
+        if one.protocol.order == "frame":
+            assert one.ap == pytest.approx(in_memory[one.protocol.name].ap, rel=1e-12)
+        else:  # the files have no scores
+            assert all(map(math.isnan, one.ap.values())) and "no scores" in one.note
+        assert (one.truth, one.detections) == (
+            in_memory[one.protocol.name].truth,
+            in_memory[one.protocol.name].detections,
+        )
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    root = tmp_path_factory.mktemp("stored")
+    write_drives(root / "test", drives=2)
+    checkpoint = f"DSRC={write_detector(root / 'dsrc.pt', 'dsrc')}"
+    config = Evaluation(checkpoints=(checkpoint,), data=root / "test", out=root / "out", corruptions=("fog",))
+    return config, {(row.method, row.condition): row for row in evaluate_drives(config)}
+
+
+def test_stored_results_score_what_their_evaluation_says(stored) -> None:
+    config, rows = stored
+    found = score(config.out, protocol=["testbed", "opencood-no-ego"])
+    assert {one.name for one in found} == {"DSRC", "DSRC, ego alone"}
+    for one in found:
+        row = rows[one.name, "clean"]
+        for (space, threshold), value in one.ap.items():
+            sort = "ap_opencood" if one.protocol.order == "frame" else "ap"
+            assert value == row.metrics[f"{sort}_{space}_{round(100 * threshold)}"]
+        assert (one.frames, one.truth, one.detections) == (row.frames, row.truth, row.detections)
+        assert one.note.startswith("detections stored within x ")
+    # The tree has more true boxes than the range of the detector, and these are missed.
+    by_tree = score(config.out, config.data, "testbed")
+    assert all(a.truth >= b.truth and a.detections == b.detections for a, b in zip(by_tree, found[::2], strict=True))
+    names = {one.name for one in score(config.out / "detections.json", protocol="testbed", corruption="all")}
+    assert names == {"DSRC", "DSRC, ego alone", "DSRC, fog 3", "DSRC, ego alone, fog 3"}
+    with pytest.raises(SettingsError, match="corruption: expected one that is stored, found fogg; did you mean 'fog'"):
+        score(config.out, corruption="fogg")
+
+
+def test_the_command_writes_tables_with_the_card_beside_each_number(world, capsys, tmp_path) -> None:
+    root, frames = world
+    boxes = as_json(root / "again.json", frames)
+    for _ in range(2):  # its own files may be replaced
+        Command(detections=boxes, truth=root / "data", out=tmp_path / "scores").run()
+    printed = capsys.readouterr().out
+    assert "opencood-global" in printed and f"{tmp_path / 'scores'}\n" in printed
+    written = json.loads((tmp_path / "scores" / "scores.json").read_text())
+    assert written["provenance"]["data"] == {"one": open_drive(root / "data" / "one").digest()}
+    for row in written["rows"]:
+        protocol = PROTOCOLS[row["protocol"]]
+        assert (row["counted"], row["source"]) == (protocol.card, protocol.source)
+    head, *lines = (tmp_path / "scores" / "scores.csv").read_text().splitlines()[1:]
+    assert head.startswith("detections,protocol,ap_bev_30") and len(lines) == len(PROTOCOLS)
+    assert PROTOCOLS["kitti-r40"].card in (tmp_path / "scores" / "scores.md").read_text()
+    assert (tmp_path / "scores" / "scores.png").stat().st_size > 10_000
+
+
+def test_several_sets_share_a_table() -> None:
+    _, frames = golden_frames()
+    found = score([f.detections for f in frames], [f.truth for f in frames], "opencood")
+    text = score_markdown([*found, replace(found[0], name="other", note="half of it")])
+    assert "| other | opencood |" in text and text.rstrip().endswith("other: half of it.")
+    assert len(score_table(found).renderables) == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('{"frames": [{"frame": 0, "boxes": [[1,2,3]], "scores": [1]}]}', "boxes"),
+        (
+            '{"frames": [{"frame": 0, "boxes": [], "scores": [1]}]}',
+            r"scores: expected one for each of 0 boxes, found 1",
+        ),
+        ('{"frames": [{"frame": 0, "boxes": [[1,2,3,0,5,6,7]], "scores": [1]}]}', "expected positive sizes, found 0 m"),
+        ('{"frames": [{"frame": 0, "boxes": [], "scores": []}, {"frame": 0, "boxes": [], "scores": []}]}', "again"),
+        ('{"frames": [{"frame": 0, "box": []}]}', "box"),
+        ("{", "JSON"),
+    ],
+)
+def test_a_wrong_json_is_one_line(tmp_path: Path, content: str, said: str) -> None:
+    path = tmp_path / "boxes.json"
+    path.write_text(content)
+    with pytest.raises(DataError, match=said) as caught:
+        score(path, tmp_path)
+    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
+
+
+def test_what_is_no_detection_is_one_line(world, tmp_path: Path) -> None:
+    _, frames = world
+    with pytest.raises(DataError, match="nowhere: no such file or folder"):
+        score(tmp_path / "nowhere")
+    with pytest.raises(DataError, match=r"detections: expected detections.json, a JSON file, label files"):
+        score(tmp_path)
+    with pytest.raises(DataError, match="truth: expected a tree of true boxes, since none are stored here"):
+        score(as_json(tmp_path / "boxes.json", frames))
+    with pytest.raises(DataError, match="detections: truth: expected the true boxes of each frame, found 0 of 3"):
+        score(list(frames.values()), [])
+    np.save(tmp_path / "0000_pred.npy", np.zeros((2, 8, 3)))
+    with pytest.raises(DataError, match=r"0000_gt.npy: expected true boxes beside 0000_pred.npy, found none"):
+        score(tmp_path)
+    np.save(tmp_path / "0000_gt.npy", np.zeros((2, 4, 2)))
+    with pytest.raises(DataError, match=r"0000_gt.npy: array: expected floats of shape \(n, 8, 3\), found float64 of"):
+        score(tmp_path)
+    np.save(tmp_path / "0000_gt.npy", np.array([object()]), allow_pickle=True)
+    with pytest.raises(
+        DataError, match=r"0000_gt.npy: not a readable array of corners: Object arrays cannot be loaded"
+    ):
+        score(tmp_path)

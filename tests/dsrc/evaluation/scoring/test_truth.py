@@ -1,0 +1,99 @@
+"""True boxes of trees: those an evaluation takes, and what the protocols choose among."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.data.datasets.convert import convert
+from dsrc.data.drives import open_drive
+from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.data.sample import OPENCOOD_RANGE_M, make_sample
+from dsrc.evaluation.metrics.protocols import PROTOCOLS
+from dsrc.evaluation.scoring.frames import FrameKey, Truth, select
+from dsrc.evaluation.scoring.truth import read_truth, truth_of_frame
+from dsrc.ops.detections import Detections
+from dsrc.ops.grid import GridSpec
+from sim.boxes import Boxes
+from sim.errors import DataError
+from tests.dsrc.data.dair_tree import make
+from tests.dsrc.data.goldens import unpack_opv2v_mini
+from tests.dsrc.data.toy import toy_frame
+
+GRID = GridSpec(range_m=(-51.2, -25.6, -3.0, 51.2, 25.6, 1.0))
+
+
+def ids_in(name: str, truth: Truth) -> set[int]:
+    return set(select(PROTOCOLS[name], Detections.zeros(), truth).truth.object_id.tolist())
+
+
+@pytest.mark.parametrize("keep_ego", [True, False])
+def test_opencoods_protocol_takes_the_boxes_that_opencood_judges(tmp_path: Path, keep_ego: bool) -> None:
+    for drive in sorted(unpack_opv2v_mini(tmp_path).glob("*/")):
+        reader = open_drive(drive)
+        for i in range(len(reader)):
+            frame = reader.read(i)
+            settings = {"keep_ego_box": keep_ego, "team_by": "folders", "truth_range_m": OPENCOOD_RANGE_M}
+            sample = make_sample(frame, None, GRID, **settings)
+            found = ids_in("opencood" if keep_ego else "opencood-no-ego", truth_of_frame(frame))
+            assert found == set(sample.boxes.object_id.tolist()) and found
+
+
+def test_the_ego_counts_where_a_protocol_says_so_and_reach_ends_where_it_says_so() -> None:
+    frame = toy_frame(0)
+    truth = truth_of_frame(frame, 1000)
+    # 1003 is a pedestrian, 1005 is 900 m away and has no point; 1002 sees the ego.
+    assert truth.boxes.object_id.tolist() == [1000, 1001, 1002, 1004] and truth.own.tolist() == [True] + [False] * 3
+    assert truth.boxes.array[0, :2] == pytest.approx([0.0, 0.0], abs=0.1)
+    assert truth.reach_m[1:].tolist() == [0.0, 0.0, 0.0] and 20 < truth.reach_m[0] < 32
+    assert ids_in("testbed", truth) == {1001, 1002, 1004} and 1000 in ids_in("coalign", truth) | {1000}
+    far = Truth(truth.boxes, truth.own, np.full(4, 80.0))
+    assert not ids_in("testbed", far) and ids_in("kitti-r40", far) == {1001, 1002, 1004}
+    with pytest.raises(DataError, match="frame 0: ego: expected one of the agents"):
+        truth_of_frame(frame, 7)
+
+
+def test_without_ids_the_ego_is_the_box_around_the_origin() -> None:
+    boxes = Boxes.from_array([[20, 0, -1, 4, 2, 1.5, 0], [0.5, 0.3, -1, 4, 2, 1.5, 1.0], [0, 2, -1, 4, 2, 1.5, 0]])
+    assert Truth.of(boxes).own.tolist() == [False, True, False]
+    assert len(Truth.of(Boxes.zeros()).own) == 0
+
+
+def test_a_kitti_tree_has_the_boxes_of_the_drive_it_was_made_of(tmp_path: Path) -> None:
+    for index in range(2):
+        write_frame(tmp_path / "data" / "one", toy_frame(index))
+    tree = convert(tmp_path / "data", tmp_path / "kitti", "kitti", view="around")
+    with (tree / "frames.csv").open() as file:
+        places = {int(row["number"]): int(row["frame"]) for row in csv.DictReader(file)}
+    for root in (tree, tree / "training", tree / "training" / "label_2"):
+        found = read_truth(root, [FrameKey("", number) for number in places])
+    for key, truth in found.items():
+        drive = truth_of_frame(toy_frame(places[key.frame]), 1000)
+        kept = np.isin(drive.boxes.object_id, [1001, 1002])  # KITTI has no buses, and the ego does not label itself
+        np.testing.assert_allclose(truth.boxes.array, drive.boxes.array[kept], atol=2e-3)
+
+
+def test_a_dair_tree_is_read_by_the_names_of_its_batches(tmp_path: Path) -> None:
+    tree = make(tmp_path)
+    drive = open_drive(tree / "12")
+    key = FrameKey("12", drive.frames[0])
+    calls: list[tuple[int, int]] = []
+    truth = read_truth(tree, [key], lambda done, of: calls.append((done, of)))[key]
+    assert len(truth.boxes) == 3 and calls == [(1, 1)]
+
+
+def test_what_the_tree_lacks_is_one_line(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write_frame(tmp_path / name, toy_frame(3))
+    with pytest.raises(DataError, match=r"drive: expected one of one, two, found 'three'$"):
+        read_truth(tmp_path, [FrameKey("three", 3)])
+    with pytest.raises(DataError, match="drive: expected one of one, two, found detections without a drive"):
+        read_truth(tmp_path, [FrameKey("", 3)])
+    with pytest.raises(DataError, match="one: frame: expected frames 3 to 3 with detections, found no frame 4"):
+        read_truth(tmp_path / "one", [FrameKey("", 4)])
+    (tmp_path / "kitti" / "label_2").mkdir(parents=True)
+    with pytest.raises(DataError, match=r"kitti: label_2/000004.txt: expected labels of every frame"):
+        read_truth(tmp_path / "kitti", [FrameKey("", 4)])
+    with pytest.raises(DataError, match="nowhere: no such folder"):
+        read_truth(tmp_path / "nowhere", [FrameKey("", 4)])
