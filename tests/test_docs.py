@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -12,11 +13,15 @@ import pytest
 from PIL import Image
 
 from dsrc.cli.demo import SCENARIO, TEST_SEED
-from dsrc.cli.main import COMMANDS, command_class
+from dsrc.cli.main import COMMANDS, command_class, run
 from dsrc.cli.options import parse
+from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.evaluation.metrics.protocols import PROTOCOLS
+from dsrc.evaluation.scoring.truth import truth_of_frame
 from dsrc.models.compression import message_bytes
 from dsrc.models.fusion import FUSIONS
 from dsrc.training.recipes import METHODS, of_method, opv2v, small
+from tests.dsrc.data.toy import toy_frame
 from tests.paths import ROOT
 from tests.test_readme import commands_of
 
@@ -127,3 +132,38 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         assert (tmp_path / f"{page}.html").is_file()
     assert 'id="dsrc.LidarSpec"' in (tmp_path / "api.html").read_text()
     assert "helsinki_above.png" in (tmp_path / "gallery.html").read_text()
+
+
+def write_boxes(folder: Path) -> None:
+    """Write a drive `data` and detections in it, `boxes.json`."""
+    write_frame(folder / "data" / "one", toy_frame(3))
+    truth = truth_of_frame(toy_frame(3)).boxes.array
+    frames = [{"drive": "one", "frame": 3, "boxes": truth.tolist(), "scores": [0.9] * len(truth)}]
+    (folder / "boxes.json").write_text(json.dumps({"frames": frames}))
+
+
+YOUR_DATA = {"Score your boxes": write_boxes}
+"""Sections of docs/your_data.md, and the files that they are about."""
+
+
+@pytest.mark.parametrize("title", YOUR_DATA)
+def test_what_the_page_of_your_data_says_runs(title: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    section = (ROOT / "docs/your_data.md").read_text(encoding="utf-8").split(f"\n## {title}\n")[1].split("\n## ")[0]
+    YOUR_DATA[title](tmp_path)
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    assert blocks
+    for kind, block in blocks:
+        assert block.count("\n") <= 5
+        if kind == "python":
+            exec(block, {})
+        else:
+            for line in block.splitlines():
+                run(shlex.split(line, comments=True)[1:])
+
+
+def test_the_page_of_your_data_has_every_protocol_with_what_it_counts() -> None:
+    page = (ROOT / "docs/your_data.md").read_text(encoding="utf-8")
+    section = page.split("\n## Score your boxes\n")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| `([\w-]+)` \| ([^|]*) \| ([^|]*) \|$", section, re.MULTILINE)
+    assert rows == [(one.name, one.card, one.source) for one in PROTOCOLS.values()]

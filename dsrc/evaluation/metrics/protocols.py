@@ -90,11 +90,9 @@ def _words(range_m: Range) -> str:
 
 _OPENCOOD = "R. Xu et al., OPV2V, ICRA 2022; OpenCOOD, eval_utils.py and GT_RANGE, also V2X-ViT's and DSRC's"
 _SORTED = "OpenCOOD with --global_sort_detections"
-_EGO = "; the ego's own box left out, as OpenCOOD issue 141 asks"
+_EGO = "; the ego's own box left out, see OpenCOOD issue 141"
 _COALIGN = "Y. Lu et al., CoAlign, ICRA 2023; its eval_utils.py and gt_range of "
-_KITTI = (
-    "A. Geiger et al., CVPR 2012, and KITTI's devkit, without its degrees of difficulty and regions not to care for"
-)
+_KITTI = "A. Geiger et al., CVPR 2012, and KITTI's devkit, without its difficulties and don't-care regions"
 _BOTH: tuple[Space, ...] = ("bev", "3d")
 
 _TABLE = (
