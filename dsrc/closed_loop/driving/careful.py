@@ -1,12 +1,12 @@
 """Careful and competent human driver of UN Regulation No. 157: the yardstick of an avoidable crash.
 
-UN R157 (Automated Lane Keeping Systems), Annex 3, performance model of a careful and competent driver: the risk is
-evaluated for 0.4 s, braking begins 0.75 s later, and grows to 0.774 g within 0.6 s. Where this driver, with the same
-view, does not crash, the crash was avoidable.
+UN R157 (Automated Lane Keeping Systems), guidance on traffic disturbance critical scenarios (Annex 3, in the first
+version Annex 4, Appendix 3), Table 1, performance model of a careful and competent driver: the risk is evaluated for
+0.4 s, braking begins 0.75 s after that, and grows to 0.774 g within 0.6 s. Where this driver, with the same view, does
+not crash, the crash was avoidable.
 
-The four numbers are recalled: nobody has compared them with the text of the regulation, nor checked that the 0.75 s
-begin where the 0.4 s end, as they do here. The regulation's model is for cut-in, cut-out and braking ahead on
-motorways, and knows full braking alone; routine braking and all other conflicts are added here.
+The regulation's model is for cut-in, cut-out and braking ahead on motorways, and knows full braking alone; routine
+braking and all other conflicts are added here.
 """
 
 import math
