@@ -21,7 +21,7 @@ from sim.reading import parsing, read_text
 VEHICLES = {"car": "car", "van": "van", "truck": "truck", "bus": "bus"}
 """Our classes by KITTI's types, in any case; it has no buses, but others' files in its format do."""
 _WIDTH = 15
-_LARGEST_M = 1e4
+_LARGEST = 1e7
 
 
 def label_folder(tree: Path) -> Path | None:
@@ -69,8 +69,7 @@ def read_labels(
             values = np.array(words[1:width], np.float64)
         except ValueError:
             raise DataError(complaint(path, f"line {number}", "numbers after the type", line)) from None
-        box = values[7:]
-        if not np.isfinite(values).all() or (np.abs(box[:6]) > _LARGEST_M).any() or (box[:3] <= 0).any():
+        if not (np.abs(values) <= _LARGEST).all() or (values[7:10] <= 0).any():
             raise DataError(complaint(path, f"line {number}", "a box of positive size", line))
         kept.append(values[None])
         labels.append(CLASSES.index(name))

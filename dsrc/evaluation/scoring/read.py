@@ -34,7 +34,10 @@ from sim.reading import parsing, read_bytes
 
 EVERY = "all"
 
-_Box = tuple[float, float, float, float, float, float, float]
+_LARGEST = 1e7
+"""Largest number of a box or a score: further out, overlaps have no digits left."""
+_Number = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
+_Box = tuple[_Number, _Number, _Number, _Number, _Number, _Number, _Number]
 
 
 class BoxFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -50,7 +53,7 @@ class BoxFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     frame: int
     boxes: tuple[_Box, ...]
-    scores: tuple[Annotated[float, Meta(ge=-1e30, le=1e30)], ...]
+    scores: tuple[_Number, ...]
     drive: str = ""
     ego: int | None = None
 
@@ -170,6 +173,6 @@ def _corners(path: Path) -> NDArray[np.float64]:
         array = np.load(io.BytesIO(content), allow_pickle=False)
     if array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != (8, 3):
         raise DataError(complaint(path, "array", "floats of shape (n, 8, 3)", f"{array.dtype} of {array.shape}"))
-    if not np.isfinite(array).all():
-        raise DataError(complaint(path, "array", "finite numbers", "NaN or infinity"))
+    if not (np.abs(array) <= _LARGEST).all():
+        raise DataError(complaint(path, "array", f"numbers up to {_LARGEST:g}", "NaN or larger ones"))
     return array.astype(np.float64)

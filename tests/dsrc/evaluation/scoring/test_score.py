@@ -183,6 +183,8 @@ def test_several_sets_share_a_table() -> None:
         ('{"frames": [{"frame": 0, "boxes": [[1,2,3,0,5,6,7]], "scores": [1]}]}', "expected positive sizes, found 0 m"),
         ('{"frames": [{"frame": 0, "boxes": [], "scores": []}, {"frame": 0, "boxes": [], "scores": []}]}', "again"),
         ('{"frames": [{"frame": 0, "box": []}]}', "box"),
+        ('{"frames": [{"frame": 0, "boxes": [[1e300,2,3,4,5,6,7]], "scores": [1]}]}', "1e7|10000000"),
+        ('{"frames": [{"frame": 0, "boxes": [["nan",2,3,4,5,6,7]], "scores": [1]}]}', r"boxes\[0\]"),
         ("{", "JSON"),
     ],
 )
@@ -209,6 +211,9 @@ def test_what_is_no_detection_is_one_line(world, tmp_path: Path) -> None:
         score(tmp_path)
     np.save(tmp_path / "0000_gt.npy", np.zeros((2, 4, 2)))
     with pytest.raises(DataError, match=r"0000_gt.npy: array: expected floats of shape \(n, 8, 3\), found float64 of"):
+        score(tmp_path)
+    np.save(tmp_path / "0000_gt.npy", np.full((2, 8, 3), np.nan))
+    with pytest.raises(DataError, match=r"0000_gt.npy: array: expected numbers up to 1e\+07, found NaN or larger ones"):
         score(tmp_path)
     np.save(tmp_path / "0000_gt.npy", np.array([object()]), allow_pickle=True)
     with pytest.raises(
