@@ -7,6 +7,8 @@ minor versions; modules below it may move.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import dsrc.outputs as _outputs  # noqa: F401 - whoever writes knows what may be replaced
+
 if TYPE_CHECKING:
     from dsrc.closed_loop.campaign.report import summary_table, write_report
     from dsrc.closed_loop.campaign.run import drive

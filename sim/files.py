@@ -18,48 +18,20 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from sim.errors import OutputError, complaint
+from sim.signatures import KINDS, MANIFESTS, SIGNATURES, sign
 
 SUFFIX = ".tmp"
 """Ending of a file that is being written; its name begins with a dot."""
 _LEFTOVER = re.compile(rf"\..+\.[0-9a-f]{{8}}{re.escape(SUFFIX)}")
 
-_KINDS = {
-    b"PK\x03\x04": "archive",
-    b"\x89PNG": "picture",
-    b"\x89MCAP": "MCAP recording",
-    b"<!": "web page",
-    b"<html": "web page",
-    b"# .PCD": "point cloud",
-    b"\x08": "network",
-}
-"""Kinds of files by their first bytes; all else is data."""
-
-_SIGNATURES = {
-    "archive": (b"version.npy", b"episode.npy", b"dsrc-detector-1"),
-    "picture": (b"Description\0{", b"Software\0dsrc"),
-    "MCAP recording": (b"dsrc-testbed",),
-    "web page": (b"__REVIEW__",),
-    "network": (b"dsrc-testbed",),
-    "data": (b'# {"', b"scenario,perception,", b"SHA-256 of the drives: `"),
-}
-"""Bytes of which a file of a kind holds one if this package wrote it: names of its columns, formats and notes."""
-
-_MANIFESTS = {
-    "data_protocol.yaml": b"testbed:",
-    "conversion.json": b'"drives"',
-    "corruption.json": b'"corruption"',
-    "manifest.json": b'"drives"',
-    "card.json": b'"agent_frames"',
-    "settings.json": b'"recipe"',
-    "results.json": b'"provenance"',
-    "scores.json": b'"provenance"',
-    "plan.json": b'"perceptions"',
-}
-"""Manifests of the folders that this package writes, each with bytes that it holds."""
 _DEPTH = 4
 """Levels of folders between a manifest and its files: those of DAIR-V2X's."""
 _HASH = re.compile(r"[0-9a-f]{16,64}")
 """Name of a cached result: the hash of what it depends on."""
+
+_NOTE = b"Software\0dsrc"
+sign("picture", _NOTE)
+sign("archive", b"version.npy")  # traffic and static worlds
 
 _overwrite: ContextVar[bool] = ContextVar("overwrite", default=False)
 
@@ -79,7 +51,7 @@ def check_output(path: Path, kind: str | None = None) -> None:
 
     Args:
         path: of the file.
-        kind: of what will be written, one of `_KINDS`; None for any.
+        kind: of what will be written, a value of `KINDS` or `data`; None for any.
 
     Raises:
         OutputError: there is something else that must not be replaced, see `sim.files`.
@@ -139,11 +111,11 @@ def kind_of(path: Path) -> str:
     """Return the kind of a file by its first bytes, `data` for an unknown one."""
     with path.open("rb") as file:
         head = file.read(8)
-    return next((kind for start, kind in _KINDS.items() if head.startswith(start)), "data")
+    return next((kind for start, kind in KINDS.items() if head.startswith(start)), "data")
 
 
 def _is_signed(path: Path, kind: str | None = None) -> bool:
-    return any(_holds(path, signature) for signature in _SIGNATURES.get(kind or kind_of(path), ()))
+    return any(_holds(path, signature) for signature in SIGNATURES.get(kind or kind_of(path), ()))
 
 
 def _is_cached(path: Path) -> bool:
@@ -155,7 +127,7 @@ def _folders_above(path: Path) -> list[Path]:
 
 
 def _has_manifest(folder: Path) -> bool:
-    return any(_holds(folder / name, content) for name, content in _MANIFESTS.items())
+    return any(_holds(folder / name, content) for name, content in MANIFESTS.items())
 
 
 def _holds(path: Path, content: bytes) -> bool:
@@ -224,7 +196,7 @@ def named(path: Path) -> Iterator[None]:
 def signed_picture(png: bytes) -> bytes:
     """Return a PNG with the note `Software: dsrc`, by which it is known as ours."""
     header = 33  # signature and first chunk
-    note = b"tEXtSoftware\0dsrc"
+    note = b"tEXt" + _NOTE
     chunk = struct.pack(">I", len(note) - 4) + note + struct.pack(">I", zlib.crc32(note))
     return png[:header] + chunk + png[header:]
 

@@ -74,7 +74,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
         from dsrc.review.state import ReviewState
         from sim.files import check_apart, check_output
 
-        for path, kind in ((self.picture, "picture"), (self.animation, None)):
+        for path, kind in ((self.picture, "picture"), (self.animation, "animation")):
             if path is not None:
                 check_apart(path, self.data)
                 check_output(path, kind)

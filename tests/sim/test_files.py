@@ -8,6 +8,7 @@ import matplotlib.image as mpimg
 import numpy as np
 import pytest
 
+import dsrc.outputs  # noqa: F401 - its files stand for those of any floor
 from sim.errors import OutputError
 from sim.files import (
     check_apart,

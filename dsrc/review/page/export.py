@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dsrc.options.fields import takes_fields
 from dsrc.options.review import PageOptions
+from dsrc.outputs import COMMENT
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cameras import CameraPose, birds_eye, chase, overview
@@ -138,7 +139,7 @@ def write_picture(image: NDArray[np.uint8], out: Path) -> Path:
 
 
 def write_animation(images: Iterable[NDArray[np.uint8]], out: Path, interval_s: float) -> Path:
-    """Write (H, W, 3) pictures as an endless GIF of one palette.
+    """Write (H, W, 3) pictures as an endless GIF of one palette, with the comment by which it is known as ours.
 
     Args:
         images: at least one.
@@ -153,7 +154,10 @@ def write_animation(images: Iterable[NDArray[np.uint8]], out: Path, interval_s: 
     frames = [one.quantize(palette=colors, dither=Image.Dither.NONE) for one in (first, *others)]
     content = io.BytesIO()
     pause_ms = max(round(1e3 * interval_s), 20)
-    frames[0].save(content, "gif", save_all=True, append_images=frames[1:], duration=pause_ms, loop=0, optimize=True)
+    frames[0].save(
+        content, "gif", save_all=True, append_images=frames[1:], duration=pause_ms, loop=0, optimize=True,
+        comment=COMMENT,
+    )  # fmt: skip
     write_file(out, content.getvalue())
     return out
 

@@ -28,6 +28,7 @@ def test_a_picture_is_written_as_it_is_and_may_be_written_again(tmp_path):
 
 def test_an_animation_has_every_picture_at_its_pace(tmp_path):
     out = write_animation(squares(5), tmp_path / "view.gif", 0.1)
+    check_output(out, "animation")
     with Image.open(out) as gif:
         assert gif.n_frames == 5 and gif.info["duration"] == 100 and gif.info["loop"] == 0
         for number in range(5):
