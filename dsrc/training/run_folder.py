@@ -12,8 +12,9 @@ import torch
 
 from dsrc.data.provenance import commit, versions
 from dsrc.training.recipes import PARTS
-from sim.errors import CheckpointError, SettingsError, complaint
+from sim.errors import CheckpointError, DataError, SettingsError, complaint
 from sim.files import write_file
+from sim.reading import read_bytes
 
 DETECTOR, SETTINGS, RESULT, ENVIRONMENT = "detector.pt", "settings.json", "result.json", "environment.json"
 """Files of a run folder."""
@@ -81,8 +82,9 @@ class RunFolder:
             "devices": devices,
         }
         try:
-            before = msgspec.json.decode(self.environment.read_bytes(), type=list[dict[str, Any]])
-        except (FileNotFoundError, msgspec.DecodeError):
+            content = read_bytes(self.environment, "list of environments")
+            before = msgspec.json.decode(content, type=list[dict[str, Any]])
+        except (DataError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             before = []
         if before[-1:] != [now]:
             write_json(self.environment, [*before, now])
@@ -92,8 +94,9 @@ class RunFolder:
         if not self.settings.exists():
             return
         try:
-            before, now = _decisive(msgspec.json.decode(self.settings.read_bytes())), _decisive(record)
-        except (msgspec.DecodeError, KeyError, TypeError, AttributeError):
+            content = read_bytes(self.settings, "settings of a training", SettingsError)
+            before, now = _decisive(msgspec.json.decode(content)), _decisive(record)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, KeyError, TypeError, AttributeError):
             found = complaint(self.settings, "file", "the settings of a training", "something else")
             raise SettingsError(found) from None
         for name in sorted(before.keys() & now.keys()):

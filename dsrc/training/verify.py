@@ -17,6 +17,7 @@ from dsrc.training.run_folder import DETECTOR, RESULT, SETTINGS
 from dsrc.training.validation import best_device, frames_named, validate
 from sim.errors import CheckpointError, DataError, complaint
 from sim.files import file_sha256
+from sim.reading import read_bytes
 
 AP_TOLERANCE = 0.002
 """Tolerance of average precisions: other processors sum in another order, and detections cross thresholds."""
@@ -161,8 +162,8 @@ def _read(path: Path, kind: type[Document]) -> Document:
             complaint(path, "file", "that of a finished training", "none", "; `dsrc model train` resumes it")
         )
     try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except msgspec.DecodeError as error:
+        return msgspec.json.decode(read_bytes(path, "record of a training"), type=kind)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise DataError(complaint(path, "file", "what a training has written", str(error))) from None
 
 

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 from sim.errors import ScenarioError, complaint
+from sim.reading import parsing
 from sim.roads.convert import ConvertedMap, convert_map, map_kind
 from sim.roads.focus import JunctionArea, beside_junction, densest_junction
 
@@ -40,7 +41,8 @@ def import_map(source: Path, name: str = "", out: Path | None = None) -> Path:
         made = Path(work) / "made"
         made.mkdir()
         found = convert_map(source, made)
-        (made / "scenario.toml").write_text(_scenario(source, kind, name, found), encoding="utf-8")
+        with parsing(source, "map", ScenarioError):
+            (made / "scenario.toml").write_text(_scenario(source, kind, name, found), encoding="utf-8")
         if folder.is_dir():
             folder.rmdir()
         shutil.move(made, folder)

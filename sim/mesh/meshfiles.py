@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import ScenarioError, complaint, unreadable
+from sim.errors import ScenarioError, complaint
+from sim.reading import parsing, read_bytes
 
 # Chunk ids of a .3ds file: https://en.wikipedia.org/wiki/.3ds
 _NESTED = (0x4D4D, 0x3D3D, 0x4100)
@@ -37,13 +38,11 @@ def read_3ds(path: Path) -> MeshFile:
     Raises:
         ScenarioError: the file is missing, truncated or of another format.
     """
-    try:
-        data = path.read_bytes()
+    data = read_bytes(path, ".3ds file", ScenarioError)
+    with parsing(path, ".3ds file", ScenarioError):
         if data[:2] != b"\x4d\x4d":
             raise ScenarioError(complaint(path, "first chunk", "4D4D of a .3ds file", data[:2].hex()))
-        return _collect_3ds(data)
-    except (OSError, struct.error, ValueError, IndexError) as error:
-        raise ScenarioError(unreadable(path, ".3ds file", error)) from None
+        return _checked(_collect_3ds(data))
 
 
 def _collect_3ds(data: bytes) -> MeshFile:
@@ -94,8 +93,9 @@ def read_obj(path: Path) -> MeshFile:
         ScenarioError: the file is missing or not an .obj file.
     """
     vertices, faces, groups, group = [], [], [], ""
-    try:
-        for line in path.read_text(encoding="latin-1").splitlines():
+    data = read_bytes(path, ".obj file", ScenarioError)
+    with parsing(path, ".obj file", ScenarioError):
+        for line in data.decode("latin-1").splitlines():
             word, _, rest = line.partition(" ")
             if word == "v":
                 vertices.append([float(value) for value in rest.split()[:3]])
@@ -107,9 +107,15 @@ def read_obj(path: Path) -> MeshFile:
                 for second, third in pairwise(corner[1:]):
                     faces.append([corner[0], second, third])
                     groups.append(group)
-        mesh = MeshFile(np.array(vertices, np.float64), np.array(faces, np.int64), np.array(groups, dtype="U64"))
-        if mesh.faces.shape[1:] != (3,) or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-            raise ValueError("it holds no triangles, or corners without a vertex")
-    except (OSError, ValueError, IndexError) as error:
-        raise ScenarioError(unreadable(path, ".obj file", error)) from None
+        return _checked(
+            MeshFile(np.array(vertices, np.float64), np.array(faces, np.int64), np.array(groups, dtype="U64"))
+        )
+
+
+def _checked(mesh: MeshFile) -> MeshFile:
+    """Return a mesh; ValueError unless it has triangles, a vertex for every corner and finite places."""
+    if mesh.faces.shape[1:] != (3,) or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise ValueError("it holds no triangles, or corners without a vertex")
+    if not np.isfinite(mesh.vertices).all():
+        raise ValueError("a vertex is not finite")
     return mesh

@@ -119,11 +119,12 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
         run_tool("netconvert", options | {"output-file": str(net)}, net, str(source))
         if "osm-files" in options:
             _polygons(source, Path(str(options["osm-files"])), folder, Path(work))
-    drop_header(net)
-    made = ConvertedMap.of(folder)
-    text = rounding.rounded_network(net.read_text(encoding="utf-8"))
-    text = kerbside.with_room_to_park(text, kerbside.houses_of(made.polygons))
-    net.write_text(text, encoding="utf-8")
+    with parsing(source, f"{kind} file", ScenarioError):
+        drop_header(net)
+        made = ConvertedMap.of(folder)
+        text = rounding.rounded_network(net.read_text(encoding="utf-8"))
+        text = kerbside.with_room_to_park(text, kerbside.houses_of(made.polygons))
+        net.write_text(text, encoding="utf-8")
     return made
 
 

@@ -6,7 +6,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from sim.errors import ScenarioError, complaint, unreadable
+from sim.errors import ScenarioError, complaint
+from sim.reading import check_regular, parsing, read_bytes
 from sim.roads.cache import cached
 from sim.roads.convert import CONVERSION, ConvertedMap, convert_map, is_network
 from sim.roads.tools import Option, drop_header, run_tool, sumo_tools
@@ -75,10 +76,9 @@ def read_network(path: Path | str) -> Any:
 def _read(path: str, _changed_ns: int) -> Any:
     import sumolib
 
-    try:
+    check_regular(Path(path), "SUMO network", ScenarioError)
+    with parsing(path, "SUMO network", ScenarioError):
         net = sumolib.net.readNet(path, withInternal=True)
-    except Exception as error:  # sumolib passes on whatever its XML reader raises
-        raise ScenarioError(unreadable(path, "SUMO network", error)) from None
     if not net.getEdges():
         raise ScenarioError(complaint(path, "network", "at least one edge", "none"))
     return net
@@ -111,6 +111,6 @@ def _converted(path: Path) -> ConvertedMap:
         made.mkdir()
         convert_map(path, made)
 
-    key = [hashlib.sha256(path.read_bytes()).hexdigest(), CONVERSION]
+    key = [hashlib.sha256(read_bytes(path, "map", ScenarioError)).hexdigest(), CONVERSION]
     folder = cached("maps", path.name.split(".")[0], "", key, make)
     return ConvertedMap.of(folder)

@@ -8,7 +8,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from sim.errors import ScenarioError
+from sim.errors import ScenarioError, one_line
 
 Option = str | int | float | bool
 
@@ -50,12 +50,17 @@ def run_tool(name: str, options: Mapping[str, Option], made: Path, what: str) ->
     # Without it the programs search for projections elsewhere and warn.
     places = {"PROJ_DATA": str(sumo_home() / "data" / "proj")}
     done = subprocess.run(
-        [str(binary), *arguments], capture_output=True, text=True, check=False, env=os.environ | places
+        [str(binary), *arguments],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+        env=os.environ | places,
     )
     if done.returncode != 0 or not made.is_file():
         _, error, reason = done.stderr.partition("Error: ")
         reason = reason.replace("Quitting (on error).", "") if error else "nothing came out"
-        raise ScenarioError(f"{what}: {name} refuses it: {' '.join(reason.split())}")
+        raise ScenarioError(f"{what}: {name} refuses it: {one_line(reason, 300)}")
 
 
 def drop_header(path: Path) -> None:

@@ -132,7 +132,7 @@ def read_result(folder: Path, key: str) -> EpisodeResult | None:
         return None
     try:
         return msgspec.json.decode(path.read_bytes(), type=EpisodeResult)
-    except (OSError, msgspec.MsgspecError):
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         return None
 
 

@@ -98,7 +98,7 @@ def _read(path: Path) -> dict[str, Note]:
         raise DataError(complaint(path, "size", f"at most {_LARGEST_BYTES} bytes", path.stat().st_size))
     try:
         book = msgspec.json.decode(path.read_bytes(), type=_Book)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise DataError(complaint(path, "content", "notes on errors", str(error))) from None
     if book.version != VERSION:
         raise DataError(complaint(path, "version", str(VERSION), book.version))
