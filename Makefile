@@ -20,7 +20,7 @@ test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow --timeout 1800
 
 test-browser: $(READY)
-	$(BIN)/python -m pytest -m browser
+	$(BIN)/python -m pytest -m browser tests/dsrc/review
 
 # Property tests on new random examples.
 test-explore: $(READY)
