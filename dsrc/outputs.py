@@ -1,6 +1,6 @@
 """Files and folders that `dsrc` writes, and how each is known as ours; see `sim.files`."""
 
-from sim.signatures import sign, sign_folder
+from sim.files import sign, sign_folder
 
 COMMENT = b"Software: dsrc"
 """Comment of an animation by which it is known as ours."""

@@ -2,15 +2,15 @@
 
 One rule holds for every command. An existing file is replaced only if it is a regular one, of the kind of the new one,
 and was written by this package, or where `overwriting` is asked for. Who has written it is known by its content, or by
-the manifest of its folder.
+the manifest of its folder, which each floor declares for what it writes: see `sign`.
 """
 
 import hashlib
 import mmap
+import os
 import re
 import stat
 import struct
-import uuid
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -18,22 +18,43 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from sim.errors import OutputError, complaint
-from sim.signatures import KINDS, MANIFESTS, SIGNATURES, sign
 
 SUFFIX = ".tmp"
 """Ending of a file that is being written; its name begins with a dot."""
 _LEFTOVER = re.compile(rf"\..+\.[0-9a-f]{{8}}{re.escape(SUFFIX)}")
+
+_KINDS = {
+    b"PK\x03\x04": "archive",
+    b"\x89PNG": "picture",
+    b"GIF8": "animation",
+    b"\x89MCAP": "MCAP recording",
+    b"<!": "web page",
+    b"<html": "web page",
+    b"# .PCD": "point cloud",
+    b"\x08": "network",
+}
+"""Kinds of files by their first bytes; all else is data."""
+_NOTE = b"Software\0dsrc"
+
+_SIGNATURES = {"picture": [_NOTE], "archive": [b"version.npy"]}
+_MANIFESTS: dict[str, bytes] = {}
 
 _DEPTH = 4
 """Levels of folders between a manifest and its files: those of DAIR-V2X's."""
 _HASH = re.compile(r"[0-9a-f]{16,64}")
 """Name of a cached result: the hash of what it depends on."""
 
-_NOTE = b"Software\0dsrc"
-sign("picture", _NOTE)
-sign("archive", b"version.npy")  # traffic and static worlds
-
 _overwrite: ContextVar[bool] = ContextVar("overwrite", default=False)
+
+
+def sign(kind: str, *marks: bytes) -> None:
+    """Declare bytes of which a file of a kind, `data` or one of `_KINDS`, holds one if this package wrote it."""
+    _SIGNATURES.setdefault(kind, []).extend(marks)
+
+
+def sign_folder(manifest: str, mark: bytes) -> None:
+    """Declare the name of a folder's manifest, and bytes that it holds if this package wrote the folder."""
+    _MANIFESTS[manifest] = mark
 
 
 @contextmanager
@@ -51,7 +72,7 @@ def check_output(path: Path, kind: str | None = None) -> None:
 
     Args:
         path: of the file.
-        kind: of what will be written, a value of `KINDS` or `data`; None for any.
+        kind: of what will be written, one of `_KINDS`; None for any.
 
     Raises:
         OutputError: there is something else that must not be replaced, see `sim.files`.
@@ -111,11 +132,11 @@ def kind_of(path: Path) -> str:
     """Return the kind of a file by its first bytes, `data` for an unknown one."""
     with path.open("rb") as file:
         head = file.read(8)
-    return next((kind for start, kind in KINDS.items() if head.startswith(start)), "data")
+    return next((kind for start, kind in _KINDS.items() if head.startswith(start)), "data")
 
 
 def _is_signed(path: Path, kind: str | None = None) -> bool:
-    return any(_holds(path, signature) for signature in SIGNATURES.get(kind or kind_of(path), ()))
+    return any(_holds(path, signature) for signature in _SIGNATURES.get(kind or kind_of(path), ()))
 
 
 def _is_cached(path: Path) -> bool:
@@ -127,7 +148,7 @@ def _folders_above(path: Path) -> list[Path]:
 
 
 def _has_manifest(folder: Path) -> bool:
-    return any(_holds(folder / name, content) for name, content in MANIFESTS.items())
+    return any(_holds(folder / name, content) for name, content in _MANIFESTS.items())
 
 
 def _holds(path: Path, content: bytes) -> bool:
@@ -165,7 +186,7 @@ def replacing(path: Path, *, edited: bool = False) -> Iterator[Path]:
     with overwriting(edited or _overwrite.get()):
         check_output(path)
     # A unique name: processes may make the same file of a cache at once.
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{SUFFIX}")
+    temporary = path.with_name(f".{path.name}.{os.urandom(4).hex()}{SUFFIX}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
