@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -21,6 +22,7 @@ from dsrc.evaluation.scoring.truth import truth_of_frame
 from dsrc.models.compression import message_bytes
 from dsrc.models.fusion import FUSIONS
 from dsrc.training.recipes import METHODS, of_method, opv2v, small
+from sensors.corruptions.check import example_frame
 from tests.dsrc.data.toy import toy_frame
 from tests.paths import ROOT
 from tests.test_readme import commands_of
@@ -134,6 +136,19 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert "helsinki_above.png" in (tmp_path / "gallery.html").read_text()
 
 
+def write_clouds(folder: Path) -> None:
+    """Write scans as KITTI, nuScenes and numpy have them."""
+    sweep = example_frame().agents[0].sweep
+    points = np.column_stack([sweep.points, sweep.intensity]).astype(np.float32)
+    (folder / "velodyne").mkdir()
+    (folder / "velodyne/000007.bin").write_bytes(points.tobytes())
+    (folder / "nuscenes/samples/LIDAR_TOP").mkdir(parents=True)
+    (folder / "nuscenes/samples/LIDAR_TOP/1.pcd.bin").write_bytes(
+        np.column_stack([points, 31 - sweep.ring]).astype(np.float32).tobytes()
+    )
+    np.save(folder / "scan.npy", points)
+
+
 def write_boxes(folder: Path) -> None:
     """Write a drive `data` and detections in it, `boxes.json`."""
     write_frame(folder / "data" / "one", toy_frame(3))
@@ -142,7 +157,7 @@ def write_boxes(folder: Path) -> None:
     (folder / "boxes.json").write_text(json.dumps({"frames": frames}))
 
 
-YOUR_DATA = {"Score your boxes": write_boxes}
+YOUR_DATA = {"Corrupt your clouds": write_clouds, "Score your boxes": write_boxes}
 """Sections of docs/your_data.md, and the files that they are about."""
 
 
