@@ -1,6 +1,7 @@
 """True boxes of frames in a tree: OPV2V, V2V4Real, DAIR-V2X-C or KITTI."""
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -60,10 +61,10 @@ def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None =
     """
     keys = list(keys)
     labels = kitti_labels.label_folder(tree)
-    drives = _Drives(tree) if labels is None else None
+    read = _Drives(tree).truth if labels is None else partial(_of_labels, labels)
     found = {}
     for done, key in enumerate(keys, 1):
-        truth = truth_of_frame(drives.read(key), key.ego_id) if drives else _of_labels(tree, labels, key)
+        truth = read(key)
         rounded = Boxes.from_array(truth.boxes.array.astype(np.float32), truth.boxes.label, truth.boxes.object_id)
         found[key] = Truth(rounded, truth.own, truth.reach_m)
         if progress:
@@ -81,15 +82,15 @@ class _Drives:
             self.paths.setdefault(path.name, []).append(path)
         self.opened: tuple[str, Drive] | None = None
 
-    def read(self, key: FrameKey) -> Frame:
-        """Read a frame."""
+    def truth(self, key: FrameKey) -> Truth:
+        """Read the true boxes of a frame."""
         if self.opened is None or self.opened[0] != key.drive:
             self.opened = key.drive, open_drive(self._path(key.drive))
         drive = self.opened[1]
         if key.frame not in drive.frames:
             expected = f"frames {drive.frames[0]} to {drive.frames[-1]}" if drive.frames else "frames"
             raise DataError(complaint(drive.drive, "frame", f"{expected} with detections", f"no frame {key.frame}"))
-        return drive.read(drive.frames.index(key.frame))
+        return truth_of_frame(drive.read(drive.frames.index(key.frame)), key.ego_id)
 
     def _path(self, name: str) -> Path:
         if not name and len(self.paths) == 1:
@@ -104,10 +105,9 @@ class _Drives:
         return found[0]
 
 
-def _of_labels(tree: Path, folder: Path | None, key: FrameKey) -> Truth:
-    assert folder is not None
+def _of_labels(folder: Path, key: FrameKey) -> Truth:
     path = folder / f"{key.frame:06d}.txt"
     if key.drive or not path.is_file():
-        found = f"detections of {key.drive}/{key.frame:06d}" if key.drive else "none"
-        raise DataError(complaint(tree, f"label_2/{path.name}", "labels of every frame with detections", found))
+        found = f"detections of {key.drive} {key.frame}" if key.drive else f"no labels of frame {key.frame}"
+        raise DataError(complaint(path, "labels", "those of every frame with detections", found))
     return Truth.of(kitti_labels.read_labels(path, kitti_labels.calibration_of(folder, key.frame))[0])
