@@ -58,7 +58,8 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
         from rich.console import Console
 
         from dsrc.evaluation.config import available, plan_of
-        from dsrc.evaluation.report.paper_tables import DatasetResults, table_1
+        from dsrc.evaluation.report.dataset_results import DatasetResults
+        from dsrc.evaluation.report.paper_tables import table_1
         from dsrc.evaluation.report.pictures import check_pictures, write_pictures
         from dsrc.evaluation.report.report import publish, write_report
         from dsrc.evaluation.runner import run_plan

@@ -12,7 +12,8 @@ from typing import Self
 import msgspec
 import numpy as np
 
-from dsrc.closed_loop.log_columns import ColumnReader, below, read_ticks, rounded_tick, tick_columns
+from dsrc.closed_loop.log_columns import below, rounded_tick, tick_columns
+from dsrc.closed_loop.log_reader import ColumnReader, read_ticks
 from dsrc.closed_loop.types import Outcome, Tick
 from sim.contact import Contact
 from sim.packed import read_arrays, write_arrays

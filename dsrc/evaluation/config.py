@@ -142,7 +142,7 @@ class PictureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         teacher: detector file of DSRC's teacher, for the feature maps; "" for none.
         methods: methods of the drawn detections; empty: the first three and the last.
         percentiles: of frames by the number of true boxes with points from helpers alone, a frame each, see
-            `dsrc.evaluation.report.pictures.frames_at`.
+            `dsrc.evaluation.report.pictures.frames.frames_at`.
         corruption: of the frames.
     """
 

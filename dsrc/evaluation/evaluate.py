@@ -9,8 +9,11 @@ from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.conditions import corruption_kinds
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
 from dsrc.evaluation.detect import join_results
+from dsrc.evaluation.figures.bars import corruption_bars
+from dsrc.evaluation.figures.curves import precision_recall_curves
+from dsrc.evaluation.figures.points import robustness_scatter
+from dsrc.evaluation.figures.style import png_bytes
 from dsrc.evaluation.metrics.ap import evaluate_matches
-from dsrc.evaluation.plots import corruption_bars, png_bytes, precision_recall_curves, robustness_scatter
 from dsrc.evaluation.report.report import provenance_of, stored_index, write_results
 from dsrc.evaluation.results import CLEAN, Row, summary_rows
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, run_plan

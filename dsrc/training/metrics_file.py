@@ -10,7 +10,8 @@ from typing import Any
 import lightning.pytorch as pl
 import msgspec
 
-from dsrc.evaluation.plots import png_bytes, training_curves
+from dsrc.evaluation.figures.curves import training_curves
+from dsrc.evaluation.figures.style import png_bytes
 from dsrc.training.validation import is_metric
 from sim.files import write_file
 

@@ -86,7 +86,7 @@ def comparison_table(former: EpisodeLog, again: EpisodeLog) -> Table:
 
 def write_report(result: CampaignResult, out: Path) -> list[Path]:
     """Write report.md and its plots into a folder; return the paths."""
-    from dsrc.evaluation.plots import png_bytes
+    from dsrc.evaluation.figures.style import png_bytes
 
     pictures = []
     for name, figure in _plots(result).items():

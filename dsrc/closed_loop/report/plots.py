@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 
 from dsrc.closed_loop.metrics.comparison import Result, Value, collided, counted, metric
 from dsrc.closed_loop.metrics.statistics import Estimate, mean, paired_rates, rate
-from dsrc.evaluation.plots import Style, figure_style, panels, styles_of
+from dsrc.evaluation.figures.style import Style, figure_style, panels, styles_of
 from dsrc.evaluation.results import condition_title
 from sensors.corruptions import CLEAN
 

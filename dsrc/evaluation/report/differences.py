@@ -20,7 +20,8 @@ from dsrc.evaluation.metrics.intervals import (
     percentile_interval,
     resampled_ap,
 )
-from dsrc.evaluation.report.paper_tables import DatasetResults, sample_note
+from dsrc.evaluation.report.dataset_results import DatasetResults
+from dsrc.evaluation.report.notes import sample_note
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_CORRUPTED, condition_title
 from dsrc.evaluation.table import Stat, markdown_table
 

@@ -16,31 +16,16 @@ from matplotlib.figure import Figure
 
 from dsrc.data.provenance import commit, versions
 from dsrc.data.sample import judged_range
+from dsrc.evaluation.figures.bars import corruption_bars, mean_bars, table_bars, table_heatmap
+from dsrc.evaluation.figures.curves import table_lines
+from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, traffic_scatter
+from dsrc.evaluation.figures.style import Style, png_bytes, styles_of
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
-from dsrc.evaluation.plots import (
-    Style,
-    corruption_bars,
-    difference_dots,
-    mean_bars,
-    png_bytes,
-    robustness_scatter,
-    styles_of,
-    table_bars,
-    table_heatmap,
-    table_lines,
-    traffic_scatter,
-)
+from dsrc.evaluation.report.dataset_results import NAMES, DatasetResults, averaged_methods, compared_methods
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
-from dsrc.evaluation.report.paper_tables import (
-    NAMES,
-    DatasetResults,
-    averaged_methods,
-    axes_of,
-    clean_tables,
-    compared_methods,
-    corruption_tables,
-)
+from dsrc.evaluation.report.paper_tables import corruption_tables
 from dsrc.evaluation.report.published import published_tables
+from dsrc.evaluation.report.sweep_tables import axes_of, clean_tables
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.evaluation.stored import StoredDrive, StoredIndex, StoredRun, write_index

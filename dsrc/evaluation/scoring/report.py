@@ -14,8 +14,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from dsrc.evaluation.figures.style import COLORS, figure_style, panels, png_bytes
 from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, metric_name
-from dsrc.evaluation.plots import COLORS, figure_style, panels, png_bytes
 from dsrc.evaluation.scoring.score import Score
 from dsrc.evaluation.table import markdown_table
 from sim.files import write_file

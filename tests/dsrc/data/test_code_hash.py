@@ -54,7 +54,7 @@ OTHER = (
     "dsrc/review/state.py",
     "dsrc/cli/main.py",
     "dsrc/training/train.py",
-    "dsrc/evaluation/plots.py",
+    "dsrc/evaluation/figures/bars.py",
     "dsrc/evaluation/report/report.py",
     "dsrc/checkpoints/README.md",
     "sim/traffic/sumo/traffic.py",

@@ -12,12 +12,12 @@ import pytest
 from msgspec.structs import replace
 
 from dsrc.evaluation.config import DifferenceSpec, Footnote, ParameterSweeps
+from dsrc.evaluation.figures.points import difference_dots
 from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.metrics.intervals import RankedDetections
 from dsrc.evaluation.metrics.robustness import mce
-from dsrc.evaluation.plots import difference_dots
+from dsrc.evaluation.report.dataset_results import DatasetResults
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
-from dsrc.evaluation.report.paper_tables import DatasetResults
 from dsrc.evaluation.report.report import write_report
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from tests.dsrc.evaluation.metrics.test_intervals import judged_of

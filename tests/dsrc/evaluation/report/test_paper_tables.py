@@ -12,21 +12,10 @@ from msgspec.structs import replace
 
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark, Case, DatasetSpec, Footnote, MethodSpec, ParameterSweeps, cases_of
-from dsrc.evaluation.report.paper_tables import (
-    DatasetResults,
-    averaged_methods,
-    axes_of,
-    clean_tables,
-    compared_methods,
-    corruption_tables,
-    mean_corrupted,
-    sweep_table,
-    table_1,
-    table_2,
-    table_3,
-    table_4,
-)
+from dsrc.evaluation.report.dataset_results import DatasetResults, averaged_methods, compared_methods
+from dsrc.evaluation.report.paper_tables import corruption_tables, mean_corrupted, table_1, table_2, table_3, table_4
 from dsrc.evaluation.report.report import publish, write_report
+from dsrc.evaluation.report.sweep_tables import axes_of, clean_tables, sweep_table
 from dsrc.evaluation.results import Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.evaluation.table import ResultTable, Stat

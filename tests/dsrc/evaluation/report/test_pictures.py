@@ -17,25 +17,12 @@ from PIL import Image
 from dsrc.__main__ import main
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.config import PictureSpec
-from dsrc.evaluation.plots import png_bytes
-from dsrc.evaluation.report.pictures import (
-    AGENT,
-    FOUND,
-    HELPED,
-    TRUTH,
-    check_pictures,
-    detection_figure,
-    feature_figure,
-    firing_channels,
-    frames_at,
-    match_counts,
-    only_helpers_see,
-    project,
-    read_drawn_frames,
-    spread_samples,
-    vehicle_evidence,
-    write_pictures,
-)
+from dsrc.evaluation.figures.style import png_bytes
+from dsrc.evaluation.report.pictures import check_pictures, write_pictures
+from dsrc.evaluation.report.pictures.drawing import AGENT, FOUND, HELPED, TRUTH, project
+from dsrc.evaluation.report.pictures.evidence import firing_channels, vehicle_evidence
+from dsrc.evaluation.report.pictures.figures import detection_figure, feature_figure, match_counts
+from dsrc.evaluation.report.pictures.frames import frames_at, only_helpers_see, read_drawn_frames, spread_samples
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate

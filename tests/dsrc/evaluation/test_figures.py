@@ -6,22 +6,11 @@ import pytest
 from matplotlib.colors import to_hex
 from PIL import Image
 
+from dsrc.evaluation.figures.bars import corruption_bars, mean_bars, table_bars, table_heatmap
+from dsrc.evaluation.figures.curves import apart, precision_recall_curves, table_lines, training_curves
+from dsrc.evaluation.figures.points import robustness_scatter, traffic_scatter
+from dsrc.evaluation.figures.style import COLORS, png_bytes, styles_of
 from dsrc.evaluation.metrics.ap import FrameResult, evaluate
-from dsrc.evaluation.plots import (
-    COLORS,
-    apart,
-    corruption_bars,
-    mean_bars,
-    png_bytes,
-    precision_recall_curves,
-    robustness_scatter,
-    styles_of,
-    table_bars,
-    table_heatmap,
-    table_lines,
-    traffic_scatter,
-    training_curves,
-)
 from dsrc.evaluation.results import Row, make_row, summary_rows
 from dsrc.evaluation.table import Column, ResultTable, Stat, TableRow
 from dsrc.ops.detections import Detections

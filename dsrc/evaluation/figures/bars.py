@@ -1,0 +1,154 @@
+"""Bars and heat maps of AP: per condition, and of tables."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from dsrc.evaluation.figures.style import (
+    INK,
+    SHADES,
+    WIDTH_IN,
+    Style,
+    add_legend,
+    figure_style,
+    metric_of,
+    panels,
+    styles_of,
+)
+from dsrc.evaluation.metrics.ap import metric_name
+from dsrc.evaluation.metrics.intervals import IOUS
+from dsrc.evaluation.results import Row, condition_title, conditions_of, find_row, methods_of
+from dsrc.evaluation.table import ResultTable, Stat
+
+_MOST_BARS = 6
+
+
+def corruption_bars(rows: Sequence[Row], styles: Mapping[str, Style] | None = None, title: str = "") -> Figure:
+    """Draw AP as bars, a panel per IoU, a group per condition, a bar per method; many methods as a heat map."""
+    methods, conditions = methods_of(rows), conditions_of(rows)
+    title = title or "Detection under corruption (bird's-eye IoU)"
+    titles = [condition_title(c) for c in conditions]
+    values = [
+        [[metric_of(find_row(rows, m, c), metric_name("bev", iou)) for c in conditions] for m in methods]
+        for iou in IOUS
+    ]
+    if len(methods) > _MOST_BARS:
+        return _map(title, methods, titles, values)
+    styles = styles or styles_of(methods)
+    with figure_style():
+        figure, parts = panels(WIDTH_IN, 5.2, rows=2, title=title)
+        for axes, iou, of_methods in zip(parts, IOUS, values, strict=True):
+            series = {method: [Stat(value) for value in line] for method, line in zip(methods, of_methods, strict=True)}
+            _grouped(axes, titles, series, [styles[m].bar() for m in methods])
+            axes.set_title(f"IoU {iou}")
+            axes.set_ylabel("average precision, %")
+        add_legend(figure, parts[0], below=True)
+    return figure
+
+
+def mean_bars(rows: Sequence[Row], title: str = "") -> Figure:
+    """Draw AP under each condition as the mean over all methods, as the paper's Figure 4."""
+    methods, conditions = methods_of(rows), conditions_of(rows)
+    with figure_style():
+        figure, (axes,) = panels(WIDTH_IN, 3.4, title=title)
+        series = {}
+        for iou in IOUS:
+            found = [[metric_of(find_row(rows, m, c), metric_name("bev", iou)) for m in methods] for c in conditions]
+            series[f"IoU {iou}"] = [Stat(sum(values) / max(len(values), 1)) for values in found]
+        _grouped(axes, [condition_title(c) for c in conditions], series, SHADES[::2])
+        axes.set_ylabel(f"AP, %, mean of {len(methods)} methods")
+        add_legend(figure, axes, below=True)
+    return figure
+
+
+def table_bars(sheet: ResultTable) -> Figure:
+    """Draw the columns of a table of AP as bars, a group per line, a panel per IoU."""
+    with figure_style():
+        figure, parts = panels(WIDTH_IN, 5.2, rows=2, title=sheet.title)
+        for part, (axes, iou) in enumerate(zip(parts, IOUS, strict=True)):
+            series = {c.title: [line.cells[k][part] for line in sheet.lines] for k, c in enumerate(sheet.columns)}
+            _grouped(axes, [line.label for line in sheet.lines], series, SHADES)
+            axes.set_title(f"IoU {iou}")
+            axes.set_ylabel("average precision, %")
+        add_legend(figure, parts[0], below=True)
+    return figure
+
+
+def _grouped(
+    axes: Axes, groups: Sequence[str], series: Mapping[str, Sequence[Stat]], fills: Sequence[Mapping[str, Any]]
+) -> None:
+    """Draw a bar of each series in each group, in percent, with its number above it and its spread where known."""
+    width = 0.84 / max(len(series), 1)
+    for i, ((name, stats), fill) in enumerate(zip(series.items(), fills, strict=True)):
+        places = [group + (i - (len(series) - 1) / 2) * width for group in range(len(groups))]
+        heights, spreads = [100 * s.mean for s in stats], [100 * s.spread for s in stats]
+        known = None if all(map(math.isnan, spreads)) else spreads
+        axes.bar(places, heights, 0.92 * width, yerr=known, ecolor=INK, capsize=2, label=name, **fill)
+        for x, height, spread in zip(places, heights, spreads, strict=True):
+            if not math.isnan(height):
+                top = height + (0.0 if math.isnan(spread) else spread) + 1.2
+                text = f"{height:.1f}" if len(groups) * len(series) <= 24 else f"{height:.0f}"
+                axes.text(x, top, text, ha="center", va="bottom", fontsize=7)
+    axes.set_xticks(range(len(groups)), [name if "+" in name else name.replace(" ", "\n", 1) for name in groups])
+    axes.tick_params(axis="x", length=0)
+    axes.grid(visible=False, axis="x")
+    axes.set(ylim=(0, 108), yticks=range(0, 101, 20))
+
+
+_CMAP = "cividis"
+"""Colour map of even steps of lightness, for any colour vision and in grey."""
+
+
+def table_heatmap(sheet: ResultTable) -> Figure:
+    """Draw a table's columns of AP as a heat map with numbers, a panel per IoU; the best of a column is bold."""
+    shown = [i for i, column in enumerate(sheet.columns) if column.better == "high" and len(column.parts) == len(IOUS)]
+    values = [[[line.cells[i][part].mean for i in shown] for line in sheet.lines] for part in range(len(IOUS))]
+    return _map(sheet.title, [line.title for line in sheet.lines], [sheet.columns[i].title for i in shown], values)
+
+
+def _map(
+    title: str, lines: Sequence[str], columns: Sequence[str], values: Sequence[Sequence[Sequence[float]]]
+) -> Figure:
+    """Draw a heat map of (IoU, line, column) AP; a column of means stands apart."""
+    percent = 100 * np.array(values, float).reshape(len(IOUS), len(lines), len(columns))
+    known = percent[np.isfinite(percent)]
+    scale = Normalize(*((known.min(), known.max()) if known.size else (0.0, 100.0)))
+    places = np.arange(len(columns)) + 0.25 * np.isin(columns, ["mAP", "mean AP"])
+    with figure_style():
+        figure, parts = panels(WIDTH_IN, 1.9 + 0.24 * len(lines), columns=2, title=title)
+        for axes, iou, numbers in zip(parts, IOUS, percent, strict=True):
+            for x, column in zip(places, numbers.T, strict=True):
+                texts = ["-" if math.isnan(value) else f"{value:.1f}" for value in column]
+                best = f"{max(column, key=lambda value: -math.inf if math.isnan(value) else value):.1f}"
+                for y, (value, text) in enumerate(zip(column, texts, strict=True)):
+                    _cell(axes, x, y, scale(value), text, bold=text == best and len(lines) > 1)
+            axes.set(xlim=(-0.5, max(places, default=0.0) + 0.5), ylim=(max(len(lines), 1) - 0.5, -0.5))
+            axes.set_title(f"IoU {iou}")
+            names = [column.replace(", ", "\n") for column in columns]
+            turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if len(columns) > 4 else {}
+            axes.set_xticks(places, names, **turned)  # type: ignore[arg-type]
+            axes.set_yticks(range(len(lines)), lines if axes is parts[0] else [""] * len(lines))
+            axes.tick_params(length=0)
+            axes.grid(visible=False)
+            axes.spines[:].set_visible(False)
+        bar = figure.colorbar(ScalarMappable(scale, _CMAP), ax=parts, fraction=0.02, pad=0.01)
+        bar.set_label("average precision, %")
+        bar.outline.set_visible(False)  # type: ignore[operator]
+    return figure
+
+
+def _cell(axes: Axes, x: float, y: float, value: float, text: str, *, bold: bool) -> None:
+    """Draw a number on its colour, in black or white, whichever is legible; a missing one on white."""
+    color = (1.0, 1.0, 1.0) if text == "-" else mpl.colormaps[_CMAP](float(value))[:3]
+    axes.add_patch(Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=color, linewidth=0))
+    ink = "white" if np.dot(color, (0.299, 0.587, 0.114)) < 0.5 else "black"
+    weight = "bold" if bold else "normal"
+    axes.text(x, y, text, ha="center", va="center", fontsize=7.5, color=ink, fontweight=weight)
