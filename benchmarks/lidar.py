@@ -37,7 +37,7 @@ from benchmarks.frames import (
     scene_update,
 )
 from benchmarks.quiet import Timing, measure
-from benchmarks.rivals import Open3DFrame, open3d_version, trimesh_frame
+from benchmarks.rivals import MujocoFrame, Open3DFrame, mujoco_lidar_version, open3d_version, trimesh_frame
 from benchmarks.street import BENCHMARK_LIDAR, fleet
 from sensors.scan.scene import RayScene
 from sensors.sweep import STATIC, Sweep
@@ -72,6 +72,7 @@ _SWEEPS = {
     "packets_baked": "bare packets, 1 thread, vehicles frozen",
     "trimesh": "trimesh: joined meshes and its ray caster",
     "open3d": "Open3D: its ray caster, all cores",
+    "mujoco": "mujoco-lidar: MuJoCo's ray caster, 1 thread",
 }
 
 _FIGURES = {
@@ -83,6 +84,7 @@ _FIGURES = {
     "speedup_trimesh": "times as fast as trimesh's ray caster, all cores",
     "speedup_trimesh_1t": "times as fast as trimesh's ray caster, 1 thread",
     "speedup_open3d": "times as fast as Open3D's ray caster, both all cores",
+    "speedup_mujoco_1t": "times as fast as mujoco-lidar's ray caster, 1 thread",
 }
 
 _STAGES = {
@@ -121,6 +123,9 @@ def variants_of(
     if open3d_version() is not None:
         open3d = Open3DFrame(street.static)
         variants["open3d"] = lambda: open3d(street.vehicles, 0.0, street.rays, reach)
+    if mujoco_lidar_version() is not None:
+        mujoco = MujocoFrame(street.static, street.vehicles, street.rays, reach)
+        variants["mujoco"] = lambda: mujoco(street.vehicles, 0.0)
     if fused is None:
         return variants
     variants["fused_1t"] = complete_frame(fused, street, 1)
@@ -159,6 +164,7 @@ def figures_of(timings: dict[str, Timing], agents: int) -> dict[str, float | Non
         "speedup_trimesh": ratio("trimesh", "fused_all"),
         "speedup_trimesh_1t": ratio("trimesh", "fused_1t"),
         "speedup_open3d": ratio("open3d", "fused_all"),
+        "speedup_mujoco_1t": ratio("mujoco", "fused_1t"),
         "subrays4_cost": ratio("subrays_4", "fused_1t"),
         "subrays8_cost": ratio("subrays_8", "fused_1t"),
         **{f"{name}_sweep_ms": ms[name] / agents for name in _SWEEPS if name in ms},
@@ -194,7 +200,7 @@ def facts_of(street: Street, timings: dict[str, Timing]) -> dict[str, object]:
         "platform": platform.platform(),
         "python": platform.python_version(),
         "versions": {name: version(name) for name in ("numpy", "numba", "embreex", "trimesh")}
-        | {"open3d": open3d_version()},
+        | {"open3d": open3d_version(), "mujoco-lidar": mujoco_lidar_version()},
         "others_load_cores": round(_load(timings), 2),
         "samples": min(timing.samples for timing in timings.values()),
         "static_triangles": len(street.static.faces),
@@ -234,7 +240,7 @@ def show(console: Console, timings: dict[str, Timing], figures: dict[str, float 
             ms = 1e3 * timing.wall_s / agents
             table.add_row(label, f"{ms:.2f}", f"{share:.3f}", f"<= {goal}" if goal else "", f"{cpu:.3f}")
         else:
-            table.add_row(label, "not installed" if name == "open3d" else "not measured", "", "", "")
+            table.add_row(label, "not installed" if name in ("open3d", "mujoco") else "not measured", "", "", "")
     console.print(table)
     table = _table("Figures", "what", "measured", "goal")
     for key, label in _FIGURES.items():

@@ -1,17 +1,19 @@
-"""The same frame by other means: what a user of trimesh or Open3D would write.
+"""The same frame by other means: what a user of trimesh, Open3D or mujoco-lidar would write.
 
-Neither has a rolling shutter of the vehicles, noise, drop-off or intensity, and their rays are made for them: they
-answer an easier question.
+None has a rolling shutter of the vehicles, noise, drop-off or intensity, and their rays are made for them: they answer
+an easier question.
 """
 
 import ctypes
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from benchmarks.street import Fleet
@@ -83,6 +85,53 @@ class Open3DFrame:
         scene.add_triangles(  # type: ignore[attr-defined]
             tensor(np.ascontiguousarray(vertices, np.float32)), tensor(np.ascontiguousarray(faces, np.uint32))
         )
+
+
+class MujocoFrame:
+    """mujoco-lidar on the CPU, `mj_multiRay` of MuJoCo on one thread: one model, in which the vehicles are bodies.
+
+    Easier still: the sensor stands where it is on average, and owners are unknown.
+    """
+
+    def __init__(self, static: trimesh.Trimesh, vehicles: Fleet, sweeps: Sequence[Rays], reach_m: float) -> None:
+        """Build the model, and the angles of the rays."""
+        import mujoco
+        from mujoco_lidar.core_cpu.mjlidar_cpu import MjLidarCPU
+
+        spec = mujoco.MjSpec()
+        for number, mesh in enumerate([static, *vehicles.meshes()]):
+            shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a street has no volume
+            spec.add_mesh(name=str(number), uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel(), inertia=shell)
+            body = spec.worldbody.add_body(mocap=number > 0)
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=str(number), contype=0, conaffinity=0)
+        self._model = spec.compile()
+        self._data, self._place = mujoco.MjData(self._model), mujoco.mj_kinematics
+        self._lidar = MjLidarCPU(self._model, cutoff_dist=reach_m)
+        self._origins = [rays.origins.mean(axis=0, dtype=np.float64) for rays in sweeps]
+        angles = [rays.directions.T.astype(np.float64) for rays in sweeps]
+        self._angles = [(np.arctan2(y, x), np.arcsin(np.clip(z, -1.0, 1.0))) for x, y, z in angles]
+
+    def __call__(self, vehicles: Fleet, time_s: float) -> list[NDArray[np.float64]]:
+        """Return points."""
+        poses = vehicles.actors(time_s).world_from_body()
+        self._data.mocap_pos[:] = poses[:, :3, 3]
+        self._data.mocap_quat[:] = Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=True)
+        self._place(self._model, self._data)
+        self._lidar.update(self._data)
+        made, pose = [], np.eye(4)
+        for origin, (theta, phi) in zip(self._origins, self._angles, strict=True):
+            pose[:3, 3] = origin
+            self._lidar.trace_rays(pose, theta, phi)
+            made.append(self._lidar.get_hit_points()[self._lidar.get_distances() >= 0.0] + origin)
+        return made
+
+
+def mujoco_lidar_version() -> str | None:
+    """Return the version of mujoco-lidar, None where it is not installed."""
+    try:
+        return version("mujoco-lidar")
+    except PackageNotFoundError:
+        return None
 
 
 def open3d_version() -> str | None:
