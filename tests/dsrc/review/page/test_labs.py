@@ -2,7 +2,6 @@
 
 import re
 import threading
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,21 +19,7 @@ from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.state import ReviewState
 from tests.dsrc.review.labs.drive import small_drive
-
-
-def wait_for(condition, timeout_s=10.0):
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.01)
-
-
-def panel(session, kind):
-    return next(panel for panel in session.panels if isinstance(panel, kind))
-
-
-def node(session, name):
-    return session.client.scene.get_handle_by_name(f"/drive0{name}")
+from tests.dsrc.review.page.session import node, panel, wait_for
 
 
 def counted(lab):

@@ -19,21 +19,7 @@ from dsrc.review.page.server import start_server
 from dsrc.review.state import ReviewState
 from sim.errors import DataError
 from sim.geometry import pose_angles
-
-
-def node(session, name):
-    return session.client.scene.get_handle_by_name(f"/drive0{name}")
-
-
-def wait_for(condition, timeout_s=10.0):
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.01)
-
-
-def panel(session, kind):
-    return next(panel for panel in session.panels if isinstance(panel, kind))
+from tests.dsrc.review.page.session import node, panel, wait_for
 
 
 def handle(session, field, label=None):
@@ -58,6 +44,7 @@ CHANGES = {
     "point_size_m": 0.3, "max_points": 9000, "theme": "light", "layers_off": frozenset({"bodies"}),
     "methods": ("detector",), "listed": "missed", "versus": "alone", "error_method": "detector", "error_class": "truck",
     "error_range": "30-50", "error_seen_by": "helper", "sensor": "vlp-16", "carrier": "pole",
+    "who": "ego",
 }  # fmt: skip
 
 
@@ -69,7 +56,7 @@ def test_every_control_follows_the_state(session, fake_fog, field):
     for one in (one for one in bound if one.control.field == field):
         shown = {"camera": "Chase", "object_id": "car 1003", "speed": "2×", "ego_id": "vehicle 1002", "iou": "0.3",
                  "theme": "Light", "versus": "ego alone", "error_seen_by": "helpers alone",
-                 "methods": "detector", "layers_off": one.control.label != "Bodies"}  # fmt: skip
+                 "methods": "detector", "who": "the ego", "layers_off": one.control.label != "Bodies"}  # fmt: skip
         assert one.handle.value == shown.get(field, CHANGES[field])
 
 
