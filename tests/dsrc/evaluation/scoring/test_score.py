@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dsrc.__main__ import main
 from dsrc.cli.score import Score as Command
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.kitti import encode_labels
@@ -162,6 +163,24 @@ def test_the_command_writes_tables_with_the_card_beside_each_number(world, capsy
     assert head.startswith("detections,protocol,ap_bev_30") and len(lines) == len(PROTOCOLS)
     assert PROTOCOLS["kitti-r40"].card in (tmp_path / "scores" / "scores.md").read_text()
     assert (tmp_path / "scores" / "scores.png").stat().st_size > 10_000
+
+
+def test_the_command_refuses_in_one_line(world, capsys, tmp_path: Path) -> None:
+    root, frames = world
+    boxes, data = str(as_json(tmp_path / "boxes.json", frames)), str(root / "data")
+    for words, said in (
+        (["nowhere"], "nowhere: no such file or folder of detections"),
+        ([boxes], f"{boxes}: truth: expected a tree of true boxes"),
+        (
+            [boxes, "--truth", data, "--protocol", "kitti"],
+            "score: protocol: expected the name of a protocol, found kitti",
+        ),
+    ):
+        with pytest.raises(SystemExit) as leaving:
+            main(["score", *words])
+        assert leaving.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert said in line
 
 
 def test_several_sets_share_a_table() -> None:

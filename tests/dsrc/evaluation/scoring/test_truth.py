@@ -93,9 +93,7 @@ def test_what_the_tree_lacks_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="one: frame: expected frames 3 to 3 with detections, found no frame 4"):
         read_truth(tmp_path / "one", [FrameKey("", 4)])
     (tmp_path / "kitti" / "label_2").mkdir(parents=True)
-    with pytest.raises(
-        DataError, match=r"label_2/000004.txt: labels: .* found no labels of frame 4$"
-    ):
+    with pytest.raises(DataError, match=r"label_2/000004.txt: labels: .* found no labels of frame 4$"):
         read_truth(tmp_path / "kitti", [FrameKey("", 4)])
     with pytest.raises(DataError, match=r"label_2/000004.txt: labels: .* found detections of one 4$"):
         read_truth(tmp_path / "kitti", [FrameKey("one", 4)])
