@@ -37,7 +37,7 @@ def agent_view(
     agent = frame.agents[row]
     visible = agent.agent_id not in state.hidden
     rows = subsample(agent.sweep, state.max_points if visible else 0)
-    sweep = agent.sweep if len(rows) == len(agent.sweep) else agent.sweep[rows]
+    drawn = None if len(rows) == len(agent.sweep) else rows
     body_from_lidar = invert(agent.world_from_body) @ agent.sweep.world_from_lidar
     lost_points = np.zeros((0, 3), np.float32)
     if recorded is not None and visible and agent.sweep is not recorded.agents[row].sweep:
@@ -51,8 +51,8 @@ def agent_view(
         rgb=rgb,
         review_from_lidar=review_from_world @ agent.sweep.world_from_lidar,
         review_from_body=review_from_world @ agent.world_from_body,
-        points=sweep.points,
-        colors=point_colors(sweep, state.color_by, rgb, -float(body_from_lidar[2, 3])),
+        points=agent.sweep.points if drawn is None else agent.sweep.points.take(drawn, axis=0),
+        colors=point_colors(agent.sweep, state.color_by, rgb, -float(body_from_lidar[2, 3]), drawn),
         total=len(agent.sweep),
         lost=agent.sweep.lost,
         fates=tuple(np.bincount(agent.sweep.fate, minlength=len(FATE_NAMES)).tolist()),

@@ -3,7 +3,6 @@
 import math
 import threading
 import time
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD
+from dsrc.review.labs.placement import Cast, Placement
 from sensors.motion import Path as MotionPath
 from sensors.scan.lidar import Sensor, scan_all
 from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec
-from sensors.sweep import Sweep
 from sim.errors import DataError, complaint
-from sim.geometry import pose_matrix
 from sim.streams import Stream, random_generator
 from sim.traffic.base import Actors
 from sim.traffic.log import TrafficLog
@@ -25,42 +23,6 @@ from sim.world.world_file import load_world
 
 _WORLDS_KEPT = 2
 """Worlds kept: a city takes some hundred MB."""
-
-
-@dataclass(frozen=True, slots=True)
-class Placement:
-    """Place of a sensor on a carrier.
-
-    Attributes:
-        xyz_m: in the carrier's body frame, m.
-        yaw_deg: counter-clockwise from the carrier's heading.
-        pitch_deg: positive looks down.
-    """
-
-    xyz_m: tuple[float, float, float]
-    yaw_deg: float = 0.0
-    pitch_deg: float = 0.0
-
-    @property
-    def matrix(self) -> NDArray[np.float64]:
-        """(4, 4) body_from_lidar."""
-        yaw, pitch = math.radians(self.yaw_deg), math.radians(self.pitch_deg)
-        return np.asarray(pose_matrix(np.array(self.xyz_m), yaw, pitch), np.float64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Cast:
-    """Sweep of a sensor that the recording lacks.
-
-    Attributes:
-        sweep: its points.
-        rays: that were cast.
-        seconds: that it took.
-    """
-
-    sweep: Sweep
-    rays: int
-    seconds: float
 
 
 class DriveWorld:

@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from sensors.sweep import ADDED, Sweep
 
@@ -24,6 +23,9 @@ def lost_rows(recorded: Sweep, corrupted: Sweep) -> NDArray[np.intp]:
         return missing
     if recorded.column.any():
         return missing[~np.isin(_beams(recorded)[missing], _beams(displaced))]
+    # Imported where it is needed: it is not, before a page's first picture.
+    from scipy.spatial import cKDTree
+
     nearest = cKDTree(recorded.points[missing]).query(displaced.points)[1]
     stays = np.ones(len(missing), bool)
     stays[nearest] = False

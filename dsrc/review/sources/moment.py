@@ -1,12 +1,16 @@
 """EpisodeMoment and EpisodeTimeline: a step and the course of an episode as plain arrays."""
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.boxes import Boxes
-from sim.contact import Contact
+
+if TYPE_CHECKING:
+    # Meshes take half a second to import, and drives have no contacts.
+    from sim.contact import Contact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +72,7 @@ class EpisodeMoment:
     acceleration_mps2: float
     reason: str
     decisive: int
-    contact: Contact | None
+    contact: "Contact | None"
 
     def moved(self, by: NDArray[np.float64]) -> "EpisodeMoment":
         """Moment in a frame whose axes are the world's, moved by (3,) m."""

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from viser.transforms import SO3
 
-from dsrc.review.labs.casting import Cast, Placement, open_world
 from dsrc.review.labs.latest import Latest
+from dsrc.review.labs.placement import Cast, Placement
 from dsrc.review.page.panels.widgets import build_controls
 from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.page.scene import place_frame
@@ -18,7 +18,6 @@ from dsrc.review.palette import SENSOR
 from dsrc.review.points import subsample
 from dsrc.review.view import AgentView
 from sensors.presets import get_lidar
-from sensors.recording.mounting import mount
 from sensors.spec import LidarSpec
 from sim.errors import DataError, UserError, complaint
 from sim.geometry import invert, pose_angles
@@ -76,6 +75,8 @@ def usual_place(spec: LidarSpec, agent: AgentView | None, height_m: float) -> Pl
         return _ON_POLE
     if agent.kind == "roadside":
         return _ON_MAST
+    from sensors.recording.mounting import mount
+
     x, y, z = mount(spec, height_m)[:3, 3].tolist()
     return Placement((x, y, z))
 
@@ -185,6 +186,9 @@ class SensorLabPanel:
             self._tell(wish, f"{type(error).__name__}: {error}")
 
     def _made(self, wish: _Wish) -> Cast:
+        # Ray casting takes half a second to import, and few pages cast.
+        from dsrc.review.labs.casting import open_world
+
         source = self._page.model.sources[wish.drive]
         folder = getattr(getattr(source, "drive", None), "drive", None)
         if folder is None:
