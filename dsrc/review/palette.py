@@ -48,6 +48,7 @@ SENSOR: Rgb = (156, 200, 97)
 """Colour of the points of a sensor that the recording lacks."""
 FATE_NAMES = {KEPT: "untouched", ATTENUATED: "dimmer", MOVED: "moved", SCATTERED: "made by the corruption"}
 """Names of the same."""
+LOST_NAME = "lost to the corruption"
 
 # Nine stops of each map, dark to bright; interpolated to 256 colours below.
 _VIRIDIS = "46085c 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725"

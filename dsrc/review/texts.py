@@ -118,11 +118,11 @@ def _percent(share: float) -> str:
 
 def legend(view: FrameView) -> str:
     """HTML of the legend."""
-    agents = _scale(view.color_by)
+    agents = scale_bar(view.color_by)
     agents += "".join(_legend_row(agent.rgb, _title(agent)) for agent in view.agents)
     if view.color_by == "fate":
         agents += "".join(_legend_row(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
-        agents += _legend_row(palette.LOST, "lost to the corruption")
+        agents += _legend_row(palette.LOST, palette.LOST_NAME)
     for row, method in enumerate(view.compared):
         agents += _legend_row(
             palette.method_color(row + 1), f"{method.name}: found, false crossed, missed dashed", True
@@ -152,10 +152,10 @@ def fates_table(view: FrameView) -> str:
         (agent.title, *map(_thousands, (agent.total, agent.fates[SCATTERED], agent.fates[MOVED], agent.lost)))
         for agent in view.agents
     ]
-    return _table(("", "points", "added", "moved", "lost"), rows)
+    return html_table(("", "points", "added", "moved", "lost"), rows)
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """HTML table whose first column is left-aligned."""
 
     def cells(row: Sequence[str], kind: str) -> str:
@@ -170,7 +170,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f'<table style="{style}">{"".join(f"<tr>{line}</tr>" for line in lines)}</table>'
 
 
-def _scale(color_by: ColorBy) -> str:
+def scale_bar(color_by: ColorBy) -> str:
     """HTML scale bar of the points' colours; "" where colours are no scale."""
     low, high = HEIGHT_M
     bars = {

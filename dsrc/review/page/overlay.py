@@ -10,7 +10,8 @@ from html import escape
 
 from dsrc.review import palette
 from dsrc.review.page.browser import HONEST_COLORS
-from dsrc.review.palette import Rgb
+from dsrc.review.palette import LOST_NAME, Rgb
+from dsrc.review.texts import scale_bar
 from dsrc.review.view import OTHER_TRUTH, FrameView
 
 _CSS = """
@@ -101,9 +102,12 @@ def add_overlay(
              f"<small>{agent.total // 1000}k points</small>" if agent.total >= 1000 else "")
         for agent in first.agents
     )  # fmt: skip
+    if bar := scale_bar(first.color_by):
+        agents += f'<li style="display:block;margin-top:6px">{bar}</li>'
     if first.color_by == "fate":
         agents += "</ul><ul>"
         agents += "".join(_row(rgb, "", palette.FATE_NAMES[fate], "") for fate, rgb in palette.FATE_COLORS.items())
+        agents += _row(palette.LOST, "", LOST_NAME, "")
     buttons = "".join(
         f'<button data-camera="{c.name}" data-key="{c.key}" title="key {c.key}">{c.name}</button>' for c in cameras
     )

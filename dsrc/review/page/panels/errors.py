@@ -15,6 +15,7 @@ from dsrc.review.page.panels.widgets import build_controls
 from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.palette import method_color
 from dsrc.review.state import IOU_THRESHOLDS, ReviewState
+from dsrc.review.texts import html_table
 from dsrc.review.worker import Progress
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
@@ -48,7 +49,7 @@ class ErrorsPanel:
             self.rows = [gui.add_button("", visible=False) for _ in range(ROWS)]
             self.pages = gui.add_button_group("Errors", ("‹", "›"))
             self.frames = gui.add_dropdown("Worst frames", (_NO_FRAME,))
-            self.scores = gui.add_markdown("")
+            self.scores = gui.add_html("")
             self.plot: Any = None
             self.csv = gui.add_button("Save list as CSV")
         for number, button in enumerate(self.rows):
@@ -96,12 +97,12 @@ class ErrorsPanel:
             self.detect.label = label
 
     def _show_scores(self, state: ReviewState, report: RunReport) -> None:
-        head = " | ".join(f"AP{100 * iou:.0f}" for iou in IOU_THRESHOLDS)
-        lines = [f"| | {head} | TP | FP | FN |", f"|:--|{'--:|' * (len(IOU_THRESHOLDS) + 3)}"]
+        head = ("", *(f"AP{100 * iou:.0f}" for iou in IOU_THRESHOLDS), "TP", "FP", "FN")
+        rows = []
         for name, c in report.counts.items():
-            ap = " | ".join(_number(report.curves[name, iou].ap) for iou in IOU_THRESHOLDS)
-            lines.append(f"| {name.replace('|', '/')} | {ap} | {c.tp} | {c.fp} | {c.fn} |")
-        self.scores.content = "\n".join(lines)
+            precisions = [_number(report.curves[name, iou].ap) for iou in IOU_THRESHOLDS]
+            rows.append((name, *precisions, *map(str, (c.tp, c.fp, c.fn))))
+        self.scores.content = html_table(head, rows)
         self._draw_curves(state, report)
 
     def _draw_curves(self, state: ReviewState, report: RunReport) -> None:

@@ -82,7 +82,7 @@ def test_detecting_in_all_frames_fills_the_list(session):
     session.detect_all()
     wait_for(lambda: "12 of 12 frames" in errors.progress.content)
     assert not errors.detect.visible and not errors.bar.visible
-    assert errors.scores.content.count("|\n|") == 2
+    assert errors.scores.content.count("<tr>") == 2
     listed = session.report(session.state).errors
     assert [button.visible for button in errors.rows] == [row < len(listed) for row in range(len(errors.rows))]
     assert errors.rows[0].label.startswith(f"{listed.row[0]}: {KINDS[listed.kind[0]]}")

@@ -57,10 +57,13 @@ def test_the_legend_holds_the_counts_of_every_frame(page, model):
     assert len(data["cameras"]) == 3
 
 
-def test_fates_are_explained_when_points_show_them(truth_model, tmp_path):
-    for color_by, explained in (("fate", True), ("agent", False)):
+def test_what_colours_of_points_mean_is_explained_where_they_show_it(truth_model, tmp_path):
+    words = {"fate": ("made by the corruption", "lost to the corruption"), "height": ("above the road", "8 m"),
+             "intensity": ("¼ intensity",), "ring": ("top ring", "lowest"), "agent": ()}  # fmt: skip
+    for color_by in words:
         html = export_states(truth_model, [ReviewState(color_by=color_by)], tmp_path / "page.html").read_text()
-        assert ("made by the corruption" in html) is explained
+        for other, texts in words.items():
+            assert all((text in html) is (other == color_by) for text in texts), color_by
 
 
 def test_a_drives_name_cannot_break_the_page(truth_model, tmp_path):
