@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
@@ -20,6 +22,7 @@ from dsrc.evaluation.scoring.score import Score
 from dsrc.evaluation.table import markdown_table
 from sim.files import write_file
 
+_MOST_COLUMNS = 3
 _METRICS = [(space, threshold) for space in SPACES for threshold in THRESHOLDS]
 _TITLES = {"bev": "BEV", "3d": "3D"}
 _SHIFT = {"bev": -0.13, "3d": 0.13}
@@ -90,26 +93,29 @@ def score_figure(scores: Sequence[Score]) -> Figure:
     """Draw average precision, a panel per set of detections, a line per protocol, a colour per IoU threshold."""
     names = _names(scores)
     protocols = list(dict.fromkeys(one.protocol.name for one in scores))
+    columns = min(len(names), _MOST_COLUMNS)
+    rows = math.ceil(len(names) / columns)
     with figure_style():
-        height = 0.9 + len(names) * (0.75 + 0.26 * len(protocols))
-        figure, parts = panels(9.0, height, rows=len(names), title="The same boxes under each protocol")
-        for axes, name in zip(parts, names, strict=True):
-            own = {one.protocol.name: one for one in scores if one.name == name}
-            for color, threshold in zip(COLORS, THRESHOLDS, strict=False):
-                for space, marker, face in (("bev", "o", color), ("3d", "s", "white")):
-                    points = [
-                        (100 * value, row + _SHIFT[space])
-                        for row, protocol in enumerate(protocols)
-                        if not math.isnan(value := _value(own.get(protocol), space, threshold))
-                    ]
-                    label = f"{_TITLES[space]}, IoU {threshold}"
-                    x, y = zip(*points, strict=True) if points else ((), ())
-                    axes.plot(x, y, linestyle="", marker=marker, color=color, markerfacecolor=face, label=label)
-            axes.set(xlim=(0, 100), ylim=(len(protocols) - 0.5, -0.5), xlabel="average precision, %")
-            axes.set_yticks(range(len(protocols)), protocols)
-            axes.set_title(name)
-        figure.legend(*parts[0].get_legend_handles_labels(), loc="outside right upper")
+        height = 1.2 + rows * (0.6 + 0.26 * len(protocols))
+        figure, parts = panels(9.0, height, rows, columns, title="The same boxes under each protocol")
+        for number, (axes, name) in enumerate(zip(parts, names, strict=False)):
+            _panel(axes, {one.protocol.name: one for one in scores if one.name == name}, protocols)
+            axes.set_title(name.replace(", ", "\n"))
+            axes.set_yticks(range(len(protocols)), protocols if number % columns == 0 else [""] * len(protocols))
+        for axes in parts[len(names) :]:
+            axes.set_visible(False)
+        figure.legend(*parts[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(_METRICS))
     return figure
+
+
+def _panel(axes: Axes, scores: Mapping[str, Score], protocols: Sequence[str]) -> None:
+    for color, threshold in zip(COLORS, THRESHOLDS, strict=False):
+        for space, marker, face in (("bev", "o", color), ("3d", "s", "white")):
+            places = np.arange(len(protocols)) + _SHIFT[space]
+            values = [100 * _value(scores.get(protocol), space, threshold) for protocol in protocols]
+            label = f"{_TITLES[space]}, IoU {threshold}"
+            axes.plot(values, places, linestyle="", marker=marker, color=color, markerfacecolor=face, label=label)
+    axes.set(xlim=(0, 100), ylim=(len(protocols) - 0.5, -0.5), xlabel="average precision, %")
 
 
 def _value(one: Score | None, space: Any, threshold: float) -> float:
