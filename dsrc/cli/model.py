@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 from tyro.conf import Positional
@@ -9,6 +10,9 @@ from tyro.conf import Positional
 from dsrc.cli.progress import log_lines, progress
 from dsrc.options.detection import TrainOptions
 from dsrc.options.fields import File, Folder, Output
+
+if TYPE_CHECKING:
+    from dsrc.ops.grid import GridSpec
 
 
 class Train(TrainOptions, frozen=True):
@@ -61,39 +65,90 @@ class Verify(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Import(msgspec.Struct, frozen=True, kw_only=True):
-    """Import a state dict of DSRC's published code (net_epoch....pth) as a detector file.
+    """Import a published state dict (net_epoch....pth) as a detector file, and print what it is.
 
     Attributes:
-        file: checkpoint of the base model, of a student or of a teacher; only tensors are read, no code is run.
+        file: checkpoint; only tensors are read, no code is run.
         out: detector file, in full precision.
-        teacher: import the teacher's half of the file.
-        range_m: detection range of its training: x, y, z of the low and of the high corner, m.
+        family: published code that wrote it: DSRC's own, or PointPillar models of OpenCOOD, CoAlign and ERMVP.
+        method: fusion method, where the tensors fit several.
+        teacher: import the teacher's half of a file of DSRC's.
+        range_m: detection range of its training: x, y, z of the low and of the high corner, m; default: the published
+            recipe's.
         cell_m: side of its pillars, m.
+        shrink_stride: stride of its first shrink convolution, 1 or 2; default: the published recipe's.
+        right_handed: it was trained on clouds with y to the left, as V2V4Real's and DAIR-V2X-C's.
+        intensity_steps: steps between 0 and 1 of the intensities of its training; 0 for any number.
+        own_frame: every agent encodes its cloud in its own frame (`proj_first: false`).
+        agents: number of agents that are fused, where the tensors do not tell it.
+        anchor_m: length, width and height of its anchors, m; default: a car's.
     """
 
     file: Positional[File]
     out: File
+    family: Literal["dsrc", "opencood"] = "dsrc"
+    method: str | None = None
     teacher: bool = False
-    range_m: tuple[float, float, float, float, float, float] = (-140.8, -40.0, -3.0, 140.8, 40.0, 1.0)
+    range_m: tuple[float, float, float, float, float, float] | None = None
     cell_m: float = 0.4
+    shrink_stride: Literal[1, 2] | None = None
+    right_handed: bool = False
+    intensity_steps: int = 255
+    own_frame: bool = False
+    agents: int = 5
+    anchor_m: tuple[float, float, float] | None = None
     output: Output = Output()
 
     def run(self) -> None:
-        """Write the detector file and print its path."""
+        """Write the detector file, print its properties and its path."""
         from dsrc.models.storage.checkpoint import save_detector
-        from dsrc.models.storage.import_opencood import import_detector
-        from dsrc.ops.grid import GridSpec
-        from sim.errors import SettingsError
+        from dsrc.models.storage.import_dsrc import import_detector
+        from dsrc.models.storage.import_opencood import Origin, import_opencood
+        from dsrc.models.storage.published import described
         from sim.files import check_output
 
         check_output(self.out, "archive")
+        if self.family == "dsrc":
+            self._check_unused("method", "shrink_stride", "intensity_steps", "own_frame", "agents", "anchor_m")
+            detector = import_detector(Path(self.file), self._grid(), self.teacher, left_handed=not self.right_handed)
+        else:
+            self._check_unused("teacher")
+            origin = Origin(
+                method=self.method,
+                range_m=self.range_m,
+                cell_m=self.cell_m,
+                shrink_stride=self.shrink_stride,
+                left_handed=not self.right_handed,
+                intensity_steps=self.intensity_steps or None,
+                own_frame=self.own_frame,
+                max_agents=self.agents,
+                anchor_lwh=self.anchor_m,
+            )
+            detector = import_opencood(Path(self.file), origin)
+        save_detector(self.out, detector, {"imported from": self.file.name, "family": self.family}, half=False)
+        sys.stdout.write("\n".join([*described(detector), str(self.out)]) + "\n")
+
+    def _grid(self) -> "GridSpec":
+        """Return the grid of a network of DSRC's, whose range is the default of grids."""
+        from dsrc.ops.grid import GridSpec
+        from sim.errors import SettingsError
+
         try:
-            grid = GridSpec(range_m=self.range_m, cell_m=self.cell_m)
+            return GridSpec(cell_m=self.cell_m) if self.range_m is None else GridSpec(self.range_m, self.cell_m)
         except ValueError as error:
             raise SettingsError(f"model import: {error}") from None
-        detector = import_detector(Path(self.file), grid, self.teacher)
-        save_detector(self.out, detector, {"imported from": self.file.name}, half=False)
-        sys.stdout.write(f"{self.out}\n")
+
+    def _check_unused(self, *names: str) -> None:
+        """Refuse options that this family's files need none of."""
+        from sim.errors import SettingsError, complaint
+
+        defaults = {field.name: field.default for field in msgspec.structs.fields(self)}
+        for name in names:
+            if getattr(self, name) != defaults[name]:
+                option = f"--{name.replace('_', '-')}"
+                raise SettingsError(
+                    complaint("model import", option, f"none with --family {self.family}", getattr(self, name))
+                )
 
 
 class Export(msgspec.Struct, frozen=True, kw_only=True):

@@ -23,12 +23,12 @@ from dsrc.models.layers.encoder import PillarEncoder, Pillars
 from dsrc.models.pose_graph import aligned
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import anchor_grid
-from dsrc.ops.coding import REFERENCE_ORDER, headed
+from dsrc.ops.coding import REFERENCE_ORDER, headed, in_half_turn
 from dsrc.ops.detections import Detections
 from dsrc.ops.postprocess import PostSettings, decode_detections
 from sensors.frame import Frame
 
-# Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
+# Legend: N agents of all samples, B samples, H W input grid, h w = H/s W/s output grid, s = settings.head_stride.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,8 @@ class Output:
         fused: (B, C, h, w) feature after fusion, decoder and shrink convolutions.
         cls: (B, 2, h, w) logits, one per anchor.
         reg: (B, 14, h, w) box residuals, 7 per anchor, sizes in the order `box_order`.
-        direction: (B, 2, h, w) logits of a box that heads against its anchor; None without that head.
+        direction: (B, 2, h, w) logits of a box that heads against its anchor, or in the second half turn from
+            `direction_start`; None without that head.
     """
 
     stages: tuple[Tensor, Tensor, Tensor]
@@ -61,8 +62,8 @@ class Detector(nn.Module):
 
     Source: DSRC, arXiv 2412.10739, Figure 2; the layers as in the released code. With a method that fuses one map
     (`Fusion.place`) every agent decodes and shrinks its own to a quarter of the grid's resolution, and the fused map is
-    upsampled to half of it, so that anchors, losses and thresholds are the same for all methods. (OpenCOOD leaves these
-    methods at a quarter, with a quarter of the anchors.)
+    upsampled to half of it, so that anchors, losses and thresholds are the same for all methods. OpenCOOD leaves these
+    methods at a quarter, with a quarter of the anchors, and so does `shrink_stride` 2.
     """
 
     precision = torch.float32
@@ -77,20 +78,18 @@ class Detector(nn.Module):
         self.fusion = FUSIONS[settings.fusion].from_settings(settings)
         self.by_stage = self.fusion.place == "stages"
         self.decoder = Decoder(upsample(settings.stage_channels[k], widths[k], 2**k, momentum) for k in range(3))
-        self.shrink = double_conv(
-            sum(widths),
-            shrink,
-            stride=1 if self.by_stage else 2,
-            norm_momentum=momentum if settings.shrink_norm else None,
+        stride, norm = settings.shrink_stride or (1 if self.by_stage else 2), momentum if settings.shrink_norm else None
+        self.shrink = (
+            double_conv(sum(widths), shrink, settings.shrink_kernel, stride, norm) if shrink else nn.Sequential()
         )
         if not self.by_stage:
-            self.widen = upsample(shrink, shrink, 2, momentum)
+            self.widen = nn.Identity() if settings.shrink_stride else upsample(shrink, shrink, 2, momentum)
         if settings.compress > 1:
             sent = settings.stage_channels[: self.fusion.scales_sent] if self.by_stage else (shrink,)
             self.compressors = nn.ModuleList(Compressor(width, settings.compress) for width in sent)
-        self.cls_head = nn.Conv2d(shrink, 2, 1)
-        self.reg_head = nn.Conv2d(shrink, 14, 1)
-        self.direction_head = nn.Conv2d(shrink, 2, 1) if settings.direction else None
+        self.cls_head = nn.Conv2d(settings.map_channels, 2, 1)
+        self.reg_head = nn.Conv2d(settings.map_channels, 14, 1)
+        self.direction_head = nn.Conv2d(settings.map_channels, 2, 1) if settings.direction else None
         if settings.score_prior is not None:
             # From 0.5 everywhere, the loss of the empty cells outweighs the objects for many epochs.
             nn.init.constant_(self.cls_head.bias, -log((1 - settings.score_prior) / settings.score_prior))  # type: ignore[arg-type]
@@ -160,7 +159,7 @@ class Detector(nn.Module):
     @cached_property
     def anchors(self) -> NDArray[np.float64]:
         """(h, w, 2, 7) anchors x, y, z, l, w, h, yaw."""
-        return anchor_grid(self.settings.grid)
+        return anchor_grid(self.settings.grid, self.settings.head_stride, self.settings.anchor_lwh)
 
     def decode(self, output: Output) -> list[Detections]:
         """Decode the heads' maps into detections in the range that counts, one `Detections` per row of the batch.
@@ -178,7 +177,9 @@ class Detector(nn.Module):
         if settings.box_order == "hwl":
             reg = reg.reshape(len(reg), 2, 7, *reg.shape[2:])[:, :, REFERENCE_ORDER].reshape(reg.shape)
         if output.direction is not None:
-            reg = headed(reg, output.direction.detach().float().cpu().numpy() > 0)
+            second = output.direction.detach().float().cpu().numpy() > 0
+            start = settings.direction_start
+            reg = headed(reg, second) if start is None else in_half_turn(reg, second, self.anchors, start)
         found = [decode_detections(c, r, self.anchors, post) for c, r in zip(cls, reg, strict=True)]
         return [Detections(mirrored(f.boxes), f.score) for f in found] if settings.left_handed else found
 

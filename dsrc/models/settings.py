@@ -14,6 +14,7 @@ from sim.errors import did_you_mean
 Backbone = Literal["res2net", "resnet", "plain"]
 Count = Annotated[int, Meta(ge=1)]
 Share = Annotated[float, Meta(ge=0, le=1)]
+Size = Annotated[float, Meta(gt=0)]
 
 
 class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -52,13 +53,19 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         stage_blocks: residual blocks of the stages.
         base_width: width of a Res2Net split at 64 channels; the split is `channels * base_width // 64`.
         decoder_channels: width of each scale after upsampling to half the grid's resolution, one for all or three.
-        shrink_channels: width of the two 3 x 3 convolutions before the heads.
+        shrink_channels: width of the two convolutions before the heads; 0 for none, so that the heads read the decoder.
+        shrink_kernel: kernel size of the first of them; the second is 3 x 3.
+        shrink_stride: stride of the first of them, at whose resolution the heads stay, as OpenCOOD's do; None is 1
+            where stages are fused and, where one map is, 2 and a layer that upsamples it again for the heads.
         attention_channels: width of V2X-ViT's attentions, heads times channels of a head: one for all, or those over
             agents and in windows of 4, 8 and 16 cells; None is that of the map.
         shrink_norm: batch norms in these two convolutions. The published networks have none; ours then lost nearly half
             of the channels, which were negative in every cell.
         norm_momentum: momentum of the batch norms of the encoder, the decoder and the shrink convolutions.
+        anchor_lwh: size of the anchors, m; None is a typical car's.
         direction: a third head classifies the box's direction along its anchor; without it, front and back are guessed.
+        direction_start: heading at which the first of the two half turns begins that this head tells apart, rad, as in
+            PointPillars and CoAlign; None is the direction along the anchor.
         score_prior: confidence of an untrained head, None for PyTorch's initialisation.
         reconstruction_channels: widths of the reconstruction head, per vertical bin and after reduction.
         reconstruction_cell_z_m: height of a reconstruction voxel; the released code's is the whole range.
@@ -96,11 +103,15 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     stage_blocks: tuple[Count, Count, Count] = (3, 5, 8)
     base_width: Count = 26
     decoder_channels: int | tuple[int, ...] = 128
-    shrink_channels: Count = 256
+    shrink_channels: Annotated[int, Meta(ge=0)] = 256
+    shrink_kernel: Literal[1, 3] = 3
+    shrink_stride: Literal[1, 2] | None = None
     attention_channels: int | tuple[int, ...] | None = None
     shrink_norm: bool = False
     norm_momentum: Share = 0.01
+    anchor_lwh: tuple[Size, Size, Size] | None = None
     direction: bool = False
+    direction_start: float | None = None
     score_prior: Annotated[float, Meta(gt=0, lt=1)] | None = 0.01
     reconstruction_channels: tuple[Count, Count] = (128, 32)
     reconstruction_cell_z_m: Annotated[float, Meta(gt=0)] = 0.4
@@ -135,7 +146,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(f"share: expected 1 with fusion mrcnet, found {self.share}")
         if self.bits < 32 and self.compress > 1:
             raise ValueError(f"bits: expected 32 with compressed maps, found {self.bits}")
-        if self.compress > min(*self.stage_channels, self.shrink_channels):
+        if self.compress > min(*self.stage_channels, self.map_channels):
             raise ValueError(f"compress: expected no more than a map has channels, found {self.compress}")
         for name, number in (("decoder_channels", 3), ("attention_channels", 4)):
             # Not in the types: msgspec 0.22 reads beyond its memory in a union of bounded integers and fixed tuples.
@@ -147,6 +158,12 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(f"attention_channels: expected none with fusion {self.fusion}, found those of v2xvit")
         if self.attention_channels is not None and any(width % 16 for width in self.attention_widths):
             raise ValueError(f"attention_channels: expected multiples of 16 heads, found {self.attention_channels}")
+        if self.head_stride > 2 and (self.distils or self.rec):
+            # Teachers and reconstructions are at half the grid's resolution.
+            found = f"{self.shrink_stride} with sdd {self.sdd}, pcp {self.pcp}, rec {self.rec}"
+            raise ValueError(f"shrink_stride: expected no teacher and no reconstruction, found {found}")
+        if not self.shrink_channels and (self.shrink_stride == 2 or fusions[self.fusion].place == "map" or self.rec):
+            raise ValueError(f"shrink_channels: expected more than 0 with fusion {self.fusion}, found 0")
         one_width = self.fusion in ("cobevt", "ermvp") or (self.fusion == "v2xvit" and self.attention_channels is None)
         if self.shrink_channels % 16 and one_width:
             raise ValueError(f"shrink_channels: expected a multiple of 16 heads, found {self.shrink_channels}")
@@ -164,6 +181,21 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         one = self.decoder_channels
         first, second, third = (one, one, one) if isinstance(one, int) else one
         return first, second, third
+
+    @property
+    def map_channels(self) -> int:
+        """Channels of the map that the heads read."""
+        return self.shrink_channels or sum(self.decoder_widths)
+
+    @property
+    def map_stride(self) -> int:
+        """Cells of the grid along a cell of the map that is fused, in methods that fuse one."""
+        return 2 * (self.shrink_stride or 2)
+
+    @property
+    def head_stride(self) -> int:
+        """Cells of the grid along a cell of the heads' maps."""
+        return 2 * (self.shrink_stride or 1)
 
     @property
     def attention_widths(self) -> tuple[int, ...]:

@@ -7,14 +7,14 @@ from dsrc.ops.grid import GridSpec
 from sim.errors import SettingsError
 
 ANCHOR_LWH = (3.9, 1.6, 1.56)
-"""Size of the anchors, m."""
+"""Length, width and height of an anchor, m."""
 ANCHOR_Z = -1.0
 """Height of the anchors' centres in the LiDAR's frame, m."""
 ANCHOR_YAW = (0.0, np.pi / 2)
 """Headings of the two anchors of a cell, rad."""
 
 
-def anchor_grid(grid: GridSpec, stride: int = 2) -> NDArray[np.float64]:
+def anchor_grid(grid: GridSpec, stride: int = 2, size: tuple[float, float, float] | None = None) -> NDArray[np.float64]:
     """Return (height / stride, width / stride, 2, 7) float64 anchors x, y, z, l, w, h, yaw in the ego LiDAR's frame.
 
     Centres spread evenly from one input cell inside the range to one input cell inside the other end. At stride 2
@@ -34,6 +34,6 @@ def anchor_grid(grid: GridSpec, stride: int = 2) -> NDArray[np.float64]:
     anchors[..., 0] = x[None, :, None]
     anchors[..., 1] = y[:, None, None]
     anchors[..., 2] = ANCHOR_Z
-    anchors[..., 3:6] = ANCHOR_LWH
+    anchors[..., 3:6] = ANCHOR_LWH if size is None else size
     anchors[..., 6] = ANCHOR_YAW
     return anchors

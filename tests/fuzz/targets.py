@@ -19,7 +19,7 @@ from dsrc.evaluation.config import check as check_plan
 from dsrc.evaluation.config import read_benchmark
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
-from dsrc.models.storage.import_opencood import import_detector
+from dsrc.models.storage.import_dsrc import import_detector
 from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import RECIPES, debug, override
 from sensors.corruptions.published.snow import read_calibration

@@ -60,7 +60,8 @@ class Fusion(nn.Module):
 
     Attributes:
         place: maps that are fused: `stages`, the three scales of the backbone, each before the decoder; or `map`, one
-            map of `shrink_channels` at a quarter of the grid's resolution, after decoder and shrink convolutions.
+            map of `shrink_channels` after decoder and shrink convolutions, at a quarter of the grid's resolution
+            unless `shrink_stride` says otherwise.
         scales_sent: number of stages that are transmitted.
         start: output of an untrained method with weights: `identity`, the ego's maps, or `maximum`, the largest value
             of all agents per channel and cell. It is exact, so that a network whose other weights come from a detector
@@ -83,7 +84,7 @@ class Fusion(nn.Module):
         """Return the numbers that an agent sends per frame, at most."""
         cells = settings.grid.width * settings.grid.height
         if cls.place == "map":
-            return settings.shrink_channels * cells // 16
+            return settings.shrink_channels * cells // settings.map_stride**2
         sent = settings.stage_channels[: cls.scales_sent]
         return sum(channels * cells // 4 ** (k + 1) for k, channels in enumerate(sent))
 

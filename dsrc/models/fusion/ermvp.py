@@ -104,7 +104,7 @@ class ERMVP(Fusion):
         """Return the numbers of the clusters' channels, and per sampled cell its place and its cluster."""
         if settings.released:
             return super().values_sent(settings)
-        sampled = int(settings.grid.width * settings.grid.height // 16 * 0.2)
+        sampled = int(settings.grid.width * settings.grid.height // settings.map_stride**2 * 0.2)
         return math.ceil(sampled * 0.2) * settings.shrink_channels + 2 * sampled
 
     def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:

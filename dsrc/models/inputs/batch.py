@@ -348,16 +348,14 @@ def _cells(
     return cells[0], cells[1], cells[2]
 
 
-@lru_cache(maxsize=4)
-def _anchors(grid: GridSpec) -> NDArray[np.float64]:
-    return anchor_grid(grid)
+_anchors = lru_cache(maxsize=4)(anchor_grid)
 
 
 def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: LabelSettings) -> Targets:
     """Assign every sample's boxes to anchors."""
-    grid = settings.grid
+    anchors = _anchors(settings.grid, settings.head_stride, settings.anchor_lwh)
     legacy = labels.targets == "released"
-    found = [assign_targets(sample.boxes.array, _anchors(grid), _POSITIVE_IOU, legacy) for sample in samples]
+    found = [assign_targets(sample.boxes.array, anchors, _POSITIVE_IOU, legacy) for sample in samples]
     regression = np.stack([np.asarray(t.regression, np.float32) for t in found])
     if settings.box_order == "hwl":
         regression = regression.reshape(*regression.shape[:3], 2, 7)[..., REFERENCE_ORDER].reshape(regression.shape)

@@ -1,132 +1,259 @@
-"""Import of checkpoints of DSRC's published code, which is a fork of OpenCOOD."""
+"""Import of OpenCOOD's and CoAlign's PointPillar checkpoints: the method is found by the names of its tensors."""
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
+import msgspec
 import torch
-from msgspec.structs import replace
 from torch import Tensor
 
 from dsrc.models.detector import Detector
+from dsrc.models.fusion.where2comm import gaussian
 from dsrc.models.settings import ModelSettings
-from dsrc.models.storage.reference_names import detector_state
-from dsrc.models.storage.tensors import is_plain, read_tensors
+from dsrc.models.storage.opencood_names import COMPRESSOR, FUSIONS, SAMPLER, SINGLE
+from dsrc.models.storage.published import filled, published_tensors
+from dsrc.models.storage.reference_names import Rule, renamed
 from dsrc.ops.grid import GridSpec
-from sim.errors import CheckpointError, complaint
+from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 
-_WRAPPERS = ("state_dict", "model_state_dict", "model")
-_UNUSED = re.compile(r"backbone(_teacher)?\.resnet\.bn1\..*|pcr\..*")
-"""Unused tensors: norms that never compute anything, and the reconstruction head, which no detector needs."""
+_SIGNS = {
+    "v2vnet": "fusion_net.msg_cnn.",
+    "v2xvit": "fusion_net.encoder.",
+    "ermvp": "sampler.",
+    "cobevt": "fusion_net.mlp_head.",
+    "where2comm": "fusion_net.naive_communication.",
+}
+"""Beginning of a name that only this method has."""
+_WITHOUT_WEIGHTS = ("early", "late", "none", "attention", "max", "max_map", "coalign")
+_ONE_MAP = ("max_map", "v2vnet", "v2xvit", "cobevt", "ermvp")
 
-RELEASED_WIDTH = 26
-"""Base width of the published Res2Net; other widths are only guessed where it does not fit."""
+_RANGES_M = {
+    "late": (-70.4, -40.0, -3.0, 70.4, 40.0, 1.0),
+    "v2xvit": (-140.8, -38.4, -3.0, 140.8, 38.4, 1.0),
+    "cobevt": (-140.8, -38.4, -3.0, 140.8, 38.4, 1.0),
+    "where2comm": (-140.8, -38.4, -5.0, 140.8, 38.4, 3.0),
+    "ermvp": (-140.8, -38.4, -5.0, 140.8, 38.4, 3.0),
+}
+"""Ranges of the methods' published recipes, where they are not the default of grids."""
+_SCORE_THRESHOLD = 0.2
+_SCORE_THRESHOLDS = {"v2xvit": 0.27}
 
 
-def import_detector(path: Path, grid: GridSpec, teacher: bool = False, left_handed: bool = True) -> Detector:
-    """Import a state dict of the published code.
+class Origin(msgspec.Struct, frozen=True, kw_only=True):
+    """Training of a published network, as far as no tensor tells it.
 
-    Sizes are those of the tensors, all else is as released: padded slots take part in the pillars' batch norm and
-    maximum, 32 points per pillar, 70,000 pillars, a score threshold of 0.25, boxes longer than 6 m along x or y
-    dropped, regression maps with sizes in the order height, width, length, intensities of 8 bits, and agents of the
-    first five folders.
+    Attributes:
+        method: key of `dsrc.models.fusion.FUSIONS`, for tensors that fit several methods; None takes the one that fits.
+        range_m: detection range, as of `GridSpec`; None is the published recipe's.
+        cell_m: side of its pillars, m.
+        shrink_stride: stride of the first shrink convolution; None is the published recipe's.
+        left_handed: the clouds had y to the right, as OPV2V's and V2XSet's.
+        intensity_steps: steps between 0 and 1 of their intensities, None for any number.
+        own_frame: every agent encodes its cloud in its own frame: `proj_first: false`.
+        max_agents: number of agents that are fused, where the tensors do not tell it.
+        anchor_lwh: size of the anchors, m; None is a car's.
+        direction_start: start of the direction classes, `dir_offset`, rad.
+    """
+
+    method: str | None = None
+    range_m: tuple[float, float, float, float, float, float] | None = None
+    cell_m: float = 0.4
+    shrink_stride: int | None = None
+    left_handed: bool = True
+    intensity_steps: int | None = 255
+    own_frame: bool = False
+    max_agents: int = 5
+    anchor_lwh: tuple[float, float, float] | None = None
+    direction_start: float = 0.7853
+
+
+def import_opencood(path: Path, origin: Origin | None = None) -> Detector:
+    """Import a state dict of OpenCOOD or a fork of it: the same maps of the same points.
+
+    Fusions are as released: masks, absent agents and unused layers as in their classes' `released`. All else that no
+    tensor tells is as in the published recipes: two anchors of a car, 32 points per pillar, a score threshold of 0.2,
+    0.27 for V2X-ViT, boxes longer than 6 m along x or y dropped.
 
     Args:
-        path: `net_epoch....pth` of the base model, of a student or of a teacher.
-        grid: range and cells that it was trained for.
-        teacher: take the teacher's half of a student's or a teacher's file.
-        left_handed: it was trained on clouds with y to the right, as OPV2V's and V2XSet's are; the detector mirrors its
-            input and its boxes. V2V4Real's and DAIR-V2X-C's are right-handed.
+        path: `net_epoch....pth` of a PointPillar model.
+        origin: its training.
 
     Raises:
-        CheckpointError: the file is missing, damaged or not one of these, or tensors are missing, unknown or of
-            inconsistent shapes.
+        CheckpointError: the file is missing, damaged, of another network, or of one that is not reproduced exactly;
+            names the first tensor that does not fit.
+        SettingsError: the tensors fit several methods and none is named, or not the one that is.
     """
-    reference = _tensors(path)
-    has_teacher = any(name.partition(".")[0].endswith("_teacher") for name in reference)
-    if teacher and not has_teacher:
-        raise CheckpointError(complaint(path, "state", "a teacher's tensors (pillar_vfe_teacher...)", "none"))
-    state = detector_state(reference, teacher)
-    if not state:
-        hint = "; it is a teacher's file: ask for the teacher" if has_teacher and not teacher else ""
-        expected = "the tensors of DSRC's published code (pillar_vfe..., backbone.resnet...)"
-        raise CheckpointError(complaint(path, "state", expected, next(iter(sorted(reference)), "nothing"), hint))
-    known = detector_state(reference, True) if has_teacher else {}
-    _check_unknown_tensors(
-        path, reference, len(state) + len(known if not teacher else detector_state(reference, False))
-    )
+    origin = origin or Origin()
+    tensors = published_tensors(path)
+    method = _method(path, tensors, origin.method)
     try:
-        settings = _settings(state, grid, teacher, designed=has_teacher or any(n.startswith("pcr.") for n in reference))
-        detector = Detector(replace(settings, left_handed=left_handed))
+        grid = GridSpec(origin.range_m or _RANGES_M.get(method, GridSpec().range_m), origin.cell_m)
+    except ValueError as error:
+        raise SettingsError(f"{path}: {error}") from None
+    try:
+        settings = _settings(tensors, method, grid, origin)
+        state = _as_ours(path, _renamed(path, tensors, method), tensors, settings)
     except KeyError as error:
         raise CheckpointError(complaint(path, "state", f"a tensor {error.args[0]}", "none")) from None
-    except (ValueError, RuntimeError, IndexError) as error:
-        raise CheckpointError(complaint(path, "state", "tensors of one network", str(error))) from None
-    wanted = detector.state_dict()
-    for name in sorted(set(wanted) | set(state)):
-        if name not in state:
-            raise CheckpointError(complaint(path, "state", f"a tensor for {name}", "none"))
-        if name not in wanted:
-            raise CheckpointError(complaint(path, "state", "no further tensor", name))
-        if state[name].shape != wanted[name].shape:
-            shape, found = tuple(wanted[name].shape), tuple(state[name].shape)
-            raise CheckpointError(complaint(path, f"state: {name}", f"shape {shape}", str(found)))
-        if not bool(torch.isfinite(state[name].float()).all()):
-            raise CheckpointError(complaint(path, f"state: {name}", "finite numbers", "NaN or infinity"))
-    detector.load_state_dict({name: state[name].to(tensor.dtype) for name, tensor in wanted.items()})
-    return detector.eval()
+    except (ValueError, IndexError, TypeError, ArithmeticError) as error:  # of tensors without the axes that ours have
+        raise CheckpointError(complaint(path, "state", f"tensors of '{method}'", str(error))) from None
+    return filled(path, settings, state)
 
 
-def _tensors(path: Path) -> dict[str, Tensor]:
-    """Read the tensors of a file by their published names, without running code from it."""
-    content = read_tensors(path, "a state dict", "; only tensors are read, no pickled objects")
-    for wrapper in _WRAPPERS:
-        if isinstance(content, Mapping) and isinstance(content.get(wrapper), Mapping):
-            content = content[wrapper]
-    if not isinstance(content, Mapping) or not all(map(is_plain, content.values())):
-        raise CheckpointError(complaint(path, "file", "a state dict of dense tensors", type(content).__name__))
-    return {str(name).removeprefix("module."): tensor for name, tensor in content.items()}
+def _method(path: Path, tensors: Mapping[str, Tensor], asked: str | None) -> str:
+    """Return the fusion that the tensors are of, or of several the one that was asked for."""
+    foreign = next((name for name in tensors if "_teacher." in name or ".conv3." in name), None)
+    if foreign is not None or not any(name.startswith("pillar_vfe.") for name in tensors):
+        expected = "the tensors of a PointPillar network of OpenCOOD (pillar_vfe..., backbone...)"
+        hint = "; DSRC's own are of the family dsrc" if foreign else ""
+        raise CheckpointError(complaint(path, "state", expected, foreign or next(iter(tensors), "nothing"), hint))
+    fusing = [name for name in tensors if name.startswith(("fusion_net.", "sampler."))]
+    fitting = [method for method, sign in _SIGNS.items() if any(name.startswith(sign) for name in fusing)][:1]
+    if fusing and not fitting:
+        expected = f"a fusion of {', '.join(_SIGNS)}, or one without weights"
+        raise CheckpointError(complaint(path, "state", expected, f"{fusing[0]} {tuple(tensors[fusing[0]].shape)}"))
+    shrink = tensors.get("shrink_conv.layers.0.double_conv.0.weight")
+    if fitting == ["where2comm"]:
+        fitting.append("attention")  # what it is with `fully: true`
+    elif not fitting:
+        fitting = [name for name in _WITHOUT_WEIGHTS if shrink is not None or name not in _ONE_MAP]
+    if asked is not None:
+        if asked not in fitting:
+            hint = did_you_mean(asked, fitting)
+            raise SettingsError(complaint(path, "method", f"one that fits, of {', '.join(fitting)}", asked, hint))
+        return asked
+    if fusing:
+        return fitting[0]
+    if any(name.startswith("backbone.resnet.") for name in tensors):
+        return "coalign"
+    if shrink is not None and shrink.shape[-1] == 1:
+        return "max_map"
+    raise SettingsError(complaint(path, "method", f"one that fits, of {', '.join(fitting)}", "none"))
 
 
-def _check_unknown_tensors(path: Path, reference: Mapping[str, Tensor], known: int) -> None:
-    """Reject unknown tensors: the file is of another network."""
-    rest = [name for name in reference if not _UNUSED.fullmatch(name)]
-    if len(rest) == known:
-        return
-    stranger = next(
-        n for n in rest if not (detector_state({n: reference[n]}) or detector_state({n: reference[n]}, True))
-    )
-    raise CheckpointError(complaint(path, "state", "tensors of DSRC's published networks", stranger))
-
-
-def _settings(state: Mapping[str, Tensor], grid: GridSpec, teacher: bool, designed: bool) -> ModelSettings:
-    """Return settings with the sizes of a `Detector`'s tensors."""
-    channels = tuple(len(state[f"backbone.stages.{k}.0.conv3.weight"]) for k in range(3))
-    widths = [len(state[f"backbone.stages.{k}.0.conv1.weight"]) // 4 for k in range(3)]
-    fitting = [w for w in (RELEASED_WIDTH, *range(1, 257)) if [c * w // 64 for c in channels] == widths]
-    if not fitting:
-        raise ValueError(f"splits of {widths} channels in stages of {channels}")
-    blocks = tuple(
-        1 + max(int(name.split(".")[3]) for name in state if name.startswith(f"backbone.stages.{k}.")) for k in range(3)
-    )
-    linear = state["encoder.linear.weight"]
-    first, second, third = (state[f"decoder.{k}.0.weight"].shape[1] for k in range(3))
+def _settings(tensors: Mapping[str, Tensor], method: str, grid: GridSpec, origin: Origin) -> ModelSettings:
+    """Return settings with the sizes of the tensors."""
+    residual = any(name.startswith("backbone.resnet.") for name in tensors)
+    stages = [
+        _convolutions(tensors, f"backbone.resnet.layer{k}." if residual else f"backbone.blocks.{k}.") for k in range(3)
+    ]
+    shrink = tensors.get("shrink_conv.layers.0.double_conv.0.weight")
+    widths = tuple(tensors[f"backbone.deblocks.{k}.0.weight"].shape[1] for k in range(3))
+    stride = None if shrink is None else origin.shrink_stride or _stride(method, shrink)
+    compressor = tensors.get("naive_compressor.encoder.0.weight")
+    agents = origin.max_agents
+    if method in ("cobevt", "ermvp"):
+        rows = len(tensors["fusion_net.layers.0.window_attention.fn.relative_position_bias_table.weight"])
+        agents = (rows // 49 + 1) // 2
     return ModelSettings(
         grid=grid,
-        role="teacher" if teacher else "student",
-        intensity_steps=255,
-        box_order="hwl",
-        sdd=designed,
-        pcp=linear.shape[1] == 11 if teacher else designed,
+        fusion=method,
+        backbone="resnet" if residual else "plain",
+        released=method in ("v2vnet", "v2xvit", "cobevt", "ermvp"),
+        left_handed=origin.left_handed,
+        intensity_steps=origin.intensity_steps,
+        own_frame=origin.own_frame,
+        compress=len(compressor[0]) // len(compressor) if compressor is not None and method in _ONE_MAP else 1,
+        sdd=False,
+        pcp=False,
         rec=False,
+        box_order="hwl",
         padded_slots=True,
-        pillar_channels=len(linear),
-        stage_channels=channels,  # type: ignore[arg-type]
-        stage_blocks=blocks,  # type: ignore[arg-type]
-        base_width=fitting[0],
-        decoder_channels=first if first == second == third else (first, second, third),
-        shrink_channels=len(state["shrink.0.weight"]),
+        pillar_channels=len(tensors["pillar_vfe.pfn_layers.0.linear.weight"]),
+        stage_channels=tuple(len(stage[0]) for stage in stages),  # type: ignore[arg-type]
+        stage_blocks=tuple(len(stage) // 2 if residual else len(stage) - 1 for stage in stages),  # type: ignore[arg-type]
+        decoder_channels=widths[0] if len(set(widths)) == 1 else widths,
+        shrink_channels=0 if shrink is None else len(shrink),
+        shrink_kernel=3 if shrink is None else shrink.shape[-1],  # type: ignore[arg-type]
+        shrink_stride=stride,  # type: ignore[arg-type]
+        attention_channels=_attention_channels(tensors) if method == "v2xvit" else None,
+        anchor_lwh=origin.anchor_lwh,
+        direction="dir_head.weight" in tensors,
+        direction_start=origin.direction_start if "dir_head.weight" in tensors else None,
+        max_agents=agents,
         team_by="folders",
-        score_threshold=0.25,
+        score_threshold=_SCORE_THRESHOLDS.get(method, _SCORE_THRESHOLD),
         max_extent_m=6.0,
     )
+
+
+def _convolutions(tensors: Mapping[str, Tensor], prefix: str) -> list[Tensor]:
+    """Return the weights of a stage's convolutions, shortcuts left out."""
+    found = [t for name, t in tensors.items() if name.startswith(prefix) and t.ndim == 4 and "downsample" not in name]
+    if not found:
+        raise KeyError(f"{prefix}...weight")
+    return found
+
+
+def _stride(method: str, shrink: Tensor) -> int:
+    """Return the stride of the shrink convolutions in the method's published recipe."""
+    learned = method in _ONE_MAP or method == "where2comm"
+    return 2 if learned and shrink.shape[-1] == 3 else 1
+
+
+def _attention_channels(tensors: Mapping[str, Tensor]) -> tuple[int, ...]:
+    """Return the four widths of V2X-ViT's attentions."""
+    block = "fusion_net.encoder.layers.0.0.layers.0"
+    windows = [len(tensors[f"{block}.1.fn.pwmsa.{k}.to_qkv.weight"]) // 3 for k in range(3)]
+    return len(tensors[f"{block}.0.fn.q_linears.0.weight"]), *windows
+
+
+def _renamed(path: Path, tensors: Mapping[str, Tensor], method: str) -> dict[str, tuple[str, Tensor]]:
+    """Return published name and tensor by our names."""
+    rules: dict[str, tuple[Rule, ...]] = {"": (*SINGLE, *(COMPRESSOR if method in _ONE_MAP else ()))}
+    rules["fusion_net."] = FUSIONS.get("where2comm" if method == "attention" else method, ())
+    rules["sampler."] = SAMPLER if method == "ermvp" else ()
+    state = {}
+    for name, tensor in tensors.items():
+        part = next((part for part in ("fusion_net.", "sampler.") if name.startswith(part)), "")
+        ours = renamed(name.removeprefix(part), rules[part])
+        if ours == "":
+            found = f"{name} {tuple(tensor.shape)}"
+            raise CheckpointError(complaint(path, "state", f"no tensor beside those of '{method}'", found))
+        if ours is not None:
+            state[f"fusion.{ours}" if part else ours] = name, tensor
+    return state
+
+
+def _as_ours(
+    path: Path, state: dict[str, tuple[str, Tensor]], tensors: Mapping[str, Tensor], settings: ModelSettings
+) -> dict[str, tuple[str, Tensor]]:
+    """Return the state with what our layers have in another form."""
+    changed = dict(state)
+    channels = settings.shrink_channels
+    if settings.fusion == "v2vnet":
+        for name, gates in (("update", 2), ("candidate", 1)):
+            for end, shape in (("weight", (gates * channels, 3 * channels, 3, 3)), ("bias", (gates * channels,))):
+                published, tensor = state[f"fusion.{name}.{end}"]
+                if tuple(tensor.shape) != shape:
+                    raise CheckpointError(complaint(path, f"state: {published}", f"shape {shape}", tuple(tensor.shape)))
+                # The reset gate comes first; it and the weights for the hidden state, the last, meet zeros only.
+                tensor = tensor[-channels:]
+                changed[f"fusion.{name}.{end}"] = published, tensor[:, : 2 * channels] if end == "weight" else tensor
+    if settings.fusion in ("v2vnet", "cobevt", "ermvp"):
+        changed["fusion.keep"] = "fusion_net", torch.zeros(channels)
+    if settings.direction:
+        for end in ("weight", "bias"):
+            published, tensor = state[f"direction_head.{end}"]
+            if len(tensor) != 4:
+                raise CheckpointError(
+                    complaint(path, f"state: {published}", "two directions per anchor", tuple(tensor.shape))
+                )
+            # The second wins where its logit is higher.
+            changed[f"direction_head.{end}"] = published, tensor[1::2] - tensor[::2]
+    if settings.fusion == "where2comm":
+        _check_smoothing(path, tensors)
+    return changed
+
+
+def _check_smoothing(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    """Compare Where2comm's Gaussian, which a file may hold with other sizes, with ours."""
+    name = "fusion_net.naive_communication.gaussian_filter"
+    wanted = {"weight": gaussian(5, 1.0), "bias": torch.zeros(1)}
+    for end, expected in wanted.items():
+        found = tensors.get(f"{name}.{end}")
+        if found is None or found.shape != expected.shape or not torch.allclose(found.float(), expected, atol=1e-5):
+            size = "none" if found is None else f"another one, {tuple(found.shape)}"
+            raise CheckpointError(
+                complaint(path, f"state: {name}.{end}", "a Gaussian of 5 x 5 cells, deviation 1", size)
+            )

@@ -18,6 +18,9 @@ from dsrc.models.fusion.where2comm import Where2comm, gaussian
 from dsrc.models.layers.backbones import plain
 from dsrc.models.layers.blocks import upsample
 from dsrc.models.settings import ModelSettings
+from dsrc.models.storage.opencood_names import COBEVT, SAMPLER, V2VNET, V2XVIT
+from dsrc.models.storage.opencood_names import ERMVP as ERMVP_NAMES
+from dsrc.models.storage.reference_names import renamed_state
 from tests.dsrc.models.reference import golden, matching, state
 from tests.dsrc.models.storage.test_deploy import AGENTS, a_detector, some_pillars
 from tests.dsrc.models.weights import stirred
@@ -64,20 +67,12 @@ def test_attention_and_maximum_of_warped_maps_equal_coaligns() -> None:
         near(MaxFusion().fuse(x, warped), arrays[f"max_warp{k}"], 2e-5)
 
 
-V2VNET = (
-    (r"msg_cnn\.(.*)", r"message.\1"),
-    (r"mlp\.(.*)", r"out.\1"),
-    (r"conv_gru\.cell_list\.0\.conv_can\.(.*)", r"candidate.\1"),
-    (r"conv_gru\.cell_list\.0\.conv_gates\.(.*)", r"update.\1"),
-)
-
-
 @pytest.mark.parametrize(("agg", "gated", "name"), [("mean", True, "avg_gru"), ("max", False, "max_add")])
 def test_v2vnet_equals_the_reference(agg: str, gated: bool, name: str) -> None:
     arrays, notes = golden("fuse_v2vnet")
     config, x = notes["config"], torch.from_numpy(arrays["x"])
     channels, (height, width) = config["C"], (config["H"], config["W"])
-    weights = matching(state(arrays), V2VNET)
+    weights = renamed_state(state(arrays), V2VNET)
     # The reset gate comes first; it and the weights for the hidden state meet zeros only.
     weights["update.weight"] = weights["update.weight"][channels:, : 2 * channels]
     weights["update.bias"] = weights["update.bias"][channels:]
@@ -97,34 +92,13 @@ def test_v2vnet_equals_the_reference(agg: str, gated: bool, name: str) -> None:
     near(fusion.fuse(x, there), arrays[f"out_warp_{name}"], 1e-4)
 
 
-COBEVT = (
-    *(
-        (rf"layers\.(\d+)\.{theirs}\.fn\.{part}", rf"blocks.\1.{ours}.inner.{new}")
-        for theirs, ours in (("window_attention", "near"), ("grid_attention", "spread"))
-        for part, new in (
-            (r"to_qkv\.(.*)", r"qkv.\2"),
-            (r"to_out\.0\.(.*)", r"out.\2"),
-            (r"relative_position_bias_table\.weight", "bias"),
-        )
-    ),
-    (r"layers\.(\d+)\.window_ffd\.fn\.net\.(.*)", r"blocks.\1.near_forward.inner.\2"),
-    (r"layers\.(\d+)\.grid_ffd\.fn\.net\.(.*)", r"blocks.\1.spread_forward.inner.\2"),
-    (r"layers\.(\d+)\.window_attention\.norm\.(.*)", r"blocks.\1.near.norm.\2"),
-    (r"layers\.(\d+)\.grid_attention\.norm\.(.*)", r"blocks.\1.spread.norm.\2"),
-    (r"layers\.(\d+)\.window_ffd\.norm\.(.*)", r"blocks.\1.near_forward.norm.\2"),
-    (r"layers\.(\d+)\.grid_ffd\.norm\.(.*)", r"blocks.\1.spread_forward.norm.\2"),
-    (r"mlp_head\.2\.(.*)", r"norm.\1"),
-    (r"mlp_head\.3\.(.*)", r"out.\1"),
-)
-
-
 def test_cobevt_equals_the_reference() -> None:
     arrays, notes = golden("fuse_cobevt")
     config, x = notes["config"], torch.from_numpy(arrays["x"])
     heads = config["input_dim"] // config["dim_head"]
     sizes = {"depth": config["depth"], "heads": heads, "window": config["window_size"], "hidden": config["mlp_dim"]}
     fusion = CoBEVT(config["input_dim"], config["agent_size"], **sizes, released=True).eval()
-    fusion.load_state_dict(matching(state(arrays), COBEVT) | {"keep": torch.zeros(config["input_dim"])})
+    fusion.load_state_dict(renamed_state(state(arrays), COBEVT) | {"keep": torch.zeros(config["input_dim"])})
     place = arrays["state/layers.0.window_attention.fn.relative_position_index"]
     np.testing.assert_array_equal(fusion.blocks[0]["near"].inner.place, place)
     near(fusion.attend(x[:3])[:3].permute(0, 3, 1, 2), arrays["inter/after_block1_b0"], 5e-5)
@@ -136,34 +110,18 @@ def test_cobevt_equals_the_reference() -> None:
     near(fusion.fuse(full, AgentLayout((5,))), arrays["out_full"], 5e-5)
 
 
-ERMVP_NAMES = (
-    (r"sampler/score_pred_net\.(.*)", r"sampler.score.\1"),
-    *((rf"fusion/{name}", new) for name, new in COBEVT if "grid" not in name),
-    (r"fusion/layers\.(\d+)\.WindowAttentionGlobal\.norm\.(.*)", r"blocks.\1.whole.norm.\2"),
-    (r"fusion/layers\.(\d+)\.windowGlobal_ffd\.norm\.(.*)", r"blocks.\1.whole_forward.norm.\2"),
-    (r"fusion/layers\.(\d+)\.windowGlobal_ffd\.fn\.net\.(.*)", r"blocks.\1.whole_forward.inner.\2"),
-    *(
-        (rf"fusion/layers\.(\d+)\.WindowAttentionGlobal\.fn\.{part}", rf"blocks.\1.whole.inner.{new}")
-        for part, new in (
-            (r"relative_position_bias_table\.weight", "bias"),
-            (r"qkv\.(.*)", r"key_value.\2"),
-            (r"to_out\.0\.(.*)", r"out.\2"),
-            (r"to_q_global\.(\d)\.conv\.0\.(.*)", r"shorten.\2.around.\3"),
-            (r"to_q_global\.(\d)\.conv\.2\.fc\.0\.(.*)", r"shorten.\2.squeeze.\3"),
-            (r"to_q_global\.(\d)\.conv\.2\.fc\.2\.(.*)", r"shorten.\2.excite.\3"),
-            (r"to_q_global\.(\d)\.conv\.3\.(.*)", r"shorten.\2.across.\3"),
-        )
-    ),
-)
-
-
 def test_ermvp_equals_the_reference() -> None:
     arrays, notes = golden("fuse_ermvp")
     config, x = notes["config"], torch.from_numpy(arrays["x"])
     heads = config["input_dim"] // config["dim_head"]
     sizes = {"depth": config["depth"], "heads": heads, "window": config["window_size"], "hidden": config["mlp_dim"]}
     fusion = ERMVP(config["input_dim"], config["agent_size"], **sizes, released=True).eval()
-    fusion.load_state_dict(matching(state(arrays), ERMVP_NAMES) | {"keep": torch.zeros(config["input_dim"])})
+    parts = {
+        part: {name.removeprefix(part): t for name, t in state(arrays).items() if name.startswith(part)}
+        for part in ("fusion/", "sampler/")
+    }
+    weights = renamed_state(parts["fusion/"], ERMVP_NAMES) | renamed_state(parts["sampler/"], SAMPLER)
+    fusion.load_state_dict(weights | {"keep": torch.zeros(config["input_dim"])})
     layout = AgentLayout(tuple(notes["record_len"]))
     near(fusion.fuse(fusion.send([x], layout)[0], layout), arrays["out_fusion"], 1e-4)
     sampler = fusion.sampler
@@ -189,37 +147,6 @@ def test_what_ermvp_samples_is_what_is_fused() -> None:
     assert torch.equal(fusion.send([x], AgentLayout((3,)))[0], x)
 
 
-V2XVIT = (
-    (r"encoder\.rte\.emb\.lin\.(.*)", r"delay.\1"),
-    *(
-        (rf"encoder\.layers\.(\d+)\.0\.layers\.0\.0\.{part}", rf"blocks.\1.agents.{new}")
-        for part, new in (
-            (r"norm\.(.*)", r"norm.\2"),
-            (r"fn\.relation_att", "relation_score"),
-            (r"fn\.relation_msg", "relation_message"),
-            (r"fn\.k_linears\.(.*)", r"key.\2"),
-            (r"fn\.q_linears\.(.*)", r"query.\2"),
-            (r"fn\.v_linears\.(.*)", r"value.\2"),
-            (r"fn\.a_linears\.(.*)", r"out.\2"),
-        )
-    ),
-    *(
-        (rf"encoder\.layers\.(\d+)\.0\.layers\.0\.1\.{part}", rf"blocks.\1.windows.{new}")
-        for part, new in (
-            (r"norm\.(.*)", r"norm.\2"),
-            (r"fn\.pwmsa\.(\d)\.pos_embedding", r"inner.branches.\2.bias"),
-            (r"fn\.pwmsa\.(\d)\.to_qkv\.(.*)", r"inner.branches.\2.qkv.\3"),
-            (r"fn\.pwmsa\.(\d)\.to_out\.0\.(.*)", r"inner.branches.\2.out.\3"),
-            (r"fn\.split_attn\.fc1\.(.*)", r"inner.squeeze.\2"),
-            (r"fn\.split_attn\.bn1\.(.*)", r"inner.norm.\2"),
-            (r"fn\.split_attn\.fc2\.(.*)", r"inner.split.\2"),
-        )
-    ),
-    (r"encoder\.layers\.(\d+)\.1\.norm\.(.*)", r"blocks.\1.feed.norm.\2"),
-    (r"encoder\.layers\.(\d+)\.1\.fn\.net\.(.*)", r"blocks.\1.feed.inner.\2"),
-)
-
-
 def test_v2xvit_equals_the_reference() -> None:
     arrays, notes = golden("fuse_v2xvit")
     config, x = notes["config"]["encoder"], torch.from_numpy(arrays["x"])
@@ -231,7 +158,7 @@ def test_v2xvit_equals_the_reference() -> None:
         windows=tuple(zip(windows["window_size"], windows["heads"], strict=True)),
         hidden=config["feed_forward"]["mlp_dim"],
     ).eval()
-    fusion.load_state_dict(matching(state(arrays), V2XVIT))
+    fusion.load_state_dict(renamed_state(state(arrays), V2XVIT))
     agents = tuple(notes["record_len"])
     prior = torch.cat([torch.from_numpy(row[:n]) for row, n in zip(arrays["prior"], agents, strict=True)])
     roadside = prior[:, 2] > 0

@@ -16,7 +16,7 @@ from dsrc.models.fusion import FUSIONS
 from dsrc.models.inputs.batch import collate
 from dsrc.models.inputs.trained_frame import as_trained, mirrored
 from dsrc.models.settings import ModelSettings
-from dsrc.models.storage.import_opencood import import_detector
+from dsrc.models.storage.import_dsrc import import_detector
 from dsrc.ops.coding import REFERENCE_ORDER, decode
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.iou import bev_iou

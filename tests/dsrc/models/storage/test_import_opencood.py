@@ -1,32 +1,41 @@
-"""A published state dict becomes a detector that says the same; anything else is refused in one line."""
+"""A checkpoint of OpenCOOD's is known by its tensors' names and says the same here; others are refused in one line."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from msgspec.structs import replace
 
 from dsrc.__main__ import main
+from dsrc.models.detector import Detector, Output
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import pillars_of
-from dsrc.models.storage.checkpoint import load_detector, save_detector
+from dsrc.models.storage.checkpoint import load_detector
 from dsrc.models.storage.deploy import deployed
-from dsrc.models.storage.import_opencood import import_detector
-from dsrc.ops.grid import GridSpec
-from dsrc.training.recipes import RECIPES
-from sim.boxes import Boxes
-from sim.errors import CheckpointError
-from tests.dsrc.models.reference import golden, state
+from dsrc.models.storage.import_opencood import Origin, import_opencood
+from dsrc.ops.coding import decode, in_half_turn
+from sim.errors import CheckpointError, SettingsError, UserError
+from tests.dsrc.models.storage.opencood_networks import AGENTS, RANGE_M, STAGES, network, said
 
+HERE = Origin(range_m=RANGE_M, max_agents=AGENTS)
 
-def grid_of(notes: dict) -> GridSpec:
-    return GridSpec(range_m=tuple(notes["config"]["range"]), cell_m=notes["config"]["voxel"][0])
-
-
-def clouds_of(arrays: dict, grid: GridSpec, name: str = "points") -> list[np.ndarray]:
-    clouds = [arrays[f"{name}/{i}"] for i in range(sum(key.startswith(f"{name}/") for key in arrays))]
-    low, high = np.array(grid.range_m[:3]), np.array(grid.range_m[3:])
-    return [cloud[((cloud[:, :3] > low) & (cloud[:, :3] < high)).all(1)] for cloud in clouds]
+NETWORKS = {
+    "early": ({}, 1),
+    "late": ({}, 1),
+    "attention": ({}, 1),
+    "max_map": ({"kernel": 1}, 1),
+    "v2vnet": ({"fusion": "v2vnet", "kernel": 3}, 2),
+    "v2vnet compressed": ({"fusion": "v2vnet", "kernel": 3, "compress": 4}, 2),
+    "v2xvit": ({"fusion": "v2xvit", "kernel": 3}, 2),
+    "cobevt": ({"fusion": "cobevt", "kernel": 3}, 2),
+    "where2comm": ({"fusion": "where2comm", "kernel": 3}, 2),
+    "ermvp": ({"fusion": "ermvp", "kernel": 3}, 2),
+    "coalign": ({"residual": True}, 1),
+    "coalign of its authors": ({"residual": True, "kernel": 3, "directions": True}, 1),
+    "max of residual blocks": ({"residual": True, "kernel": 3}, 2),
+}
+AMBIGUOUS = ("early", "late", "attention", "max")
 
 
 def written(path: Path, content: object) -> Path:
@@ -34,101 +43,148 @@ def written(path: Path, content: object) -> Path:
     return path
 
 
-def test_an_imported_detector_says_the_same_of_the_same_points(tmp_path: Path) -> None:
-    arrays, notes = golden("dsrc_base_small")
-    grid = grid_of(notes)
-    path = written(tmp_path / "net_epoch1.pth", {f"module.{k}": v for k, v in state(arrays).items()})
-    out = tmp_path / "detector.pt"
-    ends = [str(value) for value in grid.range_m]
-    main(["model", "import", str(path), "--out", str(out), "--cell-m", str(grid.cell_m), "--range-m", *ends])
+def clouds(number: int = AGENTS) -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    low, high = np.array((*RANGE_M[:3], 0.0)), np.array((*RANGE_M[3:], 1.0))
+    return [rng.uniform(low, high, (900, 4)).astype(np.float32) for _ in range(number)]
+
+
+def output_of(detector: Detector, method: str) -> Output:
+    # Methods that detect in each cloud alone get one sample per cloud.
+    layout = AgentLayout((1,) * AGENTS) if method in ("early", "late") else AgentLayout((AGENTS,))
+    with torch.inference_mode():
+        return detector(pillars_of(clouds(), detector.settings), layout)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_an_imported_network_says_what_the_published_one_says(tmp_path: Path, name: str) -> None:
+    parts, stride = NETWORKS[name]
+    method, state = name.split()[0], network(**parts)
+    path = written(tmp_path / "net_epoch1.pth", state)
+    asked = method if method in AMBIGUOUS else None
+    detector = import_opencood(path, replace(HERE, method=asked, shrink_stride=stride if method == "max" else None))
+    assert detector.settings.fusion == method
+    assert detector.settings.head_stride == 2 * stride
+    assert detector.anchors.shape == (32 // (2 * stride), 64 // (2 * stride), 2, 7)
+    pillars = pillars_of(clouds(), detector.settings)
+    expected = said(state, pillars, method, stride)
+    for made in (detector, deployed(detector)):
+        output = output_of(made, method)
+        for found, wanted in zip((output.cls, output.reg), expected, strict=False):
+            assert found.shape == wanted.shape
+            assert (found - wanted).abs().max() < 1e-4 * wanted.abs().max()
+    if "directions" in parts:
+        first, second = expected[2][:, ::2], expected[2][:, 1::2]
+        sure = (second - first).abs() > 1e-3
+        assert torch.equal((output.direction > 0)[sure], (second > first)[sure])
+
+
+def test_a_published_heading_lies_in_the_half_turn_of_its_class() -> None:
+    rng = np.random.default_rng(0)
+    anchors = np.zeros((3, 4, 2, 7))
+    anchors[..., 3:6], anchors[..., 1, 6] = (3.9, 1.6, 1.56), np.pi / 2
+    deltas = rng.normal(0.0, 2.0, (1, 14, 3, 4))
+    second = rng.random((1, 2, 3, 4)) < 0.5
+    turned = in_half_turn(deltas, second, anchors, 0.7853)
+    kept = [i for i in range(14) if i % 7 != 6]
+    assert np.array_equal(turned[:, kept], deltas[:, kept])
+    for anchor in range(2):
+        before, after = (
+            decode(np.moveaxis(maps[0, 7 * anchor : 7 * anchor + 7], 0, -1), anchors[:, :, anchor])[..., 6]
+            for maps in (deltas, turned)
+        )
+        np.testing.assert_allclose(np.sin(2 * (after - before)), 0.0, atol=1e-9)
+        into = (after - 0.7853) % (2 * np.pi)
+        assert np.array_equal(into > np.pi, second[0, anchor])
+
+
+def test_widths_and_strides_are_found_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path / "net_epoch9.pth", {"model_state_dict": network("cobevt", kernel=3)})
+    out, ends = tmp_path / "detector.pt", [str(value) for value in RANGE_M]
+    options = ["--family", "opencood", "--range-m", *ends, "--out", str(out)]
+    main(["model", "import", str(path), *options])
+    text = capsys.readouterr().out
+    settings = load_detector(out).settings
+    for line in (
+        "method: cobevt, at most 3 agents",
+        "backbone: plain, 8/16/24 channels in 1/2/1 blocks",
+        "decoder: 8/12/16 channels",
+        "shrink: 32 channels, kernel 3",
+        "heads: a cell per 4 pillars, anchors of 3.9 x 1.6 x 1.56 m",
+        "trained: left-handed, intensities in 255 steps",
+        str(out),
+    ):
+        assert line in text.splitlines()
+    assert settings.stage_channels == STAGES and settings.left_handed and settings.intensity_steps == 255
+    more = [
+        "--right-handed",
+        "--own-frame",
+        "--intensity-steps",
+        "0",
+        "--anchor-m",
+        "4.5",
+        "2",
+        "1.56",
+        "--shrink-stride",
+        "1",
+    ]
+    main(["model", "import", str(path), *options, *more])
+    assert "anchors of 4.5 x 2 x 1.56 m" in capsys.readouterr().out
     detector = load_detector(out)
-    assert detector.settings.stage_blocks == tuple(notes["config"]["layer_nums"])
-    assert detector.settings.base_width == 26
-    # What no tensor says is as in the preset of the released code.
-    released = RECIPES["dsrc-code"]().model
-    fields = ("max_extent_m", "score_threshold", "max_points", "max_pillars", "box_order", "padded_slots", "team_by")
-    for field in fields:
-        assert getattr(detector.settings, field) == getattr(released, field), field
-    clouds = clouds_of(arrays, grid)
-    with torch.inference_mode():
-        output = detector(pillars_of(clouds, detector.settings), AgentLayout((len(clouds),)))
-    for found, name in ((output.cls, "psm"), (output.reg, "rm")):
-        np.testing.assert_allclose(found.numpy(), arrays[f"out/{name}"], rtol=0, atol=1e-4)
+    settings = detector.settings
+    assert settings.own_frame and not settings.left_handed and settings.intensity_steps is None
+    assert detector.anchors.shape == (16, 32, 2, 7) and set(detector.anchors[..., 3].flat) == {4.5}
 
 
-@pytest.mark.parametrize("teacher", [False, True])
-def test_both_halves_of_a_students_file_are_imported(tmp_path: Path, teacher: bool) -> None:
-    arrays, notes = golden("dsrc_student_train")
-    path = written(tmp_path / "student.pth", {"state_dict": state(arrays)})
-    detector = import_detector(path, grid_of(notes), teacher)
-    assert detector.settings.role == ("teacher" if teacher else "student")
-    assert detector.settings.point_features == (5 if teacher else 4)
-    grid = grid_of(notes)
-    clouds = clouds_of(arrays, grid, "clouds_paint" if teacher else "points")
-    clouds = [clouds[i] for i in (0, 1, 4)] if teacher else clouds
-    with torch.inference_mode():
-        output = detector(pillars_of(clouds, detector.settings), AgentLayout((2, 1)))
-    end = "_teacher" if teacher else ""
-    np.testing.assert_allclose(output.cls.numpy(), arrays[f"eval/psm{end}"], rtol=0, atol=1e-4)
-    np.testing.assert_allclose(output.reg.numpy(), arrays[f"eval/rm{end}"], rtol=0, atol=1e-4)
+def test_what_does_not_fit_is_named_with_its_shape(tmp_path: Path) -> None:
+    whole = network("v2vnet", kernel=3)
 
-
-def test_other_files_are_refused(tmp_path: Path) -> None:
-    arrays, notes = golden("dsrc_base_small")
-    whole, grid = state(arrays), grid_of(notes)
-
-    def refusal(content: object, **options: bool) -> str:
+    def refusal(content: object, kind: type[UserError] = CheckpointError, **origin: object) -> str:
         path = written(tmp_path / "net.pth", content)
-        with pytest.raises(CheckpointError) as error:
-            import_detector(path, grid, **options)
+        with pytest.raises(kind) as error:
+            import_opencood(path, replace(HERE, **origin))
         assert "\n" not in str(error.value) and str(path) in str(error.value)
         return str(error.value)
 
-    lacking = {k: v for k, v in whole.items() if k != "cls_head.bias"}
-    assert "cls_head.bias" in refusal(lacking)
-    assert "transformer.weight" in refusal({**whole, "transformer.weight": torch.zeros(2)})
-    assert "shape" in refusal({**whole, "reg_head.weight": torch.zeros(14, 3, 1, 1)})
-    assert "finite" in refusal({**whole, "cls_head.bias": torch.full((2,), torch.nan)})
-    assert "pillar_vfe" in refusal({"conv.weight": torch.zeros(2)})
-    assert "none" in refusal(whole, teacher=True)
-    assert "list" in refusal([1, 2])
-    assert "no pickled objects" in refusal({"x": Boxes.zeros()})
-    for garbage in (b"", b"root:x:0:0:root", b"q\x00q\x01", b"\x80\x02}q\x00."):
-        (tmp_path / "garbage.pth").write_bytes(garbage)
-        with pytest.raises(CheckpointError, match=r"garbage.pth: (file|state): expected"):
-            import_detector(tmp_path / "garbage.pth", grid)
-    with pytest.raises(CheckpointError, match="no such"):
-        import_detector(tmp_path / "nothing.pth", grid)
+    three = {"cls_head.weight": torch.zeros(3, 32, 1, 1)}
+    assert "state: cls_head.weight: expected shape (2, 32, 1, 1), found (3, 32, 1, 1)" in refusal(whole | three)
+    assert "found fusion_net.delay.weight (2, 5)" in refusal(whole | {"fusion_net.delay.weight": torch.zeros(2, 5)})
+    assert "fusion.update" in refusal({k: v for k, v in whole.items() if "conv_gates" not in k})
+    assert "backbone.deblocks.2.0.weight" in refusal({k: v for k, v in whole.items() if "deblocks.2" not in k})
+    assert "finite" in refusal(whole | {"reg_head.bias": torch.full((14,), torch.inf)})
+    gates = "fusion_net.conv_gru.cell_list.0.conv_gates.weight"
+    assert f"{gates}: expected shape (64, 96, 3, 3), found (64,)" in refusal(whole | {gates: torch.zeros(64)})
+    # What fuses in another way is not taken for what it resembles.
+    disco = network(kernel=3) | {"fusion_net.pixel_weight_layer.conv1_1.weight": torch.zeros(128, 64, 1, 1)}
+    assert "found fusion_net.pixel_weight_layer.conv1_1.weight (128, 64, 1, 1)" in refusal(disco)
+    stages = network(compress=2) | {}
+    assert "found naive_compressor.encoder.0.weight" in refusal(stages, method="attention")
+    wide = network("where2comm", kernel=3)
+    wide["fusion_net.naive_communication.gaussian_filter.weight"] *= 2
+    assert "expected a Gaussian of 5 x 5 cells" in refusal(wide)
+    # As many tensors fit several methods.
+    assert "expected one that fits, of early, late, none, attention, max, coalign" in refusal(network(), SettingsError)
+    assert "found v2xvit" in refusal(whole, SettingsError, method="v2xvit")
+    assert "grid" in refusal(whole, SettingsError, range_m=(1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert "family dsrc" in refusal({"backbone.resnet.layer1.0.conv3.weight": torch.zeros(2)})
+    assert "PointPillar" in refusal({"conv.weight": torch.zeros(2)})
 
 
-def test_decoder_widths_by_stage_are_imported(tmp_path: Path) -> None:
-    arrays, notes = golden("dsrc_base_small")
-    reference, widths = state(arrays), (24, 32, 40)
-    for k, width in enumerate(widths):
-        # One stage gets fewer channels than the golden has, one more; those left out or added are silent.
-        for name in ("0.weight", "1.weight", "1.bias", "1.running_mean", "1.running_var"):
-            tensor, along = reference[f"backbone.deblocks.{k}.{name}"], int(name == "0.weight")
-            kept = tensor.narrow(along, 0, min(width, tensor.shape[along]))
-            more = list(kept.shape)
-            more[along] = width - more[along]
-            filled = torch.ones(more) if name == "1.running_var" else torch.zeros(more)
-            reference[f"backbone.deblocks.{k}.{name}"] = torch.cat([kept, filled], along)
-    shrink = reference["shrink_conv.layers.0.double_conv.0.weight"]
-    parts = [part[:, :width] for part, width in zip(shrink.split(32, dim=1), widths, strict=True)]
-    parts = [torch.nn.functional.pad(p, (0, 0, 0, 0, 0, w - p.shape[1])) for p, w in zip(parts, widths, strict=True)]
-    reference["shrink_conv.layers.0.double_conv.0.weight"] = torch.cat(parts, dim=1)
-    detector = import_detector(written(tmp_path / "wide.pth", reference), grid_of(notes))
-    assert detector.settings.decoder_channels == widths
-    assert [up[0].weight.shape[1] for up in detector.decoder] == list(widths)
-    # The same network in ours with one width, where the channels that were cut are silent.
-    even = state(arrays)
-    for name in ("1.weight", "1.bias"):
-        even[f"backbone.deblocks.0.{name}"][24:] = 0.0
-    same = import_detector(written(tmp_path / "even.pth", even), grid_of(notes))
-    assert same.settings.decoder_channels == 32
-    pillars = pillars_of(clouds_of(arrays, grid_of(notes)), same.settings)
-    with torch.inference_mode():
-        for made in (detector, deployed(detector)):
-            torch.testing.assert_close(made(pillars, AgentLayout((3,))).cls, same(pillars, AgentLayout((3,))).cls)
-    save_detector(tmp_path / "detector.pt", detector, half=False)
-    assert load_detector(tmp_path / "detector.pt").settings == detector.settings
+def test_where2comm_that_sends_everything_is_attention(tmp_path: Path) -> None:
+    state = network("where2comm", kernel=3)
+    path = written(tmp_path / "net.pth", state)
+    detector = import_opencood(path, replace(HERE, method="attention", shrink_stride=2))
+    expected = said(state, pillars_of(clouds(), detector.settings), "attention", 2)
+    assert (output_of(detector, "attention").cls - expected[0]).abs().max() < 1e-4
+
+
+def test_options_of_one_family_are_not_silent_in_the_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path / "net.pth", network("v2vnet", kernel=3))
+    for options in (["--method", "late"], ["--family", "opencood", "--teacher"]):
+        with pytest.raises(SystemExit) as error:
+            main(["model", "import", str(path), "--out", str(tmp_path / "detector.pt"), *options])
+        assert error.value.code == 2
+        assert (
+            f"{options[-1] if len(options) == 3 else '--method'}: expected none with --family"
+            in capsys.readouterr().err
+        )
