@@ -103,12 +103,12 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Render(msgspec.Struct, frozen=True, kw_only=True):
-    """Render drives anew from their traffic logs: other sensors, agents or mountings, without SUMO.
+    """Render drives anew from their traffic logs, or tracks that others recorded: any sensors, agents or mountings.
 
     An interrupted run resumes.
 
     Attributes:
-        data: a drive, a folder of drives, or a traffic log.
+        data: a drive, a folder of drives, or a traffic log; or tracks as .csv, .npz or CommonRoad .xml.
         out: folder of the new drives, which keep their names.
     """
 

@@ -105,7 +105,7 @@ class Changes(msgspec.Struct, frozen=True, kw_only=True):
         roadside_lidar: preset of the roadside units' LiDARs; default: the recording's.
         roadside: keep the roadside units.
         vehicles: number of vehicles with a LiDAR; default: the recording's.
-        agent_id: ids of the vehicles with a LiDAR, ego first; default: the recording's.
+        agent_id: ids of the vehicles with a LiDAR, ego first, in tracks those of their file; default: the recording's.
         mount: x y z in the body frame, m, and pitch, deg, of the vehicles' LiDARs; default: the recording's.
         frames: frames of each drive, from the first; default: all.
     """
@@ -114,7 +114,7 @@ class Changes(msgspec.Struct, frozen=True, kw_only=True):
     roadside_lidar: str | None = None
     roadside: bool = True
     vehicles: int | None = None
-    agent_id: tuple[int, ...] = ()
+    agent_id: tuple[int | str, ...] = ()
     mount: tuple[float, float, float, float] | None = None
     frames: int | None = None
 

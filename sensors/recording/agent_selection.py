@@ -38,7 +38,7 @@ def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Ge
         return _named(drive, scenario)
     if rule.vehicles == 0:
         return []
-    ids = _staying(drive, scenario)
+    ids = staying_ids(drive, scenario)
     if len(ids) < rule.vehicles:
         raise ScenarioError(_too_few(drive, scenario, len(ids)))
     xy = np.stack([actors.boxes.center[np.searchsorted(actors.boxes.object_id, ids), :2] for actors in drive])
@@ -89,7 +89,7 @@ def _named(drive: Sequence[Actors], scenario: Scenario) -> list[int]:
     return chosen
 
 
-def _staying(drive: Sequence[Actors], scenario: Scenario) -> NDArray[np.int64]:
+def staying_ids(drive: Sequence[Actors], scenario: Scenario) -> NDArray[np.int64]:
     """Return the ids of the vehicles inside the area at every instant, ascending."""
     ids = _candidates(drive[0], scenario)
     for actors in drive[1:]:
@@ -134,7 +134,7 @@ def _too_few(drive: Sequence[Actors], scenario: Scenario, found: int) -> str:
     low, high = 0, len(drive)
     while low + 1 < high:
         middle = (low + high) // 2
-        low, high = (middle, high) if len(_staying(drive[:middle], scenario)) >= wanted else (low, middle)
+        low, high = (middle, high) if len(staying_ids(drive[:middle], scenario)) >= wanted else (low, middle)
     hint = f"; {wanted} stay for {low} frames" if low else "; give it more traffic, a longer warmup_s or a larger area"
     return (
         f"scenario '{scenario.name}': agents.vehicles: expected {wanted} cars or vans that stay in the area for all"

@@ -1,8 +1,10 @@
 """Rendering of recorded traffic anew: other LiDARs, agents or mountings, without SUMO.
 
-Needs the traffic log and the static world beside it; the result is a drive as any other.
+Needs the traffic log and the static world beside it, or a file of tracks that others recorded; the result is a drive as
+any other.
 """
 
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +12,7 @@ from pathlib import Path
 import msgspec
 
 from dsrc.data.datasets.spec import log_settings, with_sensors
+from dsrc.data.datasets.tracks import record_tracks
 from dsrc.data.drive_folder import read_settings
 from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.opv2v.reader import PROTOCOL
@@ -20,6 +23,7 @@ from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import check_apart, file_sha256
 from sim.scenario import Scenario
 from sim.traffic.log import TrafficLog
+from sim.traffic.tracks.open import READERS
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +43,8 @@ def render(
     """Write drives anew from their traffic logs; an interrupted run resumes.
 
     Args:
-        source: a traffic log, a drive, or a folder of drives (up to two levels above them).
+        source: a traffic log, a drive, a folder of drives (up to two levels above them), or a file of tracks, see
+            `dsrc.data.datasets.tracks`.
         out: folder of the new drives, which keep their names.
         changes: differences from the recording.
         pool: workers.
@@ -53,6 +58,11 @@ def render(
         SettingsError: a setting is out of its range.
         ScenarioError: an agent leaves too early, or the world is missing and cannot be built.
     """
+    source = Path(source)
+    if source.suffix.lower() in READERS and source.name != TRAFFIC_LOG:
+        with tempfile.TemporaryDirectory(prefix="dsrc-tracks-") as folder:
+            log = record_tracks(source, Path(folder) / source.stem)
+            return render(log, out, changes, pool, progress)
     logs = find_logs(source)
     specs = [spec_of(log, changes) for log in logs]
     work, made = [], []
@@ -110,7 +120,9 @@ def spec_of(log: Path, changes: Changes) -> DriveSpec:
     if changes.agent_id and changes.vehicles is not None:
         raise SettingsError(complaint("render", "agent_id", "no ids beside a number of vehicles", "both"))
     if changes.agent_id:
-        rule = msgspec.structs.replace(rule, named=_names(log, changes.agent_id), vehicles=len(changes.agent_id))
+        rule = msgspec.structs.replace(
+            rule, named=_names(log, changes.agent_id, "tracks" in about), vehicles=len(changes.agent_id)
+        )
     elif changes.vehicles is not None:
         rule = msgspec.structs.replace(rule, named=())
     if changes.mount is not None:
@@ -136,11 +148,13 @@ def _checked(log: Path, scenario: Scenario) -> Scenario:
         raise SettingsError(f"{log}: with these changes: {error}") from None
 
 
-def _names(log: Path, ids: Sequence[int]) -> tuple[str, ...]:
+def _names(log: Path, ids: Sequence[int | str], by_name: bool) -> tuple[str, ...]:
+    """Return the names of road users by their ids, or by the ids of the track file that the log is of."""
     first = TrafficLog.load(log)[0]
-    names = dict(zip(first.boxes.object_id.tolist(), first.name, strict=True))
-    for number in ids:
-        if number not in names:
-            hint = did_you_mean(str(number), map(str, names))
-            raise SettingsError(complaint("render", "agent_id", "ids of road users in the first frame", number, hint))
-    return tuple(names[number] for number in ids)
+    keys = first.name if by_name else map(str, first.boxes.object_id.tolist())
+    known = dict(zip(keys, first.name, strict=True))
+    for one in map(str, ids):
+        if one not in known:
+            hint = did_you_mean(one, known)
+            raise SettingsError(complaint("render", "agent_id", "ids of road users in the first frame", one, hint))
+    return tuple(known[one] for one in map(str, ids))

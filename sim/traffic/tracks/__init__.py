@@ -1,0 +1,1 @@
+"""Tracks that others recorded: CSV, plain arrays and CommonRoad XML, as a traffic log."""

@@ -1,0 +1,224 @@
+"""Tracks of road users at irregular times, and the traffic log that they become."""
+
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.bodies.choice import choose_model
+from sim.boxes import CLASSES, Boxes
+from sim.errors import DataError, complaint, did_you_mean
+from sim.geometry import wrap_angle
+from sim.traffic.base import Actors
+from sim.traffic.log import LARGEST_M, TrafficLog
+
+STEP_S = 0.1
+"""Step of the traffic log, s."""
+GAP_S = 1.0
+"""Time between two samples of a track from which on the road user is away in between, s."""
+LONGEST_S = 3600.0
+FARTHEST_M = 1e7
+FIRST_ID = 1000
+
+_HEIGHT_M = {"car": 1.5, "van": 2.1, "truck": 3.4, "bus": 3.2, "motorcycle": 1.5, "bicycle": 1.7, "pedestrian": 1.75}
+_LONG_M = 6.5
+"""Length from which on a vehicle without a closer class is a truck, m."""
+_NAMES = {
+    "vehicle": "car",
+    "taxi": "car",
+    "priorityvehicle": "car",
+    "parkedvehicle": "car",
+    "cyclist": "bicycle",
+    "bike": "bicycle",
+    "motorcyclist": "motorcycle",
+    "motorbike": "motorcycle",
+    "person": "pedestrian",
+    "trailer": "truck",
+    "lorry": "truck",
+}
+_NO_ROAD_USERS = frozenset(
+    "unknown train roadboundary building pillar median_strip constructionzone construction_zone generic_object "
+    "traffic_cone traffic_barrier barrier czone_sign traffic_light other".split()
+)
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Road user over time, world frame.
+
+    Attributes:
+        name: id in its file.
+        class_name: one of `sim.boxes.CLASSES`.
+        size: (3,) length, width and height, m.
+        time_s: (T,) ascending, s.
+        center: (T, 3) centre of the box, m; z is NaN for one that stands on the ground at 0.
+        yaw: (T,) rad.
+    """
+
+    name: str
+    class_name: str
+    size: NDArray[np.float64]
+    time_s: NDArray[np.float64]
+    center: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """Content of a track file.
+
+    Attributes:
+        tracks: of road users.
+        lanes: (K, 2) outlines of the lanes, m; none where the file has no map.
+    """
+
+    tracks: tuple[Track, ...]
+    lanes: tuple[NDArray[np.float64], ...] = ()
+
+    @property
+    def ground_m(self) -> float:
+        """Height of the ground: the median of where the road users stand, m."""
+        bottoms = [one.center[:, 2] - 0.5 * one.size[2] for one in self.tracks]
+        known = np.concatenate([np.zeros(0), *bottoms])
+        known = known[np.isfinite(known)]
+        return float(np.round(np.median(known), 3)) if len(known) else 0.0
+
+
+def class_of(path: Path, field: str, text: str, length_m: float) -> str | None:
+    """Return the class of a road user by its name in a file; None for what is no road user, such as a cone.
+
+    Args:
+        path: of the file, for the message.
+        field: where the name is.
+        text: name of ours, of CommonRoad, ScenarioNet or nuPlan, in any case.
+        length_m: a vehicle that is no more closely named is a truck from `_LONG_M` on.
+
+    Raises:
+        DataError: the name is unknown.
+    """
+    name = text.strip().lower()
+    if name in _NO_ROAD_USERS:
+        return None
+    if name == "vehicle" and length_m >= _LONG_M:
+        return "truck"
+    name = _NAMES.get(name, name)
+    if name not in CLASSES:
+        raise DataError(complaint(path, field, "a class of road user", text, did_you_mean(name, [*CLASSES, *_NAMES])))
+    return name
+
+
+def make_track(
+    path: Path,
+    name: str,
+    class_name: str,
+    size: Sequence[float],
+    time_s: NDArray[np.float64],
+    center: NDArray[np.float64],
+    yaw: NDArray[np.float64],
+) -> Track:
+    """Return a checked track in order of time; a height of NaN is that of its class.
+
+    Raises:
+        DataError: a value is not finite or out of its range, or a time is there twice; names the object.
+    """
+    field = f"object '{name}'"
+    length, width, height = (float(value) for value in size)
+    height = _HEIGHT_M[class_name] if math.isnan(height) else height
+    if not all(0.0 < value < 100.0 for value in (length, width, height)):
+        found = f"{length:g} x {width:g} x {height:g}"
+        raise DataError(complaint(path, f"{field}: size", f"three lengths in (0, {min(100.0, LARGEST_M):g}) m", found))
+    order = np.argsort(time_s, kind="stable")
+    time_s, center, yaw = time_s[order], center[order], yaw[order]
+    for what, values in (("time", time_s), ("x, y", center[:, :2]), ("yaw", yaw)):
+        if not np.isfinite(values).all():
+            raise DataError(complaint(path, f"{field}: {what}", "finite numbers", "NaN or infinity"))
+    if (np.abs(center) > FARTHEST_M).any():
+        raise DataError(complaint(path, f"{field}: x, y, z", f"places within {FARTHEST_M:g} m", "one beyond"))
+    twice = np.flatnonzero(np.diff(time_s) <= 0.0)
+    if len(twice):
+        raise DataError(complaint(path, f"{field}: time", "each time once", f"{time_s[twice[0]]:g} s twice"))
+    return Track(name, class_name, np.array([length, width, height]), time_s, center, yaw)
+
+
+def to_log(path: Path, recording: Recording, about: dict | None = None) -> TrafficLog:
+    """Return the traffic log of tracks, every `STEP_S` from the first sample on.
+
+    Between two samples the place is interpolated, the heading by the shortest arc. A road user is away before its first
+    sample, after its last and in gaps of more than `GAP_S`, each of which is logged as a warning. Ids are `FIRST_ID`
+    and on, in the order of the file; names are those of the file.
+
+    Args:
+        path: of the file, for messages.
+        recording: its content.
+        about: metadata of the log.
+
+    Raises:
+        DataError: there is no track, or they last longer than `LONGEST_S`.
+    """
+    if not recording.tracks:
+        raise DataError(complaint(path, "tracks", "at least one road user", "none"))
+    first = min(float(one.time_s[0]) for one in recording.tracks)
+    last = max(float(one.time_s[-1]) for one in recording.tracks)
+    if last - first > LONGEST_S:
+        expected = f"seconds, at most {LONGEST_S:g} from first to last"
+        raise DataError(complaint(path, "time", expected, f"{last - first:g}"))
+    times = first + STEP_S * np.arange(math.floor((last - first) / STEP_S + 1e-6) + 1)
+    sampled = [_sampled(path, one, times) for one in recording.tracks]
+    ground = recording.ground_m
+    models = [choose_model(one.class_name, one.name, 0) for one in recording.tracks]
+    log = TrafficLog(STEP_S, about)
+    for step, time_s in enumerate(times):
+        rows = [row for row, (there, _, _, _) in enumerate(sampled) if there[step]]
+        center = np.array([sampled[row][1][step] for row in rows]).reshape(-1, 3)
+        size = np.array([recording.tracks[row].size for row in rows]).reshape(-1, 3)
+        center[:, 2] = np.where(np.isnan(center[:, 2]), ground + 0.5 * size[:, 2], center[:, 2])
+        velocity = np.array([sampled[row][3][step] for row in rows]).reshape(-1, 2, 2)
+        n = len(rows)
+        log.append(
+            Actors(
+                time_s=float(time_s - first),
+                boxes=Boxes(
+                    center=center,
+                    size=size,
+                    yaw=np.array([sampled[row][2][step] for row in rows], np.float64),
+                    label=np.array([CLASSES.index(recording.tracks[row].class_name) for row in rows], np.int64),
+                    object_id=FIRST_ID + np.array(rows, np.int64),
+                ),
+                pitch=np.zeros(n),
+                velocity=velocity[:, 0],
+                acceleration=velocity[:, 1],
+                model=tuple(models[row] for row in rows),
+                name=tuple(recording.tracks[row].name for row in rows),
+                signals=np.zeros(n, np.int32),
+                lane=("",) * n,
+            )
+        )
+    return log
+
+
+def _sampled(
+    path: Path, one: Track, times: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return a track at (S,) times: (S,) there, (S, 3) centres, (S,) yaw, (S, 2, 2) velocity and acceleration."""
+    there = (times >= one.time_s[0] - 1e-6) & (times <= one.time_s[-1] + 1e-6)
+    for gap in np.flatnonzero(np.diff(one.time_s) > GAP_S + 1e-6):
+        start, end = one.time_s[gap : gap + 2]
+        _log.warning("%s: object '%s': no samples from %.2f s to %.2f s: it is away", path, one.name, start, end)
+        there &= (times <= start + 1e-6) | (times >= end - 1e-6)
+    if not there.any():
+        _log.warning("%s: object '%s': between two steps of %g s: it is left out", path, one.name, STEP_S)
+    center = np.column_stack([np.interp(times, one.time_s, one.center[:, axis]) for axis in range(3)])
+    yaw = np.asarray(wrap_angle(np.interp(times, one.time_s, np.unwrap(one.yaw))), np.float64)
+    motion = np.zeros((len(times), 2, 2))
+    known = np.flatnonzero(there)
+    for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+        if len(run) > 1:
+            motion[run, 0] = np.gradient(center[run, :2], STEP_S, axis=0)
+            motion[run[1:], 1] = np.diff(motion[run, 0], axis=0) / STEP_S
+    return there, center, yaw, motion

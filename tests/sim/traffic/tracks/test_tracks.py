@@ -1,0 +1,183 @@
+"""Track files of others: each format gives the same traffic, in between is interpolated, gaps are named."""
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.errors import DataError
+from sim.traffic.tracks.base import to_log
+from sim.traffic.tracks.open import read_tracks
+
+HEADER = "time,id,x,y,yaw,length,width,class\n"
+TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.58, 0.9, 1.0])
+SIZE = (4.5, 1.8)
+CLASS = "car"
+
+
+def pose(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Straight on at 10 m/s, turning through the angle at which headings wrap."""
+    return 10.0 * time_s, np.full_like(time_s, 2.0), np.pi - 0.2 + 0.4 * time_s
+
+
+def write_csv(path: Path) -> None:
+    rows = [f"{t},7,{x},{y},{(yaw + np.pi) % (2 * np.pi) - np.pi},4.5,1.8,Car" for t, x, y, yaw in samples()]
+    path.write_text(HEADER + "\n".join(reversed(rows)) + "\n")
+
+
+def write_npz(path: Path) -> None:
+    x, y, yaw = pose(TIMES)
+    place = np.stack([np.column_stack([x, y]), np.zeros((len(TIMES), 2))])
+    np.savez(
+        path,
+        time=TIMES,
+        id=np.array(["7", "cone"]),
+        type=np.array(["VEHICLE", "TRAFFIC_CONE"]),
+        position=place,
+        heading=np.stack([yaw, yaw]),
+        length=np.array([SIZE[0], 0.3]),
+        width=np.array([SIZE[1], 0.3]),
+        valid=np.ones((2, len(TIMES)), bool),
+    )
+
+
+def write_xml(path: Path, version: str = "2020a") -> None:
+    """Steps of 10 ms; the rectangle lies 1 m ahead of the position."""
+
+    def state(tag: str, time_s: float, x: float, y: float, yaw: float) -> str:
+        return (
+            f"<{tag}><position><point><x>{x - np.cos(yaw)}</x><y>{y - np.sin(yaw)}</y></point></position>"
+            f"<orientation><exact>{yaw}</exact></orientation><time><exact>{round(100 * time_s)}</exact></time></{tag}>"
+        )
+
+    first, *others = samples()
+    shape = "<shape><rectangle><length>4.5</length><width>1.8</width><center><x>1</x><y>0</y></center></rectangle>"
+    states = state("initialState", *first) + "<trajectory>" + "".join(state("state", *one) for one in others)
+    opening, closing = (
+        ('<dynamicObstacle id="7">', "</dynamicObstacle>")
+        if version == "2020a"
+        else ('<obstacle id="7"><role>dynamic</role>', "</obstacle>")
+    )
+    bounds = "".join(
+        f"<{side}><point><x>-5</x><y>{y}</y></point><point><x>30</x><y>{y}</y></point></{side}>"
+        for side, y in (("leftBound", 4), ("rightBound", 0))
+    )
+    path.write_text(
+        f'<commonRoad commonRoadVersion="{version}" timeStepSize="0.01"><lanelet id="1">{bounds}</lanelet>'
+        f"{opening}<type>car</type>{shape}</shape>{states}</trajectory>{closing}</commonRoad>"
+    )
+
+
+def samples() -> list[tuple[float, float, float, float]]:
+    return [tuple(map(float, row)) for row in zip(TIMES, *pose(TIMES), strict=True)]  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("tracks.csv", write_csv),
+        ("tracks.npz", write_npz),
+        ("tracks.xml", write_xml),
+        ("old.xml", lambda path: write_xml(path, "2018b")),
+    ],
+)
+def test_every_format_gives_the_motion_at_every_step(tmp_path: Path, name: str, write: Callable[[Path], None]) -> None:
+    path = tmp_path / name
+    write(path)
+    recording = read_tracks(path)
+    log = to_log(path, recording)
+    assert [one.name for one in recording.tracks] == ["7"]
+    assert len(recording.lanes) == name.endswith("xml")
+    assert len(log) == 11
+    for step in range(len(log)):
+        actors = log[step]
+        x, y, yaw = (float(value[0]) for value in pose(np.array([0.1 * step])))
+        np.testing.assert_allclose(actors.boxes.center[0, :2], [x, y], atol=1e-3)
+        turn = float(actors.boxes.yaw[0]) - yaw
+        assert abs((turn + np.pi) % (2 * np.pi) - np.pi) < 2e-5  # by the shortest arc, never the long way round
+        np.testing.assert_allclose(actors.boxes.size[0], [*SIZE, 1.5])
+        assert actors.boxes.center[0, 2] == 0.75  # it stands on the ground
+        np.testing.assert_allclose(actors.velocity[0], [10.0, 0.0], atol=0.02)
+
+
+def test_a_gap_is_named_and_nobody_is_there(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "gap.csv"
+    rows = [
+        f"{t:.1f},{name},{t},0,0,4,2,car"
+        for name, times in (("a", (0, 0.5, 3, 3.5)), ("b", (0, 1, 2, 3)))
+        for t in times
+    ]
+    path.write_text(HEADER + "\n".join(rows))
+    with caplog.at_level(logging.WARNING):
+        log = to_log(path, read_tracks(path))
+    assert ["a" in log[step].name for step in (0, 5, 6, 29, 30, 35)] == [True, True, False, False, True, True]
+    assert all("b" in log[step].name for step in range(31))
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert "object 'a': no samples from 0.50 s to 3.00 s" in line
+
+
+def test_heights_are_kept_and_the_ground_is_where_they_stand(tmp_path: Path) -> None:
+    path = tmp_path / "hill.csv"
+    rows = "\n".join(f"{t},{name},{t},0,101.0,0,4,2,2.0,car" for name in "ab" for t in (0.0, 1.0))
+    path.write_text(HEADER.replace("y,yaw", "y,z,yaw").replace("width", "width,height") + rows)
+    recording = read_tracks(path)
+    assert recording.ground_m == 100.0
+    np.testing.assert_array_equal(to_log(path, recording)[3].boxes.center[:, 2], [101.0, 101.0])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("a.csv", "time,id,x,y,yaw,length,width\n", "columns: expected a column 'class'"),
+        ("a.csv", HEADER + "0,1,zero,0,0,4,2,car", "line 2, x: expected a number, found zero"),
+        ("a.csv", HEADER + "0,1,0,0,0,4,2,tank", "line 2, class: expected a class of road user, found tank"),
+        ("a.csv", HEADER + "0,1,0,0,0,4,0,car", "object '1': size: expected three lengths"),
+        ("a.csv", HEADER + "0,1,0,0,0,4,2,car\n0,1,1,0,0,4,2,car", "object '1': time: expected each time once"),
+        ("a.csv", HEADER + "0,1,0,0,0,4,2,car\n1,1,1,0,0,4,2,bus", "line 3, class: expected 'car'"),
+        ("a.csv", HEADER + "0,1,0,0,0,4,2,car\n1e9,1,1,0,0,4,2,car", "time: expected seconds, at most 3600"),
+        ("a.csv", HEADER, "tracks: expected at least one road user, found none"),
+        ("a.csv", HEADER + "0,,0,0,0,4,2,car", "line 2, id: expected an id"),
+        ("a.npz", "no archive", "track file"),
+        ("a.xml", "<commonRoad", "CommonRoad file"),
+        ("a.xml", "<osm/>", "root: expected <commonRoad> of version 2018b or 2020a, found <osm>"),
+        ("a.xml", '<commonRoad commonRoadVersion="2020a"/>', "timeStepSize: expected a number"),
+        (
+            "a.xml",
+            '<commonRoad commonRoadVersion="2020a" timeStepSize="0.1"><dynamicObstacle id="3"><type>car</type>'
+            "<shape><circle/></shape></dynamicObstacle></commonRoad>",
+            "obstacle 3: radius: expected a number, found nothing",
+        ),
+        ("a.txt", "", "expected a file that ends with .csv, .npz, .xml"),
+    ],
+)
+def test_a_wrong_file_is_one_line(tmp_path: Path, name: str, text: str, says: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(DataError) as wrong:
+        to_log(path, read_tracks(path))
+    assert says in str(wrong.value)
+    assert "\n" not in str(wrong.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"heading": np.zeros((2, 3))}, "heading: expected shape (2, 7)"),
+        ({"position": np.zeros((2, 7, 4))}, "position: expected shape (2, 7) x 2 or 3"),
+        ({"valid": np.ones((2, 7))}, "valid: expected booleans"),
+        ({"type": np.array([{}, {}], object)}, "allow_pickle=False"),
+        ({"id": np.array(["7", "7"]), "type": np.array(["car", "car"])}, "id: expected ids that differ"),
+    ],
+)
+def test_wrong_arrays_are_one_line_and_no_pickle_is_opened(tmp_path: Path, change: dict, says: str) -> None:
+    path = tmp_path / "tracks.npz"
+    write_npz(path)
+    with np.load(path) as arrays:
+        kept = dict(arrays)
+    np.savez(path, **(kept | change))
+    with pytest.raises(DataError) as wrong:
+        read_tracks(path)
+    assert says in str(wrong.value)
+    assert "\n" not in str(wrong.value)
