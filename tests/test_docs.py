@@ -157,7 +157,17 @@ def write_boxes(folder: Path) -> None:
     (folder / "boxes.json").write_text(json.dumps({"frames": frames}))
 
 
-YOUR_DATA = {"Corrupt your clouds": write_clouds, "Score your boxes": write_boxes}
+def write_tracks(folder: Path) -> None:
+    """Write tracks of two cars, `tracks.csv`."""
+    rows = [f"{t},{name},{x + 8 * t},{x},0,4.5,1.8,car" for name, x in (("7", 0), ("12", 4)) for t in (0.0, 0.13, 0.2)]
+    (folder / "tracks.csv").write_text("\n".join(["time,id,x,y,yaw,length,width,class", *rows]))
+
+
+YOUR_DATA = {
+    "Corrupt your clouds": write_clouds,
+    "Score your boxes": write_boxes,
+    "LiDAR for your tracks": write_tracks,
+}
 """Sections of docs/your_data.md, and the files that they are about."""
 
 
