@@ -177,12 +177,18 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from importlib.metadata import version  # as slow to import as all else here
+        from sim.machine import installed_versions  # as slow to import as all else here
 
-        return version("dsrc-testbed")
+        return next(iter(installed_versions(("dsrc-testbed", "dsrc-sensors")).values()))
     if name not in _HOME:
         raise AttributeError(f"module 'dsrc' has no attribute '{name}'")
-    value = getattr(import_module(_HOME[name]), name)
+    try:
+        value = getattr(import_module(_HOME[name]), name)
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("dsrc."):
+            raise
+        message = f"dsrc.{name} is in dsrc-testbed, not in the smaller dsrc-sensors that is installed"
+        raise ModuleNotFoundError(message, name=error.name) from None
     globals()[name] = value
     return value
 
