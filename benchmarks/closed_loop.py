@@ -2,7 +2,8 @@
 
 Truth: a junction of four arms with about a hundred vehicles on it, against highway-env's `highway-v0` with 50 vehicles
 in the same run. Detector: the shipped one in `lta_truck`, where the ego, two vehicles and a roadside unit sense. Real
-time is ten steps a second. CPU seconds of one thread count; wall time is beside them.
+time is ten steps a second. CPU seconds of one thread count; wall time is beside them. Error model: whole episodes of
+`lta_truck` by a model of that detector, starts included, beside the same episodes with the detector's time per step.
 
     python -m benchmarks.closed_loop            # 150 steps of each, the rivals take turns
     python -m benchmarks.closed_loop --quick    # under 50 s
@@ -28,8 +29,13 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
+from dsrc.closed_loop.perception.error_model.fit import fit_errors
+from dsrc.closed_loop.perception.error_model.model import ErrorModel
+from dsrc.closed_loop.perception.error_model.perception import ModelPerception
+from dsrc.closed_loop.perception.error_model.percepts import observed_episode
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Perception
+from sim.boxes import VEHICLES
 from sim.catalog.load import load_scenario
 from sim.scenario import Scenario
 
@@ -113,6 +119,37 @@ def busy_junction() -> Scenario:
     return msgspec.structs.replace(scenario, demand=demand, warmup_s=60.0)
 
 
+def modelled_episodes(detector_s: float, episodes: int, record_s: float, engine: str) -> dict[str, float]:
+    """Return episodes a minute of one thread, by an error model and by the detector that it is of.
+
+    Args:
+        detector_s: CPU time of a percept of the detector, s.
+        episodes: to drive with the model.
+        record_s: time of the episode with the detector that the model is fitted to, s.
+        engine: execution of the detector.
+    """
+    recorded = ClosedLoop(
+        "lta_truck", open_perception("team", engine=engine), settings=LoopSettings(duration_s=record_s)
+    )
+    recorded.run(1)
+    errors = fit_errors([list(observed_episode(recorded.log(perception="team"), cooperative=True))], 0.1)
+    model = ErrorModel(perception="team", cooperative=True, interval_s=0.1, classes=VEHICLES, conditions=(errors,))
+    loop = ClosedLoop("lta_truck", ModelPerception(model, errors))
+    loop.run(100)  # compiles
+    percepts, perceive_s, began = 0, 0.0, time.process_time()
+    for seed in range(episodes):
+        loop.run(seed)
+        percepts += len(loop.ticks)
+        perceive_s += loop.seconds["perceive"]
+    model_s = time.process_time() - began
+    real_s = model_s - perceive_s + percepts * detector_s
+    return {
+        "episodes_min_model": round(60.0 * episodes / model_s, 1),
+        "episodes_min_detector": round(60.0 * episodes / real_s, 2),
+        "share_model_perceive": round(perceive_s / model_s, 3),
+    }
+
+
 def rival() -> Callable[[], object]:
     """Return a step of highway-env's own motorway with 50 vehicles, at 10 Hz."""
     with warnings.catch_warnings():
@@ -148,8 +185,11 @@ def main(quick: bool = False, engine: str = "fused") -> None:
     detector = Endless("lta_truck", open_perception("team", engine=engine))
     seeing = Run("detector", detector.step)
     detector.step()  # compiles
-    seeing.take(steps, began + (44.0 if quick else 1e6))
+    detector.seconds = dict.fromkeys(STAGES, 0.0)
+    seeing.take(steps, began + (30.0 if quick else 1e6))
     detector.loop.close()
+    percept_s = detector.shares()["perceive"] * seeing.cpu_s / max(seeing.steps, 1)
+    episodes = modelled_episodes(percept_s, 3 if quick else 20, 1.0 if quick else 10.0, engine)
     console, table = Console(highlight=False), Table(title="closed loop, one thread")
     for heading in ("variant", "steps", "steps per CPU s", "steps per s", *STAGES):
         table.add_column(heading, justify="left" if heading == "variant" else "right")
@@ -161,6 +201,10 @@ def main(quick: bool = False, engine: str = "fused") -> None:
         f"real time is {REAL_TIME:g} steps a second; truth with {np.median(truth.actors):.0f} vehicles, detector with "
         f"{len(detector.loop.perception.senses.agents)} sensing agents"  # type: ignore[attr-defined]
     )
+    console.print(
+        f"episodes a minute and thread: {episodes['episodes_min_model']:g} by the error model, "
+        f"{episodes['episodes_min_detector']:g} by the detector"
+    )
     figures = {
         "steps_s_truth": round(runs[0].per_cpu_s, 2),
         "steps_s_truth_wall": round(runs[0].per_wall_s, 2),
@@ -168,6 +212,7 @@ def main(quick: bool = False, engine: str = "fused") -> None:
         "truth_over_highway_env": round(runs[0].per_cpu_s / runs[1].per_cpu_s, 2),
         "steps_s_detector": round(seeing.per_cpu_s, 2),
         "steps_s_detector_wall": round(seeing.per_wall_s, 2),
+        **episodes,
         "vehicles": int(np.median(truth.actors)),
         "engine": engine,
         **{f"share_truth_{stage}": round(share, 3) for stage, share in truth.shares().items()},

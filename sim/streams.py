@@ -47,6 +47,8 @@ class Stream(Enum):
     WEATHER = "child", 3, "kind, 0 drift of the strength or 1 patches"
     CORRUPTION_SEED = "child", 4, "name of the drive: a seed for each of many drives"
     SPRAY_NOISE = "list", None, "the seed is drawn from CORRUPTION; frame, agent"
+    # Closed loop
+    PERCEPTION_ERRORS = "child", 6, "object, or 0 for ghosts"
     # Radio channel, children of the channel's own seed
     RADIO_SHADOWING = "child", 0, "agents, lower id first"
     RADIO_PACKETS = "child", 1, "instant, sender, receiver"

@@ -1,4 +1,6 @@
-"""Line of sight between the agents' antennas, by rays through the LiDARs' scene."""
+"""Line of sight between the agents' antennas and to objects, by rays through the LiDARs' scene."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,10 +8,15 @@ from numpy.typing import NDArray
 from sensors.frame import Frame
 from sensors.scan.scene import RayScene
 from sim.boxes import Boxes
+from sim.geometry import pose_matrix, transform_points
 from sim.radio import Obstruction
 
 _CLEAR_M = 0.3
 """Radius around an antenna that counts as its own mount, m."""
+_POINTS = np.array(
+    [[x, y, z] for z in (-0.15, 0.3) for x, y in ((0.0, 0.0), (0.4, 0.4), (0.4, -0.4), (-0.4, 0.4), (-0.4, -0.4))]
+)
+"""Points of an object that are looked at, as shares of its length, width and height from its centre."""
 
 
 def antennas(frame: Frame) -> NDArray[np.float64]:
@@ -38,6 +45,37 @@ def lines_of_sight(scene: RayScene | None, frame: Frame) -> NDArray[np.int8]:
         found[_walled(scene, start, end)] = Obstruction.BUILDING
     sight[first, second] = sight[second, first] = found
     return sight
+
+
+def seen_share(
+    scene: RayScene, boxes: Boxes, places: NDArray[np.float64], carrier_ids: Sequence[int], rows: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return (A, K) shares of ten points in each of K objects that are in sight of A places.
+
+    A cheap stand-in for `sensors.scan.visibility`: the static world blocks by rays, road users block as their boxes.
+    An object never hides itself.
+
+    Args:
+        scene: static world.
+        boxes: N road users, world frame.
+        places: (A, 3) of the LiDARs, world frame, m.
+        carrier_ids: object ids of what carries them, which does not block its own view; any other for none.
+        rows: (K,) objects, as rows of `boxes`.
+    """
+    agents, objects, points = len(places), len(rows), len(_POINTS)
+    if not agents or not objects:
+        return np.zeros((agents, objects))
+    at = boxes[rows]
+    ends = transform_points(pose_matrix(at.center, at.yaw), _POINTS * at.size[:, None]).astype(np.float64)
+    start = np.broadcast_to(places[:, None, None], (agents, objects, points, 3)).reshape(-1, 3)
+    end = np.broadcast_to(ends, (agents, objects, points, 3)).reshape(-1, 3)
+    blocked = _walled(scene, start, end)
+    carrier = np.repeat(np.asarray(carrier_ids, np.int64), objects * points)
+    target = np.tile(np.repeat(at.object_id, points), agents)
+    free = np.flatnonzero(~blocked)
+    foreign = (boxes.object_id != carrier[free, None]) & (boxes.object_id != target[free, None])
+    blocked[free] = (_crossed(boxes, start[free], end[free]) & foreign).any(axis=1)
+    return 1.0 - blocked.reshape(agents, objects, points).mean(axis=2)
 
 
 def _walled(scene: RayScene, start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.bool_]:

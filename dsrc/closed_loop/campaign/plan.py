@@ -30,14 +30,21 @@ from msgspec.structs import replace
 
 from dsrc.closed_loop.campaign.episode import EpisodeJob
 from dsrc.closed_loop.loop import LoopSettings
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, WITHOUT_SENSOR
-from dsrc.data.code_hash import code_hash, package_versions
+from dsrc.closed_loop.perception.error_model.model import read_model
+from dsrc.closed_loop.perception.open import (
+    ALONE,
+    MODELLED,
+    SHIPPED_DETECTOR,
+    WITHOUT_SENSOR,
+    open_perception,
+)
 from dsrc.evaluation.conditions import PAPER_TABLE, Condition, channel_settings, condition_settings, corruption_kinds
 from dsrc.evaluation.config import split_name
 from dsrc.options.detection import Engine
 from dsrc.options.driving import DriveOptions
 from sensors.corruptions import CLEAN, Family
 from sim.catalog.load import load_scenario
+from dsrc.data.code_hash import code_hash, package_versions
 from sim.encounters import ENCOUNTERS
 from sim.errors import SettingsError, complaint
 from sim.files import file_sha256
@@ -58,8 +65,9 @@ class PerceptionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     Attributes:
         name: in tables.
         uses: `truth`, `sight` (truth in the ego's line of sight), `ego` (detector without helpers), `team` (detector
-            with helpers), `late` (their detections joined), or `module:Class` of one's own; "": the name.
-        checkpoint: detector file; "": the shipped one.
+            with helpers), `late` (their detections joined), `model` (errors of a detector, from the JSON of
+            `dsrc model fit`), or `module:Class` of one's own; "": the name.
+        checkpoint: detector file, or the JSON of `model`; "": the shipped detector.
     """
 
     name: str
@@ -160,13 +168,16 @@ def campaign_of(options: DriveOptions) -> Campaign:
         return read_campaign(Path(options.what))
     checkpoint = str(options.checkpoint or "")
     names = [split_name(text) for text in options.perception or ("truth",)]
+    models = {uses for _, uses in names if uses.endswith(".json")}
     if all(uses in WITHOUT_SENSOR for _, uses in names):
         for field, values, bare in (("corruption", options.corruption, CLEAN), ("channel", options.channel, IDEAL)):
             if set(values) - {bare}:
                 expected = f"'{bare}' with perception '{names[0][1]}', which has no sensor"
                 raise SettingsError(complaint("drive", field, expected, " ".join(values)))
     perceptions = tuple(
-        PerceptionSpec(name=name or uses, uses=uses, checkpoint="" if uses in WITHOUT_SENSOR else checkpoint)
+        PerceptionSpec(name=name or Path(uses).stem, uses=MODELLED, checkpoint=uses)
+        if uses in models
+        else PerceptionSpec(name=name or uses, uses=uses, checkpoint="" if uses in WITHOUT_SENSOR else checkpoint)
         for name, uses in names
     )
     loop = {name: given[name] for name in LoopSettings.__struct_fields__ if name in given}
@@ -222,6 +233,18 @@ def check(plan: Campaign, where: str) -> None:
             raise SettingsError(complaint(where, f"perceptions.{one.name}.checkpoint", expected, one.checkpoint))
         if one.checkpoint and not Path(one.checkpoint).is_file():
             raise SettingsError(complaint(where, f"perceptions.{one.name}.checkpoint", "a file", one.checkpoint))
+        if one.kind == MODELLED:
+            for condition in plan.conditions:
+                for channel in plan.channels:
+                    open_perception(
+                        MODELLED,
+                        checkpoint=Path(one.checkpoint) if one.checkpoint else None,
+                        corruption=condition.kind,
+                        severity=condition.severity,
+                        family=condition.family,
+                        who=plan.who if condition.kind != CLEAN else "all",
+                        channel=channel,
+                    )
 
 
 def episodes_of(plan: Campaign) -> list[EpisodeJob]:
@@ -231,13 +254,14 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
     """
     code, versions = code_hash(COMPUTED_BY), package_versions(COMPUTED_BY)
     hashes = {one.name: _detector_hash(one) for one in plan.perceptions}
+    helped = {one.name: _has_helpers(one) for one in plan.perceptions}
     radios = {name: channel_settings(get_channel(name)) for name in plan.channels}
     found = []
     for scenario in plan.scenarios:
         content = msgspec.to_builtins(load_scenario(scenario))
         for seed in dict.fromkeys([*_listed(plan.clean_seeds), *_listed(plan.seeds)]):
             for one in plan.perceptions:
-                for condition, channel in _cells(plan, one, seed):
+                for condition, channel in _cells(plan, one, seed, helped[one.name]):
                     found.append(
                         EpisodeJob(
                             scenario=scenario,
@@ -251,7 +275,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
                             channel=channel,
                             radio=radios[channel],
                             seed=seed,
-                            engine=plan.engine if one.kind not in WITHOUT_SENSOR else "fused",
+                            engine=plan.engine if one.kind not in (*WITHOUT_SENSOR, MODELLED) else "fused",
                             driver=plan.driver,
                             loop=plan.loop,
                             versions=versions,
@@ -296,14 +320,19 @@ def _listed(seeds: int | tuple[int, ...]) -> tuple[int, ...]:
     return tuple(range(seeds)) if isinstance(seeds, int) else seeds
 
 
-def _cells(plan: Campaign, one: PerceptionSpec, seed: int) -> Iterator[tuple[Condition, str]]:
+def _cells(plan: Campaign, one: PerceptionSpec, seed: int, helped: bool) -> Iterator[tuple[Condition, str]]:
     for condition in plan.conditions:
         clean = condition.kind == CLEAN
         wanted = _listed(plan.clean_seeds if clean else plan.seeds)
         if seed not in wanted or (one.kind in WITHOUT_SENSOR and not clean):
             continue
-        alone = one.kind in (*WITHOUT_SENSOR, "ego")
-        yield from ((condition, channel) for channel in (plan.channels[:1] if alone else plan.channels))
+        yield from ((condition, channel) for channel in (plan.channels if helped else plan.channels[:1]))
+
+
+def _has_helpers(one: PerceptionSpec) -> bool:
+    if one.kind == MODELLED:
+        return read_model(Path(one.checkpoint)).cooperative
+    return one.kind not in (*WITHOUT_SENSOR, ALONE)
 
 
 def _detector_hash(one: PerceptionSpec) -> str:

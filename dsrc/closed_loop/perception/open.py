@@ -26,6 +26,8 @@ TOGETHER = ("team", "dsrc")
 """A detector with helpers."""
 LATE = "late"
 """A detector of each agent alone, and their boxes joined."""
+MODELLED = "model"
+"""Errors of a detector, drawn from a model of them; no sweep is cast."""
 
 _NAMES = (*WITHOUT_SENSOR, ALONE, *TOGETHER, LATE)
 _IDEAL = PRESETS[IDEAL]
@@ -53,6 +55,7 @@ def open_perception(
             * `ego`: a detector on the ego's sweeps alone; `team` or `dsrc`: one with helpers; `late`: each agent's
               detections, joined, by a detector whose fusion has no weights, such as the shipped ones;
             * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`: without; `late=FILE`: late fusion;
+            * FILE.json or NAME=FILE.json: an error model, see `dsrc model fit`; `model`: that of `checkpoint`;
             * `module:Class` of one's own, made without arguments: a perception (`reset`, `perceive`), or a detector
               (`detect(sample) -> Detections`, and `settings` with a `grid` unless the shipped detector's serves).
               `classes` names what it detects: by default a detector vehicles, a perception everything. Modules of the
@@ -82,6 +85,8 @@ def open_perception(
         given = {"corruption": corruption != CLEAN, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
         _refuse(text, "a sensor", given)
         return TruthPerception() if name == "truth" else SightPerception()
+    if name == MODELLED or file.endswith(".json"):
+        return _modelled(text, Path(file) if file else checkpoint, faults, channel)
     detector: Any
     if not file and ":" in name:
         _refuse(text, "a checkpoint", {"checkpoint": checkpoint is not None})
@@ -113,11 +118,11 @@ def name_of(text: str) -> str:
 
 
 def _split(text: str) -> tuple[str, str]:
-    """Return name and file of NAME=FILE; "" for what is missing. A bare file ends with .pt or has a folder."""
+    """Return name and file of NAME=FILE; "" for what is missing. A bare file ends with .pt or .json or has a folder."""
     name, equals, file = text.partition("=")
     if equals and file and not {"/", "\\"} & set(name):
         return name, file
-    is_file = text.endswith(".pt") or "/" in text or os.sep in text
+    is_file = text.endswith((".pt", ".json")) or "/" in text or os.sep in text
     return ("", text) if is_file else (text, "")
 
 
@@ -129,6 +134,20 @@ def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
             raise SettingsError(
                 complaint("perception", field, f"'{default}' with '{text}', which is without {what}", "another")
             )
+
+
+def _modelled(text: str, file: Path | None, faults: Faults, channel: str | ChannelSpec) -> Perception:
+    from dsrc.closed_loop.perception.error_model.model import read_model
+    from dsrc.closed_loop.perception.error_model.perception import ModelPerception
+
+    if file is None:
+        raise SettingsError(complaint("perception", "checkpoint", f"the JSON of an error model with '{text}'", "none"))
+    if not isinstance(channel, str):
+        raise SettingsError(complaint("perception", "channel", f"a name with '{text}'", "settings"))
+    model = read_model(file)
+    who = faults.who if isinstance(faults.who, str) else ",".join(map(str, faults.who))
+    condition = (faults.corruption, faults.severity, faults.family, who, channel)
+    return ModelPerception(model, model.errors(file, condition))
 
 
 def _loaded(path: Path, device: str, engine: str, late: bool) -> SampleDetector:

@@ -1,0 +1,153 @@
+"""Fit of an error model: known errors are found again, empty corners are pooled and say so, the file is checked."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from dsrc.closed_loop.perception.error_model.fit import LEAST, classes_found, fit_errors
+from dsrc.closed_loop.perception.error_model.model import Cell, Chance, ErrorModel, Errors, read_model, write_model
+from sim.errors import DataError, SettingsError
+from tests.dsrc.closed_loop.perception.error_model import percepts
+from tests.dsrc.closed_loop.perception.error_model.percepts import INTERVAL_S, sequence
+
+
+@pytest.fixture(scope="module")
+def errors() -> Errors:
+    return fit_errors([sequence(seed) for seed in range(100, 140)], INTERVAL_S)
+
+
+def cell_of(errors: Errors, kind: str, sight: str, range_m: tuple[float, float]) -> Cell:
+    return next(one for one in errors.cells if (one.kind, one.sight, one.range_m) == (kind, sight, range_m))
+
+
+def model_of(errors: Errors) -> ErrorModel:
+    return ErrorModel(
+        perception="by hand",
+        cooperative=False,
+        interval_s=INTERVAL_S,
+        classes=classes_found([errors]),
+        conditions=(errors,),
+    )
+
+
+def test_rates_of_misses_are_found_again_within_their_intervals(errors: Errors) -> None:
+    cell = cell_of(errors, "car", "clear", (15.0, 30.0))
+    # Three intervals at 95 %: of one sample of 19,000 cars in percepts.
+    for chance, true in (
+        (cell.found.first, percepts.FOUND),
+        (cell.found.after_yes, percepts.AFTER_FOUND),
+        (cell.found.after_no, percepts.AFTER_MISSED),
+    ):
+        assert chance.of == "cell"
+        assert chance.low <= true <= chance.high
+        assert chance.high - chance.low < 0.15
+
+
+def test_errors_of_boxes_are_those_of_the_objects_frame(errors: Errors) -> None:
+    cell = cell_of(errors, "car", "clear", (15.0, 30.0))
+    # Correlated draws: the effective number is (1 - c) / (1 + c) of them.
+    effective = cell.errors.boxes * (1 - percepts.CORRELATION) / (1 + percepts.CORRELATION)
+    assert np.abs(np.array(cell.errors.bias) - percepts.BIAS).max() < 4.0 * percepts.SD.max() / np.sqrt(effective)
+    assert np.allclose(cell.errors.sd, percepts.SD, rtol=0.1)
+    assert np.allclose(errors.correlation[:7], percepts.CORRELATION, atol=0.05)
+    assert errors.correlation[7] < 0.05  # scores were drawn anew in each percept
+    assert np.allclose(cell.errors.score, np.linspace(*percepts.SCORES, 11), atol=0.02)
+
+
+def test_ghosts_are_born_and_live_as_they_did(errors: Errors) -> None:
+    assert errors.ghosts.born == pytest.approx(percepts.BORN, abs=0.05)
+    assert errors.ghosts.lives.p == pytest.approx(percepts.LIVES, abs=0.03)
+    places = np.array(errors.ghosts.examples)
+    assert (places[:, 0] < 0).all()  # behind the ego, in its frame, wherever it was
+
+
+def test_an_empty_corner_takes_the_pooled_rate_and_says_so(errors: Errors) -> None:
+    near, far = (cell_of(errors, "car", "clear", ends) for ends in ((15.0, 30.0), (50.0, 80.0)))
+    assert far.found.after_yes.of == "kind and sight"
+    assert far.found.after_yes.p > percepts.AFTER_FOUND - 0.03
+    assert far.errors.of == "kind and sight"
+    partly = cell_of(errors, "car", "partly", (0.0, 15.0))
+    assert (partly.found.after_no.of, partly.found.after_no.trials >= LEAST) == ("all", True)
+    hidden = cell_of(errors, "car", "hidden", (0.0, 15.0))  # never observed: not found, whatever is in sight
+    assert (hidden.found.after_no.p, hidden.found.after_no.high, hidden.found.after_no.trials) == (0.0, 1.0, 0)
+    person = cell_of(errors, "pedestrian", "clear", (15.0, 30.0))
+    assert person.found.first.of == "sight"
+    assert near.found.first.of == "cell"
+
+
+def test_what_is_hidden_keeps_its_own_rate() -> None:
+    hidden = [replace(one, found=one.found[:0], score=one.score[:0]) for one in sequence(99, sight="hidden")]
+    errors = fit_errors([*map(sequence, range(4)), hidden], INTERVAL_S)
+    after_found = cell_of(errors, "car", "hidden", (15.0, 30.0)).found.after_yes  # it never happened
+    assert (after_found.p, after_found.of) == (0.0, "kind and sight, whatever came before")
+
+
+def test_classes_are_those_that_were_found(errors: Errors) -> None:
+    assert classes_found([errors]) == ("car", "van")
+    assert classes_found([fit_errors([], INTERVAL_S)]) == ()
+
+
+def test_a_gap_in_time_breaks_the_chain() -> None:
+    whole = sequence(0, percepts=40)
+    parted = fit_errors([whole[:10] + whole[15:25] + whole[30:]], INTERVAL_S)
+    first = cell_of(parted, "car", "clear", (15.0, 30.0)).found.first
+    assert (first.trials, first.of) == (3 * 8, "cell")
+    joined = fit_errors([whole[:30]], INTERVAL_S)
+    assert cell_of(joined, "car", "clear", (15.0, 30.0)).found.first.of != "cell"
+
+
+def test_a_chain_over_another_interval_keeps_its_rate() -> None:
+    def chance(p: float) -> Chance:
+        return Chance(p=p, low=0.0, high=1.0, trials=1)
+
+    chain = fit_errors([sequence(0)], INTERVAL_S).cells[0].found
+    chain = msgspec.structs.replace(chain, first=chance(0.5), after_yes=chance(0.9), after_no=chance(0.3))
+    rate = 0.3 / (0.3 + 0.1)
+    twice = (chain.at(True, 1.0) * 0.9 + (1 - chain.at(True, 1.0)) * 0.3, 0.3 * 0.9 + 0.7 * 0.3)
+    assert (chain.at(True, 2.0), chain.at(False, 2.0)) == pytest.approx(twice)
+    assert chain.at(True, 1e3) == pytest.approx(rate)
+    assert chain.at(None, 2.0) == 0.5
+
+
+def test_a_file_is_read_as_it_was_written(errors: Errors, tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    write_model(path, model_of(errors))
+    assert read_model(path) == model_of(errors)
+    write_model(path, model_of(errors))  # one of our own files, which may be replaced
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (lambda raw: raw.update(format="other"), "format"),
+        (lambda raw: raw.update(interval_s=0.0), "interval_s"),
+        (lambda raw: raw["conditions"][0]["cells"].pop(), "cells"),
+        (lambda raw: raw["conditions"][0]["cells"][0]["found"]["first"].update(p=1.5), "first.p"),
+        (lambda raw: raw["conditions"][0]["ghosts"].update(examples=[]), "examples"),
+        (lambda raw: raw["conditions"][0]["cells"][-1]["errors"]["score"].reverse(), "score"),
+        (lambda raw: raw.update(classes=["car", "tank"]), "classes"),
+        (lambda raw: raw.clear(), "field"),
+    ],
+)
+def test_a_wrong_file_is_one_line(errors: Errors, tmp_path: Path, change, field: str) -> None:
+    raw = msgspec.to_builtins(model_of(errors))
+    raw = msgspec.json.decode(msgspec.json.encode(raw))
+    change(raw)
+    path = tmp_path / "model.json"
+    path.write_bytes(msgspec.json.encode(raw))
+    with pytest.raises(DataError, match=field) as wrong:
+        read_model(path)
+    assert "\n" not in str(wrong.value)
+    path.write_bytes(b"\x80\x04no json")
+    with pytest.raises(DataError, match="error model"):
+        read_model(path)
+
+
+def test_a_condition_that_was_not_recorded_is_named(errors: Errors) -> None:
+    model = model_of(errors)
+    assert model.errors("m.json", ("clean", 3, "paper", "all", "its-g5-6")) is errors  # alone: any channel
+    with pytest.raises(SettingsError, match=r"m\.json: conditions: expected one of clean .*, found fog 3"):
+        model.errors("m.json", ("fog", 3, "physical", "all", "ideal"))
