@@ -60,7 +60,11 @@ def _strided(far: NDArray[np.floating], budget: int) -> NDArray[np.intp]:
 
 
 def point_colors(
-    sweep: Sweep, color_by: ColorBy, agent_rgb: Rgb, ground_z: float, rows: NDArray[np.intp] | None = None
+    sweep: Sweep,
+    color_by: ColorBy,
+    agent_rgb: Rgb,
+    height_of: NDArray[np.float64],
+    rows: NDArray[np.intp] | None = None,
 ) -> NDArray[np.uint8]:
     """(P, 3) uint8 colours of the points.
 
@@ -68,7 +72,7 @@ def point_colors(
         sweep: the points.
         color_by: quantity shown by the colour.
         agent_rgb: the agent's colour.
-        ground_z: height of the road in the sensor frame, m.
+        height_of: (4,) third row of body_from_lidar: sensors may be tilted.
         rows: of the points that are drawn; None for all.
     """
     chosen = slice(None) if rows is None else rows
@@ -76,14 +80,19 @@ def point_colors(
         # A square root spreads the dark materials that make most of a street.
         return ramp(np.sqrt(np.clip(sweep.intensity[chosen], 0.0, 1.0)), 0.0, 1.0, VIRIDIS)
     if color_by == "height":
-        return ramp(sweep.points[chosen, 2] - ground_z, *HEIGHT_M, TURBO)
+        return ramp(_height(sweep.points[chosen], height_of), *HEIGHT_M, TURBO)
     if color_by == "ring":
         rings = sweep.spec.rings if sweep.spec is not None else int(sweep.ring.max(initial=0)) + 1
         return ramp(sweep.ring[chosen].astype(np.float64), 0.0, max(rings - 1, 1), TURBO)
     if color_by == "fate":
         table = np.array([FATE_COLORS[f] for f in sorted(FATE_COLORS)], np.uint8)
         return table.take(np.minimum(sweep.fate[chosen], len(table) - 1), axis=0)
-    return _shade(sweep.points[chosen, 2] - ground_z, sweep.object_id[chosen], agent_rgb)
+    return _shade(_height(sweep.points[chosen], height_of), sweep.object_id[chosen], agent_rgb)
+
+
+def _height(points: NDArray[np.float32], height_of: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(P,) heights above the road, m."""
+    return np.asarray(points @ height_of[:3].astype(np.float32) + np.float32(height_of[3]), np.float32)
 
 
 def _shade(height_m: NDArray[np.floating], object_id: NDArray[np.integer], rgb: Rgb) -> NDArray[np.uint8]:

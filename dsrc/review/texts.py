@@ -176,7 +176,7 @@ def scale_bar(color_by: ColorBy) -> str:
     bars = {
         # Colours follow the square root: the middle of the bar is a quarter.
         "intensity": (palette.VIRIDIS, ("0", "intensity", "1"), "¼"),
-        "height": (palette.TURBO, (f"{low:g} m", "above the road", f"{high:g} m"), f"{0.5 * (low + high):g}"),
+        "height": (palette.TURBO, (f"{low:g} m", "above the road", f"{high:g} m"), f"{0.5 * (low + high):g} m"),
         "ring": (palette.TURBO, ("top ring", "", "lowest"), ""),
     }
     if color_by not in bars:

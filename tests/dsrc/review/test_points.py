@@ -5,6 +5,9 @@ from dsrc.review.palette import AGENT_COLORS, FATE_COLORS
 from dsrc.review.points import point_colors, subsample
 from dsrc.review.state import COLOR_BY
 from sensors.sweep import KEPT, SCATTERED, make_sweep
+from sim.geometry import invert, pose_matrix, transform_points
+
+UPRIGHT = np.array([0.0, 0.0, 1.0, 1.8])
 
 
 def ground(n: int = 20_000, actors: int = 500):
@@ -47,19 +50,32 @@ def test_points_that_float16_cannot_hold_are_not_drawn():
 @pytest.mark.parametrize("color_by", COLOR_BY)
 def test_every_colouring_gives_one_colour_per_point(color_by):
     for sweep in (ground(100), ground(0, 0)):
-        colors = point_colors(sweep, color_by, AGENT_COLORS[0], -1.8)
+        colors = point_colors(sweep, color_by, AGENT_COLORS[0], UPRIGHT)
         assert colors.shape == (len(sweep), 3) and colors.dtype == np.uint8
 
 
 def test_actors_shine_in_their_agents_colour_and_the_ground_is_dim():
-    colors = point_colors(ground(1000, 10), "agent", (200, 100, 50), -1.8)
+    colors = point_colors(ground(1000, 10), "agent", (200, 100, 50), UPRIGHT)
     assert (colors[:10] == (200, 100, 50)).all()
     assert colors[10:].max() < 100
 
 
+def test_a_tilted_sensor_sees_the_road_at_no_height():
+    body_from_lidar = pose_matrix([0.0, 0.0, 1.8], 0.0, 0.4)
+    road = ground(1000, 0)
+    tilted = make_sweep(transform_points(invert(body_from_lidar) @ pose_matrix([0.0, 0.0, 1.8]), road.points))
+    for color_by in ("height", "agent"):
+        seen = [
+            point_colors(one, color_by, (200, 100, 50), up)
+            for one, up in ((road, UPRIGHT), (tilted, body_from_lidar[2]))
+        ]
+        # One of the 256 steps of the scale.
+        assert np.abs(seen[0].astype(int) - seen[1]).max() <= 4
+
+
 def test_fates_have_their_colours():
     sweep = make_sweep(np.zeros((2, 3)), fate=np.array([KEPT, SCATTERED]))
-    assert point_colors(sweep, "fate", (1, 2, 3), 0.0).tolist() == [
+    assert point_colors(sweep, "fate", (1, 2, 3), UPRIGHT).tolist() == [
         list(FATE_COLORS[KEPT]),
         list(FATE_COLORS[SCATTERED]),
     ]

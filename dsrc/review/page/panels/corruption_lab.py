@@ -142,7 +142,7 @@ class CorruptionLabPanel:
             rows.append(f"| {title} | {' | '.join(known)} | {run.known} of {run.total} |")
         label = "Stop" if jobs else "AP over the drive"
         _set(self.detect, visible=jobs or (lacking and shown.model.computes(state)), label=label)
-        head = " | ".join(f"AP@{iou:g}" for iou in IOU_THRESHOLDS)
+        head = " | ".join(f"AP{100 * iou:.0f}" for iou in IOU_THRESHOLDS)
         table = "\n".join(rows)
         _set(self.scores, content=f"| % | {head} | frames |\n|:--|{'--:|' * (len(IOU_THRESHOLDS) + 1)}\n{table}")
 
