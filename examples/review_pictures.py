@@ -15,7 +15,7 @@ from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cells.html import compare_address
 from dsrc.review.page.commands import go_to_error
-from dsrc.review.page.export import export_pictures, write_animation, write_picture
+from dsrc.review.page.export import export_pictures, write_animation
 from dsrc.review.page.screenshot import BrowserPage, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
@@ -33,7 +33,11 @@ TO_ERRORS = """
 
 
 def picture_of_page(
-    model: ReviewModel, address: str, out: Path, prepare: Callable[[Session, BrowserPage], None], cells: int = 1
+    model: ReviewModel,
+    address: str,
+    out: Path,
+    prepare: Callable[[Session, BrowserPage], None] = lambda *_: None,
+    cells: int = 1,
 ) -> None:
     """Write a picture of a page with its panels.
 
@@ -59,7 +63,6 @@ def picture_of_page(
             write_file(out, signed_picture(page.png()))
     finally:
         app.close()
-    print(out)
 
 
 def show_lab(title: str) -> Callable[[Session, BrowserPage], None]:
@@ -93,24 +96,27 @@ def main() -> None:
     parser.add_argument("--checkpoint", type=Path, required=True, help="detector")
     parser.add_argument("--episode", type=Path, help="log of an episode")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures/review"), help="folder of the pictures")
-    parser.add_argument("--frames", type=int, default=30, help="frames of the animation")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="pictures to make; default: all")
+    parser.add_argument("--frames", type=int, default=20, help="frames of the animation")
     given = parser.parse_args()
-    model = open_model(given.drive, given.checkpoint)
-    picture_of_page(model, "/?fixedDpr=1&frame=3", given.out / "errors.png", show_errors)
-    foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
-    picture_of_page(model, compare_address(VIEW, foggy), given.out / "cells.png", lambda *_: None, cells=2)
-    fog = "/?fixedDpr=1&frame=3&color=fate&corruption=fog&parameters=extinction:0.05"
-    picture_of_page(model, fog, given.out / "corruption_lab.png", show_lab("Corruption lab"))
-    pole = "/?fixedDpr=1&frame=3&color=height&sensor=vlp-16&carrier=pole&placement=0,0,6,0,15"
-    picture_of_page(model, pole, given.out / "sensor_lab.png", show_lab("Sensor lab"))
+    model, out = open_model(given.drive, given.checkpoint), given.out
     rows = range(10, min(10 + given.frames, model.frame_count(0)))
-    animation = write_animation(export_pictures(model, VIEW, (640, 320), rows), given.out / "drive.gif", 0.1)
-    print(animation)
+    foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
+    fog = "/?fixedDpr=1&frame=3&color=fate&corruption=fog&parameters=extinction:0.05"
+    pole = "/?fixedDpr=1&frame=3&color=height&sensor=vlp-16&carrier=pole&placement=0,0,6,0,15"
+    riding = "/?fixedDpr=1&camera=chase&frame=40"
+    pictures: dict[str, Callable[[Path], object]] = {
+        "errors.png": lambda path: picture_of_page(model, "/?fixedDpr=1&frame=3", path, show_errors),
+        "cells.png": lambda path: picture_of_page(model, compare_address(VIEW, foggy), path, cells=2),
+        "corruption_lab.png": lambda path: picture_of_page(model, fog, path, show_lab("Corruption lab")),
+        "sensor_lab.png": lambda path: picture_of_page(model, pole, path, show_lab("Sensor lab")),
+        "drive.gif": lambda path: write_animation(export_pictures(model, VIEW, (800, 400), rows), path, 0.1),
+    }
     if given.episode is not None:
-        episode = open_model(given.episode)
-        picture_of_page(episode, "/?fixedDpr=1&camera=chase&frame=40", given.out / "episode.png", lambda *_: None)
-    (view,) = export_pictures(model, VIEW, SIZE)
-    print(write_picture(view, given.out / "view.png"))
+        pictures["episode.png"] = lambda path: picture_of_page(open_model(given.episode), riding, path)
+    for name in given.only or pictures:
+        pictures[name](out / name)
+        print(out / name)
 
 
 if __name__ == "__main__":

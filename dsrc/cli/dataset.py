@@ -37,11 +37,13 @@ class Generate(GenerateOptions, frozen=True):
             sys.stdout.write(f"{drive}\n")
             return
         from dsrc.review.page.app import live_page
+        from dsrc.review.sources.live import LiveSource
 
-        with live_page(str(self.scenario)) as page:
+        source = LiveSource(str(self.scenario))
+        with live_page(source) as page:
             sys.stderr.write(f"{page.url}\n")
             with progress(f"generate {self.scenario}") as report:
-                drive = generate(self, progress=report, watch=page.put)
+                drive = generate(self, progress=report, watch=source.put)
             sys.stdout.write(f"{drive}\n")
             sys.stdout.flush()
             page.wait()

@@ -23,10 +23,12 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         out: folder of results and logs; default: results are printed only.
         critical: search the severity of the corruption, or the delay or loss of messages, at which the outcome of the
             episode flips; default: none.
+        view: show one episode in the browser as it is driven, and go on showing it until interrupted.
     """
 
     out: Folder | None = None
     critical: Literal["severity", "delay_s", "loss"] | None = None
+    view: bool = False
     pool: Pool = SERIAL
     output: Output = Output()
 
@@ -40,6 +42,9 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             return
         if self.critical is not None:
             self._search()
+            return
+        if self.view:
+            self._watch()
             return
         if self.out is not None:
             self._drive(self.out)
@@ -55,6 +60,9 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             raise SettingsError(complaint("drive", "out", "none beside --critical, which prints", str(self.out)))
         if self.critical is not None and self.what.endswith(".npz"):
             raise SettingsError(complaint("drive", "critical", "a scenario to drive", self.what))
+        if self.view and (self.critical is not None or self.what.endswith(".npz")):
+            hint = f"; run: dsrc view {self.what}" if self.what.endswith(".npz") else ""
+            raise SettingsError(complaint("drive", "view", "an episode to drive", "a search or a log", hint))
 
     def _drive(self, out: Path) -> None:
         from rich.console import Console
@@ -77,6 +85,36 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         if self.out is not None:
             for path in write_report(result, out):
                 sys.stdout.write(f"{path}\n")
+
+    def _watch(self) -> None:
+        """Drive one episode before the eyes of a page; its log goes to `out`."""
+        from dsrc.closed_loop.campaign.episode import drive_episode
+        from dsrc.closed_loop.campaign.plan import campaign_of, episodes_of
+        from dsrc.closed_loop.loop import ClosedLoop
+        from dsrc.review.page.app import live_page
+        from dsrc.review.sources.episodes import EpisodeSource
+        from sim.errors import SettingsError, complaint
+
+        jobs = episodes_of(campaign_of(self))
+        if len(jobs) != 1:
+            raise SettingsError(complaint("drive", "view", "one episode", f"{len(jobs)} episodes"))
+        (job,) = jobs
+        source = EpisodeSource(f"{job.scenario}, {job.perception}, seed {job.seed}")
+
+        def put(loop: ClosedLoop) -> None:
+            sensed = getattr(loop.perception, "sensed", None)
+            now_s = loop.tick.actors.time_s
+            source.put(loop.tick, loop.ego_id, sensed if sensed is not None and sensed.time_s == now_s else None)
+
+        with live_page(source) as page:
+            sys.stderr.write(f"{page.url}\n")
+            log = drive_episode(job, put)
+            source.end(str(log.outcome), log.message)
+            sys.stdout.write(f"{log.outcome}{f': {log.message}' if log.message else ''}\n")
+            if self.out is not None:
+                sys.stdout.write(f"{log.save(self.out / 'episode.npz')}\n")
+            sys.stdout.flush()
+            page.wait()
 
     def _search(self) -> None:
         from rich.console import Console

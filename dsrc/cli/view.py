@@ -78,7 +78,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
             if path is not None:
                 check_apart(path, self.data)
                 check_output(path, kind)
-        model = open_model(self.data, self.checkpoint)
+        model = open_model(self.data, self.checkpoint, self.drives)
         state, _, _ = read_link(self.link, model, ReviewState())
         if self.picture is not None:
             (image,) = export_pictures(model, self.link, self.size)

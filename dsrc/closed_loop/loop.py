@@ -7,7 +7,7 @@ tracks. One seed gives one episode, bit for bit, in every process.
 import math
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -19,11 +19,10 @@ from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import choose_ego, ego_state, without_ego
 from dsrc.closed_loop.encounter import lost_encounter
-from dsrc.closed_loop.kept import proven_scenario
 from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Decision, Driver, EgoState, Outcome, Percept, Perception, Tick
-from sensors.recording.encounter_check import CONFLICT_ID
+from sensors.recording.encounter_check import CONFLICT_ID, with_proven_encounter
 from sensors.recording.static_scene import solid_world
 from sim.catalog.load import load_scenario
 from sim.contact import Contact, SolidWorld, first_contact, world_contact
@@ -188,7 +187,7 @@ class ClosedLoop:
             TrafficError: another simulation runs in this process, or no vehicle can be the ego.
         """
         self.close()
-        self.scenario = proven_scenario(self.base, seed)
+        self.scenario = with_proven_encounter(self.base, seed)
         self._traffic = traffic = open_traffic(self.scenario, seed)
         self.ego_id = choose_ego(traffic, self.scenario)
         self.ticks, self.outcome, self.message, self.seconds = [], None, "", {}
@@ -270,12 +269,21 @@ class ClosedLoop:
         self.outcome = self.outcome or self._judge()
         return self.tick
 
-    def run(self, seed: int) -> Outcome:
-        """Drive a whole episode by the driver's decisions and return its outcome."""
+    def run(self, seed: int, watch: Callable[["ClosedLoop"], None] | None = None) -> Outcome:
+        """Drive a whole episode by the driver's decisions and return its outcome.
+
+        Args:
+            seed: of the episode.
+            watch: called with the loop after every step.
+        """
         self.start(seed)
         try:
             while self.outcome is None:
+                if watch is not None:
+                    watch(self)
                 self.advance()
+            if watch is not None:
+                watch(self)
         finally:
             self.close()
         assert self.outcome is not None

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from dsrc.options.fields import CORRUPTIONS, Data, File, Severity, choice
+from dsrc.options.fields import CORRUPTIONS, Data, File, Folder, Severity, Who, choice
 
 ColorBy = Literal["agent", "intensity", "height", "ring", "fate"]
 """Quantity shown by the colour of a point."""
@@ -14,17 +14,21 @@ class Review(Severity, frozen=True, kw_only=True):
     Attributes:
         checkpoint: detector file whose detections are drawn and matched; default: no detections.
         corruption: corruption at the start.
+        who: agents whose sweeps are corrupted, by word or by their ids.
+        drives: folder of the drives of results or of a training, where they were moved; default: where they were.
     """
 
     checkpoint: File | None = None
     corruption: Annotated[str, choice(("clean", *CORRUPTIONS))] = "clean"
+    who: Who = "all"
+    drives: Folder | None = None
 
 
 class ServeOptions(Review, frozen=True):
     """Options of a live page.
 
     Attributes:
-        data: a drive, or a folder of drives.
+        data: a drive, a folder of drives, results of an evaluation, a training, or episodes.
         frame: frame at the start, its row in the first drive.
         host: address to listen on; default: this machine alone.
         port: port of the page; default: a free one.

@@ -82,9 +82,10 @@ class FrameStore:
         frame = self.recorded(row)
         if condition.kind == CLEAN:
             return frame
-        # Few corruptions know an ego; the others are the same for all.
+        # Few corruptions and choices of agents know an ego; the others are the same for all.
         known = CORRUPTIONS.get(condition.kind)
-        ego = ego_id if known is not None and known.spares_ego else None
+        of_ego = condition.who in ("ego", "helpers") or (known is not None and known.spares_ego)
+        ego = ego_id if of_ego else None
         return self._corrupted.get(
             (row, condition, ego),
             lambda: corrupted_frame(frame, condition, self.source.seed, self.source.name, ego_id),

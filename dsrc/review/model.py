@@ -134,6 +134,10 @@ class ReviewModel:
         """Number of frames of a source, which may grow."""
         return len(self.sources[drive])
 
+    def grows(self, drive: int) -> bool:
+        """Whether more frames of a source are to come."""
+        return getattr(self.sources[drive], "ended", True) is False
+
     def first_row(self, drive: int) -> int:
         """Row of the oldest frame that a source still has."""
         return getattr(self.sources[drive], "first", 0)
@@ -327,7 +331,7 @@ class ReviewModel:
 
     def setup(self, state: ReviewState) -> Setup:
         """Setup of the detections under a state."""
-        condition = condition_of(state.corruption, state.severity, state.family, state.parameters)
+        condition = condition_of(state.corruption, state.severity, state.family, state.parameters, state.who)
         return Setup(condition, state.ego_id, state.cooperative)
 
     def index(self, state: ReviewState) -> ErrorIndex:
@@ -429,9 +433,9 @@ def open_model(root: Path, checkpoint: Path | None = None, data: Path | None = N
     """Open what a path holds, see `open_sources`, and a detector.
 
     Args:
-        root: drives, results of an evaluation or benchmark, or episode logs.
+        root: drives, results of an evaluation or benchmark, a training, or episode logs.
         checkpoint: detector file; None for none.
-        data: where the drives of results are now; None for where they were.
+        data: where the drives of results or of a training are now; None for where they were.
 
     Raises:
         DataError: the path holds nothing of these, or something in it is damaged or of other data.

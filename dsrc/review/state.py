@@ -1,11 +1,12 @@
 """ReviewState: settings of a review page as one frozen value."""
 
-from dataclasses import dataclass, field
-from typing import Literal, get_args
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
 
 from dsrc.options.review import ColorBy
 from dsrc.review.labs.parameters import Changes
-from sensors.corruptions import Family
+from sensors.corruptions import EVERYONE, Family
 
 Camera = Literal["chase", "bev", "free"]
 
@@ -37,6 +38,7 @@ class ReviewState:
         corruption: `clean` or a kind of `sensors.corruptions`.
         severity: 1 to 5.
         family: of the corruption's settings.
+        who: agents whose sweeps are corrupted, see `sensors.corruptions.parse_who`.
         parameters: those of the corruption that differ from the severity's.
         threshold: least score of a shown detection.
         iou: least bird's-eye IoU of a true positive.
@@ -70,6 +72,7 @@ class ReviewState:
     corruption: str = "clean"
     severity: int = 3
     family: Family = "physical"
+    who: str = EVERYONE
     parameters: Changes = ()
     threshold: float = 0.3
     iou: float = 0.5
@@ -92,3 +95,39 @@ class ReviewState:
     error_class: str = ""
     error_range: Band = "any"
     error_seen_by: str = ""
+
+
+_OF_CORRUPTION = ("corruption", "severity", "family")
+# A detection is known by its place in one list of scores.
+_LIST_OF_DETECTIONS = ("drive", "frame", *_OF_CORRUPTION, "parameters", "who", "ego_id", "cooperative", "methods")
+
+
+def with_changes(state: ReviewState, methods: Callable[[int], Collection[str]], /, **changes: Any) -> ReviewState:
+    """State with other values of some fields, and without what these make meaningless.
+
+    Another drive starts at its first frame, another corruption with the parameters of its severity, another carrier at
+    the sensor's usual place; an object or a detection is selected, not both.
+
+    Args:
+        state: before.
+        methods: function from a drive to the names of its sets of detections.
+        changes: fields and their values.
+    """
+
+    def differ(*names: str) -> bool:
+        return any(getattr(after, name) != getattr(state, name) for name in names)
+
+    after = replace(state, **changes)
+    if differ("drive"):
+        kept = tuple(name for name in after.methods if name in methods(after.drive))
+        after = replace(after, frame=0, ego_id=None, hidden=frozenset(), object_id=None, camera="free")
+        after = replace(after, methods=kept, versus="", error_method="")
+    if "parameters" not in changes and differ(*_OF_CORRUPTION):
+        after = replace(after, parameters=())
+    if "placement" not in changes and differ("drive", "carrier"):
+        after = replace(after, placement=())
+    if "object_id" in changes and after.object_id is not None:
+        return replace(after, detection=None)
+    if "detection" in changes and after.detection is not None:
+        return replace(after, object_id=None)
+    return replace(after, detection=None) if differ(*_LIST_OF_DETECTIONS) else after

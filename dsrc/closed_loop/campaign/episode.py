@@ -1,6 +1,6 @@
 """Computation of episodes, the unit of work of a campaign.
 
-All that this module imports, at any depth, is hashed into the keys of episodes, see `dsrc.data.code_hash`.
+All that this module imports, at any depth, is hashed into the keys of episodes, see `sim.code_hash`.
 """
 
 import time
@@ -133,15 +133,19 @@ def drive_unit(unit: WorkUnit, report: Callable[[int, int], None]) -> None:
         report(done, len(unit.episodes))
 
 
-def drive_episode(job: EpisodeJob) -> EpisodeLog:
+def drive_episode(job: EpisodeJob, watch: Callable[[ClosedLoop], None] | None = None) -> EpisodeLog:
     """Return the log of one episode.
+
+    Args:
+        job: the episode.
+        watch: called with the loop after every step.
 
     Raises:
         UserError: scenario or perception cannot be opened.
     """
     scenario = msgspec.convert(job.content, Scenario)
     loop = ClosedLoop(scenario, _perception(job), DRIVERS[job.driver](), job.loop)
-    loop.run(job.seed)
+    loop.run(job.seed, watch)
     condition = job.condition
     return loop.log(
         perception=job.uses,

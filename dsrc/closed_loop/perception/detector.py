@@ -41,6 +41,7 @@ class DetectorPerception:
         self.senses = Senses(faults or Faults(), cooperative)
         self._interval_s = interval_s
         self._ego_id = -1
+        self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -51,9 +52,14 @@ class DetectorPerception:
         """Begin an episode."""
         self.senses.reset(scenario, ego_id, seed)
         self._ego_id = ego_id
-        self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
+        self._past.clear()
         interval_s = max(self._interval_s, scenario.step_s)
         self._receiver = Receiver(self.channel, seed, interval_s, self.detector.settings)
+
+    @property
+    def sensed(self) -> Frame | None:
+        """Sweeps of the newest measurement; None before the first."""
+        return self._past[0] if self._past else None
 
     def sample(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> tuple[Sample, tuple[Link, ...]]:
         """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""

@@ -5,6 +5,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
 
 import viser
@@ -22,9 +23,12 @@ from dsrc.review.page.session import Session, root_of
 from dsrc.review.sources.live import LiveSource
 from dsrc.review.state import ReviewState
 from dsrc.review.worker import Worker
-from sensors.corruptions import require_corruption
-from sensors.frame import Frame
+from sensors.corruptions import parse_who, require_corruption, require_who
 from sim.errors import SettingsError, UserError, complaint
+
+if TYPE_CHECKING:
+    # The closed loop takes a second to import.
+    from dsrc.review.sources.episodes import EpisodeSource
 
 log = logging.getLogger(__name__)
 
@@ -129,32 +133,28 @@ class ReviewApp:
 
 
 class LivePage:
-    """Page on frames that are still being made; whoever makes them hands them over and never waits.
+    """Page on frames that are still being made; whoever makes them hands them to the source and never waits.
 
     Attributes:
-        source: the frames, the latest kept.
+        source: the frames.
         app: the page.
         url: its address.
     """
 
-    def __init__(self, name: str, host: str = LOOPBACK, port: int | None = None) -> None:
-        """Serve a page without frames.
+    def __init__(self, source: "LiveSource | EpisodeSource", host: str = LOOPBACK, port: int | None = None) -> None:
+        """Serve a page on a source.
 
         Args:
-            name: of what makes the frames.
+            source: of the frames, none so far.
             host: address to listen on.
             port: of the page; None for a free one.
 
         Raises:
             SettingsError: the port is taken, or `host` is not an address of this machine.
         """
-        self.source = LiveSource(name)
-        self.app = ReviewApp(ReviewModel([self.source]), start_server(host, port))
+        self.source = source
+        self.app = ReviewApp(ReviewModel([source]), start_server(host, port))
         self.url = self.app.url
-
-    def put(self, frame: Frame) -> None:
-        """Add the newest frame."""
-        self.source.put(frame)
 
     def wait(self) -> None:
         """Mark that no more frames come, and serve until interrupted."""
@@ -169,9 +169,11 @@ class LivePage:
 
 
 @contextlib.contextmanager
-def live_page(name: str, host: str = LOOPBACK, port: int | None = None) -> Iterator[LivePage]:
+def live_page(
+    source: "LiveSource | EpisodeSource", host: str = LOOPBACK, port: int | None = None
+) -> Iterator[LivePage]:
     """Serve a page on frames to come during the block; arguments and errors as of `LivePage`."""
-    page = LivePage(name, host, port)
+    page = LivePage(source, host, port)
     try:
         yield page
     finally:
@@ -186,7 +188,11 @@ def first_state(model: ReviewModel, options: ServeOptions) -> ReviewState:
         DataError: no frame of any drive can be read; what is wrong with the first.
     """
     state = ReviewState(
-        frame=options.frame, corruption=options.corruption, severity=options.severity, family=options.family
+        frame=options.frame,
+        corruption=options.corruption,
+        severity=options.severity,
+        family=options.family,
+        who=options.who,
     )
     last = model.frame_count(0) - 1
     if not 0 <= options.frame <= last:
@@ -220,8 +226,9 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
         CheckpointError: the checkpoint cannot be loaded.
     """
     require_corruption(options.corruption, options.severity, options.family)
+    require_who(options.corruption, parse_who(options.who))
     port = checked_port(options.host, options.port)
-    model = open_model(options.data, options.checkpoint)
+    model = open_model(options.data, options.checkpoint, options.drives)
     start = first_state(model, options)
     server = start_server(options.host, port)
     app = ReviewApp(model, server, start)

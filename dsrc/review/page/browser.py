@@ -1,14 +1,22 @@
-"""Script that a live page runs in the browser before viser's own.
+"""Address bar of a browser, and the script that a live page runs there before viser's own.
 
 viser tells the server nothing about the address of the page, cannot write it, leaves the focus in a dropdown after a
 choice and maps all colours to paler ones. The script does these four things and goes to the addresses that the server
 writes; nothing of the page depends on more.
 """
 
+import time
+from collections.abc import Callable
+
+import viser
+
 from dsrc.review.page.cells.html import OPEN_KEY
 
 LINK_KEY = "review-link"
 """Key of the browser's storage under which the server writes the query that the address bar shows."""
+
+LINK_PAUSE_S = 0.3
+"""Least time between two links of one browser, s: Safari takes a hundred changes of the address in 30 s."""
 
 HONEST_COLORS = """
 (()=>{const t=setInterval(()=>{const m=window.__viserMutable,s=m&&m.scene,r=s&&s.__r3f&&(s.__r3f.root||s.__r3f);
@@ -49,3 +57,36 @@ document.addEventListener('keydown',e=>{
 
 HEAD = f"<script>{HONEST_COLORS}{_LINK}{_KEYS}</script>"
 """What a live page's head begins with."""
+
+
+class AddressBar:
+    """Address bar of a browser, which shows the link of what is drawn.
+
+    Attributes:
+        link: query that it shows.
+
+    Args:
+        client: the browser.
+    """
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self.link = ""
+        self._client, self._behind, self._written_at = client, False, 0.0
+
+    def fall_behind(self) -> None:
+        """Mark that something has changed."""
+        self._behind = True
+
+    @property
+    def due(self) -> float | None:
+        """Time from which it may be written, of the monotonic clock, s; None where nothing has changed."""
+        return self._written_at + LINK_PAUSE_S if self._behind else None
+
+    def write(self, link: Callable[[], str]) -> None:
+        """Write the link where it is due."""
+        if self.due is None or time.monotonic() < self.due:
+            return
+        self._behind, self._written_at = False, time.monotonic()
+        if (text := link()) != self.link:
+            self.link = text
+            self._client.local_storage.set_item(LINK_KEY, text)

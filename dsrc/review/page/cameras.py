@@ -1,20 +1,26 @@
-"""Camera poses: overview, chase and bird's eye, and the frame of the scene in which the camera stands still.
+"""Camera of a browser, its poses, and the frame of the scene in which it stands still.
 
 The browser reports the pose of its camera late. A camera that is moved with the ego would therefore be set back to
 where it was, again and again; here the world moves instead, and the camera is the user's alone.
 """
 
+import threading
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import viser
 from numpy.typing import NDArray
 
-from dsrc.review.state import Camera
+from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
 from sim.geometry import invert, pose_angles, pose_matrix
 
 FOV_RAD = 0.9
 UP = np.array([0.0, 0.0, 1.0])
+LATE_S = 5.0
+"""Longest time after which a browser still reports poses from before the one that it was given, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,3 +90,113 @@ def close_to(target: NDArray[np.float64], pose: CameraPose, distance_m: float = 
     length = float(np.hypot(*away))
     side = away / length if length > 1.0 else np.array([-1.0, 0.0])
     return CameraPose(target + distance_m * np.array([0.8 * side[0], 0.8 * side[1], 0.6]), target, UP)
+
+
+_PRESETS: dict[str, Callable[[FrameView], CameraPose]] = {"chase": chase, "bev": birds_eye}
+
+
+class BrowserCamera:
+    """Camera of one browser, in a scene that moves with what the camera follows; threads share it.
+
+    Attributes:
+        scene_from_review: (4, 4) pose of the review frame in the scene, as drawn last.
+        drawn: state that was drawn last, None before the first.
+    """
+
+    def __init__(self, client: viser.ClientHandle, start: CameraPose | None = None) -> None:
+        """Take the camera of a browser.
+
+        Args:
+            client: the browser.
+            start: first pose, in the scene; None for that of the state.
+        """
+        self.scene_from_review = np.eye(4)
+        self.drawn: ReviewState | None = None
+        self._client, self._wanted = client, start
+        self._preset: Camera | None = None
+        self._given: tuple[CameraPose, bool] | None = None
+        self._given_at = 0.0
+        self._lock = threading.Lock()
+
+    @property
+    def pose(self) -> CameraPose | None:
+        """Pose in the scene as the browser reported it last; None before it is known."""
+        camera = self._client.camera
+        if not np.isfinite(camera.position).all():
+            return None
+        return CameraPose(np.array(camera.position), np.array(camera.look_at), UP)
+
+    def place(self, preset: Camera) -> None:
+        """Place it with the next frame as a preset has it."""
+        with self._lock:
+            self._preset = preset
+
+    def reset(self) -> None:
+        """Place it with the next frame as at the start."""
+        with self._lock:
+            self._preset = self.drawn = None
+
+    def fly_to(self, target: NDArray[np.float64]) -> bool:
+        """Place it with the next frame near a point (3,) of the review frame, m; False before its pose is known."""
+        pose = self.pose
+        if pose is None:
+            return False
+        with self._lock:
+            self._preset = None
+            self._wanted = close_to(target, pose.moved(invert(self.scene_from_review)))
+        return True
+
+    def follow(self, view: FrameView, state: ReviewState) -> NDArray[np.float64]:
+        """Place it for a frame, or leave it to the user; return the (4, 4) pose of the review frame in the scene."""
+        after = scene_from_review(state.camera, view)
+        pose = self._next(view, state, after)
+        if pose is not None:
+            self.set(pose)
+        # Only now: until a browser is placed, what it reports is nobody's wish.
+        self.scene_from_review, self.drawn = after, state
+        return after
+
+    def _next(self, view: FrameView, state: ReviewState, after: NDArray[np.float64]) -> CameraPose | None:
+        """Pose in the scene; None leaves it to the user."""
+        with self._lock:
+            wanted, preset, self._wanted, self._preset = self._wanted, self._preset, None, None
+            drawn = self.drawn
+        if wanted is not None:
+            # That of a link is already in the scene.
+            return wanted if drawn is None else wanted.moved(after)
+        if drawn is None or drawn.drive != state.drive:
+            return _PRESETS.get(state.camera, overview)(view).moved(after)
+        if preset in _PRESETS:
+            return _PRESETS[preset](view).moved(after)
+        current = self.pose
+        if drawn.camera != state.camera and current is not None:
+            # The picture stays while the scene moves back.
+            return current.moved(after @ invert(self.scene_from_review))
+        return None
+
+    def set(self, pose: CameraPose, own: bool = True) -> None:
+        """Set it to a pose in the scene; not `own` is that of another cell, whose user moved it."""
+        with self._lock:
+            self._given, self._given_at = (pose, own), time.monotonic()
+        camera = self._client.camera
+        camera.up_direction = pose.up
+        camera.position = pose.position
+        camera.look_at = pose.look_at
+        camera.fov = FOV_RAD
+        camera.near, camera.far = 0.5, 2000.0
+
+    def is_news(self, pose: CameraPose) -> bool:
+        """Whether a reported pose is one that other cells lack.
+
+        A browser reports late: until it reports the pose that it was given last, it tells of earlier ones.
+        """
+        with self._lock:
+            if self.drawn is None:
+                return False
+            if self._given is None or time.monotonic() > self._given_at + LATE_S:
+                return True
+            given, own = self._given
+            if not np.allclose([pose.position, pose.look_at], [given.position, given.look_at], atol=0.01):
+                return False
+            self._given = None
+            return own

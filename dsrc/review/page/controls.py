@@ -7,7 +7,7 @@ from typing import Any, get_args
 from dsrc.review.errors.report import BANDS, BROKEN, FIXED, other_run, versus_options
 from dsrc.review.page.protocol import Shown
 from dsrc.review.state import COLOR_BY, EPISODE_LAYERS, IOU_THRESHOLDS, SHOWN_LAYERS, Listed
-from sensors.corruptions import CLEAN, CORRUPTIONS, FAMILIES
+from sensors.corruptions import CLEAN, CORRUPTIONS, EVERYONE, FAMILIES
 from sensors.presets import LIDARS
 from sim.boxes import CLASSES
 
@@ -131,6 +131,14 @@ def _carriers(shown: Shown) -> dict[str, Any]:
     return {"ego": "ego", "pole": "pole", **{agent.title: str(agent.agent_id) for agent in agents}}
 
 
+def _corruptible(shown: Shown) -> dict[str, Any]:
+    """Agents that a corruption may be of: all, some by their part, each alone, and those of the link."""
+    agents = () if shown.view is None else shown.view.agents
+    named = {"all agents": EVERYONE, "the ego": "ego", "the helpers": "helpers"}
+    named |= {f"{agent.title} alone": str(agent.agent_id) for agent in agents}
+    return named if shown.state.who in named.values() else {**named, shown.state.who: shown.state.who}
+
+
 def _last_frame(shown: Shown) -> float:
     return shown.model.frame_count(shown.state.drive) - 1
 
@@ -186,6 +194,7 @@ CONTROLS: tuple[Control, ...] = (
     Control("corruption", Choice(_same(CLEAN, *CORRUPTIONS)), "Corruption", "Corruption lab", link="corruption"),
     Control("severity", Slider(1, 5, 1), "Severity", "Corruption lab", link="severity", enabled=_corrupted),
     Control("family", Choice(_same(*FAMILIES)), "Settings", "Corruption lab", link="family", enabled=_corrupted),
+    Control("who", Choice(_corruptible, closed=False), "Agents", "Corruption lab", link="who", enabled=_corrupted),
     Control("parameters", None, link="parameters"),
     Control("sensor", Choice(_sensors), "Sensor", "Sensor lab", link="sensor"),
     Control("carrier", Choice(_carriers, closed=False), "Carrier", "Sensor lab", link="carrier", enabled=_senses),

@@ -30,7 +30,7 @@ from dsrc.review.page.scene import (
 from dsrc.review.page.screenshot import open_page
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState
-from sensors.corruptions import CLEAN, require_corruption
+from sensors.corruptions import CLEAN, EVERYONE, parse_who, require_corruption, require_who
 from sim.errors import SettingsError, complaint
 from sim.files import signed_picture, write_file
 
@@ -65,7 +65,8 @@ def export_html(options: PageOptions) -> Path:
         CheckpointError: the checkpoint cannot be loaded.
     """
     require_corruption(options.corruption, options.severity, options.family)
-    model = open_model(options.data, options.checkpoint)
+    require_who(options.corruption, parse_who(options.who))
+    model = open_model(options.data, options.checkpoint, options.drives)
     if not 0 <= options.drive < len(model.drives):
         raise SettingsError(complaint("view", "drive", f"0 to {len(model.drives) - 1}", options.drive))
     rows = _rows(model, options.drive, options.frames)
@@ -75,6 +76,7 @@ def export_html(options: PageOptions) -> Path:
         corruption=options.corruption,
         severity=options.severity,
         family=options.family,
+        who=options.who,
         threshold=options.threshold,
         max_points=max(budget // len(model.readable_frame(options.drive).agents), 1),
         point_size_m=POINT_SIZE_M,
@@ -215,6 +217,7 @@ def _subtitle(model: ReviewModel, state: ReviewState) -> str:
     if state.corruption != CLEAN:
         published = " as published" if state.family == "paper" else ""
         weather = f"{state.corruption.replace('_', ' ')}{published}, level {state.severity}"
+        weather += "" if state.who == EVERYONE else f", {state.who} alone"
     if not model.has_detector:
         return f"{weather} · ground truth"
     return f"{weather} · score ≥ {state.threshold:g} · IoU ≥ {state.iou:g}"

@@ -20,6 +20,7 @@ from dsrc.review.page.cameras import UP, CameraPose
 from dsrc.review.page.controls import CONTROLS, Choice, Control, Slider
 from dsrc.review.page.protocol import Shown
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
+from sensors.corruptions import parse_who
 from sim.errors import SettingsError, complaint
 
 VIEW = "view"
@@ -50,7 +51,8 @@ def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None) 
         if value != _DEFAULTS[control.field]:
             parts.append(f"{name}={_text(model, control.field, value)}")
     if pose is not None:
-        numbers = [*pose.position.tolist(), *pose.look_at.tolist()]
+        # Adding zero makes one of the two zeros.
+        numbers = np.round([*pose.position, *pose.look_at], 2) + 0.0
         parts.append(f"{VIEW}={','.join(f'{number:.2f}' for number in numbers)}")
     return "&".join(parts)
 
@@ -113,6 +115,8 @@ def _value(control: Control, text: str, shown: Shown) -> Any:
     if control.field == "parameters":
         return _parameters(text, shown.state)
     value = _parsed(control, text)
+    if control.field == "who":
+        parse_who(value)
     widget = control.widget
     if isinstance(widget, Slider) and not widget.low <= value <= widget.upper(shown):
         expected = f"{widget.low:g} to {widget.upper(shown):g}"

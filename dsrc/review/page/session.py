@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.report import Reports, RunReport, place_of, selection_of, to_detect
 from dsrc.review.model import ReviewModel
-from dsrc.review.page import cameras
-from dsrc.review.page.browser import LINK_KEY
-from dsrc.review.page.cameras import CameraPose
+from dsrc.review.page.browser import AddressBar
+from dsrc.review.page.cameras import BrowserCamera, CameraPose
 from dsrc.review.page.cells.html import OPEN_KEY, compare_address
 from dsrc.review.page.cells.pairs import Pair, cells_of
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
@@ -25,17 +24,13 @@ from dsrc.review.page.panels import PANELS
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.protocol import Shown
 from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_backdrop
-from dsrc.review.state import Camera, ReviewState
+from dsrc.review.state import Camera, ReviewState, with_changes
 from dsrc.review.view import FrameView
 from dsrc.review.worker import Progress, Worker
 from sensors.corruptions import CLEAN
 from sim.errors import UserError
-from sim.geometry import invert
 
 log = logging.getLogger(__name__)
-
-LINK_PAUSE_S = 0.3
-"""Least time between two links of one browser, s: Safari takes a hundred changes of the address in 30 s."""
 
 REFRESH_S = 0.5
 """Time between two looks at what goes on in the background, s."""
@@ -43,15 +38,8 @@ REFRESH_S = 0.5
 GROW_S = 0.1
 """Time between two looks at whether a running simulation has a new frame, s."""
 
-LATE_S = 5.0
-"""Longest time after which a browser still reports poses from before the one that it was given, s."""
-
 NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
-
-# A detection is known by its place in one list of scores.
-_OF_CORRUPTION = ("corruption", "severity", "family")
-_LIST_OF_DETECTIONS = ("drive", "frame", *_OF_CORRUPTION, "parameters", "ego_id", "cooperative", "methods")
 
 
 def root_of(drive: int) -> str:
@@ -74,10 +62,11 @@ class Session:
         view: last drawn frame, None before the first.
         last_corruption: last corruption other than `clean`, "" before the first.
         last_parameters: its parameters that differed from those of the severity.
-        link: query of the address that shows what is drawn.
         using_model: to be held while the model is asked.
         worker: detects over whole runs in the background.
         notes: on the errors, None where they cannot be kept.
+        camera: of this browser.
+        address: of this browser, which shows what is drawn.
         pair: cells side by side that this one belongs to, None for a page of its own.
     """
 
@@ -109,12 +98,9 @@ class Session:
         self.view: FrameView | None = None
         self.last_corruption = "" if state.corruption == CLEAN else state.corruption
         self.last_parameters = state.parameters
-        self.link = ""
         self.using_model, self.worker, self.notes = using_model, worker, model.notes
         self._reports = Reports(model)
         self.pair: Pair | None = None
-        self._given: tuple[CameraPose, bool] | None = None
-        self._given_at = 0.0
         self._refresh_at, self._busy = 0.0, False
         self._seen_frames = model.frame_count(state.drive)
         self._place_world = place_world
@@ -123,12 +109,7 @@ class Session:
         self._closed = False
         self._playing = False
         self._next_at = 0.0
-        self._scene_from_review = np.eye(4)
-        self._placed: ReviewState | None = None
-        self._pose = pose
-        self._placing: Camera | None = None
-        self._moved = False
-        self._linked_at = 0.0
+        self.camera, self.address = BrowserCamera(client, pose), AddressBar(client)
         self._theme = ""
         self._help: Any = None
         self._failed, self._told_of = False, (state.drive, state.frame)
@@ -168,30 +149,15 @@ class Session:
     def update(self, **changes: Any) -> None:
         """Replace fields of the state and draw it, if any of them changed."""
         with self._changed:
-            state = replace(self.state, **changes)
-            if state.drive != self.state.drive:
-                kept = tuple(name for name in state.methods if name in self.model.methods(state.drive))
-                state = replace(state, frame=0, ego_id=None, hidden=frozenset(), object_id=None, camera="free")
-                state = replace(state, methods=kept, versus="", error_method="")
-                self._seen_frames = self.model.frame_count(state.drive)
-            if "parameters" not in changes and any(
-                getattr(state, name) != getattr(self.state, name) for name in _OF_CORRUPTION
-            ):
-                state = replace(state, parameters=())
-            if "placement" not in changes and (state.drive, state.carrier) != (self.state.drive, self.state.carrier):
-                state = replace(state, placement=())
-            if "object_id" in changes and state.object_id is not None:
-                state = replace(state, detection=None)
-            elif "detection" in changes and state.detection is not None:
-                state = replace(state, object_id=None)
-            elif any(getattr(state, name) != getattr(self.state, name) for name in _LIST_OF_DETECTIONS):
-                state = replace(state, detection=None)
+            state = with_changes(self.state, self.model.methods, **changes)
             if state == self.state:
                 return
             if state.corruption != CLEAN:
                 self.last_corruption, self.last_parameters = state.corruption, state.parameters
             if state.camera != self.state.camera:
-                self._placing = state.camera
+                self.camera.place(state.camera)
+            if state.drive != self.state.drive:
+                self._seen_frames = self.model.frame_count(state.drive)
             self.state = state
             self._draw_soon()
 
@@ -260,26 +226,22 @@ class Session:
         """Place the camera as a preset has it and let it move with what the preset follows."""
         with self._changed:
             self.state = replace(self.state, camera=camera)
-            self._placing = camera
+            self.camera.place(camera)
             self._draw_soon()
 
     def reset_camera(self) -> None:
         """Restore the camera of the start."""
         with self._changed:
             self.state = replace(self.state, camera="free")
-            self._placing, self._placed = None, None
+            self.camera.reset()
             self._draw_soon()
 
     def fly_to(self, target: NDArray[np.float64]) -> None:
         """Move the camera near a point (3,) of the review frame, m."""
-        pose = self._camera()
-        if pose is None:
-            return
-        with self._changed:
-            self.state = replace(self.state, camera="free")
-            self._placing = None
-            self._pose = cameras.close_to(target, pose.moved(invert(self._scene_from_review)))
-            self._draw_soon()
+        if self.camera.fly_to(target):
+            with self._changed:
+                self.state = replace(self.state, camera="free")
+                self._draw_soon()
 
     def tell(self, text: str) -> None:
         """Show a text above the controls; "" hides it."""
@@ -339,17 +301,13 @@ class Session:
                     self._changed.notify_all()
             else:
                 self._refresh()
-            self._write_link()
-
-    def _grows(self) -> bool:
-        """Whether more frames of the drive are to come."""
-        return getattr(self.model.sources[self.state.drive], "ended", True) is False
+            self.address.write(lambda: write_link(self.model, self.state, self.camera.pose))
 
     def _refresh(self) -> None:
         """Follow a drive that grows, and set the panels again while something goes on, and once after it."""
         if time.monotonic() < self._refresh_at:
             return
-        busy = bool(self.detecting()) or self._grows()
+        busy = bool(self.detecting()) or self.model.grows(self.state.drive)
         if self._seen_frames != (frames := self.model.frame_count(self.state.drive)):
             before, self._seen_frames = self._seen_frames, frames
             with self._changed:
@@ -363,7 +321,10 @@ class Session:
                 self._show_panels()
             except Exception as error:
                 self._tell_error("the panels", error)
-        self._busy, self._refresh_at = busy, time.monotonic() + (GROW_S if self._grows() else REFRESH_S)
+        self._busy, self._refresh_at = (
+            busy,
+            time.monotonic() + (GROW_S if self.model.grows(self.state.drive) else REFRESH_S),
+        )
 
     def _next_work(self) -> tuple[ReviewState, int] | None:
         """Newest state and its number, once there is something to do; None when the page is closed.
@@ -374,8 +335,10 @@ class Session:
             while not self._closed:
                 now = time.monotonic()
                 due = [self._next_at] if self._playing else []
-                due += [self._linked_at + LINK_PAUSE_S] if self._moved else []
-                due += [self._refresh_at] if self._busy or self.detecting() or self._grows() else []
+                due += [self.address.due] if self.address.due is not None else []
+                due += (
+                    [self._refresh_at] if self._busy or self.detecting() or self.model.grows(self.state.drive) else []
+                )
                 if self._drawn != self._wanted:
                     return self.state, self._wanted
                 if self._playing and now >= self._next_at:
@@ -395,7 +358,7 @@ class Session:
             with self.using_model:
                 view = self.model.view(state)
                 self._interval_s = self.model.interval_s(state.drive)
-            new_drive = self._placed is None or self._placed.drive != state.drive
+            new_drive = self.camera.drawn is None or self.camera.drawn.drive != state.drive
             self._show_theme()
             self._write(view, state)
             self.view = view
@@ -428,66 +391,21 @@ class Session:
         if self._writer.root != root_of(state.drive):
             self._writer.clear()
             self._writer = self._new_writer()
-        before = self._scene_from_review
-        after = cameras.scene_from_review(state.camera, view)
-        pose = self._next_pose(view, state, before, after)
         with self.client.atomic():
             self._writer.write(view)
             for row, root in enumerate(self._roots):
                 root.visible = row == state.drive
-            place_frame(self._roots[state.drive], after)
-            if pose is not None:
-                self._set_camera(pose)
-        self._scene_from_review, self._placed = after, state
-
-    def _next_pose(
-        self, view: FrameView, state: ReviewState, before: NDArray[np.float64], after: NDArray[np.float64]
-    ) -> CameraPose | None:
-        """Pose of the camera in the scene; None leaves it to the user."""
-        with self._changed:
-            given, placing, self._pose, self._placing = self._pose, self._placing, None, None
-            placed, self._moved = self._placed, True
-        presets: dict[str, Callable[[FrameView], CameraPose]] = {"chase": cameras.chase, "bev": cameras.birds_eye}
-        if placed is None and given is not None:
-            # Of a link: already in the scene.
-            return given
-        if given is not None:
-            return given.moved(after)
-        if placed is None or placed.drive != state.drive:
-            return presets.get(state.camera, cameras.overview)(view).moved(after)
-        if placing is not None and placing in presets:
-            return presets[placing](view).moved(after)
-        current = self._camera()
-        if placed.camera != state.camera and current is not None:
-            # The picture stays while the scene moves back.
-            return current.moved(after @ invert(before))
-        return None
-
-    def _camera(self) -> CameraPose | None:
-        """Camera of the browser, in the scene; None before it is known."""
-        camera = self.client.camera
-        if not np.isfinite(camera.position).all():
-            return None
-        return CameraPose(np.array(camera.position), np.array(camera.look_at), cameras.UP)
-
-    def _set_camera(self, pose: CameraPose, own: bool = True) -> None:
-        with self._changed:
-            self._given, self._given_at = (pose, own), time.monotonic()
-        camera = self.client.camera
-        camera.up_direction = pose.up
-        camera.position = pose.position
-        camera.look_at = pose.look_at
-        camera.fov = cameras.FOV_RAD
-        camera.near, camera.far = 0.5, 2000.0
+            place_frame(self._roots[state.drive], self.camera.follow(view, state))
+        self.address.fall_behind()
 
     def look(self, pose: CameraPose) -> None:
         """Set the camera to a pose in the scene, that of another cell."""
         with self.client.atomic():
-            self._set_camera(pose, own=False)
+            self.camera.set(pose, own=False)
 
     def side_by_side(self) -> None:
         """Open two cells with linked cameras, or go back to one page from there."""
-        pose = self._camera()
+        pose = self.camera.pose
         if self.pair is not None:
             address = f"/?{write_link(self.model, self.state, pose)}"
         else:
@@ -498,37 +416,11 @@ class Session:
 
     def _camera_moved(self, _: Any) -> None:
         with self._changed:
-            self._moved = True
+            self.address.fall_behind()
             self._changed.notify_all()
-        pose = self._camera()
-        if self.pair is not None and pose is not None and self._is_new(pose):
+        pose = self.camera.pose
+        if self.pair is not None and pose is not None and self.camera.is_news(pose):
             self.pair.camera_moved(self, pose)
-
-    def _is_new(self, pose: CameraPose) -> bool:
-        """Whether a reported pose is one that the other cells lack.
-
-        A browser reports late: until it reports the pose that it was given last, it tells of earlier ones.
-        """
-        with self._changed:
-            if self._placed is None:
-                return False
-            if self._given is None or time.monotonic() > self._given_at + LATE_S:
-                return True
-            given, own = self._given
-            if not np.allclose([pose.position, pose.look_at], [given.position, given.look_at], atol=0.01):
-                return False
-            self._given = None
-            return own
-
-    def _write_link(self) -> None:
-        with self._changed:
-            if not self._moved or time.monotonic() < self._linked_at + LINK_PAUSE_S:
-                return
-            self._moved, self._linked_at = False, time.monotonic()
-        link = write_link(self.model, self.state, self._camera())
-        if link != self.link:
-            self.link = link
-            self.client.local_storage.set_item(LINK_KEY, link)
 
     def _show_theme(self) -> None:
         if self._theme == self.state.theme:

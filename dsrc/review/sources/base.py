@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables
 from dsrc.review.labs.parameters import Changes, TunedCondition
-from sensors.corruptions import CLEAN
+from sensors.corruptions import CLEAN, EVERYONE
 from sensors.frame import Frame
 from sim.errors import UserError
 
@@ -167,13 +167,15 @@ class MemorySet:
         return joined
 
 
-def condition_of(kind: str, severity: int, family: Any = "physical", parameters: Changes = ()) -> Condition:
-    """Condition of everyone's sweeps; clean frames have one, whatever severity, family and parameters."""
+def condition_of(
+    kind: str, severity: int, family: Any = "physical", parameters: Changes = (), who: str = EVERYONE
+) -> Condition:
+    """Condition of sweeps; clean frames have one, whatever severity, family, parameters and agents."""
     if kind == CLEAN:
         return Condition()
     if parameters:
-        return TunedCondition(kind, severity, family, changes=parameters)
-    return Condition(kind, severity, family)
+        return TunedCondition(kind, severity, family, who, changes=parameters)
+    return Condition(kind, severity, family, who)
 
 
 def condition_title(condition: Condition) -> str:
@@ -181,7 +183,7 @@ def condition_title(condition: Condition) -> str:
     if condition.kind == CLEAN:
         return CLEAN
     family = "" if condition.family == "physical" else f" ({condition.family})"
-    who = "" if condition.who == Condition().who else f", {condition.who}"
+    who = "" if condition.who == EVERYONE else f", {condition.who}"
     changes = condition.changes if isinstance(condition, TunedCondition) else ()
     with_changes = " with " + ", ".join(f"{name} {value}" for name, value in changes) if changes else ""
     return f"{condition.kind.replace('_', ' ')} {condition.severity}{family}{who}{with_changes}"

@@ -1,4 +1,4 @@
-"""EpisodeSource: an episode of the closed loop, with what its ego saw, believed and planned at each step."""
+"""EpisodeSource: an episode of the closed loop, recorded or running: what its ego saw, believed and planned."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,8 +12,9 @@ from dsrc.closed_loop.types import EgoState, Percept, Tick
 from dsrc.evaluation.detection_table import one_frame
 from dsrc.ops.detections import Detections
 from dsrc.review.sources.base import SEED, DetectionSet, Kind, MemorySet
+from dsrc.review.sources.live import KEPT
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline, Links
-from sensors.frame import AgentFrame, Frame
+from sensors.frame import AgentFrame, Frame, count_points
 from sensors.sweep import make_sweep
 from sim.boxes import Boxes, concatenate
 from sim.errors import DataError, complaint
@@ -31,70 +32,98 @@ _LIDAR_M = 1.9
 
 
 class EpisodeSource:
-    """Frames of an episode: its road users as ground truth, the ego without points; percepts and tracks as detections.
+    """Frames of an episode, which may still run: road users as ground truth, percepts and tracks as detections.
+
+    Agents have points where sweeps are handed over, in the latest frames.
 
     Attributes:
-        log: the episode.
-        name: of the scenario, perception and seed.
+        name: as shown.
         kind: `episode`.
         protocol: empty.
         seed: of the corruptions.
         labelled: True.
         sets: `PERCEPTS` and `TRACKS`.
+        ended: whether no more steps come.
 
     Args:
-        log: the episode.
-        name: as shown; None for scenario, perception and seed.
-
-    Raises:
-        DataError: the episode has no step.
+        name: as shown.
     """
 
     kind: Kind = "episode"
     labelled = True
     seed = SEED
 
-    def __init__(self, log: EpisodeLog, name: str | None = None) -> None:
-        settings = log.settings
-        self.name = name or f"{settings.scenario.name}, {settings.perception}, seed {settings.seed}"
-        if len(log) == 0:
-            raise DataError(complaint(self.name, "steps", "at least one", "none"))
-        self.log = log
+    def __init__(self, name: str) -> None:
+        self.name, self.ended = name, False
         self.protocol: Mapping[str, Any] = {}
-        self._percepts = _newest(log.ticks)
-        percepts, tracks = MemorySet(PERCEPTS), MemorySet(TRACKS)
-        self.sets: dict[str, DetectionSet] = {PERCEPTS: percepts, TRACKS: tracks}
-        for row, tick in enumerate(log.ticks):
-            newest = self._percepts[row]
-            boxes, score = (Boxes.zeros(), np.zeros(0)) if newest is None else (newest.boxes, newest.score)
-            percepts.put(row, self._judged(row, tick, boxes, score))
-            tracks.put(row, self._judged(row, tick, tick.tracks.boxes, tick.tracks.score))
+        self._percept_set, self._track_set = MemorySet(PERCEPTS), MemorySet(TRACKS)
+        self.sets: dict[str, DetectionSet] = {PERCEPTS: self._percept_set, TRACKS: self._track_set}
+        self._ticks: list[Tick] = []
+        self._percepts: list[Percept | None] = []
+        self._sensed: dict[int, Frame] = {}
+        self._ego_id, self._outcome, self._message = -1, "running", ""
+
+    def put(self, tick: Tick, ego_id: int, sensed: Frame | None = None) -> None:
+        """Add the next step.
+
+        Args:
+            tick: the step.
+            ego_id: of the ego.
+            sensed: sweeps behind the newest percept; None without any.
+        """
+        row, before = len(self._ticks), self._percepts[-1] if self._percepts else None
+        newest = tick.percept if tick.percept is not None else before
+        boxes, score = (Boxes.zeros(), np.zeros(0)) if newest is None else (newest.boxes, newest.score)
+        self._ego_id = ego_id
+        self._percept_set.put(row, self._judged(row, tick, boxes, score))
+        self._track_set.put(row, self._judged(row, tick, tick.tracks.boxes, tick.tracks.score))
+        self._percepts.append(newest)
+        if sensed is not None:
+            self._sensed[row] = sensed
+            self._sensed.pop(row - KEPT, None)
+        self._ticks.append(tick)  # last: whoever counts the steps finds all of them
+
+    def end(self, outcome: str = "stopped", message: str = "") -> None:
+        """Mark that no more steps come; the first outcome stays."""
+        if not self.ended:
+            self._outcome, self._message = outcome, message
+        self.ended = True
 
     def __len__(self) -> int:
-        return len(self.log)
+        return len(self._ticks)
 
     def read(self, row: int) -> Frame:
-        """Return the road users of a step; sweeps are empty, points on objects unknown: 0."""
-        tick = self.log.ticks[row]
-        actors, ego = tick.actors, tick.ego
-        body = _body(ego)
-        sweep = make_sweep(np.zeros((0, 3)), body @ pose_matrix([0.0, 0.0, _LIDAR_M]), tick.actors.time_s)
-        agent = AgentFrame(self.log.settings.ego_id, "vehicle", body, ego.speed_mps, sweep)
+        """Return the road users of a step, with sweeps where they are known.
+
+        Raises:
+            DataError: the step has not come yet.
+        """
+        if not 0 <= row < len(self):
+            expected = f"0 to {len(self) - 1}" if len(self) else "a first frame to come"
+            raise DataError(complaint(self.name, "frame", expected, row))
+        tick, sensed = self._ticks[row], self._sensed.get(row)
+        actors = tick.actors
+        agents = (self._without_points(tick),) if sensed is None else sensed.agents
         return Frame(
             index=row,
             time_s=actors.time_s,
-            agents=(agent,),
+            agents=agents,
             truth=actors.boxes,
             velocity=actors.velocity,
-            points_on=np.zeros((1, len(actors)), np.int32),
+            points_on=np.stack([count_points(agent.sweep, actors.boxes.object_id) for agent in agents]),
             acceleration=actors.acceleration,
             signals=actors.signals,
             lane=actors.lane,
         )
 
+    def _without_points(self, tick: Tick) -> AgentFrame:
+        body = _body(tick.ego)
+        sweep = make_sweep(np.zeros((0, 3)), body @ pose_matrix([0.0, 0.0, _LIDAR_M]), tick.actors.time_s)
+        return AgentFrame(self._ego_id, "vehicle", body, tick.ego.speed_mps, sweep)
+
     def moment(self, row: int) -> EpisodeMoment:
         """Return what the ego saw, believed and planned at a step."""
-        tick, newest = self.log.ticks[row], self._percepts[row]
+        tick, newest = self._ticks[row], self._percepts[row]
         claims = list(tick.claims.items())
         return EpisodeMoment(
             time_s=tick.ego.time_s,
@@ -117,8 +146,8 @@ class EpisodeSource:
         )
 
     def timeline(self) -> EpisodeTimeline:
-        """Return the course of the episode."""
-        ticks, newest = self.log.ticks, self._percepts
+        """Return the course of the episode so far."""
+        ticks, newest = self._ticks[:], self._percepts[: len(self._ticks)]
         heard = [0 if one is None else sum(link.received for link in one.links) for one in newest]
         ages = [
             np.nan if one is None else tick.ego.time_s - one.time_s for tick, one in zip(ticks, newest, strict=True)
@@ -133,25 +162,40 @@ class EpisodeSource:
             received=np.array(heard, np.int64),
             claims=np.array([sum(map(len, tick.claims.values())) for tick in ticks], np.int64),
             contact_row=next((row for row, tick in enumerate(ticks) if tick.contact is not None), None),
-            outcome=str(self.log.outcome),
-            message=self.log.message,
+            outcome=self._outcome,
+            message=self._message,
         )
 
     def _judged(self, row: int, tick: Tick, boxes: Boxes, score: NDArray[np.float64]) -> Any:
         """Table of a step: boxes and road users around the ego, in the frame of its LiDAR."""
         lidar_from_world = invert(_body(tick.ego) @ pose_matrix([0.0, 0.0, _LIDAR_M]))
-        ego_id = self.log.settings.ego_id
         found, truth = boxes.transform(lidar_from_world), tick.actors.boxes.transform(lidar_from_world)
         near = np.hypot(*found.center[:, :2].T) <= RANGE_M
-        judged = (np.hypot(*truth.center[:, :2].T) <= RANGE_M) & (truth.object_id != ego_id)
+        judged = (np.hypot(*truth.center[:, :2].T) <= RANGE_M) & (truth.object_id != self._ego_id)
         # A score is a confidence of 0 to 1 in the log's resolution.
         detections = Detections(found[near], np.clip(score[near], 0.0, 1.0).astype(np.float32))
-        return one_frame(row, row, ego_id, detections, truth[judged])
+        return one_frame(row, row, self._ego_id, detections, truth[judged])
+
+
+def episode_source(log: EpisodeLog) -> EpisodeSource:
+    """Source of an episode that has ended, named by scenario, perception and seed.
+
+    Raises:
+        DataError: the episode has no step.
+    """
+    settings = log.settings
+    source = EpisodeSource(f"{settings.scenario.name}, {settings.perception}, seed {settings.seed}")
+    if len(log) == 0:
+        raise DataError(complaint(source.name, "steps", "at least one", "none"))
+    for tick in log.ticks:
+        source.put(tick, settings.ego_id)
+    source.end(str(log.outcome), log.message)
+    return source
 
 
 def open_episode(path: Path) -> EpisodeSource:
     """Open an episode log; raises DataError where it is missing, damaged or no episode log."""
-    return EpisodeSource(EpisodeLog.load(path))
+    return episode_source(EpisodeLog.load(path))
 
 
 def plan_of(ego: EgoState, acceleration_mps2: float) -> NDArray[np.float64]:
@@ -177,14 +221,6 @@ def _body(ego: EgoState) -> NDArray[np.float64]:
     """World pose of the centre of the ego's footprint."""
     foot = ego.box.center[0] - [0.0, 0.0, 0.5 * ego.box.size[0, 2]]
     return np.asarray(pose_matrix(foot, ego.box.yaw[0]), np.float64)
-
-
-def _newest(ticks: tuple[Tick, ...]) -> list[Percept | None]:
-    """Newest percept at each step."""
-    newest: list[Percept | None] = []
-    for tick in ticks:
-        newest.append(tick.percept if tick.percept is not None else newest[-1] if newest else None)
-    return newest
 
 
 def _links(percept: Percept | None, actors: Actors, ego: EgoState) -> Links:

@@ -22,12 +22,13 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
     |---------------------------------------|------------------------------------------------|
     | a drive, or a folder of drives        | the drives                                     |
     | results of an evaluation or benchmark | their drives, with the detections of all methods |
+    | run folder of a training              | its validation drives, with its newest weights |
     | an episode log (.npz)                 | the episode                                    |
     | a folder of episode logs              | the episodes, sorted by name                   |
 
     Args:
         path: of the data.
-        data: where the drives of results are now; None for where they were.
+        data: where the drives of results or of a training are now; None for where they were.
 
     Raises:
         DataError: the path holds none of these, or something in it is damaged or of other data.
@@ -35,8 +36,15 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
     path = Path(path)
     if has_index(path):
         return [*open_results(path, data)]
+    run = next((folder for folder in (path, path / "student") if (folder / "settings.json").is_file()), None)
+    if run is not None:
+        # Torch and Lightning take seconds to import.
+        from dsrc.review.sources.training import open_training
+
+        return [*open_training(run, data)]
     if data is not None:
-        raise DataError(complaint(path, FILE, "results of dsrc evaluate or dsrc benchmark", "none"))
+        expected = f"{FILE} of dsrc evaluate or benchmark, or settings.json of dsrc model train"
+        raise DataError(complaint(path, "drives", expected, "neither"))
     logs = [path] if path.suffix == ".npz" else _logs(path)
     if logs:
         # The closed loop takes a second to import.

@@ -10,7 +10,7 @@ from dsrc.evaluation.metrics.ap import FrameResult, evaluate
 from dsrc.review.errors.filters import FN
 from dsrc.review.model import DETECTOR, ReviewModel
 from dsrc.review.sources.base import MemorySet, Setup
-from dsrc.review.sources.episodes import EpisodeSource
+from dsrc.review.sources.episodes import episode_source
 from dsrc.review.sources.live import LiveSource
 from dsrc.review.state import ReviewState
 from dsrc.review.view import DETECTED_TRUTH, FALSE_NEGATIVES, TRUE_POSITIVES
@@ -97,7 +97,8 @@ def test_changes_between_methods_and_conditions_name_what_took(two, fake_fog):
 
 
 def test_an_episode_is_drawn_with_what_its_ego_believed():
-    source = EpisodeSource(full_log())
+    log = full_log()
+    source = episode_source(log)
     model = ReviewModel([source])
     state = ReviewState(frame=4, methods=("percepts", "tracks"), threshold=0.0)
     view = model.view(state)
@@ -105,8 +106,8 @@ def test_an_episode_is_drawn_with_what_its_ego_believed():
     origin = model.origin(0)
     np.testing.assert_allclose(view.moment.tracks.center, source.moment(4).tracks.center - origin)
     np.testing.assert_allclose(view.moment.route, source.moment(4).route - origin[:2])
-    assert model.timeline(0).outcome == str(source.log.outcome) and view.labelled
-    assert ReviewModel([source]).view(ReviewState()).moment.time_s == source.log.ticks[0].ego.time_s
+    assert model.timeline(0).outcome == str(log.outcome) and view.labelled
+    assert ReviewModel([source]).view(ReviewState()).moment.time_s == log.ticks[0].ego.time_s
 
 
 def test_a_live_source_grows_under_the_page():

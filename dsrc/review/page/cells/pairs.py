@@ -10,7 +10,9 @@ from dsrc.review.page.cameras import CameraPose
 from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, CORRUPTIONS
 
-_OWN = frozenset({"corruption", "severity", "family", "parameters", "methods", "cooperative", "detection", "versus"})
+_OWN = frozenset(
+    {"corruption", "severity", "family", "parameters", "who", "methods", "cooperative", "detection", "versus"}
+)
 _SHARED = tuple(field.name for field in fields(ReviewState) if field.name not in _OWN)
 _REMEMBERED = 30
 

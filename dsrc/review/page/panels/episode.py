@@ -19,7 +19,7 @@ class EpisodePanel:
     def __init__(self, page: Page) -> None:
         """Build it, hidden."""
         self._page = page
-        self._drive: int | None = None
+        self._known: tuple[int, int, bool] | None = None
         self._line: EpisodeTimeline | None = None
         self.folder = page.gui.add_folder("Episode", visible=False)
         with self.folder:
@@ -34,8 +34,10 @@ class EpisodePanel:
             self.folder.visible = moment is not None
         if view is None or moment is None:
             return
-        if self._drive != shown.state.drive:
-            self._drive, self._line = shown.state.drive, shown.model.timeline(shown.state.drive)
+        drive = shown.state.drive
+        known = drive, shown.model.frame_count(drive), shown.model.grows(drive)
+        if self._known != known:
+            self._known, self._line = known, shown.model.timeline(drive)
         if self._line is None:
             return
         self.text.content = moment_report(moment, self._line, view.index)

@@ -43,7 +43,8 @@ class Opened:
             self.page.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def place_of(self, script):
-        """Middle of an element on the screen, px."""
+        """Middle of an element on the screen, px, once it is there."""
+        self.page.wait_for(script, 20.0)
         self.page.evaluate(f"({script}).scrollIntoView({{block:'center'}})")
         box = self.page.evaluate(
             f"(()=>{{const r=({script}).getBoundingClientRect();return [r.x+r.width/2,r.y+r.height/2]}})()"
@@ -61,10 +62,10 @@ class Opened:
         return self.session.client.get_render(**render)[..., :3].astype(int)
 
 
-def wait_for(condition, timeout_s=20.0):
+def wait_for(condition, timeout_s=20.0, otherwise=lambda: "nothing happened"):
     end = time.monotonic() + timeout_s
     while not condition():
-        assert time.monotonic() < end, "nothing happened"
+        assert time.monotonic() < end, otherwise()
         time.sleep(0.05)
 
 
@@ -120,8 +121,8 @@ def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened):
     session.update(frame=5, iou=0.7)
     session.place_camera("chase")
     session.wait_drawn()
-    wait_for(lambda: "frame=5" in opened.page.evaluate("location.search"))
-    wait_for(lambda: "view=-34.00,0.00,21.00" in opened.page.evaluate("location.search"))
+    address = lambda: opened.page.evaluate("location.search")  # noqa: E731
+    wait_for(lambda: "frame=5" in address() and "view=-34.00,0.00,21.00" in address(), otherwise=address)
     opened.page.send("Page.reload")
     wait_for(lambda: opened.session is not session and opened.session.view is not None, 60.0)
     again = opened.session
@@ -142,9 +143,17 @@ def test_a_lost_connection_comes_back_to_the_same_frame(opened):
 
 def test_keys_work_after_a_choice_in_a_dropdown(opened):
     before = opened.session.state.frame
-    opened.click(*opened.place_of("[...document.querySelectorAll('input')].find(e=>e.value==='clean')"))
     option = "[...document.querySelectorAll('[role=option]')].find(e=>e.textContent==='fog')"
-    opened.page.wait_for(f"{option} && {option}.getBoundingClientRect().height", 20.0)
+    shown = f"Boolean({option} && {option}.getBoundingClientRect().height)"
+
+    def opens():
+        # A page that has just come back may take no click yet.
+        if not opened.page.evaluate(shown):
+            opened.click(*opened.place_of("[...document.querySelectorAll('input')].find(e=>e.value==='clean')"))
+            time.sleep(1.0)
+        return opened.page.evaluate(shown)
+
+    wait_for(opens)
     opened.click(*opened.place_of(option))
     wait_for(lambda: opened.session.state.corruption == "fog")
     time.sleep(0.3)

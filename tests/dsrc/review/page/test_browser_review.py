@@ -10,6 +10,7 @@ from dsrc.review.page.app import ReviewApp, live_page
 from dsrc.review.page.cells.html import compare_address
 from dsrc.review.page.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
+from dsrc.review.sources.live import LiveSource
 from tests.dsrc.review.conftest import street_frame
 from tests.dsrc.review.page.test_browser import SIZE, Opened, wait_for
 
@@ -84,11 +85,11 @@ def test_two_cells_have_one_camera_after_a_drag(model, fake_fog):
 
 
 def test_a_page_of_a_running_simulation_grows():
-    with live_page("street") as live, open_page(f"{live.url}/?fixedDpr=1", SIZE) as page:
+    with live_page(LiveSource("street")) as live, open_page(f"{live.url}/?fixedDpr=1", SIZE) as page:
         (session,) = live.app.wait_session(1, 60.0)
         page.wait_for("document.body.innerText.includes('first frame to come')", 60.0)
         for index in range(4):
-            live.put(street_frame(index))
+            live.source.put(street_frame(index))
             wait_for(lambda index=index: session.view is not None and session.view.index == index)
         page.wait_for("document.body.innerText.includes('Frame 3')", 20.0)
         page.wait_for("!document.body.innerText.includes('first frame to come')", 20.0)

@@ -6,14 +6,14 @@ import pytest
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.page.panels.report import ReportPanel
-from dsrc.review.sources.episodes import EpisodeSource
+from dsrc.review.sources.episodes import episode_source
 from tests.dsrc.closed_loop.test_log import full_log
 from tests.dsrc.review.page.test_session import node, panel, wait_for
 
 
 @pytest.fixture
 def model() -> ReviewModel:
-    return ReviewModel([EpisodeSource(full_log())])
+    return ReviewModel([episode_source(full_log())])
 
 
 def lines(session, name):
@@ -22,7 +22,7 @@ def lines(session, name):
 
 
 def test_every_step_is_drawn_as_the_log_has_it(session):
-    ticks = session.model.sources[0].log.ticks
+    ticks = full_log().ticks
     for row, tick in enumerate(ticks):
         session.update(frame=row)
         session.wait_drawn()
@@ -46,7 +46,7 @@ def test_layers_of_an_episode_can_be_switched_off(session):
 
 def test_the_panel_says_why_the_driver_brakes_and_how_it_ends(session):
     episode = panel(session, EpisodePanel)
-    log = session.model.sources[0].log
+    log = full_log()
     for row in (0, len(log) - 1):
         session.update(frame=row)
         session.wait_drawn()

@@ -14,7 +14,7 @@ from dsrc.review.sources.base import MemorySet
 from dsrc.review.state import ReviewState
 
 FULL = ReviewState(
-    drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper",
+    drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper", who="ego",
     parameters=(("backscatter", 0.3), ("variant", "v2"), ("rounded", True)), threshold=0.55,
     sensor="vlp-16", carrier="1002", placement=(0.5, -1.25, 3.0, 90.0, -10.0),
     iou=0.7, color_by="fate", hidden=frozenset({1000, -1}), layers_off=frozenset({"bodies", "labels"}), object_id=1003,
@@ -50,6 +50,19 @@ def test_methods_with_any_names_come_back_in_their_order(two):
     assert read_link(write_link(two, state, None), two, ReviewState()) == (state, None, [])
     read, _, complaints = read_link("methods=detector|nothing", two, ReviewState())
     assert read == ReviewState() and "methods: expected detector, DSRC, ego alone" in complaints[0]
+
+
+def test_agents_of_a_corruption_are_words_or_ids(two):
+    for who in ("helpers", "1002,-1"):
+        state = ReviewState(corruption="fog", who=who)
+        assert read_link(write_link(two, state, None), two, ReviewState()) == (state, None, [])
+    read, _, complaints = read_link("who=nobody", two, ReviewState())
+    assert read == ReviewState() and "who: expected all, ego, helpers or ids of agents" in complaints[0]
+
+
+def test_no_number_of_a_camera_is_a_negative_zero(two):
+    pose = CameraPose(np.array([-34.0, -0.001, 21.0]), np.zeros(3), UP)
+    assert write_link(two, ReviewState(), pose) == "view=-34.00,0.00,21.00,0.00,0.00,0.00"
 
 
 def test_the_link_of_the_start_is_empty(two):
@@ -97,6 +110,6 @@ def test_the_link_that_the_address_bar_shows_is_that_of_what_is_drawn(session):
     session.update(frame=7, iou=0.7)
     session.wait_drawn()
     end = time.monotonic() + 5.0
-    while "frame=7&iou=0.7&view=" not in session.link:
-        assert time.monotonic() < end, session.link
+    while "frame=7&iou=0.7&view=" not in session.address.link:
+        assert time.monotonic() < end, session.address.link
         time.sleep(0.02)

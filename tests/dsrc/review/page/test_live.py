@@ -5,39 +5,48 @@ from pathlib import Path
 
 import pytest
 
+from dsrc.cli.drive import Drive
+from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
+from dsrc.closed_loop.perception.truth import TruthPerception
 from dsrc.review.page.app import live_page
+from dsrc.review.page.panels.episode import EpisodePanel
+from dsrc.review.sources.episodes import EpisodeSource
+from dsrc.review.sources.live import LiveSource
+from sim.errors import SettingsError
+from tests.dsrc.closed_loop.logged import EGO_ID
+from tests.dsrc.closed_loop.test_log import full_log
 from tests.dsrc.review.conftest import street_frame
 from tests.dsrc.review.page.test_session import handle, wait_for
 
 
 @pytest.fixture
 def page():
-    with live_page("street") as page:
+    with live_page(LiveSource("street")) as page:
         yield page
 
 
 def test_a_page_opened_before_the_first_frame_shows_it_when_it_comes(page, connect_browser):
     session = connect_browser(page.app).session
     wait_for(lambda: "first frame to come" in session._notice.content)
-    page.put(street_frame(0))
+    page.source.put(street_frame(0))
     wait_for(lambda: session.view is not None and session.view.index == 0)
     wait_for(lambda: not session._notice.visible)
 
 
 def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(page, connect_browser):
-    page.put(street_frame(0))
+    page.source.put(street_frame(0))
     session = connect_browser(page.app).session
     for index in range(1, 5):
-        page.put(street_frame(index))
+        page.source.put(street_frame(index))
         wait_for(lambda index=index: session.view is not None and session.view.index == index)
     assert handle(session, "frame").max == 4
     session.update(frame=1)
     session.wait_drawn()
-    page.put(street_frame(5))
+    page.source.put(street_frame(5))
     wait_for(lambda: handle(session, "frame").max == 5)
     assert session.state.frame == 1
     session.step(100)
-    page.put(street_frame(6))
+    page.source.put(street_frame(6))
     wait_for(lambda: session.view.index == 6)
 
 
@@ -46,7 +55,7 @@ def test_whoever_makes_frames_never_waits_for_the_page(page, connect_browser):
     frame = street_frame(0)
     started = time.perf_counter()
     for _ in range(200):
-        page.put(frame)
+        page.source.put(frame)
     assert (time.perf_counter() - started) / 200 < 0.005
 
 
@@ -59,3 +68,31 @@ def test_generate_hands_every_frame_to_who_watches(tmp_path: Path):
     again = []
     generate(scenario="four_way", out=tmp_path, frames=2, seed=3, visibility=False, watch=again.append)
     assert again == [], "what is on disk is not made again"
+
+
+def test_an_episode_that_is_driven_is_followed_with_its_plan(connect_browser):
+    log = full_log()
+    source = EpisodeSource("episode")
+    with live_page(source) as page:
+        session = connect_browser(page.app).session
+        for row, tick in enumerate(log.ticks):
+            source.put(tick, EGO_ID)
+            wait_for(lambda row=row: session.view is not None and session.view.index == row)
+        assert session.view.moment is not None and session.view.counts is not None
+        text = next(panel for panel in session.panels if isinstance(panel, EpisodePanel)).text
+        assert "outcome: running" in text.content
+        source.end(str(log.outcome), log.message)
+        wait_for(lambda: f"outcome: {log.outcome}" in text.content)
+
+
+def test_the_loop_shows_every_step_to_who_watches():
+    seen = []
+    loop = ClosedLoop("four_way", TruthPerception(), settings=LoopSettings(duration_s=1.0))
+    loop.run(1, lambda running: seen.append(running.tick))
+    assert seen == loop.ticks and len(seen) > 5
+
+
+def test_one_episode_alone_is_shown_while_it_is_driven():
+    for options, found in (({"seed": (0, 1)}, "2 episodes"), ({"critical": "severity"}, "a search or a log")):
+        with pytest.raises(SettingsError, match=f"drive: view: .*found {found}"):
+            Drive(what="four_way", view=True, **options).run()

@@ -5,11 +5,12 @@ import pytest
 
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.review.sources.base import Setup
-from dsrc.review.sources.episodes import PERCEPTS, TRACKS, EpisodeSource, open_episode, plan_of
+from dsrc.review.sources.episodes import PERCEPTS, TRACKS, EpisodeSource, episode_source, open_episode, plan_of
 from dsrc.review.sources.opening import open_sources
 from sim.errors import DataError
 from tests.dsrc.closed_loop.logged import EGO_ID, SCENARIO
 from tests.dsrc.closed_loop.test_log import full_log
+from tests.dsrc.review.conftest import street_frame
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,7 @@ def log() -> EpisodeLog:
 
 @pytest.fixture(scope="module")
 def source(log) -> EpisodeSource:
-    return EpisodeSource(log)
+    return episode_source(log)
 
 
 def test_frames_are_the_road_users_of_the_steps(log, source):
@@ -65,6 +66,31 @@ def test_percepts_and_tracks_are_sets_of_detections_around_the_ego(source):
         assert table.position.tolist() == list(range(len(source)))
         assert EGO_ID not in table.object_id.tolist() and len(table.truth) > 0
         assert (np.hypot(*table.truth[:, :2].T) <= 70.0).all()
+
+
+def test_a_running_episode_grows_step_by_step_and_ends_as_its_log(log, source):
+    live = EpisodeSource("running")
+    with pytest.raises(DataError, match="expected a first frame to come, found 0"):
+        live.read(0)
+    for row, tick in enumerate(log.ticks):
+        assert len(live) == row and not live.ended
+        live.put(tick, EGO_ID)
+        assert live.timeline().outcome == "running" and len(live.timeline().time_s) == row + 1
+    live.end(str(log.outcome), log.message)
+    live.end()
+    assert live.ended and live.timeline().outcome == str(log.outcome)
+    for name in (PERCEPTS, TRACKS):
+        ours, theirs = live.sets[name].run(Setup()), source.sets[name].run(Setup())
+        np.testing.assert_array_equal(ours.truth, theirs.truth)
+
+
+def test_sweeps_that_are_handed_over_are_shown_in_the_latest_frames(log, monkeypatch):
+    monkeypatch.setattr("dsrc.review.sources.episodes.KEPT", 3)
+    live = EpisodeSource("running")
+    for tick in log.ticks:
+        live.put(tick, EGO_ID, street_frame(0))
+    points = [sum(len(agent.sweep) for agent in live.read(row).agents) > 0 for row in range(len(live))]
+    assert len(live) > 3 and points == [False] * (len(live) - 3) + [True] * 3
 
 
 def test_a_plan_follows_the_route_and_ends_where_the_ego_stands(log):

@@ -100,7 +100,7 @@ def test_what_a_path_lacks_is_one_line(done, tmp_path):
         open_sources(tmp_path / "nowhere")
     with pytest.raises(DataError, match="expected an OPV2V tree"):
         open_sources(tmp_path)
-    with pytest.raises(DataError, match=r"detections\.json: expected results of dsrc evaluate"):
+    with pytest.raises(DataError, match=r"test: drives: expected detections\.json of dsrc evaluate"):
         open_sources(root / "test", root / "test")
     (tmp_path / "a.npz").write_bytes(b"nothing")
     with pytest.raises(DataError, match=r"a\.npz"):

@@ -64,11 +64,11 @@ def arrive(*cells):
 
     def reported():
         for cell in cells:
-            given = cell.session._given
+            given = cell.session.camera._given
             if given is not None:
                 cell.look_from(given[0].position.tolist(), given[0].look_at.tolist())
                 time.sleep(0.05)
-        return all(cell.session._given is None for cell in cells)
+        return all(cell.session.camera._given is None for cell in cells)
 
     wait_for(reported)
 
@@ -81,7 +81,7 @@ def test_a_camera_moves_the_other_and_no_echo_comes_back(cells):
     # What the other browser reports late is no motion of its user, nor is the arrival of what it was given.
     right.look_from((5.0, 6.0, 6.0), (1.0, 2.0, 0.0))
     right.look_from((5.0, 6.0, 7.0), (1.0, 2.0, 0.0))
-    wait_for(lambda: right.session._given is None)
+    wait_for(lambda: right.session.camera._given is None)
     np.testing.assert_allclose(pose(left), [5.0, 6.0, 7.0])
     right.look_from((0.0, 6.0, 9.0), (1.0, 2.0, 0.0))
     wait_for(lambda: np.allclose(pose(left), [0.0, 6.0, 9.0]))

@@ -1,0 +1,86 @@
+"""Validation drives of a training, with its newest weights as their detector; the training may still run."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+
+from dsrc.data.drives import list_drives, open_drive
+from dsrc.data.sample import SampleDetector
+from dsrc.models.detector import Detector
+from dsrc.models.storage.checkpoint import load_student
+from dsrc.review.sources.detected import ComputedSet
+from dsrc.review.sources.drives import DriveSource
+from dsrc.training.recipes import Recipe, Stage
+from dsrc.training.run_folder import RunFolder
+from sim.errors import CheckpointError, DataError, complaint
+
+NEWEST = "newest weights"
+"""Name of the set of detections."""
+
+
+class _Settings(msgspec.Struct):
+    recipe: Recipe
+    stage: Stage
+
+
+class _Record(msgspec.Struct):
+    settings: _Settings
+    validation: dict[str, str] | None = None
+    folders: dict[str, str | None] = {}
+
+
+def open_training(run: Path, data: Path | None = None) -> list[DriveSource]:
+    """Open the validation drives of a training.
+
+    Args:
+        run: run folder of one stage.
+        data: folder of the drives now; None for where they were.
+
+    Raises:
+        DataError: the record is damaged, or the training has no validation drives of its own, or they are missing.
+        CheckpointError: there are no weights yet, they are damaged, or a teacher's.
+    """
+    folder = RunFolder(run)
+    try:
+        record = msgspec.json.decode(folder.settings.read_bytes(), type=_Record)
+    except msgspec.DecodeError as error:
+        raise DataError(complaint(folder.settings, "file", "the settings of a training", str(error))) from None
+    if not record.validation:
+        hint = "; dsrc view takes its detector.pt by --checkpoint beside any drives"
+        raise DataError(complaint(folder.settings, "validation", "drives of its own", "none", hint))
+    place = data or Path(record.folders.get("validate") or "unknown")
+    found = {path.name: path for path in list_drives(place)} if place.exists() else {}
+    missing = sorted(set(record.validation) - set(found))
+    if missing:
+        hint = "; give the folder of its drives by --drives"
+        raise DataError(complaint(place, "drives", missing[0], "none", hint))
+    detector = _newest(folder, record.settings)
+    sources = [DriveSource(open_drive(found[name])) for name in sorted(record.validation)]
+    for source in sources:
+        source.sets[NEWEST] = ComputedSet(NEWEST, detector)
+    return sources
+
+
+def _newest(folder: RunFolder, settings: _Settings) -> SampleDetector:
+    """Detector of a finished training, else the best validated weights, else those of the last checkpoint."""
+    for path in (folder.detector, folder.best):
+        if path.is_file():
+            return load_student(path)
+    model = settings.recipe.settings(settings.stage)
+    if model.role != "student":
+        hint = "; a teacher reads clouds that are made with ground truth"
+        raise CheckpointError(complaint(folder.settings, "stage", "a student", settings.stage, hint))
+    if not folder.last.is_file():
+        raise CheckpointError(complaint(folder.last, "file", "a first checkpoint", "none so far"))
+    detector = Detector(model)
+    try:
+        content: dict[str, Any] = torch.load(folder.last, map_location="cpu", weights_only=True)
+        own = "detector."
+        state = {name.removeprefix(own): one for name, one in content["state_dict"].items() if name.startswith(own)}
+        detector.load_state_dict(state)
+    except Exception as error:  # torch's reader of a damaged file raises many types
+        found = " ".join(str(error).split())[:200]
+        raise CheckpointError(complaint(folder.last, "file", "a checkpoint of these settings", found)) from None
+    return detector.eval()
