@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import tomllib
 from collections import defaultdict
 from functools import lru_cache
 from graphlib import CycleError, TopologicalSorter
@@ -85,6 +86,15 @@ def test_a_heavy_package_comes_through_its_door() -> None:
         place = path.relative_to(ROOT).as_posix()
         for package in imported()[name]["others"] & set(DOORS):
             assert place.startswith(DOORS[package]), f"{place} imports {package}, only {DOORS[package]} may"
+
+
+def test_dsrc_sensors_holds_what_its_modules_import() -> None:
+    project = tomllib.loads((ROOT / "packaging/sensors/pyproject.toml").read_text())
+    held = tuple(project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"].values())
+    place = {name: path.relative_to(ROOT).as_posix() for name, path in MODULES.items()}
+    for name, found in imported().items():
+        if name != "dsrc" and place[name].startswith(held):  # dsrc itself imports by name, when asked
+            assert {other for other in found["ours"] if not place[other].startswith(held)} == set(), name
 
 
 def test_files_import_each_other_without_circles() -> None:
