@@ -6,6 +6,7 @@ import struct
 import subprocess
 import zlib
 from pathlib import Path
+from xml.etree import ElementTree
 
 import msgspec
 import numpy as np
@@ -98,7 +99,8 @@ def packed_file(path: Path) -> None:
     way = field(1, 5) + field(2, varint(3)) + field(3, varint(4)) + field(8, zigzag([7, 9]))
     block = field(1, table) + field(2, field(2, dense)) + field(2, field(3, way))
     data = b""
-    for kind, content in ((b"OSMHeader", b""), (b"OSMData", block)):
+    features = field(4, b"OsmSchema-V0.6") + field(4, b"DenseNodes")
+    for kind, content in ((b"OSMHeader", features), (b"OSMData", block)):
         blob = field(2, len(content)) + field(3, zlib.compress(content))
         header = field(1, kind) + field(3, len(blob))
         data += struct.pack(">I", len(header)) + header + blob
@@ -176,10 +178,31 @@ def test_a_packed_extract_is_the_same_map(folder: Path, tmp_path: Path, ending: 
 def test_the_binary_form_of_an_extract_is_read(tmp_path: Path) -> None:
     packed_file(tmp_path / "two.osm.pbf")
     pbf_to_xml(tmp_path / "two.osm.pbf", tmp_path / "two.osm")
-    lines = (tmp_path / "two.osm").read_text().splitlines()
-    assert '<node id="7" lat="60.0000000" lon="-25.0000000"><tag k="natural" v="tree"/></node>' in lines
-    assert '<node id="9" lat="60.0001000" lon="-24.9990000"></node>' in lines
-    assert '<way id="5"><nd ref="7"/><nd ref="9"/><tag k="highway" v="residential"/></way>' in lines
+    nodes = {node.get("id"): node for node in ElementTree.parse(tmp_path / "two.osm").getroot()}
+    assert [(n.get("lat"), n.get("lon")) for n in (nodes["7"], nodes["9"])] == [("60", "-25"), ("60.0001", "-24.999")]
+    assert [tag.attrib for tag in nodes["7"]] == [{"k": "natural", "v": "tree"}] and len(nodes["9"]) == 0
+    assert [dict(part.attrib) for part in nodes["5"]] == [
+        {"ref": "7"},
+        {"ref": "9"},
+        {"k": "highway", "v": "residential"},
+    ]
+
+
+@pytest.mark.parametrize("length", [0, 3, -7])
+def test_a_binary_extract_that_is_cut_short_is_one_line(tmp_path: Path, length: int) -> None:
+    packed_file(tmp_path / "two.osm.pbf")
+    (tmp_path / "two.osm.pbf").write_bytes((tmp_path / "two.osm.pbf").read_bytes()[:length])
+    with pytest.raises(ScenarioError, match=r"two\.osm\.pbf: not a readable \.osm\.pbf file: .+") as caught:
+        pbf_to_xml(tmp_path / "two.osm.pbf", tmp_path / "two.osm")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_binary_extract_has_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim.roads.pbf._CHECKED_EVERY", 1)
+    monkeypatch.setattr("sim.roads.pbf.MOST_BYTES", -1)
+    packed_file(tmp_path / "two.osm.pbf")
+    with pytest.raises(ScenarioError, match="more than -1 bytes when unpacked"):
+        pbf_to_xml(tmp_path / "two.osm.pbf", tmp_path / "two.osm")
 
 
 def test_roads_and_ground_follow_the_heights_of_an_extract(tmp_path: Path) -> None:
