@@ -6,9 +6,9 @@ objects in each, of three methods: right ones off by some decimetres, some twice
 
 Figures are medians of the CPU time of one thread, which other processes disturb least; `..._wall` of the wall time.
 `first_picture_s` is wall time from the start of `dsrc view` on a drive of 200 frames to the first picture with points
-in a Chromium that is already open; `stream_core_share` the CPU time of the server per second while a page of five
-clouds of 60,000 points steps ten times per second through frames in memory, to a real Chromium that draws them in
-software. Without Chromium both are left out.
+in a Chromium that is already open, with the CPU time of the server and of the browser, which draws in software, until
+then; `stream_core_share` the CPU time of the server per second while a page of five clouds of 60,000 points steps ten
+times per second through frames in memory, to such a Chromium. Without Chromium both are left out.
 
     python -m benchmarks.review            # about two minutes
     python -m benchmarks.review --quick    # fewer steps, under half a minute
