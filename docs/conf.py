@@ -18,6 +18,8 @@ html_theme, html_title = "furo", "dsrc-testbed"
 html_extra_path = ["_pages"] if (DOCS / "_pages").is_dir() else []  # review pages that `make docs` writes
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
+# Code outside of the site is a download, a page outside of it a link for readers of the repository alone.
+suppress_warnings = ["myst.xref_missing"]
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
