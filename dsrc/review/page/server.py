@@ -6,6 +6,7 @@ import http
 import io
 import socket
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import urlsplit
@@ -70,6 +71,8 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> viser.ViserSe
         SettingsError: the port is taken, or `host` is not an address of this machine.
     """
     wanted = checked_port(host, port)
+    # A browser may go while a frame is on its way to it.
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     # viser prints a banner to standard output, which belongs to the command's results.
     with _own_requests(host), contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host=host, port=wanted, label="Review", verbose=False)
