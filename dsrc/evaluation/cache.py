@@ -41,7 +41,7 @@ class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
         device: of the network, `cpu` or `cuda`.
         engine: execution of the network, one of `dsrc.models.storage.deploy.ENGINES`.
         versions: of other packages that the code imports.
-        code: hash of the code, see `dsrc.data.code_hash`.
+        code: hash of the code, see `sim.kept.code_hash`.
     """
 
     detector: str

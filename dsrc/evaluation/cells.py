@@ -1,6 +1,6 @@
 """Computation of cells: detectors on some frames of a drive under one condition, the unit of work of a benchmark.
 
-All that this module imports, at any depth, is hashed into the keys of cells, see `dsrc.data.code_hash`.
+All that this module imports, at any depth, is hashed into the keys of cells, see `sim.kept.code_hash`.
 """
 
 from collections.abc import Callable, Iterator, Mapping

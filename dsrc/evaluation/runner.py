@@ -12,7 +12,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
-from dsrc.data.code_hash import code_hash, package_versions
 from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import SERIAL, Pool, Progress
@@ -28,6 +27,7 @@ from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import read_meta
 from sim.errors import SettingsError, UserError, complaint
 from sim.files import file_sha256
+from sim.kept.code_hash import code_hash, package_versions
 
 Device = Literal["cpu", "cuda"]
 

@@ -15,6 +15,7 @@ import functools
 import logging
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +31,9 @@ from sensors.scan.scene import RayScene
 from sim.encounters import encounter_of, with_encounter
 from sim.encounters.types import Ghost
 from sim.errors import ScenarioError, complaint
+from sim.files import write_file
 from sim.geometry import wrap_angle
+from sim.kept.files import kept_file
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
 from sim.traffic.base import Actors
@@ -100,12 +103,15 @@ class ProvenEncounter(msgspec.Struct, frozen=True, kw_only=True):
 def with_proven_encounter(scenario: Scenario, seed: int) -> Scenario:
     """Return a scenario with the proven draw, agents and area of its encounter; others unchanged.
 
+    The draw is that of `find_encounter`; a control itself is not proven.
+
     Raises:
-        ScenarioError: see `find_encounter`.
+        ScenarioError: no proof holds, or a value is out of its range.
     """
     if scenario.conflict is None or scenario.agents.named:
         return scenario
-    return find_encounter(scenario, seed).scenario
+    draw, _, _ = _first_proven_draw(_uncontrolled(scenario), seed)
+    return with_encounter(_with(scenario, draw=draw), seed)
 
 
 def find_encounter(scenario: Scenario, seed: int) -> ProvenEncounter:
@@ -126,7 +132,7 @@ def _found(scenario_json: bytes, seed: int) -> ProvenEncounter:
     scenario = msgspec.json.decode(scenario_json, type=Scenario)
     if scenario.conflict is None:
         raise ScenarioError(complaint(scenario.name, "conflict", "one of an encounter", "none"))
-    draw, proof, rejected = _first_proven_draw(msgspec.json.encode(_with(scenario, control="")), seed)
+    draw, proof, rejected = _first_proven_draw(_uncontrolled(scenario), seed)
     chosen = _with(scenario, draw=draw)
     encounter = encounter_of(chosen, seed)
     return ProvenEncounter(
@@ -139,10 +145,31 @@ def _found(scenario_json: bytes, seed: int) -> ProvenEncounter:
     )
 
 
+def _uncontrolled(scenario: Scenario) -> bytes:
+    """Return the scenario as JSON without its control, which takes the draw of its encounter."""
+    assert scenario.conflict is not None
+    name = scenario.name.removesuffix(f"-{scenario.conflict.control}")
+    return msgspec.json.encode(msgspec.structs.replace(_with(scenario, control=""), name=name))
+
+
 @functools.lru_cache(maxsize=64)
 def _first_proven_draw(scenario_json: bytes, seed: int) -> tuple[int, Proof, dict[str, int]]:
-    """Return the first proven draw of a scenario without a control, its proof and the counts of failures by reason."""
+    """Return the first proven draw of a scenario without a control, its proof and the counts of failures by reason.
+
+    It is proven once for all processes and later runs.
+    """
     scenario = msgspec.json.decode(scenario_json, type=Scenario)
+    lidars = msgspec.to_builtins(scenario_lidars(with_encounter(scenario, seed)))
+    path = kept_file("encounters", ".json", __name__, scenario, seed, lidars)
+    with suppress(OSError, msgspec.MsgspecError):
+        return msgspec.json.decode(path.read_bytes(), type=tuple[int, Proof, dict[str, int]])
+    found = _search_draws(scenario, seed)
+    with suppress(OSError):  # a cache that cannot be written to costs time alone
+        write_file(path, msgspec.json.encode(found))
+    return found
+
+
+def _search_draws(scenario: Scenario, seed: int) -> tuple[int, Proof, dict[str, int]]:
     spec = scenario.conflict
     assert spec is not None
     rejected: Counter[str] = Counter()

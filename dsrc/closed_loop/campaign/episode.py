@@ -1,6 +1,6 @@
 """Computation of episodes, the unit of work of a campaign.
 
-All that this module imports, at any depth, is hashed into the keys of episodes, see `sim.code_hash`.
+All that this module imports, at any depth, is hashed into the keys of episodes, see `sim.kept.code_hash`.
 """
 
 import time

@@ -44,10 +44,10 @@ from dsrc.options.detection import Engine
 from dsrc.options.driving import DriveOptions
 from sensors.corruptions import CLEAN, Family
 from sim.catalog.load import load_scenario
-from dsrc.data.code_hash import code_hash, package_versions
 from sim.encounters import ENCOUNTERS
 from sim.errors import SettingsError, complaint
 from sim.files import file_sha256
+from sim.kept.code_hash import code_hash, package_versions
 from sim.radio import IDEAL, get_channel
 from sim.tomlfile import read_tables, read_toml
 

@@ -14,7 +14,6 @@ from pathlib import Path
 import msgspec
 
 from dsrc.data.clouds.files import scans_below
-from dsrc.data.code_hash import code_hash
 from dsrc.data.datasets.corrupt_scans import corrupt_scans
 from dsrc.data.datasets.corruption_settings import run_settings
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
@@ -36,6 +35,7 @@ from sensors.corruptions import (
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint
 from sim.files import remove_leftovers
+from sim.kept.code_hash import code_hash
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,9 @@
 
 A folder of scans is taken for a drive: its weather and its dead beams are one, and the frame's number is that in the
 name of the file. So the bytes of a scan depend on the seed, on the names of the file and of the two folders above it,
-and on nothing else: not on other files, not on the number of workers. Labels of SemanticKITTI stay in step: added
-points get label 0, unlabelled.
+and on nothing else: not on other files, not on the number of workers. Labels of SemanticKITTI stay in step, in
+`labels/` where the new scans are in a folder of the old one's name, else beside them: added points get label 0,
+unlabelled.
 
 `corruption.json` in the new folder holds the settings; a scan that is older than its corrupted one is not made again.
 """
@@ -20,7 +21,6 @@ import numpy as np
 from dsrc.data.clouds.cloud import rows_of
 from dsrc.data.clouds.corrupt import INTERVAL_S, corrupt_sweep
 from dsrc.data.clouds.files import ending_of, labels_of, read_labels, read_scan, scans_below, vehicles_among
-from dsrc.data.code_hash import code_hash
 from dsrc.data.datasets.corruption_settings import run_settings
 from dsrc.data.drive_folder import check_same, locked
 from dsrc.data.executors import Pool, Progress
@@ -30,6 +30,7 @@ from sensors.corruptions import EVERYONE, drive_seed
 from sensors.presets import get_lidar
 from sim.errors import DataError, SettingsError, complaint
 from sim.files import remove_leftovers, write_file
+from sim.kept.code_hash import code_hash
 
 MANIFEST = "corruption.json"
 
@@ -166,10 +167,11 @@ def _corrupt_scan(job: ScanJob) -> None:
         )
     except DataError as error:
         raise DataError(f"{job.source}: {error}") from None
-    if labels is not None and job.out.parent != job.source.parent:
+    if labels is not None:
         row = rows_of(after)
         kept = np.where(row < 0, 0, np.append(labels, 0)[row]).astype("<u4")
-        write_file(labels_of(job.out), kept.tobytes())
+        alike = job.out.parent.name == job.source.parent.name
+        write_file(labels_of(job.out) if alike else job.out.with_suffix(".label"), kept.tobytes())
     write_file(job.out, scan.encode(scan.cloud.of(after)))
 
 

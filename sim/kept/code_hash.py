@@ -14,6 +14,8 @@ from pathlib import Path
 from sim.files import file_sha256
 
 _REPOSITORY = Path(__file__).resolve().parents[2]
+_PACKAGES = ("sim", "sensors", "dsrc")
+"""Ours; where they are installed, their folder holds everybody's."""
 _EXTENSIONS = ("dsrc.corruptions", "dsrc.fusions", "dsrc.sensors")
 """Entry point groups of packages whose code ours can call."""
 
@@ -32,7 +34,7 @@ def package_versions(entry: str, root: Path = _REPOSITORY) -> dict[str, str]:
     """Versions by distribution of other packages that `code_files` import, and of those with extensions."""
     found, known = imported_modules(entry, root), packages_distributions()
     imported = {name.partition(".")[0] for name in _all_imports(found)} - set(sys.stdlib_module_names)
-    others = {name for name in imported if not (root / name).is_dir()}
+    others = imported - set(_PACKAGES)
     names = {distribution for name in others for distribution in known.get(name, ())}
     names |= {point.dist.name for group in _EXTENSIONS for point in entry_points(group=group) if point.dist}
     return {name: version(name) for name in sorted(names)}
@@ -76,7 +78,7 @@ def _all_imports(modules: dict[str, Path]) -> Iterator[str]:
 
 def _source(root: Path, name: str) -> Path | None:
     """File of a module; None for another package's, for an outermost package and for names in a module."""
-    if "." not in name:
+    if not name.startswith(tuple(f"{package}." for package in _PACKAGES)):
         return None
     place = root.joinpath(*name.split("."))
     return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)

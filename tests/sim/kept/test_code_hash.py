@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.data.code_hash import code_files, code_hash, package_versions
+from sim.kept.code_hash import code_files, code_hash, package_versions
 from tests.paths import ROOT
 
 CELLS = "dsrc.evaluation.cells"
