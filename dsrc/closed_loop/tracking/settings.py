@@ -73,8 +73,9 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         direction_mps: speed from which on the motion decides the heading, m/s.
         smoothing: weight of a detection in the size and height of a track, 0 to 1.
         start_score: lowest score of a detection that starts a track.
-        confirm_score: sum of the scores of a track's detections that confirms it: 1 needs one detection of score 1,
-            two of 0.5, three of 0.34.
+        confirm_score: sum of the scores of a track's detections that confirms it: 0.8 needs one detection of score 0.8,
+            two of 0.4, three of 0.27. With 1 the small detector's tracks come 0.2 s later in the median and 22 instead
+            of 18 of 27 encounters end in a crash for the ego alone; with 0.8 there are 30 % more false tracks.
         confirm_percepts: number of latest percepts that count in that sum.
         score_gain: weight of a detection in the score of a track, 0 to 1.
         half_life_s: time in which the score of an unseen confirmed track halves, s.
@@ -99,7 +100,7 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     direction_mps: float = 2.0
     smoothing: float = 0.2
     start_score: float = 0.1
-    confirm_score: float = 1.0
+    confirm_score: float = 0.8
     confirm_percepts: int = 5
     score_gain: float = 0.3
     half_life_s: float = 0.3

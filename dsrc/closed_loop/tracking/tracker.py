@@ -50,10 +50,10 @@ class _Step:
 class Tracker:
     """Tracker of boxes: Kalman filter, gated assignment, confirmed tracks.
 
-    Tracks become known (`Tracks`) once the scores of their detections add up, so one false box of a score below 1 never
-    does; unseen ones coast and end after a time that their score decides. A percept older than the last one is filtered
-    in its place: the tracks go back to the instant before it and the later percepts are filtered again. It starts no
-    track, since the later percepts saw more; one older than `history_s` is ignored.
+    Tracks become known (`Tracks`) once the scores of their detections add up: one box alone needs a high one. Unseen
+    tracks coast and end after a time that their score decides. A percept older than the last one is filtered in its
+    place: the tracks go back to the instant before it and the later percepts are filtered again. It starts no track,
+    since the later percepts saw more; one older than `history_s` is ignored.
 
     Args:
         settings: motion, association and life cycle.
