@@ -5,7 +5,7 @@ from pathlib import Path
 
 from dsrc.cli.progress import progress
 from dsrc.data.executors import SERIAL, Pool
-from dsrc.options.detection import BenchmarkOptions, Device, Engine, Evaluation
+from dsrc.options.detection import BenchmarkOptions, Device, Engine, Evaluation, Sharing
 from dsrc.options.fields import File, Folder, Output
 
 
@@ -85,3 +85,24 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
             publish(sections, self.out, self.docs, plan.name)
             sys.stdout.write(f"{self.docs}\n")
         sys.stdout.write(f"{self.out / 'tables.md'}\n")
+
+
+class Shares(Sharing, frozen=True, kw_only=True):
+    """Tell which agents helped: the share of each in what is found, and in what is made up."""
+
+    output: Output = Output()
+
+    def run(self) -> None:
+        """Detect with every team, write the shares and print them by agents and distances."""
+        from rich.console import Console
+
+        from dsrc.evaluation.report.share_table import share_table, write_shares
+        from dsrc.evaluation.share_drives import provenance_of, share_drives
+        from sim.files import check_apart
+
+        check_apart(self.out, self.data)
+        with progress(f"shares {self.data}") as report:
+            rows = share_drives(self, report)
+        write_shares(self.out, rows, provenance_of(self))
+        Console(highlight=False).print(share_table(rows))
+        sys.stdout.write(f"{self.out}\n")

@@ -26,6 +26,7 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
     },
     "evaluate": "evaluate.Evaluate",
     "benchmark": "evaluate.Benchmark",
+    "shares": "evaluate.Shares",
     "score": "score.Score",
     "view": "view.View",
     "drive": "drive.Drive",

@@ -101,9 +101,9 @@ def evaluate_drive(
                 settings = method.detector.settings
                 receivers[method.name] = Receiver(method.channel, own_seed, interval_of(reader), settings)
     for i in positions:
-        recorded = _FrameHistory(read, i)
+        recorded = FrameHistory(read, i)
         for condition, methods in work.items():
-            past = _FrameHistory(recorded.at, i, partial(corrupted, condition=condition, seed=own_seed))
+            past = FrameHistory(recorded.at, i, partial(corrupted, condition=condition, seed=own_seed))
             samples: dict[_SampleKey, Sample] = {}
             left = points_left(recorded[0], past[0])
             for method in methods:
@@ -173,7 +173,7 @@ def corrupted(frame: Frame, condition: Condition, seed: int) -> Frame:
     return registry.corrupt_frame(frame, condition.kind, condition.severity, seed, condition.family, who=who)
 
 
-class _FrameHistory(Sequence[Frame]):
+class FrameHistory(Sequence[Frame]):
     """Frames of a drive from one back to the first, each read when it is first asked for.
 
     Args:

@@ -76,6 +76,36 @@ class Evaluation(Severity, frozen=True, kw_only=True):
     device: Device = "cpu"
 
 
+class Sharing(Severity, frozen=True, kw_only=True):
+    """Options of the shares of agents in detections.
+
+    Attributes:
+        checkpoint: detector file.
+        data: a drive, or a folder of drives.
+        out: folder of shares.csv, shares.json and shares.png.
+        corruptions: kinds of corruption; paper_six are those of the paper's tables; clean frames are always looked at.
+        who: agents whose sweeps are corrupted, by word or by their ids.
+        channel: radio channel; default: no loss and no delay.
+        iou: least overlap in bird's-eye view of a detection with the box that it is of.
+        seed: seed of corruptions and channel.
+        limit: frames to look at, evenly spread; default: all.
+        engine: execution of the network, see dsrc evaluate.
+        device: device of the network.
+    """
+
+    checkpoint: File
+    data: Data
+    out: Folder
+    corruptions: Kinds = field(default=(), name="corruption")
+    who: Who = "all"
+    channel: Annotated[str | None, choice(CHANNELS)] = None
+    iou: float = 0.5
+    seed: int = 0
+    limit: int | None = field(default=None, name="frames")
+    engine: Engine = "fused"
+    device: Device = "cpu"
+
+
 class Scoring(msgspec.Struct, frozen=True, kw_only=True):
     """Options of scores under published protocols.
 

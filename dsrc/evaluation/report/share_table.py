@@ -1,0 +1,162 @@
+"""Table, plot and files of the shares of agents in detections."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from dsrc.evaluation.figures.style import COLORS, INK, WIDTH_IN, figure_style, panels, png_bytes
+from dsrc.evaluation.results import condition_title
+from dsrc.evaluation.share_drives import ShareRow, rows_csv
+from sim.files import write_file
+
+AGENTS = ("ego", "vehicle", "roadside")
+DISTANCES_M: tuple[tuple[float, float | None], ...] = ((0.0, 20.0), (20.0, 40.0), (40.0, 60.0), (60.0, None))
+"""Bins of an agent's distance from a box, the last without an end."""
+
+
+class Summary(NamedTuple):
+    """Shares of one kind of agent at one distance.
+
+    Attributes:
+        condition: kind of the corruption, or `clean`.
+        agent: one of `AGENTS`.
+        low_m: least distance from the boxes.
+        high_m: most distance, None without an end.
+        pairs: pairs of an agent and a true box.
+        share: sum of their shares.
+        needed: true boxes that the team has and would not have without the agent.
+        prevented: true boxes that it would have without the agent, and has not.
+        made: false detections that it would not have without the agent.
+        stopped: false detections of the team to which the agent's share is negative.
+    """
+
+    condition: str
+    agent: str
+    low_m: float
+    high_m: float | None
+    pairs: int
+    share: float
+    needed: int
+    prevented: int
+    made: int
+    stopped: int
+
+
+def summaries(rows: Sequence[ShareRow]) -> list[Summary]:
+    """Shares by condition, kind of agent and distance; those without a pair are left out."""
+    found = []
+    for condition in dict.fromkeys(row.condition for row in rows):
+        for agent in AGENTS:
+            for low, high in DISTANCES_M:
+                own = [row for row in rows if (row.condition, row.agent) == (condition, agent)]
+                own = [row for row in own if low <= row.distance_m and (high is None or row.distance_m < high)]
+                true, false = [r for r in own if r.object_id != -1], [r for r in own if r.object_id == -1]
+                if not own:
+                    continue
+                found.append(
+                    Summary(
+                        condition,
+                        agent,
+                        low,
+                        high,
+                        pairs=len(true),
+                        share=sum(row.share for row in true),
+                        needed=sum(row.needed for row in true),
+                        prevented=sum(row.prevented for row in true),
+                        made=sum(row.needed for row in false),
+                        stopped=sum(row.share < 0 for row in false),
+                    )
+                )
+    return found
+
+
+def share_table(rows: Sequence[ShareRow]) -> Table:
+    """Table of shares by condition, kind of agent and distance."""
+    table = Table(
+        title="Who helped", title_justify="left", header_style="bold", pad_edge=False, box=SIMPLE_HEAD, padding=(0, 1)
+    )
+    for header in ("condition", "agent", "distance, m"):
+        table.add_column(header, no_wrap=True)
+    for header in ("true\nboxes", "mean\nshare", "found\nby it", "missed\nby it", "false\nby it"):
+        table.add_column(header, justify="right", no_wrap=True)
+    listed = summaries(rows)
+    for i, one in enumerate(listed):
+        before, after = (listed[j].condition if 0 <= j < len(listed) else "" for j in (i - 1, i + 1))
+        mean = "-" if not one.pairs else f"{one.share / one.pairs:+.3f}"
+        counts = ("",) * 3 if one.agent == "ego" else (one.needed, one.prevented, one.made)
+        first = condition_title(one.condition) if one.condition != before else ""
+        place = f"from {one.low_m:g}" if one.high_m is None else f"{one.low_m:g} to {one.high_m:g}"
+        table.add_row(
+            first, one.agent, place, str(one.pairs), mean, *map(str, counts), end_section=one.condition != after
+        )
+    table.caption = "Shares of a box sum to the score with which the whole team finds it, 0 if it does not."
+    table.caption_justify = "left"
+    return table
+
+
+def share_bars(rows: Sequence[ShareRow]) -> Figure:
+    """Draw the shares per box and per frame: helpful ones upwards, harmful ones downwards, stacked by agent."""
+    conditions = list(dict.fromkeys(row.condition for row in rows))
+    with figure_style():
+        figure, (true, false) = panels(WIDTH_IN, 3.2, columns=2, title="Who helped, who harmed")
+        for axes, is_true in ((true, True), (false, False)):
+            for side in (1, -1):
+                bottom = np.zeros(len(conditions))
+                for color, agent in zip(COLORS, AGENTS, strict=False):
+                    heights = np.array([_per_unit(rows, c, agent, is_true, side) for c in conditions])
+                    label = agent if side > 0 and is_true and any(row.agent == agent for row in rows) else None
+                    axes.bar(range(len(conditions)), heights, 0.6, bottom=bottom, color=color, label=label)
+                    bottom += heights
+            axes.axhline(0.0, color=INK, linewidth=0.8)
+            axes.set_xticks(range(len(conditions)), [condition_title(c) for c in conditions], rotation=30, ha="right")
+        true.set_title("true boxes")
+        true.set_ylabel("share of score per true box")
+        false.set_title("false detections")
+        false.set_ylabel("share of score per frame")
+        figure.legend(*true.get_legend_handles_labels(), loc="outside right upper")
+    return figure
+
+
+def _per_unit(rows: Sequence[ShareRow], condition: str, agent: str, is_true: bool, side: int) -> float:
+    """Return the sum of an agent's helpful (1) or harmful (-1) shares per true box, or per frame for false ones."""
+    here = [row for row in rows if row.condition == condition]
+    own = [row.share for row in here if row.agent == agent and (row.object_id != -1) == is_true]
+    frames = {(row.drive, row.frame) for row in here}
+    boxes = {(row.drive, row.frame, row.box) for row in here if row.object_id != -1}
+    return sum(share for share in own if share * side > 0) / max(len(boxes if is_true else frames), 1)
+
+
+def write_shares(out: Path, rows: Sequence[ShareRow], made_by: Mapping[str, Any]) -> None:
+    """Write `shares.csv`, a line per agent and box, `shares.json` by frame and box, and `shares.png`."""
+    frames: dict[tuple[str, str, int], dict[int, list[ShareRow]]] = {}
+    for row in rows:
+        frames.setdefault((row.drive, row.condition, row.frame), {}).setdefault(row.box, []).append(row)
+    listed = [
+        {
+            "drive": drive,
+            "condition": condition,
+            "frame": frame,
+            "boxes": [
+                {
+                    "object_id": own[0].object_id,
+                    "place": [own[0].x_m, own[0].y_m],
+                    "team": own[0].team,
+                    "share": {str(row.agent_id): row.share for row in own},
+                    "without": {str(row.agent_id): row.without for row in own},
+                }
+                for own in boxes.values()
+            ],
+        }
+        for (drive, condition, frame), boxes in frames.items()
+    ]
+    write_file(out / "shares.csv", rows_csv(rows))
+    content = {"provenance": made_by, "summaries": [one._asdict() for one in summaries(rows)], "frames": listed}
+    text = json.dumps(content, indent=1, sort_keys=True, allow_nan=False)
+    write_file(out / "shares.json", text + "\n")
+    write_file(out / "shares.png", png_bytes(share_bars(rows), made_by))

@@ -1,0 +1,183 @@
+"""Shares sum to what the team finds; who changes nothing has none, and who harms has less than none."""
+
+import csv
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from PIL import Image
+
+from dsrc.__main__ import main
+from dsrc.data.sample import Sample
+from dsrc.evaluation.report.share_table import share_bars, summaries
+from dsrc.evaluation.share_drives import share_drives
+from dsrc.evaluation.shares import Shares, shapley, share_sample
+from dsrc.ops.detections import Detections
+from dsrc.options.detection import Sharing
+from sim.boxes import Boxes
+from sim.errors import SettingsError
+from tests.dsrc.evaluation.fakes import GRID
+from tests.dsrc.evaluation.small import write_detector, write_drives
+
+values = arrays(np.float64, (16, 3), elements=st.floats(-1, 1))
+
+
+def test_the_glove_game_has_its_known_values() -> None:
+    # One left glove, two right ones; a pair is worth 1 (Shapley and Shubik, 1969).
+    worth = [0, 0, 0, 1, 0, 1, 0, 1]
+    np.testing.assert_allclose(shapley(np.array(worth)), [2 / 3, 1 / 6, 1 / 6])
+
+
+@given(values)
+def test_shares_sum_to_the_gain(v: np.ndarray) -> None:
+    np.testing.assert_allclose(shapley(v).sum(0), v[-1] - v[0], atol=1e-12)
+
+
+@given(values, st.integers(0, 3))
+def test_who_changes_nothing_has_none(v: np.ndarray, i: int) -> None:
+    rows = np.arange(16)
+    mute = v[rows & ~(1 << i)]
+    assert np.abs(shapley(mute)[i]).max() < 1e-12
+
+
+@given(values)
+def test_two_that_do_the_same_have_the_same(v: np.ndarray) -> None:
+    swapped = np.array([(row & 12) | (row & 1) << 1 | (row & 2) >> 1 for row in range(16)])
+    alike = (v + v[swapped]) / 2
+    found = shapley(alike)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-12)
+
+
+def box_at(x: float) -> list[float]:
+    return [x, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0]
+
+
+def boxes_at(*places: float) -> Boxes:
+    return Boxes.from_array(np.array([box_at(x) for x in places]).reshape(-1, 7))
+
+
+class Says:
+    """Detector of what a function of the team says: places along x and scores."""
+
+    settings = SimpleNamespace(grid=GRID)
+
+    def __init__(self, says):
+        self.says = says
+
+    def detect(self, sample: Sample) -> Detections:
+        said = self.says(set(sample.agent_ids))
+        order = sorted(said, key=said.get, reverse=True)
+        return Detections(boxes_at(*order), np.array([said[x] for x in order], np.float32))
+
+
+def shares_of(says, agents: tuple[int, ...] = (1, 2, 3), heard: tuple[int, ...] | None = None) -> Shares:
+    """Shares in two true boxes, at 10 and 20 m."""
+    heard = agents if heard is None else heard
+    empty = np.zeros((0, 4), np.float32)
+    poses = np.tile(np.eye(4), (len(heard), 1, 1))
+    truth = replace(boxes_at(10.0, 20.0), object_id=np.array([7, 8]))
+    sample = Sample("x", heard, (empty,) * len(heard), poses, truth, (truth,) * len(heard))
+    return share_sample(Says(says), sample, agent_ids=agents)
+
+
+def test_what_one_agent_alone_makes_possible_is_its_own() -> None:
+    shares = shares_of(lambda team: {10.0: 0.5} | ({20.0: 0.8} if 2 in team else {}))
+    np.testing.assert_allclose(shares.share, [[0.5, 0.0], [0.0, 0.8], [0.0, 0.0]], atol=1e-7)
+    assert shares.needed.tolist() == [[False, False], [False, True], [False, False]]
+    assert not shares.prevented.any() and shares.true.all()
+
+
+def test_what_either_finds_is_shared_and_what_both_are_needed_for_too() -> None:
+    either = shares_of(lambda team: {20.0: 0.6} if team & {2, 3} else {})
+    np.testing.assert_allclose(either.share[:, 1], [0.0, 0.3, 0.3], atol=1e-7)
+    assert not either.needed.any()
+    both = shares_of(lambda team: {20.0: 0.6} if team >= {2, 3} else {})
+    np.testing.assert_allclose(both.share[:, 1], [0.0, 0.3, 0.3], atol=1e-7)
+    assert both.needed[1:, 1].all()
+
+
+def test_who_hides_an_object_harms() -> None:
+    shares = shares_of(lambda team: {} if 3 in team else {10.0: 0.9})
+    np.testing.assert_allclose(shares.share[:, 0], [0.9, 0.0, -0.9], atol=1e-6)
+    assert shares.prevented[:, 0].tolist() == [False, False, True]
+    np.testing.assert_allclose(shares.share.sum(0), shares.team, atol=1e-12)
+
+
+def test_a_false_detection_is_of_who_made_it() -> None:
+    shares = shares_of(lambda team: {10.0: 0.9} | ({30.0: 0.4, 40.0: 0.2} if 2 in team else {40.0: 0.1}))
+    assert shares.true.tolist() == [True, True, False, False]
+    np.testing.assert_allclose(shares.share[:, 2], [0.0, 0.4, 0.0], atol=1e-7)
+    np.testing.assert_allclose(shares.share[:, 3], [0.1, 0.1, 0.0], atol=1e-7)
+    assert shares.needed[:, 2].tolist() == [False, True, False]
+
+
+def test_who_is_not_heard_has_no_share() -> None:
+    shares = shares_of(lambda team: {10.0: 0.1 * len(team)}, agents=(1, 2, 3), heard=(1, 3))
+    assert shares.heard.tolist() == [True, False, True]
+    np.testing.assert_allclose(shares.share[:, 0], [0.1, 0.0, 0.1], atol=1e-7)
+    np.testing.assert_allclose(shares.without[:, 0], [0.2, 0.2, 0.1], atol=1e-7)
+
+
+def test_an_ego_alone_has_all() -> None:
+    shares = shares_of(lambda team: {10.0: 0.7}, agents=(1,))
+    np.testing.assert_allclose(shares.share, [[0.7, 0.0]], atol=1e-7)
+
+
+def test_a_detection_that_overlaps_too_little_is_false() -> None:
+    # Boxes of 4 m that are 2 m apart overlap by a third.
+    shares = shares_of(lambda team: {12.0: 0.7})
+    assert shares.team[0] == 0.0 and not shares.true[2]
+    with pytest.raises(SettingsError, match="iou: expected more than 0"):
+        share_sample(Says(dict), None, iou=0.0)
+    with pytest.raises(SettingsError, match="agents: expected at most 6, found 7"):
+        shares_of(lambda team: {}, agents=tuple(range(7)))
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    root = tmp_path_factory.mktemp("shares")
+    write_drives(root / "test", drives=1)
+    write_detector(root / "net.pt", "attfuse")
+    return root
+
+
+def test_the_command_writes_a_line_per_agent_and_box_and_prints_a_table(world, capsys) -> None:
+    out = world / "out"
+    options = ["--corruption", "beam_missing", "--channel", "its-g5-6", "--iou", "0.3"]
+    main(["shares", str(world / "test"), "--checkpoint", str(world / "net.pt"), "--out", str(out), *options])
+    assert "Who helped" in capsys.readouterr().out
+    lines = list(csv.DictReader((out / "shares.csv").read_text().splitlines()))
+    assert {line["condition"] for line in lines} == {"clean", "beam_missing"}
+    assert {line["agent"] for line in lines} >= {"ego", "vehicle"}
+    sums: dict[tuple[str, ...], float] = {}
+    for line in lines:
+        key = tuple(line[name] for name in ("condition", "frame", "box", "team"))
+        sums[key] = sums.get(key, 0.0) + float(line["share"])
+        if line["heard"] == "False":
+            assert (line["points"], float(line["share"])) == ("0", 0.0)
+    assert max(float(key[-1]) for key in sums) > 0.3
+    for key, total in sums.items():
+        assert total == pytest.approx(float(key[-1]), abs=1e-9)
+    content = json.loads((out / "shares.json").read_text())
+    assert content["provenance"]["settings"]["iou"] == 0.3
+    assert sum(len(frame["boxes"]) for frame in content["frames"]) == len(sums)
+    with Image.open(out / "shares.png") as image:
+        assert image.width > 800
+
+
+def test_shares_are_the_same_again_and_limits_hold(world) -> None:
+    config = Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "again", limit=1)
+    steps = []
+    rows = share_drives(config, lambda done, total: steps.append((done, total)))
+    assert rows == share_drives(config) and steps == [(1, 1)]
+    listed = summaries(rows)
+    assert sum(one.pairs for one in listed) == sum(row.object_id != -1 for row in rows)
+    assert sum(one.share for one in listed) == pytest.approx(sum(row.share for row in rows if row.object_id != -1))
+    assert len(share_bars(rows).axes) == 2
+    with pytest.raises(SettingsError, match="shares: severity: expected 1 to 5, found 9"):
+        share_drives(Sharing(checkpoint=world / "net.pt", data=world / "test", out=world, severity=9))
