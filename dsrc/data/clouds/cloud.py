@@ -5,6 +5,7 @@ coordinates and intensities; those that it adds get these, their ring, and zeros
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,9 +56,9 @@ class Cloud:
             SettingsError: the sensor has no rings to find.
         """
         points = np.stack([self.table[name] for name in self.axes], axis=1).astype(np.float32)
-        columns = {"intensity": self._unit(self.table), "object_id": _FIRST_ROW - np.arange(len(self), dtype=np.int64)}
-        if on_vehicle is not None:
-            columns["object_id"] = np.where(on_vehicle, np.arange(len(self)), columns["object_id"])
+        row = np.arange(len(self))
+        ids = _FIRST_ROW - row if on_vehicle is None else np.where(on_vehicle, row, _FIRST_ROW - row)
+        columns: dict[str, Any] = {"intensity": self._unit(self.table), "object_id": ids}
         ring = self._ring_from_top(spec)
         if ring is None and spec is not None:
             ring = beams_of(points, spec)

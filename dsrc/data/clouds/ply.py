@@ -51,13 +51,13 @@ def decode_ply(path: Path, content: bytes) -> tuple[NDArray[np.void], str]:
             expected = f"{count * dtype.itemsize} bytes for {count} vertices"
             raise DataError(complaint(path, "vertices", expected, f"{len(body)} bytes"))
         return np.frombuffer(body, dtype), header
-    words = bytes(body).split()
-    if len(words) != count * len(fields):
+    numbers = bytes(body).split()
+    if len(numbers) != count * len(fields):
         expected = f"{count * len(fields)} numbers for {count} vertices"
-        raise DataError(complaint(path, "vertices", expected, f"{len(words)} numbers"))
+        raise DataError(complaint(path, "vertices", expected, f"{len(numbers)} numbers"))
     table = np.zeros(count, dtype)
     for column, (name, _) in enumerate(fields):
-        table[name] = np.array(words[column :: len(fields)]).astype(np.float64)
+        table[name] = np.array(numbers[column :: len(fields)]).astype(np.float64)
     return table, header
 
 

@@ -98,7 +98,7 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
         """Return the corrupted points and the row that each was, -1 for added ones; None where nothing changes."""
         rows = _array(points)
         if rng is None:
-            key = zlib.crc32(np.ascontiguousarray(rows)) if index is None else str(_array(index))
+            key = zlib.crc32(rows.tobytes()) if index is None else str(_array(index))
             rng = random_generator(self.seed, Stream.TRAINING_CORRUPTION, 0, key)
         chosen, kind, level = rng.random(), rng.choice(self.kinds), rng.choice(self.severities)
         seed = rng.integers(1 << 32)

@@ -98,6 +98,9 @@ def test_labels_of_semantickitti_stay_in_step(tmp_path: Path) -> None:
         assert real.all() == (kind == "incomplete_echo")
     assert np.count_nonzero(now & 0xFFFF == 10) == 400 - int(0.95 * 400)
     assert np.count_nonzero(now & 0xFFFF == 40) == len(CLOUD) - 400
+    corrupt_dataset(velodyne / "000000.bin", tmp_path / "one/a.bin", "incomplete_echo", severity=5)
+    assert (tmp_path / "one/a.label").read_bytes() == now.tobytes()
+    assert not (tmp_path / "labels").exists()
 
 
 def test_nuscenes_keeps_intensity_and_ring(tmp_path: Path) -> None:
