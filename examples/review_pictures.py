@@ -97,7 +97,7 @@ def main() -> None:
     parser.add_argument("--episode", type=Path, help="log of an episode")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures/review"), help="folder of the pictures")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="pictures to make; default: all")
-    parser.add_argument("--frames", type=int, default=20, help="frames of the animation")
+    parser.add_argument("--frames", type=int, default=10, help="frames of the animation")
     given = parser.parse_args()
     model, out = open_model(given.drive, given.checkpoint), given.out
     rows = range(10, min(10 + given.frames, model.frame_count(0)))
@@ -110,7 +110,7 @@ def main() -> None:
         "cells.png": lambda path: picture_of_page(model, compare_address(VIEW, foggy), path, cells=2),
         "corruption_lab.png": lambda path: picture_of_page(model, fog, path, show_lab("Corruption lab")),
         "sensor_lab.png": lambda path: picture_of_page(model, pole, path, show_lab("Sensor lab")),
-        "drive.gif": lambda path: write_animation(export_pictures(model, VIEW, (800, 400), rows), path, 0.1),
+        "drive.gif": lambda path: write_animation(export_pictures(model, VIEW, (640, 320), rows), path, 0.1),
     }
     if given.episode is not None:
         pictures["episode.png"] = lambda path: picture_of_page(open_model(given.episode), riding, path)
