@@ -45,16 +45,16 @@ class Outcome:
 
 
 def fuzz(folder: Path, seconds: float, seed: int, only: str = "") -> Outcome:
-    """Feed mutated files to all readers in turn until the time is over.
+    """Feed what is no file to all readers once, then mutated files in turn until the time is over.
 
     Args:
         folder: empty folder for the files.
-        seconds: s.
+        seconds: of the mutated files, s.
         seed: of the mutations.
         only: part of the names of the readers; empty for all.
     """
     readers = [one for one in targets(folder) if only in one.name]
-    outcome, number, end = Outcome(), 0, time.monotonic() + seconds
+    outcome, number = Outcome(), 0
     for reader in readers:
         with suppress(UserError):  # loads what it needs, once for all processes
             reader.read()
@@ -62,6 +62,7 @@ def fuzz(folder: Path, seconds: float, seed: int, only: str = "") -> Outcome:
     for reader in readers:
         for special in ("pipe", "device", "folder", "nothing", "empty") if reader.is_file else ():
             _feed_special(reader, special, outcome)
+    end = time.monotonic() + seconds
     while time.monotonic() < end:
         reader = readers[number % len(readers)]
         original = reader.path.read_bytes()

@@ -1,13 +1,21 @@
 """Readers of untrusted files, each with a real small file to start from."""
 
+import json
+import re
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import torch
+from msgspec.structs import replace
 
+from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.plan import is_campaign, read_campaign
+from dsrc.closed_loop.campaign.run import read_result, results_csv
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.data.checksums import read_checksums
 from dsrc.data.datasets.manifest import read_manifest
@@ -15,19 +23,34 @@ from dsrc.data.datasets.spec import expand, find_split_file, log_settings, read_
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.pcd import encode_pcd, read_pcd
 from dsrc.data.write import write_drive
+from dsrc.evaluation.cache import read_cell
+from dsrc.evaluation.cache import read_settings as cell_settings
 from dsrc.evaluation.config import check as check_plan
 from dsrc.evaluation.config import read_benchmark
+from dsrc.evaluation.evaluate import evaluate_drives
+from dsrc.evaluation.stored import read_index, read_run
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
 from dsrc.models.storage.import_dsrc import import_detector
-from dsrc.ops.grid import GridSpec
+from dsrc.models.storage.import_opencood import Origin, import_opencood
+from dsrc.options.detection import Evaluation
+from dsrc.review.errors.notes import NoteBook
+from dsrc.review.sources.results import open_results
+from dsrc.training.metrics_file import MetricsFile
 from dsrc.training.recipes import RECIPES, debug, override
+from dsrc.training.run_folder import RunFolder
+from dsrc.training.train import train
+from dsrc.training.verify import verify
 from sensors.corruptions.published.snow import read_calibration
+from sim.catalog.import_map import import_map
 from sim.catalog.load import load_scenario
+from sim.mesh.meshfiles import read_3ds, read_obj
 from sim.mesh.solids import to_mesh
 from sim.radio.trace import read_trace
+from sim.roads.networks import read_network
 from sim.roads.pbf import pbf_to_xml
 from sim.roads.polygons import has_buildings, read_outlines
+from sim.roads.tools import run_tool
 from sim.traffic.log import TrafficLog
 from sim.traffic.sumo.demand import _read_trips
 from sim.world.furniture.map_objects import read_map_objects
@@ -35,8 +58,13 @@ from sim.world.world_file import load_world
 from tests.dsrc.closed_loop.logged import Mover, ahead, episode
 from tests.dsrc.data import dair_tree
 from tests.dsrc.data.toy import SETTINGS, ToySource, toy_frame
+from tests.dsrc.evaluation import small
+from tests.dsrc.models.storage.opencood_networks import RANGE_M, network
+from tests.dsrc.training.drive import write_drive as write_drive_of_cars
+from tests.dsrc.training.runs import tiny
 from tests.paths import ROOT
-from tests.sim.catalog.test_import_map import packed_file
+from tests.sim.catalog.test_import_map import packed_file, town
+from tests.sim.mesh.test_meshfiles import small_3ds
 from tests.sim.traffic.test_log import example
 
 RECORDED = ROOT / "scenarios" / "dsrc-sim" / "recorded" / "validation" / "ped_bus_stop_203"
@@ -104,7 +132,10 @@ def targets(folder: Path) -> list[Target]:
         *_archives(folder),
         *_settings(folder),
         *_maps(folder),
+        *_meshes(folder),
         *_detectors(folder),
+        *_results(folder),
+        *_runs(folder),
     ]
 
 
@@ -231,7 +262,22 @@ def _maps(folder: Path) -> list[Target]:
     packed_file(packed)
     polygons.write_text(POLYGONS)
     trips.write_text(TRIPS)
+    net, town_map, drive_map = folder / "town.net.xml", folder / "town.osm", folder / "town.xodr"
+    town_map.write_text(town())
+    run_tool("netconvert", {"osm-files": str(town_map), "output-file": str(net), "no-warnings": True}, net, "town")
+    drive = {"sumo-net-file": str(net), "opendrive-output": str(drive_map), "no-warnings": True}
+    run_tool("netconvert", drive, drive_map, "town")
+
+    def imported(path: Path) -> Callable[[], object]:
+        def read() -> object:
+            with tempfile.TemporaryDirectory(dir=folder) as made:
+                return import_map(path, name="town", out=Path(made) / "town")
+
+        return read
+
     return [
+        Target("SUMO network", net, lambda: read_network(net).getEdges(), "text"),
+        *(Target(f"map {path.suffix}", path, imported(path), "text") for path in (net, town_map, drive_map)),
         Target("OpenStreetMap, binary", packed, lambda: pbf_to_xml(packed, folder / "two.osm")),
         Target("buildings", polygons, lambda: has_buildings(polygons) and read_outlines(polygons), "text"),
         Target("roadside objects", polygons, lambda: read_map_objects(polygons), "text"),
@@ -241,10 +287,77 @@ def _maps(folder: Path) -> list[Target]:
 
 def _detectors(folder: Path) -> list[Target]:
     detector, imported = folder / "detector.pt", folder / "net_epoch1.pth"
-    made = Detector(debug().model)
+    made = Detector(replace(debug().model, shrink_norm=False))
     save_detector(detector, made, {"seed": 1})
-    torch.save({f"pillar_vfe.{name}": tensor for name, tensor in list(made.state_dict().items())[:20]}, imported)
+    torch.save({published_name(name): tensor for name, tensor in made.state_dict().items()}, imported)
+    zoo = folder / "net_epoch2.pth"
+    torch.save(network("v2vnet", kernel=3), zoo)
     return [
         Target("detector", detector, lambda: (load_detector(detector), read_meta(detector)), "tensors"),
-        Target("published detector", imported, lambda: import_detector(imported, GridSpec()), "tensors"),
+        Target("published detector", imported, lambda: import_detector(imported, made.settings.grid), "tensors"),
+        Target("detector of OpenCOOD", zoo, lambda: import_opencood(zoo, Origin(range_m=RANGE_M)), "tensors"),
+    ]
+
+
+def _meshes(folder: Path) -> list[Target]:
+    studio, wavefront = folder / "small.3ds", folder / "quad.obj"
+    studio.write_bytes(small_3ds())
+    wavefront.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl roof\nf 1//1 2//1 3//1 4//1\nf -4 -3 -2\n")
+    return [
+        Target("mesh .3ds", studio, lambda: read_3ds(studio)),
+        Target("mesh .obj", wavefront, lambda: read_obj(wavefront), "text"),
+    ]
+
+
+def published_name(name: str) -> str:
+    """Return the name of a detector's tensor in the published code."""
+    name = name.replace("encoder.", "pillar_vfe.pfn_layers.0.").replace("decoder.", "backbone.deblocks.")
+    name = name.replace("shrink.", "shrink_conv.layers.0.double_conv.")
+    return re.sub(r"backbone\.stages\.(\d)", lambda found: f"backbone.resnet.layer{int(found[1]) + 1}", name)
+
+
+def _results(folder: Path) -> list[Target]:
+    """Results of an evaluation, which `dsrc view` opens and another evaluation resumes."""
+    drives, out = small.write_drives(folder / "judged", drives=1, frames=1), folder / "results"
+    checkpoint = small.write_detector(folder / "judge.pt", "dsrc")
+    evaluate_drives(Evaluation(checkpoints=(str(checkpoint),), data=drives, out=out, corruptions=()))
+    cell = sorted((out / "cells").glob("*.npz"))[0]
+    notes, episodes = folder / "notes.json", folder / "episodes"
+    NoteBook(notes).put("drive_0, 0: missed 3", "behind a bus", ["occlusion"])
+    episodes.mkdir()
+    (episodes / "a.npz").touch()
+    driven = episodes / "a.json"
+    words = dict.fromkeys(EpisodeResult.__struct_fields__, "ideal")
+    driven.write_text(json.dumps(words | {"severity": 3, "seed": 1, "detectable": True, "metrics": {"risk": 0.5}}))
+
+    def told() -> object:
+        result = read_result(episodes, "a")
+        return None if result is None else results_csv([result])
+
+    def judged() -> object:
+        return [read_run(out, keys) for run in read_index(out).runs for keys in run.cells], open_results(out)
+
+    return [
+        Target(
+            "cell", cell, lambda: (read_cell(cell.parent, cell.stem), cell_settings(cell.parent, cell.stem)), "arrays"
+        ),
+        Target("times of a cell", cell.with_suffix(".seconds"), lambda: read_cell(cell.parent, cell.stem), "text"),
+        Target("index of results", out / "detections.json", judged, "text"),
+        Target("notes", notes, lambda: NoteBook(notes).tags, "text"),
+        Target("result of an episode", driven, told, "text"),
+    ]
+
+
+def _runs(folder: Path) -> list[Target]:
+    """A finished training, which `dsrc model verify` reads and the same command resumes."""
+    run = RunFolder(folder / "run" / "plain")
+    train(tiny(epochs=1), write_drive_of_cars(folder / "cars", 2), run.path, "plain")
+    record = json.loads(run.settings.read_text())
+    rows = MetricsFile(run.path)
+    trainer: Any = SimpleNamespace(current_epoch=3)
+    return [
+        Target("settings of a run", run.settings, lambda: (run.state(record), verify(run.path)), "text"),
+        Target("result of a run", run.result, lambda: verify(run.path), "text"),
+        Target("environment of a run", run.environment, lambda: run.note_environment(1), "text"),
+        Target("metrics of a run", rows.path, lambda: rows.on_train_start(trainer, trainer), "text"),
     ]
