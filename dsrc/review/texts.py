@@ -166,7 +166,7 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         )
 
     lines = [cells(head, "th"), *(cells(row, "td") for row in rows)]
-    style = "margin:0 1em;font-size:.78em;line-height:1.6"
+    style = "margin:0 .7em;font-size:.76em;line-height:1.6"
     return f'<table style="{style}">{"".join(f"<tr>{line}</tr>" for line in lines)}</table>'
 
 
