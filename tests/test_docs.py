@@ -8,9 +8,11 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from dsrc.cli.demo import SCENARIO, TEST_SEED
@@ -24,6 +26,8 @@ from dsrc.models.fusion import FUSIONS
 from dsrc.training.recipes import METHODS, of_method, opv2v, small
 from sensors.corruptions.check import example_frame
 from tests.dsrc.data.toy import toy_frame
+from tests.dsrc.evaluation.small import write_detector, write_drives
+from tests.dsrc.models.storage.opencood_networks import network
 from tests.paths import ROOT
 from tests.test_readme import commands_of
 
@@ -134,6 +138,15 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         assert (tmp_path / f"{page}.html").is_file()
     assert 'id="dsrc.LidarSpec"' in (tmp_path / "api.html").read_text()
     assert "helsinki_above.png" in (tmp_path / "gallery.html").read_text()
+    places = {page: set(re.findall(r'\bid="([^"]+)"', page.read_text())) for page in tmp_path.rglob("*.html")}
+    lost = []
+    for page in places:
+        for link in re.findall(r'(?:href|src)="(?!\w+:|//|#")([^"]+)"', page.read_text()):
+            name, _, anchor = unquote(link).partition("#")
+            target = (page.parent / name.partition("?")[0]).resolve() if name else page
+            if not target.exists() or (anchor and anchor not in places.get(target, {anchor})):
+                lost.append((page.name, link))
+    assert lost == []
 
 
 def write_clouds(folder: Path) -> None:
@@ -163,10 +176,18 @@ def write_tracks(folder: Path) -> None:
     (folder / "tracks.csv").write_text("\n".join(["time,id,x,y,yaw,length,width,class", *rows]))
 
 
+def write_team(folder: Path) -> None:
+    """Write a drive of several agents in `data`, and a detector, `detector.pt`."""
+    write_drives(folder / "data", drives=1, frames=1)
+    write_detector(folder / "detector.pt", "attfuse")
+
+
 YOUR_DATA = {
     "Corrupt your clouds": write_clouds,
     "Score your boxes": write_boxes,
     "LiDAR for your tracks": write_tracks,
+    "Load a checkpoint": lambda folder: torch.save(network("v2vnet", kernel=3), folder / "net_epoch30.pth"),
+    "Who helped": write_team,
 }
 """Sections of docs/your_data.md, and the files that they are about."""
 
