@@ -126,7 +126,7 @@ def read_settings(folder: Path, key: str) -> CellSettings:
     stored = _arrays(path).get("settings")
     try:
         return msgspec.json.decode(b"" if stored is None else stored.tobytes(), type=CellSettings)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise DataError(complaint(path, "settings", "those of a cell", str(error), _HINT)) from None
 
 

@@ -115,7 +115,7 @@ def read_index(folder: Path) -> StoredIndex:
         raise DataError(complaint(path, "size", f"at most {_LARGEST_BYTES} bytes", path.stat().st_size, _HINT))
     try:
         index = msgspec.json.decode(path.read_bytes(), type=StoredIndex)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise DataError(complaint(path, "content", "an index of detections", str(error), _HINT)) from None
     if index.version != VERSION:
         raise DataError(complaint(path, "version", str(VERSION), index.version, _HINT))

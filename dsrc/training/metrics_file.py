@@ -14,6 +14,7 @@ from dsrc.evaluation.figures.curves import training_curves
 from dsrc.evaluation.figures.style import png_bytes
 from dsrc.training.validation import is_metric
 from sim.files import write_file
+from sim.reading import parsing, read_text
 
 LOG = logging.getLogger(__name__)
 
@@ -41,8 +42,10 @@ class MetricsFile(pl.Callback):
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Read the rows of an interrupted run, up to the epoch that starts now."""
         if self.path.exists():
-            with self.path.open(newline="", encoding="utf-8") as file:
-                self._rows = [row for row in csv.DictReader(file) if int(row["epoch"]) < trainer.current_epoch]
+            text = read_text(self.path, "table of metrics")
+            with parsing(self.path, "table of metrics"):
+                rows = csv.DictReader(io.StringIO(text))
+                self._rows = [row for row in rows if int(row["epoch"]) < trainer.current_epoch]
 
     def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Start the clock."""
