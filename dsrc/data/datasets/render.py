@@ -60,8 +60,8 @@ def render(
     """
     source = Path(source)
     if source.suffix.lower() in READERS and source.name != TRAFFIC_LOG:
-        with tempfile.TemporaryDirectory(prefix="dsrc-tracks-") as folder:
-            log = record_tracks(source, Path(folder) / source.stem)
+        with tempfile.TemporaryDirectory(prefix="dsrc-tracks-") as temporary:
+            log = record_tracks(source, Path(temporary) / source.stem)
             return render(log, out, changes, pool, progress)
     logs = find_logs(source)
     specs = [spec_of(log, changes) for log in logs]

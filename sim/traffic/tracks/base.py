@@ -168,7 +168,8 @@ def to_log(path: Path, recording: Recording, about: dict | None = None) -> Traff
     if last - first > LONGEST_S:
         expected = f"seconds, at most {LONGEST_S:g} from first to last"
         raise DataError(complaint(path, "time", expected, f"{last - first:g}"))
-    times = first + STEP_S * np.arange(math.floor((last - first) / STEP_S + 1e-6) + 1)
+    steps = math.floor((last - first) / STEP_S + 1e-6) + 1
+    times = np.asarray(first + STEP_S * np.arange(steps), np.float64)
     sampled = [_sampled(path, one, times) for one in recording.tracks]
     ground = recording.ground_m
     models = [choose_model(one.class_name, one.name, 0) for one in recording.tracks]

@@ -111,10 +111,11 @@ def classes_found(errors: Iterable[Errors]) -> tuple[str, ...]:
     names: list[str] = []
     for kind, members in CLASSES_OF.items():
         clear = [
-            cell.found.after_no
+            chance
             for one in errors
             for cell in one.cells
             if (cell.kind, cell.sight) == (kind, "clear") and cell.range_m[1] <= 50.0
+            for chance in (cell.found.not_yet, cell.found.after_no)
         ]
         own = [chance.p for chance in clear if chance.of not in ("sight", "all")]
         names += members if max(own, default=0.0) >= FINDS else ()
@@ -189,7 +190,7 @@ def _chance(event: Mask, groups: Groups) -> Chance:
     for name, rows in groups:
         trials = int(rows.sum())
         if trials >= LEAST or name == groups[-1][0]:
-            value = rate(event[rows])
+            value = rate(event[rows].astype(float).tolist())
             bounds = (0.0, 0.0, 1.0) if trials == 0 else value
             p, low, high = (round(float(bound), 6) for bound in bounds)
             return Chance(p=p, low=low, high=high, trials=trials, of=name)
@@ -205,6 +206,9 @@ def _chain(event: Mask, table: _Table, groups: Groups, counts: Mask | None = Non
     follows = table.before >= 0
     past = np.where(follows, table.before, 0)
     follows, yes = follows & counts[past], event[past]
+    ever = np.zeros(len(event), bool)
+    for row in np.flatnonzero(follows):
+        ever[row] = ever[past[row]] or yes[row]
 
     def of(rows: Mask) -> Chance:
         listed: list[tuple[Wider, Mask]] = [(name, group & counts & rows) for name, group in groups]
@@ -212,7 +216,12 @@ def _chain(event: Mask, table: _Table, groups: Groups, counts: Mask | None = Non
             listed.insert(2, ("kind and sight, whatever came before", groups[1][1] & counts))
         return _chance(event, listed)
 
-    return Chain(first=of(~follows), after_yes=of(follows & yes), after_no=of(follows & ~yes))
+    return Chain(
+        first=of(~follows),
+        not_yet=of(follows & ~ever),
+        after_yes=of(follows & yes),
+        after_no=of(follows & ever & ~yes),
+    )
 
 
 def _box_errors(table: _Table, groups: Groups) -> BoxErrors:
@@ -272,7 +281,7 @@ def _ghosts(sequences: Sequence[Sequence[Observed]], false: Sequence[Sequence[Ma
             )
             examples += np.round(rows[new], 3).tolist()
             past, past_s = place, one.time_s
-    chosen = np.unique(np.linspace(0, len(examples) - 1, EXAMPLES).astype(int)) if examples else []
+    chosen = np.unique(np.linspace(0, len(examples) - 1, EXAMPLES if examples else 0).astype(int)).tolist()
     return Ghosts(
         born=round(born / max(following, 1), 6),
         lives=_chance(np.array(lived, bool), [("cell", np.ones(len(lived), bool))]),

@@ -18,7 +18,8 @@ from sim.files import write_file
 from sim.radio import IDEAL
 from sim.reading import read_bytes
 
-FORMAT = "dsrc error model 1"
+Format = Literal["dsrc error model 1"]
+FORMAT: Format = "dsrc error model 1"
 QUANTILES = tuple(k / 10 for k in range(11))
 """Shares of the scores below those of `BoxErrors.score`."""
 PARTS = ("along", "across", "up", "length", "width", "height", "yaw", "score")
@@ -58,25 +59,30 @@ class Chain(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     Attributes:
         first: chance at the first percept.
+        not_yet: chance after percepts that all were without it.
         after_yes: chance after a percept with it.
-        after_no: chance after one without.
+        after_no: chance after one without, when there was one with it before.
     """
 
     first: Chance
+    not_yet: Chance
     after_yes: Chance
     after_no: Chance
 
-    def at(self, before: bool | None, intervals: float) -> float:
+    def at(self, before: bool | None, ever: bool, intervals: float) -> float:
         """Return the chance of the event.
 
         The chain in continuous time that has these chances: its correlation is raised to the power of the time.
 
         Args:
             before: whether the event was there the last time; None at the first percept.
-            intervals: time since then over the interval of the fit.
+            ever: whether it was there at any time before.
+            intervals: time since the last time over the interval of the fit.
         """
         if before is None:
             return self.first.p
+        if not ever:
+            return 1.0 - (1.0 - self.not_yet.p) ** intervals
         yes, no = self.after_yes.p, self.after_no.p
         if intervals == 1.0 or no == yes:
             return yes if before else no
@@ -186,7 +192,7 @@ class ErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         conditions: of the recordings.
     """
 
-    format: Literal["dsrc error model 1"] = FORMAT
+    format: Format = FORMAT
     perception: str
     detector: str = ""
     cooperative: bool

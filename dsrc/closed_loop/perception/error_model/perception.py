@@ -32,7 +32,8 @@ class _Memory:
     Attributes:
         rng: its own random numbers, so that no object moves another's.
         noise: (8,) standard normal numbers of `PARTS`.
-        found: whether it was found the last time.
+        found: whether it was found the last time; None where it was outside of the area.
+        ever: whether it was found since it came into the area.
         flipped: whether its box pointed backwards the last time that it was found; None before.
         percept: number of the last percept in which it was inside the area.
     """
@@ -40,6 +41,7 @@ class _Memory:
     rng: np.random.Generator
     noise: NDArray[np.float64]
     found: bool | None = None
+    ever: bool = False
     flipped: bool | None = None
     percept: int = -1
 
@@ -112,13 +114,14 @@ class ModelPerception:
             memory.noise = kept * memory.noise + np.sqrt(1.0 - kept**2) * fresh
         chance = memory.rng.random(2)
         if memory.percept != self._percepts - 1:
-            memory.found = None  # it comes from outside of the area
+            memory.found, memory.ever = None, False
         memory.percept = self._percepts
-        memory.found = bool(chance[0] < cell.found.at(memory.found, intervals))
+        memory.found = bool(chance[0] < cell.found.at(memory.found, memory.ever, intervals))
+        memory.ever |= memory.found
         if not memory.found:
             return None
         flips: Chain = self.errors.flipped
-        memory.flipped = bool(chance[1] < flips.at(memory.flipped, intervals))
+        memory.flipped = bool(chance[1] < flips.at(memory.flipped, True, intervals))
         error = np.array(cell.errors.bias) + np.array(cell.errors.sd) * memory.noise[:7]
         cos, sin = np.cos(box[6]), np.sin(box[6])
         drawn = np.zeros(8)

@@ -39,11 +39,12 @@ def test_rates_of_misses_are_found_again_within_their_intervals(errors: Errors) 
     for chance, true in (
         (cell.found.first, percepts.FOUND),
         (cell.found.after_yes, percepts.AFTER_FOUND),
+        (cell.found.not_yet, percepts.AFTER_MISSED),
         (cell.found.after_no, percepts.AFTER_MISSED),
     ):
         assert chance.of == "cell"
         assert chance.low <= true <= chance.high
-        assert chance.high - chance.low < 0.15
+        assert chance.high - chance.low < 0.2
 
 
 def test_errors_of_boxes_are_those_of_the_objects_frame(errors: Errors) -> None:
@@ -104,12 +105,15 @@ def test_a_chain_over_another_interval_keeps_its_rate() -> None:
         return Chance(p=p, low=0.0, high=1.0, trials=1)
 
     chain = fit_errors([sequence(0)], INTERVAL_S).cells[0].found
-    chain = msgspec.structs.replace(chain, first=chance(0.5), after_yes=chance(0.9), after_no=chance(0.3))
+    chain = msgspec.structs.replace(
+        chain, first=chance(0.5), after_yes=chance(0.9), after_no=chance(0.3), not_yet=chance(0.2)
+    )
     rate = 0.3 / (0.3 + 0.1)
-    twice = (chain.at(True, 1.0) * 0.9 + (1 - chain.at(True, 1.0)) * 0.3, 0.3 * 0.9 + 0.7 * 0.3)
-    assert (chain.at(True, 2.0), chain.at(False, 2.0)) == pytest.approx(twice)
-    assert chain.at(True, 1e3) == pytest.approx(rate)
-    assert chain.at(None, 2.0) == 0.5
+    twice = (0.9 * 0.9 + 0.1 * 0.3, 0.3 * 0.9 + 0.7 * 0.3)
+    assert (chain.at(True, True, 2.0), chain.at(False, True, 2.0)) == pytest.approx(twice)
+    assert chain.at(False, False, 2.0) == pytest.approx(1.0 - 0.8**2)
+    assert chain.at(True, True, 1e3) == pytest.approx(rate)
+    assert chain.at(None, False, 2.0) == 0.5
 
 
 def test_a_file_is_read_as_it_was_written(errors: Errors, tmp_path: Path) -> None:
@@ -151,3 +155,11 @@ def test_a_condition_that_was_not_recorded_is_named(errors: Errors) -> None:
     assert model.errors("m.json", ("clean", 3, "paper", "all", "its-g5-6")) is errors  # alone: any channel
     with pytest.raises(SettingsError, match=r"m\.json: conditions: expected one of clean .*, found fog 3"):
         model.errors("m.json", ("fog", 3, "physical", "all", "ideal"))
+
+
+def test_what_was_never_found_is_told_from_what_was_lost() -> None:
+    stubborn = [sequence(seed, sight="clear") for seed in range(3)]
+    blind = [replace(one, found=one.found[:0], score=one.score[:0]) for one in sequence(9)]
+    cell = cell_of(fit_errors([*stubborn, blind, blind, blind], INTERVAL_S), "car", "clear", (15.0, 30.0))
+    assert cell.found.not_yet.p < 0.1
+    assert cell.found.after_no.p > percepts.AFTER_MISSED - 0.1
