@@ -172,6 +172,8 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             for name, settings in FURTHER.items()
             for seed in range(two)
         ),
+        Training(ALONE, 6, "no-collaboration", settings=(*long, *VULNERABLE), stage="plain", steps=JOINT),
+        Training("vulnerable", 6, "attfuse", ALONE, settings=(*SLOW, *VULNERABLE)),
     ]
     return sorted(planned, key=lambda training: training.stage == "student" and training.seed > 1)
 
@@ -185,6 +187,9 @@ FURTHER = {
     "directed": ("direction=true",),
 }
 """Extensions of the paper, as changes of the recipe by name."""
+ALONE = "vulnerable-alone"
+VULNERABLE = ("users=vulnerable", 'grid={"range_m":[-38.4,-25.6,-3,38.4,25.6,1],"cell_m":0.2}')
+"""Network for pedestrians and two-wheelers, on a grid as fine as they are small."""
 
 
 def command(training: Training, options: argparse.Namespace, known: dict[str, Training]) -> list[str]:

@@ -14,6 +14,9 @@ CLASSES = ("car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian")
 VEHICLES = ("car", "van", "truck", "bus")
 """Classes that detection counts as vehicles, as in OPV2V and DAIR-V2X."""
 
+VULNERABLE = ("pedestrian", "bicycle", "motorcycle")
+"""Vulnerable road users: those without a body of steel around them."""
+
 # Corner order of the OPV2V tools: front right, front left, rear left, rear right; bottom, then top.
 _CORNER_SIGNS = np.array(
     [[x, y, z] for z in (-0.5, 0.5) for x, y in ((0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5))]
@@ -79,6 +82,11 @@ class Boxes:
     def is_vehicle(self) -> NDArray[np.bool_]:
         """(N,) mask of `VEHICLES`."""
         return np.isin(self.label, [CLASSES.index(name) for name in VEHICLES])
+
+    @property
+    def is_vulnerable(self) -> NDArray[np.bool_]:
+        """(N,) mask of `VULNERABLE`."""
+        return np.isin(self.label, [CLASSES.index(name) for name in VULNERABLE])
 
     def corners(self) -> NDArray[np.float64]:
         """Return (N, 8, 3) corners: front right, front left, rear left, rear right at the bottom, then on top."""

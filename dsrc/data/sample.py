@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.points_in_boxes import points_in_boxes
+from dsrc.ops.anchors import Users
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from sensors.frame import Frame
@@ -24,9 +25,9 @@ class Sample:
         agent_ids: (A,) ids, ego first.
         clouds: per agent (P, 4) float32 x, y, z, intensity; own body removed, cropped to the grid's range.
         ego_from_agent: (A, 4, 4) float64 poses of the agents' LiDARs.
-        boxes: ground truth: vehicles with a point of any agent that takes part, all corners in range; without the ego,
-            unless OpenCOOD judges.
-        agent_boxes: per agent the vehicles of the ground truth with a point of its own.
+        boxes: ground truth: road users that are to be detected, with a point of any agent that takes part, all corners
+            in range; without the ego, unless OpenCOOD judges.
+        agent_boxes: per agent the boxes of the ground truth with a point of its own.
         lost: per agent (h, w) bool tiles of its feature map that were lost, (0, 0) for none; empty where no agent lost
             one.
         other_clouds: (P, 4) clouds of agents in range that are not fused; a teacher's objects have their points.
@@ -49,7 +50,7 @@ class SampleDetector(Protocol):
 
     @property
     def settings(self) -> Any:
-        """Settings with `grid`, and those of `max_agents`, `team_by` and `judged_by` that are not the default."""
+        """Settings with `grid`, and those of `users`, `max_agents`, `team_by`, `judged_by` that are not the default."""
         ...
 
     def detect(self, sample: Sample) -> Detections:
@@ -89,6 +90,7 @@ def make_sample(
     keep_ego_box: bool = False,
     team_by: TeamBy = "range",
     truth_range_m: Range | None = None,
+    users: Users = "vehicles",
 ) -> Sample:
     """Make the sample of one ego in a frame; `sample_for` makes that of a detector.
 
@@ -103,6 +105,7 @@ def make_sample(
         keep_ego_box: keep the ego's own box where a collaborator has a point on it, as OpenCOOD does.
         team_by: order of the rules of range and number.
         truth_range_m: range of the ground truth, where it is not the grid's.
+        users: road users of the ground truth.
 
     Raises:
         DataError: the frame lacks the ego.
@@ -111,7 +114,8 @@ def make_sample(
     ego = frame.agents[rows[0]]
     ego_from_world = invert(ego.sweep.world_from_lidar)
     truth = frame.truth.transform(ego_from_world)
-    eligible = truth.is_vehicle & inside(truth, truth_range_m or grid.range_m)
+    wanted = truth.is_vehicle if users == "vehicles" else truth.is_vulnerable
+    eligible = wanted & inside(truth, truth_range_m or grid.range_m)
     if not keep_ego_box:
         eligible &= truth.object_id != ego.agent_id
     seen = frame.points_on[rows] >= 1
@@ -153,6 +157,7 @@ def sample_for(settings: Any, frame: Frame, ego_id: int | None, *, cooperative: 
         keep_ego_box=getattr(settings, "judged_by", "grid") == "opencood",
         team_by=getattr(settings, "team_by", "range"),
         truth_range_m=judged_range(settings),
+        users=getattr(settings, "users", "vehicles"),
     )
 
 

@@ -22,11 +22,12 @@ from dsrc.models.layers.blocks import Compressor, Decoder, double_conv, upsample
 from dsrc.models.layers.encoder import PillarEncoder, Pillars
 from dsrc.models.pose_graph import aligned
 from dsrc.models.settings import ModelSettings
-from dsrc.ops.anchors import anchor_grid
+from dsrc.ops.anchors import ANCHORS, anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, headed, in_half_turn
 from dsrc.ops.detections import Detections
 from dsrc.ops.postprocess import PostSettings, decode_detections
 from sensors.frame import Frame
+from sim.boxes import VEHICLES, VULNERABLE
 
 # Legend: N agents of all samples, B samples, H W input grid, h w = H/s W/s output grid, s = settings.head_stride.
 
@@ -159,7 +160,13 @@ class Detector(nn.Module):
     @cached_property
     def anchors(self) -> NDArray[np.float64]:
         """(h, w, 2, 7) anchors x, y, z, l, w, h, yaw."""
-        return anchor_grid(self.settings.grid, self.settings.head_stride, self.settings.anchor_lwh)
+        settings = self.settings
+        return anchor_grid(settings.grid, settings.head_stride, settings.users, settings.anchor_lwh)
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Classes of what is detected."""
+        return VEHICLES if self.settings.users == "vehicles" else VULNERABLE
 
     def decode(self, output: Output) -> list[Detections]:
         """Decode the heads' maps into detections in the range that counts, one `Detections` per row of the batch.
@@ -180,12 +187,13 @@ class Detector(nn.Module):
             second = output.direction.detach().float().cpu().numpy() > 0
             start = settings.direction_start
             reg = headed(reg, second) if start is None else in_half_turn(reg, second, self.anchors, start)
-        found = [decode_detections(c, r, self.anchors, post) for c, r in zip(cls, reg, strict=True)]
+        label = ANCHORS[settings.users].label
+        found = [decode_detections(c, r, self.anchors, post, label) for c, r in zip(cls, reg, strict=True)]
         return [Detections(mirrored(f.boxes), f.score) for f in found] if settings.left_handed else found
 
     @torch.inference_mode()
     def detect(self, sample: Sample) -> Detections:
-        """Detect vehicles in one sample, best first, in the ego LiDAR's frame.
+        """Detect road users in one sample, best first, in the ego LiDAR's frame.
 
         Raises:
             ValueError: the detector is a teacher, which reads clouds made with ground truth.
@@ -211,7 +219,7 @@ class Detector(nn.Module):
 
 
 def detect(detector: Detector, frame: Frame, ego_id: int | None = None, *, cooperative: bool = True) -> Detections:
-    """Detections of vehicles in a frame, best first, in the ego LiDAR's frame.
+    """Detections in a frame, best first, in the ego LiDAR's frame.
 
     Args:
         detector: its settings give range and number of agents.

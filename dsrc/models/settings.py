@@ -8,6 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from dsrc.data.sample import JudgedBy, TeamBy
+from dsrc.ops.anchors import Users
 from dsrc.ops.grid import GridSpec
 from sim.errors import did_you_mean
 
@@ -24,6 +25,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         grid: bird's-eye grid in the ego LiDAR's frame.
+        users: road users that are detected, see `dsrc.ops.anchors.ANCHORS`.
         role: input clouds: a teacher's are built with ground truth, a student's are the sensors'.
         fusion: key of `dsrc.models.fusion.FUSIONS`.
         backbone: key of `BACKBONES`; None is the method's own: CoAlign's residual blocks, Res2Net for all others.
@@ -62,7 +64,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         shrink_norm: batch norms in these two convolutions. The published networks have none; ours then lost nearly half
             of the channels, which were negative in every cell.
         norm_momentum: momentum of the batch norms of the encoder, the decoder and the shrink convolutions.
-        anchor_lwh: size of the anchors, m; None is a typical car's.
+        anchor_lwh: size of the anchors, m; None is that of `users`.
         direction: a third head classifies the box's direction along its anchor; without it, front and back are guessed.
         direction_start: heading at which the first of the two half turns begins that this head tells apart, rad, as in
             PointPillars and CoAlign; None is the direction along the anchor.
@@ -80,6 +82,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     grid: GridSpec = GridSpec()
+    users: Users = "vehicles"
     role: Literal["student", "teacher"] = "student"
     fusion: str = "attention"
     backbone: Backbone | None = None

@@ -37,6 +37,7 @@ def decode_detections(
     regression: Any,
     anchors: NDArray[np.float64],
     settings: PostSettings,
+    label: NDArray[np.int64] | None = None,
 ) -> Detections:
     """Decode the detections of one sample, in the frame of the anchors (the ego LiDAR's).
 
@@ -45,8 +46,9 @@ def decode_detections(
         regression: (14, H, W) deltas, 7 per anchor.
         anchors: (H, W, 2, 7).
         settings: thresholds and filters.
+        label: (2,) classes of boxes by anchor; None for cars.
     """
-    boxes, scores = candidates(cls_logits, regression, anchors, settings.score_threshold)
+    boxes, scores = candidates(cls_logits, regression, anchors, settings.score_threshold, label)
     return select(boxes, scores, settings)
 
 
@@ -55,6 +57,7 @@ def candidates(
     regression: Any,
     anchors: NDArray[np.float64],
     score_threshold: float,
+    label: NDArray[np.int64] | None = None,
 ) -> tuple[Boxes, NDArray[np.float32]]:
     """Decode the anchors above the threshold.
 
@@ -68,7 +71,8 @@ def candidates(
     maps = _numpy(regression).reshape(logits.shape[-1], 7, *logits.shape[:2])
     boxes = decode(maps[anchor, :, row, column].astype(np.float64), anchors[row, column, anchor])
     finite = np.isfinite(boxes).all(axis=1)
-    return Boxes.from_array(boxes[finite]), scores[row, column, anchor][finite]
+    labels = None if label is None else label[anchor][finite]
+    return Boxes.from_array(boxes[finite], labels), scores[row, column, anchor][finite]
 
 
 def select(boxes: Boxes, scores: NDArray[np.float32], settings: PostSettings) -> Detections:

@@ -121,13 +121,16 @@ class DetectionData(pl.LightningDataModule):
         super().__init__()
         self.recipe, self.settings = recipe, settings
         agents = (recipe.comm_range_m, recipe.model.max_agents, recipe.labels.ego_box, recipe.model.team_by)
-        wide = SampleStore(drives, source_grid(recipe.model.grid, recipe.augmentation), *agents)
+        users = recipe.model.users
+        wide = SampleStore(drives, source_grid(recipe.model.grid, recipe.augmentation), *agents, users=users)
         frames, held_out = wide.frames, wide.frames
         if validation_drives is None and recipe.validation_share > 0:
             held = {f for f in wide.frames if _is_held_out(f, len(wide.drives[f.drive]), recipe.validation_share)}
             frames, held_out = [f for f in wide.frames if f not in held], [f for f in wide.frames if f in held]
         judged_m, with_ego = judged_range(recipe.model), recipe.model.judged_by == "opencood" or recipe.labels.ego_box
-        exact = SampleStore(validation_drives or drives, recipe.model.grid, *agents[:2], with_ego, agents[3], judged_m)
+        exact = SampleStore(
+            validation_drives or drives, recipe.model.grid, *agents[:2], with_ego, agents[3], judged_m, users
+        )
         if validation_drives is not None:
             held_out = exact.frames
         self.training = TrainingSet(wide, frames, recipe, seed)

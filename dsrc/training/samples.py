@@ -10,6 +10,7 @@ from pathlib import Path
 
 from dsrc.data.drives import open_drive
 from dsrc.data.sample import Range, Sample, TeamBy, make_sample
+from dsrc.ops.anchors import Users
 from dsrc.ops.grid import GridSpec
 from sensors.corruptions import corrupt_frame
 from sensors.frame import Frame
@@ -44,6 +45,7 @@ class SampleStore:
         keep_ego_box: bool = False,
         team_by: TeamBy = "range",
         truth_range_m: Range | None = None,
+        users: Users = "vehicles",
     ) -> None:
         """Open the drives.
 
@@ -55,6 +57,7 @@ class SampleStore:
             keep_ego_box: count the ego's own body as an object where a collaborator has seen it.
             team_by: order of the rules of range and number by which agents take part.
             truth_range_m: range of the ground truth, where it is not the grid's.
+            users: road users of the ground truth.
 
         Raises:
             DataError: the drives have no frames.
@@ -62,6 +65,7 @@ class SampleStore:
         self.drives = [open_drive(drive) for drive in drives]
         self.grid, self.comm_range_m, self.max_agents = grid, comm_range_m, max_agents
         self.keep_ego_box, self.team_by, self.truth_range_m = keep_ego_box, team_by, truth_range_m
+        self.users: Users = users
         self.frames = [FrameRef(d, i) for d, reader in enumerate(self.drives) for i in range(len(reader))]
         if not self.frames:
             raise DataError(complaint(drives[0] if drives else "data", "frames", "at least one", 0))
@@ -96,5 +100,6 @@ class SampleStore:
             keep_ego_box=self.keep_ego_box,
             team_by=self.team_by,
             truth_range_m=self.truth_range_m,
+            users=self.users,
             key=f"{reader.drive.name}/{ego_id}/{reader.frames[ref.position]:06d}",
         )

@@ -19,7 +19,7 @@ from dsrc.models.inputs.trained_frame import as_trained, mirrored
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.reconstruction import SceneVoxels
 from dsrc.models.settings import ModelSettings
-from dsrc.ops.anchors import anchor_grid
+from dsrc.ops.anchors import ANCHORS, anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.pillars import voxelise
@@ -29,10 +29,6 @@ from sim.boxes import Boxes
 from sim.geometry import invert, transform_points
 
 # Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
-
-_POSITIVE_IOU = 0.5
-"""Overlap of a positive anchor with its box; about the 0.6 of the released code, whose overlap adds a metre to every
-side."""
 
 _LABELS = LabelSettings()
 
@@ -353,9 +349,10 @@ _anchors = lru_cache(maxsize=4)(anchor_grid)
 
 def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: LabelSettings) -> Targets:
     """Assign every sample's boxes to anchors."""
-    anchors = _anchors(settings.grid, settings.head_stride, settings.anchor_lwh)
     legacy = labels.targets == "released"
-    found = [assign_targets(sample.boxes.array, anchors, _POSITIVE_IOU, legacy) for sample in samples]
+    anchors = _anchors(settings.grid, settings.head_stride, settings.users, settings.anchor_lwh)
+    least = ANCHORS[settings.users].positive_iou
+    found = [assign_targets(sample.boxes.array, anchors, least, legacy) for sample in samples]
     regression = np.stack([np.asarray(t.regression, np.float32) for t in found])
     if settings.box_order == "hwl":
         regression = regression.reshape(*regression.shape[:3], 2, 7)[..., REFERENCE_ORDER].reshape(regression.shape)

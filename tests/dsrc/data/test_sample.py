@@ -117,6 +117,12 @@ def test_boxes_are_vehicles_with_a_point_of_any_agent_without_the_ego():
     assert kept.boxes.object_id.tolist() == [1000, 1001, 1002, 1004]
 
 
+def test_vulnerable_road_users_are_another_ground_truth_of_the_same_clouds():
+    vehicles, others = (make_sample(toy_frame(0), None, GRID, users=users) for users in ("vehicles", "vulnerable"))
+    assert others.boxes.object_id.tolist() == [1003]  # a pedestrian
+    assert all((one == other).all() for one, other in zip(vehicles.clouds, others.clouds, strict=True))
+
+
 def test_the_ground_truth_of_the_ego_alone_is_that_of_all_agents():
     frame = toy_frame(0)
     alone = make_sample(frame, 1002, GRID, cooperative=False)

@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
 
-from dsrc.ops.anchors import anchor_grid
+from dsrc.ops.anchors import ANCHORS, anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.grid import GridSpec
+from dsrc.ops.postprocess import PostSettings, decode_detections
+from dsrc.ops.targets import assign_targets
+from sim.boxes import CLASSES
 from sim.errors import SettingsError
 from tests.paths import GOLDENS
 
@@ -40,3 +43,29 @@ def test_anchors_sit_at_the_centres_of_the_output_cells():
 def test_a_grid_that_the_stride_does_not_divide_is_refused():
     with pytest.raises(SettingsError, match="multiple of 2"):
         anchor_grid(GridSpec(range_m=(0, 0, -3, 1.2, 4, 1)))
+
+
+def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stands():
+    grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
+    anchors, (_, label, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
+    rng = np.random.default_rng(0)
+    for name, size in (("pedestrian", (0.5, 0.6, 1.7)), ("bicycle", (1.8, 0.65, 1.7)), ("motorcycle", (2.2, 0.8, 1.5))):
+        place = np.append(rng.uniform(-10, 10, (60, 2)), rng.uniform(-1.2, -0.8, (60, 1)), axis=1)
+        rows = np.column_stack([place, np.tile(size, (60, 1)), rng.uniform(-np.pi, np.pi, 60)])
+        for row in rows:
+            found = assign_targets(row[None], anchors, least)
+            classes = {CLASSES[label[anchor]] for anchor in np.nonzero(found.positive)[2]}
+            assert classes == {"pedestrian" if name == "pedestrian" else "bicycle"}
+
+
+def test_perfect_maps_decode_to_the_road_users_and_their_classes():
+    grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
+    anchors, (_, label, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
+    boxes = np.array([(3.0, 4.0, -1.0, 0.5, 0.6, 1.7, 2.0), (-6.1, 2.0, -1.0, 1.8, 0.65, 1.7, -0.8)])
+    found = assign_targets(boxes, anchors, least)
+    logits = np.where(np.moveaxis(found.positive, -1, 0), 4.0, -9.0)
+    regression = np.moveaxis(found.regression, -1, 0)
+    read = decode_detections(logits, regression, anchors, PostSettings(), label)
+    read = read[np.argsort(-read.boxes.label)]
+    assert [CLASSES[i] for i in read.boxes.label] == ["pedestrian", "bicycle"]
+    np.testing.assert_allclose(read.boxes.array, boxes, atol=1e-5)
