@@ -70,7 +70,8 @@ def compare(real: dict[Key, Outcome], modelled: dict[Key, Outcome]) -> dict[tupl
             if outcome != Outcome.DESYNCHRONISED:
                 for row in (scenario, "all"):
                     crashes[name, row][column].append(float(outcome == Outcome.CRASHED))
-    return {row: (rate(ours), rate(theirs)) for row, (ours, theirs) in crashes.items()}
+    rows = sorted(crashes.items(), key=lambda item: (item[0][0], item[0][1] == "all", item[0][1]))
+    return {row: (rate(ours), rate(theirs)) for row, (ours, theirs) in rows}
 
 
 def shown(one: Estimate) -> str:
@@ -93,7 +94,7 @@ def draw(rows: dict[tuple[str, str], tuple[Estimate, Estimate]], path: Path) -> 
         axes.set_yticks(range(len(rows)), [f"{name}: {scenario}" for name, scenario in rows])
         axes.invert_yaxis()
         axes.set(xlim=(-2, 102), xlabel="collision rate, %")
-        axes.legend(loc="lower right")
+        axes.legend(loc="upper left")
         return save(figure, path, colors=64, keep=[COLORS[0], HIGHLIGHT])
 
 
