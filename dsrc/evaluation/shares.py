@@ -96,7 +96,7 @@ def share_sample(
     seen = judged_range(detector.settings)
     found = [part[inside(part.boxes, seen)] for part in team_detections(detector, sample)]
     whole = found[-1]
-    hits: NDArray[np.bool_] = _overlaps(whole.boxes, sample.boxes, iou).any(axis=1)
+    hits: NDArray[np.bool_] = np.any(_overlaps(whole.boxes, sample.boxes, iou), axis=1)
     false = whole.boxes[~hits]
     boxes = concatenate([sample.boxes, false])
     values = np.stack([_values(boxes, part, iou) for part in found])
