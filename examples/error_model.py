@@ -1,7 +1,7 @@
 """Collision rates of an error model beside those of the real loop: the same encounters and seeds, other seeds to fit.
 
-The seeds are halved: a model that was fitted to the episodes of one half drives those of the other. The folder is that of
-`dsrc drive CAMPAIGN.toml --out runs/real`.
+The seeds are halved: a model that was fitted to the episodes of one half drives those of the other. The folder is
+that of `dsrc drive CAMPAIGN.toml --out runs/real`.
 
 Usage:
     python examples/error_model.py --real runs/real --out docs/pictures/closed_loop
