@@ -71,7 +71,7 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
         file: checkpoint; only tensors are read, no code is run.
         out: detector file, in full precision.
         family: published code that wrote it: DSRC's own, or PointPillar models of OpenCOOD, CoAlign and ERMVP.
-        method: fusion method, where the tensors fit several.
+        method: fusion method, where the tensors fit several; default: the one that fits.
         teacher: import the teacher's half of a file of DSRC's.
         range_m: detection range of its training: x, y, z of the low and of the high corner, m; default: the published
             recipe's.

@@ -83,7 +83,7 @@ class Sharing(Severity, frozen=True, kw_only=True):
         checkpoint: detector file.
         data: a drive, or a folder of drives.
         out: folder of shares.csv, shares.json and shares.png.
-        corruptions: kinds of corruption; paper_six are those of the paper's tables; clean frames are always looked at.
+        corruptions: kinds of corruption beside clean frames; paper_six are those of the paper's tables; default: none.
         who: agents whose sweeps are corrupted, by word or by their ids.
         channel: radio channel; default: no loss and no delay.
         iou: least overlap in bird's-eye view of a detection with the box that it is of.
