@@ -21,6 +21,7 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
         "train": "model.Train",
         "verify": "model.Verify",
         "import": "model.Import",
+        "join": "model.Join",
         "export": "model.Export",
         "fit": "fit.Fit",
     },

@@ -151,6 +151,30 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
                 )
 
 
+class Join(msgspec.Struct, frozen=True, kw_only=True):
+    """Join detectors of different road users into one file, for `dsrc drive`.
+
+    Attributes:
+        vehicles: detector file of vehicles, whose grid holds the other's.
+        vulnerable: detector file of pedestrians and two-wheelers, trained with `--set users=vulnerable`.
+        out: detector file.
+    """
+
+    vehicles: Positional[File]
+    vulnerable: Positional[File]
+    out: File
+    output: Output = Output()
+
+    def run(self) -> None:
+        """Write the file and print its path."""
+        from dsrc.models.storage.checkpoint import join_files
+        from sim.files import check_output
+
+        check_output(self.out, "archive")
+        join_files([self.vehicles, self.vulnerable], self.out)
+        sys.stdout.write(f"{self.out}\n")
+
+
 class Export(msgspec.Struct, frozen=True, kw_only=True):
     """Export a detector to ONNX; its inputs are the points of one sample, sorted into pillars.
 

@@ -63,10 +63,10 @@ class CorruptOptions(Severity, frozen=True):
         out: folder of the corrupted drives or scans, which keep their names; the drive or the file itself where `data`
             is one.
         corruption: kind of the corruption.
-        preset: published settings by name in place of severity and family, such as robo3d_heavy.
+        preset: published settings in place of severity and family, such as robo3d_heavy; default: those of the severity.
         who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
             acts on their sensors and nowhere else.
-        set: settings in place of the severity's, such as calibration=hdl64.npz
+        set: settings in place of the severity's, such as calibration=hdl64.npz; default: none.
         sensor: preset of the LiDAR of scans, such as hdl-64e-s2; default: rings are found in the points.
         seed: seed of the corruption; every drive draws its own weather and faults from it.
     """

@@ -151,13 +151,9 @@ def _modelled(text: str, file: Path | None, faults: Faults, channel: str | Chann
 
 
 def _loaded(path: Path, device: str, engine: str, late: bool) -> SampleDetector:
-    from dsrc.models.storage.checkpoint import load_student, with_fusion
-    from dsrc.models.storage.deploy import ENGINES
+    from dsrc.models.storage.checkpoint import load_joined
 
-    if not late or engine not in ENGINES:
-        return load_student(path, device, engine)
-    # Weights of optimised networks have other names: first the fusion is exchanged.
-    return ENGINES[engine](with_fusion(load_student(path, device, "plain"), LATE))
+    return load_joined(path, device, engine, LATE if late else "")
 
 
 def _own(text: str) -> Any:

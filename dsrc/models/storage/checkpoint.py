@@ -1,6 +1,6 @@
 """Detector files: weights, settings and provenance, loaded without running code from the file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +9,17 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.models.detector import Detector
+from dsrc.models.joined import JoinedDetectors
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.deploy import ENGINES
 from dsrc.models.storage.tensors import is_plain, read_tensors
+from dsrc.ops.anchors import ANCHORS
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 from sim.files import replacing
 
 FORMAT = "dsrc-detector-1"
+JOINED = "dsrc-detectors-1"
+"""Format of a file of several detectors of different road users."""
 _MOST_BLOCKS = 1000
 
 
@@ -31,9 +35,25 @@ def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None
     state = {name: _stored(tensor, half) for name, tensor in detector.state_dict().items()}
     content = {"format": FORMAT, "settings": msgspec.to_builtins(detector.settings), "state": state}
     content["meta"] = msgspec.to_builtins(dict(meta or {}), enc_hook=str)
+    _save(path, content)
+
+
+def _save(path: Path, content: Mapping[str, Any]) -> None:
     # By way of an open file: PyTorch keeps the name of a path in the archive.
     with replacing(path) as temporary, temporary.open("wb") as file:
         torch.save(content, file)
+
+
+def join_files(paths: Sequence[Path], out: Path) -> JoinedDetectors:
+    """Join detector files of different road users into one, and return what `load_joined` reads of it.
+
+    Raises:
+        CheckpointError: a file is missing, damaged or not one student.
+        SettingsError: the detectors do not go together, see `JoinedDetectors`.
+    """
+    joined = JoinedDetectors([load_student(path, engine="plain") for path in paths])
+    _save(out, {"format": JOINED, "detectors": [_content(Path(path)) for path in paths]})
+    return joined
 
 
 def load_detector(path: Path, device: str = "cpu") -> Detector:
@@ -42,7 +62,10 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
     Raises:
         CheckpointError: the file is missing, damaged, not a detector, or of another version of the network.
     """
-    content = _content(Path(path))
+    return _detector(path, _content(Path(path))).to(device)
+
+
+def _detector(path: Path, content: Mapping[str, Any]) -> Detector:
     state = content.get("state")
     try:
         settings = msgspec.convert(content["settings"], ModelSettings)
@@ -65,7 +88,7 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
             raise CheckpointError(complaint(path, f"state.{name}", "finite numbers", "NaN or infinity"))
     detector = Detector(settings)
     detector.load_state_dict({name: state[name].to(tensor.dtype) for name, tensor in wanted.items()})
-    return detector.to(device).eval()
+    return detector.eval()
 
 
 def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Detector:
@@ -80,13 +103,38 @@ def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Dete
         CheckpointError: as `load_detector`, or the file holds a teacher.
         SettingsError: the engine is unknown, or missing on this machine.
     """
+    return _student(path, _content(Path(path)), device, engine)
+
+
+def load_joined(path: Path, device: str = "cpu", engine: str = "fused", fusion: str = "") -> Detector | JoinedDetectors:
+    """Read the students of a detector file, one or several that are joined; arguments and errors as `load_student`.
+
+    Args:
+        path: the file.
+        device: device of the tensors.
+        engine: key of `ENGINES`.
+        fusion: fusion method in place of theirs, see `with_fusion`; "" for theirs.
+
+    Raises:
+        SettingsError: the detectors do not go together.
+    """
+    content = _content(Path(path), (FORMAT, JOINED))
+    parts = content.get("detectors") if content["format"] == JOINED else [content]
+    if not isinstance(parts, list) or not 1 <= len(parts) <= len(ANCHORS):
+        raise CheckpointError(complaint(path, "detectors", f"1 to {len(ANCHORS)} detectors", type(parts).__name__))
+    students = [_student(path, _checked(path, part), device, engine, fusion) for part in parts]
+    return students[0] if len(students) == 1 else JoinedDetectors(students)
+
+
+def _student(path: Path, content: Mapping[str, Any], device: str, engine: str, fusion: str = "") -> Detector:
     if engine not in ENGINES:
         raise SettingsError(f"engine: unknown '{engine}'{did_you_mean(engine, ENGINES)}")
-    detector = load_detector(path, device)
+    detector = _detector(path, content).to(device)
     if detector.settings.role != "student":
         hint = "; a teacher reads clouds that are made with ground truth"
         raise CheckpointError(complaint(path, "settings.role", "student", detector.settings.role, hint))
-    return ENGINES[engine](detector)
+    # Weights of optimised networks have other names: first the fusion is exchanged.
+    return ENGINES[engine](with_fusion(detector, fusion) if fusion else detector)
 
 
 def with_fusion(detector: Detector, fusion: str) -> Detector:
@@ -130,12 +178,17 @@ def read_meta(path: Path) -> dict[str, Any]:
     return meta
 
 
-def _content(path: Path) -> dict[str, Any]:
-    content = read_tensors(path, f"a {FORMAT} checkpoint")
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+def _content(path: Path, formats: Sequence[str] = (FORMAT,)) -> dict[str, Any]:
+    return _checked(path, read_tensors(path, f"a {FORMAT} checkpoint"), formats)
+
+
+def _checked(path: Path, content: Any, formats: Sequence[str] = (FORMAT,)) -> dict[str, Any]:
+    if not isinstance(content, dict) or content.get("format") not in formats:
         found = content.get("format", "none") if isinstance(content, dict) else type(content).__name__
         hint = "; the deployable file of a training is its detector.pt"
-        raise CheckpointError(complaint(path, "format", FORMAT, found, hint))
+        if found == JOINED:
+            hint = "; several detectors in one file drive, `dsrc drive`; others read one at a time"
+        raise CheckpointError(complaint(path, "format", " or ".join(formats), found, hint))
     return content
 
 

@@ -1,17 +1,21 @@
 """Joined detectors: the detections of each, one list."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from msgspec.structs import replace
 
+from dsrc.__main__ import main
 from dsrc.data.sample import sample_for
 from dsrc.models.detector import Detector
 from dsrc.models.joined import JoinedDetectors, tiles_of
+from dsrc.models.storage.checkpoint import load_joined, load_student, save_detector
 from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import debug
 from sim.boxes import CLASSES
-from sim.errors import SettingsError
+from sim.errors import CheckpointError, SettingsError
 from tests.dsrc.data.toy import toy_frame
 
 WHOLE = GridSpec(range_m=(-25.6, -12.8, -3.0, 25.6, 12.8, 2.6))
@@ -50,3 +54,19 @@ def test_two_detectors_of_the_same_users_or_a_larger_grid_are_refused() -> None:
         JoinedDetectors((first, first))
     with pytest.raises(SettingsError, match="grid: expected a range within"):
         JoinedDetectors((second, first))
+
+
+def test_a_file_of_joined_detectors_finds_what_they_find(tmp_path: Path) -> None:
+    files = [tmp_path / "vehicles.pt", tmp_path / "vulnerable.pt"]
+    for file, detector in zip(files, detectors(), strict=True):
+        save_detector(file, detector, half=False)
+    joined, out = JoinedDetectors(detectors()), tmp_path / "both.pt"
+    main(["model", "join", *map(str, files), "--out", str(out)])
+    read = load_joined(out, engine="plain")
+    sample = sample_for(joined.settings, toy_frame(0), None)
+    found, expected = read.detect(sample), joined.detect(sample)
+    np.testing.assert_array_equal(found.boxes.array, expected.boxes.array)
+    assert load_joined(out, fusion="late").settings.fusion == "late"
+    assert isinstance(load_joined(files[0]), Detector)
+    with pytest.raises(CheckpointError, match="format: expected dsrc-detector-1, found dsrc-detectors-1; several"):
+        load_student(out)
