@@ -63,7 +63,7 @@ class CorruptOptions(Severity, frozen=True):
         out: folder of the corrupted drives or scans, which keep their names; the drive or the file itself where `data`
             is one.
         corruption: kind of the corruption.
-        preset: published settings in place of severity and family, such as robo3d_heavy; default: those of the severity.
+        preset: published settings in place of severity and family, such as robo3d_heavy; default: the severity's.
         who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
             acts on their sensors and nowhere else.
         set: settings in place of the severity's, such as calibration=hdl64.npz; default: none.
