@@ -35,9 +35,9 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
         scenario: name or path of the scenario.
         content: settings of the scenario.
         perception: name in tables.
-        uses: `truth`, `sight`, `ego`, `team`, `late` or `module:Class`.
-        checkpoint: detector file; "" for the shipped one, or without one.
-        detector: SHA-256 of the detector file; "" without one.
+        uses: `truth`, `sight`, `ego`, `team`, `late`, `model` or `module:Class`.
+        checkpoint: detector file or error model; "" for the shipped one, or without one.
+        detector: SHA-256 of the detector file, error model or module; "" without one.
         condition: kind, severity, family and settings of the corruption.
         who: agents whose sensors are corrupted.
         channel: name of the channel.

@@ -33,13 +33,16 @@ from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.error_model.model import read_model
 from dsrc.closed_loop.perception.open import (
     ALONE,
+    LATE,
     MODELLED,
     SHIPPED_DETECTOR,
+    TOGETHER,
     WITHOUT_SENSOR,
     open_perception,
+    parse_perception,
+    source_of,
 )
 from dsrc.evaluation.conditions import PAPER_TABLE, Condition, channel_settings, condition_settings, corruption_kinds
-from dsrc.evaluation.config import split_name
 from dsrc.options.detection import Engine
 from dsrc.options.driving import DriveOptions
 from sensors.corruptions import CLEAN, Family
@@ -144,8 +147,14 @@ def read_campaign(path: Path) -> Campaign:
         beside = path.parent / name
         return str(beside if name and beside.exists() else name)
 
-    perceptions = tuple(replace(one, checkpoint=found(one.checkpoint)) for one in plan.perceptions)
-    plan = replace(plan, perceptions=perceptions)
+    perceptions = []
+    for one in plan.perceptions:
+        _, kind, file = parse_perception(one.kind)
+        if file and one.checkpoint:
+            where = f"perceptions.{one.name}.checkpoint"
+            raise SettingsError(complaint(path, where, f"none beside '{one.kind}'", one.checkpoint))
+        perceptions.append(replace(one, uses=kind, checkpoint=found(file or one.checkpoint)))
+    plan = replace(plan, perceptions=tuple(perceptions))
     check(plan, str(path))
     return plan
 
@@ -167,18 +176,19 @@ def campaign_of(options: DriveOptions) -> Campaign:
             raise SettingsError(complaint("drive", next(iter(given)), expected, "a value"))
         return read_campaign(Path(options.what))
     checkpoint = str(options.checkpoint or "")
-    names = [split_name(text) for text in options.perception or ("truth",)]
-    models = {uses for _, uses in names if uses.endswith(".json")}
-    if all(uses in WITHOUT_SENSOR for _, uses in names):
+    asked = [parse_perception(text) for text in options.perception or ("truth",)]
+    if all(one.kind in WITHOUT_SENSOR for one in asked):
         for field, values, bare in (("corruption", options.corruption, CLEAN), ("channel", options.channel, IDEAL)):
             if set(values) - {bare}:
-                expected = f"'{bare}' with perception '{names[0][1]}', which has no sensor"
+                expected = f"'{bare}' with perception '{asked[0].name}', which has no sensor"
                 raise SettingsError(complaint("drive", field, expected, " ".join(values)))
+    takers = [one.name for one in asked if not one.file and one.kind in (ALONE, *TOGETHER, LATE, MODELLED)]
+    if checkpoint and not takers:
+        expected = f"none with '{asked[0].name}': ego, team and late take one"
+        raise SettingsError(complaint("drive", "checkpoint", expected, checkpoint))
     perceptions = tuple(
-        PerceptionSpec(name=name or Path(uses).stem, uses=MODELLED, checkpoint=uses)
-        if uses in models
-        else PerceptionSpec(name=name or uses, uses=uses, checkpoint="" if uses in WITHOUT_SENSOR else checkpoint)
-        for name, uses in names
+        PerceptionSpec(name=name, uses=kind, checkpoint=file or (checkpoint if name in takers else ""))
+        for name, kind, file in asked
     )
     loop = {name: given[name] for name in LoopSettings.__struct_fields__ if name in given}
     seeds = options.seed or (0,)
@@ -253,7 +263,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
     A perception without a sensor drives clean episodes only, one without helpers through the first channel only.
     """
     code, versions = code_hash(COMPUTED_BY), package_versions(COMPUTED_BY)
-    hashes = {one.name: _detector_hash(one) for one in plan.perceptions}
+    hashes = {one.name: detector_hash(one.kind, one.checkpoint) for one in plan.perceptions}
     helped = {one.name: _has_helpers(one) for one in plan.perceptions}
     radios = {name: channel_settings(get_channel(name)) for name in plan.channels}
     found = []
@@ -335,7 +345,13 @@ def _has_helpers(one: PerceptionSpec) -> bool:
     return one.kind not in (*WITHOUT_SENSOR, ALONE)
 
 
-def _detector_hash(one: PerceptionSpec) -> str:
-    if one.kind in WITHOUT_SENSOR:
+def detector_hash(kind: str, checkpoint: str) -> str:
+    """SHA-256 of the file that a perception is opened from: detector, error model or module; "" of the truth.
+
+    Args:
+        kind: of a `PerceptionSpec`.
+        checkpoint: of it.
+    """
+    if kind in WITHOUT_SENSOR:
         return ""
-    return file_sha256(Path(one.checkpoint) if one.checkpoint else SHIPPED_DETECTOR)
+    return file_sha256(source_of(kind) or Path(checkpoint or SHIPPED_DETECTOR))

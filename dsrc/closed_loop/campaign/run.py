@@ -17,9 +17,17 @@ from typing import cast
 import msgspec
 
 from dsrc.closed_loop.campaign.episode import DRIVERS, EpisodeJob, EpisodeResult, WorkUnit, drive_unit, probe_s
-from dsrc.closed_loop.campaign.plan import Campaign, campaign_of, careful_of, controls_of, episodes_of, key_of
+from dsrc.closed_loop.campaign.plan import (
+    Campaign,
+    campaign_of,
+    careful_of,
+    controls_of,
+    detector_hash,
+    episodes_of,
+    key_of,
+)
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, open_perception
+from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.replay import look_again
 from dsrc.closed_loop.types import Outcome
 from dsrc.data.drive_folder import locked
@@ -28,7 +36,7 @@ from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family
 from sim.errors import DataError, SettingsError, UserError, complaint
-from sim.files import file_sha256, write_file
+from sim.files import write_file
 from sim.machine import core_count
 from sim.radio import IDEAL
 
@@ -223,10 +231,10 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
     settings = former.settings
     uses = options.perception[0] if options.perception else settings.perception
     if not options.perception and settings.detector:
-        file = options.checkpoint or SHIPPED_DETECTOR
-        if file_sha256(file) != settings.detector:
+        checkpoint = str(options.checkpoint or "")
+        if detector_hash(uses, checkpoint) != settings.detector:
             expected = f"the detector of the log, SHA-256 {settings.detector[:12]}"
-            raise SettingsError(complaint("drive", "checkpoint", expected, str(file)))
+            raise SettingsError(complaint("drive", "checkpoint", expected, checkpoint or f"that of '{uses}'"))
     asked = options.perception or options.corruption or options.channel
     corruption = (options.corruption or (CLEAN if asked else settings.corruption,))[0]
     perception = open_perception(

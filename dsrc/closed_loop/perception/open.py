@@ -4,8 +4,9 @@ import inspect
 import os
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 from dsrc.closed_loop.perception.senses import Faults
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
@@ -75,20 +76,20 @@ def open_perception(
             class that does not load.
         CheckpointError: the detector file is missing or wrong, or its fusion has weights that `late` cannot have.
     """
-    name, file = _split(text)
+    _, name, file = parse_perception(text)
     radio = get_channel(channel) if isinstance(channel, str) else channel
     faults = Faults(
         corruption=corruption, severity=severity, family=family, who=parse_who(who) if isinstance(who, str) else who
     )
     faults.check()
-    if name in WITHOUT_SENSOR and not file:
+    if name in WITHOUT_SENSOR:
         given = {"corruption": corruption != CLEAN, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
         _refuse(text, "a sensor", given)
         return TruthPerception() if name == "truth" else SightPerception()
-    if name == MODELLED or file.endswith(".json"):
+    if name == MODELLED:
         return _modelled(text, Path(file) if file else checkpoint, faults, channel)
     detector: Any
-    if not file and ":" in name:
+    if ":" in name:
         _refuse(text, "a checkpoint", {"checkpoint": checkpoint is not None})
         detector = _own(name)
         if hasattr(detector, "perceive"):
@@ -111,19 +112,44 @@ def open_perception(
     )
 
 
-def name_of(text: str) -> str:
-    """Return the name of a perception in tables: NAME of NAME=FILE, the stem of FILE, else the text."""
-    name, file = _split(text)
-    return name or Path(file).stem
+class Words(NamedTuple):
+    """Words of a command line that name a perception.
+
+    Attributes:
+        name: in tables: NAME of NAME=FILE, the stem of FILE, else what was given.
+        kind: `truth`, `sight`, `ego`, `team`, `dsrc`, `late`, `model` or `module:Class`.
+        file: detector or error model, "" without one.
+    """
+
+    name: str
+    kind: str
+    file: str
 
 
-def _split(text: str) -> tuple[str, str]:
-    """Return name and file of NAME=FILE; "" for what is missing. A bare file ends with .pt or .json or has a folder."""
-    name, equals, file = text.partition("=")
-    if equals and file and not {"/", "\\"} & set(name):
-        return name, file
-    is_file = text.endswith((".pt", ".json")) or "/" in text or os.sep in text
-    return ("", text) if is_file else (text, "")
+def parse_perception(text: str) -> Words:
+    """Return the words of `truth`, FILE, NAME=FILE, NAME=ego; a bare FILE ends with .pt or .json or has a folder."""
+    name, equals, what = text.partition("=")
+    named = bool(equals and what) and not {"/", "\\"} & set(name)
+    if not named:
+        name, what = "", text
+    is_path = what.endswith((".pt", ".json")) or "/" in what or os.sep in what
+    if not is_path and (not named or ":" in what or what in _NAMES):
+        return Words(name or what, what, "")
+    kind = MODELLED if what.endswith(".json") else name if name in (ALONE, LATE) else TOGETHER[0]
+    return Words(name or Path(what).stem, kind, what)
+
+
+def source_of(text: str) -> Path | None:
+    """Return the source of the module of `module:Class`, None for other perceptions and where there is none."""
+    module, colon, _ = text.partition(":")
+    if not colon:
+        return None
+    _find_modules_here()
+    try:
+        found = find_spec(module)
+    except Exception:  # packages around it are imported, code of one's own
+        return None
+    return Path(found.origin) if found is not None and found.has_location and found.origin else None
 
 
 def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
@@ -163,8 +189,7 @@ def _own(text: str) -> Any:
         SettingsError: the module or the class does not load, or has neither `perceive` nor `detect`.
     """
     module, _, name = text.partition(":")
-    if os.getcwd() not in sys.path and "" not in sys.path:
-        sys.path.insert(0, os.getcwd())  # a console script's path begins with its own folder
+    _find_modules_here()
     try:
         found = getattr(import_module(module), name)
         made = found() if inspect.isclass(found) or inspect.isfunction(found) else found
@@ -177,6 +202,11 @@ def _own(text: str) -> Any:
         found = f"a {type(made).__name__} without them"
         raise SettingsError(complaint("perception", text, "a class with reset and perceive, or with detect", found))
     return made if hasattr(made, "settings") else _WithGrid(made)
+
+
+def _find_modules_here() -> None:
+    if os.getcwd() not in sys.path and "" not in sys.path:
+        sys.path.insert(0, os.getcwd())  # a console script's path begins with its own folder
 
 
 class _WithGrid:

@@ -146,6 +146,47 @@ def test_names_and_paths_decide_nothing() -> None:
     assert [key_of(job) for job in episodes_of(renamed)] == [key_of(job) for job in episodes_of(PLAN)]
 
 
+def test_a_detector_is_known_by_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def key(text: str, **options) -> str:
+        (job,) = episodes_of(campaign_of(DriveOptions(what="ima_building", perception=(text,), **options)))
+        return key_of(job)
+
+    one, copy = tmp_path / "one.pt", tmp_path / "copy.pt"
+    for path in (one, copy):
+        path.write_bytes(b"weights")
+    first = key(str(one))
+    assert first == key(str(copy)) == key(f"mine={copy}") == key("team", checkpoint=one)
+    assert len({first, key(f"ego={one}"), key(f"late={one}"), key("team")}) == 4
+    one.write_bytes(b"other weights")
+    assert key(str(one)) != first
+    eyes = tmp_path / "eyes_of_a_file.py"
+    monkeypatch.syspath_prepend(str(tmp_path))
+    eyes.write_text("class Eyes: ...")
+    before = key("eyes_of_a_file:Eyes")
+    eyes.write_text("class Eyes: detect = print")
+    assert key("eyes_of_a_file:Eyes") != before
+
+
+def test_a_file_in_a_plan_is_the_checkpoint(tmp_path: Path) -> None:
+    (tmp_path / "one.pt").write_bytes(b"weights")
+    plan = tmp_path / "plan.toml"
+    head = 'scenarios = ["ima_building"]\n[[perceptions]]\nname = "mine"\n'
+    plan.write_text(f'{head}uses = "late=one.pt"\n')
+    (mine,) = read_campaign(plan).perceptions
+    assert mine == PerceptionSpec(name="mine", uses="late", checkpoint=str(tmp_path / "one.pt"))
+    plan.write_text(f'{head}uses = "one.pt"\ncheckpoint = "two.pt"\n')
+    with pytest.raises(
+        SettingsError, match=r"perceptions.mine.checkpoint: expected none beside 'one.pt', found two.pt"
+    ):
+        read_campaign(plan)
+
+
+@pytest.mark.parametrize("text", ["truth", "a.pt", "my_eyes:Own"])
+def test_a_checkpoint_that_nobody_takes_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(SettingsError, match="checkpoint: expected none with"):
+        campaign_of(DriveOptions(what="ima_building", perception=(text,), checkpoint=tmp_path / "a.pt"))
+
+
 def test_corruptions_reach_nobody_without_a_sensor() -> None:
     jobs = episodes_of(replace(PLAN, corruptions=("paper_six",), perceptions=PLAN.perceptions[:1], seeds=2))
     assert [job.condition["kind"] for job in jobs] == ["clean", "clean"]

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.detector import DetectorPerception
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, name_of, open_perception
+from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, open_perception, parse_perception
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.models.fusion.late import join_detections
 from sim.boxes import CLASSES, VEHICLES
@@ -101,13 +101,23 @@ def test_late_fusion_joins_what_each_agent_detects_alone() -> None:
     assert np.allclose(joined.score, expected.score, atol=1e-4)
 
 
-def test_names_of_tables() -> None:
-    assert [name_of(text) for text in ("truth", "a/b/late.pt", "mine=a/late.pt", "my_eyes:Own")] == [
-        "truth",
-        "late",
-        "mine",
-        "my_eyes:Own",
-    ]
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("truth", ("truth", "truth", "")),
+        ("a/b/fine.pt", ("fine", "team", "a/b/fine.pt")),
+        ("mine=a/late.pt", ("mine", "team", "a/late.pt")),
+        ("late=a.pt", ("late", "late", "a.pt")),
+        ("ego=a", ("ego", "ego", "a")),
+        ("alone=ego", ("alone", "ego", "")),
+        ("errors=team.json", ("errors", "model", "team.json")),
+        ("my_eyes:Own", ("my_eyes:Own", "my_eyes:Own", "")),
+        ("mine=my_eyes:Own", ("mine", "my_eyes:Own", "")),
+        ("runs/a=1/b.pt", ("b", "team", "runs/a=1/b.pt")),
+    ],
+)
+def test_names_kinds_and_files(text: str, words: tuple[str, str, str]) -> None:
+    assert parse_perception(text) == words
 
 
 def test_classes_of_ones_own(own: None) -> None:
