@@ -8,7 +8,8 @@
 | `.pcd`, `.ply`     | fields x y z and, by their names, intensity, ring | any; vertices alone                |
 
 Points are x forward, y left, z up in the sensor's frame. Fields of PCD and PLY that hold no finite point, as those of
-beams without a return, are left out. `velodyne/N.bin` may have a `labels/N.label` beside its folder (SemanticKITTI).
+beams without a return, are left out. Beside the folder of `velodyne/N.bin` may be labels: `labels/N.label` of
+SemanticKITTI, `label_2/N.txt` of KITTI.
 """
 
 import io
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from dsrc.data.clouds.cloud import EIGHT_BIT, Cloud
 from dsrc.data.clouds.corrupt import array_of, cloud_of
 from dsrc.data.clouds.ply import decode_ply, encode_ply
+from dsrc.data.formats import kitti_labels
 from dsrc.data.formats.pcd import encode_table, read_table
 from sensors.corruptions.published.incomplete_echo import SEMANTIC_KITTI
 from sim.errors import DataError, complaint
@@ -119,6 +121,20 @@ def read_labels(path: Path, points: int) -> NDArray[np.uint32]:
 def vehicles_among(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
     """Return the (P,) mask of SemanticKITTI labels of vehicles."""
     return np.isin(labels & _LABEL_BITS, [one for names in SEMANTIC_KITTI for one in names])
+
+
+def kitti_boxes(path: Path) -> NDArray[np.float64] | None:
+    """Return (M, 7) boxes of the vehicles of a scan, sensor frame, m and rad, from KITTI's `label_2` beside its folder.
+
+    None without such a file.
+
+    Raises:
+        DataError: the labels or their calibration are damaged.
+    """
+    labels = path.parent.parent / "label_2" / f"{path.stem}.txt"
+    if not labels.is_file() or not path.stem.isdigit():
+        return None
+    return kitti_labels.read_labels(labels, kitti_labels.calibration_of(labels.parent, int(path.stem)))[0].array
 
 
 def _scan_of_fields(path: Path, table: NDArray[np.void], encode: Callable[[NDArray[np.void]], bytes]) -> Scan:

@@ -20,13 +20,21 @@ import numpy as np
 
 from dsrc.data.clouds.cloud import rows_of
 from dsrc.data.clouds.corrupt import INTERVAL_S, corrupt_sweep
-from dsrc.data.clouds.files import ending_of, labels_of, read_labels, read_scan, scans_below, vehicles_among
+from dsrc.data.clouds.files import (
+    ending_of,
+    kitti_boxes,
+    labels_of,
+    read_labels,
+    read_scan,
+    scans_below,
+    vehicles_among,
+)
 from dsrc.data.datasets.corruption_settings import run_settings
 from dsrc.data.drive_folder import check_same, locked
 from dsrc.data.executors import Pool, Progress
 from dsrc.data.jsonio import read_json
 from dsrc.options.drives import CorruptOptions
-from sensors.corruptions import EVERYONE, drive_seed
+from sensors.corruptions import CORRUPTIONS, EVERYONE, drive_seed
 from sensors.presets import get_lidar
 from sim.errors import DataError, SettingsError, complaint
 from sim.files import remove_leftovers, write_file
@@ -148,6 +156,7 @@ def _corrupt_scan(job: ScanJob) -> None:
     scan, options, labels = read_scan(job.source), job.options, None
     if labels_of(job.source).is_file():
         labels = read_labels(labels_of(job.source), len(scan.cloud))
+    boxes = kitti_boxes(job.source) if labels is None and CORRUPTIONS[options.corruption].of_objects else None
     name = options.sensor or scan.sensor
     index, time_s = frame_number(job.source)
     family, settings = run_settings(options)
@@ -161,6 +170,7 @@ def _corrupt_scan(job: ScanJob) -> None:
             job.drive_seed,
             family=family,
             settings=settings,
+            boxes=boxes,
             labelled=labels is not None,
             index=index,
             time_s=time_s,

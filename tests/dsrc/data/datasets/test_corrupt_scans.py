@@ -11,10 +11,12 @@ from dsrc.data.clouds.files import read_scan
 from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.datasets.corrupt_scans import MANIFEST, frame_number
 from dsrc.data.executors import Pool
+from dsrc.data.formats.kitti import encode_labels
 from dsrc.data.formats.pcd import encode_table, read_table
 from sensors.corruptions import drive_seed
+from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
-from tests.dsrc.data.clouds.test_corrupt import street
+from tests.dsrc.data.clouds.test_corrupt import BOXES, street
 
 CLOUD = street().astype("<f4")
 RING = np.repeat(np.arange(32)[::-1], 180)[: len(CLOUD)]
@@ -207,6 +209,31 @@ def test_a_damaged_scan_is_one_line_with_its_name(tmp_path: Path, name: str, con
     assert "\n" not in str(error.value)
     assert str(tmp_path / name) in str(error.value)
     assert not out.exists()
+
+
+def test_labels_of_kitti_say_where_vehicles_are(kitti: Path, tmp_path: Path) -> None:
+    labels, calib = kitti / "training/label_2", kitti / "training/calib"
+    labels.mkdir()
+    scan = kitti / "training/velodyne/000000.bin"
+    with pytest.raises(SettingsError, match="boxes of the vehicles"):
+        corrupt_dataset(scan, tmp_path / "without.bin", "incomplete_echo")
+    boxes = Boxes.from_array(BOXES[:, :7])
+    ignored = "DontCare -1 -1 -10 503.9 169.7 590.6 190.1 -1 -1 -1 -1000 -1000 -1000 -10\n"
+    (labels / "000000.txt").write_text(encode_labels(boxes, "camera", np.zeros(2, np.int64)) + ignored)
+    corrupt_dataset(scan, tmp_path / "nominal.bin", "incomplete_echo", severity=5)
+    kept = {row.tobytes() for row in np.fromfile(tmp_path / "nominal.bin", "<f4").reshape(-1, 4)}
+    lost = np.array([row.tobytes() not in kept for row in CLOUD])
+    on = boxes.contains(CLOUD[:, :3], 0.2).any(axis=0)
+    assert lost.sum() >= 0.9 * on.sum() > 20 and not (lost & ~on).any()
+    calib.mkdir()  # a camera 100 m to the right: the boxes are elsewhere
+    rotation = "R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 -100 0 0 -1 0 1 0 0 0\n"
+    (calib / "000000.txt").write_text(rotation)
+    corrupt_dataset(scan, tmp_path / "moved.bin", "incomplete_echo", severity=5)
+    assert (tmp_path / "moved.bin").read_bytes() == scan.read_bytes()
+    (labels / "000000.txt").write_text("Car 0 0\n")
+    corrupt_dataset(scan, tmp_path / "fog.bin", "fog")
+    with pytest.raises(DataError, match=r"000000.txt: line 1: expected 15 columns, found 3"):
+        corrupt_dataset(scan, tmp_path / "broken.bin", "incomplete_echo")
 
 
 def test_a_scan_of_another_number_of_labels_and_a_folder_of_nothing_are_refused(tmp_path: Path) -> None:
