@@ -5,7 +5,7 @@ from sim.files import sign, sign_folder
 COMMENT = b"Software: dsrc"
 """Comment of an animation by which it is known as ours."""
 
-sign("archive", b"episode.npy", b"dsrc-detector-1")
+sign("archive", b"episode.npy", b"dsrc-detector-1", b"dsrc-detectors-1")
 sign("picture", b"Description\0{")
 sign("animation", COMMENT)
 sign("MCAP recording", b"dsrc-testbed")

@@ -260,7 +260,8 @@ def main() -> None:
     if options.kept:
         restore(options.kept, options.out)
     failure = Campaign(options).run()
-    write_file(options.out / "trainings.csv", record(campaign(options.seeds, factor(options.out)), options.out))
+    table = record(campaign(options.seeds, factor(options.out)), options.out)
+    write_file(options.out / "trainings.csv", table, edited=True)
     if failure:
         sys.exit(failure)
     print(f"now measure: dsrc benchmark {TOML}, with the folders that it names made yours")

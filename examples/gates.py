@@ -176,7 +176,8 @@ def recorded(runs: Path) -> dict[str, Gate]:
 def record(runs: Path, measured: Gate) -> None:
     """Record a gate, in place of an earlier one of its name."""
     gates = recorded(runs) | {measured.name: measured}
-    write_file(runs / FILE, json.dumps([asdict(gates[name]) for name in sorted(gates)], indent=2) + "\n")
+    text = json.dumps([asdict(gates[name]) for name in sorted(gates)], indent=2) + "\n"
+    write_file(runs / FILE, text, edited=True)
 
 
 def main() -> None:
