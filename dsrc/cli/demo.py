@@ -16,7 +16,7 @@ TEST_SEED = 903
 """Seed of no drive that a shipped detector was trained or validated on."""
 
 ENCOUNTER, ENCOUNTER_SEED = "lta_truck", 0
-"""Encounter that cooperation decides: the ego turns left, a truck opposite hides an oncoming car."""
+"""Encounter that cooperation decides, with seeds 1 and 2 too: the ego turns left, a truck opposite hides a car."""
 ALONE, TOGETHER = "ego alone", "cooperative"
 
 
@@ -64,7 +64,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
 
     check_folder(out)
     start = time.perf_counter()
-    train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 2.0) if quick else (20, 24, 1.5, 12.0)
+    train_frames, test_frames, interval_s, seconds = (4, 2, 1.0, 2.0) if quick else (20, 24, 1.5, 20.0)
     drives = {}
     for split, seed, frames in (("train", TRAIN_SEED, train_frames), ("test", TEST_SEED, test_frames)):
         with progress(f"{split} drive, {SCENARIO} seed {seed}") as report:
