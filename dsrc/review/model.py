@@ -23,7 +23,7 @@ from dsrc.review.errors.notes import NoteBook
 from dsrc.review.frames import FrameStore, LatestUsed
 from dsrc.review.matching import Counts, RankedMatches, match
 from dsrc.review.sources.base import DetectionSet, Setup, Source, condition_of, condition_title
-from dsrc.review.sources.detected import ComputedSet
+from dsrc.review.sources.detected import ComputedSet, present_agents
 from dsrc.review.sources.drives import DriveSource
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
 from dsrc.review.sources.opening import add_detectors, open_sources
@@ -224,13 +224,13 @@ class ReviewModel:
             labelled=self.labelled(state.drive),
             details=object_details(frame, state.object_id, ego_id, [agent.title for agent in agents]),
         )
-        view = replace(view, moment=self.moment(state))
+        view = replace(view, moment=self.moment(state), notice=self._absent(state, frame))
         method = self.method(state)
         found = self._detections(state, method) if method else None
         if found is None:
             evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)
             layers = {**view.layers, DETECTED_TRUTH: truth[evaluated], OTHER_TRUTH: truth[~evaluated]}
-            return replace(view, layers=layers, method=method, notice=self._notice(state, method))
+            return replace(view, layers=layers, method=method, notice=self._notice(state, method) or view.notice)
         view = self._with_detections(view, state, frame, review_from_world, found)
         compared = [self._compared(state, name, frame, review_from_world) for name in self._asked(state)[1:]]
         return replace(view, method=method, compared=tuple(one for one in compared if one is not None))
@@ -377,6 +377,13 @@ class ReviewModel:
                 hint = did_you_mean(name, known)
                 raise SettingsError(complaint(self.names[state.drive], "methods", "a set of detections", name, hint))
         return list(dict.fromkeys(state.methods)) or list(known)[:1]
+
+    def _absent(self, state: ReviewState, frame: Frame) -> str:
+        """Why a corruption changes nothing: whom it is of is not here."""
+        condition = self.setup(state).condition
+        if present_agents(frame, condition.who):
+            return ""
+        return f"{condition_title(condition)}: no such agent in this frame, its sweeps are as recorded."
 
     def _notice(self, state: ReviewState, method: str) -> str:
         """Explanation of missing detections."""

@@ -9,7 +9,7 @@ from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, one_frame, points_left, points_table
 from dsrc.review.labs.parameters import TunedCondition, tuned_settings
 from dsrc.review.sources.base import MemorySet, Setup
-from sensors.corruptions import CLEAN, corrupt_frame, drive_seed, parse_who
+from sensors.corruptions import CLEAN, Who, corrupt_frame, drive_seed, parse_who
 from sensors.frame import Frame
 
 
@@ -67,8 +67,17 @@ class ComputedSet(MemorySet):
             return table
 
 
+def present_agents(frame: Frame, text: str) -> Who:
+    """Who of a condition is in a frame: agents come and go in a running simulation, and other drives have others."""
+    who = parse_who(text)
+    if isinstance(who, str):
+        return who
+    ids = [agent.agent_id for agent in frame.agents]
+    return tuple(one for one in who if one in ids)
+
+
 def corrupted_frame(frame: Frame, condition: Condition, seed: int, drive: str, ego_id: int | None = None) -> Frame:
-    """Frame under a condition, as `dsrc evaluate` makes it.
+    """Frame under a condition, as `dsrc evaluate` makes it; agents that are named and absent are left out.
 
     Args:
         frame: as recorded.
@@ -83,7 +92,9 @@ def corrupted_frame(frame: Frame, condition: Condition, seed: int, drive: str, e
     """
     if condition.kind == CLEAN:
         return frame
-    who = parse_who(condition.who)
+    who = present_agents(frame, condition.who)
+    if not who:
+        return frame
     own = drive_seed(seed, drive)
     settings = tuned_settings(condition) if isinstance(condition, TunedCondition) else None
     return corrupt_frame(

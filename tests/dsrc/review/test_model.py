@@ -176,3 +176,12 @@ def test_object_details_as_text(truth_model):
         "seen by the ego\n\n4.4 × 1.9 × 1.6 m · 60.0 m away · 0.0 m/s\n\n" in unknown
         and "| roadside unit 1 | 40 | – |" in unknown
     )
+
+
+def test_a_corruption_of_an_agent_changes_nothing_in_frames_without_it_and_the_page_says_so(truth_model):
+    clean = truth_model.view(ReviewState())
+    for who, counts in (("1777", [0, 0, 0]), ("1002,1777", [0, 1, 0])):
+        view = truth_model.view(ReviewState(corruption="beam_missing", severity=5, who=who))
+        pairs = zip(clean.agents, view.agents, strict=True)
+        assert [int(len(one.points) != len(other.points)) for one, other in pairs] == counts[: len(clean.agents)]
+        assert ("no such agent in this frame" in view.notice) == (not any(counts))
