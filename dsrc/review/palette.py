@@ -82,6 +82,17 @@ def method_color(row: int) -> Rgb:
     return METHOD_COLORS[row % len(METHOD_COLORS)]
 
 
+def curve_color(row: int, theme: str) -> Rgb:
+    """Colour of a method's curve on a panel of a theme: dark where that of its boxes is white on white."""
+    color = method_color(row)
+    return (40, 46, 58) if theme == "light" and color == METHOD_COLORS[0] else color
+
+
+def css(rgb: Rgb) -> str:
+    """Colour as a style sheet has it."""
+    return "rgb({},{},{})".format(*rgb)
+
+
 def ramp(values: NDArray[np.floating], low: float, high: float, table: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Map (P,) values from [low, high], clipped, to (P, 3) colours of a (256, 3) table."""
     scaled = (np.asarray(values, np.float64) - low) / max(high - low, 1e-9)

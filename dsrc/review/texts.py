@@ -205,7 +205,9 @@ def _box(rows: str) -> str:
 
 
 def _legend_row(rgb: Rgb, text: str, outlined: bool = False) -> str:
-    color = f"rgb({rgb[0]},{rgb[1]},{rgb[2]})"
+    color = palette.css(rgb)
     fill = f"border:2px solid {color};border-radius:2px" if outlined else f"background:{color};border-radius:50%"
-    mark = f'<span style="display:inline-block;width:.7em;height:.7em;box-sizing:border-box;{fill}"></span>'
+    # A line around it shows white on a white panel.
+    edge = "box-shadow:0 0 0 1px rgba(112,122,140,.6)"
+    mark = f'<span style="display:inline-block;width:.7em;height:.7em;box-sizing:border-box;{fill};{edge}"></span>'
     return f'<div style="white-space:nowrap">{mark}&nbsp; {escape(text)}</div>'

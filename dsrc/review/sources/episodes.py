@@ -13,7 +13,7 @@ from dsrc.evaluation.detection_table import one_frame
 from dsrc.ops.detections import Detections
 from dsrc.review.sources.base import SEED, DetectionSet, Kind, MemorySet
 from dsrc.review.sources.live import KEPT
-from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline, Links
+from dsrc.review.sources.moment import RUNNING, EpisodeMoment, EpisodeTimeline, Links
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.sweep import make_sweep
 from sim.boxes import Boxes, concatenate
@@ -61,7 +61,7 @@ class EpisodeSource:
         self._ticks: list[Tick] = []
         self._percepts: list[Percept | None] = []
         self._sensed: dict[int, Frame] = {}
-        self._ego_id, self._outcome, self._message = -1, "running", ""
+        self._ego_id, self._outcome, self._message = -1, RUNNING, ""
 
     def put(self, tick: Tick, ego_id: int, sensed: Frame | None = None) -> None:
         """Add the next step.

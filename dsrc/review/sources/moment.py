@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     # Meshes take half a second to import, and drives have no contacts.
     from sim.contact import Contact
 
+RUNNING = "running"
+"""Outcome of an episode that has not ended."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
@@ -101,7 +104,7 @@ class EpisodeTimeline:
         received: (T,) int64 messages in the newest percept.
         claims: (T,) int64 false objects that helpers report.
         contact_row: step of the first contact, None without one.
-        outcome: how it ended.
+        outcome: how it ended, or `RUNNING`.
         message: explanation of a failed perception, or "".
     """
 

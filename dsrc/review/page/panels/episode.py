@@ -1,5 +1,6 @@
 """Episode: what the driver does at the drawn step and why, and speed, wanted acceleration and contact over time."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -7,10 +8,14 @@ from viser import uplot
 
 from dsrc.review import palette
 from dsrc.review.page.protocol import Page, Shown
-from dsrc.review.sources.moment import EpisodeTimeline
+from dsrc.review.palette import css
+from dsrc.review.sources.moment import RUNNING, EpisodeTimeline
+from dsrc.review.state import Theme
 from dsrc.review.texts import moment_report
 
 _HEIGHT_PX = 170
+_GROWS_S = 5.0
+"""Steps in which the axis of time of a running episode grows, s."""
 
 
 class EpisodePanel:
@@ -25,6 +30,7 @@ class EpisodePanel:
         with self.folder:
             self.text = page.gui.add_markdown("")
             self.plot: Any = None
+        self._drawn: Any = None
 
     def show(self, shown: Shown) -> None:
         """Write the step, and mark it in the course."""
@@ -41,38 +47,50 @@ class EpisodePanel:
         if self._line is None:
             return
         self.text.content = moment_report(moment, self._line, view.index)
-        self._draw(self._line, view.index)
+        self._draw(self._line, view.index, shown.state.theme)
 
-    def _draw(self, line: EpisodeTimeline, row: int) -> None:
+    def _draw(self, line: EpisodeTimeline, row: int, theme: Theme) -> None:
         """Draw speed and wanted acceleration, the present and the contact."""
         data = (line.time_s, line.speed_mps, line.wanted_mps2, _mark(line, row), _mark(line, line.contact_row))
-        if self.plot is not None:
+        if self._drawn == (drawn := (_times(line), _range(line), theme)):
             self.plot.data = data
             return
+        # Scales are fixed: those that uPlot finds by itself are not those of data that come later, nor of NaN.
+        self._drawn = drawn
+        scales = {"x": uplot.Scale(time=False, range=drawn[0]), "y": uplot.Scale(range=drawn[1])}
+        if self.plot is not None:
+            self.plot.remove()
         dot = {"show": True, "size": 9}
         with self.folder:
             self.plot = self._page.gui.add_uplot(
                 data,
                 (
                     uplot.Series(label="time"),
-                    uplot.Series(label="speed, m/s", stroke=_css(palette.AGENT_COLORS[0]), width=2),
-                    uplot.Series(label="wanted, m/s²", stroke=_css(palette.FN), width=1),
-                    uplot.Series(label="now", stroke=_css(palette.SELECTED), width=0, points=dot),  # type: ignore[typeddict-item]
-                    uplot.Series(label="contact", stroke=_css(palette.FP), width=0, points=dot),  # type: ignore[typeddict-item]
+                    uplot.Series(label="speed, m/s", stroke=css(palette.AGENT_COLORS[0]), width=2),
+                    uplot.Series(label="wanted, m/s²", stroke=css(palette.FN), width=1),
+                    uplot.Series(label="now", stroke=css(palette.curve_color(0, theme)), width=0, points=dot),  # type: ignore[typeddict-item]
+                    uplot.Series(label="contact", stroke=css(palette.FP), width=0, points=dot),  # type: ignore[typeddict-item]
                 ),
-                # A range of one's own: NaN, where there is no mark, leaves uPlot without one.
-                scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=_range(line))},
+                scales=scales,
                 legend=uplot.Legend(show=False),
-                axes=(uplot.Axis(label="s", stroke=_css(palette.OTHER)), uplot.Axis(stroke=_css(palette.OTHER))),
+                axes=(uplot.Axis(label="s", stroke=css(palette.OTHER)), uplot.Axis(stroke=css(palette.OTHER))),
                 height=_HEIGHT_PX,
             )
 
 
+def _times(line: EpisodeTimeline) -> tuple[float, float]:
+    """First second and the last; that of a running episode grows in steps, since rescaling draws the plot anew."""
+    first, last = (float(line.time_s[row]) for row in (0, -1))
+    if line.outcome != RUNNING:
+        return first, max(last, first + 0.1)
+    return first, first + _GROWS_S * max(math.ceil((last - first) / _GROWS_S), 1)
+
+
 def _range(line: EpisodeTimeline) -> tuple[float, float]:
-    """Bounds of what is plotted."""
+    """Bounds of what is plotted, in whole metres per second and squared."""
     values = np.concatenate([line.speed_mps, line.wanted_mps2])
     values = values[np.isfinite(values)]
-    return min(float(values.min(initial=0.0)), 0.0) - 0.5, float(values.max(initial=1.0)) + 0.5
+    return math.floor(values.min(initial=0.0)) - 0.5, math.ceil(values.max(initial=1.0)) + 0.5
 
 
 def _mark(line: EpisodeTimeline, row: int | None) -> Any:
@@ -81,7 +99,3 @@ def _mark(line: EpisodeTimeline, row: int | None) -> Any:
     if row is not None:
         mark[row] = line.speed_mps[row]
     return mark
-
-
-def _css(rgb: palette.Rgb) -> str:
-    return "rgb({},{},{})".format(*rgb)

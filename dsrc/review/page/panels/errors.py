@@ -13,8 +13,8 @@ from dsrc.review.errors.notes import errors_csv
 from dsrc.review.errors.report import RunReport, curve_on_grid, shown_error
 from dsrc.review.page.panels.widgets import build_controls
 from dsrc.review.page.protocol import Page, Shown
-from dsrc.review.palette import method_color
-from dsrc.review.state import IOU_THRESHOLDS, ReviewState
+from dsrc.review.palette import Rgb, css, curve_color
+from dsrc.review.state import IOU_THRESHOLDS, ReviewState, Theme
 from dsrc.review.texts import html_table
 from dsrc.review.worker import Progress
 from sim.boxes import CLASSES
@@ -26,7 +26,9 @@ FRAMES = 30
 """Worst frames in their list."""
 _RECALL = np.linspace(0.0, 1.0, 101)
 _PATIENCE_S = 2.0
-_CHOSEN, _OTHER = (56, 150, 255), (62, 70, 84)
+_CHOSEN = (56, 150, 255)
+_OTHER: dict[Theme, Rgb] = {"dark": (62, 70, 84), "light": (222, 227, 234)}
+"""Colours of the other errors' buttons; the browser chooses a text that can be read on them."""
 _NO_FRAME = "–"
 _AXIS = "rgb(112,122,140)"
 
@@ -39,6 +41,7 @@ class ErrorsPanel:
         self._page = page
         self._first = 0
         self._report: RunReport | None = None
+        self._theme: Theme = page.state.theme
         gui = page.gui
         self.folder = gui.add_folder("Errors of the run", visible=False)
         with self.folder:
@@ -79,6 +82,9 @@ class ErrorsPanel:
             self._first, self._report = 0, report
             self._show_scores(shown.state, report)
             self._show_frames(report)
+        elif shown.state.theme != self._theme:
+            self._draw_curves(shown.state, report)
+        self._theme = shown.state.theme
         self._show_rows(shown.state, report)
         self._show_progress(shown, report)
 
@@ -114,11 +120,10 @@ class ErrorsPanel:
             if counts.recall is not None and counts.precision is not None:
                 mark[np.argmin(np.abs(_RECALL - counts.recall))] = counts.precision
             marks.append(mark)
-            color = "rgb({},{},{})".format(*method_color(row))
-            series.append(uplot.Series(label=name, stroke=color, width=2, spanGaps=False))
+            series.append(uplot.Series(label=name, stroke=css(curve_color(row, state.theme)), width=2, spanGaps=False))
         names = list(report.counts)
         series += [
-            uplot.Series(label=f"{name} at {state.threshold:g}", stroke="rgb({},{},{})".format(*method_color(row)),
+            uplot.Series(label=f"{name} at {state.threshold:g}", stroke=css(curve_color(row, state.theme)),
                          width=0, points={"show": True, "size": 9})  # type: ignore[typeddict-item]
             for row, name in enumerate(names)
         ]  # fmt: skip
@@ -156,7 +161,7 @@ class ErrorsPanel:
                 button.visible = row < len(errors)
             if row >= len(errors):
                 continue
-            label, color = _title(errors, row, self._page), _CHOSEN if row == chosen else _OTHER
+            label, color = _title(errors, row, self._page), _CHOSEN if row == chosen else _OTHER[state.theme]
             if button.label != label:
                 button.label = label
             if button.color != color:

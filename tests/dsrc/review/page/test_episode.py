@@ -78,3 +78,12 @@ def test_missing_detections_are_explained(session):
     report = panel(session, ReportPanel)
     assert "percepts has no detections in fog 3" in view.notice
     wait_for(lambda: report.notice.visible and report.notice.content == view.notice)
+
+
+def test_the_axis_of_time_is_that_of_the_episode(session):
+    episode = panel(session, EpisodePanel)
+    log = full_log()
+    session.wait_drawn()
+    wait_for(lambda: episode.plot is not None)
+    times = [tick.ego.time_s for tick in log.ticks]
+    assert episode.plot.scales["x"]["range"] == (times[0], max(times[-1], times[0] + 0.1))

@@ -130,3 +130,14 @@ def test_the_list_is_saved_with_its_notes(session, monkeypatch):
     name, content = given[0]
     assert name == "errors.csv" and content.decode().splitlines()[0].startswith("drive,frame,method")
     assert len(content.decode().splitlines()) == 1 + len(session.report(session.state).errors)
+
+
+def test_in_the_light_theme_nothing_in_the_list_is_dark_and_no_curve_white(session):
+    errors = panel(session, ErrorsPanel)
+    for theme in ("light", "dark", "light"):
+        session.update(theme=theme)
+        session.wait_drawn()
+        wait_for(lambda theme=theme: errors._theme == theme)
+    other = [row.color for row in errors.rows if row.visible and row.color != (56, 150, 255)]
+    assert other and min(map(min, other)) > 200
+    assert errors.plot.series[1]["stroke"] == "rgb(40,46,58)"
