@@ -171,7 +171,8 @@ def _bomb(arrays: dict[str, np.ndarray], name: str) -> bytes:
 def of_tensors(content: bytes, rng: Rng) -> bytes:
     """Replace a setting or a tensor of a file of `torch.save`."""
     made = torch.load(io.BytesIO(content), weights_only=True)
-    state = made.get("state", made)
+    one = made["detectors"][-1] if "detectors" in made else made  # of a joined file the last
+    state = one.get("state", one)
     name = str(rng.choice(list(state)))
     match int(rng.integers(10)):
         case 0:
@@ -191,8 +192,8 @@ def of_tensors(content: bytes, rng: Rng) -> bytes:
         case 7:
             state[f"{name}.{rng.integers(9)}"] = state[name]
         case _:
-            if "settings" in made:
-                made["settings"] = json.loads(_setting_changed(json.dumps(made["settings"]), rng))
+            if "settings" in one:
+                one["settings"] = json.loads(_setting_changed(json.dumps(one["settings"]), rng))
     buffer = io.BytesIO()
     torch.save(made, buffer)
     return buffer.getvalue()

@@ -4,7 +4,6 @@ import json
 import re
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -30,7 +29,7 @@ from dsrc.evaluation.config import read_benchmark
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.evaluation.stored import read_index, read_run
 from dsrc.models.detector import Detector
-from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
+from dsrc.models.storage.checkpoint import join_files, load_detector, load_joined, read_meta, save_detector
 from dsrc.models.storage.import_dsrc import import_detector
 from dsrc.models.storage.import_opencood import Origin, import_opencood
 from dsrc.options.detection import Evaluation
@@ -62,6 +61,8 @@ from tests.dsrc.evaluation import small
 from tests.dsrc.models.storage.opencood_networks import RANGE_M, network
 from tests.dsrc.training.drive import write_drive as write_drive_of_cars
 from tests.dsrc.training.runs import tiny
+from tests.fuzz.foreign import foreign_targets
+from tests.fuzz.target import Target
 from tests.paths import ROOT
 from tests.sim.catalog.test_import_map import packed_file, town
 from tests.sim.mesh.test_meshfiles import small_3ds
@@ -105,25 +106,6 @@ seeds = [7]
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
-    """Reader under test.
-
-    Attributes:
-        name: in messages.
-        path: file that is mutated; all others stay.
-        read: reads it, as a command would.
-        kind: of its mutations, see `mutated`.
-        is_file: it is a file to the reader too, not words of a command.
-    """
-
-    name: str
-    path: Path
-    read: Callable[[], object]
-    kind: str = "bytes"
-    is_file: bool = True
-
-
 def targets(folder: Path) -> list[Target]:
     """Write a small file for every reader; return the readers."""
     return [
@@ -136,6 +118,7 @@ def targets(folder: Path) -> list[Target]:
         *_detectors(folder),
         *_results(folder),
         *_runs(folder),
+        *foreign_targets(folder),
     ]
 
 
@@ -292,7 +275,12 @@ def _detectors(folder: Path) -> list[Target]:
     torch.save({published_name(name): tensor for name, tensor in made.state_dict().items()}, imported)
     zoo = folder / "net_epoch2.pth"
     torch.save(network("v2vnet", kernel=3), zoo)
+    both = folder / "both.pt"
+    people = Detector(replace(made.settings, users="vulnerable"))
+    save_detector(folder / "people.pt", people, {"seed": 2})
+    join_files([detector, folder / "people.pt"], both)
     return [
+        Target("detectors, joined", both, lambda: load_joined(both), "tensors"),
         Target("detector", detector, lambda: (load_detector(detector), read_meta(detector)), "tensors"),
         Target("published detector", imported, lambda: import_detector(imported, made.settings.grid), "tensors"),
         Target("detector of OpenCOOD", zoo, lambda: import_opencood(zoo, Origin(range_m=RANGE_M)), "tensors"),

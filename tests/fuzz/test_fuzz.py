@@ -4,7 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.fuzz.foreign import foreign_targets
 from tests.fuzz.run import fuzz
+
+
+def test_files_of_others_are_read_before_they_are_mutated(tmp_path: Path) -> None:
+    for target in foreign_targets(tmp_path):
+        target.read()
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs fork and limits of Linux")

@@ -1,0 +1,106 @@
+"""Readers of what is not ours in format: scans, tracks and boxes; and error models, whoever made them."""
+
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from dsrc.closed_loop.perception.error_model.fit import fit_errors
+from dsrc.closed_loop.perception.error_model.model import ErrorModel, read_model, write_model
+from dsrc.data.datasets.corrupt import corrupt_dataset
+from dsrc.data.datasets.tracks import record_tracks
+from dsrc.data.formats.kitti import encode_labels
+from dsrc.evaluation.scoring.score import score
+from sim.boxes import Boxes
+from tests.dsrc.closed_loop.perception.error_model.percepts import INTERVAL_S, sequence
+from tests.dsrc.data.clouds.test_corrupt import BOXES, street
+from tests.fuzz.target import Target
+from tests.sim.traffic.tracks.test_tracks import write_csv, write_npz, write_xml
+
+CALIBRATION = "R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27\n"
+
+
+def foreign_targets(folder: Path) -> list[Target]:
+    """Write a small file for every reader; return the readers."""
+    return [*_scans(folder / "scans"), *_tracks(folder / "tracks"), *_boxes(folder / "boxes"), *_errors(folder)]
+
+
+def _scans(root: Path) -> list[Target]:
+    cloud = street()[::8].astype("<f4")
+    ring = np.arange(len(cloud), dtype="<f4")[:, None] % 32
+    names = ("kitti/velodyne", "kitti/label_2", "kitti/calib", "semantic/velodyne", "semantic/labels", "alone")
+    kitti, label_2, calib, semantic, labels, alone = (root / name for name in names)
+    for made in (kitti, label_2, calib, semantic, labels, alone):
+        made.mkdir(parents=True)
+    for scan in (alone / "1.bin", kitti / "000001.bin", semantic / "000001.bin"):
+        scan.write_bytes(cloud.tobytes())
+    (label_2 / "000001.txt").write_text(encode_labels(Boxes.from_array(BOXES[:, :7]), "camera", np.zeros(2, np.int64)))
+    (calib / "000001.txt").write_text(CALIBRATION)
+    (labels / "000001.label").write_bytes(np.where(np.arange(len(cloud)) % 3, 40, 10).astype("<u4").tobytes())
+    (alone / "1.pcd.bin").write_bytes(np.hstack([cloud * [1, 1, 1, 255], ring]).astype("<f4").tobytes())
+    np.save(alone / "1.npy", cloud[:40])
+    head = "ply\nformat {}\nelement vertex 40\n" + "".join(f"property float {name}\n" for name in ("x", "y", "z", "i"))
+    (alone / "1.ply").write_bytes(
+        f"{head.format('binary_big_endian 1.0')}end_header\n".encode() + cloud[:40].astype(">f4").tobytes()
+    )
+    rows = "".join(" ".join(map(str, row)) + "\n" for row in cloud[:40].tolist())
+    (alone / "2.ply").write_text(f"{head.format('ascii 1.0')}end_header\n{rows}")
+
+    def target(name: str, file: Path, scan: Path, corruption: str, kind: str = "text") -> Target:
+        def read() -> object:
+            with tempfile.TemporaryDirectory(dir=root) as made:
+                return corrupt_dataset(scan, Path(made) / scan.name, corruption)
+
+        return Target(f"scan, {name}", file, read, kind)
+
+    return [
+        target("KITTI", alone / "1.bin", alone / "1.bin", "beam_missing", "bytes"),
+        target("nuScenes", alone / "1.pcd.bin", alone / "1.pcd.bin", "fog", "bytes"),
+        target("numpy", alone / "1.npy", alone / "1.npy", "noise"),
+        target("PLY, binary", alone / "1.ply", alone / "1.ply", "snow"),
+        target("PLY, ASCII", alone / "2.ply", alone / "2.ply", "crosstalk"),
+        target("labels of SemanticKITTI", labels / "000001.label", semantic / "000001.bin", "incomplete_echo", "bytes"),
+        target("labels of KITTI", label_2 / "000001.txt", kitti / "000001.bin", "incomplete_echo"),
+        target("calibration of KITTI", calib / "000001.txt", kitti / "000001.bin", "incomplete_echo"),
+    ]
+
+
+def _tracks(root: Path) -> list[Target]:
+    root.mkdir()
+    made = {"street.csv": (write_csv, "text"), "street.npz": (write_npz, "arrays"), "street.xml": (write_xml, "text")}
+    for name, (write, _) in made.items():
+        write(root / name)
+
+    def target(path: Path, kind: str) -> Target:
+        return Target(f"tracks {path.suffix}", path, lambda: record_tracks(path, root / f"of{path.suffix}"), kind)
+
+    return [target(root / name, kind) for name, (_, kind) in made.items()]
+
+
+def _boxes(root: Path) -> list[Target]:
+    truth, found, dumped = root / "truth" / "label_2", root / "found", root / "dumped"
+    for made in (truth, found, dumped):
+        made.mkdir(parents=True)
+    boxes = Boxes.from_array(BOXES[:, :7])
+    lines = encode_labels(boxes, "around", np.zeros(2, np.int64))
+    (truth / "000003.txt").write_text(lines)
+    (found / "000003.txt").write_text("".join(f"{line} 0.8\n" for line in lines.splitlines()))
+    listed = root / "boxes.json"
+    listed.write_text(json.dumps({"frames": [{"frame": 3, "boxes": BOXES[:, :7].tolist(), "scores": [0.9, 0.5]}]}))
+    for name in ("0003_gt.npy", "0003_pred.npy"):
+        np.save(dumped / name, boxes.corners())
+    return [
+        Target("boxes, JSON", listed, lambda: score(listed, truth.parent, "all"), "text"),
+        Target("boxes, KITTI", found / "000003.txt", lambda: score(found, truth.parent, "all"), "text"),
+        Target("boxes, true ones of KITTI", truth / "000003.txt", lambda: score(listed, truth.parent, "all"), "text"),
+        Target("boxes, OpenCOOD", dumped / "0003_pred.npy", lambda: score(dumped, None, "all"), "text"),
+    ]
+
+
+def _errors(root: Path) -> list[Target]:
+    path = root / "errors.json"
+    errors = fit_errors([sequence(0)], INTERVAL_S)
+    model = {"perception": "team", "cooperative": True, "interval_s": INTERVAL_S, "classes": ("car",)}
+    write_model(path, ErrorModel(**model, conditions=(errors,)))
+    return [Target("error model", path, lambda: read_model(path), "text")]
