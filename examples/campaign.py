@@ -301,12 +301,16 @@ class Campaign:
             task = progress.add_task("trainings")
             while True:
                 self._reap()
-                planned = campaign(self.options.seeds, factor(self.out))
+                weights = factor(self.out)
+                planned = campaign(self.options.seeds, weights)
                 trainings = selected(planned, self.options)
+                closed = self._gates(trainings)
+                if factor(self.out) != weights:
+                    continue  # a gate has changed the plan
                 waiting = [t for t in trainings if not t.detector(self.out).exists() and t.name not in self.running]
                 done = len(trainings) - len(waiting) - len(self.running)
                 progress.update(task, total=len(trainings), completed=done, description=", ".join(self.running) or "-")
-                if closed := self._gates(trainings):
+                if closed:
                     waiting = [t for t in waiting if not behind(t, closed)]
                 waiting = [t for t in waiting if t.name not in self.failed]
                 by_name = {t.name: t for t in planned}
