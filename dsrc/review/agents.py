@@ -42,7 +42,9 @@ def agent_view(
     lost_points = np.zeros((0, 3), np.float32)
     if recorded is not None and visible and agent.sweep is not recorded.agents[row].sweep:
         lost_points = _lost_points(recorded.agents[row].sweep, agent.sweep, state.max_points)
-    rgb = agent_color(row)
+    rgb, fate = agent_color(row), agent.sweep.fate
+    # As recorded all are untouched; counting that in every frame takes time.
+    fates = np.bincount(fate, minlength=len(FATE_NAMES)) if fate.any() else [len(fate), *[0] * (len(FATE_NAMES) - 1)]
     return AgentView(
         agent_id=agent.agent_id,
         kind=agent.kind,
@@ -55,7 +57,7 @@ def agent_view(
         colors=point_colors(agent.sweep, state.color_by, rgb, body_from_lidar[2], drawn),
         total=len(agent.sweep),
         lost=agent.sweep.lost,
-        fates=tuple(np.bincount(agent.sweep.fate, minlength=len(FATE_NAMES)).tolist()),
+        fates=tuple(map(int, fates)),
         lost_points=lost_points,
     )
 
