@@ -4,6 +4,7 @@ import contextlib
 import gzip
 import http
 import io
+import logging
 import socket
 import threading
 import warnings
@@ -73,9 +74,15 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> viser.ViserSe
     wanted = checked_port(host, port)
     # A browser may go while a frame is on its way to it.
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
+    logging.getLogger("websockets.server").addFilter(_worth_telling)
     # viser prints a banner to standard output, which belongs to the command's results.
     with _own_requests(host), contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host=host, port=wanted, label="Review", verbose=False)
+
+
+def _worth_telling(record: logging.LogRecord) -> bool:
+    """Whether a record is none of a connection without a request: browsers open some ahead and drop them."""
+    return "handshake failed" not in record.getMessage()
 
 
 @contextlib.contextmanager

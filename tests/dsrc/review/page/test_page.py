@@ -193,3 +193,11 @@ def test_the_light_is_drawn_once_for_all(app, browser, connect_browser):
     assert node(app.server, "/light/ambient") is not None
     assert node(app.server, "/drive0/world/grid") is not None
     assert isinstance(app, ReviewApp) and len(app.sessions) == 2
+
+
+def test_a_connection_that_a_browser_opens_ahead_and_drops_is_not_told(app, caplog):
+    with socket.create_connection(("127.0.0.1", int(app.url.rsplit(":", 1)[1]))):
+        pass
+    with urllib.request.urlopen(app.url, timeout=10) as answer:
+        assert answer.status == 200
+    assert not [record.getMessage() for record in caplog.records if record.name.startswith("websockets")]
