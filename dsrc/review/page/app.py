@@ -19,7 +19,8 @@ from dsrc.review.page.cells.pairs import Pair
 from dsrc.review.page.link import read_link
 from dsrc.review.page.scene import place_static, set_light, set_start_camera
 from dsrc.review.page.server import LOOPBACK, address, checked_port, link_of, start_server, stop_server
-from dsrc.review.page.session import Session, root_of
+from dsrc.review.page.session import Session
+from dsrc.review.page.stage import root_of
 from dsrc.review.sources.live import LiveSource
 from dsrc.review.state import ReviewState
 from dsrc.review.worker import Worker

@@ -1,6 +1,7 @@
 """Page and Panel: protocols of a browser's page for its controls, commands and panels."""
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -106,6 +107,9 @@ class Page(Protocol):
 
     def side_by_side(self) -> None:
         """Open two cells with linked cameras, or go back to one page from there."""
+
+    def on_close(self, run: Callable[[], None]) -> None:
+        """Run a function once the browser is gone."""
 
     def tell(self, text: str) -> None:
         """Show a text above the controls; "" hides it."""

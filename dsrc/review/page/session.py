@@ -21,9 +21,9 @@ from dsrc.review.page.cells.pairs import Pair, cells_of
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
 from dsrc.review.page.link import write_link
 from dsrc.review.page.panels import PANELS
-from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.protocol import Shown
-from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_backdrop
+from dsrc.review.page.scene import Clicked
+from dsrc.review.page.stage import Stage, root_of
 from dsrc.review.state import Camera, ReviewState, with_changes
 from dsrc.review.view import FrameView
 from dsrc.review.worker import Progress, Worker
@@ -40,11 +40,6 @@ GROW_S = 0.1
 
 NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
-
-
-def root_of(drive: int) -> str:
-    """Node of the scene below which a drive is drawn, in the row of its model."""
-    return f"/drive{drive}"
 
 
 class Session:
@@ -66,6 +61,7 @@ class Session:
         worker: detects over whole runs in the background.
         notes: on the errors, None where they cannot be kept.
         camera: of this browser.
+        stage: scene of this browser.
         address: of this browser, which shows what is drawn.
         pair: cells side by side that this one belongs to, None for a page of its own.
     """
@@ -110,7 +106,7 @@ class Session:
         self._playing = False
         self._next_at = 0.0
         self.camera, self.address = BrowserCamera(client, pose), AddressBar(client)
-        self._theme = ""
+        self._on_close: list[Callable[[], None]] = []
         self._help: Any = None
         self._failed, self._told_of = False, (state.drive, state.frame)
         self._interval_s = 0.1
@@ -119,12 +115,8 @@ class Session:
         self._thread.start()
 
     def _build(self, notice: str) -> None:
-        self._show_theme()
-        self._roots = [
-            self.client.scene.add_frame(root_of(row), show_axes=False, visible=False)
-            for row in range(len(self.model.drives))
-        ]
-        self._writer = self._new_writer()
+        self.stage = Stage(self.client, len(self.model.drives), on_click=self._select)
+        self.stage.set_theme(self.state.theme)
         self._notice = self.gui.add_markdown(_quoted(notice), visible=bool(notice))
         self.panels = [make(self) for make in PANELS]
         with self.gui.add_folder("Help", expand_by_default=False):
@@ -269,11 +261,14 @@ class Session:
             raise TimeoutError("the page was closed before it was drawn")
         return self.view
 
+    def on_close(self, run: Callable[[], None]) -> None:
+        """Run a function once the browser is gone."""
+        self._on_close.append(run)
+
     def close(self) -> None:
-        """Stop the worker, and what panels do in the background."""
-        for panel in self.panels:
-            if isinstance(panel, SensorLabPanel):
-                panel.close()
+        """Stop drawing, and what panels do in the background."""
+        for run in self._on_close:
+            run()
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -282,9 +277,6 @@ class Session:
     def _draw_soon(self) -> None:
         self._wanted += 1
         self._changed.notify_all()
-
-    def _new_writer(self) -> SceneWriter:
-        return SceneWriter(self.client.scene, root_of(self.state.drive), on_click=self._select)
 
     def _select(self, clicked: Clicked) -> None:
         self.update(object_id=clicked.object_id, detection=clicked.detection)
@@ -359,8 +351,9 @@ class Session:
                 view = self.model.view(state)
                 self._interval_s = self.model.interval_s(state.drive)
             new_drive = self.camera.drawn is None or self.camera.drawn.drive != state.drive
-            self._show_theme()
-            self._write(view, state)
+            self.stage.set_theme(state.theme)
+            self.stage.draw(view, state.drive, lambda: self.camera.follow(view, state))
+            self.address.fall_behind()
             self.view = view
             if self._failed or self._told_of != (state.drive, state.frame):
                 self.tell("")
@@ -386,18 +379,6 @@ class Session:
         for panel in self.panels:
             panel.show(shown)
 
-    def _write(self, view: FrameView, state: ReviewState) -> None:
-        """Draw a frame and move the scene, and the camera where it is placed anew."""
-        if self._writer.root != root_of(state.drive):
-            self._writer.clear()
-            self._writer = self._new_writer()
-        with self.client.atomic():
-            self._writer.write(view)
-            for row, root in enumerate(self._roots):
-                root.visible = row == state.drive
-            place_frame(self._roots[state.drive], self.camera.follow(view, state))
-        self.address.fall_behind()
-
     def look(self, pose: CameraPose) -> None:
         """Set the camera to a pose in the scene, that of another cell."""
         with self.client.atomic():
@@ -421,19 +402,6 @@ class Session:
         pose = self.camera.pose
         if self.pair is not None and pose is not None and self.camera.is_news(pose):
             self.pair.camera_moved(self, pose)
-
-    def _show_theme(self) -> None:
-        if self._theme == self.state.theme:
-            return
-        self._theme = self.state.theme
-        self.gui.configure_theme(
-            dark_mode=self._theme == "dark",
-            show_logo=False,
-            show_share_button=False,
-            brand_color=(56, 150, 255),
-            control_width="medium",
-        )
-        set_backdrop(self.client.scene, self.state.theme)
 
 
 def _quoted(text: str) -> str:

@@ -103,6 +103,7 @@ class SensorLabPanel:
         self.position.on_update(self._take)
         self.angles.on_update(self._take)
         self.usual.on_click(lambda _: page.update(placement=()))
+        page.on_close(self.close)
 
     def show(self, shown: Shown) -> None:
         """Set the controls and the gizmo, and ask for the sweep where anything that it depends on has changed."""

@@ -33,7 +33,7 @@ def test_n_goes_to_the_next_missed_object_box_card_and_camera(session, browser):
     assert state.frame == 0 and state.object_id is not None
     assert missed(session) == "missed"
     place = session.view.selected
-    wait_for(lambda: session._writer is not None and abs(session.client.camera.look_at - place).max() < 1e-3)
+    wait_for(lambda: abs(session.client.camera.look_at - place).max() < 1e-3)
     RUN["Next missed object"](session)
     assert session.state.frame == 1 and missed(session) == "missed"
     RUN["Previous missed object"](session)

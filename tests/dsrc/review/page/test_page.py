@@ -1,6 +1,7 @@
 """The scene that is written, and the page as it is served."""
 
 import socket
+import time
 import urllib.error
 import urllib.request
 from dataclasses import replace
@@ -200,4 +201,5 @@ def test_a_connection_that_a_browser_opens_ahead_and_drops_is_not_told(app, capl
         pass
     with urllib.request.urlopen(app.url, timeout=10) as answer:
         assert answer.status == 200
+    time.sleep(0.5)
     assert not [record.getMessage() for record in caplog.records if record.name.startswith("websockets")]

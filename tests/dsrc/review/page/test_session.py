@@ -191,7 +191,7 @@ def test_another_drive_starts_at_its_first_frame(detector, drive, connect_browse
         session.update(drive=1)
         assert session.wait_drawn().index == 3
         wait_for(lambda: handle(session, "frame").max == 1)
-        assert [root.visible for root in session._roots] == [False, True]
+        assert [root.visible for root in session.stage.roots] == [False, True]
         assert node(session, "/agents/vehicle_1002/lidar/points") is None
     finally:
         app.close()
@@ -209,7 +209,7 @@ def test_two_browsers_do_not_move_each_other(app, browser, connect_browser):
 
 
 def ego_in_scene(session):
-    root = session._roots[0]
+    root = session.stage.roots[0]
     place = session.view.ego.review_from_body
     from viser.transforms import SO3
 
@@ -250,7 +250,7 @@ def test_a_camera_set_free_keeps_its_picture(session):
     session.wait_drawn()
     ego = session.view.ego.review_from_body
     np.testing.assert_allclose(session.client.camera.position, ego[:3, 3] + [-34.0, 0.0, 21.0], atol=1e-6)
-    np.testing.assert_allclose(session._roots[0].position, 0.0, atol=1e-9)
+    np.testing.assert_allclose(session.stage.roots[0].position, 0.0, atol=1e-9)
 
 
 def test_the_camera_flies_to_the_selected_box(session):
@@ -312,7 +312,7 @@ def test_an_object_is_selected_in_the_list_or_by_a_click(session):
 def test_a_clicked_detection_opens_its_card(session):
     view = session.view
     ghost = int(view.ranks["detections/fp"][0])
-    session._select(session._writer._clickable["detections/fp/faces"][0])
+    session._select(session.stage.writer._clickable["detections/fp/faces"][0])
     details = session.wait_drawn().details
     assert (details.rank, details.verdict, details.object_id) == (ghost, "false positive", None)
     assert details.score == pytest.approx(0.4)
