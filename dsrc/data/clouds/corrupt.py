@@ -128,6 +128,8 @@ def corrupt_sweep(
     are in place of those of the severity; `time_s` is that of the frame, s, None for 0.1 s times its number.
     """
     require_corruption(kind, severity, family)
+    if seed < 0 or index < 0:
+        raise SettingsError(complaint("corrupt", "seed and index", "at least 0", f"{seed} and {index}"))
     if kind == CLEAN:
         return sweep
     time_s = INTERVAL_S * index if time_s is None else time_s

@@ -16,7 +16,7 @@ from dsrc.data.clouds.cloud import rows_of
 from dsrc.data.clouds.corrupt import array_of, cloud_of, corrupt_sweep
 from sensors.corruptions import CLEAN, SEVERITIES, Family, require_corruption
 from sensors.presets import get_lidar
-from sim.errors import SettingsError, complaint
+from sim.errors import DataError, SettingsError, complaint
 from sim.streams import Stream, random_generator
 
 _PER_POINT = ("pts_semantic_mask", "pts_instance_mask", "point_labels")
@@ -82,6 +82,8 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
         """
         if not isinstance(sample, dict):
             return self._corrupted(sample, None, index, rng)[0]
+        if "points" not in sample:
+            raise DataError(complaint("CorruptTransform", "points", "a key of the sample", ", ".join(map(str, sample))))
         if index is None:
             index = next((sample[name] for name in _NUMBERS if name in sample), None)
         points, row = self._corrupted(sample["points"], _boxes_of(sample), index, rng)

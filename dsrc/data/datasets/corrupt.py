@@ -86,6 +86,8 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
     if options.seed < 0:
         raise SettingsError(complaint("corrupt", "seed", "at least 0", options.seed))
     data, out = Path(options.data).resolve(), Path(options.out).resolve()
+    if not data.exists():
+        raise DataError(f"{data}: no such file or folder")
     if out.is_relative_to(data) or data.is_relative_to(out):
         raise SettingsError(complaint("corrupt", "out", f"a place apart from {data}", str(out)))
     if _holds_scans(data):

@@ -175,8 +175,8 @@ def _corrupt_scan(job: ScanJob) -> None:
             index=index,
             time_s=time_s,
         )
-    except DataError as error:
-        raise DataError(f"{job.source}: {error}") from None
+    except (DataError, SettingsError) as error:
+        raise type(error)(f"{job.source}: {error}") from None
     if labels is not None:
         row = rows_of(after)
         kept = np.where(row < 0, 0, np.append(labels, 0)[row]).astype("<u4")

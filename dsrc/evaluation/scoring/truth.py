@@ -88,8 +88,8 @@ class _Drives:
             self.opened = key.drive, open_drive(self._path(key.drive))
         drive = self.opened[1]
         if key.frame not in drive.frames:
-            expected = f"frames {drive.frames[0]} to {drive.frames[-1]}" if drive.frames else "frames"
-            raise DataError(complaint(drive.drive, "frame", f"{expected} with detections", f"no frame {key.frame}"))
+            expected = f"one from {drive.frames[0]} to {drive.frames[-1]}" if drive.frames else "a drive with frames"
+            raise DataError(complaint(drive.drive, "frame", expected, f"detections of frame {key.frame}"))
         return truth_of_frame(drive.read(drive.frames.index(key.frame)), key.ego_id)
 
     def _path(self, name: str) -> Path:

@@ -187,6 +187,7 @@ def test_presets_are_published_settings() -> None:
     [
         ({"kind": "frog"}, "did you mean 'fog'"),
         ({"severity": 6}, "1 to 5"),
+        ({"seed": -1}, "at least 0"),
         ({"kind": "pose_error"}, "several agents"),
         ({"kind": "incomplete_echo"}, "boxes of the vehicles"),
         ({"kind": "spray"}, "boxes of the vehicles"),

@@ -11,7 +11,7 @@ from torch.utils.data import DataLoader, Dataset
 
 import dsrc
 from dsrc import CorruptTransform
-from sim.errors import SettingsError
+from sim.errors import DataError, SettingsError
 from tests.dsrc.data.clouds.test_corrupt import BOXES, street
 
 FOG_OR_SNOW = CorruptTransform(kinds=("fog", "snow"), severities=(2, 4), seed=5)
@@ -83,6 +83,8 @@ def test_boxes_of_a_sample_serve_the_kinds_that_need_objects() -> None:
     assert np.array_equal(lossy({"points": cloud, "sample_idx": "1", "gt_bboxes_3d": holder})["points"], out)
     with pytest.raises(SettingsError, match="boxes"):
         lossy(cloud)
+    with pytest.raises(DataError, match="points: expected a key of the sample, found pts"):
+        lossy({"pts": cloud})
 
 
 def test_it_travels_to_other_processes() -> None:

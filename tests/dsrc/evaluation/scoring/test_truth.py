@@ -90,7 +90,7 @@ def test_what_the_tree_lacks_is_one_line(tmp_path: Path) -> None:
         read_truth(tmp_path, [FrameKey("three", 3)])
     with pytest.raises(DataError, match="drive: expected one of one, two, found detections without a drive"):
         read_truth(tmp_path, [FrameKey("", 3)])
-    with pytest.raises(DataError, match="one: frame: expected frames 3 to 3 with detections, found no frame 4"):
+    with pytest.raises(DataError, match="one: frame: expected one from 3 to 3, found detections of frame 4"):
         read_truth(tmp_path / "one", [FrameKey("", 4)])
     (tmp_path / "kitti" / "label_2").mkdir(parents=True)
     with pytest.raises(DataError, match=r"label_2/000004.txt: labels: .* found no labels of frame 4$"):
