@@ -19,7 +19,7 @@ from dsrc.review.page.export import export_pictures, write_animation
 from dsrc.review.page.screenshot import BrowserPage, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
-from sim.files import overwriting, signed_picture, write_file
+from sim.files import signed_picture, write_file
 
 SIZE = (1500, 850)
 VIEW = "frame=10&camera=chase&off=labels"
@@ -115,8 +115,7 @@ def main() -> None:
     if given.episode is not None:
         pictures["episode.png"] = lambda path: picture_of_page(open_model(given.episode), riding, path)
     for name in given.only or pictures:
-        with overwriting(True):  # nothing in a GIF says that it is ours
-            pictures[name](out / name)
+        pictures[name](out / name)
         print(out / name)
 
 
