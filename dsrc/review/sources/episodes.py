@@ -170,7 +170,9 @@ class EpisodeSource:
         """Table of a step: boxes and road users around the ego, in the frame of its LiDAR."""
         lidar_from_world = invert(_body(tick.ego) @ pose_matrix([0.0, 0.0, _LIDAR_M]))
         found, truth = boxes.transform(lidar_from_world), tick.actors.boxes.transform(lidar_from_world)
-        near = np.hypot(*found.center[:, :2].T) <= RANGE_M
+        # Helpers see the ego, which looks for others: its own box is no object, so a detection of it is no error.
+        own = (np.abs(found.center[:, :2]) <= 0.5 * tick.ego.box.size[0, :2]).all(axis=1)
+        near = (np.hypot(*found.center[:, :2].T) <= RANGE_M) & ~own
         judged = (np.hypot(*truth.center[:, :2].T) <= RANGE_M) & (truth.object_id != self._ego_id)
         # A score is a confidence of 0 to 1 in the log's resolution.
         detections = Detections(found[near], np.clip(score[near], 0.0, 1.0).astype(np.float32))

@@ -1,12 +1,16 @@
 """An episode log opens as frames of its road users, with what the ego saw, believed and planned."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.types import Percept
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.episodes import PERCEPTS, TRACKS, EpisodeSource, episode_source, open_episode, plan_of
 from dsrc.review.sources.opening import open_sources
+from sim.boxes import concatenate
 from sim.errors import DataError
 from tests.dsrc.closed_loop.logged import EGO_ID, SCENARIO
 from tests.dsrc.closed_loop.test_log import full_log
@@ -66,6 +70,16 @@ def test_percepts_and_tracks_are_sets_of_detections_around_the_ego(source):
         assert table.position.tolist() == list(range(len(source)))
         assert EGO_ID not in table.object_id.tolist() and len(table.truth) > 0
         assert (np.hypot(*table.truth[:, :2].T) <= 70.0).all()
+
+
+def test_a_detection_of_the_ego_itself_is_no_false_one(log):
+    tick = log.ticks[0]
+    shifts = np.array([[0.4, 0.0, 0.1], [0.0, 10.0, 0.0]])
+    boxes = concatenate([replace(tick.ego.box, center=tick.ego.box.center + shift) for shift in shifts])
+    live = EpisodeSource("running")
+    live.put(replace(tick, percept=Percept(tick.ego.time_s, boxes, np.array([0.9, 0.8]), np.zeros((2, 2)))), EGO_ID)
+    (result,) = live.sets[PERCEPTS].run(Setup()).results()
+    assert result.detections.score.tolist() == pytest.approx([0.8])
 
 
 def test_a_running_episode_grows_step_by_step_and_ends_as_its_log(log, source):
