@@ -8,8 +8,12 @@ An episode is added with `--episode EPISODE.npz`, a log of `dsrc drive`.
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp
@@ -23,6 +27,10 @@ from sim.files import signed_picture, write_file
 
 SIZE = (1500, 850)
 VIEW = "frame=10&camera=chase&off=labels"
+NEAR = "camera=chase&off=labels&view=-25,-6,15,6,2,0"
+"""View of the animation: nearer than the camera that chases the ego by itself."""
+SMOOTH = (1280, 640), (800, 400)
+"""Sizes of the animation as it is drawn and as it is written, px: lines and points get smooth edges."""
 HIDE_NOTICES = """
 for(const page of [document,...[...document.querySelectorAll('iframe')].map(cell=>cell.contentDocument)])
  page.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')
@@ -65,6 +73,13 @@ def picture_of_page(
         app.close()
 
 
+def smooth_pictures(model: ReviewModel, rows: Sequence[int]) -> Iterator[NDArray[np.uint8]]:
+    """Yield the pictures of an animation, drawn larger than they are."""
+    drawn, written = SMOOTH
+    for image in export_pictures(model, NEAR, drawn, rows):
+        yield np.asarray(Image.fromarray(image).resize(written, Image.Resampling.LANCZOS))
+
+
 def show_lab(title: str) -> Callable[[Session, BrowserPage], None]:
     """Scroll to the folder of a lab, opened."""
     folder = f"[...document.querySelectorAll('*')].filter(e=>e.textContent.trim()==='{title}').pop()"
@@ -100,7 +115,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10, help="frames of the animation")
     given = parser.parse_args()
     model, out = open_model(given.drive, given.checkpoint), given.out
-    rows = range(10, min(10 + given.frames, model.frame_count(0)))
+    rows = range(20, min(20 + given.frames, model.frame_count(0)))
     foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
     fog = "/?fixedDpr=1&frame=3&color=fate&corruption=fog&parameters=extinction:0.05"
     pole = "/?fixedDpr=1&frame=3&color=height&sensor=vlp-16&carrier=pole&placement=0,0,6,0,15"
@@ -110,7 +125,7 @@ def main() -> None:
         "cells.png": lambda path: picture_of_page(model, compare_address(VIEW, foggy), path, cells=2),
         "corruption_lab.png": lambda path: picture_of_page(model, fog, path, show_lab("Corruption lab")),
         "sensor_lab.png": lambda path: picture_of_page(model, pole, path, show_lab("Sensor lab")),
-        "drive.gif": lambda path: write_animation(export_pictures(model, VIEW, (640, 320), rows), path, 0.1),
+        "drive.gif": lambda path: write_animation(smooth_pictures(model, rows), path, 0.1),
     }
     if given.episode is not None:
         pictures["episode.png"] = lambda path: picture_of_page(open_model(given.episode), riding, path)
