@@ -30,6 +30,7 @@ from dsrc.closed_loop.perception.error_model.sight import (
     SIGHTS,
     bands_of,
     ego_frame,
+    lies_across,
     within,
 )
 from sim.geometry import wrap_angle
@@ -58,6 +59,8 @@ class _Table:
         before: (R,) row of the same object in the percept before, -1 without one.
         error: (R, 8) of `PARTS`, the score itself; NaN where it was not found.
         flipped: (R,) whether the box points backwards.
+        crossed: (R,) whether the box lies across its object.
+        across: (R,) whether the object lies across the ego's heading.
     """
 
     kind: NDArray[np.int64]
@@ -67,6 +70,8 @@ class _Table:
     before: NDArray[np.int64]
     error: NDArray[np.float64]
     flipped: Mask
+    crossed: Mask
+    across: Mask
 
 
 def fit_errors(sequences: Iterable[Sequence[Observed]], interval_s: float, **condition: Any) -> Errors:
@@ -100,7 +105,11 @@ def fit_errors(sequences: Iterable[Sequence[Observed]], interval_s: float, **con
         episodes=len(known),
         area_m=area,
         cells=tuple(cells),
-        flipped=_chain(table.flipped, table, (("all", any_row),), table.hit),
+        flipped=_chain(table.flipped, table, (("all", any_row),), table.hit & ~table.crossed),
+        crossed=(
+            _chain(table.crossed, table, (("cell", ~table.across),), table.hit),
+            _chain(table.crossed, table, (("cell", table.across),), table.hit),
+        ),
         correlation=_correlation(marks, table),
         ghosts=_ghosts(known, places, interval_s),
     )
@@ -156,20 +165,23 @@ def _table(
             before = np.array([last.get(number, -1) for number in ids], np.int64)
             last, last_s = {number: count + row for row, number in enumerate(ids)}, one.time_s
             count += len(rows)
-            error, flipped = _errors_of(one, box[rows], rows)
-            kind = KIND_OF_LABEL[one.truth.label[rows]]
-            columns.append((kind, one.sight[rows], bands_of(local[rows]), box[rows] >= 0, before, error, flipped))
+            error, flipped, crossed = _errors_of(one, box[rows], rows)
+            kind, across = KIND_OF_LABEL[one.truth.label[rows]], lies_across(one.truth.yaw[rows] - one.ego[2])
+            seen = kind, one.sight[rows], bands_of(local[rows]), box[rows] >= 0
+            columns.append((*seen, before, error, flipped, crossed, across))
     if not columns:
         none = np.zeros(0, np.int64)
         empty = np.zeros(0, bool)
-        return _Table(none, none, none, empty, none, np.zeros((0, len(PARTS))), empty), false
+        return _Table(none, none, none, empty, none, np.zeros((0, len(PARTS))), empty, empty, empty), false
     return _Table(*(np.concatenate(parts) for parts in zip(*columns, strict=True))), false
 
 
-def _errors_of(one: Observed, box: NDArray[np.int64], rows: NDArray[np.int64]) -> tuple[NDArray[np.float64], Mask]:
-    """Return (K, 8) errors of the boxes of objects, NaN without one, and whether they point backwards."""
+def _errors_of(
+    one: Observed, box: NDArray[np.int64], rows: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], Mask, Mask]:
+    """Return (K, 8) errors of the boxes of objects, NaN without one, and whether they point backwards or lie across."""
     truth, error = one.truth[rows], np.full((len(rows), len(PARTS)), np.nan)
-    flipped = np.zeros(len(rows), bool)
+    flipped, crossed = np.zeros((2, len(rows)), bool)
     hit = np.flatnonzero(box >= 0)
     true, found = truth[hit], one.found[box[hit]]
     offset = found.center - true.center
@@ -179,10 +191,11 @@ def _errors_of(one: Observed, box: NDArray[np.int64], rows: NDArray[np.int64]) -
     error[hit, 2] = offset[:, 2]
     error[hit, 3:6] = np.log(found.size / true.size)
     turn = np.asarray(wrap_angle(found.yaw - true.yaw), np.float64)
-    flipped[hit] = np.abs(turn) > 0.5 * np.pi
-    error[hit, 6] = np.where(flipped[hit], wrap_angle(turn + np.pi), turn)
+    quarters = np.rint(turn / (0.5 * np.pi))
+    flipped[hit], crossed[hit] = np.abs(quarters) == 2.0, np.abs(quarters) == 1.0
+    error[hit, 6] = turn - quarters * 0.5 * np.pi
     error[hit, 7] = one.score[box[hit]]
-    return error, flipped
+    return error, flipped, crossed
 
 
 def _chance(event: Mask, groups: Groups) -> Chance:

@@ -18,8 +18,8 @@ from sim.files import write_file
 from sim.radio import IDEAL
 from sim.reading import read_bytes
 
-Format = Literal["dsrc error model 1"]
-FORMAT: Format = "dsrc error model 1"
+Format = Literal["dsrc error model 2"]
+FORMAT: Format = "dsrc error model 2"
 QUANTILES = tuple(k / 10 for k in range(11))
 """Shares of the scores below those of `BoxErrors.score`."""
 PARTS = ("along", "across", "up", "length", "width", "height", "yaw", "score")
@@ -156,6 +156,8 @@ class Errors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         area_m: where boxes were found, x and y of the low and of the high corner in the ego's frame, m.
         cells: each kind, sight and range once.
         flipped: whether a box points backwards, in time.
+        crossed: whether a box lies across its object, in time: of objects along the ego's heading, and of those across
+            it.
         correlation: of each of `PARTS` in consecutive percepts; the score's of its normal quantile.
         ghosts: boxes where nothing is.
     """
@@ -169,6 +171,7 @@ class Errors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     area_m: tuple[_Bounded, _Bounded, _Bounded, _Bounded]
     cells: tuple[Cell, ...]
     flipped: Chain
+    crossed: tuple[Chain, Chain]
     correlation: Annotated[tuple[Share, ...], Meta(min_length=len(PARTS), max_length=len(PARTS))]
     ghosts: Ghosts
 

@@ -16,6 +16,7 @@ from dsrc.closed_loop.perception.error_model.sight import (
     Viewpoints,
     bands_of,
     ego_frame,
+    lies_across,
     within,
 )
 from dsrc.closed_loop.types import Percept
@@ -34,15 +35,19 @@ class _Memory:
         noise: (8,) standard normal numbers of `PARTS`.
         found: whether it was found the last time; None where it was outside of the area.
         ever: whether it was found since it came into the area.
-        flipped: whether its box pointed backwards the last time that it was found; None before.
+        side: of a box across it, 1 to its left, -1 to its right.
+        flipped: whether its box pointed backwards the last time that it was found along it; None before.
+        crossed: whether its box lay across it the last time that it was found; None before.
         percept: number of the last percept in which it was inside the area.
     """
 
     rng: np.random.Generator
     noise: NDArray[np.float64]
+    side: int
     found: bool | None = None
     ever: bool = False
     flipped: bool | None = None
+    crossed: bool | None = None
     percept: int = -1
 
 
@@ -85,11 +90,13 @@ class ModelPerception:
         local = ego_frame(now.boxes.center[:, :2], ego)
         near = np.flatnonzero(within(self.errors.area_m, local) & (now.boxes.object_id != self._ego_id))
         kinds, bands = KIND_OF_LABEL[now.boxes.label[near]], bands_of(local[near])
+        across = lies_across(now.boxes.yaw[near] - ego[2])
         sights = self._views.sight(before, now, near)
         rows, boxes = [], []
         for place, key in enumerate(zip(kinds.tolist(), sights.tolist(), bands.tolist(), strict=True)):
             object_id = int(now.boxes.object_id[near[place]])
-            drawn = self._draw(object_id, self._cells[key], now.boxes.array[near[place]], intervals)
+            crosses = self.errors.crossed[int(across[place])]
+            drawn = self._draw(object_id, self._cells[key], crosses, now.boxes.array[near[place]], intervals)
             if drawn is not None:
                 rows.append(near[place])
                 boxes.append(drawn)
@@ -101,18 +108,20 @@ class ModelPerception:
         return Percept(now.time_s, Boxes.from_array(found[:, :7], label), found[:, 7], velocity)
 
     def _draw(
-        self, object_id: int, cell: Cell, box: NDArray[np.float64], intervals: float
+        self, object_id: int, cell: Cell, crosses: Chain, box: NDArray[np.float64], intervals: float
     ) -> NDArray[np.float64] | None:
         """Return (8,) box and score of an object; None for a miss. All draws are taken, whatever comes of them."""
         memory = self._memories.get(object_id)
         if memory is None:
             rng = self._rng_of(object_id)
-            memory = self._memories[object_id] = _Memory(rng, rng.standard_normal(len(PARTS)))
+            memory = self._memories[object_id] = _Memory(
+                rng, rng.standard_normal(len(PARTS)), 1 if rng.random() < 0.5 else -1
+            )
         else:
             kept = self._correlation**intervals
             fresh = memory.rng.standard_normal(len(PARTS))
             memory.noise = kept * memory.noise + np.sqrt(1.0 - kept**2) * fresh
-        chance = memory.rng.random(2)
+        chance = memory.rng.random(3)
         if memory.percept != self._percepts - 1:
             memory.found, memory.ever = None, False
         memory.percept = self._percepts
@@ -120,8 +129,12 @@ class ModelPerception:
         memory.ever |= memory.found
         if not memory.found:
             return None
-        flips: Chain = self.errors.flipped
-        memory.flipped = bool(chance[1] < flips.at(memory.flipped, True, intervals))
+        memory.crossed = bool(chance[2] < crosses.at(memory.crossed, True, intervals))
+        if memory.crossed:
+            turn = 0.5 * np.pi * memory.side
+        else:
+            memory.flipped = bool(chance[1] < self.errors.flipped.at(memory.flipped, True, intervals))
+            turn = np.pi * memory.flipped
         error = np.array(cell.errors.bias) + np.array(cell.errors.sd) * memory.noise[:7]
         cos, sin = np.cos(box[6]), np.sin(box[6])
         drawn = np.zeros(8)
@@ -129,7 +142,7 @@ class ModelPerception:
         drawn[1] = box[1] + sin * error[0] + cos * error[1]
         drawn[2] = box[2] + error[2]
         drawn[3:6] = box[3:6] * np.exp(error[3:6])
-        drawn[6] = box[6] + error[6] + np.pi * memory.flipped
+        drawn[6] = box[6] + error[6] + turn
         drawn[7] = np.interp(ndtr(memory.noise[7]), QUANTILES, cell.errors.score)
         return drawn
 

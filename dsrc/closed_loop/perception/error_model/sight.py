@@ -113,3 +113,8 @@ def within(area_m: Sequence[float], local: NDArray[np.float64]) -> NDArray[np.bo
 def bands_of(local: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the (N,) rows of `BANDS` of places of the ego's frame."""
     return np.searchsorted(RANGES_M[1:-1], np.linalg.norm(local, axis=1), side="right").astype(np.int64)
+
+
+def lies_across(turn: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return the (N,) mask of angles, rad, that are closer to a quarter turn than to none or half a turn."""
+    return np.asarray(np.abs(np.sin(turn)) > np.sqrt(0.5), bool)

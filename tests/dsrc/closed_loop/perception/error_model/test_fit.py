@@ -9,6 +9,7 @@ import pytest
 
 from dsrc.closed_loop.perception.error_model.fit import LEAST, classes_found, fit_errors
 from dsrc.closed_loop.perception.error_model.model import Cell, Chance, ErrorModel, Errors, read_model, write_model
+from dsrc.closed_loop.perception.error_model.percepts import Observed
 from sim.errors import DataError, SettingsError
 from tests.dsrc.closed_loop.perception.error_model import percepts
 from tests.dsrc.closed_loop.perception.error_model.percepts import INTERVAL_S, sequence
@@ -56,6 +57,27 @@ def test_errors_of_boxes_are_those_of_the_objects_frame(errors: Errors) -> None:
     assert np.allclose(errors.correlation[:7], percepts.CORRELATION, atol=0.05)
     assert errors.correlation[7] < 0.05  # scores were drawn anew in each percept
     assert np.allclose(cell.errors.score, np.linspace(*percepts.SCORES, 11), atol=0.02)
+
+
+def test_boxes_across_their_objects_are_told_by_where_the_objects_head(errors: Errors) -> None:
+    def turned(seed: int) -> list[Observed]:
+        """Percepts of an ego that heads elsewhere, and finds a quarter turn too much of each car."""
+        return [
+            replace(
+                one,
+                ego=one.ego + np.array([0.0, 0.0, 0.5 * np.pi]),
+                found=replace(one.found, yaw=one.found.yaw + 0.5 * np.pi),
+            )
+            for one in sequence(seed)
+        ]
+
+    mixed = fit_errors([*map(sequence, range(5)), *map(turned, range(5, 10))], INTERVAL_S)
+    along, across = mixed.crossed
+    assert (along.first.p, along.after_no.p, across.first.p, across.after_yes.p) == (0.0, 0.0, 1.0, 1.0)
+    assert min(along.first.trials, across.first.trials) >= LEAST and mixed.flipped.first.p == 0.0
+    cell = cell_of(mixed, "car", "clear", (15.0, 30.0))
+    assert abs(cell.errors.bias[6] - percepts.BIAS[6]) < 0.03
+    assert cell.errors.sd[6] == pytest.approx(percepts.SD[6], rel=0.1)  # a quarter turn is no noise
 
 
 def test_ghosts_are_born_and_live_as_they_did(errors: Errors) -> None:

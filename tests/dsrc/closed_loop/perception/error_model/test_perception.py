@@ -9,10 +9,10 @@ import pytest
 
 from dsrc.closed_loop.campaign.plan import campaign_of, episodes_of
 from dsrc.closed_loop.perception.error_model.fit import fit_errors
-from dsrc.closed_loop.perception.error_model.model import ErrorModel, Errors, write_model
+from dsrc.closed_loop.perception.error_model.model import Chain, ErrorModel, Errors, write_model
 from dsrc.closed_loop.perception.error_model.perception import ModelPerception
 from dsrc.closed_loop.perception.error_model.percepts import Observed
-from dsrc.closed_loop.perception.error_model.sight import SIGHTS, Viewpoints
+from dsrc.closed_loop.perception.error_model.sight import SIGHTS, Viewpoints, lies_across
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Percept
 from dsrc.options.driving import DriveOptions
@@ -99,6 +99,32 @@ def test_misses_persist_and_a_fit_of_the_percepts_gives_the_model_back(fitted: E
     assert np.allclose(cell.errors.sd, percepts.SD, rtol=0.2)
     assert np.allclose(again.correlation[:7], percepts.CORRELATION, atol=0.06)
     assert again.ghosts.born == pytest.approx(percepts.BORN, abs=0.12)
+
+
+@pytest.mark.parametrize("crossing", [False, True])
+def test_boxes_lie_across_the_objects_that_are_said_to(fitted: Errors, crossing: bool) -> None:
+    never = fitted.crossed[0]
+    always = certain(never, 1.0)
+    assert never.first.p == 0.0
+    errors = msgspec.structs.replace(fitted, crossed=(never, always) if crossing else (always, never))
+    truth = toy.instant(1).boxes
+    ego = truth.yaw[truth.object_id == toy.EGO][0]
+    seen = 0
+    for percept in percepts_of(errors, 0, 20):
+        for box in percept.boxes.array:
+            apart = np.linalg.norm(truth.center[:, :2] - box[:2], axis=1)
+            if apart.min() > 2.0:
+                continue  # a ghost
+            yaw = truth.yaw[apart.argmin()]
+            is_crossed = bool(lies_across(np.array(box[6] - yaw)))
+            assert is_crossed == (bool(lies_across(np.array(yaw - ego))) == crossing)
+            seen += 1
+    assert seen > 10
+
+
+def certain(chain: Chain, p: float) -> Chain:
+    sure = msgspec.structs.replace(chain.first, p=p, low=p, high=p)
+    return Chain(first=sure, not_yet=sure, after_yes=sure, after_no=sure)
 
 
 def test_a_model_is_opened_by_its_file_and_by_its_condition(fitted: Errors, tmp_path: Path) -> None:
