@@ -52,25 +52,28 @@ class EpisodePanel:
     def _draw(self, line: EpisodeTimeline, row: int, theme: Theme) -> None:
         """Draw speed and wanted acceleration, the present and the contact."""
         data = (line.time_s, line.speed_mps, line.wanted_mps2, _mark(line, row), _mark(line, line.contact_row))
-        if self._drawn == (drawn := (_times(line), _range(line), theme)):
+        drawn = _times(line), _range(line), theme
+        if self.plot is not None and self._drawn == drawn:
             self.plot.data = data
             return
         # Scales are fixed: those that uPlot finds by itself are not those of data that come later, nor of NaN.
         self._drawn = drawn
         scales = {"x": uplot.Scale(time=False, range=drawn[0]), "y": uplot.Scale(range=drawn[1])}
-        if self.plot is not None:
-            self.plot.remove()
         dot = {"show": True, "size": 9}
+        series = (
+            uplot.Series(label="time"),
+            uplot.Series(label="speed, m/s", stroke=css(palette.AGENT_COLORS[0]), width=2),
+            uplot.Series(label="wanted, m/s²", stroke=css(palette.FN), width=1),
+            uplot.Series(label="now", stroke=css(palette.curve_color(0, theme)), width=0, points=dot),  # type: ignore[typeddict-item]
+            uplot.Series(label="contact", stroke=css(palette.FP), width=0, points=dot),  # type: ignore[typeddict-item]
+        )
+        if self.plot is not None:
+            self.plot.data, self.plot.series, self.plot.scales = data, series, scales
+            return
         with self.folder:
             self.plot = self._page.gui.add_uplot(
                 data,
-                (
-                    uplot.Series(label="time"),
-                    uplot.Series(label="speed, m/s", stroke=css(palette.AGENT_COLORS[0]), width=2),
-                    uplot.Series(label="wanted, m/s²", stroke=css(palette.FN), width=1),
-                    uplot.Series(label="now", stroke=css(palette.curve_color(0, theme)), width=0, points=dot),  # type: ignore[typeddict-item]
-                    uplot.Series(label="contact", stroke=css(palette.FP), width=0, points=dot),  # type: ignore[typeddict-item]
-                ),
+                series,
                 scales=scales,
                 legend=uplot.Legend(show=False),
                 axes=(uplot.Axis(label="s", stroke=css(palette.OTHER)), uplot.Axis(stroke=css(palette.OTHER))),
@@ -87,10 +90,10 @@ def _times(line: EpisodeTimeline) -> tuple[float, float]:
 
 
 def _range(line: EpisodeTimeline) -> tuple[float, float]:
-    """Bounds of what is plotted, in whole metres per second and squared."""
+    """Bounds of what is plotted, multiples of 5 m/s and m/s²: a running episode rescales seldom."""
     values = np.concatenate([line.speed_mps, line.wanted_mps2])
     values = values[np.isfinite(values)]
-    return math.floor(values.min(initial=0.0)) - 0.5, math.ceil(values.max(initial=1.0)) + 0.5
+    return 5.0 * math.floor(values.min(initial=0.0) / 5.0), 5.0 * math.ceil(values.max(initial=1.0) / 5.0)
 
 
 def _mark(line: EpisodeTimeline, row: int | None) -> Any:
