@@ -70,7 +70,8 @@ def _check_unknown_tensors(path: Path, reference: Mapping[str, Tensor], known: i
     stranger = next(
         n for n in rest if not (detector_state({n: reference[n]}) or detector_state({n: reference[n]}, True))
     )
-    raise CheckpointError(complaint(path, "state", "tensors of DSRC's published networks", stranger))
+    hint = "; networks of OpenCOOD, CoAlign and ERMVP need --family opencood"
+    raise CheckpointError(complaint(path, "state", "tensors of DSRC's published networks", stranger, hint))
 
 
 def _settings(state: Mapping[str, Tensor], grid: GridSpec, teacher: bool, designed: bool) -> ModelSettings:

@@ -86,7 +86,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 
     lacking = {k: v for k, v in whole.items() if k != "cls_head.bias"}
     assert "cls_head.bias" in refusal(lacking)
-    assert "transformer.weight" in refusal({**whole, "transformer.weight": torch.zeros(2)})
+    assert "transformer.weight; networks of OpenCOOD" in refusal({**whole, "transformer.weight": torch.zeros(2)})
     assert "shape" in refusal({**whole, "reg_head.weight": torch.zeros(14, 3, 1, 1)})
     assert "finite" in refusal({**whole, "cls_head.bias": torch.full((2,), torch.nan)})
     assert "pillar_vfe" in refusal({"conv.weight": torch.zeros(2)})
