@@ -438,7 +438,8 @@ def record(planned: Sequence[Training], out: Path) -> str:
     for training in done:
         made = json.loads((training.folder(out) / "settings.json").read_text(encoding="utf-8"))
         init, teacher = made.get("init") or {}, made.get("teacher")
-        rows = list(csv.DictReader((training.folder(out) / "metrics.csv").open(encoding="utf-8")))
+        metrics = (training.folder(out) / "metrics.csv").read_text(encoding="utf-8")
+        rows = list(csv.DictReader(io.StringIO(metrics)))
         minutes = sum(float(row["seconds"]) for row in rows) / 60
         taken = f"{init['tensors_taken']}/{init['tensors']}" if "tensors" in init else ""
         writer.writerow(

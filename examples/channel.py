@@ -23,14 +23,15 @@ NAMES = {Obstruction.FREE: "free", Obstruction.VEHICLE: "a vehicle between", Obs
 SIZES = {"boxes of 10 objects": 506, "features, compressed to 1.06 Mb": 132_500, "a cloud of 60,000 points": 960_000}
 
 
-def main(out: Path = Path("docs/pictures/channel")) -> None:
+def main(out: Path = Path("docs/pictures/channel"), frames: int = 60) -> None:
     """Draw the radio channel: who is heard how far away, and what messages cost.
 
     Args:
         out: folder of the PNG files.
+        frames: messages of each sender at 10 Hz, more than 25; the first 25 are not counted.
     """
     out.mkdir(parents=True, exist_ok=True)
-    for name, figure in {"delivery": delivery(), "messages": messages()}.items():
+    for name, figure in {"delivery": delivery(), "messages": messages(frames)}.items():
         figure.savefig(out / f"{name}.png", dpi=110, metadata={"Software": None})
         sys.stdout.write(f"{out / name}.png\n")
 
@@ -50,13 +51,13 @@ def delivery() -> Figure:
     return figure
 
 
-def messages() -> Figure:
+def messages(frames: int) -> Figure:
     """Draw how old messages are and how many senders are heard, by the number of agents that send."""
     figure, rows = plt.subplots(2, len(SIZES), figsize=(9.5, 4.6), sharex=True, layout="constrained")
     agents = np.arange(2, 11)
     for column, (title, size) in enumerate(SIZES.items()):
         for name in RADIO:
-            age, heard = np.array([_measured(name, int(count), size) for count in agents]).T
+            age, heard = np.array([_measured(name, int(count), size, frames) for count in agents]).T
             rows[0, column].plot(agents, 1e3 * age, "o-", markersize=3, color=COLOURS[name], label=name)
             rows[1, column].plot(agents, 100.0 * heard, "o-", markersize=3, color=COLOURS[name])
         packets = packet_count(PRESETS["its-g5-6"], size)
@@ -74,7 +75,7 @@ def _label(axes: Axes, text: str) -> None:
     axes.set_ylabel(text)
 
 
-def _measured(name: str, count: int, size: int) -> tuple[float, float]:
+def _measured(name: str, count: int, size: int, frames: int) -> tuple[float, float]:
     """Return the mean age of the messages that an agent uses, s, and the share of the others that it hears.
 
     The agents stand around a junction, 20 to 60 m apart, in free sight.
@@ -83,8 +84,8 @@ def _measured(name: str, count: int, size: int) -> tuple[float, float]:
     angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     place = np.stack([30.0 * np.cos(angle), 30.0 * np.sin(angle), np.full(count, 1.9)], axis=1)
     first = RadioSnapshot(0, tuple(range(count)), place, (size,) * count, np.zeros((count, count), np.int8))
-    drive = [changed(first, index=index) for index in range(60)]
-    links = [channel.newest(drive[now::-1], sender, 0) for now in range(25, 60) for sender in range(1, count)]
+    drive = [changed(first, index=index) for index in range(frames)]
+    links = [channel.newest(drive[now::-1], sender, 0) for now in range(25, frames) for sender in range(1, count)]
     ages = [link.age_s for link in links if link.received]
     return float(np.mean(ages)) if ages else np.nan, len(ages) / len(links)
 

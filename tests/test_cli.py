@@ -13,13 +13,9 @@ from dsrc.cli.main import COMMANDS, command_class, run
 from dsrc.cli.progress import progress
 from dsrc.options import detection, fields
 from dsrc.options.drives import DriveOptions
+from tests.commands import dsrc
 
 HEAVY = {"torch", "libsumo", "trimesh", "viser", "matplotlib", "scipy", "gymnasium", "embreex", "shapely", "numpy"}
-
-
-def dsrc(*args: str) -> subprocess.CompletedProcess[str]:
-    """Run the command line in its own process."""
-    return subprocess.run([sys.executable, "-m", "dsrc", *args], capture_output=True, text=True, timeout=120)
 
 
 def assert_one_line(result: subprocess.CompletedProcess[str], *words: str) -> None:

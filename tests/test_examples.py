@@ -14,12 +14,13 @@ from dsrc.data.datasets.convert import Format, convert
 from dsrc.data.write import write_drive
 from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
+from tests.commands import run_script
 from tests.dsrc.data.toy import SETTINGS, ToySource
 from tests.paths import ROOT
 
 SCRIPTS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != "look.py")
 SMALL = {
-    "channel.py": (),
+    "channel.py": ("--frames", "28"),
     "corruptions.py": ("--only", "fog", "pose_error", "--scenario", "four_way"),
     "lidar_presets.py": ("--only", "debug-16", "--scenario", "four_way"),
     "lidar_effects.py": (),
@@ -31,15 +32,8 @@ SMALL = {
 
 
 def run(script: Path, *args: str) -> str:
-    """Run an example in its own process, warnings being errors, and return what it printed."""
-    result = subprocess.run(
-        [sys.executable, "-W", "error", "-W", "ignore::DeprecationWarning", str(script), *args],
-        capture_output=True,
-        text=True,
-        timeout=200,
-        cwd=ROOT,
-        env=os.environ | {"DSRC_LIDAR_ENGINE": "public", "PYTHONPATH": str(ROOT)},
-    )
+    """Run an example and return what it printed."""
+    result = run_script(script, *args, env={"DSRC_LIDAR_ENGINE": "public"})
     assert result.returncode == 0, result.stderr
     return result.stdout
 
@@ -261,14 +255,8 @@ def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path)
 def test_the_campaign_refuses_what_it_cannot_do_before_it_begins(
     wrong: tuple[str, ...], told: str, tmp_path: Path
 ) -> None:
-    script = str(ROOT / "examples/campaign.py")
-    result = subprocess.run(
-        [sys.executable, script, "--data", str(tmp_path / "data"), "--out", str(tmp_path / "runs"), *wrong],
-        capture_output=True,
-        text=True,
-        timeout=200,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
+    folders = ("--data", str(tmp_path / "data"), "--out", str(tmp_path / "runs"))
+    result = run_script(ROOT / "examples/campaign.py", *folders, *wrong)
     assert result.returncode == 2
     assert re.search(told, result.stderr.splitlines()[-1])
     assert not (tmp_path / "runs").exists()
@@ -333,13 +321,7 @@ def test_the_table_of_weather_takes_the_place_of_the_one_before(tmp_path: Path) 
 
 
 def test_the_gates_refuse_a_folder_without_a_finished_teacher_in_one_line(tmp_path: Path) -> None:
-    result = subprocess.run(
-        [sys.executable, str(ROOT / "examples/gates.py"), "--runs", str(tmp_path), "--data", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=200,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
+    result = run_script(ROOT / "examples/gates.py", "--runs", str(tmp_path), "--data", str(tmp_path))
     assert result.returncode == 2
     assert "--runs: expected a finished teacher with" in result.stderr.splitlines()[-1]
     assert not list(tmp_path.iterdir())
