@@ -47,6 +47,8 @@ POINT_SIZE_M = 0.13
 """Side of a drawn point, m: thinned clouds need larger ones."""
 POINT_STEP_M = 1.0 / 32.0
 """Rounding of points, m: the resolution of float16 beyond 32 m; saves a quarter of the page."""
+# Two frames of the browser's own.
+_DRAWN = "new Promise(done=>requestAnimationFrame(()=>requestAnimationFrame(()=>done(true))))"
 
 
 @takes_fields(PageOptions)
@@ -123,6 +125,10 @@ def export_pictures(
                     # The first picture can come before the browser has built all nodes, cities and cameras among them.
                     session.client.get_render(**render)
                     time.sleep(SETTLE_S)
+                else:
+                    # New points are tiny until the page itself has drawn them: an answer says that they have come.
+                    session.client.get_render(**{**render, "height": 16, "width": 16})
+                    page.evaluate(_DRAWN)
                 image = session.client.get_render(**render).astype(np.float64)
                 share = image[..., 3:] / 255.0
                 yield np.round(image[..., :3] * share + sky * (1.0 - share)).astype(np.uint8)
