@@ -47,7 +47,7 @@ from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.frames import KEPT
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
-from dsrc.review.page.screenshot import BrowserPage, find_chromium, open_page
+from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page
 from dsrc.review.page.server import free_port, start_server
 from dsrc.review.palette import AGENT_COLORS
 from dsrc.review.sources.base import MemorySet, Setup

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from dsrc.models.storage.checkpoint import load_detector
     from dsrc.ops.detections import Detections
     from dsrc.options.detection import Evaluation
-    from dsrc.review.page.export import export_html
+    from dsrc.review.page.output.export import export_html
     from sensors.corruptions import check_corruption, corrupt_frame, kinds_of, register_corruption
     from sensors.deskew import deskew
     from sensors.frame import AgentFrame, Frame
@@ -81,7 +81,7 @@ _MODULES = {
     "dsrc.models.storage.checkpoint": ("load_detector",),
     "dsrc.ops.detections": ("Detections",),
     "dsrc.options.detection": ("Evaluation",),
-    "dsrc.review.page.export": ("export_html",),
+    "dsrc.review.page.output.export": ("export_html",),
     "sensors.corruptions": ("check_corruption", "corrupt_frame", "kinds_of", "register_corruption"),
     "sensors.deskew": ("deskew",),
     "sensors.frame": ("AgentFrame", "Frame"),

@@ -19,8 +19,8 @@ from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cells.html import compare_address
 from dsrc.review.page.commands import go_to_error
-from dsrc.review.page.export import export_pictures, write_animation
-from dsrc.review.page.screenshot import BrowserPage, open_page
+from dsrc.review.page.output.export import export_pictures, write_animation
+from dsrc.review.page.output.screenshot import BrowserPage, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from sim.files import signed_picture, write_file

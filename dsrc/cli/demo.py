@@ -58,8 +58,8 @@ def run_demo(out: Path, quick: bool = False) -> None:
     from dsrc.data.write import generate
     from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
-    from dsrc.review.page.export import export_html
-    from dsrc.review.page.screenshot import find_chromium
+    from dsrc.review.page.output.export import export_html
+    from dsrc.review.page.output.screenshot import find_chromium
     from sim.files import check_folder
 
     check_folder(out)

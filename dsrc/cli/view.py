@@ -40,7 +40,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
 
             serve(self, announce=_announce)
             raise SystemExit(0)  # an interrupt is how it ends
-        from dsrc.review.page.export import export_html
+        from dsrc.review.page.output.export import export_html
         from sim.files import check_apart, check_output
 
         for path, kind in ((self.out, "web page"), (self.picture, "picture")):
@@ -69,8 +69,8 @@ class View(ServeOptions, frozen=True, kw_only=True):
     def _draw(self) -> None:
         """Write the picture and the animation of the link's view, and print their paths."""
         from dsrc.review.model import open_model
-        from dsrc.review.page.export import export_pictures, write_animation, write_picture
         from dsrc.review.page.link import read_link
+        from dsrc.review.page.output.export import export_pictures, write_animation, write_picture
         from dsrc.review.state import ReviewState
         from sim.files import check_apart, check_output
 
@@ -96,7 +96,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
 
 def draw(page: Path, out: Path, size: tuple[int, int] = (1280, 720)) -> Path:
     """Write a PNG of a written page, with the note by which it is known as ours; raises as `screenshot`."""
-    from dsrc.review.page.screenshot import screenshot
+    from dsrc.review.page.output.screenshot import screenshot
     from sim.files import signed_picture, write_file
 
     with tempfile.TemporaryDirectory() as folder:

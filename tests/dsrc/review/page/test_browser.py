@@ -8,7 +8,7 @@ import pytest
 from dsrc.review import palette
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS
-from dsrc.review.page.screenshot import find_chromium, open_page
+from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.state import ReviewState
 

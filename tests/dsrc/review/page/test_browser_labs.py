@@ -9,8 +9,8 @@ from dsrc.data.drives import open_drive
 from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
-from dsrc.review.page.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
 from tests.dsrc.review.labs.drive import small_drive
 

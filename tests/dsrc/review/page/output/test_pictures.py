@@ -5,8 +5,8 @@ import pytest
 from PIL import Image
 
 from dsrc.review import palette
-from dsrc.review.page.export import export_pictures, write_animation, write_picture
-from dsrc.review.page.screenshot import find_chromium
+from dsrc.review.page.output.export import export_pictures, write_animation, write_picture
+from dsrc.review.page.output.screenshot import find_chromium
 from sim.errors import SettingsError
 from sim.files import check_output
 
@@ -39,7 +39,7 @@ def test_an_animation_has_every_picture_at_its_pace(tmp_path):
 
 
 def test_a_wrong_link_is_told_before_a_browser_opens(model, monkeypatch):
-    monkeypatch.setattr("dsrc.review.page.export.open_page", lambda *_: pytest.fail("a browser was opened"))
+    monkeypatch.setattr("dsrc.review.page.output.export.open_page", lambda *_: pytest.fail("a browser was opened"))
     with pytest.raises(SettingsError, match="link: frame: expected 0 to 11"):
         list(export_pictures(model, "frame=99"))
 

@@ -18,6 +18,7 @@ from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cameras import CameraPose, birds_eye, chase, overview
 from dsrc.review.page.link import read_link
+from dsrc.review.page.output.screenshot import open_page
 from dsrc.review.page.overlay import CameraButton, add_overlay, frame_texts
 from dsrc.review.page.scene import (
     SceneWriter,
@@ -27,7 +28,6 @@ from dsrc.review.page.scene import (
     set_light,
     set_start_camera,
 )
-from dsrc.review.page.screenshot import open_page
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, EVERYONE, parse_who, require_corruption, require_who

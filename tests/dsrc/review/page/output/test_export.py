@@ -9,8 +9,8 @@ import pytest
 
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.review import palette
-from dsrc.review.page.export import export_html, export_states
-from dsrc.review.page.screenshot import STOP, find_chromium, open_page, screenshot
+from dsrc.review.page.output.export import export_html, export_states
+from dsrc.review.page.output.screenshot import STOP, find_chromium, open_page, screenshot
 from dsrc.review.state import ReviewState
 from sim.errors import DataError, SettingsError
 
