@@ -38,6 +38,19 @@ def test_an_animation_has_every_picture_at_its_pace(tmp_path):
             assert np.flatnonzero(red).tolist() == list(range(10 * number, 10 * number + 10))
 
 
+def test_thin_lines_keep_their_colours_above_a_ground_of_many_greens(tmp_path):
+    rng = np.random.default_rng(0)
+    picture = rng.integers(0, 120, (200, 300, 3)).astype(np.uint8)
+    picture[..., [0, 2]] //= 4
+    colours = np.array([palette.TP, palette.FP, palette.FN], np.uint8)
+    for number, colour in enumerate(colours):
+        picture[50 * (number + 1), 20:280] = colour
+    with Image.open(write_animation([picture], tmp_path / "view.gif", 0.1)) as gif:
+        read = np.asarray(gif.convert("RGB")).astype(int)
+    for number, colour in enumerate(colours):
+        assert np.abs(read[50 * (number + 1), 20:280] - colour).max() <= 24
+
+
 def test_a_wrong_link_is_told_before_a_browser_opens(model, monkeypatch):
     monkeypatch.setattr("dsrc.review.page.output.export.open_page", lambda *_: pytest.fail("a browser was opened"))
     with pytest.raises(SettingsError, match="link: frame: expected 0 to 11"):
