@@ -1,5 +1,7 @@
 """The world of a scenario is built once and shared."""
 
+from pathlib import Path
+
 import msgspec
 import pytest
 
@@ -31,7 +33,10 @@ def test_equal_scenarios_and_seeds_share_a_scene(built: list[int]) -> None:
     assert built == [1, 2, 1]
 
 
-def test_who_drives_through_an_encounter_meets_the_world_of_its_proof(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_drives_through_an_encounter_meets_the_world_of_its_proof(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DSRC_CACHE", str(tmp_path))  # where no proof is kept, which would need no world
     found = find_encounter(load_scenario("ima_queue"), 11)
     monkeypatch.setattr("sim.world.build.build_world", lambda *_: pytest.fail("the world was built again"))
     static_scene(found.scenario, 11)
