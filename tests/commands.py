@@ -6,7 +6,7 @@ import os
 import runpy
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from unittest import mock
 
@@ -26,7 +26,7 @@ def run_script(path: Path, *args: str, env: Mapping[str, str] | None = None) -> 
 
 def _ended(words: list[str], run: Callable[[], object]) -> subprocess.CompletedProcess[str]:
     out, err, code = io.StringIO(), io.StringIO(), 0
-    with _arguments(words), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    with mock.patch.object(sys, "argv", words), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
             run()
         except SystemExit as leaving:
@@ -34,9 +34,3 @@ def _ended(words: list[str], run: Callable[[], object]) -> subprocess.CompletedP
                 err.write(f"{leaving.code}\n")
             code = 1 if isinstance(leaving.code, str) else int(leaving.code or 0)
     return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
-
-
-@contextlib.contextmanager
-def _arguments(words: list[str]) -> Iterator[None]:
-    with mock.patch.object(sys, "argv", words):
-        yield

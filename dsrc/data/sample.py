@@ -114,8 +114,7 @@ def make_sample(
     ego = frame.agents[rows[0]]
     ego_from_world = invert(ego.sweep.world_from_lidar)
     truth = frame.truth.transform(ego_from_world)
-    wanted = truth.is_vehicle if users == "vehicles" else truth.is_vulnerable
-    eligible = wanted & inside(truth, truth_range_m or grid.range_m)
+    eligible = users_in(truth, users) & inside(truth, truth_range_m or grid.range_m)
     if not keep_ego_box:
         eligible &= truth.object_id != ego.agent_id
     seen = frame.points_on[rows] >= 1
@@ -185,6 +184,11 @@ def _participants(frame: Frame, ego_id: int | None, comm_range_m: float, max_age
     if team_by == "folders":
         rows = rows[:max_agents]
     return [row for row in rows if distance[row] <= comm_range_m][:max_agents]
+
+
+def users_in(boxes: Boxes, users: Users) -> NDArray[np.bool_]:
+    """Return the (N,) mask of boxes that a network of these users is to detect."""
+    return boxes.is_vehicle if users == "vehicles" else boxes.is_vulnerable
 
 
 def inside_range(boxes: Boxes, grid: GridSpec) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sample import Sample, cloud_of
+from dsrc.data.sample import Sample, cloud_of, users_in
 from dsrc.models.compression import TILE_CELLS, message_bytes
 from dsrc.models.fusion import FUSIONS
 from dsrc.ops.grid import GridSpec
@@ -41,11 +41,16 @@ class Receiver:
         seed: seed of the drive's channel.
         interval_s: time between frames, s.
         settings: settings of the detector, which decide the messages, see `payload_of`.
+        joined: settings of detectors joined to it, whose maps or objects travel in the same messages.
     """
 
-    def __init__(self, spec: ChannelSpec, seed: int, interval_s: float, settings: Any) -> None:
+    def __init__(
+        self, spec: ChannelSpec, seed: int, interval_s: float, settings: Any, joined: Sequence[Any] = ()
+    ) -> None:
         self.channel = Channel(spec, seed, interval_s)
-        self.payload = payload_of(settings, spec)
+        alone = getattr(settings, "fusion", "") in _CLOUDS  # one cloud is for all of them
+        parts = [payload_of(one, spec) for one in ((settings,) if alone else (settings, *joined))]
+        self.payload: Payload = lambda frame, row: sum(part(frame, row) for part in parts)
         self._fusion = getattr(settings, "fusion", "")
 
     def receive(
@@ -177,7 +182,8 @@ def payload_of(settings: Any, spec: ChannelSpec) -> Payload:
     """
     fusion = getattr(settings, "fusion", "")
     if fusion == "late":
-        return lambda frame, row: cpm_bytes(int(((frame.points_on[row] >= 1) & frame.truth.is_vehicle).sum()))
+        users = getattr(settings, "users", "vehicles")
+        return lambda frame, row: cpm_bytes(int(((frame.points_on[row] >= 1) & users_in(frame.truth, users)).sum()))
     if fusion in _CLOUDS:
         return lambda frame, row: 16 * len(frame.agents[row].sweep)
     method = FUSIONS[fusion]

@@ -134,6 +134,10 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.left_handed and self.grid.range_m[1] != -self.grid.range_m[4]:
             found = f"{self.grid.range_m[1]:g} to {self.grid.range_m[4]:g} m"
             raise ValueError(f"left_handed: expected a grid that is even about y = 0, found {found}")
+        if self.users != "vehicles" and (self.direction or self.anchor_lwh is not None):
+            # Its anchors are squares of two sizes: none has a heading, and one size would leave one class.
+            found = f"direction {self.direction}, anchor_lwh {self.anchor_lwh}"
+            raise ValueError(f"users: expected vehicles with a direction head or anchors of a size, found {found}")
         if min(self.stage_channels) * self.base_width < 64:
             raise ValueError(
                 f"base_width: expected at least {64 / min(self.stage_channels):g}, found {self.base_width}"

@@ -182,7 +182,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
             if set(values) - {bare}:
                 expected = f"'{bare}' with perception '{asked[0].name}', which has no sensor"
                 raise SettingsError(complaint("drive", field, expected, " ".join(values)))
-    takers = [one.name for one in asked if not one.file and one.kind in (ALONE, *TOGETHER, LATE, MODELLED)]
+    takers = [one.name for one in asked if not one.file and one.kind in (ALONE, TOGETHER, LATE, MODELLED)]
     if checkpoint and not takers:
         expected = f"none with '{asked[0].name}': ego, team and late take one"
         raise SettingsError(complaint("drive", "checkpoint", expected, checkpoint))

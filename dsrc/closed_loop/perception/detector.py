@@ -54,7 +54,8 @@ class DetectorPerception:
         self._ego_id = ego_id
         self._past.clear()
         interval_s = max(self._interval_s, scenario.step_s)
-        self._receiver = Receiver(self.channel, seed, interval_s, self.detector.settings)
+        joined = [part.settings for part in getattr(self.detector, "detectors", ())[1:]]
+        self._receiver = Receiver(self.channel, seed, interval_s, self.detector.settings, joined)
 
     @property
     def sensed(self) -> Frame | None:

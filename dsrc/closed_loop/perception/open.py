@@ -23,14 +23,16 @@ WITHOUT_SENSOR = ("truth", "sight")
 """Ground truth: no corruption, channel or checkpoint applies."""
 ALONE = "ego"
 """A detector on the ego's sweeps alone."""
-TOGETHER = ("team", "dsrc")
+TOGETHER = "team"
 """A detector with helpers."""
 LATE = "late"
 """A detector of each agent alone, and their boxes joined."""
 MODELLED = "model"
 """Errors of a detector, drawn from a model of them; no sweep is cast."""
 
-_NAMES = (*WITHOUT_SENSOR, ALONE, *TOGETHER, LATE)
+_NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE)
+_FORMER = {"dsrc": TOGETHER}
+"""Names of earlier versions, which logs and plans still have."""
 _IDEAL = PRESETS[IDEAL]
 
 
@@ -53,8 +55,8 @@ def open_perception(
         text: one of
 
             * `truth`: all road users near the ego; `sight`: those that its LiDAR can see;
-            * `ego`: a detector on the ego's sweeps alone; `team` or `dsrc`: one with helpers; `late`: each agent's
-              detections, joined, by a detector whose fusion has no weights, such as the shipped ones;
+            * `ego`: a detector on the ego's sweeps alone; `team`: one with helpers; `late`: each agent's detections,
+              joined, by a detector whose fusion has no weights, such as the shipped ones;
             * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`: without; `late=FILE`: late fusion;
             * FILE.json or NAME=FILE.json: an error model, see `dsrc model fit`; `model`: that of `checkpoint`;
             * `module:Class` of one's own, made without arguments: a perception (`reset`, `perceive`), or a detector
@@ -117,7 +119,7 @@ class Words(NamedTuple):
 
     Attributes:
         name: in tables: NAME of NAME=FILE, the stem of FILE, else what was given.
-        kind: `truth`, `sight`, `ego`, `team`, `dsrc`, `late`, `model` or `module:Class`.
+        kind: `truth`, `sight`, `ego`, `team`, `late`, `model` or `module:Class`.
         file: detector or error model, "" without one.
     """
 
@@ -133,9 +135,9 @@ def parse_perception(text: str) -> Words:
     if not named:
         name, what = "", text
     is_path = what.endswith((".pt", ".json")) or "/" in what or os.sep in what
-    if not is_path and (not named or ":" in what or what in _NAMES):
-        return Words(name or what, what, "")
-    kind = MODELLED if what.endswith(".json") else name if name in (ALONE, LATE) else TOGETHER[0]
+    if not is_path and (not named or ":" in what or what in (*_NAMES, *_FORMER)):
+        return Words(name or what, _FORMER.get(what, what), "")
+    kind = MODELLED if what.endswith(".json") else name if name in (ALONE, LATE) else TOGETHER
     return Words(name or Path(what).stem, kind, what)
 
 

@@ -44,16 +44,16 @@ def _save(path: Path, content: Mapping[str, Any]) -> None:
         torch.save(content, file)
 
 
-def join_files(paths: Sequence[Path], out: Path) -> JoinedDetectors:
-    """Join detector files of different road users into one, and return what `load_joined` reads of it.
+def join_files(paths: Sequence[Path], out: Path) -> None:
+    """Join detector files of different road users into one, which `load_joined` reads.
 
     Raises:
         CheckpointError: a file is missing, damaged or not one student.
         SettingsError: the detectors do not go together, see `JoinedDetectors`.
     """
-    joined = JoinedDetectors([load_student(path, engine="plain") for path in paths])
-    _save(out, {"format": JOINED, "detectors": [_content(Path(path)) for path in paths]})
-    return joined
+    contents = [_content(Path(path)) for path in paths]
+    JoinedDetectors([_student(path, part, "cpu", "plain") for path, part in zip(paths, contents, strict=True)])
+    _save(out, {"format": JOINED, "detectors": contents})
 
 
 def load_detector(path: Path, device: str = "cpu") -> Detector:
@@ -187,7 +187,7 @@ def _checked(path: Path, content: Any, formats: Sequence[str] = (FORMAT,)) -> di
         found = content.get("format", "none") if isinstance(content, dict) else type(content).__name__
         hint = "; the deployable file of a training is its detector.pt"
         if found == JOINED:
-            hint = "; several detectors in one file drive, `dsrc drive`; others read one at a time"
+            hint = "; of all commands `dsrc drive` alone reads several detectors in one file"
         raise CheckpointError(complaint(path, "format", " or ".join(formats), found, hint))
     return content
 

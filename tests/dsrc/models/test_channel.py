@@ -13,7 +13,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
 from sim.geometry import invert
-from sim.radio import PRESETS, Obstruction
+from sim.radio import PRESETS, Obstruction, cpm_bytes
 from tests.dsrc.data.toy import toy_frame
 
 GRID = GridSpec((-38.4, -38.4, -3.0, 38.4, 38.4, 1.0), 0.8)
@@ -157,6 +157,18 @@ def test_bytes_are_those_of_what_is_sent():
         assert payload_of(clouds, PRESETS["ideal"])(frame, 1) == 16 * len(frame.agents[1].sweep)
     one_map = ModelSettings(grid=GRID, fusion="cobevt", shrink_channels=32, compress=4)
     assert payload_of(one_map, PRESETS["ideal"])(frame, 0) == 4 * 32 * (GRID.width // 4) * (GRID.height // 4) // 4
+
+
+def test_joined_detectors_send_what_each_of_them_needs_and_one_cloud_for_all():
+    frame, ideal = FRAMES[0], PRESETS["ideal"]
+    people = replace(SMALL, users="vulnerable", grid=GridSpec((-19.2, -19.2, -3.0, 19.2, 19.2, 1.0), 0.8))
+    both = Receiver(ideal, 0, 0.1, SMALL, [people]).payload
+    assert both(frame, 0) == payload_of(SMALL, ideal)(frame, 0) + payload_of(people, ideal)(frame, 0)
+    early = [ModelSettings(grid=GRID, fusion="early", users=users) for users in ("vehicles", "vulnerable")]
+    assert Receiver(ideal, 0, 0.1, early[0], early[1:]).payload(frame, 0) == payload_of(early[0], ideal)(frame, 0)
+    late = payload_of(ModelSettings(grid=GRID, fusion="late", users="vulnerable"), ideal)
+    seen = int(((frame.points_on[1] >= 1) & frame.truth.is_vulnerable).sum())
+    assert seen and late(frame, 1) == cpm_bytes(seen)
 
 
 def test_clouds_lose_the_points_of_lost_packets():

@@ -15,7 +15,7 @@ from dsrc.models.fusion import FUSIONS
 from dsrc.models.fusion.max import MaxFusion
 from dsrc.models.inputs.batch import collate
 from dsrc.models.layers.backbones import BACKBONES
-from dsrc.models.settings import Backbone
+from dsrc.models.settings import Backbone, ModelSettings
 from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.ops.grid import GridSpec
 from dsrc.training.module import DetectionModule
@@ -181,6 +181,10 @@ def test_settings_name_what_there_is() -> None:
         changed(debug().model, own_frame=True)
     with pytest.raises(ValueError, match="shrink_channels: expected a multiple of 16"):
         changed(debug().model, fusion="cobevt", shrink_channels=40)
+    with pytest.raises(ValueError, match="users: expected vehicles with a direction head"):
+        ModelSettings(users="vulnerable", direction=True)
+    with pytest.raises(ValueError, match="users: expected vehicles with a direction head"):
+        ModelSettings(users="vulnerable", anchor_lwh=(0.6, 0.6, 1.7))
     with pytest.raises(ValueError, match="compress: expected no more"):
         changed(debug().model, compress=32)
 

@@ -68,5 +68,7 @@ def test_a_file_of_joined_detectors_finds_what_they_find(tmp_path: Path) -> None
     np.testing.assert_array_equal(found.boxes.array, expected.boxes.array)
     assert load_joined(out, fusion="late").settings.fusion == "late"
     assert isinstance(load_joined(files[0]), Detector)
-    with pytest.raises(CheckpointError, match="format: expected dsrc-detector-1, found dsrc-detectors-1; several"):
+    with pytest.raises(
+        CheckpointError, match="format: expected dsrc-detector-1, found dsrc-detectors-1; of all commands"
+    ):
         load_student(out)

@@ -110,6 +110,8 @@ def test_late_fusion_joins_what_each_agent_detects_alone() -> None:
         ("late=a.pt", ("late", "late", "a.pt")),
         ("ego=a", ("ego", "ego", "a")),
         ("alone=ego", ("alone", "ego", "")),
+        ("dsrc", ("dsrc", "team", "")),
+        ("mine=dsrc", ("mine", "team", "")),
         ("errors=team.json", ("errors", "model", "team.json")),
         ("my_eyes:Own", ("my_eyes:Own", "my_eyes:Own", "")),
         ("mine=my_eyes:Own", ("mine", "my_eyes:Own", "")),
