@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dsrc.data.sample import Sample, cloud_of, users_in
 from dsrc.models.compression import TILE_CELLS, message_bytes
 from dsrc.models.fusion import FUSIONS
+from dsrc.ops.anchors import Users
 from dsrc.ops.grid import GridSpec
 from sensors.corruptions.clock_offset import extrapolate, sensor_path
 from sensors.corruptions.pose_error import PoseError, pose_errors
@@ -182,7 +183,7 @@ def payload_of(settings: Any, spec: ChannelSpec) -> Payload:
     """
     fusion = getattr(settings, "fusion", "")
     if fusion == "late":
-        users = getattr(settings, "users", "vehicles")
+        users: Users = getattr(settings, "users", "vehicles")
         return lambda frame, row: cpm_bytes(int(((frame.points_on[row] >= 1) & users_in(frame.truth, users)).sum()))
     if fusion in _CLOUDS:
         return lambda frame, row: 16 * len(frame.agents[row].sweep)
