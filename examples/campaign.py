@@ -3,8 +3,9 @@
 It needs neither SUMO nor a network: `dsrc dataset build dsrc-sim --out data/dsrc-sim` renders recorded traffic.
 Finished trainings are kept, interrupted ones resume. Phases: 1 the teacher; 2 students of single clouds, plain and
 distilled, from the teacher's weights without the paint; 3 the same with collaborators; 4 the parts of DSRC; 5 rivals
-with weights of their own, after starts of their own; 6 extensions of the paper. After 1 and within 2, gates on the
-validation drives decide whether to continue, see `examples/gates.py`.
+with weights of their own, after starts of their own; 6 extensions of the paper. Seeds 0 and 1 come first, then further
+seeds, then the parts. After 1 and within 2, gates on the validation drives decide whether to continue, see
+`examples/gates.py`.
 
 Usage:
     python examples/campaign.py --data data/dsrc-sim --out runs   # two CPU cores: over a day, estimated
@@ -91,10 +92,11 @@ class Training:
 
 
 def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
-    """Return all trainings, in the order in which they run: by phase, the students of seeds 0 and 1 first.
+    """Return all trainings, in the order in which they run: seeds 0 and 1 by phase, further seeds, the parts of DSRC.
 
-    Every comparison so has two seeds before any has more. All students start from the teacher's weights: one with
-    features of another origin would have to unlearn them. A plain student starts where its distilled twin does.
+    Every comparison so has two seeds before any has more, and the parts, the dearest table, come when the whole is
+    known. All students start from the teacher's weights: one with features of another origin would have to unlearn
+    them. A plain student starts where its distilled twin does.
 
     Args:
         seeds: seeds of DSRC and of its plain twin.
@@ -112,15 +114,13 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             Training(distilled, 2, "dsrc-alone", TEACHER, seed, LONG, (*long, *fading), TEACHER),
         )
 
-    def teacher(name: str, phase: int, *settings: str) -> tuple[Training, Training]:
-        # Attention has no weights, but a teacher of single clouds alone hardly scores what only collaborators see: 0.21
-        # on validation, 0.25 after 1,000 steps with collaborators, see `G0-*` of the gates' record.
-        alone = f"{name}-alone"
-        ema = ("ema=0.998",)
-        return (
-            Training(alone, phase, "dsrc-alone", FIRST, 1, 0, (*ema, *settings), stage="teacher", passes=3),
-            Training(name, phase, "dsrc", alone, 2, JOINT, (*long, *settings), stage="teacher"),
-        )
+    # Attention has no weights, but a teacher of single clouds alone hardly scores what only collaborators see: 0.21 on
+    # validation, 0.25 after 1,000 steps with collaborators, see `G0-*` of the gates' record.
+    alone = f"{TEACHER}-alone"
+    teachers = (
+        Training(alone, 1, "dsrc-alone", FIRST, 1, 0, ("ema=0.998",), stage="teacher", passes=3),
+        Training(TEACHER, 1, "dsrc", alone, 2, JOINT, long, stage="teacher"),
+    )
 
     def student(name: str, phase: int, method: str, seed: int = 0, *settings: str) -> Training:
         taught = method.startswith("dsrc")
@@ -129,22 +129,26 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
         return Training(name, phase, method, init, seed, SHORT, (*SLOW, *more), TEACHER if taught else "")
 
     parts = {"sdd": ("pcp=false", "rec=false"), "pcp": ("sdd=false", "rec=false"), "sdd-pcp": ("rec=false",)}
-    teachers = {"sdd": "teacher-sdd", "pcp": "teacher-pcp", "sdd-pcp": TEACHER}
+    of_parts = {"sdd": "teacher-sdd", "pcp": "teacher-pcp", "sdd-pcp": TEACHER}
     few, two = min(seeds, 3), min(seeds, 2)
     planned = [
         Training(FIRST, 1, "no-collaboration", settings=(), stage="plain", passes=2),
-        *teacher(TEACHER, 1),
+        *teachers,
         *(training for seed in range(seeds) for training in twins(seed)),
         *(student(f"{m}_s{seed}", 3, m, seed) for seed in range(seeds) for m in ("dsrc", "attfuse")),
         *(student(f"where2comm_s{seed}", 3, "where2comm", seed) for seed in range(few)),
         *(student(f"{m}_s0", 3, m) for m in ("f-cooper", "dsrc-max", "no-collaboration", "dsrc-alone")),
         *(student(f"{m}_s0", 3, m) for m in ("early", "late")),
-        *(training for name in ("sdd", "pcp") for training in teacher(f"teacher-{name}", 4, *parts[name])),
+        # The whole teacher, used to what it no longer gets: paint, or dense clouds.
+        *(
+            Training(of_parts[name], 4, "dsrc", TEACHER, 2, settings=(*SLOW, *parts[name]), stage="teacher")
+            for name in ("sdd", "pcp")
+        ),
         *(
             training
             for name, settings in parts.items()
             for seed in range(two)
-            for taught in (teachers[name],)
+            for taught in (of_parts[name],)
             for training in (
                 Training(
                     f"{name}-single_s{seed}", 4, "dsrc-alone", taught, seed, LONG, (*long, *fading, *settings), taught
@@ -175,7 +179,9 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
         Training(ALONE, 6, "no-collaboration", settings=(*long, *VULNERABLE), stage="plain", steps=JOINT),
         Training("vulnerable", 6, "attfuse", ALONE, settings=(*SLOW, *VULNERABLE)),
     ]
-    return sorted(planned, key=lambda training: training.stage == "student" and training.seed > 1)
+    return sorted(
+        planned, key=lambda training: (training.phase == 4, training.stage == "student" and training.seed > 1)
+    )
 
 
 WEIGHTS = {"dae": 1.0, "daf": 1.0, "dap": 0.5}
