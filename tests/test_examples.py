@@ -216,9 +216,13 @@ def test_the_campaign_trains_every_detector_of_the_tables_after_those_it_needs()
         }
         assert {said.get("--init"), said.get("--teacher")} <= {None, *made}
         made.append(f"{said['--out']}/{said['--stage']}/detector.pt")
-    table = tomllib.loads((ROOT / "docs/results/dsrc-sim-small/benchmark.toml").read_text())
-    assert {path for method in table["methods"] for path in method["detectors"]} <= set(made)
-    assert table["pictures"]["teacher"] in made
+    tables, twins = (
+        tomllib.loads((ROOT / f"docs/results/dsrc-sim-small/{name}.toml").read_text())
+        for name in ("benchmark", "twins")
+    )
+    for table in (tables, twins):
+        assert {path for method in table["methods"] for path in method["detectors"]} <= set(made)
+    assert tables["pictures"]["teacher"] in made
 
 
 def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path) -> None:
