@@ -30,7 +30,6 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.frame import Frame
@@ -176,6 +175,9 @@ def _uncompensated(
     shake: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return (T, 4, 4) delivered_from_true transforms of points that fire at (T,) times."""
+    # SciPy takes half a second to import, which most users of the registry need not wait for.
+    from scipy.spatial.transform import Rotation
+
     if sweep.path is None:
         translation, rotation = velocities.sensor * time_s[:, None], np.zeros((len(time_s), 3))
     else:
@@ -188,6 +190,8 @@ def _uncompensated(
 
 def _poses(translation: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (T, 4, 4) poses of (T, 3) positions and (T, 3) rotation vectors."""
+    from scipy.spatial.transform import Rotation
+
     poses = np.tile(np.eye(4), (len(translation), 1, 1))
     poses[:, :3, :3] = Rotation.from_rotvec(rotation).as_matrix()
     poses[:, :3, 3] = translation

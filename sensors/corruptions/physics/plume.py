@@ -32,7 +32,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from sensors.frame import Frame
 from sim.boxes import CLASSES
@@ -164,6 +163,9 @@ def draw_patches(rng: np.random.Generator) -> NDArray[np.float32]:
 
 def patches_at(field: NDArray[np.float32], plume: Plume, world: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return (...,) density of a plume relative to its mean at (3, ...) places in the world; 1 on average."""
+    # SciPy takes half a second to import, which most users of the registry need not wait for.
+    from scipy.ndimage import map_coordinates
+
     shift = plume.shift.astype(np.float32).reshape(3, *(1,) * (world.ndim - 1))
     normal = map_coordinates(field, world * np.float32(1.0 / _CELL_M) + shift, order=1, mode="grid-wrap")
     return np.asarray(np.exp(np.float32(_PATCHINESS) * normal) * np.float32(1.0 / _MEAN_PATCH))

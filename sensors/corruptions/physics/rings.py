@@ -23,7 +23,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d, median_filter
 
 from sensors.sweep import Sweep
 from sim.errors import DataError, complaint
@@ -204,6 +203,9 @@ def _sharpest(values: NDArray[np.floating], of: Callable[[float], NDArray[np.flo
 
 def _slopes(tangent: NDArray[np.float64], near: NDArray[np.float64], comb: RingEstimate) -> NDArray[np.float64]:
     """Return (R,) slope of tan(elevation) over 1 / distance of each ring, smoothed over rings, m."""
+    # SciPy takes half a second to import, which most users of the registry need not wait for.
+    from scipy.ndimage import median_filter
+
     rings = len(comb.elevation)
     count = np.maximum(np.bincount(comb.ring, minlength=rings), 1)
 
@@ -243,6 +245,8 @@ def _best_comb(elevation: NDArray[np.float64], most: int) -> RingEstimate:
 
 def _valleys(counts: NDArray[np.int64]) -> NDArray[np.float64] | None:
     """Return the valleys between the teeth of a histogram, in bins; None without a comb."""
+    from scipy.ndimage import gaussian_filter1d
+
     density = gaussian_filter1d(np.concatenate([np.zeros(9), counts, np.zeros(9)]), 2.0, mode="constant")
     rising = np.diff(density) > 0.0
     peak = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1

@@ -11,9 +11,9 @@ the one that takes the last.
 """
 
 import numpy as np
-from scipy.constants import c as LIGHT_SPEED
 
 from sensors.corruptions.physics.receiver import OVERLAP_START_M, overlap
+from sensors.optics.reflectance import LIGHT_SPEED
 from sim.geometry import Array
 
 TARGET_BACKSCATTER = 1e-6 / np.pi

@@ -41,7 +41,6 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
-from scipy.special import spherical_jn, spherical_yn
 
 from sensors.corruptions.physics.levels import SeveritySettings, check_range
 from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
@@ -325,6 +324,9 @@ def _efficiencies(index: float, halved: bool) -> Array:
 
 def _mie(x: Array, m: float) -> Array:
     """Return the sum of 2 / x^2 (2 n + 1) Re(a_n + b_n) over n (Bohren and Huffman 1983, 4.53 and 4.62)."""
+    # SciPy takes half a second to import, which most users of the registry need not wait for.
+    from scipy.special import spherical_jn, spherical_yn
+
     terms = np.ceil(x + 4.05 * np.cbrt(x) + 2.0)
     n = np.arange(1.0, terms.max() + 1.0)[:, None]
     with np.errstate(invalid="ignore", over="ignore"):  # unused terms overflow

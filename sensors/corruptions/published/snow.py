@@ -55,11 +55,12 @@ from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.corruptions.physics.notice import notice
 from sensors.corruptions.physics.receiver import overlap
 from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
-from sensors.corruptions.published.echo import LIGHT_SPEED, pulse
+from sensors.corruptions.published.echo import pulse
 from sensors.corruptions.published.ground import Plane, fit_plane, ground_of, noise_floor, noise_line
 from sensors.corruptions.published.rings import LASERS, RingSource, rings_from
 from sensors.corruptions.published.snow_beams import Shares, shares_of
 from sensors.corruptions.published.snow_discs import DISCS, Law, disc_sample
+from sensors.optics.reflectance import LIGHT_SPEED
 from sensors.sweep import ATTENUATED, KEPT, SCATTERED, Sweep
 from sim.errors import DataError, complaint
 from sim.geometry import Array
