@@ -61,8 +61,10 @@ class Corrupt(CorruptOptions, frozen=True):
     def run(self) -> None:
         """Write the drives or scans and print their place."""
         from dsrc.data.datasets.corrupt import corrupt_dataset
+        from sensors.corruptions import DEFAULT_SEVERITY
 
-        with progress(f"corrupt {self.corruption}, {self.preset or f'severity {self.severity}'}") as report:
+        level = self.preset or f"severity {self.severity or DEFAULT_SEVERITY}"
+        with progress(f"corrupt {self.corruption}, {level}") as report:
             corrupt_dataset(self, pool=self.pool, progress=report)
         sys.stdout.write(f"{self.out}\n")
 

@@ -7,7 +7,7 @@ import msgspec
 from msgspec import Meta
 from tyro.conf import arg
 
-from dsrc.options.fields import CORRUPTIONS, Data, Folder, Scenario, Severity, Splits, Who, choice
+from dsrc.options.fields import CORRUPTIONS, Data, Family, Folder, Scenario, Splits, Who, choice
 
 if TYPE_CHECKING:
     from sim import scenario
@@ -54,7 +54,7 @@ class GenerateOptions(DriveOptions, frozen=True):
     seed: int | None = None
 
 
-class CorruptOptions(Severity, frozen=True):
+class CorruptOptions(msgspec.Struct, frozen=True):
     """Options of corrupted drives and scans.
 
     Attributes:
@@ -63,7 +63,10 @@ class CorruptOptions(Severity, frozen=True):
         out: folder of the corrupted drives or scans, which keep their names; the drive or the file itself where `data`
             is one.
         corruption: kind of the corruption.
-        preset: published settings in place of severity and family, such as robo3d_heavy; default: the severity's.
+        severity: severity of the corruption, 1 to 5; default: 3, or the preset's.
+        family: models of the corruption: of physical causes, or as published in papers; default: physical, or the
+            preset's.
+        preset: published settings in place of severity and family, such as robo3d_heavy; default: none.
         who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
             acts on their sensors and nowhere else.
         set: settings in place of the severity's, such as calibration=hdl64.npz; default: none.
@@ -74,6 +77,8 @@ class CorruptOptions(Severity, frozen=True):
     data: Data
     out: Path
     corruption: Annotated[str, choice(CORRUPTIONS)]
+    severity: int | None = None
+    family: Family | None = None
     preset: str | None = None
     who: Who = "all"
     set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE [...]")] = ()

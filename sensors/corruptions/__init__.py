@@ -18,7 +18,7 @@ from sensors.corruptions.apply import (
 )
 from sensors.corruptions.check import check_corruption
 from sensors.corruptions.physics.levels import DEFAULT_SEVERITY, SEVERITIES
-from sensors.corruptions.presets import PRESETS, preset_settings
+from sensors.corruptions.presets import PRESETS, settings_of
 from sensors.corruptions.registry import (
     CLEAN,
     CORRUPTIONS,
@@ -51,9 +51,9 @@ __all__ = [
     "drive_seed",
     "kinds_of",
     "parse_who",
-    "preset_settings",
     "register_corruption",
     "require_corruption",
     "require_family",
     "require_who",
+    "settings_of",
 ]

@@ -13,9 +13,10 @@ Beemelmanns et al. (IV 2024); Chen et al., CoopDiff (arXiv 2603.01688); see `sen
 
 from typing import Any
 
+from sensors.corruptions.physics.levels import DEFAULT_SEVERITY
 from sensors.corruptions.point_dropping import PointDropping
 from sensors.corruptions.published import beams, fog, incomplete_echo, points, rain, snow, wet_ground
-from sensors.corruptions.registry import CORRUPTIONS, Family
+from sensors.corruptions.registry import CLEAN, CORRUPTIONS, Family, require_corruption
 from sim.errors import SettingsError, complaint, did_you_mean
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -35,10 +36,30 @@ PRESETS: dict[str, dict[str, Any]] = {
 """Settings by kind and by source: paper, data set and level."""
 
 
-def preset_settings(kind: str, preset: str) -> tuple[Family, Any]:
-    """Return the family and the settings of a preset; SettingsError when the kind has none of this name."""
+def settings_of(
+    kind: str, severity: int | None = None, family: Family | None = None, preset: str | None = None
+) -> tuple[Family, Any]:
+    """Return the family and the settings of a kind, by severity and family or by a preset in their place.
+
+    Args:
+        kind: key of `CORRUPTIONS`, or `clean`, which has no settings: None.
+        severity: 1 to 5; None for 3, or with a preset.
+        family: of the settings; None for the physical one, or with a preset.
+        preset: name in `PRESETS`.
+
+    Raises:
+        SettingsError: an unknown kind, severity, family or preset, or a preset beside one of the others.
+    """
+    level, of = DEFAULT_SEVERITY if severity is None else severity, family or "physical"
+    require_corruption(kind, level, of)
+    if preset is None:
+        return of, None if kind == CLEAN else CORRUPTIONS[kind].settings_of(of).severity(level)
+    where = f"corruption '{kind}'"
+    if severity is not None or family is not None:
+        found = f"family {family}" if severity is None else f"severity {severity}"
+        raise SettingsError(complaint(where, "preset", "no severity and no family beside it", found))
     named = PRESETS.get(kind, {})
     if preset not in named:
-        hint = did_you_mean(preset, named)
-        raise SettingsError(complaint(f"corruption '{kind}'", "preset", "a published setting", preset, hint))
+        hint = did_you_mean(preset, named) or f"; there is none of {kind}"
+        raise SettingsError(complaint(where, "preset", "a published setting", preset, hint))
     return "physical" if CORRUPTIONS[kind].paper_settings is None else "paper", named[preset]

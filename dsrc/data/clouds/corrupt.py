@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dsrc.data.clouds.cloud import Cloud
-from sensors.corruptions import CLEAN, CORRUPTIONS, Family, corrupt_frame, preset_settings, require_corruption
+from sensors.corruptions import CLEAN, CORRUPTIONS, DEFAULT_SEVERITY, Family, corrupt_frame, settings_of
 from sensors.corruptions.incomplete_echo import on_vehicles
 from sensors.frame import AgentFrame, Frame
 from sensors.presets import get_lidar
@@ -30,14 +30,14 @@ SPEED_MPS = 10.0
 def corrupt(
     points: Points,
     kind: str,
-    severity: int = 3,
+    severity: int | None = None,
     seed: int = 0,
     *,
     sensor: str | LidarSpec | None = None,
     boxes: ArrayLike | None = None,
     on_vehicle: NDArray[np.bool_] | None = None,
     ring: int | None = None,
-    family: Family = "physical",
+    family: Family | None = None,
     preset: str | None = None,
     index: int = 0,
     speed: float = SPEED_MPS,
@@ -48,15 +48,15 @@ def corrupt(
         points: (P, C) x forward, y left, z up in the sensor frame, m; intensity from 0 to 1 or to 255 where C > 3; or
             a `Sweep`. Further columns stay with their points and are 0 in added ones.
         kind: key of `sensors.corruptions.CORRUPTIONS`, or `clean`.
-        severity: 1 to 5; 3 is the DSRC paper's.
+        severity: 1 to 5; None for 3, the DSRC paper's, or with a preset.
         seed: of the drive; its weather and its faults that stay are the same for all `index`.
         sensor: LiDAR or name of a preset; None finds rings by elevation where a kind needs them, and takes the
-            HDL-64E's detection limit. A sweep has its own.
+            HDL-64E's detection limit. A sweep has its own, and its own rings and objects.
         boxes: (M, 7) x, y, z, l, w, h, yaw of the vehicles in the sensor frame, centres, m and rad; or (M, 9) with
             velocities x, y, m/s.
         on_vehicle: (P,) mask of the points on vehicles, instead of boxes.
         ring: column of the beam index, from the top or from the bottom; None where there is none.
-        family: of the settings: physical causes or published models.
+        family: of the settings: physical causes or published models; None for physical, or with a preset.
         preset: published settings by name in place of `severity` and `family`, see `sensors.corruptions.PRESETS`.
         index: number of the frame, 0.1 s apart.
         speed: of the sensor along x, m/s; for `motion_blur`.
@@ -65,22 +65,26 @@ def corrupt(
         (Q, C) array of the type of `points`, or a sweep.
 
     Raises:
-        SettingsError: an unknown kind, severity, family, preset or sensor, or a kind that needs boxes or other agents.
+        SettingsError: an unknown kind, severity, family, preset or sensor, arguments that exclude each other, or a kind
+            that needs boxes or other agents.
         DataError: points, boxes or rings of a wrong shape or value, or the cloud lacks what the kind needs.
     """
-    settings = None
-    if preset is not None:
-        family, settings = preset_settings(kind, preset)
-    frame: dict[str, Any] = {"family": family, "settings": settings, "boxes": boxes, "index": index, "speed": speed}
+    of, settings = settings_of(kind, severity, family, preset)
+    frame: dict[str, Any] = {"family": of, "boxes": boxes, "index": index, "speed": speed}
+    if boxes is not None and on_vehicle is not None:
+        raise SettingsError(complaint("corrupt", "boxes", "either boxes or on_vehicle", "both"))
     if isinstance(points, Sweep):
+        given = {"sensor": sensor, "on_vehicle": on_vehicle, "ring": ring}
+        if found := [name for name, value in given.items() if value is not None]:
+            raise SettingsError(complaint("corrupt", found[0], "none: a sweep has its own", "one"))
         labelled = bool((points.object_id >= 0).any())
-        return corrupt_sweep(points, kind, severity, seed, labelled=labelled, **frame)
+        return corrupt_sweep(points, kind, settings, seed, labelled=labelled, **frame)
     cloud = cloud_of(points, ring)
     spec = get_lidar(sensor) if isinstance(sensor, str) else sensor
     if on_vehicle is not None and np.shape(on_vehicle) != (len(cloud),):
         raise DataError(complaint("corrupt", "on_vehicle", f"a mask of shape ({len(cloud)},)", np.shape(on_vehicle)))
     before = cloud.sweep(spec, on_vehicle)
-    after = corrupt_sweep(before, kind, severity, seed, labelled=on_vehicle is not None, **frame)
+    after = corrupt_sweep(before, kind, settings, seed, labelled=on_vehicle is not None, **frame)
     return array_of(cloud.of(after), np.asarray(points).dtype)
 
 
@@ -111,11 +115,10 @@ def array_of(table: NDArray[np.void], dtype: np.dtype) -> NDArray[np.generic]:
 def corrupt_sweep(
     sweep: Sweep,
     kind: str,
-    severity: int,
+    settings: Any,
     seed: int,
     *,
-    family: Family = "physical",
-    settings: Any = None,
+    family: Family,
     boxes: ArrayLike | None = None,
     labelled: bool = False,
     index: int = 0,
@@ -124,10 +127,9 @@ def corrupt_sweep(
 ) -> Sweep:
     """Return a sweep under a corruption, as that of the only agent of a frame.
 
-    Arguments and errors are those of `corrupt`. Ids of a `labelled` sweep tell which points are on objects; `settings`
-    are in place of those of the severity; `time_s` is that of the frame, s, None for 0.1 s times its number.
+    Arguments and errors are those of `corrupt`, and `settings` and `family` those of `settings_of`. Ids of a `labelled`
+    sweep tell which points are on objects; `time_s` is that of the frame, s, None for 0.1 s times its number.
     """
-    require_corruption(kind, severity, family)
     if seed < 0 or index < 0:
         raise SettingsError(complaint("corrupt", "seed and index", "at least 0", f"{seed} and {index}"))
     if kind == CLEAN:
@@ -139,14 +141,15 @@ def corrupt_sweep(
     if corruption.spares_ego:
         raise SettingsError(complaint(where, "points", "frames of several agents, as in a drive", "a single cloud"))
     if corruption.of_objects and len(truth) == 0 and boxes is None and not labelled:
-        raise SettingsError(complaint(where, "boxes", "boxes of the vehicles, or labels of the points", "none"))
+        labels = " with velocities" if corruption.apply is None else ", or labels of the points"
+        raise SettingsError(complaint(where, "boxes", f"boxes of the vehicles{labels}", "none"))
     if corruption.apply is None and not velocity.any() and len(truth):
         raise SettingsError(complaint(where, "boxes", "velocities in columns 7 and 8, m/s", "none"))
     agent = AgentFrame(0, "vehicle", np.eye(4), speed, sweep)
     counts = np.zeros((1, len(truth)), np.int32)
     frame = Frame(index, time_s, (agent,), truth, velocity, counts)
     try:
-        done = corrupt_frame(frame, kind, severity, seed, family, settings=settings)
+        done = corrupt_frame(frame, kind, DEFAULT_SEVERITY, seed, family, settings=settings)
     except DataError as error:
         raise DataError(str(error).removeprefix(f"frame {index}: agent 0: ")) from None
     return done.agents[0].sweep

@@ -61,9 +61,17 @@ def ending_of(path: Path) -> str | None:
     return next((ending for ending in ENDINGS if name.endswith(ending) and not name.startswith(".")), None)
 
 
+def is_scan(path: Path) -> bool:
+    """Return whether a path names a scan, which need not exist, and is no folder."""
+    return ending_of(path) is not None and not path.is_dir()
+
+
 def scans_below(folder: Path) -> list[Path]:
-    """Return the scans at any depth below a folder, sorted."""
-    return sorted(path for path in folder.rglob("*") if ending_of(path) is not None and path.is_file())
+    """Return the scans at any depth below a folder, sorted; DataError without any."""
+    found = sorted(path for path in folder.rglob("*") if is_scan(path))
+    if not found:
+        raise DataError(complaint(folder, "folder", f"drives, or scans *{', *'.join(ENDINGS)}", "neither"))
+    return found
 
 
 def read_scan(path: Path) -> Scan:

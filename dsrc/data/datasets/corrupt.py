@@ -7,17 +7,15 @@ drive that another version began is not resumed.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-import msgspec
-
-from dsrc.data.clouds.files import scans_below
+from dsrc.data.clouds.files import is_scan
 from dsrc.data.datasets.corrupt_scans import corrupt_scans
-from dsrc.data.datasets.corruption_settings import run_settings
+from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_settings
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
-from dsrc.data.drives import Drive, find_drives, list_drives, open_drive
+from dsrc.data.drives import Drive, find_drives, open_drive
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles, own_settings, write_frame
 from dsrc.options.drives import CorruptOptions
@@ -25,37 +23,16 @@ from dsrc.options.fields import takes_fields
 from sensors.corruptions import (
     CLEAN,
     CORRUPTIONS,
+    DEFAULT_SEVERITY,
     EVERYONE,
     corrupt_frame,
-    drive_seed,
     parse_who,
-    require_corruption,
     require_who,
 )
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint
 from sim.files import remove_leftovers
 from sim.kept.code_hash import code_hash
-
-
-@dataclass(frozen=True, slots=True)
-class CorruptionJob:
-    """Drive to corrupt.
-
-    Attributes:
-        source: its folder.
-        out: folder of the corrupted drive.
-        options: of the whole run.
-    """
-
-    source: Path
-    out: Path
-    options: CorruptOptions
-
-    @property
-    def drive_seed(self) -> int:
-        """Seed of the drive's weather and faults."""
-        return drive_seed(self.options.seed, self.source.name)
 
 
 @takes_fields(CorruptOptions)
@@ -78,23 +55,21 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
         DataError: a drive cannot be read or lacks what the corruption needs, or a folder holds a drive of other
             settings.
     """
-    require_corruption(options.corruption, options.severity, options.family)
     if options.corruption == CLEAN:
         raise SettingsError(complaint("corrupt", "corruption", f"one of {', '.join(CORRUPTIONS)}", CLEAN))
-    require_who(options.corruption, parse_who(options.who))
     run_settings(options)  # a wrong one is told before the work
+    require_who(options.corruption, parse_who(options.who))
     if options.seed < 0:
         raise SettingsError(complaint("corrupt", "seed", "at least 0", options.seed))
     data, out = Path(options.data).resolve(), Path(options.out).resolve()
-    if not data.exists():
-        raise DataError(f"{data}: no such file or folder")
     if out.is_relative_to(data) or data.is_relative_to(out):
         raise SettingsError(complaint("corrupt", "out", f"a place apart from {data}", str(out)))
-    if _holds_scans(data):
+    drives = [] if data.is_file() or is_scan(data) else find_drives(data)
+    if not drives:
         return corrupt_scans(options, pool, progress)
     if options.sensor is not None:
         raise SettingsError(complaint("corrupt", "sensor", "none: drives know their sensors", options.sensor))
-    jobs = [CorruptionJob(drive, out / drive.relative_to(data), options) for drive in list_drives(data)]
+    jobs = [CorruptionJob(drive, out / drive.relative_to(data), drive.name, options) for drive in drives]
     readers = [open_drive(job.source) for job in jobs]
     total, done = sum(len(reader) for reader in readers), 0
     report = progress or (lambda done, total: None)
@@ -104,13 +79,6 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
                 done += count
                 report(done, total)
     return [job.out for job in jobs]
-
-
-def _holds_scans(data: Path) -> bool:
-    """Return whether a path is a scan, or a folder with scans and without drives."""
-    if data.is_dir() and not find_drives(data):
-        return len(scans_below(data)) > 0
-    return data.is_file()
 
 
 def _corrupt_drive(job: CorruptionJob, reader: Drive, executor: Executor) -> Iterator[int]:
@@ -148,7 +116,7 @@ def corrupted(job: CorruptionJob, reader: Drive, i: int) -> Frame:
     try:
         who = parse_who(options.who)
         family, settings = run_settings(options)
-        words = options.corruption, options.severity, job.drive_seed, family
+        words = options.corruption, DEFAULT_SEVERITY, job.drive_seed, family
         return corrupt_frame(frame, *words, who=who, settings=settings)
     except DataError as error:
         raise DataError(f"{job.source}: {error}") from None
@@ -162,22 +130,13 @@ def _write(job: CorruptionJob, reader: Drive, frame: Frame) -> None:
 
 def _protocol(job: CorruptionJob, reader: Drive) -> dict:
     """Return the protocol of the corrupted drive: that of its source with the corruption."""
-    options = job.options
-    family, settings = run_settings(options)
     entry = {
-        "kind": options.corruption,
-        "severity": options.severity,
-        "family": family,
-        "seed": options.seed,
+        **corruption_entry(job.options, code_hash(corrupt_frame.__module__)),
         "drive_seed": job.drive_seed,
-        "settings": msgspec.to_builtins(settings),
-        "code": code_hash(corrupt_frame.__module__),
         "source": {"drive": job.source.name, "sha256": reader.digest()},
     }
-    if options.preset is not None:
-        entry["preset"] = options.preset
-    if options.who != EVERYONE:
-        entry["who"] = options.who
+    if job.options.who != EVERYONE:
+        entry["who"] = job.options.who
     own = own_settings(reader.protocol)
     if not own:
         return {"testbed": {"frames": len(reader), "corruptions": [entry]}}

@@ -11,7 +11,6 @@ unlabelled.
 
 import re
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +28,12 @@ from dsrc.data.clouds.files import (
     scans_below,
     vehicles_among,
 )
-from dsrc.data.datasets.corruption_settings import run_settings
+from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_settings
 from dsrc.data.drive_folder import check_same, locked
 from dsrc.data.executors import Pool, Progress
 from dsrc.data.jsonio import read_json
 from dsrc.options.drives import CorruptOptions
-from sensors.corruptions import CORRUPTIONS, EVERYONE, drive_seed
+from sensors.corruptions import CORRUPTIONS, EVERYONE
 from sensors.presets import get_lidar
 from sim.errors import DataError, SettingsError, complaint
 from sim.files import remove_leftovers, write_file
@@ -52,35 +51,10 @@ class ScanCorruption(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Content of `MANIFEST`.
 
     Attributes:
-        corruption: kind, severity, family, preset, seed, sensor, settings and hash of the code.
+        corruption: see `corruption_entry`, and the sensor.
     """
 
     corruption: dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class ScanJob:
-    """Scan to corrupt.
-
-    Attributes:
-        source: its file.
-        out: the new file.
-        options: of the whole run.
-    """
-
-    source: Path
-    out: Path
-    options: CorruptOptions
-
-    @property
-    def drive_seed(self) -> int:
-        """Seed of the folder's weather and faults."""
-        return drive_seed(self.options.seed, "/".join(self.source.resolve().parts[-3:-1]))
-
-    @property
-    def done(self) -> bool:
-        """Whether the new file is there, and not older than its source."""
-        return self.out.is_file() and self.out.stat().st_mtime_ns >= self.source.stat().st_mtime_ns
 
 
 def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None = None) -> list[Path]:
@@ -96,27 +70,31 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
 
     Raises:
         SettingsError: the kind needs other agents or objects, or an option is one of drives.
-        DataError: a scan cannot be read or lacks what the corruption needs, or the folder holds scans of other
-            settings.
+        DataError: there are no scans, one cannot be read or lacks what the corruption needs, or the folder holds scans
+            of other settings.
     """
     data, out = Path(options.data), Path(options.out)
     if options.who != EVERYONE:
         raise SettingsError(complaint("corrupt", "who", "all: a scan has one sensor", options.who))
     if options.sensor is not None:
         get_lidar(options.sensor)
-    if data.is_file():
+    if not data.is_dir():
         if ending_of(out) != ending_of(data):
             raise SettingsError(complaint("corrupt", "out", f"a file *{ending_of(data)}, as the scan's", out.name))
-        _corrupt_scan(ScanJob(data, out, options))
+        _write(_corrupted(_job(data, out, options)))
         return [out]
-    jobs = [ScanJob(path, out / path.relative_to(data), options) for path in scans_below(data)]
-    report, manifest = progress or (lambda done, total: None), _manifest(options)
+    jobs = [_job(path, out / path.relative_to(data), options) for path in scans_below(data)]
+    report = progress or (lambda done, total: None)
+    manifest = {**corruption_entry(options, code_hash(__name__)), "sensor": options.sensor}
     with locked(out, what="folder of scans"):
         if (out / MANIFEST).exists():
             check_same(out, read_json(out / MANIFEST, ScanCorruption).corruption, manifest, MANIFEST)
+            missing = [job for job in jobs if not _is_done(job)]
         else:
+            # Settings that the first scan refuses are not noted: the folder stays free for others.
+            first, missing = _corrupted(jobs[0]), jobs[1:]
             write_file(out / MANIFEST, msgspec.json.format(msgspec.json.encode({"corruption": manifest})) + b"\n")
-        missing = [job for job in jobs if not job.done]
+            _write(first)
         done = len(jobs) - len(missing)
         report(done, len(jobs))
         chunks = [missing[k : k + _CHUNK] for k in range(0, len(missing), _CHUNK)]
@@ -130,29 +108,28 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
     return [job.out for job in jobs]
 
 
-def _manifest(options: CorruptOptions) -> dict[str, Any]:
-    family, settings = run_settings(options)
-    entry = {
-        "kind": options.corruption,
-        "severity": None if options.preset else options.severity,
-        "family": family,
-        "preset": options.preset,
-        "seed": options.seed,
-        "sensor": options.sensor,
-        "settings": settings,
-        "code": code_hash(__name__),
-    }
-    return msgspec.json.decode(msgspec.json.encode(entry), type=dict[str, Any])
+def _job(source: Path, out: Path, options: CorruptOptions) -> CorruptionJob:
+    return CorruptionJob(source, out, "/".join(source.resolve().parts[-3:-1]), options)
 
 
-def _corrupt_chunk(jobs: list[ScanJob], progress: Progress) -> None:
+def _is_done(job: CorruptionJob) -> bool:
+    """Return whether the new file is there, and not older than its source."""
+    return job.out.is_file() and job.out.stat().st_mtime_ns >= job.source.stat().st_mtime_ns
+
+
+def _corrupt_chunk(jobs: list[CorruptionJob], progress: Progress) -> None:
     """Write some scans; a task."""
     for job in jobs:
-        _corrupt_scan(job)
+        _write(_corrupted(job))
 
 
-def _corrupt_scan(job: ScanJob) -> None:
-    """Write one scan, after its labels where it has some."""
+def _write(files: dict[Path, bytes]) -> None:
+    for path, content in files.items():
+        write_file(path, content)
+
+
+def _corrupted(job: CorruptionJob) -> dict[Path, bytes]:
+    """Return the files of a corrupted scan, that of its labels before its own."""
     scan, options, labels = read_scan(job.source), job.options, None
     if labels_of(job.source).is_file():
         labels = read_labels(labels_of(job.source), len(scan.cloud))
@@ -166,10 +143,9 @@ def _corrupt_scan(job: ScanJob) -> None:
                 None if name is None else get_lidar(name), None if labels is None else vehicles_among(labels)
             ),
             options.corruption,
-            options.severity,
+            settings,
             job.drive_seed,
             family=family,
-            settings=settings,
             boxes=boxes,
             labelled=labels is not None,
             index=index,
@@ -177,12 +153,13 @@ def _corrupt_scan(job: ScanJob) -> None:
         )
     except (DataError, SettingsError) as error:
         raise type(error)(f"{job.source}: {error}") from None
-    if labels is not None:
-        row = rows_of(after)
-        kept = np.where(row < 0, 0, np.append(labels, 0)[row]).astype("<u4")
-        alike = job.out.parent.name == job.source.parent.name
-        write_file(labels_of(job.out) if alike else job.out.with_suffix(".label"), kept.tobytes())
-    write_file(job.out, scan.encode(scan.cloud.of(after)))
+    files = {job.out: scan.encode(scan.cloud.of(after))}
+    if labels is None:
+        return files
+    row = rows_of(after)
+    kept = np.where(row < 0, 0, np.append(labels, 0)[row]).astype("<u4")
+    alike = job.out.parent.name == job.source.parent.name
+    return {labels_of(job.out) if alike else job.out.with_suffix(".label"): kept.tobytes(), **files}
 
 
 def frame_number(path: Path) -> tuple[int, float]:

@@ -1,26 +1,66 @@
-"""Settings of a run of `dsrc corrupt`: those of a severity or of a preset, with values changed by name."""
+"""What the corruptions of drives and of scans share: job, settings, and the entry in what is written."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from dsrc.options.drives import CorruptOptions
-from sensors.corruptions import CORRUPTIONS, Family, preset_settings
+from sensors.corruptions import DEFAULT_SEVERITY, Family, drive_seed, settings_of
 from sim.errors import SettingsError, complaint, did_you_mean, one_line
+
+
+@dataclass(frozen=True, slots=True)
+class CorruptionJob:
+    """Drive or scan to corrupt.
+
+    Attributes:
+        source: its folder or its file.
+        out: that of the corrupted one.
+        drive: name of the drive, from which its weather and its faults are drawn.
+        options: of the whole run.
+    """
+
+    source: Path
+    out: Path
+    drive: str
+    options: CorruptOptions
+
+    @property
+    def drive_seed(self) -> int:
+        """Seed of the drive's weather and faults."""
+        return drive_seed(self.options.seed, self.drive)
+
+
+def corruption_entry(options: CorruptOptions, code: str) -> dict[str, Any]:
+    """Return the entry of a corruption among the settings of what it has made, of plain values.
+
+    Args:
+        options: of the run.
+        code: hash of the code that corrupts.
+    """
+    family, settings = run_settings(options)
+    severity = DEFAULT_SEVERITY if options.severity is None else options.severity
+    return {
+        "kind": options.corruption,
+        **({"severity": severity} if options.preset is None else {"preset": options.preset}),
+        "family": family,
+        "seed": options.seed,
+        "settings": msgspec.to_builtins(settings),
+        "code": code,
+    }
 
 
 def run_settings(options: CorruptOptions) -> tuple[Family, Any]:
     """Return family and settings of the corruption of a run.
 
     Raises:
-        SettingsError: an unknown preset, or a wrong change of a setting.
+        SettingsError: an unknown kind, severity, family or preset, two of these that exclude each other, or a wrong
+            change of a setting.
     """
-    if options.preset is not None:
-        family, settings = preset_settings(options.corruption, options.preset)
-    else:
-        family = options.family
-        settings = CORRUPTIONS[options.corruption].settings_of(family).severity(options.severity)
+    family, settings = settings_of(options.corruption, options.severity, options.family, options.preset)
     return family, changed_settings(settings, options.set)
 
 

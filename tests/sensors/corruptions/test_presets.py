@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import dsrc
-from sensors.corruptions import CORRUPTIONS, PRESETS, preset_settings
+from sensors.corruptions import CORRUPTIONS, PRESETS, settings_of
 from sensors.corruptions.check import example_frame
 from sensors.corruptions.published.beams import PaperCrossSensor, kept_points
 from sensors.corruptions.published.points import apply_motion_blur
@@ -16,7 +16,7 @@ NAMED = [(kind, name) for kind, named in PRESETS.items() for name in named]
 
 @pytest.mark.parametrize(("kind", "name"), NAMED)
 def test_a_preset_is_of_the_model_whose_family_it_names(kind: str, name: str) -> None:
-    family, settings = preset_settings(kind, name)
+    family, settings = settings_of(kind, preset=name)
     assert type(settings) is type(CORRUPTIONS[kind].settings_of(family).severity(3))
 
 
@@ -31,7 +31,7 @@ def test_robo3d_and_multicorrupt_have_every_level_of_every_kind() -> None:
 def test_multicorrupt_keeps_evenly_spaced_beams_of_nuscenes(level: int, beams: int) -> None:
     from_bottom = np.arange(32)
     points = np.ones((32, 3))
-    _, settings = preset_settings("cross_sensor", f"multicorrupt_{level}")
+    _, settings = settings_of("cross_sensor", preset=f"multicorrupt_{level}")
     kept = from_bottom[kept_points(points, 31 - from_bottom, 32, settings)]
     assert kept.tolist() == list(range(1, 32, 32 // beams))
 
@@ -39,7 +39,7 @@ def test_multicorrupt_keeps_evenly_spaced_beams_of_nuscenes(level: int, beams: i
 @pytest.mark.parametrize(("level", "deviation"), [(1, 0.06), (2, 0.10), (3, 0.13)])
 def test_multicorrupt_shifts_the_frame_and_shakes_each_axis(level: int, deviation: float) -> None:
     cloud = np.zeros((20_000, 4))
-    _, settings = preset_settings("motion_blur", f"multicorrupt_{level}")
+    _, settings = settings_of("motion_blur", preset=f"multicorrupt_{level}")
     moved = np.stack([apply_motion_blur(cloud, settings, np.random.default_rng(seed)) for seed in range(40)])
     assert moved[..., :3].std(axis=1).mean(axis=0) / deviation == pytest.approx([0.15, 0.2, 0.12], rel=0.02)
     assert moved[..., :3].mean(axis=1).std() == pytest.approx(deviation, rel=0.2)
@@ -66,6 +66,12 @@ def test_the_water_of_coopdiff_is_a_filled_pavement() -> None:
 
 def test_an_unknown_preset_is_one_line() -> None:
     with pytest.raises(SettingsError, match=r"preset: expected a published setting, found robo3d; did you mean"):
-        preset_settings("fog", "robo3d")
-    with pytest.raises(SettingsError, match="found robo3d_light"):
-        preset_settings("noise", "robo3d_light")
+        settings_of("fog", preset="robo3d")
+    with pytest.raises(SettingsError, match="found robo3d_light; there is none of noise"):
+        settings_of("noise", preset="robo3d_light")
+
+
+@pytest.mark.parametrize("beside", [{"severity": 3}, {"family": "paper"}])
+def test_a_preset_is_not_taken_beside_a_severity_or_a_family(beside: dict) -> None:
+    with pytest.raises(SettingsError, match=r"preset: expected no severity and no family beside it, found [sf]"):
+        settings_of("fog", preset="robo3d_heavy", **beside)

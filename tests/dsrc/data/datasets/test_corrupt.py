@@ -19,6 +19,7 @@ from dsrc.data.formats.opv2v.record import read_plan
 from dsrc.data.write import write_drive
 from sensors.corruptions import corrupt_frame, drive_seed
 from sim.errors import DataError, SettingsError
+from tests.dsrc.data import dair_tree
 from tests.dsrc.data.toy import SETTINGS, ToySource, same_frames
 from tests.paths import ROOT
 
@@ -134,6 +135,12 @@ def test_trees_of_other_tools_can_be_corrupted(foreign: Path, tmp_path: Path) ->
     np.testing.assert_allclose(before.truth.array, after.truth.array)
     assert after.agents[0].sweep.fate.all() and before.time_s == after.time_s
     assert DriveReader(drive).protocol["testbed"]["frames"] == 5
+
+
+def test_a_split_of_a_dair_tree_is_no_folder_and_can_be_corrupted(tmp_path: Path) -> None:
+    root = dair_tree.make(tmp_path)
+    made = corrupt_dataset(root / "val", tmp_path / "out", "motion_blur")
+    assert made == [tmp_path / "out" / drive.name for drive in list_drives(root / "val")]
 
 
 def test_a_finished_run_is_left_alone_and_only_missing_frames_are_made(data: Path, tmp_path: Path) -> None:

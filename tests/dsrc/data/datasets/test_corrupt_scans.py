@@ -177,6 +177,8 @@ def test_a_preset_and_a_sensor_are_options(kitti: Path, tmp_path: Path, capsys: 
         ({"corruption": "fog", "sensor": "hdl"}, "unknown lidar"),
         ({"corruption": "fog", "who": "ego"}, "who"),
         ({"corruption": "fog", "preset": "none"}, "preset"),
+        ({"corruption": "fog", "preset": "robo3d_heavy", "severity": 5}, "no severity and no family beside it"),
+        ({"corruption": "spray"}, "boxes of the vehicles with velocities"),
         ({"corruption": "fog", "out": "a.txt"}, r"\*.bin"),
     ],
 )
@@ -243,7 +245,18 @@ def test_a_scan_of_another_number_of_labels_and_a_folder_of_nothing_are_refused(
     (tmp_path / "a/labels/1.label").write_bytes(b"1234")
     with pytest.raises(DataError, match="labels: expected"):
         corrupt_dataset(tmp_path / "a/velodyne", tmp_path / "out", "fog")
-    with pytest.raises(DataError, match="no such file or folder"):
+    with pytest.raises(DataError, match="missing: no such folder"):
         corrupt_dataset(tmp_path / "missing", tmp_path / "out", "fog")
-    with pytest.raises(DataError, match="OPV2V tree"):
+    with pytest.raises(DataError, match=r"missing\.bin: file not found; expected a .bin scan"):
+        corrupt_dataset(tmp_path / "missing.bin", tmp_path / "out.bin", "fog")
+    with pytest.raises(DataError, match=r"empty: folder: expected drives, or scans \*.pcd.bin, .* found neither"):
         corrupt_dataset(tmp_path / "a/empty", tmp_path / "out", "fog")
+
+
+def test_settings_that_the_first_scan_refuses_leave_the_folder_free(kitti: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(SettingsError, match=r"000000.bin: .* boxes of the vehicles"):
+        corrupt_dataset(kitti, out, "incomplete_echo")
+    assert not tree(out)
+    corrupt_dataset(kitti, out, "point_dropping")
+    assert len(tree(out)) == 20
