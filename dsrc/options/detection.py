@@ -38,6 +38,12 @@ PROTOCOLS = (
     "dair-vic",
     "kitti-r11",
     "kitti-r40",
+    "kitti-easy-r11",
+    "kitti-moderate-r11",
+    "kitti-hard-r11",
+    "kitti-easy-r40",
+    "kitti-moderate-r40",
+    "kitti-hard-r40",
     "testbed",
 )
 """Names for the help text; `dsrc.evaluation.metrics.protocols` decides, a test compares."""

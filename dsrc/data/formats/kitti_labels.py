@@ -8,6 +8,7 @@ Source: the development kit of the KITTI object benchmark (readme.txt); A. Geige
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,34 @@ _WIDTH = 15
 _LARGEST = 1e7
 
 
+class InImage(NamedTuple):
+    """What a label file says of N boxes in the image.
+
+    Attributes:
+        height_px: (N,) height, px.
+        occluded: (N,) degree of occlusion, 0 none to 3 unknown.
+        truncated: (N,) share that is out of the image, 0 to 1.
+    """
+
+    height_px: NDArray[np.float64]
+    occluded: NDArray[np.float64]
+    truncated: NDArray[np.float64]
+
+
+class Labels(NamedTuple):
+    """N vehicles of a label file.
+
+    Attributes:
+        boxes: in the LiDAR's frame.
+        score: (N,) confidence, 1 where lines have none.
+        image: of each box; of detections, which have no occlusion and no truncation, the height alone is meant.
+    """
+
+    boxes: Boxes
+    score: NDArray[np.float32]
+    image: InImage
+
+
 def label_folder(tree: Path) -> Path | None:
     """Return the folder of the labels of KITTI's object tree, None for another folder."""
     places = [tree, tree / "label_2", tree / "training" / "label_2"]
@@ -36,18 +65,13 @@ def list_labels(folder: Path) -> dict[int, Path]:
     return {int(path.stem): path for number, path in numbered if number}
 
 
-def read_labels(
-    path: Path, camera_from_lidar: NDArray[np.float64], scored: bool = False
-) -> tuple[Boxes, NDArray[np.float32]]:
+def read_labels(path: Path, camera_from_lidar: NDArray[np.float64], scored: bool = False) -> Labels:
     """Read the vehicles of a label file.
 
     Args:
         path: of the file.
         camera_from_lidar: (4, 4) from the LiDAR's frame to the rectified camera's.
         scored: lines end with a confidence.
-
-    Returns:
-        N boxes in the LiDAR's frame, and (N,) confidence, 1 where lines have none.
 
     Raises:
         DataError: a line is not as described; names line and field.
@@ -78,7 +102,8 @@ def read_labels(
     place = transform_points(invert(camera_from_lidar), rows[:, 10:13] - [[0.0, 0.5, 0.0]] * height[:, None])
     array = np.column_stack([place, length, width_m, height, -rows[:, 13] - 0.5 * np.pi])
     score = rows[:, 14] if scored else np.ones(len(rows))
-    return Boxes.from_array(array, np.array(labels, np.int64)), score.astype(np.float32)
+    image = InImage(height_px=rows[:, 6] - rows[:, 4], occluded=rows[:, 1], truncated=rows[:, 0])
+    return Labels(Boxes.from_array(array, np.array(labels, np.int64)), score.astype(np.float32), image)
 
 
 def calibration_of(folder: Path, number: int) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.sample import OPENCOOD_RANGE_M, Range
 from dsrc.evaluation.metrics.ap import MatchedBy, Order, Recalls, Space
+from dsrc.evaluation.metrics.kitti import LEAST_PX, LEVELS, MOST_OCCLUDED, MOST_TRUNCATED, Level
 from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint, did_you_mean
 
@@ -33,6 +34,8 @@ class Protocol(msgspec.Struct, frozen=True, kw_only=True):
         recalls: of the area.
         matched_by: who chooses.
         spaces: overlap in bird's-eye view, of volumes, or both.
+        level: KITTI's level of difficulty, see `dsrc.evaluation.metrics.kitti`; None for none.
+        unlike: what differs from the source, one clause; "" for nothing.
     """
 
     name: str
@@ -45,10 +48,22 @@ class Protocol(msgspec.Struct, frozen=True, kw_only=True):
     recalls: Recalls = "all"
     matched_by: MatchedBy = "detections"
     spaces: tuple[Space, ...] = ("bev",)
+    level: Level | None = None
+    unlike: str = ""
 
     @property
     def card(self) -> str:
         """What is counted, in one line."""
+        if self.level is not None:
+            row = LEVELS.index(self.level)
+            parts = [
+                f"cars above {LEAST_PX[row]} px in the image, occlusion to {MOST_OCCLUDED[row]}"
+                f", truncation to {MOST_TRUNCATED[row]:g}",
+                "other cars and vans count neither way",
+                "true boxes choose",
+                _RECALLS[self.recalls],
+            ]
+            return ", ".join(parts)
         parts = ["all boxes given"]
         if self.range_m is not None:
             how = "whole boxes" if self.corners == 8 else f"boxes with {self.corners} of 8 corners"
@@ -60,7 +75,7 @@ class Protocol(msgspec.Struct, frozen=True, kw_only=True):
         if self.matched_by == "truth":
             parts.append("true boxes choose")
         parts.append(_RECALLS[self.recalls])
-        return ", ".join(parts)
+        return ", ".join(parts) + (f"; unlike the source, {self.unlike}" if self.unlike else "")
 
     def counts(self, boxes: Boxes) -> NDArray[np.bool_]:
         """(N,) boxes in its range."""
@@ -92,7 +107,9 @@ _OPENCOOD = "R. Xu et al., OPV2V, ICRA 2022; OpenCOOD, eval_utils.py and GT_RANG
 _SORTED = "OpenCOOD with --global_sort_detections"
 _EGO = "; the ego's own box left out, see OpenCOOD issue 141"
 _COALIGN = "Y. Lu et al., CoAlign, ICRA 2023; its eval_utils.py and gt_range of "
-_KITTI = "A. Geiger et al., CVPR 2012, and KITTI's devkit, without its difficulties and don't-care regions"
+_DEVKIT = "A. Geiger et al., CVPR 2012, and KITTI's object development kit"
+_KITTI: dict[Recalls, str] = {"11": _DEVKIT, "40": f"{_DEVKIT}; A. Simonelli et al., ICCV 2019"}
+_NO_LEVELS = "vehicles of every class and difficulty, and the best detection chooses"
 _BOTH: tuple[Space, ...] = ("bev", "3d")
 
 _TABLE = (
@@ -133,13 +150,16 @@ _TABLE = (
         spaces=_BOTH,
         source="H. Yu et al., DAIR-V2X, CVPR 2022; its eval_utils.py, filter_utils.py and --extended-range",
     ),
-    Protocol(name="kitti-r11", reach_m=math.inf, recalls="11", spaces=_BOTH, source=_KITTI),
-    Protocol(
-        name="kitti-r40",
-        reach_m=math.inf,
-        recalls="40",
-        spaces=_BOTH,
-        source=_KITTI + "; A. Simonelli et al., ICCV 2019",
+    *(
+        Protocol(
+            name=f"kitti-r{recalls}", reach_m=math.inf, recalls=recalls, spaces=_BOTH, source=source, unlike=_NO_LEVELS
+        )
+        for recalls, source in _KITTI.items()
+    ),
+    *(
+        Protocol(name=f"kitti-{level}-r{recalls}", level=level, recalls=recalls, spaces=_BOTH, source=source)
+        for recalls, source in _KITTI.items()
+        for level in LEVELS
     ),
     Protocol(name="testbed", spaces=_BOTH, source="`ap` of dsrc evaluate, over the boxes given"),
 )
@@ -147,11 +167,15 @@ PROTOCOLS = {protocol.name: protocol for protocol in _TABLE}
 """Protocols by name."""
 
 
-def get_protocols(names: str | Protocol | Sequence[str | Protocol]) -> tuple[Protocol, ...]:
+def get_protocols(names: str | Protocol | Sequence[str | Protocol], levels: bool = True) -> tuple[Protocol, ...]:
     """Protocols of a name or several, `all` for every one; a struct of one's own stays as it is.
 
+    Args:
+        names: of protocols.
+        levels: boxes are known in the image, for KITTI's levels; else `all` leaves these out.
+
     Raises:
-        SettingsError: a name is unknown, or none is given.
+        SettingsError: a name is unknown, none is given, or one needs levels.
     """
     given = [names] if isinstance(names, str | Protocol) else list(names)
     found: dict[str, Protocol] = {}
@@ -159,7 +183,7 @@ def get_protocols(names: str | Protocol | Sequence[str | Protocol]) -> tuple[Pro
         if isinstance(one, Protocol):
             found[one.name] = one
         elif one == ALL:
-            found |= PROTOCOLS
+            found |= {name: protocol for name, protocol in PROTOCOLS.items() if levels or protocol.level is None}
         elif one in PROTOCOLS:
             found[one] = PROTOCOLS[one]
         else:
@@ -167,4 +191,8 @@ def get_protocols(names: str | Protocol | Sequence[str | Protocol]) -> tuple[Pro
             raise SettingsError(complaint("score", "protocol", "the name of a protocol", one, hint))
     if not found:
         raise SettingsError(complaint("score", "protocol", f"at least one of {', '.join(PROTOCOLS)}", "none"))
+    rated = next((name for name, protocol in found.items() if protocol.level is not None), None)
+    if rated is not None and not levels:
+        expected = "KITTI's label files with boxes in the image, of detections and of true boxes"
+        raise SettingsError(complaint("score", f"protocol {rated}", expected, "others"))
     return tuple(found.values())

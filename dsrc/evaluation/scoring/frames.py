@@ -7,6 +7,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.formats.kitti_labels import InImage
 from dsrc.evaluation.metrics.ap import FrameResult
 from dsrc.evaluation.metrics.protocols import Protocol
 from dsrc.ops.detections import Detections
@@ -35,19 +36,21 @@ class Truth:
         boxes: of any agent, at any distance.
         own: (N,) the ego's own box.
         reach_m: (N,) distance from the ego of the nearest agent with a point on it, m; 0 where the ego has one.
+        image: of each box in the camera's image; None if unknown.
     """
 
     boxes: Boxes
     own: NDArray[np.bool_]
     reach_m: NDArray[np.float64]
+    image: InImage | None = None
 
     @classmethod
-    def of(cls, boxes: Boxes, own: NDArray[np.bool_] | None = None) -> Self:
+    def of(cls, boxes: Boxes, own: NDArray[np.bool_] | None = None, image: InImage | None = None) -> Self:
         """True boxes of which nothing else is known: the ego's own is the one around the origin."""
         if own is None:
             around = boxes.contains(np.column_stack([np.zeros((len(boxes), 2)), boxes.center[:, 2]]))
             own = np.diagonal(around).copy()
-        return cls(boxes, own, np.zeros(len(boxes)))
+        return cls(boxes, own, np.zeros(len(boxes)), image)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +63,7 @@ class DetectionSet:
         truth: true boxes that are stored with them; None for none.
         has_scores: the confidence is known; without it detections are the best first in each frame.
         note: what limits the set, one line; "" for nothing.
+        images: of the detections in the camera's image, by frame; None if unknown.
     """
 
     name: str
@@ -67,6 +71,7 @@ class DetectionSet:
     truth: Mapping[FrameKey, Truth] | None = None
     has_scores: bool = True
     note: str = ""
+    images: Mapping[FrameKey, InImage] | None = None
 
 
 def select(protocol: Protocol, detections: Detections, truth: Truth) -> FrameResult:

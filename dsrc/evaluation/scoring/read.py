@@ -141,12 +141,15 @@ def _of_json(path: Path) -> DetectionSet:
 
 def _labelled(path: Path, folders: dict[str, Path], truth: Path | None) -> DetectionSet:
     calibrated = None if truth is None else label_folder(truth)
-    frames = {}
+    frames, images = {}, {}
     for name, folder in folders.items():
         for number, file in list_labels(folder).items():
-            camera_from_lidar = calibration_of(calibrated or folder, number)
-            frames[FrameKey(name, number)] = Detections(*read_labels(file, camera_from_lidar, scored=True))
-    return DetectionSet(path.name, frames)
+            found = read_labels(file, calibration_of(calibrated or folder, number), scored=True)
+            frames[FrameKey(name, number)] = Detections(found.boxes, found.score)
+            images[FrameKey(name, number)] = found.image
+    # Detectors of LiDAR alone may leave the image's columns empty.
+    known = any((image.height_px > 0).any() for image in images.values())
+    return DetectionSet(path.name, frames, images=images if known else None)
 
 
 def _dumped(folder: Path) -> DetectionSet:

@@ -21,6 +21,7 @@ from dsrc.evaluation.metrics.ap import (
     precision_recall,
     rank,
 )
+from dsrc.evaluation.metrics.kitti import Level, Rated, RatedFrame
 from dsrc.evaluation.metrics.protocols import Protocol, get_protocols
 from dsrc.evaluation.results import CLEAN
 from dsrc.evaluation.scoring.frames import DetectionSet, FrameKey, Truth, select
@@ -80,7 +81,7 @@ def score(
     Raises:
         UserError: a file, a frame or a setting is wrong.
     """
-    protocols = get_protocols(protocol)
+    get_protocols(protocol)  # before the files are read
     tree = Path(truth) if isinstance(truth, str | Path) else None
     if isinstance(detections, str | Path):
         where = str(detections)
@@ -101,13 +102,19 @@ def score(
         own = one.truth if known is None else known
         if own is None:
             raise DataError(complaint(where, "truth", "a tree of true boxes, since none are stored here", "none"))
-        results += _scores(one, own, protocols)
+        rated = one.images is not None and all(truth.image is not None for truth in own.values())
+        results += _scores(one, own, get_protocols(protocol, levels=rated))
     return results
 
 
 def _scores(one: DetectionSet, truth: Mapping[FrameKey, Truth], protocols: Iterable[Protocol]) -> Iterator[Score]:
     matches: dict[tuple[object, ...], Matches] = {}
+    rated: Rated | None = None
     for protocol in protocols:
+        if protocol.level is not None:
+            rated = rated or Rated(list(_rated_frames(one, truth)))
+            yield _score_of_level(one, protocol, protocol.level, rated)
+            continue
         # Protocols that differ in order or recalls alone share their matches.
         counted = (protocol.range_m, protocol.corners, protocol.reach_m, protocol.ego, protocol.matched_by)
         if counted not in matches:
@@ -126,6 +133,20 @@ def _score(one: DetectionSet, protocol: Protocol, matches: Matches) -> Score:
             found = average_precision(recall, precision, matches.truth, protocol.recalls)
             ap[space, threshold] = found if known else math.nan
     return Score(one.name, protocol, matches.frames, matches.truth, len(matches.score), ap, one.note)
+
+
+def _rated_frames(one: DetectionSet, truth: Mapping[FrameKey, Truth]) -> Iterator[RatedFrame]:
+    for key, found in one.frames.items():
+        true = truth[key]
+        if one.images is not None and true.image is not None:
+            yield RatedFrame(found, one.images[key], true.boxes, true.image)
+
+
+def _score_of_level(one: DetectionSet, protocol: Protocol, level: Level, rated: Rated) -> Score:
+    found = {(space, iou): rated.count(level, space, iou) for space in protocol.spaces for iou in THRESHOLDS}
+    counted = next(iter(found.values()))
+    ap = {key: value.ap(protocol.recalls) for key, value in found.items()}
+    return Score(one.name, protocol, len(one.frames), counted.truth, counted.detections, ap, one.note)
 
 
 def provenance_of(options: Scoring) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """True boxes of frames in a tree: OPV2V, V2V4Real, DAIR-V2X-C or KITTI."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -66,7 +67,7 @@ def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None =
     for done, key in enumerate(keys, 1):
         truth = read(key)
         rounded = Boxes.from_array(truth.boxes.array.astype(np.float32), truth.boxes.label, truth.boxes.object_id)
-        found[key] = Truth(rounded, truth.own, truth.reach_m)
+        found[key] = replace(truth, boxes=rounded)
         if progress:
             progress(done, len(keys))
     return found
@@ -110,4 +111,5 @@ def _of_labels(folder: Path, key: FrameKey) -> Truth:
     if key.drive or not path.is_file():
         found = f"detections of {key.drive} {key.frame}" if key.drive else f"no labels of frame {key.frame}"
         raise DataError(complaint(path, "labels", "those of every frame with detections", found))
-    return Truth.of(kitti_labels.read_labels(path, kitti_labels.calibration_of(folder, key.frame))[0])
+    labels = kitti_labels.read_labels(path, kitti_labels.calibration_of(folder, key.frame))
+    return Truth.of(labels.boxes, image=labels.image)

@@ -14,10 +14,15 @@ def load(name: str) -> NpzFile:
     return np.load(GOLDENS / f"{name}.npz", allow_pickle=False)
 
 
-def unpack_opv2v_mini(folder: Path) -> Path:
-    with tarfile.open(fileobj=io.BytesIO((GOLDENS / "opv2v_mini.tar.gz").read_bytes())) as archive:
+def unpack(name: str, folder: Path) -> Path:
+    """Unpack the tree of a golden archive into a folder and return the tree."""
+    with tarfile.open(fileobj=io.BytesIO((GOLDENS / f"{name}.tar.gz").read_bytes())) as archive:
         archive.extractall(folder, filter="data")
-    return folder / "opv2v_mini"
+    return folder / name
+
+
+def unpack_opv2v_mini(folder: Path) -> Path:
+    return unpack("opv2v_mini", folder)
 
 
 def ours(boxes: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ def test_boxes_come_back_from_the_labels_they_were_written_as(tmp_path: Path, sc
     scores = rng.permutation(20) / 20
     if scored:
         text = "".join(f"{line} {score}\n" for line, score in zip(text.splitlines(), scores, strict=True))
-    found, score = read_labels(write(tmp_path / "000000.txt", text), CAMERA_FROM_LIDAR, scored)
+    found, score, _ = read_labels(write(tmp_path / "000000.txt", text), CAMERA_FROM_LIDAR, scored)
     np.testing.assert_allclose(found.array, boxes.array, atol=2e-4)
     assert found.label.tolist() == boxes.label.tolist()
     assert score == pytest.approx(scores if scored else np.ones(20))
@@ -41,6 +41,14 @@ def test_other_types_and_empty_files_hold_no_vehicle(tmp_path: Path) -> None:
     assert len(read_labels(write(tmp_path / "b.txt", ""), CAMERA_FROM_LIDAR, scored=True)[0]) == 0
     # Labels may have scores where none are asked for.
     assert len(read_labels(write(tmp_path / "c.txt", f"{GOOD} 0.5"), CAMERA_FROM_LIDAR)[0]) == 1
+
+
+def test_a_line_says_where_its_box_is_in_the_image(tmp_path: Path) -> None:
+    text = (
+        "Van 0.25 2 0 10 20.5 30 61 1.5 1.8 4.2 2.0 1.6 20.0 0.3\nTram 0.9 3 0 0 0 0 9 1.5 1.8 4.2 2.0 1.6 20.0 0.3\n"
+    )
+    image = read_labels(write(tmp_path / "000000.txt", text), CAMERA_FROM_LIDAR).image
+    assert [column.tolist() for column in image] == [[40.5], [2.0], [0.25]]
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,9 @@ from sim.boxes import Boxes
 from sim.errors import SettingsError
 from tests.dsrc.evaluation.metrics.test_ap import GOLDENS, golden_frames
 
+UNRATED = [name for name, protocol in PROTOCOLS.items() if protocol.level is None]
+"""Protocols that need no boxes in an image."""
+
 
 @pytest.mark.parametrize(("name", "order"), [("opencood", "ap_local"), ("opencood-global", "ap_global")])
 def test_opencood_is_equalled_to_twelve_digits(name, order):
@@ -30,7 +33,7 @@ def test_opencood_is_equalled_to_twelve_digits(name, order):
 def test_one_set_of_boxes_has_as_many_averages_as_protocols():
     _, frames = golden_frames()
     found = score([frame.detections for frame in frames], [frame.truth for frame in frames], "all")
-    assert [one.protocol.name for one in found] == list(PROTOCOLS)
+    assert [one.protocol.name for one in found] == UNRATED
     bev = {one.protocol.name: one.ap["bev", 0.7] for one in found}
     assert bev["opencood-global"] - bev["opencood"] > 0.09  # by the order alone
     assert bev["kitti-r40"] != bev["kitti-r11"] != bev["opencood-global"]
@@ -59,6 +62,11 @@ def test_a_box_counts_by_its_corners_in_the_range():
 def test_protocols_are_found_by_name_or_are_ones_own():
     own = Protocol(name="mine", source="here", range_m=(0.0, -10.0, -3.0, 20.0, 10.0, 1.0))
     assert get_protocols("all") == tuple(PROTOCOLS.values())
+    assert [one.name for one in get_protocols("all", levels=False)] == UNRATED
+    with pytest.raises(
+        SettingsError, match="score: protocol kitti-hard-r40: expected KITTI's label files with boxes in"
+    ):
+        get_protocols(["opencood", "kitti-hard-r40"], levels=False)
     assert get_protocols(["kitti-r11", own, "kitti-r11"]) == (PROTOCOLS["kitti-r11"], own)
     with pytest.raises(
         SettingsError, match="score: protocol: expected the name of a protocol, found kiti-r40; did you"

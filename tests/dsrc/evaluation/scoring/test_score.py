@@ -25,6 +25,7 @@ from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from tests.dsrc.data.toy import toy_frame
 from tests.dsrc.evaluation.metrics.test_ap import golden_frames
+from tests.dsrc.evaluation.metrics.test_protocols import UNRATED
 from tests.dsrc.evaluation.small import write_detector, write_drives
 
 FRAMES = 3
@@ -81,7 +82,7 @@ def numbers(scores):
 def test_json_kitti_and_memory_score_alike(world) -> None:
     root, frames = world
     by_json = score(as_json(root / "boxes.json", frames), root / "data", "all")
-    assert [(one.name, one.protocol.name) for one in by_json] == [("boxes", name) for name in PROTOCOLS]
+    assert [(one.name, one.protocol.name) for one in by_json] == [("boxes", name) for name in UNRATED]
     assert len({round(one.ap["bev", 0.5], 6) for one in by_json}) > 3  # one detector, several numbers
     for folder in (root / "one_folder", root / "by_drive" / "one"):
         as_kitti(folder, frames)
@@ -160,7 +161,7 @@ def test_the_command_writes_tables_with_the_card_beside_each_number(world, capsy
         protocol = PROTOCOLS[row["protocol"]]
         assert (row["counted"], row["source"]) == (protocol.card, protocol.source)
     head, *lines = (tmp_path / "scores" / "scores.csv").read_text().splitlines()[1:]
-    assert head.startswith("detections,protocol,ap_bev_30") and len(lines) == len(PROTOCOLS)
+    assert head.startswith("detections,protocol,ap_bev_30") and len(lines) == len(UNRATED)
     assert PROTOCOLS["kitti-r40"].card in (tmp_path / "scores" / "scores.md").read_text()
     assert (tmp_path / "scores" / "scores.png").stat().st_size > 10_000
 
@@ -174,6 +175,10 @@ def test_the_command_refuses_in_one_line(world, capsys, tmp_path: Path) -> None:
         (
             [boxes, "--truth", data, "--protocol", "kitti"],
             "score: protocol: expected the name of a protocol, found kitti",
+        ),
+        (
+            [boxes, "--truth", data, "--protocol", "kitti-easy-r40"],
+            "protocol kitti-easy-r40: expected KITTI's label files with boxes in the image",
         ),
     ):
         with pytest.raises(SystemExit) as leaving:
