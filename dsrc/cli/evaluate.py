@@ -90,19 +90,20 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
 class Shares(Sharing, frozen=True, kw_only=True):
     """Tell which agents helped: the share of each in what is found, and in what is made up."""
 
+    pool: Pool = Pool()
     output: Output = Output()
 
     def run(self) -> None:
         """Detect with every team, write the shares and print them by agents and distances."""
         from rich.console import Console
 
-        from dsrc.evaluation.report.share_table import share_table, write_shares
-        from dsrc.evaluation.share_drives import provenance_of, share_drives
+        from dsrc.evaluation.sharing.drives import provenance_of, share_drives
+        from dsrc.evaluation.sharing.report import share_table, write_shares
         from sim.files import check_apart
 
         check_apart(self.out, self.data)
         with progress(f"shares {self.data}") as report:
-            rows = share_drives(self, report)
+            rows = share_drives(self, self.pool, report)
         write_shares(self.out, rows, provenance_of(self))
         Console(highlight=False).print(share_table(rows))
         sys.stdout.write(f"{self.out}\n")

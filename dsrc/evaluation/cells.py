@@ -63,7 +63,7 @@ class WorkUnit:
 
 def make_cells(unit: WorkUnit, progress: Callable[[int, int], None]) -> None:
     """Compute and write the cells of a unit of work: a task of an executor."""
-    methods = [Method(job.settings.key, _detector(job), job.agents, job.channel) for job in unit.jobs]
+    methods = [Method(job.settings.key, detector_of(job), job.agents, job.channel) for job in unit.jobs]
     frames = 0
 
     def count_frame() -> None:
@@ -71,9 +71,9 @@ def make_cells(unit: WorkUnit, progress: Callable[[int, int], None]) -> None:
         frames += 1
         progress(frames, len(unit.positions))
 
-    with _one_thread():
+    with one_thread():
         work = {unit.condition: methods}
-        results = evaluate_drive(_drive(unit.drive), unit.positions, work, unit.seed, count_frame)
+        results = evaluate_drive(drive_of(unit.drive), unit.positions, work, unit.seed, count_frame)
     for job in unit.jobs:
         write_cell(unit.folder, job.settings, results[unit.condition, job.settings.key])
 
@@ -100,7 +100,7 @@ def load_adjusted(path: Path, use: Mapping[str, bool | int | float | str], engin
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """Run torch on one thread: the number of threads changes the last digits of a network's numbers."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -110,7 +110,8 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _detector(job: CellJob) -> Detector:
+def detector_of(job: CellJob) -> Detector:
+    """Return the detector of a cell, loaded once per process."""
     settings, use = job.settings, tuple(sorted(job.settings.use.items()))
     return _loaded(job.path, settings.detector, use, settings.engine).to(settings.device)
 
@@ -122,5 +123,6 @@ def _loaded(path: Path, sha256: str, use: tuple[tuple[str, bool | int | float | 
 
 
 @lru_cache(maxsize=4)
-def _drive(path: Path) -> Drive:
+def drive_of(path: Path) -> Drive:
+    """Return the reader of a drive, opened once per process while it is used."""
     return open_drive(path)

@@ -14,7 +14,7 @@ import torch
 
 from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.executors import SERIAL, Pool, Progress
+from dsrc.data.executors import SERIAL, Pool, Progress, Task
 from dsrc.evaluation.cache import CellSettings, has_cell, read_cell
 from dsrc.evaluation.cells import CellJob, WorkUnit, load_adjusted, make_cells
 from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
@@ -151,7 +151,7 @@ def run_plan(
         if any(one.job.channel is not None and one.job.channel.medium != "perfect" for own in planned for one in own):
             warn_of_slow_drives([reader for readers in datasets.values() for reader in readers])
         units = _missing(folder, plan.seed, [one for own in planned for one in own])
-        _compute(units, pool, progress)
+        compute(make_cells, units, pool, progress)
         ranked = {name for pair in plan.differences for name in (pair.method, pair.baseline)}
         entries = [
             _case_result(case, folder, own, case.method in ranked and not case.swept)
@@ -252,8 +252,8 @@ def _missing(folder: Path, seed: int, planned: Iterable[_PlannedCell]) -> list[W
     ]
 
 
-def _compute(units: Sequence[WorkUnit], pool: Pool, progress: Progress | None) -> None:
-    """Compute the cells of all units; the first user's error is raised after the others are done."""
+def compute(task: Task, units: Sequence[WorkUnit], pool: Pool, progress: Progress | None) -> None:
+    """Run a task for all units of work; the first user's error is raised after the others are done."""
     sizes = [len(unit.positions) * len(unit.jobs) for unit in units]
     done = [0] * len(units)
 
@@ -266,7 +266,7 @@ def _compute(units: Sequence[WorkUnit], pool: Pool, progress: Progress | None) -
         progress(0, sum(sizes))
     errors: list[UserError] = []
     with pool.open(len(units)) as executor:
-        for result in executor.run(make_cells, units, count):
+        for result in executor.run(task, units, count):
             if result.error is not None:
                 errors.append(result.error)
     if errors:

@@ -88,7 +88,7 @@ class Sharing(Severity, frozen=True, kw_only=True):
     Attributes:
         checkpoint: detector file.
         data: a drive, or a folder of drives.
-        out: folder of shares.csv, shares.json and shares.png.
+        out: folder of shares.csv, shares.json, shares.png and cached cells; an interrupted run resumes.
         corruptions: kinds of corruption beside clean frames; paper_six are those of the paper's tables; default: none.
         who: agents whose sweeps are corrupted, by word or by their ids.
         channel: radio channel; default: no loss and no delay.

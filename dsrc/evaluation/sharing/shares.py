@@ -57,6 +57,12 @@ class Shares:
         return (self.team == 0) & (self.without > 0)
 
 
+def check_iou(iou: float) -> None:
+    """Raise SettingsError for an overlap that is not in (0, 1]."""
+    if not 0 < iou <= 1:
+        raise SettingsError(complaint("shares", "iou", "more than 0, at most 1", iou))
+
+
 def shapley(values: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the (n, ...) Shapley values of n players from the (2^n, ...) values of coalitions.
 
@@ -89,8 +95,7 @@ def share_sample(
     Raises:
         SettingsError: there are more than six agents, or the overlap is not in (0, 1].
     """
-    if not 0 < iou <= 1:
-        raise SettingsError(complaint("shares", "iou", "more than 0, at most 1", iou))
+    check_iou(iou)
     if len(sample.clouds) > MOST_AGENTS:
         raise SettingsError(complaint("shares", "agents", f"at most {MOST_AGENTS}", len(sample.clouds)))
     seen = judged_range(detector.settings)

@@ -12,7 +12,8 @@ from rich.table import Table
 
 from dsrc.evaluation.figures.style import COLORS, INK, WIDTH_IN, figure_style, panels, png_bytes
 from dsrc.evaluation.results import condition_title
-from dsrc.evaluation.share_drives import ShareRow, rows_csv
+from dsrc.evaluation.sharing.cells import ShareRow
+from dsrc.evaluation.sharing.drives import rows_csv
 from sim.files import write_file
 
 AGENTS = ("ego", "vehicle", "roadside")
@@ -155,8 +156,8 @@ def write_shares(out: Path, rows: Sequence[ShareRow], made_by: Mapping[str, Any]
         }
         for (drive, condition, frame), boxes in frames.items()
     ]
-    write_file(out / "shares.csv", rows_csv(rows))
     content = {"provenance": made_by, "summaries": [one._asdict() for one in summaries(rows)], "frames": listed}
     text = json.dumps(content, indent=1, sort_keys=True, allow_nan=False)
-    write_file(out / "shares.json", text + "\n")
+    write_file(out / "shares.json", text + "\n")  # the manifest first: others of an interrupted run are ours, too
+    write_file(out / "shares.csv", rows_csv(rows))
     write_file(out / "shares.png", png_bytes(share_bars(rows), made_by))

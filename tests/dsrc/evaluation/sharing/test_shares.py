@@ -14,9 +14,10 @@ from PIL import Image
 
 from dsrc.__main__ import main
 from dsrc.data.sample import Sample
-from dsrc.evaluation.report.share_table import share_bars, summaries
-from dsrc.evaluation.share_drives import share_drives
-from dsrc.evaluation.shares import Shares, shapley, share_sample
+from dsrc.evaluation.sharing import drives
+from dsrc.evaluation.sharing.drives import share_drives
+from dsrc.evaluation.sharing.report import share_bars, summaries
+from dsrc.evaluation.sharing.shares import Shares, shapley, share_sample
 from dsrc.ops.detections import Detections
 from dsrc.options.detection import Sharing
 from sim.boxes import Boxes
@@ -173,11 +174,39 @@ def test_the_command_writes_a_line_per_agent_and_box_and_prints_a_table(world, c
 def test_shares_are_the_same_again_and_limits_hold(world) -> None:
     config = Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "again", limit=1)
     steps = []
-    rows = share_drives(config, lambda done, total: steps.append((done, total)))
-    assert rows == share_drives(config) and steps == [(1, 1)]
+    rows = share_drives(config, progress=lambda done, total: steps.append((done, total)))
+    assert rows == share_drives(config) and steps == [(0, 1), (1, 1)]
     listed = summaries(rows)
     assert sum(one.pairs for one in listed) == sum(row.object_id != -1 for row in rows)
     assert sum(one.share for one in listed) == pytest.approx(sum(row.share for row in rows if row.object_id != -1))
     assert len(share_bars(rows).axes) == 2
     with pytest.raises(SettingsError, match="shares: severity: expected 1 to 5, found 9"):
         share_drives(Sharing(checkpoint=world / "net.pt", data=world / "test", out=world, severity=9))
+
+
+def test_an_interrupted_run_resumes_with_the_same_bytes_for_any_workers(world, monkeypatch) -> None:
+    monkeypatch.setattr(drives, "CHUNK", 1)
+    options = ["--corruption", "fog", "--checkpoint", str(world / "net.pt")]
+
+    def files(out: str, workers: int) -> dict[str, bytes]:
+        main(["shares", str(world / "test"), "--out", str(world / out), *options, "--workers", str(workers)])
+        return {path.name: path.read_bytes() for path in (world / out).rglob("*") if path.is_file()}
+
+    whole = files("serial", 1)
+    cells = sorted((world / "serial" / "cells").iterdir())
+    assert len(cells) == 4  # two chunks, clean and in fog
+    cells[0].unlink()
+    cells[1].write_bytes(cells[1].read_bytes()[:-20])
+    kept = {path: path.stat().st_mtime_ns for path in cells[2:]}
+    assert files("serial", 1) == whole  # its own files may be replaced
+    assert {path: path.stat().st_mtime_ns for path in cells[2:]} == kept
+    assert files("parallel", 2) == whole
+    rows = share_drives(
+        Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "serial", corruptions=("fog",)),
+        progress=lambda done, total: pytest.fail("computed again") if total else None,
+    )
+    places = [(row.frame, row.condition) for row in rows]
+    assert places == sorted(places, key=lambda place: (place[0], place[1] != "clean"))
+    with pytest.raises(SettingsError, match="shares: iou: expected more than 0, at most 1, found 0"):
+        share_drives(Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "none", iou=0.0))
+    assert not (world / "none").exists()

@@ -1,0 +1,119 @@
+"""Shares of agents in the detections of drives, `dsrc shares`: clean and corrupted, through a radio channel."""
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import astuple, fields
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from dsrc.data.drive_folder import locked
+from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.executors import SERIAL, Pool, Progress
+from dsrc.data.provenance import provenance
+from dsrc.evaluation.cells import CellJob, WorkUnit
+from dsrc.evaluation.conditions import Condition, channel_settings, check_numbers, condition_settings, corruption_kinds
+from dsrc.evaluation.detect import frame_positions
+from dsrc.evaluation.runner import compute
+from dsrc.evaluation.sharing.cells import ShareRow, ShareSettings, has_share_cell, make_share_cells, read_share_cell
+from dsrc.evaluation.sharing.shares import MOST_AGENTS, check_iou
+from dsrc.models.storage.checkpoint import load_student
+from dsrc.options.detection import Sharing
+from sensors.corruptions import parse_who
+from sim.files import file_sha256
+from sim.kept.code_hash import code_hash, package_versions
+from sim.radio import get_channel
+
+CHUNK = 10
+"""Frames of a cell, the most that an interruption loses: each is detected in by up to 32 teams."""
+
+
+def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None = None) -> list[ShareRow]:
+    """Shares in all frames of the drives under each condition, in the order of drives, frames and conditions.
+
+    Frames whose shares are in `out/cells` are read from there.
+
+    Args:
+        config: see `Sharing`.
+        pool: workers, of one thread each; the shares are the same for any.
+        progress: called with frames done and frames missing at the start.
+
+    Raises:
+        UserError: a file, a drive or a setting is wrong; all cells that can be computed are there.
+    """
+    check_numbers("shares", (config.severity,), config.seed, config.limit)
+    check_iou(config.iou)
+    parse_who(config.who)
+    kinds = corruption_kinds(config.corruptions, config.family, "shares")
+    conditions = [Condition(), *(Condition(kind, config.severity, config.family, config.who) for kind in kinds)]
+    load_student(config.checkpoint, config.device, config.engine)  # a wrong one before anything is written
+    readers = [open_drive(path) for path in list_drives(config.data)]
+    folder = config.out / "cells"
+    with locked(config.out, what="folder of shares"):
+        by_drive = [
+            list(_units(folder, reader, positions, conditions, config))
+            for reader, positions in zip(readers, frame_positions(readers, config.limit), strict=True)
+        ]
+        units = [unit for own in by_drive for unit in own]
+        missing = [unit for unit in units if not has_share_cell(folder, unit.jobs[0].settings.key)]
+        compute(make_share_cells, missing, pool, progress)
+        place = {condition.kind: row for row, condition in enumerate(conditions)}
+        return [
+            row
+            for own in by_drive
+            for row in sorted(_read(folder, own), key=lambda row: (row.frame, place[row.condition]))
+        ]
+
+
+def _units(
+    folder: Path, reader: Drive, positions: Sequence[int], conditions: Sequence[Condition], config: Sharing
+) -> Iterator[WorkUnit]:
+    """Yield the work in a drive, a cell each."""
+    channel = None if config.channel is None else get_channel(config.channel)
+    detector, data = file_sha256(config.checkpoint), reader.digest()
+    for start in range(0, len(positions), CHUNK):
+        chunk = tuple(positions[start : start + CHUNK])
+        for condition in conditions:
+            settings = ShareSettings(
+                detector=detector,
+                use={},
+                drive=reader.drive.name,
+                data=data,
+                positions=chunk,
+                seed=config.seed,
+                agents=MOST_AGENTS,
+                device=config.device,
+                engine=config.engine,
+                versions=package_versions(make_share_cells.__module__),
+                code=code_hash(make_share_cells.__module__),
+                condition=condition_settings(condition),
+                channel=None if channel is None else channel_settings(channel),
+                iou=config.iou,
+            )
+            job = CellJob(settings, config.checkpoint, None, channel)
+            yield WorkUnit(folder, reader.drive, chunk, condition, config.seed, (job,))
+
+
+def _read(folder: Path, units: Iterable[WorkUnit]) -> Iterator[ShareRow]:
+    for unit in units:
+        yield from read_share_cell(folder, unit.jobs[0].settings.key)
+
+
+def rows_csv(rows: Sequence[ShareRow]) -> str:
+    """CSV of rows, a line each, with a header."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([field.name for field in fields(ShareRow)])
+    writer.writerows(astuple(row) for row in rows)
+    return text.getvalue()
+
+
+def provenance_of(config: Sharing) -> dict[str, Any]:
+    """Provenance of shares: settings, hashes of the detector and the data, versions."""
+    fields = {name: getattr(config, name) for name in Sharing.__struct_fields__ if name != "out"}
+    settings = msgspec.to_builtins(fields, enc_hook=str)
+    settings["data"], settings["checkpoint"] = config.data.name, config.checkpoint.name
+    settings["sha256"] = file_sha256(config.checkpoint)
+    return provenance(settings, config.seed, list_drives(config.data))
