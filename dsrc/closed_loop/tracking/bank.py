@@ -88,6 +88,7 @@ class Bank:
         score: (N,) confidence.
         recent: (N, K) scores in the latest percepts, 0 where unseen.
         hits: (N,) number of detections.
+        needed: (N,) least number of them that confirms it.
         seen_s: (N,) instant of the last detection, s.
         birth: (N,) number of the detection that started it.
         number: (N,) number of the track, -1 while it is tentative.
@@ -103,6 +104,7 @@ class Bank:
     score: Array
     recent: Array
     hits: Rows
+    needed: Rows
     seen_s: Array
     birth: Rows
     number: Rows

@@ -12,6 +12,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from sim.geometry import wrap_angle
 
@@ -21,6 +22,7 @@ X, Y, VX, VY, YAW, RATE = range(6)
 _POSE = np.array([X, Y, YAW])
 _POSE_LIMIT = np.array([np.inf, np.inf, 3.0])
 _SLIP_LIMIT = np.array([3.0])
+_QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 class Parameters(NamedTuple):
@@ -76,6 +78,41 @@ def rotated(yaw: Array, along: Array, across: Array) -> Array:
     out[:, 1, 1] = s * s * along + c * c * across
     out[:, 0, 1] = out[:, 1, 0] = c * s * (along - across)
     return out
+
+
+def turned(state: State, angle: Array) -> State:
+    """Return the state with headings turned by angles (N,), rad."""
+    mean = state.mean.copy()
+    mean[:, YAW] = wrap_angle(mean[:, YAW] + angle)
+    return State(mean, state.covariance)
+
+
+def lying_across(state: State) -> State:
+    """Return the state of road users whose box lies across them: uncertain a quarter turn from where it was."""
+    turn = block_diag(_QUARTER, _QUARTER, np.eye(2))
+    across = State(state.mean, turn @ state.covariance @ turn.T)
+    return turned(across, np.full(len(state.mean), 0.5 * np.pi))
+
+
+def motion_decides(state: State, least_mps: float) -> NDArray[np.bool_]:
+    """Return the (N,) mask of motions of at least a speed, m/s, that are certain enough to decide the heading."""
+    squared = state.mean[:, VX] ** 2 + state.mean[:, VY] ** 2
+    return np.asarray((squared > least_mps**2) & (squared > 9.0 * _velocity_variance(state)), bool)
+
+
+def facing_forward(state: State, least_mps: float) -> State:
+    """Return the state with headings along the motions that decide them and are elsewhere, see `motion_decides`."""
+    vx, vy = state.mean[:, VX], state.mean[:, VY]
+    speed = np.hypot(vx, vy)
+    along = np.cos(state.mean[:, YAW]) * vx + np.sin(state.mean[:, YAW]) * vy
+    astray = motion_decides(state, least_mps) & (along < 0.5 * speed)
+    if not astray.any():
+        return state
+    mean, covariance = state.mean.copy(), state.covariance.copy()
+    mean[astray, YAW] = np.arctan2(vy[astray], vx[astray])
+    covariance[astray, YAW, :] = covariance[astray, :, YAW] = 0.0
+    covariance[astray, YAW, YAW] = _velocity_variance(state)[astray] / speed[astray] ** 2
+    return State(mean, covariance)
 
 
 def turn_rate_deviation(speed: Array, parameters: Parameters) -> Array:
@@ -208,3 +245,8 @@ def without_slip(state: State, parameters: Parameters) -> State:
     slip = parameters.slip_mps**2 + (parameters.slip_rad * along) ** 2 + speed_variance * state.covariance[:, YAW, YAW]
     innovation = (derivative * cross).sum(axis=1)[:, :, None] + slip[:, None, None]
     return corrected(state, cross, innovation, -across[:, None], limit=_SLIP_LIMIT)
+
+
+def _velocity_variance(state: State) -> Array:
+    """Return (N,) sums of the variances of the velocities along both axes, m2/s2."""
+    return np.asarray(state.covariance[:, VX, VX] + state.covariance[:, VY, VY])

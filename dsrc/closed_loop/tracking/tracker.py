@@ -19,8 +19,12 @@ from dsrc.closed_loop.tracking.filter import (
     YAW,
     Parameters,
     State,
+    facing_forward,
+    lying_across,
+    motion_decides,
     predicted,
     rotated,
+    turned,
     with_pose,
     with_velocity,
     without_slip,
@@ -34,7 +38,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 _SLOTS = 1 << 20
-"""More than the boxes of any percept: number of a percept and row of a box make one number."""
+"""More than twice the boxes of any percept: number of a percept and row of a box make one number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +122,10 @@ class Tracker:
         bank, since_s = self._predicted(step.before, measured.time_s)
         measured = self._without_duplicates(measured)
         tracks, found, bank = self._associated(bank, measured)
+        fresh = (measured.score >= settings.start_score) & step.may_start
+        fresh[found] = False
+        if step.may_start:
+            tracks, found, bank = self._with_crossing(bank, measured, tracks, found, step.serial)
         bank = self._matched(bank, tracks, measured.rows(found))
 
         unseen = np.ones(len(bank.z), bool)
@@ -130,9 +138,7 @@ class Tracker:
         if (ended := unseen & (score < settings.drop_score)).any():
             bank = bank.rows(~ended)
 
-        fresh = measured.score >= settings.start_score
-        fresh[found] = False
-        if step.may_start and fresh.any():
+        if fresh.any():
             bank = bank.joined(self._start(measured.rows(np.flatnonzero(fresh)), step.serial, measured.time_s))
         return self._merged(self._numbered(bank))
 
@@ -182,6 +188,35 @@ class Tracker:
             tracks, found = tracks[order], found[order]
         return tracks, found, bank
 
+    def _with_crossing(
+        self, bank: Bank, measured: Measured, tracks: Rows, found: Rows, serial: int
+    ) -> tuple[Rows, Rows, Bank]:
+        """Return the pairs of `_associated` and those of new tracks: of road users that their first box lay across.
+
+        A detector may know a place and not the heading, so that a road user moves sideways from its first box to its
+        second. Two such boxes may also be of two road users: both stay what they are beside, and it takes a third box.
+        """
+        alone = np.ones(len(bank.z), bool)
+        alone[tracks] = False
+        rolling = np.isfinite(Parameters.of(self._table[bank.label]).slip_mps)
+        once = np.flatnonzero(alone & (bank.hits == 1) & rolling)
+        rest = np.setdiff1d(np.arange(len(measured.score)), found)
+        if not (len(once) and len(rest)):
+            return tracks, found, bank
+        first, second, gate = bank.rows(once), measured.rows(rest), self.settings.gate**2
+        state = lying_across(first.state)
+        offset = second.box[None, :, :2] - state.mean[:, None, :2]
+        distance = squared_distances(offset, state.covariance[:, None, :2, :2] + second.variance[None])
+        alike = KIND[first.label][:, None] == KIND[second.label][None, :]
+        rows, theirs = assigned(distance, alike & (distance <= gate), gate)
+        place = np.arange(len(rows))
+        crossing = replace(
+            replace(first, state=state).rows(rows),
+            birth=serial * _SLOTS + _SLOTS // 2 + place,
+            needed=np.full(len(rows), 3),
+        )
+        return np.append(tracks, len(bank.z) + place), np.append(found, rest[theirs]), bank.joined(crossing)
+
     def _matched(self, bank: Bank, tracks: Rows, measured: Measured) -> Bank:
         """Return the tracks after the boxes (K) of some of them (K)."""
         settings, reported = self.settings, measured.reported
@@ -194,16 +229,19 @@ class Tracker:
         push = bank.push.copy()
         push[tracks] += settings.push_gain * ((ahead * offset).sum(axis=1) / deviation - push[tracks])
 
-        # A detected heading may point backwards: it counts modulo half a turn, and the majority turns the track.
+        # A detected heading may point backwards: it counts modulo half a turn, and the majority turns the track. One
+        # across a motion that decides the heading counts modulo a quarter turn, and for neither end.
         residual = wrap_angle(measured.box[:, 6] - state.mean[:, YAW])
         opposite = np.abs(residual) > 0.5 * np.pi
-        facing = 0.8 * bank.facing[tracks] - 0.2 * np.where(opposite, 1.0, -1.0)
+        across = (np.abs(np.sin(residual)) > np.sqrt(0.5)) & ~reported & motion_decides(state, settings.direction_mps)
+        facing = np.where(across, bank.facing[tracks], 0.8 * bank.facing[tracks] - 0.2 * np.where(opposite, 1.0, -1.0))
         speed = np.hypot(state.mean[:, VX], state.mean[:, VY])
         turn = np.where(reported, opposite, (facing < -0.3) & (speed < settings.direction_mps))
         facing = np.where(turn, np.abs(facing), facing)
         push[tracks] *= np.where(turn, -1.0, 1.0)
-        state = _turned(state, np.where(turn, np.pi, 0.0))
+        state = turned(state, np.where(turn, np.pi, 0.0))
         residual = np.where(opposite, wrap_angle(residual - np.pi), residual)
+        residual = np.where(across, residual - np.copysign(0.5 * np.pi, residual), residual)
         yaw_rad = np.where(reported, settings.reported_yaw_rad, p.yaw_rad)
         state = with_pose(state, measured.box[:, :2], variance, residual, yaw_rad)
 
@@ -212,17 +250,17 @@ class Tracker:
             state = state.replaced(known, told)
         if (rolling := np.flatnonzero(np.isfinite(p.slip_mps) & ~reported)).size:
             rolled = without_slip(state.rows(rolling), Parameters.of(table[rolling]))
-            state = state.replaced(rolling, self._facing_forward(rolled))
+            state = state.replaced(rolling, facing_forward(rolled, settings.direction_mps))
 
         hits = bank.hits.copy()
         hits[tracks] += 1
         weight = np.where(reported, 1.0, np.maximum(1.0 / hits[tracks], settings.smoothing))
-        z, size, votes, turned = bank.z.copy(), bank.size.copy(), bank.votes.copy(), bank.facing.copy()
+        z, size, votes, faces = bank.z.copy(), bank.size.copy(), bank.votes.copy(), bank.facing.copy()
         score, seen_s = bank.score.copy(), bank.seen_s.copy()
         z[tracks] += weight * (measured.box[:, 2] - z[tracks])
         size[tracks] += weight[:, None] * (measured.box[:, 3:6] - size[tracks])
         votes[tracks, measured.label] += measured.score
-        turned[tracks] = facing
+        faces[tracks] = facing
         score[tracks] += settings.score_gain * (measured.score - score[tracks])
         seen_s[tracks] = measured.time_s
         return replace(
@@ -232,26 +270,11 @@ class Tracker:
             size=size,
             votes=votes,
             push=push,
-            facing=turned,
+            facing=faces,
             score=score,
             hits=hits,
             seen_s=seen_s,
         )
-
-    def _facing_forward(self, state: State) -> State:
-        """Return the state with headings along the motion where it is fast, certain and elsewhere than the heading."""
-        vx, vy = state.mean[:, VX], state.mean[:, VY]
-        speed = np.hypot(vx, vy)
-        along = np.cos(state.mean[:, YAW]) * vx + np.sin(state.mean[:, YAW]) * vy
-        variance = state.covariance[:, VX, VX] + state.covariance[:, VY, VY]
-        astray = (speed > self.settings.direction_mps) & (speed**2 > 9.0 * variance) & (along < 0.5 * speed)
-        if not astray.any():
-            return state
-        mean, covariance = state.mean.copy(), state.covariance.copy()
-        mean[astray, YAW] = np.arctan2(vy[astray], vx[astray])
-        covariance[astray, YAW, :] = covariance[astray, :, YAW] = 0.0
-        covariance[astray, YAW, YAW] = variance[astray] / speed[astray] ** 2
-        return State(mean, covariance)
 
     def _start(self, measured: Measured, serial: int, time_s: float) -> Bank:
         """Return new tracks of boxes."""
@@ -281,6 +304,7 @@ class Tracker:
             score=measured.score,
             recent=recent,
             hits=np.ones(n, np.int64),
+            needed=np.ones(n, np.int64),
             seen_s=np.full(n, time_s),
             birth=serial * _SLOTS + np.arange(n),
             number=np.full(n, -1, np.int64),
@@ -291,7 +315,8 @@ class Tracker:
 
         A number belongs to the detection that started the track, so it survives filtering again.
         """
-        new = np.flatnonzero((bank.number < 0) & (bank.recent.sum(axis=1) >= self.settings.confirm_score - 1e-9))
+        enough = (bank.recent.sum(axis=1) >= self.settings.confirm_score - 1e-9) & (bank.hits >= bank.needed)
+        new = np.flatnonzero((bank.number < 0) & enough)
         if not len(new):
             return bank
         number = bank.number.copy()
@@ -354,10 +379,3 @@ def _columns(motion: Motion) -> list[float]:
     """Return the values of a kind of road user in the order of `Parameters`."""
     values = msgspec.structs.asdict(motion)
     return [np.inf if values[name] is None else values[name] for name in Parameters._fields]
-
-
-def _turned(state: State, angle: Array) -> State:
-    """Return the state with headings turned by angles (N,), rad."""
-    mean = state.mean.copy()
-    mean[:, YAW] = wrap_angle(mean[:, YAW] + angle)
-    return State(mean, state.covariance)

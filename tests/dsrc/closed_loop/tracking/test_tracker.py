@@ -157,6 +157,32 @@ def test_a_reversing_car_with_a_reported_velocity_keeps_its_heading() -> None:
     assert after[-1].boxes.yaw[0] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_car_is_tracked_from_its_third_box_although_all_lie_across_it() -> None:
+    """As detectors report a crossing car whose place they know and whose heading they do not."""
+    for turn in (0.5 * np.pi, -0.5 * np.pi):
+        after = follow([percept(0.2 * k, [[15.0 * 0.2 * k, 0.0]], yaw=turn) for k in range(6)])
+        assert [len(tracks) for tracks in after] == [0, 0, 1, 1, 1, 1]
+        assert after[2].velocity[0] == pytest.approx([15.0, 0.0], abs=1.0)
+        assert [*after[-1].boxes.object_id] == [0]
+        assert after[-1].velocity[0] == pytest.approx([15.0, 0.0], abs=0.5)
+        assert after[-1].boxes.yaw[0] == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_box_across_a_moving_car_does_not_turn_it() -> None:
+    after = follow([percept(0.1 * k, [[1.0 * k, 0.0]], yaw=1.5 if k in (6, 7, 11) else 0.0) for k in range(14)])
+    assert max(abs(tracks.boxes.yaw[0]) for tracks in after[1:]) < 0.05
+    assert after[-1].velocity[0] == pytest.approx([10.0, 0.0], abs=0.2)
+
+
+def test_neighbours_that_are_found_in_turns_do_not_drive_into_each_other() -> None:
+    """Two parked cars side by side, 3 m apart, of which each percept has one."""
+    tracker = Tracker()
+    for k in range(12):
+        tracks = tracker.update(percept(0.1 * k, [[0.0, 3.0 * (k % 2)]], score=0.5), 0.1 * k)
+        assert speeds(tracks).max(initial=0.0) < 0.5
+    assert sorted(tracks.boxes.center[:, 1]) == pytest.approx([0.0, 3.0], abs=0.3)
+
+
 # Life
 
 
