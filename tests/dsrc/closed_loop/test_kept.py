@@ -15,24 +15,11 @@ from sim.world.build import build_world
 SEED = 3
 
 
-@pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("DSRC_CACHE", str(tmp_path))
-    forget()
-    yield tmp_path
-    forget()
-
-
-def forget() -> None:
-    """Forget what this process knows, as a new one does."""
-    kept._scene.cache_clear()
-
-
 def eebl(control: str = "") -> Scenario:
     return load_scenario(f"eebl_chain{control}")
 
 
-def test_a_slow_world_is_built_once_and_read_bit_for_bit(cache: Path, monkeypatch) -> None:
+def test_a_slow_world_is_built_once_and_read_bit_for_bit(empty_cache: Path, monkeypatch) -> None:
     scenario = load_scenario("four_way")
     monkeypatch.setattr(kept, "_SLOW_S", 0.0)
     built = build_world(scenario, SEED)
@@ -45,25 +32,25 @@ def test_a_slow_world_is_built_once_and_read_bit_for_bit(cache: Path, monkeypatc
     assert kept.world_scene(scenario, SEED) is kept.world_scene(load_scenario("four_way"), SEED)
 
 
-def test_the_oldest_worlds_go_and_a_damaged_one_is_built_again(cache: Path, monkeypatch) -> None:
+def test_the_oldest_worlds_go_and_a_damaged_one_is_built_again(empty_cache: Path, monkeypatch) -> None:
     monkeypatch.setattr(kept, "_SLOW_S", 0.0)
     monkeypatch.setattr(kept, "_MOST_WORLDS", 2)
     scenario = with_proven_encounter(eebl(), SEED)
     for seed in (SEED, SEED + 1, SEED + 2):
         first = kept._world(scenario, seed)
-    paths = sorted((cache / "worlds").glob("*.npz"), key=os.path.getmtime)
+    paths = sorted((empty_cache / "worlds").glob("*.npz"), key=os.path.getmtime)
     assert len(paths) == 2
     paths[-1].write_bytes(paths[-1].read_bytes()[:1000])
     assert np.array_equal(kept._world(scenario, SEED + 2).vertices, first.vertices)
 
 
-def test_a_fast_world_is_not_kept(cache: Path, monkeypatch) -> None:
+def test_a_fast_world_is_not_kept(empty_cache: Path, monkeypatch) -> None:
     monkeypatch.setattr(kept, "_SLOW_S", 1e6)
     kept._world(with_proven_encounter(eebl(), SEED), SEED)
-    assert not (cache / "worlds").exists()
+    assert not (empty_cache / "worlds").exists()
 
 
-def test_a_cache_that_cannot_be_written_to_costs_time_alone(cache: Path, monkeypatch) -> None:
+def test_a_cache_that_cannot_be_written_to_costs_time_alone(empty_cache: Path, monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError("read-only")
 

@@ -14,6 +14,7 @@ from sim.catalog.load import load_scenario
 from sim.encounters import with_encounter
 from sim.kept import files
 from sim.scenario import Scenario
+from tests.cache import forget
 from tests.paths import ROOT
 
 SEED = 3
@@ -24,20 +25,6 @@ print(find_encounter(load_scenario("eebl_chain"), {SEED}).scenario.conflict.draw
 """
 
 
-@pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("DSRC_CACHE", str(tmp_path))
-    forget()
-    yield tmp_path
-    forget()
-
-
-def forget() -> None:
-    """Forget what this process knows, as a new one does."""
-    encounter_check._found.cache_clear()
-    encounter_check._first_proven_draw.cache_clear()
-
-
 def eebl(control: str = "") -> Scenario:
     return load_scenario(f"eebl_chain{control}")
 
@@ -46,8 +33,8 @@ def not_again(*_: object, **__: object) -> None:
     raise AssertionError("proven again")
 
 
-def test_another_process_proves_an_encounter_for_all_later_ones(cache: Path, monkeypatch) -> None:
-    env = {**os.environ, "DSRC_CACHE": str(cache), "PYTHONPATH": str(ROOT)}
+def test_another_process_proves_an_encounter_for_all_later_ones(empty_cache: Path, monkeypatch) -> None:
+    env = {**os.environ, "DSRC_CACHE": str(empty_cache), "PYTHONPATH": str(ROOT)}
     told = subprocess.run([sys.executable, "-c", PROVE], env=env, capture_output=True, text=True, check=True).stdout
     monkeypatch.setattr(encounter_check, "prove_encounter", not_again)
     found = with_proven_encounter(eebl(), SEED)
@@ -57,7 +44,7 @@ def test_another_process_proves_an_encounter_for_all_later_ones(cache: Path, mon
     assert prove_encounter(found, SEED, hurry=True) == find_encounter(eebl(), SEED).proof
 
 
-def test_a_control_takes_the_draw_of_its_encounter(cache: Path, monkeypatch) -> None:
+def test_a_control_takes_the_draw_of_its_encounter(empty_cache: Path, monkeypatch) -> None:
     draw = with_proven_encounter(eebl(), SEED).conflict.draw
     monkeypatch.setattr(encounter_check, "prove_encounter", not_again)
     bare = eebl(":no_occluder")
@@ -66,7 +53,7 @@ def test_a_control_takes_the_draw_of_its_encounter(cache: Path, monkeypatch) -> 
 
 
 @pytest.mark.parametrize("change", ["seed", "settings", "code"])
-def test_whatever_decides_a_proof_has_it_made_again(cache: Path, monkeypatch, change: str) -> None:
+def test_whatever_decides_a_proof_has_it_made_again(empty_cache: Path, monkeypatch, change: str) -> None:
     with_proven_encounter(eebl(), SEED)
     scenario, seed = eebl(), SEED
     if change == "seed":
@@ -81,9 +68,9 @@ def test_whatever_decides_a_proof_has_it_made_again(cache: Path, monkeypatch, ch
         with_proven_encounter(scenario, seed)
 
 
-def test_a_damaged_proof_is_made_again(cache: Path) -> None:
+def test_a_damaged_proof_is_made_again(empty_cache: Path) -> None:
     before = with_proven_encounter(eebl(), SEED)
-    (path,) = (cache / "encounters").glob("*.json")
+    (path,) = (empty_cache / "encounters").glob("*.json")
     whole = path.read_bytes()
     path.write_bytes(whole[:5])
     forget()
@@ -91,18 +78,18 @@ def test_a_damaged_proof_is_made_again(cache: Path) -> None:
     assert path.read_bytes() == whole
 
 
-def test_without_an_encounter_nothing_is_proven(cache: Path) -> None:
+def test_without_an_encounter_nothing_is_proven(empty_cache: Path) -> None:
     assert with_proven_encounter(load_scenario("four_way"), SEED) == load_scenario("four_way")
-    assert not (cache / "encounters").exists()
+    assert not (empty_cache / "encounters").exists()
 
 
-def test_a_cache_that_cannot_be_written_to_costs_time_alone(cache: Path, monkeypatch) -> None:
+def test_a_cache_that_cannot_be_written_to_costs_time_alone(empty_cache: Path, monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError("read-only")
 
     before = with_proven_encounter(eebl(), SEED)
     forget()
-    (path,) = (cache / "encounters").glob("*.json")
+    (path,) = (empty_cache / "encounters").glob("*.json")
     path.unlink()
     monkeypatch.setattr(encounter_check, "write_file", refuse)
     assert with_proven_encounter(eebl(), SEED) == before
