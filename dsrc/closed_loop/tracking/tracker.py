@@ -172,8 +172,10 @@ class Tracker:
         distance = squared_distances(offset, covariance[:, None, :2, :2] + measured.variance[None])
         alike = KIND[bank.label][:, None] == KIND[measured.label][None, :]
         gate = settings.gate**2
-        cost = distance + settings.score_cost * (1.0 - measured.score)[None, :]
-        tracks, found = assigned(cost, alike & (distance <= gate), gate + settings.score_cost)
+        # A tentative track, which may move anyhow, would fit nearly every box: confirmed ones choose first.
+        most = gate + settings.score_cost
+        cost = distance + settings.score_cost * (1.0 - measured.score)[None, :] + most * (bank.number < 0)[:, None]
+        tracks, found = assigned(cost, alike & (distance <= gate), 2.0 * most)
 
         # Two road users cannot be in one place: a box that overlaps a track beyond its gate is the same object, which
         # moved as the filter did not expect.

@@ -231,6 +231,17 @@ def test_a_car_that_jumps_beyond_its_gate_keeps_one_track_and_its_number() -> No
     assert tracks.boxes.center[0, 0] == pytest.approx(2.0, abs=0.3)
 
 
+def test_a_false_box_beside_a_car_takes_neither_its_next_box_nor_its_number() -> None:
+    """A car at 16 m/s; the false box lies nearer to its next box than where it is expected, and could move anyhow."""
+    tracker = Tracker()
+    for k in range(6):
+        places = [[3.2 * k, 0.0]] if k != 4 else [[3.2 * k, 0.0], [3.2 * k + 2.5, -1.8]]
+        tracker.update(percept(0.2 * k, places, score=0.4), 0.2 * k)
+    tracks = tracker.update(percept(1.2, [[3.2 * 6 - 0.5, -0.4]], score=0.4), 1.2)
+    assert [*tracks.boxes.object_id] == [0]
+    assert tracks.velocity[0] == pytest.approx([16.0, 0.0], abs=1.5)
+
+
 def test_a_pedestrian_beside_a_car_is_another_object() -> None:
     car, walker = percept(0.0, [[0.0, 0.0]]), percept(0.0, [[0.3, 0.0]], label="pedestrian")
     boxes = Boxes.from_array(np.concatenate([car.boxes.array, walker.boxes.array]), [0, CLASSES.index("pedestrian")])
