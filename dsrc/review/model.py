@@ -43,6 +43,7 @@ from dsrc.review.view import (
     MethodView,
     ObjectDetails,
 )
+from sensors.corruptions import CLEAN
 from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError, UserError, complaint, did_you_mean
@@ -200,6 +201,17 @@ class ReviewModel:
 
     def view(self, state: ReviewState) -> FrameView:
         """Frame as drawn under a state."""
+        return self._view(state, self.method(state))
+
+    def sketch(self, state: ReviewState) -> FrameView:
+        """First look at a frame, without computing: true boxes, and the ego's points where they are clean."""
+        recorded = self.stores[state.drive].recorded(state.frame)
+        shown = {self.ego_id(state)} - state.hidden if state.corruption == CLEAN else set()
+        hidden = frozenset(agent.agent_id for agent in recorded.agents) - shown
+        return self._view(replace(state, corruption=CLEAN, hidden=hidden), "")
+
+    def _view(self, state: ReviewState, method: str) -> FrameView:
+        """Frame as drawn under a state with the detections of a set; "" for none."""
         frame = self._frame(state)
         ego_id = self.ego_id(state)
         review_from_world = np.eye(4)
@@ -225,7 +237,6 @@ class ReviewModel:
             details=object_details(frame, state.object_id, ego_id, [agent.title for agent in agents]),
         )
         view = replace(view, moment=self.moment(state), notice=self._absent(state, frame))
-        method = self.method(state)
         found = self._detections(state, method) if method else None
         if found is None:
             evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)

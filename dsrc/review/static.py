@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.review.palette import Rgb
+from sim.boxes import CLASSES
 from sim.errors import ScenarioError, UserError
 
 log = logging.getLogger(__name__)
@@ -51,6 +52,12 @@ def body_shape(class_name: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]
         # The cars are SUMO's, which reviewing a drive does not need.
         mesh = body_mesh(generic_models_for(class_name)[0], (1.0, 1.0, 1.0))
     return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
+
+
+def load_bodies() -> None:
+    """Load the shapes of all classes."""
+    for class_name in CLASSES:
+        body_shape(class_name)
 
 
 @dataclass(frozen=True, slots=True)

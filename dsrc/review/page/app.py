@@ -23,6 +23,7 @@ from dsrc.review.page.session import Session
 from dsrc.review.page.stage import root_of
 from dsrc.review.sources.live import LiveSource
 from dsrc.review.state import ReviewState
+from dsrc.review.static import load_bodies
 from dsrc.review.worker import Worker
 from sensors.corruptions import parse_who, require_corruption, require_who
 from sim.errors import SettingsError, UserError, complaint
@@ -234,7 +235,7 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
     server = start_server(options.host, port)
     app = ReviewApp(model, server, start)
     try:
-        set_start_camera(server, overview(model.view(replace(start, corruption="clean"))))
+        set_start_camera(server, overview(model.sketch(start)))
     except UserError as error:
         # The page says so too, and draws the next frame.
         log.warning("%s", error)
@@ -244,6 +245,8 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
     if not block:
         return app
     try:
+        # While the browser loads the page: a mesh takes half a second to import.
+        load_bodies()
         app.wait()
     except KeyboardInterrupt:
         log.info("review page closed")

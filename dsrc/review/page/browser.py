@@ -1,8 +1,8 @@
 """Address bar of a browser, and the script that a live page runs there before viser's own.
 
 viser tells the server nothing about the address of the page, cannot write it, leaves the focus in a dropdown after a
-choice and maps all colours to paler ones. The script does these four things and goes to the addresses that the server
-writes; nothing of the page depends on more.
+choice, maps all colours to paler ones and shows an empty page until something is drawn. The script does these five
+things and goes to the addresses that the server writes; nothing of the page depends on more.
 """
 
 import time
@@ -25,6 +25,14 @@ HONEST_COLORS = """
 """
 """Switch tone mapping off: colours of lines and unlit faces are shown as they are sent."""
 
+_DRAWING = """
+(()=>{const text=document.createElement('p');text.id='review-drawing';text.textContent='drawing \u2026';
+text.style='position:fixed;inset:0;margin:auto;width:fit-content;height:fit-content;padding:6px 16px;z-index:1;'
+ +'border-radius:8px;pointer-events:none;font:15px system-ui,sans-serif;color:#fff;background:rgba(13,16,23,.8)';
+document.documentElement.append(text);})();
+"""
+# The first link takes it away: the server writes it once the first frame is drawn, or told why it cannot be.
+
 _LINK = """
 (()=>{const post=Worker.prototype.postMessage;
 Worker.prototype.postMessage=function(d,...rest){
@@ -36,6 +44,7 @@ const own=['fixedDpr','darkMode','showStats','websocket','pair'],store=Storage.p
 Storage.prototype.setItem=function(key,value){
  if(key.endsWith('__OPEN_KEY__')){window.top.location.href=value;return;}
  if(!key.endsWith('__LINK_KEY__'))return store.call(this,key,value);
+ document.getElementById('review-drawing')?.remove();
  const kept=new URLSearchParams(location.search);
  const text=[...own.filter(k=>kept.has(k)).map(k=>k+'='+kept.get(k)),...(value?[value]:[])].join('&');
  history.replaceState(null,'',text?'?'+text:location.pathname);
@@ -55,7 +64,7 @@ document.addEventListener('keydown',e=>{
 })();
 """
 
-HEAD = f"<script>{HONEST_COLORS}{_LINK}{_KEYS}</script>"
+HEAD = f"<script>{_DRAWING}{HONEST_COLORS}{_LINK}{_KEYS}</script>"
 """What a live page's head begins with."""
 
 
@@ -83,10 +92,11 @@ class AddressBar:
         return self._written_at + LINK_PAUSE_S if self._behind else None
 
     def write(self, link: Callable[[], str]) -> None:
-        """Write the link where it is due."""
+        """Write the link where it is due; the first one in any case, for it ends the text of a page without a frame."""
         if self.due is None or time.monotonic() < self.due:
             return
+        first = self._written_at == 0.0
         self._behind, self._written_at = False, time.monotonic()
-        if (text := link()) != self.link:
+        if (text := link()) != self.link or first:
             self.link = text
             self._client.local_storage.set_item(LINK_KEY, text)

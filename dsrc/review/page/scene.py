@@ -51,6 +51,7 @@ STYLES = {
     SELECTED: BoxStyle(palette.SELECTED, 4.0),
 }
 _FORMS = {"solid": edges, "dashed": dashed, "crossed": crossed}
+_NO_LINES = np.zeros((0, 2, 3), np.float32)
 
 
 AROUND_M = 0.12
@@ -191,10 +192,11 @@ class SceneWriter:
                 anchor="bottom-center",
             )
         label = self._nodes[f"{name}/label"]
-        label.position = tuple(agent.review_from_lidar[:3, 3] + [0.0, 0.0, 1.2])
         # The others have their colour and the legend; the name that is asked for is shown.
         asked = agent.is_ego or agent.agent_id == getattr(view.details, "object_id", None)
         label.visible = asked and "labels" not in view.layers_off
+        if label.visible:
+            label.position = tuple(agent.review_from_lidar[:3, 3] + [0.0, 0.0, 1.2])
 
     def _write_points(self, name: str, agent: AgentView, point_size_m: float) -> None:
         node = self._nodes.get(name)
@@ -209,16 +211,16 @@ class SceneWriter:
             node = self._nodes[name] = self.scene.add_point_cloud(
                 f"{self.root}/{name}", points, agent.colors, point_shape="circle", point_shading="flat"
             )
-        # Handles accept arrays of any shape in silence: both come from one view, whose shapes its tests hold.
-        node.points, node.colors = points, agent.colors
+        else:
+            _send(node, "points", points.astype(np.float16))
+            _send(node, "colors", agent.colors)
         node.point_size = point_size_m
         node.visible = agent.visible and len(points) > 0
 
     def _write_lost(self, name: str, agent: AgentView, point_size_m: float) -> None:
         """Draw what a corruption removed."""
         if len(agent.lost_points) == 0:
-            if name in self._nodes:
-                self._nodes[name].visible = False
+            self._hide(name)
             return
         color = np.array(palette.LOST, np.uint8)
         if name not in self._nodes:
@@ -237,16 +239,14 @@ class SceneWriter:
             colors[view.agent_of == row] = agent.rgb
         base = view.truth.center - [0.0, 0.0, 0.5] * view.truth.size
         for label, class_name in enumerate(CLASSES):
-            rows = view.truth.label == label
-            self._batch(
-                f"bodies/{class_name}",
-                body_shape(class_name),
-                (quaternions(view.truth.yaw[rows]), base[rows], view.truth.size[rows]),
-                colors[rows],
-                opacity=None,
-            )
+            name, rows = f"bodies/{class_name}", view.truth.label == label
+            if not rows.any():
+                self._hide(name)
+                continue
+            pose = (quaternions(view.truth.yaw[rows]), base[rows], view.truth.size[rows])
+            self._batch(name, body_shape(class_name), pose, colors[rows], opacity=None)
             clicked = tuple(Clicked(object_id=number) for number in view.truth.object_id[rows].tolist())
-            self._make_clickable(f"bodies/{class_name}", clicked)
+            self._make_clickable(name, clicked)
 
     def _make_clickable(self, name: str, clicked: tuple[Clicked, ...]) -> None:
         if self._on_click is None or name not in self._nodes:
@@ -265,7 +265,8 @@ class SceneWriter:
     def _write_boxes(self, name: str, boxes: Boxes, style: BoxStyle, shown: bool) -> None:
         self._frame(name.split("/")[0])
         self._frame(name).visible = shown
-        self._lines(f"{name}/edges", _FORMS[style.form](boxes), style.rgb, style.thickness)
+        lines = _FORMS[style.form](boxes) if len(boxes) else _NO_LINES
+        self._lines(f"{name}/edges", lines, style.rgb, style.thickness)
         if style.fill > 0.0:
             pose = (quaternions(boxes.yaw), boxes.center, boxes.size)
             colors = np.tile(np.array(style.rgb, np.uint8), (len(boxes), 1))
@@ -313,11 +314,10 @@ class SceneWriter:
         self._lines("plan/contact", crossed(replace(touched, size=touched.size + 0.5)), palette.FP, 8.0)
 
     def _lines(self, name: str, lines: NDArray[np.float32], rgb: Rgb, thickness: float) -> None:
-        node = self._nodes.get(name)
         if len(lines) == 0:
-            if node is not None:
-                node.visible = False
+            self._hide(name)
             return
+        node = self._nodes.get(name)
         # One colour for all: viser shows colours per vertex too pale, as if they were linear.
         color = np.array(rgb, np.uint8)
         if node is None:
@@ -338,11 +338,10 @@ class SceneWriter:
         opacity: float | None,
     ) -> None:
         """Draw N instances of a unit shape at (quaternions, positions, sizes)."""
-        node = self._nodes.get(name)
         if len(colors) == 0:
-            if node is not None:
-                node.visible = False
+            self._hide(name)
             return
+        node = self._nodes.get(name)
         colors = palette.linear(colors)
         wxyz, position, size = (np.asarray(part, np.float32) for part in pose)
         if node is None:
@@ -363,6 +362,11 @@ class SceneWriter:
         node.batched_wxyzs, node.batched_positions = wxyz, position
         node.batched_scales, node.batched_colors = size, colors
         node.visible = True
+
+    def _hide(self, name: str) -> None:
+        """Hide a node that may not be there."""
+        if name in self._nodes:
+            self._nodes[name].visible = False
 
     def _frame(self, name: str) -> Any:
         if name not in self._nodes:
@@ -396,6 +400,14 @@ def set_start_camera(server: viser.ViserServer, pose: CameraPose) -> None:
     camera.position, camera.look_at, camera.up = tuple(pose.position), tuple(pose.look_at), tuple(pose.up)
     camera.fov = FOV_RAD
     camera.near, camera.far = 0.5, 2000.0
+
+
+def _send(node: Any, name: str, values: NDArray) -> None:
+    """Send an array of a node, in the type of the wire; it must not change after that.
+
+    Assigned, it would be compared with the last one and copied twice, which takes as long as all the rest of a frame.
+    """
+    node._queue_update(name, values)
 
 
 def place_frame(handle: Any, parent_from_child: NDArray[np.float64]) -> None:

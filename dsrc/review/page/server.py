@@ -1,7 +1,6 @@
 """viser server on a checked port, without its banner, for pages of its own origin alone."""
 
 import contextlib
-import gzip
 import http
 import io
 import logging
@@ -112,15 +111,15 @@ def _answer(process: Process, host: str) -> Process:
             body = HTML.encode()
             head = Headers([("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(body)))])
             return Response(http.HTTPStatus.OK, "OK", head, body)
+        if request.path.partition("?")[0] != "/":
+            return process(connection, request)
+        # Packed it would be unpacked here again.
+        request.headers.pop("Accept-Encoding", None)
         response = process(connection, request)
-        if response is not None and request.path.partition("?")[0] == "/":
-            page = response.body or b""
-            if response.headers.get("Content-Encoding") == "gzip":
-                page = gzip.decompress(page)
-            response.body = page.replace(b"<head>", b"<head>" + HEAD.encode(), 1)
-            for name, value in (("Content-Encoding", "identity"), ("Content-Length", str(len(response.body)))):
-                del response.headers[name]
-                response.headers[name] = value
+        if response is not None and response.body is not None:
+            response.body = response.body.replace(b"<head>", b"<head>" + HEAD.encode(), 1)
+            del response.headers["Content-Length"]
+            response.headers["Content-Length"] = str(len(response.body))
         return response
 
     return answer

@@ -87,7 +87,7 @@ class Session:
             state: of the start.
             pose: camera of the start, in the scene; None for that of the state.
             notice: text above the controls at the start.
-            place_world: called with the row of a drive that is drawn, after its first frame.
+            place_world: called with the row of the drive after every frame.
         """
         self.model, self.client, self.gui, self.scene = model, client, client.gui, client.scene
         self.state = state
@@ -347,21 +347,24 @@ class Session:
     def _draw(self, state: ReviewState) -> None:
         """Draw a state, or tell why that cannot be: the next one is drawn all the same."""
         try:
+            self.stage.set_theme(state.theme)
+            if self.view is None:
+                # The browser shows it while the rest is computed and sent.
+                with self.using_model:
+                    sketch = self.model.sketch(state)
+                self.stage.draw(sketch, state.drive, lambda: self.camera.follow(sketch, state))
             with self.using_model:
                 view = self.model.view(state)
                 self._interval_s = self.model.interval_s(state.drive)
-            new_drive = self.camera.drawn is None or self.camera.drawn.drive != state.drive
-            self.stage.set_theme(state.theme)
             self.stage.draw(view, state.drive, lambda: self.camera.follow(view, state))
-            self.address.fall_behind()
             self.view = view
             if self._failed or self._told_of != (state.drive, state.frame):
                 self.tell("")
-            if new_drive:
-                # After the first frame: rebuilding a city takes longer than drawing.
-                self._place_world(state.drive)
+            # After the first frame: rebuilding a city takes longer than drawing.
+            self._place_world(state.drive)
         except Exception as error:
             self._tell_error(f"frame {state.frame} of {self.model.names[state.drive]}", error)
+        self.address.fall_behind()
         try:
             self._show_panels()
         except Exception as error:

@@ -113,6 +113,15 @@ def test_counts_sum_over_the_viewed_frames(model):
     assert second.seen == first.counts + second.counts
 
 
+def test_a_sketch_detects_and_corrupts_nothing(model, detector, fake_fog):
+    sketch = model.sketch(ReviewState())
+    assert len(sketch.layers[DETECTED_TRUTH]) == 5 and sketch.counts is None
+    assert [len(agent.points) > 0 for agent in sketch.agents] == [True, False, False]
+    foggy = model.sketch(ReviewState(corruption="fog"))
+    assert not any(len(agent.points) for agent in foggy.agents), "clean points are none of a frame in fog"
+    assert detector.samples == fake_fog == []
+
+
 def test_another_ego_detects_from_its_own_place(model, detector):
     model.view(ReviewState(ego_id=1002, cooperative=False))
     assert detector.samples[0].agent_ids == (1002,)

@@ -214,6 +214,21 @@ def test_a_chasing_camera_is_within_a_metre_after_300_frames(opened):
     assert away == pytest.approx(np.hypot(34.0, 21.0), abs=1.0)
 
 
+def test_a_page_says_that_it_is_drawing_until_it_shows_a_frame(opened):
+    text = "document.getElementById('review-drawing')"
+    assert opened.page.evaluate(text) is None
+    with opened.app._using_model, open_page(f"{opened.app.url}/?fixedDpr=1", (400, 300)) as page:
+        page.wait_for(f"{text}?.innerText.startsWith('drawing') && document.querySelector('canvas')", 60.0)
+        wait_for(lambda: len(opened.app.sessions) == 2, 60.0)
+        opened.app._using_model.release()
+        try:
+            page.wait_for(f"!{text}", 60.0)
+            assert opened.session.view is not None
+        finally:
+            opened.app._using_model.acquire()
+    wait_for(lambda: len(opened.app.sessions) == 1)
+
+
 def test_a_narrow_window_starts_without_the_panel_and_moves_no_other_browser(opened):
     first = opened.session
     place = np.array(first.client.camera.position)

@@ -47,6 +47,19 @@ def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(server, mod
     assert len(node(server, "/bodies/car").batched_positions) == len(view.truth)
 
 
+def test_the_points_of_the_next_frame_replace_those_of_the_last(server, model):
+    writer = SceneWriter(server.scene)
+    for row in (0, 1):
+        view = model.view(ReviewState(frame=row))
+        writer.write(view)
+    name = "/agents/ego_vehicle_1000/lidar/points"
+    buffered = server._websock_server._broadcast_buffer.message_from_id.values()
+    updates = [one.updates for one in buffered if getattr(one, "name", "") == name and hasattr(one, "updates")]
+    sent = {key: value for update in updates for key, value in update.items()}
+    np.testing.assert_array_equal(sent["points"], view.agents[0].points.astype(np.float16), strict=True)
+    np.testing.assert_array_equal(sent["colors"], view.agents[0].colors, strict=True)
+
+
 def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server, model):
     writer = SceneWriter(server.scene)
     for threshold, shown in ((0.0, True), (1.0, False), (0.0, True)):

@@ -163,6 +163,20 @@ def test_what_cannot_be_drawn_is_told_and_the_next_frame_is_drawn(session, drive
     assert session.wait_drawn().index == 6 and not session._notice.visible
 
 
+def test_the_first_frame_is_drawn_before_its_detections_are_computed(app, detector, monkeypatch, connect_browser):
+    detect, gate = detector.detect, threading.Event()
+    monkeypatch.setattr(detector, "detect", lambda sample: gate.wait(10.0) and detect(sample))
+    session = connect_browser(app).session
+    wait_for(lambda: node(session, "/agents/ego_vehicle_1000/lidar/points") is not None)
+    wait_for(lambda: node(session, "/truth/detected/edges") is not None)
+    assert session.view is None and session.address.link == ""
+    assert not node(session, "/agents/vehicle_1002/lidar/points").visible
+    gate.set()
+    assert session.wait_drawn().counts is not None
+    assert node(session, "/agents/vehicle_1002/lidar/points").visible
+    wait_for(lambda: session.address.link)
+
+
 def test_a_broken_first_frame_blocks_nothing_else(model, drive, monkeypatch, connect_browser):
     read = type(drive).read
 
