@@ -104,6 +104,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         def put(loop: ClosedLoop) -> None:
             sensed = getattr(loop.perception, "sensed", None)
             now_s = loop.tick.actors.time_s
+            if len(source) == 0:
+                source.place(loop.scenario, loop.seed)
             source.put(loop.tick, loop.ego_id, sensed if sensed is not None and sensed.time_s == now_s else None)
 
         with live_page(source) as page:

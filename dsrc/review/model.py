@@ -51,6 +51,8 @@ from sim.errors import DataError, SettingsError, UserError, complaint, did_you_m
 DETECTOR = "detector"
 """Name of the set of a detector without one."""
 
+_ROUTE_STEP = 20
+"""Points of an ego's route between two places around which the world is drawn."""
 _VIEWS_KEPT = 4
 _DETECTIONS_KEPT = 4096
 _RUNS_KEPT = 12
@@ -190,8 +192,12 @@ class ReviewModel:
                 yield self.stores[drive].recorded(row)
 
     def static_parts(self, drive: int) -> list[StaticPart]:
-        """Static world around the agents of a drive; empty when it cannot be rebuilt."""
+        """Static world around the agents of a drive; empty when none is known, DataError where it cannot be rebuilt."""
         places = [agent.world_from_body[:2, 3] for frame in self._few_frames(drive) for agent in frame.agents]
+        moment = getattr(self.sources[drive], "moment", None)
+        if moment is not None:
+            # A running episode has not come far.
+            places += [*moment(self.first_row(drive)).route[::_ROUTE_STEP]]
         return static_parts(dict(self.sources[drive].protocol), self.origin(drive), np.array(places, np.float64))
 
     def ego_id(self, state: ReviewState) -> int:

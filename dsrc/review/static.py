@@ -1,6 +1,5 @@
 """Static world of a drive as coloured meshes, and unit meshes of bodies."""
 
-import logging
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -10,10 +9,7 @@ from numpy.typing import NDArray
 
 from dsrc.review.palette import Rgb
 from sim.boxes import CLASSES
-from sim.errors import ScenarioError, UserError
-
-log = logging.getLogger(__name__)
-
+from sim.errors import DataError, ScenarioError, UserError
 
 SINK_M = 0.12
 """Depth of the drawn world below the real one, m: points on the road stay visible."""
@@ -85,13 +81,16 @@ _REST = _MaterialStyle("furniture", (), (108, 114, 126))
 def static_parts(
     protocol: dict, origin: NDArray[np.float64], places: NDArray[np.float64], radius_m: float = 160.0
 ) -> list[StaticPart]:
-    """Rebuild the static world of a drive near the agents; empty when that is not possible.
+    """Rebuild the static world of a drive near the agents; empty when the drive names no scenario.
 
     Args:
         protocol: content of the drive's `data_protocol.yaml`, {} without one.
         origin: (3,) world position of the review frame's origin, m.
         places: (N, 2) world positions whose surroundings are drawn, m.
         radius_m: radius of the surroundings.
+
+    Raises:
+        DataError: the world cannot be rebuilt: its network, SUMO or a file of it is missing.
     """
     own = protocol.get("testbed")
     if not isinstance(own, dict) or "scenario" not in own:
@@ -99,9 +98,7 @@ def static_parts(
     try:
         mesh = _world(own["scenario"], int(own.get("seed", 0)))
     except (UserError, ImportError, ValueError) as error:
-        # The drive is complete without it.
-        log.warning("the static world is not drawn: %s", error)
-        return []
+        raise DataError(f"roads and buildings are not drawn: {error}") from None
     return split_by_material(mesh, origin, places, radius_m)
 
 

@@ -23,7 +23,7 @@ from dsrc.review.page.session import Session
 from dsrc.review.page.stage import root_of
 from dsrc.review.sources.live import LiveSource
 from dsrc.review.state import ReviewState
-from dsrc.review.static import load_bodies
+from dsrc.review.static import StaticPart, load_bodies
 from dsrc.review.worker import Worker
 from sensors.corruptions import parse_who, require_corruption, require_who
 from sim.errors import SettingsError, UserError, complaint
@@ -56,7 +56,7 @@ class ReviewApp:
         self._using_model = threading.Lock()
         self._changed = threading.Condition()
         self._closed = False
-        self._worlds: set[int] = set()
+        self._worlds: dict[int, str] = {}
         self._pairs: dict[str, Pair] = {}
         set_light(server.scene)
         server.on_client_connect(self._open)
@@ -120,18 +120,23 @@ class ReviewApp:
         if session is not None:
             session.close()
 
-    def _place_world(self, drive: int) -> None:
-        """Draw the static world of a drive, once for all browsers."""
+    def _place_world(self, drive: int) -> str:
+        """Draw the static world of a drive, once for all browsers, and return why it is not drawn, "" where it is."""
         with self._changed:
             if drive in self._worlds:
-                return
-            self._worlds.add(drive)
-        with self._using_model:
-            parts = self.model.static_parts(drive)
+                return self._worlds[drive]
+            self._worlds[drive] = ""
+        parts: list[StaticPart] = []
+        try:
+            with self._using_model:
+                parts = self.model.static_parts(drive)
+        except UserError as error:
+            self._worlds[drive] = str(error)
         with self.server.atomic():
             self.server.scene.add_frame(root_of(drive), show_axes=False)
             self.server.scene.add_frame(f"{root_of(drive)}/world", show_axes=False)
             place_static(self.server.scene, root_of(drive), parts)
+        return self._worlds[drive]
 
 
 class LivePage:

@@ -75,7 +75,7 @@ class Session:
         state: ReviewState,
         pose: CameraPose | None = None,
         notice: str = "",
-        place_world: Callable[[int], None] = lambda _: None,
+        place_world: Callable[[int], str] = lambda _: "",
     ) -> None:
         """Build the page and start drawing; `close` ends it.
 
@@ -87,7 +87,7 @@ class Session:
             state: of the start.
             pose: camera of the start, in the scene; None for that of the state.
             notice: text above the controls at the start.
-            place_world: called with the row of the drive after every frame.
+            place_world: function from the row of a drive, called after its first frame, to why its world is not drawn.
         """
         self.model, self.client, self.gui, self.scene = model, client, client.gui, client.scene
         self.state = state
@@ -99,7 +99,7 @@ class Session:
         self.pair: Pair | None = None
         self._refresh_at, self._busy = 0.0, False
         self._seen_frames = model.frame_count(state.drive)
-        self._place_world = place_world
+        self._place_world, self._placed = place_world, -1
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
         self._closed = False
@@ -360,8 +360,11 @@ class Session:
             self.view = view
             if self._failed or self._told_of != (state.drive, state.frame):
                 self.tell("")
-            # After the first frame: rebuilding a city takes longer than drawing.
-            self._place_world(state.drive)
+            if self._placed != state.drive:
+                # After the first frame: rebuilding a city takes longer than drawing.
+                self._placed = state.drive
+                if note := self._place_world(state.drive):
+                    self.tell(note)
         except Exception as error:
             self._tell_error(f"frame {state.frame} of {self.model.names[state.drive]}", error)
         self.address.fall_behind()

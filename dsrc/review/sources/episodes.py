@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +20,7 @@ from sensors.sweep import make_sweep
 from sim.boxes import Boxes, concatenate
 from sim.errors import DataError, complaint
 from sim.geometry import invert, pose_matrix
+from sim.scenario import Scenario
 from sim.traffic.base import Actors
 
 PERCEPTS, TRACKS = "percepts", "tracks"
@@ -39,7 +41,7 @@ class EpisodeSource:
     Attributes:
         name: as shown.
         kind: `episode`.
-        protocol: empty.
+        protocol: names the scenario, see `place`; empty before that.
         seed: of the corruptions.
         labelled: True.
         sets: `PERCEPTS` and `TRACKS`.
@@ -82,6 +84,10 @@ class EpisodeSource:
             self._sensed[row] = sensed
             self._sensed.pop(row - KEPT, None)
         self._ticks.append(tick)  # last: whoever counts the steps finds all of them
+
+    def place(self, scenario: Scenario, seed: int) -> None:
+        """Name the scenario and the seed whose static world surrounds the episode."""
+        self.protocol = {"testbed": {"scenario": msgspec.to_builtins(scenario), "seed": seed}}
 
     def end(self, outcome: str = "stopped", message: str = "") -> None:
         """Mark that no more steps come; the first outcome stays."""
@@ -189,6 +195,7 @@ def episode_source(log: EpisodeLog) -> EpisodeSource:
     source = EpisodeSource(f"{settings.scenario.name}, {settings.perception}, seed {settings.seed}")
     if len(log) == 0:
         raise DataError(complaint(source.name, "steps", "at least one", "none"))
+    source.place(settings.scenario, settings.seed)
     for tick in log.ticks:
         source.put(tick, settings.ego_id)
     source.end(str(log.outcome), log.message)

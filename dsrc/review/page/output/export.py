@@ -1,6 +1,7 @@
 """Export of a drive as one self-contained animated HTML page, and of any view as a picture or an animation."""
 
 import io
+import logging
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -30,9 +31,12 @@ from dsrc.review.page.scene import (
 )
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState
+from dsrc.review.static import StaticPart
 from sensors.corruptions import CLEAN, EVERYONE, parse_who, require_corruption, require_who
-from sim.errors import SettingsError, complaint
+from sim.errors import SettingsError, UserError, complaint
 from sim.files import signed_picture, write_file
+
+log = logging.getLogger(__name__)
 
 ROOT = "/drive"
 """Root frame of the scene; moving it lets the camera of an exported page follow the ego."""
@@ -201,7 +205,7 @@ def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewSt
     first = model.view(states[0])
     set_start_camera(server, overview(first))
     writer.write(first)
-    place_static(server.scene, ROOT, model.static_parts(drive))
+    place_static(server.scene, ROOT, _world(model, drive))
     texts = [frame_texts(first)]
     serializer = server.get_scene_serializer()
     for state in states[1:]:
@@ -217,6 +221,15 @@ def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewSt
     poses = [("overview", "1", overview), ("chase", "2", chase), ("bird's eye", "3", birds_eye)]
     cameras = [_button(name, key, make(first)) for name, key, make in poses]
     return add_overlay(html, first.drive, _subtitle(model, states[0]), texts, first, interval_s, cameras)
+
+
+def _world(model: ReviewModel, drive: int) -> list[StaticPart]:
+    """Static world of a drive; empty where it cannot be rebuilt: the page is complete without it."""
+    try:
+        return model.static_parts(drive)
+    except UserError as error:
+        log.warning("%s", error)
+        return []
 
 
 def _subtitle(model: ReviewModel, state: ReviewState) -> str:

@@ -37,6 +37,17 @@ def test_every_step_is_drawn_as_the_log_has_it(session):
         assert (lines(session, "/plan/contact") > 0) == (tick.contact is not None)
 
 
+def test_a_world_that_cannot_be_rebuilt_is_told_on_the_first_frame(app, connect_browser):
+    session = connect_browser(app).session
+    session.wait_drawn()
+    told = session._notice
+    assert told.visible and "roads and buildings are not drawn: " in told.content and "network" in told.content
+    assert app.server.scene.get_handle_by_name("/drive0/world/grid") is not None
+    session.update(frame=1)
+    session.wait_drawn()
+    assert not told.visible
+
+
 def test_layers_of_an_episode_can_be_switched_off(session):
     for name in ("plan", "tracks", "claims"):
         session.update(layers_off=frozenset({name}))

@@ -2,15 +2,18 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.types import Percept
+from dsrc.review.model import ReviewModel
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.episodes import PERCEPTS, TRACKS, EpisodeSource, episode_source, open_episode, plan_of
 from dsrc.review.sources.opening import open_sources
 from sim.boxes import concatenate
+from sim.catalog.load import load_scenario
 from sim.errors import DataError
 from tests.dsrc.closed_loop.logged import EGO_ID, SCENARIO
 from tests.dsrc.closed_loop.test_log import full_log
@@ -80,6 +83,13 @@ def test_a_detection_of_the_ego_itself_is_no_false_one(log):
     live.put(replace(tick, percept=Percept(tick.ego.time_s, boxes, np.array([0.9, 0.8]), np.zeros((2, 2)))), EGO_ID)
     (result,) = live.sets[PERCEPTS].run(Setup()).results()
     assert result.detections.score.tolist() == pytest.approx([0.8])
+
+
+def test_an_episode_stands_in_the_world_of_its_scenario(log):
+    settings = msgspec.structs.replace(log.settings, scenario=load_scenario("ped_dartout"), seed=1)
+    model = ReviewModel([episode_source(EpisodeLog(settings, log.ticks[0].actors, log.ticks, log.outcome))])
+    names = {part.name for part in model.static_parts(0)}
+    assert {"roads", "markings", "buildings"} <= names
 
 
 def test_a_running_episode_grows_step_by_step_and_ends_as_its_log(log, source):
