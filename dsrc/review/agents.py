@@ -1,17 +1,26 @@
-"""Agents as drawn: thinned, coloured sweeps and communication links."""
+"""Agents as drawn: thinned, coloured sweeps, communication links, and what each of them helped to find."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.evaluation.sharing.stored import SharedFrame
 from dsrc.review.labs.lost import lost_rows
 from dsrc.review.palette import FATE_NAMES, agent_color
 from dsrc.review.points import point_colors, subsample
 from dsrc.review.state import ReviewState
-from dsrc.review.view import AgentView
+from dsrc.review.view import AgentShare, AgentView, DetectionDetails, HelpView, ObjectDetails
 from sensors.frame import Frame
 from sensors.sweep import Sweep
+from sim.boxes import Boxes
 from sim.geometry import invert, transform_points
 
+HARM = 0.05
+"""Score that an agent takes from a box to count as harm: every message moves scores a little."""
+_SAME_M = 0.05
+"""Distance at which two detections are one: shares are stored in millimetres, and computed on one thread."""
 COMM_RANGE_M = 70.0
 """Communication range, m; the default of `make_sample`."""
 
@@ -78,3 +87,48 @@ def links(agents: tuple[AgentView, ...]) -> NDArray[np.float64]:
     others = [agent.review_from_lidar[:3, 3] for agent in agents if not agent.is_ego]
     linked = [other for other in others if np.hypot(*(other - ego)[:2]) <= COMM_RANGE_M]
     return np.array([[ego, other] for other in linked], np.float64).reshape(-1, 2, 3)
+
+
+def help_view(shared: SharedFrame, agent_ids: Sequence[int], review_from_lidar: NDArray[np.float64]) -> HelpView:
+    """Boxes of a frame by the agent to whom most of their score is due.
+
+    Args:
+        shared: shares in the frame.
+        agent_ids: agents of the frame, in its order.
+        review_from_lidar: (4, 4) of the ego's LiDAR.
+    """
+    ids = [one.object_id for one in shared.boxes]
+    boxes = Boxes.from_array([one.box for one in shared.boxes], object_id=ids).transform(review_from_lidar)
+    true, found = np.array(ids, np.int64) != -1, np.array([one.team > 0.0 for one in shared.boxes], bool)
+    owner = np.array([max(one.share, key=one.share.__getitem__) for one in shared.boxes], np.int64)
+    harmed = np.array([min(one.share.values()) <= -HARM for one in shared.boxes], bool)
+    return HelpView(
+        found=tuple(boxes[true & found & (owner == agent)] for agent in agent_ids),
+        made=tuple(boxes[~true & (owner == agent)] for agent in agent_ids),
+        missed=boxes[true & ~found],
+        harmed=boxes[true & harmed],
+    )
+
+
+def with_shares(
+    details: ObjectDetails | DetectionDetails,
+    shared: SharedFrame,
+    titles: Mapping[int, str],
+    place: NDArray[np.floating] | None,
+) -> ObjectDetails | DetectionDetails:
+    """Details of an object or a detection with the agents' shares in it, where these are known.
+
+    Args:
+        details: the details.
+        shared: shares in the frame.
+        titles: displayed names by agent, in the order of the frame.
+        place: (3,) centre of a detection in the ego LiDAR's frame, m; None for an object.
+    """
+    hit = isinstance(details, ObjectDetails) or details.verdict == "true positive"
+    for one in shared.boxes:
+        near = place is not None and one.object_id == -1 and np.hypot(*(place[:2] - one.box[:2])) < _SAME_M
+        if one.object_id == details.object_id if hit else near:
+            ego_first = sorted(filter(one.share.__contains__, titles), key=lambda i: i != shared.ego_id)
+            shares = (AgentShare(titles[i], one.share[i], one.without[i]) for i in ego_first)
+            return replace(details, shares=tuple(shares))
+    return details

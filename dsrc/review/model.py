@@ -13,7 +13,7 @@ from dsrc.data.drives import Drive
 from dsrc.data.sample import SampleDetector
 from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.ops.detections import Detections
-from dsrc.review.agents import agent_view, links
+from dsrc.review.agents import agent_view, help_view, links, with_shares
 from dsrc.review.details import detection_details, object_details, verdict_on
 from dsrc.review.errors.changes import Changes, changes
 from dsrc.review.errors.filters import ErrorFilter
@@ -27,6 +27,7 @@ from dsrc.review.sources.detected import ComputedSet, present_agents
 from dsrc.review.sources.drives import DriveSource
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
 from dsrc.review.sources.opening import add_detectors, open_sources
+from dsrc.review.sources.shares import SharedSource
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
 from dsrc.review.view import (
@@ -39,6 +40,7 @@ from dsrc.review.view import (
     TRUE_POSITIVES,
     UNJUDGED,
     AgentView,
+    DetectionDetails,
     FrameView,
     MethodView,
     ObjectDetails,
@@ -47,6 +49,7 @@ from sensors.corruptions import CLEAN
 from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError, UserError, complaint, did_you_mean
+from sim.geometry import invert, transform_points
 
 DETECTOR = "detector"
 """Name of the set of a detector without one."""
@@ -184,6 +187,10 @@ class ReviewModel:
         """Whether a source has ground truth; without it nothing is judged."""
         return self.sources[drive].labelled
 
+    def has_shares(self, drive: int) -> bool:
+        """Whether it is known who helped in a source."""
+        return isinstance(self.sources[drive], SharedSource)
+
     def _few_frames(self, drive: int) -> Iterator[Frame]:
         """First, middle and last frame, those that can be read."""
         first, last = self.first_row(drive), self.frame_count(drive) - 1
@@ -207,7 +214,8 @@ class ReviewModel:
 
     def view(self, state: ReviewState) -> FrameView:
         """Frame as drawn under a state."""
-        return self._view(state, self.method(state))
+        view = self._view(state, self.method(state))
+        return self._with_shares(view, state) if self.has_shares(state.drive) else view
 
     def sketch(self, state: ReviewState) -> FrameView:
         """First look at a frame, without computing: true boxes, and the ego's points where they are clean."""
@@ -251,6 +259,26 @@ class ReviewModel:
         view = self._with_detections(view, state, frame, review_from_world, found)
         compared = [self._compared(state, name, frame, review_from_world) for name in self._asked(state)[1:]]
         return replace(view, method=method, compared=tuple(one for one in compared if one is not None))
+
+    def _with_shares(self, view: FrameView, state: ReviewState) -> FrameView:
+        """View with who helped: on the card, and as the colour of the boxes where that is asked for."""
+        source = cast(SharedSource, self.sources[state.drive])
+        shared = source.shares(state.frame, self.setup(state))
+        ids = [agent.agent_id for agent in view.agents]
+        if shared is None or shared.ego_id not in ids:
+            return replace(view, notice=view.notice or source.shared(self.setup(state)))
+        if view.details is not None:
+            place, selected = None, view.selected
+            if isinstance(view.details, DetectionDetails) and selected is not None:
+                (place,) = transform_points(invert(view.ego.review_from_lidar), selected[None])
+            titles = {agent.agent_id: agent.title for agent in view.agents}
+            view = replace(view, details=with_shares(view.details, shared, titles, place))
+        if state.boxes_by != "shares":
+            return view
+        review_from_lidar = view.agents[ids.index(shared.ego_id)].review_from_lidar
+        other = ~np.isin(view.truth.object_id, [one.object_id for one in shared.boxes])
+        layers = {**_no_boxes(), OTHER_TRUTH: view.truth[other], SELECTED: view.layers[SELECTED]}
+        return replace(view, layers=layers, ranks={}, help=help_view(shared, ids, review_from_lidar))
 
     def _agent_views(
         self, frame: Frame, state: ReviewState, ego_id: int, review_from_world: NDArray[np.float64]

@@ -27,7 +27,12 @@ def edges(boxes: Boxes) -> NDArray[np.float32]:
 
 def crossed(boxes: Boxes) -> NDArray[np.float32]:
     """(15 N, 2, 3) lines: as `edges`, with a cross on the roof."""
-    return np.concatenate([edges(boxes), _pick(boxes, _ROOF_CROSS).astype(np.float32)])
+    return np.concatenate([edges(boxes), roof_crosses(boxes)])
+
+
+def roof_crosses(boxes: Boxes) -> NDArray[np.float32]:
+    """(2 N, 2, 3) lines: the diagonals of the roofs."""
+    return _pick(boxes, _ROOF_CROSS).astype(np.float32)
 
 
 def dashed(boxes: Boxes, dash_m: float = 0.45) -> NDArray[np.float32]:

@@ -11,6 +11,8 @@ from sensors.corruptions import EVERYONE, Family
 Camera = Literal["chase", "bev", "free"]
 
 COLOR_BY: tuple[ColorBy, ...] = get_args(ColorBy)
+BoxesBy = Literal["verdict", "shares"]
+"""Meaning of the boxes' colours: the detector's verdict, or the agent to whom most of the score is due."""
 IOU_THRESHOLDS = (0.3, 0.5, 0.7)
 
 SHOWN_LAYERS = ("truth", "detections", "bodies", "world", "links", "labels", "plan", "tracks", "claims")
@@ -43,6 +45,7 @@ class ReviewState:
         threshold: least score of a shown detection.
         iou: least bird's-eye IoU of a true positive.
         color_by: quantity shown by the colour of a point.
+        boxes_by: meaning of the boxes' colours; `verdict` wherever shares are unknown.
         hidden: agents with hidden points.
         layers_off: hidden layers, of `SHOWN_LAYERS`.
         object_id: the selected object, or None.
@@ -77,6 +80,7 @@ class ReviewState:
     threshold: float = 0.3
     iou: float = 0.5
     color_by: ColorBy = "agent"
+    boxes_by: BoxesBy = "shares"
     hidden: frozenset[int] = field(default_factory=frozenset)
     layers_off: frozenset[str] = field(default_factory=frozenset)
     object_id: int | None = None

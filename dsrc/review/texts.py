@@ -9,7 +9,7 @@ from dsrc.review import palette
 from dsrc.review.palette import Rgb
 from dsrc.review.points import HEIGHT_M
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
-from dsrc.review.view import OTHER_TRUTH, AgentView, DetectionDetails, FrameView, ObjectDetails
+from dsrc.review.view import OTHER_TRUTH, AgentShare, AgentView, DetectionDetails, FrameView, ObjectDetails
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
 from sensors.sweep import MOVED, SCATTERED
 
@@ -92,7 +92,7 @@ def _object_card(details: ObjectDetails) -> str:
     )
     table = f"| | points | visible |\n|:--|--:|--:|\n{rows}"
     place = f"{_size(details.size)} · {details.distance_m:.1f} m away · {details.speed:.1f} m/s{change}{lights}{lane}"
-    return f"{head}{detected}\n\n{place}\n\n{table}"
+    return f"{head}{detected}\n\n{place}\n\n{table}{_shares(details.shares)}"
 
 
 def _detection_card(details: DetectionDetails) -> str:
@@ -101,7 +101,18 @@ def _detection_card(details: DetectionDetails) -> str:
     nearest = "overlaps no object" if details.object_id is None else f"IoU {details.iou:.2f} with {details.object_id}"
     rows = "\n".join(f"| {agent} | {points} |" for agent, points in details.points)
     place = f"{_size(details.size)} · {details.distance_m:.1f} m away"
-    return f"{head}{verdict}\n\n{nearest} · {place}\n\n| | points in the box |\n|:--|--:|\n{rows}"
+    table = f"| | points in the box |\n|:--|--:|\n{rows}"
+    return f"{head}{verdict}\n\n{nearest} · {place}\n\n{table}{_shares(details.shares)}"
+
+
+def _shares(shares: Sequence[AgentShare]) -> str:
+    """Table of the agents' shares, which sum to the team's score; "" without any."""
+    if not shares:
+        return ""
+    rows = "\n".join(f"| {one.agent} | {one.share:+.2f} | {one.without:.2f} |" for one in shares[1:])
+    alone, together = f"| {shares[0].agent} alone | {shares[0].share:.2f} | |", sum(one.share for one in shares)
+    head = "| who helped | share | without |\n|:--|--:|--:|"
+    return f"\n\n{head}\n{alone}\n{rows}\n| all | {together:.2f} | |"
 
 
 def _size(size: tuple[float, float, float]) -> str:
@@ -133,6 +144,14 @@ def legend(view: FrameView) -> str:
         agents += _legend_row(palette.FP, "message lost, dashed")
         agents += _legend_row(palette.FATE_COLORS[SCATTERED], "false object that a helper claims, crossed", True)
     other = _legend_row(palette.OTHER, "object, not evaluated", True)
+    if view.help is not None:
+        helped = (
+            (palette.TRUTH, "box in the colour of the agent to whom most of its score is due"),
+            (palette.TRUTH, "the same, crossed: false detection"),
+            (palette.FP, "cross over an object: an agent lowers its score"),
+            (palette.FN, "missed by all, dashed"),
+        )
+        return _box(agents + "".join(_legend_row(rgb, text, True) for rgb, text in helped) + other)
     if not view.labelled:
         return _box(agents + _legend_row(palette.TRUTH, "detection, not judged", True))
     if view.counts is None:

@@ -80,6 +80,21 @@ class ObjectVisibility:
 
 
 @dataclass(frozen=True, slots=True)
+class AgentShare:
+    """Share of one agent in the score of one box.
+
+    Attributes:
+        agent: displayed name of the agent.
+        share: part of the whole team's score that is due to it, see `dsrc.evaluation.sharing.shares`.
+        without: score of the team without it.
+    """
+
+    agent: str
+    share: float
+    without: float
+
+
+@dataclass(frozen=True, slots=True)
 class ObjectDetails:
     """Ground truth of one object, and what the detector made of it.
 
@@ -97,6 +112,7 @@ class ObjectDetails:
         verdict: `detected`, `missed`, `not evaluated`; "" without a detector.
         score: of its detection; NaN without one.
         iou: with its detection; NaN without one.
+        shares: of the agents in its detection, the ego's first; empty where unknown.
     """
 
     object_id: int
@@ -112,6 +128,7 @@ class ObjectDetails:
     verdict: str = ""
     score: float = math.nan
     iou: float = math.nan
+    shares: tuple[AgentShare, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +145,7 @@ class DetectionDetails:
         object_id: the matched object, for a false positive the one that it overlaps most; None without overlap.
         iou: with that object; 0 without overlap.
         points: points of each agent in the box, as drawn: (displayed name, number).
+        shares: of the agents in it, the ego's first; empty where unknown.
     """
 
     rank: int
@@ -139,6 +157,7 @@ class DetectionDetails:
     object_id: int | None
     iou: float
     points: tuple[tuple[str, int], ...]
+    shares: tuple[AgentShare, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,6 +177,23 @@ class MethodView:
     false: Boxes
     missed: Boxes
     counts: Counts | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HelpView:
+    """Boxes by the agent to whom most of their score is due, in the review frame.
+
+    Attributes:
+        found: true boxes of each agent, in the order of `FrameView.agents`.
+        made: false detections of each agent, in the same order.
+        missed: true boxes that the whole team misses.
+        harmed: true boxes of which an agent takes `HARM` of the score or more.
+    """
+
+    found: tuple[Boxes, ...]
+    made: tuple[Boxes, ...]
+    missed: Boxes
+    harmed: Boxes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,6 +223,7 @@ class FrameView:
         compared: further methods.
         notice: why detections are missing, or "".
         moment: what the ego of an episode saw, believed and planned; None elsewhere.
+        help: boxes by who helped, in place of the judged ones; None where they are drawn by their verdict.
     """
 
     drive: str
@@ -211,6 +248,7 @@ class FrameView:
     compared: tuple[MethodView, ...] = ()
     notice: str = ""
     moment: EpisodeMoment | None = None
+    help: HelpView | None = None
 
     @property
     def ego(self) -> AgentView:

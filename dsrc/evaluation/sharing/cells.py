@@ -35,8 +35,8 @@ class ShareRow:
         frame: number of the frame.
         box: number of the box in the frame.
         object_id: of a true box, -1 for a false detection.
-        x_m: place of the box in the ego LiDAR's frame.
-        y_m: its second coordinate.
+        x_m, y_m, z_m: centre of the box in the ego LiDAR's frame.
+        length_m, width_m, height_m, yaw_rad: size and heading of the box.
         ego_id: agent that detects.
         agent_id: agent whose share this is.
         agent: `ego`, `vehicle` or `roadside`.
@@ -55,6 +55,11 @@ class ShareRow:
     object_id: int
     x_m: float
     y_m: float
+    z_m: float
+    length_m: float
+    width_m: float
+    height_m: float
+    yaw_rad: float
     ego_id: int
     agent_id: int
     agent: str
@@ -136,6 +141,8 @@ def has_share_cell(folder: Path, key: str) -> bool:
 
 def _rows(shares: Shares, heard: Sample, whole: Sample, drive: str, condition: str, frame: int) -> list[ShareRow]:
     boxes, rows = shares.boxes, []
+    columns = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
+    places = [dict(zip(columns, values, strict=True)) for values in boxes.array.round(3).tolist()]
     for k, agent in enumerate(whole.agent_ids):
         away = np.linalg.norm(boxes.center[:, :2] - whole.ego_from_agent[k][:2, 3], axis=1)
         points = np.zeros(len(boxes), np.int64)
@@ -150,8 +157,7 @@ def _rows(shares: Shares, heard: Sample, whole: Sample, drive: str, condition: s
                     frame=frame,
                     box=box,
                     object_id=int(boxes.object_id[box]) if shares.true[box] else -1,
-                    x_m=round(float(boxes.center[box, 0]), 2),
-                    y_m=round(float(boxes.center[box, 1]), 2),
+                    **places[box],
                     ego_id=whole.agent_ids[0],
                     agent_id=agent,
                     agent="ego" if k == 0 else "roadside" if agent < 0 else "vehicle",

@@ -19,6 +19,7 @@ from dsrc.evaluation.detect import frame_positions
 from dsrc.evaluation.runner import compute
 from dsrc.evaluation.sharing.cells import ShareRow, ShareSettings, has_share_cell, make_share_cells, read_share_cell
 from dsrc.evaluation.sharing.shares import MOST_AGENTS, check_iou
+from dsrc.evaluation.stored import StoredDrive
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Sharing
 from sensors.corruptions import parse_who
@@ -108,6 +109,14 @@ def rows_csv(rows: Sequence[ShareRow]) -> str:
     writer.writerow([field.name for field in fields(ShareRow)])
     writer.writerows(astuple(row) for row in rows)
     return text.getvalue()
+
+
+def stored_drives(data: Path) -> tuple[StoredDrive, ...]:
+    """Drives whose shares are stored."""
+    paths = list_drives(data)
+    return tuple(
+        StoredDrive(dataset=data.name, path=str(path.resolve()), data=open_drive(path).digest()) for path in paths
+    )
 
 
 def provenance_of(config: Sharing) -> dict[str, Any]:

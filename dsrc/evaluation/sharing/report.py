@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
@@ -14,6 +15,8 @@ from dsrc.evaluation.figures.style import COLORS, INK, WIDTH_IN, figure_style, p
 from dsrc.evaluation.results import condition_title
 from dsrc.evaluation.sharing.cells import ShareRow
 from dsrc.evaluation.sharing.drives import rows_csv
+from dsrc.evaluation.sharing.stored import FILE, SharedBox, SharedFrame
+from dsrc.evaluation.stored import StoredDrive
 from sim.files import write_file
 
 AGENTS = ("ego", "vehicle", "roadside")
@@ -133,31 +136,39 @@ def _per_unit(rows: Sequence[ShareRow], condition: str, agent: str, is_true: boo
     return sum(share for share in own if share * side > 0) / max(len(boxes if is_true else frames), 1)
 
 
-def write_shares(out: Path, rows: Sequence[ShareRow], made_by: Mapping[str, Any]) -> None:
-    """Write `shares.csv`, a line per agent and box, `shares.json` by frame and box, and `shares.png`."""
+def write_shares(
+    out: Path, rows: Sequence[ShareRow], made_by: Mapping[str, Any], drives: Sequence[StoredDrive] = ()
+) -> None:
+    """Write `shares.csv`, a line per agent and box, `shares.json` by frame and box, and `shares.png`.
+
+    Args:
+        out: folder.
+        rows: see `dsrc.evaluation.sharing.drives.share_drives`.
+        made_by: provenance.
+        drives: that the rows are of, for the review page.
+    """
     frames: dict[tuple[str, str, int], dict[int, list[ShareRow]]] = {}
     for row in rows:
         frames.setdefault((row.drive, row.condition, row.frame), {}).setdefault(row.box, []).append(row)
     listed = [
-        {
-            "drive": drive,
-            "condition": condition,
-            "frame": frame,
-            "boxes": [
-                {
-                    "object_id": own[0].object_id,
-                    "place": [own[0].x_m, own[0].y_m],
-                    "team": own[0].team,
-                    "share": {str(row.agent_id): row.share for row in own},
-                    "without": {str(row.agent_id): row.without for row in own},
-                }
-                for own in boxes.values()
-            ],
-        }
+        SharedFrame(drive, condition, frame, next(iter(boxes.values()))[0].ego_id, tuple(map(_shared, boxes.values())))
         for (drive, condition, frame), boxes in frames.items()
     ]
-    content = {"provenance": made_by, "summaries": [one._asdict() for one in summaries(rows)], "frames": listed}
+    parts = {"drives": drives, "summaries": [one._asdict() for one in summaries(rows)], "frames": listed}
+    content = {"provenance": made_by, **msgspec.to_builtins(parts, str_keys=True)}
     text = json.dumps(content, indent=1, sort_keys=True, allow_nan=False)
-    write_file(out / "shares.json", text + "\n")  # the manifest first: others of an interrupted run are ours, too
+    write_file(out / FILE, text + "\n")  # the manifest first: others of an interrupted run are ours, too
     write_file(out / "shares.csv", rows_csv(rows))
     write_file(out / "shares.png", png_bytes(share_bars(rows), made_by))
+
+
+def _shared(rows: Sequence[ShareRow]) -> SharedBox:
+    """Return the shares of all agents in one box."""
+    one = rows[0]
+    return SharedBox(
+        object_id=one.object_id,
+        box=(one.x_m, one.y_m, one.z_m, one.length_m, one.width_m, one.height_m, one.yaw_rad),
+        team=one.team,
+        share={row.agent_id: row.share for row in rows},
+        without={row.agent_id: row.without for row in rows},
+    )

@@ -95,6 +95,10 @@ def _methods(shown: Shown) -> dict[str, Any]:
     return {**options, ", ".join(methods): methods} if len(methods) > 1 else options
 
 
+def _has_shares(shown: Shown) -> bool:
+    return shown.model.has_shares(shown.state.drive)
+
+
 def _several_methods(shown: Shown) -> bool:
     return len(shown.model.methods(shown.state.drive)) > 1
 
@@ -212,6 +216,14 @@ CONTROLS: tuple[Control, ...] = (
     Control("error_range", Choice(_same(*BANDS)), "Distance, m", "Errors", link="distance", shown=_detects),
     Control("error_seen_by", Choice(_named(_SEEN)), "Seen by", "Errors", link="seen", shown=_detects),
     Control("color_by", Choice(_same(*COLOR_BY)), "Points by", "Look", link="color", key="U"),
+    Control(
+        "boxes_by",
+        Choice(_named({"Who helped": "shares", "Verdict": "verdict"})),
+        "Boxes by",
+        "Look",
+        link="boxes",
+        shown=_has_shares,
+    ),
     Control("point_size_m", Slider(0.02, 0.5, 0.01), "Point size", "Look", link="size"),
     Control("max_points", Slider(2000, 120_000, 1000), "Points/agent", "Look", link="points"),
     Control("theme", Choice(_named({"Dark": "dark", "Light": "light"})), "Theme", "Look", link="theme", key="T"),

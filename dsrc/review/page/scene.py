@@ -12,7 +12,17 @@ from viser.transforms import SO3
 from dsrc.review import palette
 from dsrc.review.page.cameras import FOV_RAD, CameraPose
 from dsrc.review.palette import Rgb
-from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, dashes, edges, polyline, quaternions
+from dsrc.review.shapes import (
+    CUBE_FACES,
+    CUBE_VERTICES,
+    crossed,
+    dashed,
+    dashes,
+    edges,
+    polyline,
+    quaternions,
+    roof_crosses,
+)
 from dsrc.review.state import Theme
 from dsrc.review.static import StaticPart, body_shape
 from dsrc.review.view import (
@@ -148,6 +158,7 @@ class SceneWriter:
         self._on_click = on_click
         self._clickable: dict[str, tuple[Clicked, ...]] = {}
         self._compared = 0
+        self._helpers = 0
 
     def clear(self) -> None:
         """Remove every node of the drive."""
@@ -171,6 +182,7 @@ class SceneWriter:
             self._write_boxes(name, view.layers[name], style, not off)
             if style.fill > 0.0:
                 self._make_clickable(f"{name}/faces", _boxes_clicked(view, name))
+        self._write_help(view)
         self._write_compared(view)
         self._write_links(view)
         self._write_moment(view)
@@ -271,6 +283,22 @@ class SceneWriter:
             pose = (quaternions(boxes.yaw), boxes.center, boxes.size)
             colors = np.tile(np.array(style.rgb, np.uint8), (len(boxes), 1))
             self._batch(f"{name}/faces", (CUBE_VERTICES, CUBE_FACES), pose, colors, style.fill)
+
+    def _write_help(self, view: FrameView) -> None:
+        """Draw boxes in the colour of the agent to whom most of their score is due."""
+        help, none = view.help, Boxes.zeros()
+        helpers = 0 if help is None else len(view.agents)
+        for row in range(max(helpers, self._helpers)):
+            found, made = (none, none) if help is None or row >= helpers else (help.found[row], help.made[row])
+            rgb = palette.agent_color(row)
+            self._write_boxes(f"helped/found_{row}", found, BoxStyle(rgb, 3.0, "solid", 0.25), len(found) > 0)
+            self._write_boxes(f"helped/made_{row}", made, BoxStyle(rgb, 3.0, "crossed", 0.25), len(made) > 0)
+        missed, harmed = (none, none) if help is None else (help.missed, help.harmed)
+        if helpers or self._helpers:
+            self._write_boxes("helped/missed", missed, STYLES[FALSE_NEGATIVES], len(missed) > 0)
+            self._lines("helped/harmed", roof_crosses(harmed), palette.FP, 4.0)
+        self._frame("helped").visible = "detections" not in view.layers_off
+        self._helpers = helpers
 
     def _write_links(self, view: FrameView) -> None:
         self._frame("links").visible = "links" not in view.layers_off

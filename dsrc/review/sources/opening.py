@@ -7,11 +7,13 @@ from pathlib import Path
 from dsrc.data.drives import open_drives
 from dsrc.data.sample import SampleDetector
 from dsrc.evaluation.config import named
+from dsrc.evaluation.sharing.stored import FILE as SHARES
 from dsrc.evaluation.stored import FILE, has_index
 from dsrc.review.sources.base import Source
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.sources.drives import DriveSource
 from dsrc.review.sources.results import open_results
+from dsrc.review.sources.shares import open_shares
 from sim.errors import DataError, SettingsError, complaint
 
 
@@ -22,6 +24,7 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
     |---------------------------------------|------------------------------------------------|
     | a drive, or a folder of drives        | the drives                                     |
     | results of an evaluation or benchmark | their drives, with the detections of all methods |
+    | shares of `dsrc shares`               | their drives, with who helped                  |
     | run folder of a training              | its validation drives, with its newest weights |
     | an episode log (.npz)                 | the episode                                    |
     | a folder of episode logs              | the episodes, sorted by name                   |
@@ -36,6 +39,8 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
     path = Path(path)
     if has_index(path):
         return [*open_results(path, data)]
+    if (path / SHARES).is_file():
+        return [*open_shares(path, data)]
     run = next((folder for folder in (path, path / "student") if (folder / "settings.json").is_file()), None)
     if run is not None:
         # Torch and Lightning take seconds to import.
@@ -43,8 +48,8 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
 
         return [*open_training(run, data)]
     if data is not None:
-        expected = f"{FILE} of dsrc evaluate or benchmark, or settings.json of dsrc model train"
-        raise DataError(complaint(path, "drives", expected, "neither"))
+        expected = f"{FILE} of dsrc evaluate or benchmark, {SHARES} of dsrc shares or settings.json of dsrc model train"
+        raise DataError(complaint(path, "drives", expected, "none of them"))
     logs = [path] if path.suffix == ".npz" else _logs(path)
     if logs:
         # The closed loop takes a second to import.

@@ -104,7 +104,7 @@ def open_results(folder: Path, data: Path | None = None) -> list[DriveSource]:
     moved = {path.name: path for path in list_drives(data)} if data is not None else {}
     sources = []
     for number, stored in enumerate(index.drives):
-        source = DriveSource(_drive(folder, stored, moved), index.seed)
+        source = DriveSource(stored_drive(folder / FILE, stored, moved), index.seed)
         names = run_names(index.runs)
         for name, runs in _by_name(index, number, names).items():
             source.sets[name] = StoredSet(name, folder, source.drive, number, runs)
@@ -112,17 +112,25 @@ def open_results(folder: Path, data: Path | None = None) -> list[DriveSource]:
     return sources
 
 
-def _drive(folder: Path, stored: StoredDrive, moved: Mapping[str, Path]) -> Drive:
+def stored_drive(index: Path, stored: StoredDrive, moved: Mapping[str, Path]) -> Drive:
+    """Open a drive of results.
+
+    Args:
+        index: file that names the drive.
+        stored: the drive.
+        moved: where drives are now, by name.
+
+    Raises:
+        DataError: the drive is missing, or not the one that was evaluated.
+    """
     place = moved.get(stored.name, Path(stored.path))
     try:
         drive = open_drive(place)
     except DataError as error:
-        raise DataError(f"{folder / FILE}: drives: {stored.name}: {error}; give the folder of its drives") from None
+        raise DataError(f"{index}: drives: {stored.name}: {error}; give the folder of its drives") from None
     if drive.digest() != stored.data:
         expected = f"the drive that was evaluated ({stored.data[:12]})"
-        raise DataError(
-            complaint(place, "data", expected, f"another ({drive.digest()[:12]})", f"; see {folder / FILE}")
-        )
+        raise DataError(complaint(place, "data", expected, f"another ({drive.digest()[:12]})", f"; see {index}"))
     return drive
 
 
