@@ -1,4 +1,6 @@
-"""Pictures of every corruption: one sweep, clean and under each family, coloured by fate.
+"""Pictures of every corruption: one sweep of a busy street, clean and under each family, coloured by fate.
+
+The sweep is that of a 64-beam LiDAR on the vehicle that has most lorries, buses and people around it while it drives.
 
 Usage:
     python examples/corruptions.py --out docs/pictures/corruptions
@@ -13,66 +15,80 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from look import COLORS, EMPTY, FAINT, GRID, INK, PAGE, new_figure, save, style
+from look import EMPTY, FAINT, GRID, INK, PAGE, new_figure, save, style
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from sensors.corruptions import CORRUPTIONS, DEFAULT_SEVERITY, FAMILIES, SEVERITIES, Family, corrupt_frame, kinds_of
+from dsrc.review.palette import FATE_COLORS, FATE_NAMES, LOST
+from sensors.corruptions import CORRUPTIONS, DEFAULT_SEVERITY, FAMILIES, SEVERITIES, corrupt_frame, kinds_of
 from sensors.frame import Frame
+from sensors.presets import get_lidar
 from sensors.recording.record import record
 from sensors.recording.rig import Rig
-from sensors.sweep import ADDED, ATTENUATED, KEPT, MOVED, SCATTERED, Sweep
+from sensors.sweep import ADDED, MOVED, SCATTERED, Sweep
+from sim.boxes import CLASSES
 from sim.catalog.load import load_scenario
 from sim.geometry import invert, transform_points
+from sim.traffic.base import Actors
 from sim.traffic.sumo.traffic import SumoTraffic
 from sim.world.build import build_world
 
-LOST, BEFORE, BELIEVED = "lost: where it was", "where it was before", "where a wrong pose puts it"
-FATES = {KEPT: "kept", ATTENUATED: "dimmer", MOVED: "moved", SCATTERED: "added"}
-COLOR = {
-    "kept": "#7C8AA0",
-    "dimmer": COLORS[0],
-    "moved": COLORS[4],
-    "added": "#FF8A3D",
-    LOST: "#E0304A",
-    BEFORE: "#4A5566",
-    BELIEVED: "#F2E96B",
-}
-"""Colours by fate of the points."""
+WAS = len(FATE_COLORS)
+"""Row in `COLORS` of where a point was that is lost or moved."""
+COLORS = np.array([*(FATE_COLORS[fate] for fate in range(WAS)), LOST]) / 255.0
+NAMES = (*(FATE_NAMES[fate] for fate in range(WAS)), "was here: now lost or moved")
+SHORT = ("untouched", "dimmer", "moved", "added")
 
-RADIUS_M = {
-    "motion_blur": 20.0,
-    "crosstalk": 30.0,
-    "incomplete_echo": 32.0,
-    "pose_error": 14.0,
-    "clock_offset": 25.0,
-    "noise": 12.0,
-}
-"""Half widths of views from above other than `WIDE_M`, for small displacements, m."""
-WIDE_M = 45.0
-FAST = ("motion_blur", "clock_offset", "spray")
-"""Kinds drawn on a motorway: they show at speed."""
-SEVERITY = {"pose_error": 5}
-"""Severities other than 3, for kinds that are invisible at 3."""
-
+LIDAR, STREET, MOTORWAY = "os1-64", "research_junction", "highway"
 SEED = 2
-AFTER_S, INTERVAL_S = 12.0, 0.1
+AFTER_S, INTERVAL_S = 16.0, 0.1
+AROUND_M, MOVING_MPS = 35.0, 7.0
+BUSY = ("truck", "bus", "motorcycle", "bicycle", "pedestrian")
+
+SMALL = ("motion_blur", "pose_error", "clock_offset", "point_dropping", "noise")
+"""Kinds that are drawn from near: single points are seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Perspective, in the frame of the vehicle.
+
+    Attributes:
+        eye: where it is seen from, m.
+        target: in the middle of the picture, m.
+        half: tangents of half the angles across and up.
+    """
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    half: tuple[float, float]
+
+
+WIDE = View((-24.0, -10.0, 15.0), (5.0, 0.0, 0.0), (0.72, 0.44))
+NEAR = View((-5.0, -3.0, 4.5), (2.5, 5.0, 1.0), (0.36, 0.22))
+DOT = 0.36
+"""Size of a point 10 m away in a picture of one inch, in points of the page."""
+
+EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
+"""Edges of a box by its corners."""
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """Column of a picture: title and frame, whose last agent's sweep is drawn."""
+    """Part of a picture: title and frame, of which the drawn agent's sweep is shown."""
 
     title: str
     frame: Frame
+    drawn: int
 
     @property
     def sweep(self) -> Sweep:
         """Drawn sweep."""
-        return self.frame.agents[-1].sweep
+        return next(agent.sweep for agent in self.frame.agents if agent.agent_id == self.drawn)
 
 
 def main() -> None:
@@ -81,76 +97,95 @@ def main() -> None:
         "--out", type=Path, required=True, help="folder of the pictures: one per kind, and, of all kinds, all.png"
     )
     parser.add_argument("--only", nargs="+", choices=CORRUPTIONS, default=list(CORRUPTIONS), help="default: all")
-    parser.add_argument("--severity", type=int, choices=SEVERITIES, help="default: 3, 5 for pose_error")
-    parser.add_argument("--scenario", help="default: braunschweig, or highway for kinds that show at speed")
+    parser.add_argument("--severity", type=int, choices=SEVERITIES, default=DEFAULT_SEVERITY)
+    parser.add_argument("--scenario", help=f"default: {STREET}, and {MOTORWAY} for spray, which needs speed")
     options = parser.parse_args()
-    places = {kind: options.scenario or ("highway" if kind in FAST else "braunschweig") for kind in options.only}
-    streets = {place: street(place) for place in sorted(set(places.values()))}
-    frames = {kind: shown(streets[place], kind) for kind, place in places.items()}
+    places = {kind: options.scenario or (MOTORWAY if kind == "spray" else STREET) for kind in options.only}
+    swept = {place: street(place) for place in sorted(set(places.values()))}
+    clean = {kind: swept[place] for kind, place in places.items()}
     figures: dict[str, Callable[[], Figure]] = {
-        kind: partial(draw, frame, kind, options.severity) for kind, frame in frames.items()
+        kind: partial(draw, panel, kind, options.severity) for kind, panel in clean.items()
     }
-    if list(frames) == list(CORRUPTIONS):  # the sheet of all is not of some
-        figures["all"] = partial(overview, frames, options.severity)
+    if options.only == list(CORRUPTIONS):  # the sheet of all is not of some
+        figures["all"] = partial(overview, clean, options.severity)
     for name, figure in figures.items():
         path = options.out / f"{name}.png"
         with style():
-            save(figure(), path, colors=96, keep=(*COLOR.values(), PAGE, INK))
+            save(figure(), path, colors=64, keep=(*map(to_hex, COLORS), PAGE, EMPTY, INK))
         print(f"{path}  {path.stat().st_size / 1024:.0f} kB")
 
 
-def street(name: str) -> Frame:
-    """Return one frame of a drive some seconds after its start, by sensors without random drop-off."""
+def street(name: str) -> Panel:
+    """Return a frame some seconds after the start of a drive, by sensors without random drop-off.
+
+    Its agents are the busiest vehicle, which is drawn, and the vehicle nearest to it, an ego for errors relative to it.
+    """
     scenario = load_scenario(name)
     steps = round(AFTER_S / INTERVAL_S)
     with SumoTraffic(scenario, SEED) as traffic:
         drive = record(traffic, build_world(scenario, SEED), scenario, SEED, steps + 1, INTERVAL_S)
-    spec = msgspec.structs.replace(drive.rig.vehicle_spec, dropoff_rate=0.0, dropoff_zero_intensity=0.0)
+    spec = msgspec.structs.replace(get_lidar(LIDAR), dropoff_rate=0.0, dropoff_zero_intensity=0.0)
     rig = Rig(scenario, drive.rig.scene, SEED, vehicle_spec=spec)
-    return replace(drive, rig=rig).frame(steps)
+    drawn, beside = busiest(drive.steps[drive.frame_steps[steps]])
+    frame = replace(drive, rig=rig, vehicles=(beside, drawn)).frame(steps)
+    rows = [k for k, agent in enumerate(frame.agents) if agent.agent_id in (beside, drawn)]
+    return Panel("clean", frame.of_agents(rows), drawn)
 
 
-def draw(clean: Frame, kind: str, severity: int | None) -> Figure:
-    """Return the picture of one kind: view from above and sensor image, clean and under each family."""
-    level = severity or SEVERITY.get(kind, DEFAULT_SEVERITY)
-    before = Panel("clean", clean)
-    families: list[Family] = [family for family in FAMILIES if kind in kinds_of(family)]
-    panels = [before, *(Panel(f, corrupt_frame(clean, kind, level, SEED, f)) for f in families)]
-    # Errors of pose and clock leave the sensor image unchanged.
-    images = [] if CORRUPTIONS[kind].spares_ego else panels
-    figure = new_figure(
-        4.1 * len(panels) + 0.2,
-        5.3 + 1.35 * len(images),
-        f"{kind.replace('_', ' ')}, severity {level}",
-        note(clean),
-    )
+def busiest(actors: Actors) -> tuple[int, int]:
+    """Return the ids of the moving car or van with most lorries, buses and people around, and of the car nearest it."""
+    label, place = actors.boxes.label, actors.boxes.center[:, :2]
+    cars = np.flatnonzero(np.isin(label, [CLASSES.index(name) for name in ("car", "van")]))
+    busy = place[np.isin(label, [CLASSES.index(name) for name in BUSY])]
+    around = (np.linalg.norm(place[cars, None] - busy, axis=2) < AROUND_M).sum(axis=1)
+    moving = np.linalg.norm(actors.velocity[cars], axis=1) > MOVING_MPS
+    drawn = cars[np.lexsort((around, moving))[-1]]
+    others = cars[cars != drawn]
+    beside = others[np.linalg.norm(place[others] - place[drawn], axis=1).argmin()]
+    return int(actors.boxes.object_id[drawn]), int(actors.boxes.object_id[beside])
+
+
+def corrupted(clean: Panel, kind: str, severity: int, family: str, title: str) -> Panel:
+    """Return the panel of a corruption; the drawn agent is not the ego."""
+    ego = next(agent.agent_id for agent in clean.frame.agents if agent.agent_id != clean.drawn)
+    return Panel(title, corrupt_frame(clean.frame, kind, severity, SEED, family, ego_id=ego), clean.drawn)
+
+
+def draw(clean: Panel, kind: str, severity: int) -> Figure:
+    """Return the picture of one kind: perspective and sensor image, clean and under each family."""
+    families = [family for family in FAMILIES if kind in kinds_of(family)]
+    panels = [clean, *(corrupted(clean, kind, severity, family, family) for family in families)]
+    # Sensor images say nothing of points that all moved.
+    changed = [panel for panel in panels[1:] if (fates(panel, clean) != MOVED).any()]
+    images = [clean, *changed] if changed else []
+    title = f"{kind.replace('_', ' ')}, severity {severity}"
+    figure = new_figure(4.4 * len(panels) + 0.2, 4.0 + 1.25 * len(images), title, note(clean))
     room_below_note(figure)
-    grid = figure.add_gridspec(1 + len(images), len(panels), height_ratios=[4.2, *[1.25] * len(images)])
+    grid = figure.add_gridspec(1 + len(images), len(panels), height_ratios=[2.8, *[1.1] * len(images)])
     for column, panel in enumerate(panels):
-        above = figure.add_subplot(grid[0, column])
-        birds_eye(above, panel, before, RADIUS_M.get(kind, WIDE_M))
-        above.set_title(f"{panel.title}\n{counts(panel.sweep)}", fontsize=8.5)
+        axes = figure.add_subplot(grid[0, column])
+        perspective(axes, panel, clean, kind in SMALL)
+        axes.set_title(f"{panel.title}\n{counts(panel, clean)}", fontsize=8.5)
     for line, panel in enumerate(images, start=1):
-        sensor_image(figure.add_subplot(grid[line, :]), panel, before)
+        sensor_image(figure.add_subplot(grid[line, :]), panel, clean)
     legend(figure)
     return figure
 
 
-def overview(frames: dict[str, Frame], severity: int | None) -> Figure:
-    """Return the picture of all kinds from above, under their physical models."""
-    columns = min(4, len(frames))
-    rows = -(-len(frames) // columns)
-    size = (3.0 * columns + 0.1, 3.15 * rows + 0.9)
-    figure = new_figure(*size, "All corruptions", "from above, by the physical models, with their severity")
+def overview(clean: dict[str, Panel], severity: int) -> Figure:
+    """Return the picture of all kinds, under their physical models, after the clean sweep of the first."""
+    panels = {kind: corrupted(panel, kind, severity, "physical", kind) for kind, panel in clean.items()}
+    pairs = [(panel, clean[kind]) for kind, panel in panels.items()]
+    first = pairs[0][1]
+    columns = 4
+    rows = -(-(1 + len(pairs)) // columns)
+    figure = new_figure(3.2 * columns, 2.25 * rows + 0.9, f"All corruptions, severity {severity}", note(first))
     room_below_note(figure)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for place, (kind, clean) in zip(axes, frames.items(), strict=False):
-        level = severity or SEVERITY.get(kind, DEFAULT_SEVERITY)
-        after = Panel(kind, corrupt_frame(clean, kind, level, SEED))
-        birds_eye(place, after, Panel("clean", clean), RADIUS_M.get(kind, WIDE_M))
-        place.set_title(f"{kind.replace('_', ' ')}, {level}")
-        place.set(xticklabels=[], yticklabels=[], xlabel="", ylabel="")
-    for place in axes[len(frames) :]:
+    for place, (panel, before) in zip(axes, [(first, first), *pairs], strict=False):
+        perspective(place, panel, before, panel.title in SMALL)
+        place.set_title(panel.title.replace("_", " "))
+    for place in axes[1 + len(pairs) :]:
         place.set_axis_off()
     legend(figure)
     return figure
@@ -163,28 +198,24 @@ def room_below_note(figure: Figure) -> None:
         engine.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.12 / figure.get_figheight()))
 
 
-def shown(frame: Frame, kind: str) -> Frame:
-    """Return the frame with the drawn agent as its last one: the fastest vehicle.
-
-    For kinds that spare the ego: the fastest other one, after the ego.
-    """
-    vehicles = [row for row, agent in enumerate(frame.agents) if agent.kind == "vehicle"]
-    kept = vehicles[:1] if CORRUPTIONS[kind].spares_ego and len(vehicles) > 1 else []
-    rows = [*kept, max(vehicles[len(kept) :], key=lambda row: frame.agents[row].speed)]
-    return frame.of_agents(rows)
-
-
-def note(clean: Frame) -> str:
+def note(clean: Panel) -> str:
     """Return the line below the title."""
-    agent = clean.agents[-1]
-    rings = agent.sweep.spec.rings if agent.sweep.spec is not None else 0
-    return f"one sweep of a LiDAR with {rings} rings on a vehicle at {3.6 * agent.speed:.0f} km/h"
+    agent = next(agent for agent in clean.frame.agents if agent.agent_id == clean.drawn)
+    return f"one sweep of the LiDAR {LIDAR} on a vehicle at {3.6 * agent.speed:.0f} km/h"
 
 
-def counts(sweep: Sweep) -> str:
+def counts(panel: Panel, clean: Panel) -> str:
     """Return the number of points per fate, as text."""
-    said = [f"{n:,} {name}" for fate, name in FATES.items() if (n := np.count_nonzero(sweep.fate == fate))]
-    return ", ".join(said + [f"{sweep.lost:,} lost"] * (sweep.lost > 0))
+    found = np.bincount(fates(panel, clean), minlength=WAS)
+    said = [f"{count:,} {name}" for count, name in zip(found, SHORT, strict=True) if count]
+    return ", ".join(said + [f"{panel.sweep.lost:,} lost"] * (panel.sweep.lost > 0))
+
+
+def fates(panel: Panel, clean: Panel) -> NDArray[np.uint8]:
+    """Return (P,) the fates of the drawn points; those of a wrong pose have moved."""
+    sweep = panel.sweep
+    mistaken = not np.array_equal(sweep.world_from_lidar, clean.sweep.world_from_lidar)
+    return np.full(len(sweep), MOVED, np.uint8) if mistaken else sweep.fate
 
 
 def lost_points(panel: Panel, clean: Panel) -> Sweep:
@@ -198,52 +229,52 @@ def beam_of(sweep: Sweep) -> NDArray[np.int64]:
     return (sweep.ring.astype(np.int64) << 32) + (sweep.column.astype(np.int64) << 3) + sweep.return_number
 
 
-def birds_eye(axes: Axes, panel: Panel, clean: Panel, radius_m: float) -> None:
-    """Draw a sweep from above, true heading upwards, with the true boxes; close views over the clean sweep."""
-    body_from_world = invert(clean.frame.agents[-1].world_from_body)
+def perspective(axes: Axes, panel: Panel, clean: Panel, near: bool) -> None:
+    """Draw a sweep and the true boxes as seen from behind the vehicle; points that moved over where they were."""
+    agent = next(agent for agent in clean.frame.agents if agent.agent_id == clean.drawn)
+    body_from_world = invert(agent.world_from_body)
+    sweep, view, fate = panel.sweep, NEAR if near else WIDE, fates(panel, clean)
+    was = clean.sweep if (fate == MOVED).any() else lost_points(panel, clean)
+    size = DOT * axes.get_position().width * axes.figure.get_figwidth()
+    for points, color in ((was.world_points, np.full(len(was), WAS)), (sweep.world_points, fate)):
+        place, depth = project(transform_points(body_from_world, points), view)
+        order = np.argsort(-depth, kind="stable")
+        order = order[depth[order] > 1.0]
+        # Single points far away are still seen, above all those that no surface has reflected.
+        least = np.where(color == SCATTERED, 1.0, 0.45)
+        sizes = (size * np.maximum(10.0 / depth[order], least[order])) ** 2
+        axes.scatter(*place[order].T, s=sizes, c=COLORS[color[order]], linewidths=0, rasterized=True)
+    corners = transform_points(body_from_world, clean.frame.truth.corners().reshape(-1, 3))
+    place, depth = (part.reshape(-1, 8, *part.shape[1:]) for part in project(corners, view))
+    lines = place[depth.min(axis=1) > 1.0][:, EDGES].reshape(-1, 2, 2)
+    axes.add_collection(LineCollection(list(lines), colors=INK, linewidths=0.45, alpha=0.75))
     axes.set_facecolor(EMPTY)
-    size = 0.35 if radius_m >= WIDE_M else 1.2
-    if radius_m < WIDE_M and panel.sweep is not clean.sweep and not panel.sweep.lost:
-        dots(axes, clean.sweep, body_from_world, BEFORE, size)
-    dots(axes, lost_points(panel, clean), body_from_world, LOST, 0.6 * size)
-    mistaken = not np.array_equal(panel.sweep.world_from_lidar, clean.sweep.world_from_lidar)
-    for fate, name in FATES.items():
-        part = panel.sweep[panel.sweep.fate == fate]
-        dots(axes, part, body_from_world, BELIEVED if mistaken else name, 2.0 * size if fate == SCATTERED else size)
-    polygons = clean.frame.truth.bev_polygons()
-    height = np.broadcast_to(clean.frame.truth.center[:, None, 2:3], (*polygons.shape[:2], 1))
-    for outline in transform_points(body_from_world, np.concatenate([polygons, height], axis=-1)):
-        axes.fill(-outline[:, 1], outline[:, 0], fill=False, edgecolor=INK, linewidth=0.6, alpha=0.8)
-    axes.scatter([0.0], [0.0], marker="^", s=24, c=INK, linewidths=0)
-    axes.set(xlim=(-radius_m, radius_m), ylim=(-radius_m, radius_m), aspect="equal")
-    axes.tick_params(color=GRID, labelcolor=FAINT)
-    axes.set_xlabel("to the right, m")
-    axes.set_ylabel("ahead, m")
+    (wide, high) = view.half
+    axes.set(xlim=(-wide, wide), ylim=(-high, high), aspect="equal", xticks=[], yticks=[])
 
 
-def dots(axes: Axes, sweep: Sweep, body_from_world: NDArray[np.float64], name: str, size: float) -> None:
-    """Draw points at their reported places, in the colour of a name."""
-    if len(sweep) == 0:
-        return
-    points = transform_points(body_from_world, sweep.world_points)
-    markers = {"s": size, "c": COLOR[name], "alpha": 0.9, "linewidths": 0, "rasterized": True}
-    axes.scatter(-points[:, 1], points[:, 0], label=name, **markers)
+def project(points: NDArray[np.float64], view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (N, 2) places on the picture plane, tangents, and (N,) depths, m, of points seen from an eye."""
+    eye, target = np.array(view.eye), np.array(view.target)
+    ahead = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    depth = (points - eye) @ ahead
+    across = (points - eye) @ np.stack([right, np.cross(right, ahead)], axis=1)
+    return across / np.maximum(depth, 1e-3)[:, None], depth
 
 
 def sensor_image(axes: Axes, panel: Panel, clean: Panel) -> None:
     """Draw the fates of the nearest returns over ring and column, brighter when near."""
-    sweep = panel.sweep
-    spec = clean.sweep.spec
-    if spec is None:
-        raise ValueError("a simulated sweep knows its sensor")
+    sweep, spec = panel.sweep, get_lidar(LIDAR)
     image = np.full((spec.rings, spec.columns, 3), to_rgb(EMPTY))
-    table = np.array([to_rgb(COLOR[FATES[fate]]) for fate in sorted(FATES)])
     gone = lost_points(panel, clean)
-    image[gone.ring, gone.column] = 0.6 * np.array(to_rgb(COLOR[LOST]))
+    image[gone.ring, gone.column] = 0.75 * COLORS[WAS]
     order = np.argsort(-sweep.range, kind="stable")
-    shade = np.clip(1.15 - 0.35 * np.log10(np.maximum(sweep.range, 1.0)), 0.35, 1.0)
-    image[sweep.ring[order], sweep.column[order]] = (table[sweep.fate] * shade[:, None])[order]
-    axes.imshow(image, aspect="auto", interpolation="antialiased")
+    shade = np.clip(1.2 - 0.35 * np.log10(np.maximum(sweep.range, 1.0)), 0.5, 1.0)
+    shade[sweep.fate == SCATTERED] = 1.0
+    image[sweep.ring[order], sweep.column[order]] = (COLORS[sweep.fate] * shade[:, None])[order]
+    axes.imshow(image, aspect="auto", interpolation="nearest")
     if not spec.clockwise:
         axes.invert_xaxis()
     axes.set_ylabel(f"{panel.title}: ring", fontsize=8.5)
@@ -251,12 +282,10 @@ def sensor_image(axes: Axes, panel: Panel, clean: Panel) -> None:
 
 
 def legend(figure: Figure) -> None:
-    """Draw the legend of the colours in the picture below it."""
-    drawn = {name for axes in figure.axes for name in axes.get_legend_handles_labels()[1]}
+    """Draw the legend of the colours below the picture."""
     marks = [
         Line2D([], [], marker="o", linestyle="", markersize=5, color=color, label=name)
-        for name, color in COLOR.items()
-        if name in drawn
+        for color, name in zip(COLORS, NAMES, strict=True)
     ]
     figure.legend(handles=marks, loc="outside lower left", ncols=len(marks))
 
