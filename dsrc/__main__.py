@@ -44,7 +44,7 @@ def main(args: list[str] | None = None) -> None:
         # A view that ends by an interrupt says so with 0; without a code a package may have swallowed the interrupt.
         if interrupts.received and code != 0:
             word = "terminated" if interrupts.received == signal.SIGTERM else "interrupted"
-            resuming = "generate, corrupt, dataset, model train, evaluate, benchmark, shares and demo"
+            resuming = "generate, corrupt, dataset, model train, evaluate, benchmark, drive --out, shares and demo"
             line = f"dsrc: {word}; {resuming} resume\n"
             code = 128 + interrupts.received
         code = _write(line, code)

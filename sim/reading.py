@@ -33,7 +33,8 @@ def check_regular(path: Path, what: str, error: type[UserError] = DataError, mos
     try:
         found = path.stat()
     except FileNotFoundError:
-        raise error(f"{path}: file not found; expected a {what}") from None
+        article = "an" if what[0] in "aeio" else "a"
+        raise error(f"{path}: file not found; expected {article} {what}") from None
     except (OSError, ValueError) as wrong:  # ValueError for a NUL in the name
         raise error(unreadable(path, what, wrong)) from None
     if not stat.S_ISREG(found.st_mode):

@@ -54,12 +54,17 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
 
     def _check_together(self) -> None:
         """Raise SettingsError for options that would have no effect beside others."""
+        from sensors.corruptions import CLEAN
         from sim.errors import SettingsError, complaint
 
         if self.critical is not None and self.out is not None:
             raise SettingsError(complaint("drive", "out", "none beside --critical, which prints", str(self.out)))
         if self.critical is not None and self.what.endswith(".npz"):
             raise SettingsError(complaint("drive", "critical", "a scenario to drive", self.what))
+        if not self.what.endswith((".npz", ".toml")) and not set(self.corruption) - {CLEAN}:
+            given = [name for name in ("who", "severity", "family") if getattr(self, name)]
+            if given:
+                raise SettingsError(complaint("drive", "corruption", f"one beside --{given[0]}", "none"))
         if self.view and (self.critical is not None or self.what.endswith(".npz")):
             hint = f"; run: dsrc view {self.what}" if self.what.endswith(".npz") else ""
             raise SettingsError(complaint("drive", "view", "an episode to drive", "a search or a log", hint))

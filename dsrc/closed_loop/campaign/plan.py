@@ -45,7 +45,7 @@ from dsrc.closed_loop.perception.open import (
 from dsrc.evaluation.conditions import PAPER_TABLE, Condition, channel_settings, condition_settings, corruption_kinds
 from dsrc.options.detection import Engine
 from dsrc.options.driving import DriveOptions
-from sensors.corruptions import CLEAN, Family
+from sensors.corruptions import CLEAN, Family, parse_who, require_who
 from sim.catalog.load import load_scenario
 from sim.encounters import ENCOUNTERS
 from sim.errors import SettingsError, complaint
@@ -182,6 +182,13 @@ def campaign_of(options: DriveOptions) -> Campaign:
             if set(values) - {bare}:
                 expected = f"'{bare}' with perception '{asked[0].name}', which has no sensor"
                 raise SettingsError(complaint("drive", field, expected, " ".join(values)))
+    for field, numbers, expected, fits in (
+        ("severity", options.severity, "1 to 5", range(1, 6)),
+        ("seed", options.seed, "0 or more", range(1 << 63)),
+    ):
+        for number in numbers:
+            if number not in fits:
+                raise SettingsError(complaint("drive", field, expected, str(number)))
     takers = [one.name for one in asked if not one.file and one.kind in (ALONE, TOGETHER, LATE, MODELLED)]
     if checkpoint and not takers:
         expected = f"none with '{asked[0].name}': ego, team and late take one"
@@ -233,6 +240,9 @@ def check(plan: Campaign, where: str) -> None:
         if repeated:
             raise SettingsError(complaint(where, field, "names that differ", repeated[0]))
     corruption_kinds(plan.corruptions, plan.family, where)
+    who = parse_who(plan.who)
+    for condition in plan.conditions:
+        require_who(condition.kind, who)
     for scenario in plan.scenarios:
         load_scenario(scenario)
     for channel in plan.channels:
