@@ -199,7 +199,8 @@ class Detector(nn.Module):
             ValueError: the detector is a teacher, which reads clouds made with ground truth.
         """
         was_training = self.training
-        self.eval()
+        if was_training:  # setting the mode of a hundred layers takes as long as coding the clouds
+            self.eval()
         if self.settings.align_poses:
             sample = aligned(sample, self._single_agent_detections(sample), self.settings.grid)
         batch = collate([sample], self.settings, training=False)
@@ -207,7 +208,8 @@ class Detector(nn.Module):
             raise ValueError("a teacher reads clouds that are made with ground truth: it cannot detect in a sample")
         device = self.cls_head.weight.device
         parts = self.decode(self(batch.student.to(device), batch.layout.to(device)))
-        self.train(was_training)
+        if was_training:
+            self.train()
         return join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
 
     def _single_agent_detections(self, sample: Sample) -> list[Detections]:
