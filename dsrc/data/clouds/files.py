@@ -30,10 +30,12 @@ from sensors.corruptions.published.incomplete_echo import SEMANTIC_KITTI
 from sim.errors import DataError, complaint
 from sim.reading import parsing, read_bytes
 
-ENDINGS = (".pcd.bin", ".bin", ".npy", ".pcd", ".ply")
+NUSCENES = ".pcd.bin"
+"""End of the names of nuScenes' scans, which alone tells their five columns from KITTI's four."""
+ENDINGS = (NUSCENES, ".bin", ".npy", ".pcd", ".ply")
 """Ends of the names of scans, the longest of those that fit first."""
 NUSCENES_SENSOR = "hdl-32e"
-"""Preset of the LiDAR of `.pcd.bin` files."""
+"""Preset of the LiDAR of nuScenes."""
 
 _INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "scalar_intensity", "i")
 _RING = ("ring", "laser_id", "channel", "scalar_ring")
@@ -93,12 +95,14 @@ def read_scan(path: Path) -> Scan:
         if ending == ".npy":
             rows = np.load(io.BytesIO(content), allow_pickle=False)
         else:
-            width = 5 if ending == ".pcd.bin" else 4
+            width = 5 if ending == NUSCENES else 4
             if len(content) % (4 * width):
-                raise DataError(complaint(path, "size", f"whole points of {4 * width} bytes", f"{len(content)} bytes"))
+                hint = f"; points of 20 bytes, as nuScenes has them, are read from *{NUSCENES}" if width == 4 else ""
+                expected = f"whole points of {4 * width} bytes"
+                raise DataError(complaint(path, "size", expected, f"{len(content)} bytes", hint))
             rows = np.frombuffer(content, "<f4").reshape(-1, width)
         try:
-            cloud = cloud_of(rows, 4 if ending == ".pcd.bin" else None)
+            cloud = cloud_of(rows, 4 if ending == NUSCENES else None)
         except DataError as error:
             raise DataError(f"{path}: {error}") from None
     if ending == ".npy":

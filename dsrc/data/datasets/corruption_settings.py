@@ -76,7 +76,7 @@ def changed_settings(settings: Any, changes: Sequence[str]) -> Any:
         name, _, value = change.partition("=")
         if name not in known:
             found, hint = one_line(name, 80), did_you_mean(name[:80], known)
-            raise SettingsError(complaint("corrupt", "set", f"one of {', '.join(known)}", found, hint))
+            raise SettingsError(complaint("corrupt", "set", f"a setting of {type(settings).__name__}", found, hint))
         try:
             plain[name] = msgspec.json.decode(value)
         except (msgspec.DecodeError, RecursionError):

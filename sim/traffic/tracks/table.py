@@ -36,7 +36,11 @@ def _recording(path: Path, text: str) -> Recording:
             raise DataError(complaint(path, "columns", f"a column '{name}'", ", ".join(reader.fieldnames) or "none"))
     samples: dict[str, list[tuple[float, ...]]] = {}
     classes: dict[str, tuple[str, int]] = {}
-    for line, row in enumerate(reader, start=2):
+    for row in reader:
+        line, extra = reader.line_num, len(row.pop(None, ()))
+        if found := extra - list(row.values()).count(None):
+            width = len(row)
+            raise DataError(complaint(path, f"line {line}", f"{width} values, as columns", str(width + found)))
         name = (row["id"] or "").strip()
         if not name:
             raise DataError(complaint(path, f"line {line}, id", "an id", "nothing"))

@@ -192,7 +192,7 @@ def test_a_wrong_option_is_one_line(kitti: Path, tmp_path: Path, change: dict, s
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.bin", b"123", "whole points of 16 bytes"),
+        ("a.bin", b"123", r"whole points of 16 bytes, found 3 bytes; .* nuScenes .* \*.pcd.bin"),
         ("a.pcd.bin", b"0" * 16, "whole points of 20 bytes"),
         ("a.npy", b"no array", "a.npy"),
         ("a.npy", b"\x93NUMPY\x01\x00\x06\x00{}   \n", "a.npy"),

@@ -139,6 +139,8 @@ def test_heights_are_kept_and_the_ground_is_where_they_stand(tmp_path: Path) -> 
         ("a.csv", HEADER + "0,1,0,0,0,4,2,car\n1e9,1,1,0,0,4,2,car", "time: expected seconds, at most 3600"),
         ("a.csv", HEADER, "tracks: expected at least one road user, found none"),
         ("a.csv", HEADER + "0,,0,0,0,4,2,car", "line 2, id: expected an id"),
+        ("a.csv", HEADER + "0,1,0,0,0,4,2,car\n\n1,1,1,0,0,4,2", "line 4: expected 8 values, as columns, found 7"),
+        ("a.csv", HEADER + "0,1,0,0,0,4,2,car,1,2", "line 2: expected 8 values, as columns, found 10"),
         ("a.npz", "no archive", "track file"),
         ("a.xml", "<commonRoad", "CommonRoad file"),
         ("a.xml", "<osm/>", "root: expected <commonRoad> of version 2018b or 2020a, found <osm>"),
