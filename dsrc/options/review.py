@@ -28,7 +28,7 @@ class ServeOptions(Review, frozen=True):
     """Options of a live page.
 
     Attributes:
-        data: a drive, a folder of drives, results of an evaluation, a training, or episodes.
+        data: a drive, a folder of drives, results of an evaluation, shares, a training, or episodes.
         frame: frame at the start, its row in the first drive.
         host: address to listen on; default: this machine alone.
         port: port of the page; default: a free one.

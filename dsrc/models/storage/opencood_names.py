@@ -1,6 +1,14 @@
 """Names of tensors in OpenCOOD's and CoAlign's PointPillar checkpoints, per method, and ours."""
 
+from collections.abc import Sequence
+
 from dsrc.models.storage.reference_names import AROUND_BACKBONE, Rule
+
+
+def _below(theirs: str, ours: str, parts: Sequence[tuple[str, str]]) -> tuple[Rule, ...]:
+    r"""Return the rules of the tensors below a layer of a block, whose number is \1 in our names."""
+    return tuple((rf"{theirs}\.{part}", f"{ours}.{new}") for part, new in parts)
+
 
 _BACKBONES: tuple[Rule, ...] = (
     # A layer that pads comes first in each of their stages.
@@ -20,79 +28,67 @@ V2VNET: tuple[Rule, ...] = (
     (r"conv_gru\.cell_list\.0\.conv_can\.(.*)", r"candidate.\1"),
     (r"conv_gru\.cell_list\.0\.conv_gates\.(.*)", r"update.\1"),
 )
+_ATTENTION = (
+    (r"norm\.(.*)", r"norm.\2"),
+    (r"fn\.to_qkv\.(.*)", r"inner.qkv.\2"),
+    (r"fn\.to_out\.0\.(.*)", r"inner.out.\2"),
+    (r"fn\.relative_position_bias_table\.weight", "inner.bias"),
+)
+_FORWARD = ((r"norm\.(.*)", r"norm.\2"), (r"fn\.net\.(.*)", r"inner.\2"))
 COBEVT: tuple[Rule, ...] = (
-    *(
-        (rf"layers\.(\d+)\.{theirs}\.fn\.{part}", rf"blocks.\1.{ours}.inner.{new}")
-        for theirs, ours in (("window_attention", "near"), ("grid_attention", "spread"))
-        for part, new in (
-            (r"to_qkv\.(.*)", r"qkv.\2"),
-            (r"to_out\.0\.(.*)", r"out.\2"),
-            (r"relative_position_bias_table\.weight", "bias"),
-        )
-    ),
-    (r"layers\.(\d+)\.window_ffd\.fn\.net\.(.*)", r"blocks.\1.near_forward.inner.\2"),
-    (r"layers\.(\d+)\.grid_ffd\.fn\.net\.(.*)", r"blocks.\1.spread_forward.inner.\2"),
-    (r"layers\.(\d+)\.window_attention\.norm\.(.*)", r"blocks.\1.near.norm.\2"),
-    (r"layers\.(\d+)\.grid_attention\.norm\.(.*)", r"blocks.\1.spread.norm.\2"),
-    (r"layers\.(\d+)\.window_ffd\.norm\.(.*)", r"blocks.\1.near_forward.norm.\2"),
-    (r"layers\.(\d+)\.grid_ffd\.norm\.(.*)", r"blocks.\1.spread_forward.norm.\2"),
+    *_below(r"layers\.(\d+)\.window_attention", r"blocks.\1.near", _ATTENTION),
+    *_below(r"layers\.(\d+)\.window_ffd", r"blocks.\1.near_forward", _FORWARD),
+    *_below(r"layers\.(\d+)\.grid_attention", r"blocks.\1.spread", _ATTENTION),
+    *_below(r"layers\.(\d+)\.grid_ffd", r"blocks.\1.spread_forward", _FORWARD),
     (r"mlp_head\.2\.(.*)", r"norm.\1"),
     (r"mlp_head\.3\.(.*)", r"out.\1"),
     (r".*\.relative_position_index", None),
+)
+_WHOLE = (
+    (r"norm\.(.*)", r"norm.\2"),
+    (r"fn\.relative_position_bias_table\.weight", "inner.bias"),
+    (r"fn\.qkv\.(.*)", r"inner.key_value.\2"),
+    (r"fn\.to_out\.0\.(.*)", r"inner.out.\2"),
+    (r"fn\.to_q_global\.(\d)\.conv\.0\.(.*)", r"inner.shorten.\2.around.\3"),
+    (r"fn\.to_q_global\.(\d)\.conv\.2\.fc\.0\.(.*)", r"inner.shorten.\2.squeeze.\3"),
+    (r"fn\.to_q_global\.(\d)\.conv\.2\.fc\.2\.(.*)", r"inner.shorten.\2.excite.\3"),
+    (r"fn\.to_q_global\.(\d)\.conv\.3\.(.*)", r"inner.shorten.\2.across.\3"),
 )
 ERMVP: tuple[Rule, ...] = (
     # Layers that are made and never called.
     (r"layers\.\d+\.(grid_(attention|ffd)\..*|WindowAttentionGlobal\.fn\.proj\..*)", None),
     *COBEVT,
-    (r"layers\.(\d+)\.WindowAttentionGlobal\.norm\.(.*)", r"blocks.\1.whole.norm.\2"),
-    (r"layers\.(\d+)\.windowGlobal_ffd\.norm\.(.*)", r"blocks.\1.whole_forward.norm.\2"),
-    (r"layers\.(\d+)\.windowGlobal_ffd\.fn\.net\.(.*)", r"blocks.\1.whole_forward.inner.\2"),
-    *(
-        (rf"layers\.(\d+)\.WindowAttentionGlobal\.fn\.{part}", rf"blocks.\1.whole.inner.{new}")
-        for part, new in (
-            (r"relative_position_bias_table\.weight", "bias"),
-            (r"qkv\.(.*)", r"key_value.\2"),
-            (r"to_out\.0\.(.*)", r"out.\2"),
-            (r"to_q_global\.(\d)\.conv\.0\.(.*)", r"shorten.\2.around.\3"),
-            (r"to_q_global\.(\d)\.conv\.2\.fc\.0\.(.*)", r"shorten.\2.squeeze.\3"),
-            (r"to_q_global\.(\d)\.conv\.2\.fc\.2\.(.*)", r"shorten.\2.excite.\3"),
-            (r"to_q_global\.(\d)\.conv\.3\.(.*)", r"shorten.\2.across.\3"),
-        )
-    ),
+    *_below(r"layers\.(\d+)\.WindowAttentionGlobal", r"blocks.\1.whole", _WHOLE),
+    *_below(r"layers\.(\d+)\.windowGlobal_ffd", r"blocks.\1.whole_forward", _FORWARD),
 )
 SAMPLER: tuple[Rule, ...] = ((r"score_pred_net\.(.*)", r"sampler.score.\1"), (r"v_proj\..*", None))
 """Of ERMVP's sampler, which stands beside its fusion."""
 
+_AGENTS = (
+    (r"norm\.(.*)", r"norm.\2"),
+    (r"fn\.relation_att", "relation_score"),
+    (r"fn\.relation_msg", "relation_message"),
+    (r"fn\.k_linears\.(.*)", r"key.\2"),
+    (r"fn\.q_linears\.(.*)", r"query.\2"),
+    (r"fn\.v_linears\.(.*)", r"value.\2"),
+    (r"fn\.a_linears\.(.*)", r"out.\2"),
+)
+_WINDOWS = (
+    (r"norm\.(.*)", r"norm.\2"),
+    (r"fn\.pwmsa\.(\d)\.pos_embedding", r"inner.branches.\2.bias"),
+    (r"fn\.pwmsa\.(\d)\.to_qkv\.(.*)", r"inner.branches.\2.qkv.\3"),
+    (r"fn\.pwmsa\.(\d)\.to_out\.0\.(.*)", r"inner.branches.\2.out.\3"),
+    (r"fn\.split_attn\.fc1\.(.*)", r"inner.squeeze.\2"),
+    (r"fn\.split_attn\.bn1\.(.*)", r"inner.norm.\2"),
+    (r"fn\.split_attn\.fc2\.(.*)", r"inner.split.\2"),
+)
 V2XVIT: tuple[Rule, ...] = (
     (r"encoder\.rte\.emb\.lin\.(.*)", r"delay.\1"),
     # A table of sinusoids, and a layer that is never called.
     (r"encoder\.(rte\.emb\.emb\.weight|prior_feed\..*)", None),
-    *(
-        (rf"encoder\.layers\.(\d+)\.0\.layers\.0\.0\.{part}", rf"blocks.\1.agents.{new}")
-        for part, new in (
-            (r"norm\.(.*)", r"norm.\2"),
-            (r"fn\.relation_att", "relation_score"),
-            (r"fn\.relation_msg", "relation_message"),
-            (r"fn\.k_linears\.(.*)", r"key.\2"),
-            (r"fn\.q_linears\.(.*)", r"query.\2"),
-            (r"fn\.v_linears\.(.*)", r"value.\2"),
-            (r"fn\.a_linears\.(.*)", r"out.\2"),
-        )
-    ),
-    *(
-        (rf"encoder\.layers\.(\d+)\.0\.layers\.0\.1\.{part}", rf"blocks.\1.windows.{new}")
-        for part, new in (
-            (r"norm\.(.*)", r"norm.\2"),
-            (r"fn\.pwmsa\.(\d)\.pos_embedding", r"inner.branches.\2.bias"),
-            (r"fn\.pwmsa\.(\d)\.to_qkv\.(.*)", r"inner.branches.\2.qkv.\3"),
-            (r"fn\.pwmsa\.(\d)\.to_out\.0\.(.*)", r"inner.branches.\2.out.\3"),
-            (r"fn\.split_attn\.fc1\.(.*)", r"inner.squeeze.\2"),
-            (r"fn\.split_attn\.bn1\.(.*)", r"inner.norm.\2"),
-            (r"fn\.split_attn\.fc2\.(.*)", r"inner.split.\2"),
-        )
-    ),
-    (r"encoder\.layers\.(\d+)\.1\.norm\.(.*)", r"blocks.\1.feed.norm.\2"),
-    (r"encoder\.layers\.(\d+)\.1\.fn\.net\.(.*)", r"blocks.\1.feed.inner.\2"),
+    *_below(r"encoder\.layers\.(\d+)\.0\.layers\.0\.0", r"blocks.\1.agents", _AGENTS),
+    *_below(r"encoder\.layers\.(\d+)\.0\.layers\.0\.1", r"blocks.\1.windows", _WINDOWS),
+    *_below(r"encoder\.layers\.(\d+)\.1", r"blocks.\1.feed", _FORWARD),
 )
 WHERE2COMM: tuple[Rule, ...] = ((r"naive_communication\.gaussian_filter\.(weight|bias)", None),)
 """Fixed numbers alone."""
