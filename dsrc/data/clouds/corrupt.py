@@ -140,7 +140,9 @@ def corrupt_sweep(
     where = f"corruption '{kind}'"
     if corruption.spares_ego:
         raise SettingsError(complaint(where, "points", "frames of several agents, as in a drive", "a single cloud"))
-    if corruption.of_objects and len(truth) == 0 and boxes is None and not labelled:
+    if corruption.of_objects and len(truth) == 0:
+        if boxes is not None or labelled:
+            return sweep  # nobody is there
         labels = " with velocities" if corruption.apply is None else ", or labels of the points"
         raise SettingsError(complaint(where, "boxes", f"boxes of the vehicles{labels}", "none"))
     if corruption.apply is None and not velocity.any() and len(truth):

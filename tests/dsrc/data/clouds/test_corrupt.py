@@ -10,6 +10,7 @@ import dsrc
 from dsrc.data.clouds.cloud import Cloud, beams_of, columns_of, rows_of
 from sensors.corruptions import CORRUPTIONS, PRESETS, corrupt_frame
 from sensors.corruptions.check import example_frame
+from sensors.corruptions.physics.notice import notice
 from sensors.frame import AgentFrame, Frame
 from sensors.presets import get_lidar
 from sensors.sweep import ADDED, make_sweep
@@ -156,7 +157,16 @@ def test_labels_of_points_do_what_boxes_do() -> None:
     assert margin.sum() > 20
     by_labels = dsrc.corrupt(cloud, "incomplete_echo", on_vehicle=margin)
     assert np.array_equal(by_boxes, by_labels)
-    assert len(dsrc.corrupt(cloud, "incomplete_echo", on_vehicle=np.zeros(len(cloud), bool))) == len(cloud)
+
+
+@pytest.mark.parametrize("nobody", [{"on_vehicle": np.zeros(len(street()), bool)}, {"boxes": np.zeros((0, 9))}])
+@pytest.mark.parametrize("kind", ["incomplete_echo", "spray"])
+def test_a_labelled_cloud_without_vehicles_stays_as_it_is(
+    kind: str, nobody: dict, caplog: pytest.LogCaptureFixture
+) -> None:
+    notice.cache_clear()
+    assert np.array_equal(dsrc.corrupt(street(), kind, **nobody), street())
+    assert not caplog.messages  # an unlabelled one is told
 
 
 def test_rows_of_a_table_are_found_again() -> None:
@@ -187,6 +197,7 @@ def test_presets_are_published_settings() -> None:
     [
         ({"kind": "frog"}, "did you mean 'fog'"),
         ({"severity": 6}, "1 to 5"),
+        ({"severity": "3"}, "1 to 5, found '3'"),
         ({"seed": -1}, "at least 0"),
         ({"kind": "pose_error"}, "several agents"),
         ({"kind": "incomplete_echo"}, "boxes of the vehicles"),
