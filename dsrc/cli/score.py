@@ -24,8 +24,11 @@ class Score(Scoring, frozen=True, kw_only=True):
         from dsrc.evaluation.metrics.protocols import get_protocols
         from dsrc.evaluation.scoring.report import score_table, write_scores
         from dsrc.evaluation.scoring.score import provenance_of, score
+        from sim.files import check_folder
 
         get_protocols(self.protocol)  # before the files are read
+        if self.out is not None:
+            check_folder(self.out)
         with progress(f"score {self.detections}") as report:
             found = score(self.detections, self.truth, self.protocol, corruption=self.corruption, progress=report)
         Console(highlight=False).print(score_table(found))

@@ -79,6 +79,8 @@ def read_detections(path: Path, truth: Path | None = None, corruption: str = CLE
     if path.name == FILE or (path.is_dir() and has_index(path)):
         return _stored(path.parent if path.name == FILE else path, corruption)
     if path.is_file():
+        if path.suffix in (".txt", ".npy"):
+            raise DataError(complaint(path, "detections", "the folder of such files", "one of them"))
         return [_of_json(path)]
     if not path.is_dir():
         raise DataError(f"{path}: no such file or folder of detections")
@@ -124,7 +126,10 @@ def _run(folder: Path, drives: Sequence[StoredDrive], name: str, run: StoredRun)
 
 def _of_json(path: Path) -> DetectionSet:
     frames: dict[FrameKey, Detections] = {}
-    for row, one in enumerate(read_json(path, BoxFile).frames):
+    listed = read_json(path, BoxFile).frames
+    if not listed:
+        raise DataError(complaint(path, "frames", "at least one", "none"))
+    for row, one in enumerate(listed):
         where, key = f"frames[{row}]", FrameKey(one.drive, one.frame, one.ego)
         if len(one.scores) != len(one.boxes):
             raise DataError(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.drives import Drive, find_drives, open_drive
 from dsrc.data.executors import Progress
 from dsrc.data.formats import kitti_labels
 from dsrc.evaluation.scoring.frames import FrameKey, Truth
@@ -20,12 +20,13 @@ MOST_AGENTS = 5
 """Agents of a frame whose objects count: the first in the order of the folders, as in OpenCOOD and its forks."""
 
 
-def truth_of_frame(frame: Frame, ego_id: int | None = None) -> Truth:
+def truth_of_frame(frame: Frame, ego_id: int | None = None, drive: str = "") -> Truth:
     """True vehicles with a point of one of the first agents, as an ego knows them.
 
     Args:
         frame: the frame.
         ego_id: the ego; None for the first vehicle, else the first agent.
+        drive: begins the message of an error.
 
     Raises:
         DataError: the frame has no such agent.
@@ -34,7 +35,7 @@ def truth_of_frame(frame: Frame, ego_id: int | None = None) -> Truth:
     if ego_id is None:
         ego_id = next((agent.agent_id for agent in frame.agents if agent.kind == "vehicle"), ids[0] if ids else None)
     if ego_id is None or ego_id not in ids:
-        raise DataError(complaint(f"frame {frame.index}", "ego", f"one of the agents {ids}", ego_id))
+        raise DataError(complaint(f"{drive}frame {frame.index}", "ego", f"one of the agents {ids}", ego_id))
     ego = ids.index(ego_id)
     rows = [ego, *(row for row in range(len(ids)) if row != ego)][:MOST_AGENTS]
     place = np.array([frame.agents[row].sweep.world_from_lidar[:2, 3] for row in rows])
@@ -79,7 +80,10 @@ class _Drives:
     def __init__(self, tree: Path) -> None:
         self.tree = tree
         self.paths: dict[str, list[Path]] = {}
-        for path in list_drives(tree):
+        found = find_drives(tree)
+        if not found:
+            raise DataError(complaint(tree, "truth", "a tree of OPV2V or DAIR-V2X-C, or KITTI's label_2", "none"))
+        for path in found:
             self.paths.setdefault(path.name, []).append(path)
         self.opened: tuple[str, Drive] | None = None
 
@@ -91,7 +95,7 @@ class _Drives:
         if key.frame not in drive.frames:
             expected = f"one from {drive.frames[0]} to {drive.frames[-1]}" if drive.frames else "a drive with frames"
             raise DataError(complaint(drive.drive, "frame", expected, f"detections of frame {key.frame}"))
-        return truth_of_frame(drive.read(drive.frames.index(key.frame)), key.ego_id)
+        return truth_of_frame(drive.read(drive.frames.index(key.frame)), key.ego_id, f"{drive.drive}: ")
 
     def _path(self, name: str) -> Path:
         if not name and len(self.paths) == 1:

@@ -185,7 +185,7 @@ def _content(path: Path, formats: Sequence[str] = (FORMAT,)) -> dict[str, Any]:
 def _checked(path: Path, content: Any, formats: Sequence[str] = (FORMAT,)) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") not in formats:
         found = content.get("format", "none") if isinstance(content, dict) else type(content).__name__
-        hint = "; the deployable file of a training is its detector.pt"
+        hint = "; the deployable file of a training is its detector.pt; dsrc model import makes one of others' files"
         if found == JOINED:
             hint = "; of all commands `dsrc drive` alone reads several detectors in one file"
         raise CheckpointError(complaint(path, "format", " or ".join(formats), found, hint))

@@ -81,18 +81,22 @@ def import_opencood(path: Path, origin: Origin | None = None) -> Detector:
     Raises:
         CheckpointError: the file is missing, damaged, of another network, or of one that is not reproduced exactly;
             names the first tensor that does not fit.
-        SettingsError: the tensors fit several methods and none is named, or not the one that is.
+        SettingsError: the tensors fit several methods and none is named, or not the one that is; or a number of the
+            training is out of its range.
     """
     origin = origin or Origin()
     tensors = published_tensors(path)
     method = _method(path, tensors, origin.method)
     try:
         grid = GridSpec(origin.range_m or _RANGES_M.get(method, GridSpec().range_m), origin.cell_m)
+        ModelSettings(grid=grid)  # needs cells in eights
     except ValueError as error:
         raise SettingsError(f"{path}: {error}") from None
     try:
-        settings = _settings(tensors, method, grid, origin)
+        settings = msgspec.convert(msgspec.to_builtins(_settings(tensors, method, grid, origin)), ModelSettings)
         state = _as_ours(path, _renamed(path, tensors, method), tensors, settings)
+    except msgspec.ValidationError as error:
+        raise SettingsError(f"{path}: settings: {error}") from None
     except KeyError as error:
         raise CheckpointError(complaint(path, "state", f"a tensor {error.args[0]}", "none")) from None
     except (ValueError, IndexError, TypeError, ArithmeticError) as error:  # of tensors without the axes that ours have
@@ -128,7 +132,7 @@ def _method(path: Path, tensors: Mapping[str, Tensor], asked: str | None) -> str
         return "coalign"
     if shrink is not None and shrink.shape[-1] == 1:
         return "max_map"
-    raise SettingsError(complaint(path, "method", f"one that fits, of {', '.join(fitting)}", "none"))
+    raise SettingsError(complaint(path, "method", f"one that fits, of {', '.join(fitting)}", "several", "; name one"))
 
 
 def _settings(tensors: Mapping[str, Tensor], method: str, grid: GridSpec, origin: Origin) -> ModelSettings:

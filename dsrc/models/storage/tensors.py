@@ -1,5 +1,6 @@
 """Tensor files of others: PyTorch's archives, read within bounds and without running code from them."""
 
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,9 @@ def read_tensors(path: Path, what: str, hint: str = "") -> Any:
     try:
         if zipfile.is_zipfile(path):
             _check_archive(path, what)
-        return torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a pickle that it refuses in the next line
+            return torch.load(path, map_location="cpu", weights_only=True)
     except CheckpointError:
         raise
     except Exception:  # torch's reader raises many types for damaged files

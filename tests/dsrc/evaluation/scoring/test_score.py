@@ -169,6 +169,7 @@ def test_the_command_writes_tables_with_the_card_beside_each_number(world, capsy
 def test_the_command_refuses_in_one_line(world, capsys, tmp_path: Path) -> None:
     root, frames = world
     boxes, data = str(as_json(tmp_path / "boxes.json", frames)), str(root / "data")
+    one = as_kitti(tmp_path / "kitti", frames) / "000000.txt"
     for words, said in (
         (["nowhere"], "nowhere: no such file or folder of detections"),
         ([boxes], f"{boxes}: truth: expected a tree of true boxes"),
@@ -176,6 +177,8 @@ def test_the_command_refuses_in_one_line(world, capsys, tmp_path: Path) -> None:
             [boxes, "--truth", data, "--protocol", "kitti"],
             "score: protocol: expected the name of a protocol, found kitti",
         ),
+        ([boxes, "--truth", data, "--out", boxes], f"{boxes}: output: expected a folder, found a file"),
+        ([str(one)], f"{one}: detections: expected the folder of such files, found one of them"),
         (
             [boxes, "--truth", data, "--protocol", "kitti-easy-r40"],
             "protocol kitti-easy-r40: expected KITTI's label files with boxes in the image",
@@ -207,6 +210,7 @@ def test_several_sets_share_a_table() -> None:
         ('{"frames": [{"frame": 0, "boxes": [[1,2,3,0,5,6,7]], "scores": [1]}]}', "expected positive sizes, found 0 m"),
         ('{"frames": [{"frame": 0, "boxes": [], "scores": []}, {"frame": 0, "boxes": [], "scores": []}]}', "again"),
         ('{"frames": [{"frame": 0, "box": []}]}', "box"),
+        ('{"frames": []}', "frames: expected at least one, found none"),
         ('{"frames": [{"frame": 0, "boxes": [[1e300,2,3,4,5,6,7]], "scores": [1]}]}', "1e7|10000000"),
         ('{"frames": [{"frame": 0, "boxes": [["nan",2,3,4,5,6,7]], "scores": [1]}]}', r"boxes\[0\]"),
         ("{", "JSON"),

@@ -97,5 +97,12 @@ def test_what_the_tree_lacks_is_one_line(tmp_path: Path) -> None:
         read_truth(tmp_path / "kitti", [FrameKey("", 4)])
     with pytest.raises(DataError, match=r"label_2/000004.txt: labels: .* found detections of one 4$"):
         read_truth(tmp_path / "kitti", [FrameKey("one", 4)])
+    (tmp_path / "clouds" / "velodyne").mkdir(parents=True)
+    with pytest.raises(
+        DataError, match="clouds: truth: expected a tree of OPV2V or DAIR-V2X-C, or KITTI's label_2, found"
+    ):
+        read_truth(tmp_path / "clouds", [FrameKey("", 4)])
+    with pytest.raises(DataError, match="one: frame 3: ego: expected one of the agents"):
+        read_truth(tmp_path / "one", [FrameKey("", 3, 77)])
     with pytest.raises(DataError, match="nowhere: no such folder"):
         read_truth(tmp_path / "nowhere", [FrameKey("", 4)])
