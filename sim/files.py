@@ -91,9 +91,8 @@ def check_output(path: Path, kind: str | None = None) -> None:
         return
     is_of = kind_of(path)
     if kind is not None and is_of != kind:
-        raise OutputError(
-            complaint(path, "output", f"a new name, or one of its kind ({kind})", f"another kind ({is_of})")
-        )
+        expected = f"a new name, or a file of the same kind ({kind})"
+        raise OutputError(complaint(path, "output", expected, f"a file of another kind ({is_of})"))
     if not _is_cached(path) and not _is_signed(path, is_of) and not any(map(_has_manifest, _folders_above(path))):
         hint = "; choose another name, or replace it with --force"
         raise OutputError(complaint(path, "output", "a new name, or a file that dsrc wrote", "another file", hint))

@@ -88,7 +88,7 @@ def test_a_file_of_another_kind_is_not_replaced_even_if_it_is_ours(tmp_path: Pat
     detector = b"PK\x03\x04 archive/data.pkl dsrc-detector-1"
     (tmp_path / "settings.json").write_text('{"recipe": 1}')
     write_file(tmp_path / "detector.pt", detector)
-    with pytest.raises(OutputError, match=r"detector.pt.*a web page.*another kind \(archive\)"):
+    with pytest.raises(OutputError, match=r"detector.pt.*same kind \(web page\).*another kind \(archive\)"):
         write_file(tmp_path / "detector.pt", "<!doctype html>__REVIEW__")
     assert (tmp_path / "detector.pt").read_bytes() == detector
     write_file(tmp_path / "detector.pt", detector + b"2")
