@@ -92,6 +92,8 @@ def score(
     known: Mapping[FrameKey, Truth] | None = None
     if tree is not None:
         known = read_truth(tree, dict.fromkeys(key for one in sets for key in one.frames), progress)
+        if not any(len(one.boxes) for one in known.values()):
+            raise DataError(complaint(tree, "truth", f"true boxes in the frames of {where}", "none"))
     elif truth is not None and not isinstance(truth, str | Path):
         known = {FrameKey("", i): Truth.of(boxes) for i, boxes in enumerate(truth)}
         if any(known.keys() != one.frames.keys() for one in sets):

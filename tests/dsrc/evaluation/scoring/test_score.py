@@ -232,6 +232,11 @@ def test_what_is_no_detection_is_one_line(world, tmp_path: Path) -> None:
         score(tmp_path)
     with pytest.raises(DataError, match="truth: expected a tree of true boxes, since none are stored here"):
         score(as_json(tmp_path / "boxes.json", frames))
+    (tmp_path / "label_2").mkdir()
+    (tmp_path / "label_2" / "000000.txt").write_text("")
+    (tmp_path / "one.json").write_text('{"frames": [{"frame": 0, "boxes": [], "scores": []}]}')
+    with pytest.raises(DataError, match=r"label_2: truth: expected true boxes in the frames of .*one.json, found none"):
+        score(tmp_path / "one.json", tmp_path / "label_2")
     with pytest.raises(DataError, match="detections: truth: expected the true boxes of each frame, found 0 of 3"):
         score(list(frames.values()), [])
     np.save(tmp_path / "0000_pred.npy", np.zeros((2, 8, 3)))
