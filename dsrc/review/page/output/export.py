@@ -104,7 +104,7 @@ def export_pictures(
 
     Raises:
         SettingsError: a part of the link is wrong, or no Chromium is installed.
-        DataError: a frame is damaged.
+        DataError: a frame or its detections are damaged.
     """
     state, _, complaints = read_link(link, model, ReviewState())
     if complaints:
@@ -116,7 +116,8 @@ def export_pictures(
             page.wait_for("document.querySelector('canvas') && window.__viserMutable", 60.0)
             (session,) = app.wait_session(1, 60.0)
             for number, row in enumerate([state.frame] if frames is None else frames):
-                model.stores[state.drive].recorded(row)
+                with session.using_model:
+                    model.view(replace(state, frame=row))  # raises what the page would tell
                 session.update(frame=row)
                 session.wait_drawn(120.0)
                 render: dict[str, Any] = {

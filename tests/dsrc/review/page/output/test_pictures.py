@@ -7,7 +7,7 @@ from PIL import Image
 from dsrc.review import palette
 from dsrc.review.page.output.export import export_pictures, write_animation, write_picture
 from dsrc.review.page.output.screenshot import find_chromium
-from sim.errors import SettingsError
+from sim.errors import DataError, SettingsError
 from sim.files import check_output
 
 
@@ -65,3 +65,20 @@ def test_a_view_is_drawn_without_panels_at_any_size(model):
     for image in (first, second):
         assert (np.abs(image.astype(int) - palette.TP).max(axis=-1) <= 3).sum() > 15
     assert (first != second).any()
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
+def test_a_frame_that_cannot_be_drawn_is_told_as_it_is(model, monkeypatch):
+    drawn = model.view
+
+    def view(state):
+        if state.frame == 3:
+            raise DataError("cells/0.npz: cell: expected a whole one, found a damaged one")
+        return drawn(state)
+
+    monkeypatch.setattr(model, "view", view)
+    pictures = export_pictures(model, "", (300, 200), [0, 3])
+    assert next(pictures).shape == (200, 300, 3)
+    with pytest.raises(DataError, match="a damaged one"):
+        next(pictures)
