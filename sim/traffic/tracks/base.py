@@ -14,13 +14,14 @@ from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint, did_you_mean
 from sim.geometry import wrap_angle
 from sim.traffic.base import Actors
-from sim.traffic.log import LARGEST_M, TrafficLog
+from sim.traffic.log import TrafficLog
 
 STEP_S = 0.1
 """Step of the traffic log, s."""
 GAP_S = 1.0
 """Time between two samples of a track from which on the road user is away in between, s."""
 LONGEST_S = 3600.0
+LONGEST_M = 100.0
 FARTHEST_M = 1e7
 FIRST_ID = 1000
 
@@ -130,9 +131,9 @@ def make_track(
     field = f"object '{name}'"
     length, width, height = (float(value) for value in size)
     height = _HEIGHT_M[class_name] if math.isnan(height) else height
-    if not all(0.0 < value < 100.0 for value in (length, width, height)):
+    if not all(0.0 < value < LONGEST_M for value in (length, width, height)):
         found = f"{length:g} x {width:g} x {height:g}"
-        raise DataError(complaint(path, f"{field}: size", f"three lengths in (0, {min(100.0, LARGEST_M):g}) m", found))
+        raise DataError(complaint(path, f"{field}: size", f"three lengths in (0, {LONGEST_M:g}) m", found))
     order = np.argsort(time_s, kind="stable")
     time_s, center, yaw = time_s[order], center[order], yaw[order]
     for what, values in (("time", time_s), ("x, y", center[:, :2]), ("yaw", yaw)):

@@ -7,6 +7,7 @@ which may lie off its centre; times are numbers of steps of `timeStepSize`; valu
 import logging
 import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from sim.errors import DataError, complaint
 from sim.reading import parsing, read_bytes
-from sim.traffic.tracks.base import Recording, Track, class_of, make_track
+from sim.traffic.tracks.base import GAP_S, Recording, Track, class_of, make_track
 
 VERSIONS = ("2018b", "2020a")
 
@@ -55,15 +56,11 @@ def _recording(path: Path, root: ET.Element) -> Recording:
         if track is not None:
             (still if stands else moving).append(track)
     ends = [float(one.time_s[row]) for one in moving for row in (0, -1)] or [0.0, 1.0]
+    start, end = min(ends), max(ends)
+    time_s = np.linspace(start, end, max(2, math.ceil(2.0 * (end - start) / GAP_S) + 1))  # without a gap
     waiting = [
-        make_track(
-            path,
-            one.name,
-            one.class_name,
-            one.size.tolist(),
-            np.linspace(min(ends), max(ends), max(2, math.ceil((max(ends) - min(ends)) / 0.5) + 1)),
-            np.repeat(one.center[:1], max(2, math.ceil((max(ends) - min(ends)) / 0.5) + 1), axis=0),
-            np.repeat(one.yaw[:1], max(2, math.ceil((max(ends) - min(ends)) / 0.5) + 1)),
+        replace(
+            one, time_s=time_s, center=np.tile(one.center[0], (len(time_s), 1)), yaw=np.full(len(time_s), one.yaw[0])
         )
         for one in still
     ]
