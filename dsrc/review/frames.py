@@ -1,20 +1,33 @@
-"""FrameStore: frames of a source, as recorded and corrupted, the latest used kept; threads share it."""
+"""FrameStore and Recordings: frames of a source, the latest used kept, and of all sources of a page."""
 
+import contextlib
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from typing import Generic, TypeVar
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from typing import Generic, TypeVar, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.drives import Drive
 from dsrc.evaluation.conditions import Condition
-from dsrc.review.sources.base import Source
+from dsrc.review.sources.base import Setup, Source, condition_of
 from dsrc.review.sources.detected import corrupted_frame
+from dsrc.review.sources.drives import DriveSource
+from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
+from dsrc.review.sources.shares import SharedSource
+from dsrc.review.state import ReviewState
+from dsrc.review.static import StaticPart, static_parts
 from sensors.corruptions import CLEAN, CORRUPTIONS
 from sensors.frame import Frame
+from sim.errors import DataError, UserError, complaint
 
 T = TypeVar("T")
 
 KEPT = 24
 """Frames that are kept of each kind: 5 agents of 60,000 points take 15 MB."""
+_ROUTE_STEP = 20
+"""Points of an ego's route between two places around which the world is drawn."""
 
 
 class LatestUsed(Generic[T]):
@@ -90,3 +103,123 @@ class FrameStore:
             (row, condition, ego),
             lambda: corrupted_frame(frame, condition, self.source.seed, self.source.name, ego_id),
         )
+
+
+class Recordings:
+    """Sources of a page and their frames, as recorded and corrupted.
+
+    Attributes:
+        sources: what is reviewed.
+        drives: the same; the page's word.
+        names: names of the sources.
+        stores: frames of each source.
+    """
+
+    def __init__(self, sources: Sequence[Source | Drive]) -> None:
+        """Open sources, or drives as they are.
+
+        Raises:
+            DataError: the list or a drive is empty.
+        """
+        if not sources:
+            raise DataError("review: no drives")
+        self.sources = [cast(Source, one) if hasattr(one, "sets") else DriveSource(one) for one in sources]
+        self.drives = self.sources
+        self.names = [source.name for source in self.sources]
+        self.stores = [FrameStore(source) for source in self.sources]
+        self._origin: dict[int, NDArray[np.float64]] = {}
+
+    def frame_count(self, drive: int) -> int:
+        """Number of frames of a source, which may grow."""
+        return len(self.sources[drive])
+
+    def grows(self, drive: int) -> bool:
+        """Whether more frames of a source are to come."""
+        return getattr(self.sources[drive], "ended", True) is False
+
+    def first_row(self, drive: int) -> int:
+        """Row of the oldest frame that a source still has."""
+        return getattr(self.sources[drive], "first", 0)
+
+    def readable_frame(self, drive: int) -> Frame:
+        """First frame of a drive that can be read.
+
+        Raises:
+            DataError: no frame can be read; what is wrong with the first.
+        """
+        first: UserError | None = None
+        for row in range(self.first_row(drive), self.frame_count(drive)):
+            try:
+                return self.stores[drive].recorded(row)
+            except UserError as error:
+                first = first or error
+        raise first or DataError(complaint(self.names[drive], "frames", "at least one frame", "none"))
+
+    def interval_s(self, drive: int) -> float:
+        """Time between frames of a drive, s; 0.1 where unknown."""
+        first = self.first_row(drive)
+        if self.frame_count(drive) < first + 2:
+            return 0.1
+        try:
+            read = self.stores[drive].recorded
+            step = read(first + 1).time_s - read(first).time_s
+        except UserError:
+            return 0.1
+        return step if 0.0 < step < 10.0 else 0.1
+
+    def origin(self, drive: int) -> NDArray[np.float64]:
+        """(3,) world position of the review frame's origin, m: the first agent's in the first readable frame.
+
+        Coordinates in the browser then fit float32, and the road is near z = 0.
+        """
+        if drive not in self._origin:
+            self._origin[drive] = self.readable_frame(drive).agents[0].world_from_body[:3, 3].copy()
+        return self._origin[drive]
+
+    def labelled(self, drive: int) -> bool:
+        """Whether a source has ground truth; without it nothing is judged."""
+        return self.sources[drive].labelled
+
+    def has_shares(self, drive: int) -> bool:
+        """Whether it is known who helped in a source."""
+        return isinstance(self.sources[drive], SharedSource)
+
+    def _few_frames(self, drive: int) -> Iterator[Frame]:
+        """First, middle and last frame, those that can be read."""
+        first, last = self.first_row(drive), self.frame_count(drive) - 1
+        for row in sorted({first, (first + last + 1) // 2, last}):
+            with contextlib.suppress(UserError):
+                yield self.stores[drive].recorded(row)
+
+    def static_parts(self, drive: int) -> list[StaticPart]:
+        """Static world around the agents of a drive; empty when none is known, DataError where it cannot be rebuilt."""
+        places = [agent.world_from_body[:2, 3] for frame in self._few_frames(drive) for agent in frame.agents]
+        moment = getattr(self.sources[drive], "moment", None)
+        if moment is not None:
+            # A running episode has not come far.
+            places += [*moment(self.first_row(drive)).route[::_ROUTE_STEP]]
+        return static_parts(dict(self.sources[drive].protocol), self.origin(drive), np.array(places, np.float64))
+
+    def ego_id(self, state: ReviewState) -> int:
+        """Id of the agent that detects under a state."""
+        ids = [agent.agent_id for agent in self.stores[state.drive].recorded(state.frame).agents]
+        return state.ego_id if state.ego_id in ids else ids[0]
+
+    def moment(self, state: ReviewState) -> EpisodeMoment | None:
+        """What the ego of an episode saw, believed and planned, in the review frame; None elsewhere."""
+        moment = getattr(self.sources[state.drive], "moment", None)
+        return None if moment is None else moment(state.frame).moved(-self.origin(state.drive))
+
+    def timeline(self, drive: int) -> EpisodeTimeline | None:
+        """Course of an episode; None elsewhere."""
+        timeline = getattr(self.sources[drive], "timeline", None)
+        return None if timeline is None else timeline()
+
+    def setup(self, state: ReviewState) -> Setup:
+        """Setup of the detections under a state."""
+        condition = condition_of(state.corruption, state.severity, state.family, state.parameters, state.who)
+        return Setup(condition, state.ego_id, state.cooperative)
+
+    def _frame(self, state: ReviewState) -> Frame:
+        setup = self.setup(state)
+        return self.stores[state.drive].corrupted(state.frame, setup.condition, setup.ego_id)

@@ -8,7 +8,8 @@ import pytest
 from dsrc.evaluation.detection_table import one_frame
 from dsrc.evaluation.metrics.ap import FrameResult, evaluate
 from dsrc.review.errors.filters import FN
-from dsrc.review.model import DETECTOR, ReviewModel
+from dsrc.review.errors.judgements import DETECTOR
+from dsrc.review.model import ReviewModel
 from dsrc.review.sources.base import MemorySet, Setup
 from dsrc.review.sources.episodes import episode_source
 from dsrc.review.sources.live import LiveSource

@@ -6,7 +6,8 @@ import time
 import pytest
 
 from dsrc.evaluation.conditions import Condition
-from dsrc.review.model import DETECTOR, ReviewModel
+from dsrc.review.errors.judgements import DETECTOR
+from dsrc.review.model import ReviewModel
 from dsrc.review.sources.base import MemorySet, Setup
 from dsrc.review.state import ReviewState
 from dsrc.review.worker import Worker

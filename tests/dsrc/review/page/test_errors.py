@@ -80,8 +80,8 @@ def test_detecting_in_all_frames_fills_the_list(session):
     errors = panel(session, ErrorsPanel)
     assert errors.detect.visible and "1 of 12 frames" in errors.progress.content
     session.detect_all()
-    wait_for(lambda: "12 of 12 frames" in errors.progress.content)
-    assert not errors.detect.visible and not errors.bar.visible
+    wait_for(lambda: "12 of 12 frames" in errors.progress.content and not errors.detect.visible)
+    assert not errors.bar.visible
     assert errors.scores.content.count("<tr>") == 2
     listed = session.report(session.state).errors
     assert [button.visible for button in errors.rows] == [row < len(listed) for row in range(len(errors.rows))]

@@ -1,0 +1,181 @@
+"""Judgements: detections of the sources of a page, compared with ground truth under a state, with caches."""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field, replace
+
+from dsrc.data.drives import Drive
+from dsrc.data.sample import SampleDetector
+from dsrc.evaluation.detection_table import DetectionTable
+from dsrc.ops.detections import Detections
+from dsrc.review.errors.changes import Changes, changes
+from dsrc.review.errors.filters import ErrorFilter
+from dsrc.review.errors.index import ErrorIndex
+from dsrc.review.errors.judged import JudgedRun
+from dsrc.review.frames import LatestUsed, Recordings
+from dsrc.review.matching import Counts, RankedMatches, match
+from dsrc.review.sources.base import DetectionSet, Setup, Source, condition_title
+from dsrc.review.sources.detected import ComputedSet, present_agents
+from dsrc.review.state import ReviewState
+from sensors.frame import Frame
+from sim.boxes import Boxes
+from sim.errors import SettingsError, complaint, did_you_mean
+
+DETECTOR = "detector"
+"""Name of the set of a detector without one."""
+
+_DETECTIONS_KEPT = 4096
+_RUNS_KEPT = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameDetections:
+    """Detections and ground truth of one frame, in the ego LiDAR's frame."""
+
+    detections: Detections
+    truth: Boxes
+    ego_id: int
+    matches: dict[float, RankedMatches] = field(default_factory=dict)
+
+    def at(self, iou: float) -> RankedMatches:
+        """Matches at an IoU, cached."""
+        if iou not in self.matches:
+            self.matches[iou] = match(self.detections, self.truth, iou)
+        return self.matches[iou]
+
+
+class Judgements(Recordings):
+    """Detections of the sources, judged."""
+
+    def __init__(self, sources: Sequence[Source | Drive], detector: SampleDetector | None = None) -> None:
+        """Judge sources or drives.
+
+        Args:
+            sources: sources, or drives as they are.
+            detector: gives all sources a set named `DETECTOR`.
+
+        Raises:
+            DataError: the list or a drive is empty.
+        """
+        super().__init__(sources)
+        if detector is not None:
+            for source in self.sources:
+                source.sets[DETECTOR] = ComputedSet(DETECTOR, detector)
+        self._judged: LatestUsed[FrameDetections] = LatestUsed(_DETECTIONS_KEPT)
+        self._runs: LatestUsed[JudgedRun] = LatestUsed(_RUNS_KEPT)
+
+    @property
+    def has_detector(self) -> bool:
+        """Whether any source has a set of detections."""
+        return any(source.sets for source in self.sources)
+
+    def methods(self, drive: int) -> list[str]:
+        """Names of the sets of detections of a source."""
+        return list(self.sources[drive].sets)
+
+    def method(self, state: ReviewState) -> str:
+        """Set of detections that is judged under a state; "" without one."""
+        return next(iter(self._asked(state)), "")
+
+    def computes(self, state: ReviewState) -> bool:
+        """Whether the judged detections of a state are computed here."""
+        method = self.method(state)
+        return bool(method) and isinstance(self.sources[state.drive].sets[method], ComputedSet)
+
+    def counts(self, state: ReviewState) -> Counts | None:
+        """Counts of TP, FP and FN in a frame; None without detections or labels."""
+        method = self.method(state)
+        found = self._detections(state, method) if method and self.labelled(state.drive) else None
+        return None if found is None else found.at(state.iou).counts(state.threshold)
+
+    def index(self, state: ReviewState) -> ErrorIndex:
+        """Errors of the run under a state, of all its methods, in the frames whose detections are known."""
+        return ErrorIndex([self._run(state.drive, name, self.setup(state)) for name in self._asked(state)])
+
+    def changes(self, before: ReviewState, after: ReviewState, only: ErrorFilter | None = None) -> Changes:
+        """What changes from one state to another of the same drive: a corruption, a method, cooperation.
+
+        Args:
+            before: first state.
+            after: second state, whose threshold and IoU count.
+            only: objects to look at; None for all.
+
+        Raises:
+            SettingsError: a state has no detections.
+        """
+        return changes(self._judged_run(before), self._judged_run(after), after.threshold, after.iou, only)
+
+    def _judged_run(self, state: ReviewState) -> JudgedRun:
+        method = self.method(state)
+        if not method:
+            raise SettingsError(complaint(self.names[state.drive], "methods", "a set of detections", "none"))
+        return self._run(state.drive, method, self.setup(state))
+
+    def _run(self, drive: int, method: str, setup: Setup) -> JudgedRun:
+        """Judged run of a method, as far as its detections are known."""
+        own = self.sources[drive].sets[method]
+        rows = own.rows(setup)
+        ends = (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
+        key = (drive, method, setup, len(rows), *ends)
+        return self._runs.get(key, lambda: JudgedRun(method, setup, own.run(setup)))
+
+    def _asked(self, state: ReviewState) -> list[str]:
+        """Sets of detections under a state, the judged one first.
+
+        Raises:
+            SettingsError: a name is unknown.
+        """
+        known = self.sources[state.drive].sets
+        for name in state.methods:
+            if name not in known:
+                hint = did_you_mean(name, known)
+                raise SettingsError(complaint(self.names[state.drive], "methods", "a set of detections", name, hint))
+        return list(dict.fromkeys(state.methods)) or list(known)[:1]
+
+    def _absent(self, state: ReviewState, frame: Frame) -> str:
+        """Why a corruption changes nothing: whom it is of is not here."""
+        condition = self.setup(state).condition
+        if present_agents(frame, condition.who):
+            return ""
+        return f"{condition_title(condition)}: no such agent in this frame, its sweeps are as recorded."
+
+    def _notice(self, state: ReviewState, method: str) -> str:
+        """Explanation of missing detections."""
+        if not method:
+            return ""
+        condition = self.setup(state).condition
+        title = condition_title(condition)
+        known = self.sources[state.drive].sets[method].conditions()
+        if known is not None and condition not in known:
+            return f"{method} has no detections in {title}; it has them in {', '.join(map(condition_title, known))}."
+        return f"{method} has no detections in this frame of this ego in {title}."
+
+    def _seen(self, state: ReviewState) -> tuple[Counts, int]:
+        """Sum the counts of the frames with known detections under these settings."""
+        method = self.method(state)
+        rows = self.sources[state.drive].sets[method].rows(self.setup(state)).tolist()
+        known = [self._detections(replace(state, frame=row), method) for row in rows]
+        counts = (found.at(state.iou).counts(state.threshold) for found in known if found is not None)
+        return sum(counts, Counts()), len(known)
+
+    def _detections(self, state: ReviewState, method: str) -> FrameDetections | None:
+        """Detections of a set in a frame, computed where they can be; None where they are unknown."""
+        own, setup = self.sources[state.drive].sets[method], self.setup(state)
+        key: Hashable = (state.drive, state.frame, method, setup)
+        if key in self._judged:
+            return self._judged.get(key, _unexpected)
+        table = self._table(own, state, setup)
+        if table is None:
+            return None
+        (result,) = table.results()
+        return self._judged.get(key, lambda: FrameDetections(result.detections, result.truth, int(table.ego_id[0])))
+
+    def _table(self, own: DetectionSet, state: ReviewState, setup: Setup) -> DetectionTable | None:
+        table = own.get(state.frame, setup)
+        if table is not None or not isinstance(own, ComputedSet):
+            return table
+        clean = self.stores[state.drive].recorded(state.frame)
+        return own.compute(state.frame, clean, self._frame(state), setup)
+
+
+def _unexpected() -> FrameDetections:
+    raise KeyError("dropped by another thread")
