@@ -38,6 +38,9 @@ REFRESH_S = 0.5
 GROW_S = 0.1
 """Time between two looks at whether a running simulation has a new frame, s."""
 
+AHEAD = 4
+"""Frames that are read ahead of a playing drive."""
+
 NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
 
@@ -365,6 +368,7 @@ class Session:
                 self._placed = state.drive
                 if note := self._place_world(state.drive):
                     self.tell(note)
+            self._read_ahead(state)
         except Exception as error:
             self._tell_error(f"frame {state.frame} of {self.model.names[state.drive]}", error)
         self.address.fall_behind()
@@ -372,6 +376,15 @@ class Session:
             self._show_panels()
         except Exception as error:
             self._tell_error("the panels", error)
+
+    def _read_ahead(self, state: ReviewState) -> None:
+        """Let the worker read the frames that come next; it corrupts them while the drive is playing."""
+        store, setup = self.model.stores[state.drive], self.model.setup(state)
+        if self._playing:
+            rows = range(state.frame + 1, state.frame + 1 + AHEAD)
+            self.worker.prefetch(store, rows, setup.condition, setup.ego_id)
+        else:
+            self.worker.prefetch(store, (state.frame + 1, state.frame - 1))
 
     def _tell_error(self, what: str, error: Exception) -> None:
         if not isinstance(error, UserError):

@@ -61,7 +61,8 @@ def test_every_control_follows_the_state(session, fake_fog, field):
 
 
 def test_every_field_with_a_control_is_tried_above():
-    assert {control.field for control in CONTROLS if control.widget} - {"drive"} == set(CHANGES)
+    elsewhere = {"drive", "boxes_by"}
+    assert {control.field for control in CONTROLS if control.widget} - elsewhere == set(CHANGES)
 
 
 def test_a_control_sets_the_state(session, fake_fog):
@@ -115,6 +116,17 @@ def test_playing_goes_around_until_it_is_paused(session):
     time.sleep(0.15)
     assert session.state.frame == stopped
     wait_for(lambda: panel(session, TimelinePanel).play.label == "Play")
+
+
+def test_the_frames_that_come_next_are_read_ahead(session, drive, fake_fog):
+    wait_for(lambda: 1 in drive.reads)
+    session.update(frame=6, corruption="fog", speed=0.25)
+    session.wait_drawn()
+    wait_for(lambda: {5, 7} <= set(drive.reads))
+    assert [index for index, *_ in fake_fog] == [6], "corrupting takes long, and nobody may come here"
+    session.toggle_play()
+    wait_for(lambda: {10, 11} <= {index for index, *_ in fake_fog})
+    session.toggle_play()
 
 
 def test_nothing_plays_without_a_browser(app, browser):
