@@ -7,44 +7,46 @@ from sensors.sweep import ATTENUATED, KEPT, MOVED, SCATTERED
 
 Rgb = tuple[int, int, int]
 
-# Searched at random for the largest least difference in normal vision, protanopia and deuteranopia, with TP in greens,
-# FP in reds and FN in ambers; tests hold the difference, and that a browser shows these very colours.
+# Searched at random for the largest least difference by CIEDE2000 in normal vision, protanopia and deuteranopia, with
+# TP in greens, FP in reds and FN in ambers; tests hold the difference, and that a browser shows these very colours.
 AGENT_COLORS: tuple[Rgb, ...] = (
-    (64, 153, 249),
-    (248, 252, 22),
-    (82, 253, 255),
-    (149, 88, 113),
-    (180, 171, 175),
-    (4, 172, 99),
-    (13, 98, 249),
+    (52, 159, 255),
+    (251, 254, 54),
+    (186, 255, 246),
+    (88, 70, 255),
+    (165, 155, 168),
+    (162, 146, 121),
+    (120, 93, 91),
 )
 """Colours of the agents in the order of their frame; an eighth agent starts again."""
 
-METHOD_COLORS: tuple[Rgb, ...] = ((255, 255, 255), (214, 140, 255), (114, 96, 255), (82, 124, 156))
+METHOD_COLORS: tuple[Rgb, ...] = ((255, 255, 255), (255, 198, 255), (76, 91, 243), (119, 122, 140))
 """Colours of the methods in the order in which they are shown: curves, and boxes over those of the judged one."""
 
 TRUTH: Rgb = (226, 232, 240)
 OTHER: Rgb = (112, 122, 140)
 SELECTED: Rgb = (255, 255, 255)
-TP: Rgb = (36, 255, 181)
-FP: Rgb = (206, 38, 20)
-FN: Rgb = (201, 177, 26)
+TP: Rgb = (27, 254, 182)
+FP: Rgb = (219, 1, 23)
+FN: Rgb = (218, 159, 6)
 BODY: Rgb = (84, 92, 108)
 BACKGROUNDS: dict[str, Rgb] = {"dark": (10, 12, 17), "light": (148, 156, 168)}
 """Colour of the sky of each theme."""
+BRIGHTNESS: dict[str, float] = {"dark": 1.0, "light": 6.0}
+"""Light of each theme: that of the ground, roads and buildings, in multiples of their colours."""
 GRID: tuple[Rgb, Rgb] = ((52, 58, 70), (76, 84, 100))
 """Colours of the grid's cells and sections."""
 
 FATE_COLORS: dict[int, Rgb] = {
     KEPT: (96, 110, 132),
     ATTENUATED: (112, 142, 186),
-    MOVED: (0, 207, 250),
-    SCATTERED: (190, 44, 168),
+    MOVED: (100, 220, 255),
+    SCATTERED: (186, 14, 135),
 }
 """Colours of points by `Sweep.fate`."""
-LOST: Rgb = (249, 253, 132)
+LOST: Rgb = (164, 204, 117)
 """Colour of points that a corruption removed."""
-SENSOR: Rgb = (156, 200, 97)
+SENSOR: Rgb = (3, 124, 25)
 """Colour of the points of a sensor that the recording lacks."""
 FATE_NAMES = {KEPT: "untouched", ATTENUATED: "dimmer", MOVED: "moved", SCATTERED: "made by the corruption"}
 """Names of the same."""
@@ -65,11 +67,11 @@ VIRIDIS = _ramp(_VIRIDIS)
 TURBO = _ramp(_TURBO)
 
 
-def linear(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Linear light of (N, 3) sRGB colours, both 0 to 255: the viewer takes the colours of instances as linear."""
+def linear(rgb: NDArray[np.uint8], brightness: float = 1.0) -> NDArray[np.uint8]:
+    """Reflectance of (N, 3) sRGB colours in a light, 0 to 255: the viewer takes colours of instances as linear."""
     encoded = np.asarray(rgb, np.float64) / 255.0
     light = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    return np.round(255.0 * light).astype(np.uint8)
+    return np.round(255.0 * light / brightness).astype(np.uint8)
 
 
 def agent_color(row: int) -> Rgb:

@@ -98,9 +98,10 @@ def backdrop(theme: Theme, height_px: int = 256) -> NDArray[np.uint8]:
     return np.clip(rgb + glow * np.array([12.0, 17.0, 30.0]), 0, 255).astype(np.uint8)
 
 
-def set_backdrop(scene: viser.SceneApi, theme: Theme) -> None:
-    """Set the background image of a theme."""
+def set_theme(scene: viser.SceneApi, theme: Theme) -> None:
+    """Set the background image of a theme and its light, which makes the static world as bright as the sky."""
     scene.set_background_image(np.repeat(backdrop(theme)[:, None], 4, axis=1), format="png")
+    scene.add_light_ambient("/light/theme", intensity=(palette.BRIGHTNESS[theme] - 1.0) * np.pi)
 
 
 def place_static(scene: viser.SceneApi, root: str, parts: list[StaticPart]) -> None:
@@ -132,7 +133,14 @@ def place_static(scene: viser.SceneApi, root: str, parts: list[StaticPart]) -> N
 
 
 class SceneWriter:
-    """Writer of the nodes below `root`; not thread-safe."""
+    """Writer of the nodes below `root`; not thread-safe.
+
+    Attributes:
+        scene: of a server or of one browser.
+        root: root node.
+        point_step_m: grid to which points are rounded, m; 0 for none.
+        theme: in whose light the scene is.
+    """
 
     def __init__(
         self,
@@ -152,6 +160,7 @@ class SceneWriter:
         self.scene = scene
         self.root = root
         self.point_step_m = point_step_m
+        self.theme: Theme = "dark"
         self._nodes: dict[str, Any] = {}
         # View of each cloud: an unchanged one is not sent again.
         self._drawn: dict[str, AgentView] = {}
@@ -370,7 +379,8 @@ class SceneWriter:
             self._hide(name)
             return
         node = self._nodes.get(name)
-        colors = palette.linear(colors)
+        # The world alone gets brighter with the light of a theme.
+        colors = palette.linear(colors, palette.BRIGHTNESS[self.theme])
         wxyz, position, size = (np.asarray(part, np.float32) for part in pose)
         if node is None:
             self._nodes[name] = self.scene.add_batched_meshes_simple(

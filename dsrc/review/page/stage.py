@@ -5,7 +5,7 @@ from collections.abc import Callable
 import viser
 from numpy.typing import NDArray
 
-from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_backdrop
+from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_theme
 from dsrc.review.state import Theme
 from dsrc.review.view import FrameView
 
@@ -16,7 +16,7 @@ def root_of(drive: int) -> str:
 
 
 class Stage:
-    """Scene of one browser: the newest frame below the root of its drive, and the sky of the theme; not thread-safe.
+    """Scene of one browser: the newest frame below the root of its drive, sky and light of the theme; not thread-safe.
 
     Attributes:
         roots: nodes of the drives; a camera that follows moves them.
@@ -37,7 +37,7 @@ class Stage:
         self.writer = self._writer_of(0)
 
     def set_theme(self, theme: Theme) -> None:
-        """Set panels and sky to a theme."""
+        """Set panels, sky and light to a theme."""
         if self._theme == theme:
             return
         self._theme = theme
@@ -48,7 +48,7 @@ class Stage:
             brand_color=(56, 150, 255),
             control_width="medium",
         )
-        set_backdrop(self._client.scene, theme)
+        set_theme(self._client.scene, theme)
 
     def draw(self, view: FrameView, drive: int, scene_from_review: Callable[[], NDArray]) -> None:
         """Draw a frame in place of the last one.
@@ -61,6 +61,7 @@ class Stage:
         if self.writer.root != root_of(drive):
             self.writer.clear()
             self.writer = self._writer_of(drive)
+        self.writer.theme = self._theme or "dark"
         with self._client.atomic():
             self.writer.write(view)
             for row, root in enumerate(self.roots):

@@ -19,15 +19,15 @@ from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cameras import CameraPose, birds_eye, chase, overview
 from dsrc.review.page.link import read_link
-from dsrc.review.page.output.screenshot import open_page
+from dsrc.review.page.output.screenshot import PATIENCE_S, open_page
 from dsrc.review.page.overlay import CameraButton, add_overlay, frame_texts
 from dsrc.review.page.scene import (
     SceneWriter,
     backdrop,
     place_static,
-    set_backdrop,
     set_light,
     set_start_camera,
+    set_theme,
 )
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState
@@ -119,12 +119,12 @@ def export_pictures(
                 with session.using_model:
                     model.view(replace(state, frame=row))  # raises what the page would tell
                 session.update(frame=row)
-                session.wait_drawn(120.0)
+                session.wait_drawn(PATIENCE_S)
                 render: dict[str, Any] = {
                     "height": size[1],
                     "width": size[0],
                     "transport_format": "png",
-                    "timeout": 120.0,
+                    "timeout": PATIENCE_S,
                 }
                 if number == 0:
                     # The first picture can come before the browser has built all nodes, cities and cameras among them.
@@ -200,9 +200,11 @@ def export_states(model: ReviewModel, states: list[ReviewState], out: Path, foll
 def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewState], follow: bool) -> str:
     drive, interval_s = states[0].drive, model.interval_s(states[0].drive)
     set_light(server.scene)
-    set_backdrop(server.scene, states[0].theme)
+    set_theme(server.scene, states[0].theme)
     writer = SceneWriter(server.scene, ROOT, POINT_STEP_M)
-    root = server.scene.add_frame(ROOT, show_axes=False)
+    writer.theme = states[0].theme
+    # Not quite zero: viser sends no pose that is zero, and a page that goes back to its start would keep the last one.
+    root = server.scene.add_frame(ROOT, show_axes=False, position=(0.0, 0.0, 1e-6))
     first = model.view(states[0])
     set_start_camera(server, overview(first))
     writer.write(first)

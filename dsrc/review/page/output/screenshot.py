@@ -15,6 +15,9 @@ from typing import Any
 from sim.errors import DataError, SettingsError
 from sim.files import write_file
 
+PATIENCE_S = 300.0
+"""Longest time that a picture takes, s: a renderer in software on a busy machine is slow."""
+
 # Software rendering by name: a later Chromium may otherwise have no WebGL.
 _FLAGS = (
     "--headless=new",
@@ -86,7 +89,7 @@ class BrowserPage:
 
     def png(self) -> bytes:
         """PNG of the page."""
-        return base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"])
+        return base64.b64decode(self.send("Page.captureScreenshot", PATIENCE_S, format="png")["data"])
 
 
 @contextmanager

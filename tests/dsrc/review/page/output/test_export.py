@@ -133,6 +133,8 @@ def test_a_picture_shows_the_first_frame_and_no_other(page):
         opened.evaluate("new Promise(done=>setTimeout(done,1500))")
         assert opened.evaluate("document.querySelector('[role=slider]').getAttribute('aria-valuenow')") == "0"
         assert "frame 0" in opened.evaluate("document.getElementById('review-time').textContent")
+        moved = opened.evaluate("window.__viserMutable.nodePoseData['/drive'].position")
+        np.testing.assert_allclose(moved, 0.0, atol=1e-5, err_msg="the world is where the last frame has left it")
 
 
 def test_pictures_leave_no_browser_behind(tmp_path, monkeypatch):
