@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from dsrc.closed_loop.perception.error_model.model import (
     Cell,
     Chain,
     Chance,
+    Doubles,
     Errors,
     Ghosts,
     Wider,
@@ -38,7 +40,7 @@ from sim.geometry import wrap_angle
 LEAST = 20
 """Observations from which on a number is that of its own group."""
 EXAMPLES = 200
-"""Most ghosts that a model keeps."""
+"""Most ghosts, and second boxes, that a model keeps."""
 FINDS = 0.05
 """Share of the clear views of a kind from which on a perception is one that finds it."""
 
@@ -61,6 +63,7 @@ class _Table:
         flipped: (R,) whether the box points backwards.
         crossed: (R,) whether the box lies across its object.
         across: (R,) whether the object lies across the ego's heading.
+        second: (R, 8) error of `PARTS` of a second box; NaN without one.
     """
 
     kind: NDArray[np.int64]
@@ -72,6 +75,7 @@ class _Table:
     flipped: Mask
     crossed: Mask
     across: Mask
+    second: NDArray[np.float64]
 
 
 def fit_errors(sequences: Iterable[Sequence[Observed]], interval_s: float, **condition: Any) -> Errors:
@@ -87,19 +91,25 @@ def fit_errors(sequences: Iterable[Sequence[Observed]], interval_s: float, **con
     table, places = _table(known, area, interval_s)
     cells, marks = [], np.zeros_like(table.error)
     any_row = np.ones(len(table.hit), bool)
-    for kind, name in enumerate(KINDS):
-        for sight, sees in enumerate(SIGHTS):
-            for band, ends in enumerate(BANDS):
-                sees_so = table.sight == sight
-                both = sees_so & (table.kind == kind)
-                own = both & (table.band == band)
-                groups: Groups = (("cell", own), ("kind and sight", both), ("sight", sees_so))
-                if sees != "hidden":  # what is in sight says nothing about what is not: it stays unfound
-                    groups = (*groups, ("all", any_row))
-                errors = _box_errors(table, groups)
-                marks[own] = _standardised(table.error[own], errors)
-                found = _chain(table.hit, table, groups)
-                cells.append(Cell(kind=name, sight=sees, range_m=ends, found=found, errors=errors))
+    doubled = ~np.isnan(table.second[:, 7])
+    names = product(enumerate(KINDS), enumerate(SIGHTS), (False, True), enumerate(BANDS))
+    for (kind, name), (sight, sees), across, (band, ends) in names:
+        sees_so = table.sight == sight
+        both = sees_so & (table.kind == kind)
+        heads_so = both & (table.across == across)
+        own = heads_so & (table.band == band)
+        groups: Groups = (
+            ("cell", own),
+            ("kind, sight and heading", heads_so),
+            ("kind and sight", both),
+            ("sight", sees_so),
+        )
+        if sees != "hidden":  # what is in sight says nothing about what is not: it stays unfound
+            groups = (*groups, ("all", any_row))
+        errors = _box_errors(table, groups)
+        marks[own] = _standardised(table.error[own], errors)
+        found = _chain(table.hit, table, groups)
+        cells.append(Cell(kind=name, sight=sees, across=across, range_m=ends, found=found, errors=errors))
     return Errors(
         **condition,
         episodes=len(known),
@@ -111,6 +121,13 @@ def fit_errors(sequences: Iterable[Sequence[Observed]], interval_s: float, **con
             _chain(table.crossed, table, (("cell", table.across),), table.hit),
         ),
         correlation=_correlation(marks, table),
+        doubles=Doubles(
+            there=(
+                _chain(doubled, table, (("cell", ~table.across),), table.hit),
+                _chain(doubled, table, (("cell", table.across),), table.hit),
+            ),
+            examples=_some(np.round(table.second[doubled], 4).tolist()),  # type: ignore[arg-type]
+        ),
         ghosts=_ghosts(known, places, interval_s),
     )
 
@@ -154,13 +171,14 @@ def _table(
         false.append([])
         for one in sequence:
             found, truth = one.matches()
-            false[-1].append(~np.isin(np.arange(len(one.found)), found))
+            again, of = one.doubles()
+            false[-1].append(~np.isin(np.arange(len(one.found)), np.concatenate([found, again])))
             local = ego_frame(one.truth.center[:, :2], one.ego)
             rows = np.flatnonzero(within(area, local))
             if one.time_s - last_s > interval_s + _STEP_S:
                 last = {}
-            box = np.full(len(one.truth), -1)
-            box[truth] = found
+            box, second = np.full((2, len(one.truth)), -1)
+            box[truth], second[of] = found, again
             ids = one.truth.object_id[rows].tolist()
             before = np.array([last.get(number, -1) for number in ids], np.int64)
             last, last_s = {number: count + row for row, number in enumerate(ids)}, one.time_s
@@ -168,11 +186,12 @@ def _table(
             error, flipped, crossed = _errors_of(one, box[rows], rows)
             kind, across = KIND_OF_LABEL[one.truth.label[rows]], lies_across(one.truth.yaw[rows] - one.ego[2])
             seen = kind, one.sight[rows], bands_of(local[rows]), box[rows] >= 0
-            columns.append((*seen, before, error, flipped, crossed, across))
+            columns.append((*seen, before, error, flipped, crossed, across, _offsets(one, second[rows], rows)))
     if not columns:
         none = np.zeros(0, np.int64)
         empty = np.zeros(0, bool)
-        return _Table(none, none, none, empty, none, np.zeros((0, len(PARTS))), empty, empty, empty), false
+        errors = np.zeros((0, len(PARTS)))
+        return _Table(none, none, none, empty, none, errors, empty, empty, empty, errors), false
     return _Table(*(np.concatenate(parts) for parts in zip(*columns, strict=True))), false
 
 
@@ -180,22 +199,26 @@ def _errors_of(
     one: Observed, box: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], Mask, Mask]:
     """Return (K, 8) errors of the boxes of objects, NaN without one, and whether they point backwards or lie across."""
-    truth, error = one.truth[rows], np.full((len(rows), len(PARTS)), np.nan)
-    flipped, crossed = np.zeros((2, len(rows)), bool)
+    error = _offsets(one, box, rows)
+    quarters = np.rint(np.nan_to_num(error[:, 6]) / (0.5 * np.pi))
+    error[:, 6] -= quarters * 0.5 * np.pi
+    return error, np.abs(quarters) == 2.0, np.abs(quarters) == 1.0
+
+
+def _offsets(one: Observed, box: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (K, 8) differences of boxes (K,) from objects (K,) by `PARTS`, and scores; NaN where the box is -1."""
+    offset = np.full((len(rows), len(PARTS)), np.nan)
     hit = np.flatnonzero(box >= 0)
-    true, found = truth[hit], one.found[box[hit]]
-    offset = found.center - true.center
+    true, found = one.truth[rows[hit]], one.found[box[hit]]
+    apart = found.center - true.center
     cos, sin = np.cos(true.yaw), np.sin(true.yaw)
-    error[hit, 0] = cos * offset[:, 0] + sin * offset[:, 1]
-    error[hit, 1] = cos * offset[:, 1] - sin * offset[:, 0]
-    error[hit, 2] = offset[:, 2]
-    error[hit, 3:6] = np.log(found.size / true.size)
-    turn = np.asarray(wrap_angle(found.yaw - true.yaw), np.float64)
-    quarters = np.rint(turn / (0.5 * np.pi))
-    flipped[hit], crossed[hit] = np.abs(quarters) == 2.0, np.abs(quarters) == 1.0
-    error[hit, 6] = turn - quarters * 0.5 * np.pi
-    error[hit, 7] = one.score[box[hit]]
-    return error, flipped, crossed
+    offset[hit, 0] = cos * apart[:, 0] + sin * apart[:, 1]
+    offset[hit, 1] = cos * apart[:, 1] - sin * apart[:, 0]
+    offset[hit, 2] = apart[:, 2]
+    offset[hit, 3:6] = np.log(found.size / true.size)
+    offset[hit, 6] = wrap_angle(found.yaw - true.yaw)
+    offset[hit, 7] = one.score[box[hit]]
+    return offset
 
 
 def _chance(event: Mask, groups: Groups) -> Chance:
@@ -226,7 +249,7 @@ def _chain(event: Mask, table: _Table, groups: Groups, counts: Mask | None = Non
     def of(rows: Mask) -> Chance:
         listed: list[tuple[Wider, Mask]] = [(name, group & counts & rows) for name, group in groups]
         if len(groups) > 1:
-            listed.insert(2, ("kind and sight, whatever came before", groups[1][1] & counts))
+            listed.insert(3, ("kind and sight, whatever came before", groups[2][1] & counts))
         return _chance(event, listed)
 
     return Chain(
@@ -294,13 +317,18 @@ def _ghosts(sequences: Sequence[Sequence[Observed]], false: Sequence[Sequence[Ma
             )
             examples += np.round(rows[new], 3).tolist()
             past, past_s = place, one.time_s
-    chosen = np.unique(np.linspace(0, len(examples) - 1, EXAMPLES if examples else 0).astype(int)).tolist()
     return Ghosts(
         born=round(born / max(following, 1), 6),
         lives=_chance(np.array(lived, bool), [("cell", np.ones(len(lived), bool))]),
         percepts=percepts,
-        examples=tuple(tuple(examples[row]) for row in chosen),  # type: ignore[misc]
+        examples=_some(examples),  # type: ignore[arg-type]
     )
+
+
+def _some(rows: list[list[float]]) -> tuple[tuple[float, ...], ...]:
+    """Return `EXAMPLES` of the rows at most, evenly chosen."""
+    chosen = np.unique(np.linspace(0, len(rows) - 1, EXAMPLES if rows else 0).astype(int)).tolist()
+    return tuple(tuple(rows[row]) for row in chosen)
 
 
 def _same(past: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -4,6 +4,7 @@ Every number says how many observations it is made of and which objects they are
 often enough, the numbers are those of a wider group, and `of` names it.
 """
 
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,8 +19,8 @@ from sim.files import write_file
 from sim.radio import IDEAL
 from sim.reading import read_bytes
 
-Format = Literal["dsrc error model 2"]
-FORMAT: Format = "dsrc error model 2"
+Format = Literal["dsrc error model 3"]
+FORMAT: Format = "dsrc error model 3"
 QUANTILES = tuple(k / 10 for k in range(11))
 """Shares of the scores below those of `BoxErrors.score`."""
 PARTS = ("along", "across", "up", "length", "width", "height", "yaw", "score")
@@ -33,7 +34,9 @@ _Spread = Annotated[float, Meta(ge=0.0, le=1e3)]
 _Size = Annotated[float, Meta(gt=0.0, le=1e3)]
 Condition = tuple[str, int, str, str, str]
 """Corruption, severity, family, who and channel."""
-Wider = Literal["cell", "kind and sight", "kind and sight, whatever came before", "sight", "all"]
+Wider = Literal[
+    "cell", "kind, sight and heading", "kind and sight", "kind and sight, whatever came before", "sight", "all"
+]
 """Group of the observations of a number: its own cell, or the least wide group with enough of them."""
 
 
@@ -110,11 +113,12 @@ class BoxErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class Cell(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Objects of one kind, sight and distance.
+    """Objects of one kind, sight, heading and distance.
 
     Attributes:
         kind: of road user.
         sight: who sees it.
+        across: whether it lies across the ego's heading.
         range_m: distances from the ego, m.
         found: whether an object is found, in time.
         errors: of its box.
@@ -122,6 +126,7 @@ class Cell(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     kind: Kind
     sight: Sight
+    across: bool
     range_m: tuple[float, float]
     found: Chain
     errors: BoxErrors
@@ -143,6 +148,18 @@ class Ghosts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     examples: tuple[tuple[_Bounded, _Bounded, _Bounded, _Size, _Size, _Size, Share], ...]
 
 
+class Doubles(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Second boxes of objects that were found.
+
+    Attributes:
+        there: whether there is one, in time: of objects along the ego's heading, and of those across it.
+        examples: errors of `PARTS` but the score, in the object's frame, and score of some of them.
+    """
+
+    there: tuple[Chain, Chain]
+    examples: tuple[tuple[_Bounded, _Bounded, _Bounded, _Bounded, _Bounded, _Bounded, _Bounded, Share], ...]
+
+
 class Errors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Errors of a perception under one condition.
 
@@ -154,11 +171,12 @@ class Errors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         channel: name of the radio channel.
         episodes: recordings of the fit.
         area_m: where boxes were found, x and y of the low and of the high corner in the ego's frame, m.
-        cells: each kind, sight and range once.
+        cells: each kind, sight, heading and range once.
         flipped: whether a box points backwards, in time.
         crossed: whether a box lies across its object, in time: of objects along the ego's heading, and of those across
             it.
         correlation: of each of `PARTS` in consecutive percepts; the score's of its normal quantile.
+        doubles: second boxes of what was found.
         ghosts: boxes where nothing is.
     """
 
@@ -173,6 +191,7 @@ class Errors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     flipped: Chain
     crossed: tuple[Chain, Chain]
     correlation: Annotated[tuple[Share, ...], Meta(min_length=len(PARTS), max_length=len(PARTS))]
+    doubles: Doubles
     ghosts: Ghosts
 
     @property
@@ -253,13 +272,18 @@ def read_model(path: Path) -> ErrorModel:
     unknown = [name for name in model.classes if name not in CLASSES]
     if unknown:
         raise DataError(complaint(path, "classes", f"some of {', '.join(CLASSES)}", unknown[0]))
-    wanted = sorted((kind, sight, ends) for kind in KINDS for sight in SIGHTS for ends in BANDS)
+    wanted = sorted(product(KINDS, SIGHTS, (False, True), BANDS))
     for row, errors in enumerate(model.conditions):
-        if sorted((cell.kind, cell.sight, cell.range_m) for cell in errors.cells) != wanted:
-            expected = f"each kind, sight and range once, {len(wanted)} in all"
+        if sorted((cell.kind, cell.sight, cell.across, cell.range_m) for cell in errors.cells) != wanted:
+            expected = f"each kind, sight, heading and range once, {len(wanted)} in all"
             raise DataError(complaint(path, f"conditions[{row}].cells", expected, f"{len(errors.cells)} cells"))
         if errors.ghosts.born > 0.0 and not errors.ghosts.examples:
             raise DataError(complaint(path, f"conditions[{row}].ghosts.examples", "at least one", "none"))
+        if (
+            any(chain.first.p + chain.after_no.p > 0.0 for chain in errors.doubles.there)
+            and not errors.doubles.examples
+        ):
+            raise DataError(complaint(path, f"conditions[{row}].doubles.examples", "at least one", "none"))
         if any(sorted(cell.errors.score) != list(cell.errors.score) for cell in errors.cells):
             raise DataError(complaint(path, f"conditions[{row}].cells.errors.score", "ascending numbers", "others"))
     return model

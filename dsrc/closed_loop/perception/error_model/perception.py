@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from dsrc.closed_loop.perception.error_model.model import PARTS, QUANTILES, Cell, Chain, ErrorModel, Errors
+from dsrc.closed_loop.perception.error_model.model import PARTS, QUANTILES, Cell, ErrorModel, Errors
 from dsrc.closed_loop.perception.error_model.sight import (
     BANDS,
     KIND_OF_LABEL,
@@ -38,6 +38,8 @@ class _Memory:
         side: of a box across it, 1 to its left, -1 to its right.
         flipped: whether its box pointed backwards the last time that it was found along it; None before.
         crossed: whether its box lay across it the last time that it was found; None before.
+        doubled: whether it had a second box the last time that it was found; None before.
+        second: row of the example of its second box.
         percept: number of the last percept in which it was inside the area.
     """
 
@@ -48,6 +50,8 @@ class _Memory:
     ever: bool = False
     flipped: bool | None = None
     crossed: bool | None = None
+    doubled: bool | None = None
+    second: int = 0
     percept: int = -1
 
 
@@ -66,7 +70,8 @@ class ModelPerception:
         self.cooperative, self.classes = model.cooperative, model.classes
         self.model, self.errors = model, errors
         self._cells = {
-            (KINDS.index(cell.kind), SIGHTS.index(cell.sight), BANDS.index(cell.range_m)): cell for cell in errors.cells
+            (KINDS.index(cell.kind), SIGHTS.index(cell.sight), cell.across, BANDS.index(cell.range_m)): cell
+            for cell in errors.cells
         }
         self._correlation = np.array(errors.correlation)
 
@@ -93,11 +98,9 @@ class ModelPerception:
         across = lies_across(now.boxes.yaw[near] - ego[2])
         sights = self._views.sight(before, now, near)
         rows, boxes = [], []
-        for place, key in enumerate(zip(kinds.tolist(), sights.tolist(), bands.tolist(), strict=True)):
+        for place, key in enumerate(zip(kinds.tolist(), sights.tolist(), across.tolist(), bands.tolist(), strict=True)):
             object_id = int(now.boxes.object_id[near[place]])
-            crosses = self.errors.crossed[int(across[place])]
-            drawn = self._draw(object_id, self._cells[key], crosses, now.boxes.array[near[place]], intervals)
-            if drawn is not None:
+            for drawn in self._draw(object_id, self._cells[key], now.boxes.array[near[place]], intervals):
                 rows.append(near[place])
                 boxes.append(drawn)
         base = now.boxes.center[row, 2] - 0.5 * now.boxes.size[row, 2]
@@ -108,9 +111,9 @@ class ModelPerception:
         return Percept(now.time_s, Boxes.from_array(found[:, :7], label), found[:, 7], velocity)
 
     def _draw(
-        self, object_id: int, cell: Cell, crosses: Chain, box: NDArray[np.float64], intervals: float
-    ) -> NDArray[np.float64] | None:
-        """Return (8,) box and score of an object; None for a miss. All draws are taken, whatever comes of them."""
+        self, object_id: int, cell: Cell, box: NDArray[np.float64], intervals: float
+    ) -> list[NDArray[np.float64]]:
+        """Return (8,) boxes and scores of an object, none for a miss. All draws are taken, whatever comes of them."""
         memory = self._memories.get(object_id)
         if memory is None:
             rng = self._rng_of(object_id)
@@ -121,29 +124,29 @@ class ModelPerception:
             kept = self._correlation**intervals
             fresh = memory.rng.standard_normal(len(PARTS))
             memory.noise = kept * memory.noise + np.sqrt(1.0 - kept**2) * fresh
-        chance = memory.rng.random(3)
+        chance = memory.rng.random(5)
         if memory.percept != self._percepts - 1:
             memory.found, memory.ever = None, False
         memory.percept = self._percepts
         memory.found = bool(chance[0] < cell.found.at(memory.found, memory.ever, intervals))
         memory.ever |= memory.found
         if not memory.found:
-            return None
-        memory.crossed = bool(chance[2] < crosses.at(memory.crossed, True, intervals))
+            return []
+        memory.crossed = bool(chance[2] < self.errors.crossed[cell.across].at(memory.crossed, True, intervals))
         if memory.crossed:
             turn = 0.5 * np.pi * memory.side
         else:
             memory.flipped = bool(chance[1] < self.errors.flipped.at(memory.flipped, True, intervals))
             turn = np.pi * memory.flipped
         error = np.array(cell.errors.bias) + np.array(cell.errors.sd) * memory.noise[:7]
-        cos, sin = np.cos(box[6]), np.sin(box[6])
-        drawn = np.zeros(8)
-        drawn[0] = box[0] + cos * error[0] - sin * error[1]
-        drawn[1] = box[1] + sin * error[0] + cos * error[1]
-        drawn[2] = box[2] + error[2]
-        drawn[3:6] = box[3:6] * np.exp(error[3:6])
-        drawn[6] = box[6] + error[6] + turn
-        drawn[7] = np.interp(ndtr(memory.noise[7]), QUANTILES, cell.errors.score)
+        error[6] += turn
+        drawn = [_displaced(box, error, float(np.interp(ndtr(memory.noise[7]), QUANTILES, cell.errors.score)))]
+        doubles, had = self.errors.doubles, memory.doubled
+        memory.doubled = bool(chance[3] < doubles.there[cell.across].at(had, True, intervals))
+        if memory.doubled:
+            memory.second = memory.second if had else int(chance[4] * len(doubles.examples))
+            *offset, score = doubles.examples[memory.second]
+            drawn.append(_displaced(box, np.array(offset), score))
         return drawn
 
     def _move_ghosts(self, ego: NDArray[np.float64], base_m: float, intervals: float) -> None:
@@ -170,3 +173,10 @@ class ModelPerception:
             ]
         )
         self._ghosts = np.concatenate([self._ghosts, new])
+
+
+def _displaced(box: NDArray[np.float64], error: NDArray[np.float64], score: float) -> NDArray[np.float64]:
+    """Return the (8,) box of an object's (7,) with the (7,) error of `PARTS`, and its score."""
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    offset = cos * error[0] - sin * error[1], sin * error[0] + cos * error[1], error[2]
+    return np.concatenate([box[:3] + offset, box[3:6] * np.exp(error[3:6]), [box[6] + error[6], score]])

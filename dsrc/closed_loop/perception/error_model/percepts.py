@@ -20,6 +20,9 @@ SEEN_POINTS = 5
 MATCH_M = 2.0
 """Largest distance of the centres of a box and its object, or half the object's length where that is more, m."""
 
+DOUBLE_M = 4.0
+"""Largest distance of the centres of a second box and its object, m."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
@@ -48,6 +51,19 @@ class Observed:
         found, truth = linear_sum_assignment(np.where(near, apart, 1e6))
         kept = near[found, truth]
         return found[kept], truth[kept]
+
+    def doubles(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the (K,) rows of `found` that are second boxes, and of `truth` that they are of.
+
+        One for each object that was found: the nearest of what is left within `DOUBLE_M`.
+        """
+        found, truth = self.matches()
+        left = np.setdiff1d(np.arange(len(self.found)), found)
+        apart = np.linalg.norm(self.found.center[left, None, :2] - self.truth.center[None, truth, :2], axis=2)
+        near = apart <= DOUBLE_M
+        second, of = linear_sum_assignment(np.where(near, apart, 1e6))
+        kept = near[second, of]
+        return left[second[kept]], truth[of[kept]]
 
 
 def observed_episode(log: EpisodeLog, cooperative: bool) -> Iterator[Observed]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from dsrc.closed_loop.perception.error_model.percepts import Observed
 from dsrc.closed_loop.perception.error_model.sight import SIGHTS
-from sim.boxes import Boxes
+from sim.boxes import Boxes, concatenate
 
 INTERVAL_S = 0.1
 CAR = (4.5, 1.8, 1.5)
@@ -20,12 +20,12 @@ SCORES = (0.3, 0.9)
 """Ends of the even distribution of the scores."""
 
 
-def sequence(seed: int, percepts: int = 60, cars: int = 8, sight: str = "clear") -> list[Observed]:
+def sequence(seed: int, percepts: int = 60, cars: int = 8, sight: str = "clear", ghosts: bool = True) -> list[Observed]:
     """Percepts of cars 18 m to 25 m ahead that keep their place before the ego."""
     rng = np.random.default_rng(seed)
     noise = rng.standard_normal((cars, 7))
     hit = rng.random(cars) < FOUND
-    ghosts = np.zeros((0, 2))
+    places = np.zeros((0, 2))
     made = []
     for step in range(percepts):
         ego = np.array([step * 1.0, 0.0, 0.0])
@@ -37,12 +37,12 @@ def sequence(seed: int, percepts: int = 60, cars: int = 8, sight: str = "clear")
             hit = rng.random(cars) < np.where(hit, AFTER_FOUND, AFTER_MISSED)
             fresh = rng.standard_normal((cars, 7))
             noise = CORRELATION * noise + np.sqrt(1 - CORRELATION**2) * fresh
-        ghosts = ghosts[rng.random(len(ghosts)) < LIVES]
-        new = rng.poisson(BORN)
-        ghosts = np.concatenate(
-            [ghosts, np.column_stack([ego[0] - rng.uniform(10, 60, new), rng.uniform(-60, 60, new)])]
+        places = places[rng.random(len(places)) < LIVES]
+        new = rng.poisson(BORN if ghosts else 0.0)
+        places = np.concatenate(
+            [places, np.column_stack([ego[0] - rng.uniform(10, 60, new), rng.uniform(-60, 60, new)])]
         )
-        found = concatenated(shifted(truth, BIAS + SD * noise)[hit], ghosts)
+        found = concatenated(shifted(truth, BIAS + SD * noise)[hit], places)
         made.append(
             Observed(
                 time_s=step * INTERVAL_S,
@@ -54,6 +54,14 @@ def sequence(seed: int, percepts: int = 60, cars: int = 8, sight: str = "clear")
             )
         )
     return made
+
+
+def with_second(one: Observed) -> Observed:
+    """Percepts with a second box 1.5 m ahead of each, longer by a tenth, of score 0.2."""
+    ahead = np.column_stack([np.cos(one.found.yaw), np.sin(one.found.yaw), np.zeros(len(one.found))])
+    again = replace(one.found, center=one.found.center + 1.5 * ahead, size=one.found.size * [1.1, 1.0, 1.0])
+    score = np.concatenate([one.score, np.full(len(again), 0.2)])
+    return replace(one, found=concatenate([one.found, again]), score=score)
 
 
 def shifted(truth: Boxes, error: np.ndarray) -> Boxes:

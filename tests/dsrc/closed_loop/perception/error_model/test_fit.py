@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from dsrc.closed_loop.perception.error_model.fit import LEAST, classes_found, fit_errors
+from dsrc.closed_loop.perception.error_model.fit import EXAMPLES, LEAST, classes_found, fit_errors
 from dsrc.closed_loop.perception.error_model.model import Cell, Chance, ErrorModel, Errors, read_model, write_model
 from dsrc.closed_loop.perception.error_model.percepts import Observed
 from sim.errors import DataError, SettingsError
@@ -20,8 +20,9 @@ def errors() -> Errors:
     return fit_errors([sequence(seed) for seed in range(100, 140)], INTERVAL_S)
 
 
-def cell_of(errors: Errors, kind: str, sight: str, range_m: tuple[float, float]) -> Cell:
-    return next(one for one in errors.cells if (one.kind, one.sight, one.range_m) == (kind, sight, range_m))
+def cell_of(errors: Errors, kind: str, sight: str, range_m: tuple[float, float], across: bool = False) -> Cell:
+    wanted = kind, sight, across, range_m
+    return next(one for one in errors.cells if (one.kind, one.sight, one.across, one.range_m) == wanted)
 
 
 def model_of(errors: Errors) -> ErrorModel:
@@ -80,6 +81,34 @@ def test_boxes_across_their_objects_are_told_by_where_the_objects_head(errors: E
     assert cell.errors.sd[6] == pytest.approx(percepts.SD[6], rel=0.1)  # a quarter turn is no noise
 
 
+def test_cars_across_the_ego_s_heading_have_rates_of_their_own() -> None:
+    blind = [
+        replace(one, ego=one.ego + np.array([0.0, 0.0, 0.5 * np.pi]), found=one.found[:0], score=one.score[:0])
+        for one in sequence(5)
+    ]
+    mixed = fit_errors([sequence(0), blind], INTERVAL_S)
+    along, across = (cell_of(mixed, "car", "clear", (15.0, 30.0), across).found for across in (False, True))
+    assert abs(along.after_yes.p - percepts.AFTER_FOUND) < 0.1
+    assert (across.not_yet.p, across.not_yet.of) == (0.0, "cell")
+
+
+def test_second_boxes_are_those_of_their_objects_and_no_ghosts() -> None:
+    """Every car that is found in one half of the percepts is found once more, 1.5 m ahead of it and a little larger."""
+
+    def twice(seed: int) -> list[Observed]:
+        return [percepts.with_second(one) if row % 2 else one for row, one in enumerate(sequence(seed, ghosts=False))]
+
+    errors = fit_errors(map(twice, range(4)), INTERVAL_S)
+    along, across = errors.doubles.there
+    assert (along.after_yes.p, along.after_no.p, across.first.trials) == (0.0, 1.0, 0)
+    assert errors.ghosts.born == 0.0
+    offset = np.array(errors.doubles.examples)
+    assert len(offset) == EXAMPLES
+    assert offset[:, 0].mean() == pytest.approx(percepts.BIAS[0] + 1.5, abs=0.1)
+    assert offset[:, 3].mean() == pytest.approx(percepts.BIAS[3] + np.log(1.1), abs=0.02)
+    assert (offset[:, 7] == 0.2).all()
+
+
 def test_ghosts_are_born_and_live_as_they_did(errors: Errors) -> None:
     assert errors.ghosts.born == pytest.approx(percepts.BORN, abs=0.05)
     assert errors.ghosts.lives.p == pytest.approx(percepts.LIVES, abs=0.03)
@@ -89,9 +118,11 @@ def test_ghosts_are_born_and_live_as_they_did(errors: Errors) -> None:
 
 def test_an_empty_corner_takes_the_pooled_rate_and_says_so(errors: Errors) -> None:
     near, far = (cell_of(errors, "car", "clear", ends) for ends in ((15.0, 30.0), (50.0, 80.0)))
-    assert far.found.after_yes.of == "kind and sight"
+    assert far.found.after_yes.of == "kind, sight and heading"
     assert far.found.after_yes.p > percepts.AFTER_FOUND - 0.03
-    assert far.errors.of == "kind and sight"
+    assert far.errors.of == "kind, sight and heading"
+    across = cell_of(errors, "car", "clear", (15.0, 30.0), across=True)
+    assert across.found.after_yes.of == "kind and sight"
     partly = cell_of(errors, "car", "partly", (0.0, 15.0))
     assert (partly.found.after_no.of, partly.found.after_no.trials >= LEAST) == ("all", True)
     hidden = cell_of(errors, "car", "hidden", (0.0, 15.0))  # never observed: not found, whatever is in sight
@@ -152,7 +183,8 @@ def test_a_file_is_read_as_it_was_written(errors: Errors, tmp_path: Path) -> Non
         (lambda raw: raw.update(interval_s=0.0), "interval_s"),
         (lambda raw: raw["conditions"][0]["cells"].pop(), "cells"),
         (lambda raw: raw["conditions"][0]["cells"][0]["found"]["first"].update(p=1.5), "first.p"),
-        (lambda raw: raw["conditions"][0]["ghosts"].update(examples=[]), "examples"),
+        (lambda raw: raw["conditions"][0]["ghosts"].update(examples=[]), "ghosts.examples"),
+        (lambda raw: raw["conditions"][0]["doubles"]["there"][0]["first"].update(p=0.5), "doubles.examples"),
         (lambda raw: raw["conditions"][0]["cells"][-1]["errors"]["score"].reverse(), "score"),
         (lambda raw: raw.update(classes=["car", "tank"]), "classes"),
         (lambda raw: raw.clear(), "field"),

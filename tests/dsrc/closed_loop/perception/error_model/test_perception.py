@@ -9,7 +9,7 @@ import pytest
 
 from dsrc.closed_loop.campaign.plan import campaign_of, episodes_of
 from dsrc.closed_loop.perception.error_model.fit import fit_errors
-from dsrc.closed_loop.perception.error_model.model import Chain, ErrorModel, Errors, write_model
+from dsrc.closed_loop.perception.error_model.model import Chain, Doubles, ErrorModel, Errors, write_model
 from dsrc.closed_loop.perception.error_model.perception import ModelPerception
 from dsrc.closed_loop.perception.error_model.percepts import Observed
 from dsrc.closed_loop.perception.error_model.sight import SIGHTS, Viewpoints, lies_across
@@ -120,6 +120,26 @@ def test_boxes_lie_across_the_objects_that_are_said_to(fitted: Errors, crossing:
             assert is_crossed == (bool(lies_across(np.array(yaw - ego))) == crossing)
             seen += 1
     assert seen > 10
+
+
+def test_second_boxes_lie_where_the_model_has_them(fitted: Errors) -> None:
+    always = certain(fitted.flipped, 1.0)
+    example = (2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5 * np.pi, 0.21)
+    errors = msgspec.structs.replace(fitted, doubles=Doubles(there=(always, always), examples=(example,)))
+    once, twice = percepts_of(fitted, 0, 20), percepts_of(errors, 0, 20)
+    truth = toy.instant(1).boxes
+    cos, sin = np.cos(truth.yaw), np.sin(truth.yaw)
+    places = truth.center[:, :2] + np.column_stack([2.0 * cos - sin, 2.0 * sin + cos])
+    seconds = 0
+    for one, two in zip(once, twice, strict=True):
+        second = two.boxes[two.score == 0.21]
+        seconds += len(second)
+        assert len(two.boxes) == len(one.boxes) + len(second)
+        for box in second.array:
+            apart = np.linalg.norm(places - box[:2], axis=1)
+            assert apart.min() < 1e-6
+            assert bool(lies_across(np.array(box[6] - truth.yaw[apart.argmin()])))
+    assert seconds > 10
 
 
 def certain(chain: Chain, p: float) -> Chain:
