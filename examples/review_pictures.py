@@ -3,7 +3,8 @@
 Usage:
     python examples/review_pictures.py data/test/berlin_301 --checkpoint dsrc/checkpoints/small-dsrc.pt
 
-An episode is added with `--episode EPISODE.npz`, a log of `dsrc drive`.
+An episode is added with `--episode EPISODE.npz`, a log of `dsrc drive`, and who helped with `--shares FOLDER` of
+`dsrc shares` on the drive.
 """
 
 import argparse
@@ -20,7 +21,7 @@ from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cells.html import compare_address
 from dsrc.review.page.commands import go_to_error
 from dsrc.review.page.output.export import export_pictures, write_animation
-from dsrc.review.page.output.screenshot import BrowserPage, open_page
+from dsrc.review.page.output.screenshot import PATIENCE_S, BrowserPage, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from sim.files import signed_picture, write_file
@@ -29,6 +30,7 @@ SIZE = (1500, 850)
 VIEW = "frame=10&camera=chase&off=labels"
 NEAR = "camera=chase&off=labels&view=-25,-6,15,6,2,0"
 """View of the animation: nearer than the camera that chases the ego by itself."""
+SHARED = "/?fixedDpr=1&frame=46&camera=bev&off=labels"
 SMOOTH = (1280, 640), (800, 400)
 """Sizes of the animation as it is drawn and as it is written, px: lines and points get smooth edges."""
 HIDE_NOTICES = """
@@ -59,14 +61,14 @@ def picture_of_page(
     app = ReviewApp(model, start_server())
     try:
         with open_page(app.url + address, SIZE) as page:
-            sessions = app.wait_session(cells, 120.0)
+            sessions = app.wait_session(cells, PATIENCE_S)
             for session in sessions:
-                session.wait_drawn(120.0)
+                session.wait_drawn(PATIENCE_S)
             page.evaluate(HIDE_NOTICES)
             time.sleep(3.0)
             prepare(sessions[0], page)
             for session in sessions:
-                session.wait_drawn(120.0)
+                session.wait_drawn(PATIENCE_S)
             time.sleep(5.0)
             write_file(out, signed_picture(page.png()))
     finally:
@@ -110,6 +112,7 @@ def main() -> None:
     parser.add_argument("drive", type=Path, help="drive to show")
     parser.add_argument("--checkpoint", type=Path, required=True, help="detector")
     parser.add_argument("--episode", type=Path, help="log of an episode")
+    parser.add_argument("--shares", type=Path, help="folder of dsrc shares")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures/review"), help="folder of the pictures")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="pictures to make; default: all")
     parser.add_argument("--frames", type=int, default=10, help="frames of the animation")
@@ -119,7 +122,7 @@ def main() -> None:
     foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
     fog = "/?fixedDpr=1&frame=3&color=fate&corruption=fog&parameters=extinction:0.05"
     pole = "/?fixedDpr=1&frame=3&color=height&sensor=vlp-16&carrier=pole&placement=0,0,6,0,15"
-    riding = "/?fixedDpr=1&camera=chase&frame=40"
+    riding = "/?fixedDpr=1&camera=chase&frame=35"
     pictures: dict[str, Callable[[Path], object]] = {
         "errors.png": lambda path: picture_of_page(model, "/?fixedDpr=1&frame=3", path, show_errors),
         "cells.png": lambda path: picture_of_page(model, compare_address(VIEW, foggy), path, cells=2),
@@ -129,6 +132,8 @@ def main() -> None:
     }
     if given.episode is not None:
         pictures["episode.png"] = lambda path: picture_of_page(open_model(given.episode), riding, path)
+    if given.shares is not None:
+        pictures["shares.png"] = lambda path: picture_of_page(open_model(given.shares), SHARED, path)
     for name in given.only or pictures:
         pictures[name](out / name)
         print(out / name)

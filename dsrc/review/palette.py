@@ -32,7 +32,7 @@ FN: Rgb = (218, 159, 6)
 BODY: Rgb = (84, 92, 108)
 BACKGROUNDS: dict[str, Rgb] = {"dark": (10, 12, 17), "light": (148, 156, 168)}
 """Colour of the sky of each theme."""
-BRIGHTNESS: dict[str, float] = {"dark": 1.0, "light": 6.0}
+BRIGHTNESS: dict[str, float] = {"dark": 1.0, "light": 5.0}
 """Light of each theme: that of the ground, roads and buildings, in multiples of their colours."""
 GRID: tuple[Rgb, Rgb] = ((52, 58, 70), (76, 84, 100))
 """Colours of the grid's cells and sections."""

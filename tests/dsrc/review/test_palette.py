@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, FN, FP, LOST, METHOD_COLORS, SENSOR, TP
+from dsrc.review.palette import AGENT_COLORS, BRIGHTNESS, FATE_COLORS, FN, FP, LOST, METHOD_COLORS, SENSOR, TP, linear
 from sensors.sweep import MOVED, SCATTERED
 from tests.dsrc.review.vision import VISIONS, difference_1976, difference_2000, seen_as
 
@@ -36,6 +36,14 @@ def test_colours_of_different_meaning_differ(vision, named, by_1976, by_2000):
     for difference, bar in ((difference_1976, by_1976), (difference_2000, by_2000)):
         apart, which = least(named, vision, difference)
         assert apart >= bar, which
+
+
+@pytest.mark.parametrize("brightness", BRIGHTNESS.values(), ids=BRIGHTNESS)
+def test_bodies_keep_their_colours_in_the_light_of_a_theme(brightness):
+    agents = np.array(AGENT_COLORS, np.uint8)
+    light = linear(agents, brightness) * brightness / 255.0
+    shown = 255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.minimum(light, 1.0) ** (1 / 2.4) - 0.055)
+    assert np.abs(shown - agents).max() < 5.0
 
 
 # Pairs of the test data of Sharma, Wu and Dalal (2005), table 1.

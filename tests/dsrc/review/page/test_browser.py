@@ -104,10 +104,13 @@ def test_colours_are_shown_as_they_are_named_and_the_threshold_takes_detections_
     assert shown(image, palette.TP) == shown(image, palette.FP) == 0 and shown(image, palette.FN) > 50
 
 
-def test_an_agents_body_and_its_points_have_one_colour(opened):
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_an_agents_body_and_its_points_have_one_colour(opened, theme):
     session = opened.session
     session.update(
-        layers_off=frozenset({"truth", "detections", "labels", "world", "links"}), hidden=frozenset({1000, 1002, -1})
+        theme=theme,
+        layers_off=frozenset({"truth", "detections", "labels", "world", "links"}),
+        hidden=frozenset({1000, 1002, -1}),
     )
     session.place_camera("bev")
     session.wait_drawn()
