@@ -146,9 +146,9 @@ def legend(view: FrameView) -> str:
     other = _legend_row(palette.OTHER, "object, not evaluated", True)
     if view.help is not None:
         helped = (
-            (palette.TRUTH, "box in the colour of the agent to whom most of its score is due"),
-            (palette.TRUTH, "the same, crossed: false detection"),
-            (palette.FP, "cross over an object: an agent lowers its score"),
+            (palette.TRUTH, "object, coloured by who helped most"),
+            (palette.TRUTH, "false detection, crossed, by who made it"),
+            (palette.FP, "red cross: an agent lowers the score"),
             (palette.FN, "missed by all, dashed"),
         )
         return _box(agents + "".join(_legend_row(rgb, text, True) for rgb, text in helped) + other)

@@ -48,7 +48,7 @@ def test_boxes_are_of_the_agent_to_whom_most_of_their_score_is_due(model) -> Non
         place = truth.center[[1, 3, 4][row]] - model.origin(0)
         np.testing.assert_allclose(boxes.center[0], place, atol=1e-3)
     assert ids_of(view.layers[OTHER_TRUTH]) == [1000, 1002]
-    assert not len(view.layers[TRUE_POSITIVES]) and "most of its score is due" in legend(view)
+    assert not len(view.layers[TRUE_POSITIVES]) and "coloured by who helped most" in legend(view)
     judged = model.view(ReviewState(boxes_by="verdict"))
     assert judged.help is None and len(judged.layers[TRUE_POSITIVES]) and len(judged.layers[FALSE_NEGATIVES])
 
