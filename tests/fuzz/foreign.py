@@ -48,7 +48,7 @@ def _scans(root: Path) -> list[Target]:
     (alone / "2.ply").write_text(f"{head.format('ascii 1.0')}end_header\n{rows}")
 
     def target(name: str, file: Path, scan: Path, corruption: str, kind: str = "text") -> Target:
-        def read() -> object:
+        def read(_: Path) -> object:
             with tempfile.TemporaryDirectory(dir=root) as made:
                 return corrupt_dataset(scan, Path(made) / scan.name, corruption)
 
@@ -68,14 +68,18 @@ def _scans(root: Path) -> list[Target]:
 
 def _tracks(root: Path) -> list[Target]:
     root.mkdir()
-    made = {"street.csv": (write_csv, "text"), "street.npz": (write_npz, "arrays"), "street.xml": (write_xml, "text")}
-    for name, (write, _) in made.items():
+    writers = {
+        "street.csv": (write_csv, "text"),
+        "street.npz": (write_npz, "arrays"),
+        "street.xml": (write_xml, "text"),
+    }
+    for name, (write, _) in writers.items():
         write(root / name)
 
-    def target(path: Path, kind: str) -> Target:
-        return Target(f"tracks {path.suffix}", path, lambda: record_tracks(path, root / f"of{path.suffix}"), kind)
+    def recorded(path: Path) -> object:
+        return record_tracks(path, root / f"of{path.suffix}")
 
-    return [target(root / name, kind) for name, (_, kind) in made.items()]
+    return [Target(f"tracks of {name}", root / name, recorded, kind) for name, (_, kind) in writers.items()]
 
 
 def _boxes(root: Path) -> list[Target]:
@@ -91,10 +95,10 @@ def _boxes(root: Path) -> list[Target]:
     for name in ("0003_gt.npy", "0003_pred.npy"):
         np.save(dumped / name, boxes.corners())
     return [
-        Target("boxes, JSON", listed, lambda: score(listed, truth.parent, "all"), "text"),
-        Target("boxes, KITTI", found / "000003.txt", lambda: score(found, truth.parent, "all"), "text"),
-        Target("boxes, true ones of KITTI", truth / "000003.txt", lambda: score(listed, truth.parent, "all"), "text"),
-        Target("boxes, OpenCOOD", dumped / "0003_pred.npy", lambda: score(dumped, None, "all"), "text"),
+        Target("boxes, JSON", listed, lambda path: score(path, truth.parent, "all"), "text"),
+        Target("boxes, KITTI", found / "000003.txt", lambda _: score(found, truth.parent, "all"), "text"),
+        Target("boxes, true ones of KITTI", truth / "000003.txt", lambda _: score(listed, truth.parent, "all"), "text"),
+        Target("boxes, OpenCOOD", dumped / "0003_pred.npy", lambda _: score(dumped, None, "all"), "text"),
     ]
 
 
@@ -103,4 +107,4 @@ def _errors(root: Path) -> list[Target]:
     errors = fit_errors([sequence(0)], INTERVAL_S)
     model = {"perception": "team", "cooperative": True, "interval_s": INTERVAL_S, "classes": ("car",)}
     write_model(path, ErrorModel(**model, conditions=(errors,)))
-    return [Target("error model", path, lambda: read_model(path), "text")]
+    return [Target("error model", path, read_model, "text")]

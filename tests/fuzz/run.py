@@ -57,7 +57,7 @@ def fuzz(folder: Path, seconds: float, seed: int, only: str = "") -> Outcome:
     outcome, number = Outcome(), 0
     for reader in readers:
         with suppress(UserError):  # loads what it needs, once for all processes
-            reader.read()
+            reader.read(reader.path)
     gc.freeze()  # children share the pages
     for reader in readers:
         for special in ("pipe", "device", "folder", "nothing", "empty") if reader.is_file else ():
@@ -134,7 +134,7 @@ def _read(reader: Target, sending: int) -> int:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, used + MEMORY_BYTES))
     try:
-        reader.read()
+        reader.read(reader.path)
     except UserError as error:
         line = str(error)
         if "\n" in line or len(line) > LONGEST_LINE:

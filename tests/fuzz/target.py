@@ -12,13 +12,13 @@ class Target:
     Attributes:
         name: in messages.
         path: file that is mutated; all others stay.
-        read: reads it, as a command would.
+        read: reads it by its path, as a command would.
         kind: of its mutations, see `mutated`.
         is_file: it is a file to the reader too, not words of a command.
     """
 
     name: str
     path: Path
-    read: Callable[[], object]
+    read: Callable[[Path], object]
     kind: str = "bytes"
     is_file: bool = True

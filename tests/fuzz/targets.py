@@ -1,20 +1,12 @@
 """Readers of untrusted files, each with a real small file to start from."""
 
-import json
-import re
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-import torch
-from msgspec.structs import replace
 
-from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.plan import is_campaign, read_campaign
-from dsrc.closed_loop.campaign.run import read_result, results_csv
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.data.checksums import read_checksums
 from dsrc.data.datasets.manifest import read_manifest
@@ -22,24 +14,9 @@ from dsrc.data.datasets.spec import expand, find_split_file, log_settings, read_
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.pcd import encode_pcd, read_pcd
 from dsrc.data.write import write_drive
-from dsrc.evaluation.cache import read_cell
-from dsrc.evaluation.cache import read_settings as cell_settings
 from dsrc.evaluation.config import check as check_plan
 from dsrc.evaluation.config import read_benchmark
-from dsrc.evaluation.evaluate import evaluate_drives
-from dsrc.evaluation.stored import read_index, read_run
-from dsrc.models.detector import Detector
-from dsrc.models.storage.checkpoint import join_files, load_detector, load_joined, read_meta, save_detector
-from dsrc.models.storage.import_dsrc import import_detector
-from dsrc.models.storage.import_opencood import Origin, import_opencood
-from dsrc.options.detection import Evaluation
-from dsrc.review.errors.notes import NoteBook
-from dsrc.review.sources.results import open_results
-from dsrc.training.metrics_file import MetricsFile
-from dsrc.training.recipes import RECIPES, debug, override
-from dsrc.training.run_folder import RunFolder
-from dsrc.training.train import train
-from dsrc.training.verify import verify
+from dsrc.training.recipes import RECIPES, override
 from sensors.corruptions.published.snow import read_calibration
 from sim.catalog.import_map import import_map
 from sim.catalog.load import load_scenario
@@ -57,11 +34,8 @@ from sim.world.world_file import load_world
 from tests.dsrc.closed_loop.logged import Mover, ahead, episode
 from tests.dsrc.data import dair_tree
 from tests.dsrc.data.toy import SETTINGS, ToySource, toy_frame
-from tests.dsrc.evaluation import small
-from tests.dsrc.models.storage.opencood_networks import RANGE_M, network
-from tests.dsrc.training.drive import write_drive as write_drive_of_cars
-from tests.dsrc.training.runs import tiny
 from tests.fuzz.foreign import foreign_targets
+from tests.fuzz.learned import learned_targets
 from tests.fuzz.target import Target
 from tests.paths import ROOT
 from tests.sim.catalog.test_import_map import packed_file, town
@@ -115,9 +89,7 @@ def targets(folder: Path) -> list[Target]:
         *_settings(folder),
         *_maps(folder),
         *_meshes(folder),
-        *_detectors(folder),
-        *_results(folder),
-        *_runs(folder),
+        *learned_targets(folder),
         *foreign_targets(folder),
     ]
 
@@ -132,10 +104,10 @@ def _drives(folder: Path) -> list[Target]:
     (foreign / "data_protocol.yaml").unlink()
     dair_tree.make(dair, tracks=True)
 
-    def first(drive: Path) -> Callable[[], object]:
-        return lambda: open_drive(drive).read(0)
+    def first(drive: Path) -> Callable[[Path], object]:
+        return lambda _: open_drive(drive).read(0)
 
-    def batch() -> object:
+    def batch(_: Path) -> object:
         from dsrc.data.drives import open_drives
 
         return [drive.read(0) for drive in open_drives(dair)]
@@ -145,7 +117,7 @@ def _drives(folder: Path) -> list[Target]:
         Target("OPV2V annotation, own", sorted(own.glob("*/*.yaml"))[0], first(own), "text"),
         Target("OPV2V protocol", own / "data_protocol.yaml", first(own), "text"),
         Target("OPV2V annotation, of others", notes[0], first(foreign), "text"),
-        Target("checksums", own / "SHA256SUMS", lambda: read_checksums(own), "text"),
+        Target("checksums", own / "SHA256SUMS", lambda path: read_checksums(path.parent), "text"),
         *(Target(f"DAIR-V2X-C {path.relative_to(dair)}", path, batch, "text") for path in tables),
     ]
 
@@ -165,9 +137,9 @@ def _clouds(folder: Path) -> list[Target]:
     sizes = np.array([len(literals), len(columns)], "<u4").tobytes()
     packed.write_bytes(f"{head}DATA binary_compressed\n".encode() + sizes + literals)
     return [
-        Target("PCD, binary", binary, lambda: read_pcd(binary), "text"),
-        Target("PCD, ASCII", text, lambda: read_pcd(text), "text"),
-        Target("PCD, compressed", packed, lambda: read_pcd(packed), "text"),
+        Target("PCD, binary", binary, read_pcd, "text"),
+        Target("PCD, ASCII", text, read_pcd, "text"),
+        Target("PCD, compressed", packed, read_pcd, "text"),
     ]
 
 
@@ -182,17 +154,18 @@ def _archives(folder: Path) -> list[Target]:
     focus = folder / "focus.npz"
     np.savez(focus, focal_distance_m=np.full(64, 10.0), focal_slope=np.ones(64), min_intensity=np.zeros(64))
 
-    def calibration() -> object:
-        read_calibration.cache_clear()
-        return read_calibration(str(focus))
-
     return [
-        Target("traffic log", log, lambda: TrafficLog.load(log), "arrays"),
-        Target("recorded log", recorded, lambda: (log_settings(recorded), TrafficLog.load(recorded)), "arrays"),
-        Target("static world", world, lambda: to_mesh_of(world), "arrays"),
-        Target("episode log", driven, lambda: EpisodeLog.load(driven), "arrays"),
-        Target("calibration", focus, calibration, "arrays"),
+        Target("traffic log", log, TrafficLog.load, "arrays"),
+        Target("recorded log", recorded, lambda path: (log_settings(path), TrafficLog.load(path)), "arrays"),
+        Target("static world", world, to_mesh_of, "arrays"),
+        Target("episode log", driven, EpisodeLog.load, "arrays"),
+        Target("calibration", focus, _calibration, "arrays"),
     ]
+
+
+def _calibration(path: Path) -> object:
+    read_calibration.cache_clear()
+    return read_calibration(str(path))
 
 
 def to_mesh_of(path: Path) -> object:
@@ -208,36 +181,38 @@ def _settings(folder: Path) -> list[Target]:
     shipped = (ROOT / "docs" / "results" / "closed-loop" / "campaign.toml").read_text()
     campaign.write_text(shipped.replace("../../../dsrc", f"{ROOT}/dsrc"))
     files = {"benchmark.toml": BENCHMARK, "few.toml": DATASET, "trace.csv": TRACE, "set.txt": "batch_size=2"}
-    benchmark, dataset, trace, override_file = (folder / name for name in files)
+    benchmark, dataset, trace, words = (folder / name for name in files)
     for name, text in files.items():
         (folder / name).write_text(text)
     manifest = folder / "built" / "manifest.json"
     manifest.parent.mkdir()
     manifest.write_text('{"version": 1, "name": "a", "description": "b", "drives": 0, "items": [], "failed": {}}')
 
-    def channel() -> object:
-        read_trace.cache_clear()
-        return read_trace(str(trace)).at(0.5, 1000, 2)
-
-    def plan() -> None:
-        check_plan(read_benchmark(benchmark), "benchmark")
-
-    def drives() -> object:
-        found = find_split_file(dataset)
-        return None if found is None else expand(read_dataset(found), found)
-
-    def setting() -> object:
-        return override(RECIPES["debug"](), [override_file.read_bytes().decode("utf-8", "replace")])
-
     return [
-        Target("scenario", scenario, lambda: load_scenario(scenario), "text"),
-        Target("campaign", campaign, lambda: is_campaign(campaign) and read_campaign(campaign), "text"),
-        Target("benchmark", benchmark, plan, "text"),
-        Target("dataset", dataset, drives, "text"),
-        Target("channel trace", trace, channel, "text"),
-        Target("manifest", manifest, lambda: read_manifest(manifest.parent), "text"),
-        Target("--set", override_file, setting, "text", is_file=False),
+        Target("scenario", scenario, load_scenario, "text"),
+        Target("campaign", campaign, lambda path: is_campaign(path) and read_campaign(path), "text"),
+        Target("benchmark", benchmark, lambda path: check_plan(read_benchmark(path), "benchmark"), "text"),
+        Target("dataset", dataset, _drives_of, "text"),
+        Target("channel trace", trace, _channel, "text"),
+        Target("manifest", manifest, lambda path: read_manifest(path.parent), "text"),
+        Target(
+            "--set",
+            words,
+            lambda path: override(RECIPES["debug"](), [path.read_text("utf-8", "replace")]),
+            "text",
+            False,
+        ),
     ]
+
+
+def _channel(path: Path) -> object:
+    read_trace.cache_clear()
+    return read_trace(str(path)).at(0.5, 1000, 2)
+
+
+def _drives_of(path: Path) -> object:
+    found = find_split_file(path)
+    return None if found is None else expand(read_dataset(found), found)
 
 
 def _maps(folder: Path) -> list[Target]:
@@ -251,39 +226,17 @@ def _maps(folder: Path) -> list[Target]:
     drive = {"sumo-net-file": str(net), "opendrive-output": str(drive_map), "no-warnings": True}
     run_tool("netconvert", drive, drive_map, "town")
 
-    def imported(path: Path) -> Callable[[], object]:
-        def read() -> object:
-            with tempfile.TemporaryDirectory(dir=folder) as made:
-                return import_map(path, name="town", out=Path(made) / "town")
-
-        return read
+    def imported(path: Path) -> object:
+        with tempfile.TemporaryDirectory(dir=folder) as made:
+            return import_map(path, name="town", out=Path(made) / "town")
 
     return [
-        Target("SUMO network", net, lambda: read_network(net).getEdges(), "text"),
-        *(Target(f"map {path.suffix}", path, imported(path), "text") for path in (net, town_map, drive_map)),
-        Target("OpenStreetMap, binary", packed, lambda: pbf_to_xml(packed, folder / "two.osm")),
-        Target("buildings", polygons, lambda: has_buildings(polygons) and read_outlines(polygons), "text"),
-        Target("roadside objects", polygons, lambda: read_map_objects(polygons), "text"),
-        Target("trips", trips, lambda: _read_trips(trips), "text"),
-    ]
-
-
-def _detectors(folder: Path) -> list[Target]:
-    detector, imported = folder / "detector.pt", folder / "net_epoch1.pth"
-    made = Detector(replace(debug().model, shrink_norm=False))
-    save_detector(detector, made, {"seed": 1})
-    torch.save({published_name(name): tensor for name, tensor in made.state_dict().items()}, imported)
-    zoo = folder / "net_epoch2.pth"
-    torch.save(network("v2vnet", kernel=3), zoo)
-    both = folder / "both.pt"
-    people = Detector(replace(made.settings, users="vulnerable"))
-    save_detector(folder / "people.pt", people, {"seed": 2})
-    join_files([detector, folder / "people.pt"], both)
-    return [
-        Target("detectors, joined", both, lambda: load_joined(both), "tensors"),
-        Target("detector", detector, lambda: (load_detector(detector), read_meta(detector)), "tensors"),
-        Target("published detector", imported, lambda: import_detector(imported, made.settings.grid), "tensors"),
-        Target("detector of OpenCOOD", zoo, lambda: import_opencood(zoo, Origin(range_m=RANGE_M)), "tensors"),
+        Target("SUMO network", net, lambda path: read_network(path).getEdges(), "text"),
+        *(Target(f"map {path.suffix}", path, imported, "text") for path in (net, town_map, drive_map)),
+        Target("OpenStreetMap, binary", packed, lambda path: pbf_to_xml(path, folder / "two.osm")),
+        Target("buildings", polygons, lambda path: has_buildings(path) and read_outlines(path), "text"),
+        Target("roadside objects", polygons, read_map_objects, "text"),
+        Target("trips", trips, _read_trips, "text"),
     ]
 
 
@@ -292,60 +245,6 @@ def _meshes(folder: Path) -> list[Target]:
     studio.write_bytes(small_3ds())
     wavefront.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl roof\nf 1//1 2//1 3//1 4//1\nf -4 -3 -2\n")
     return [
-        Target("mesh .3ds", studio, lambda: read_3ds(studio)),
-        Target("mesh .obj", wavefront, lambda: read_obj(wavefront), "text"),
-    ]
-
-
-def published_name(name: str) -> str:
-    """Return the name of a detector's tensor in the published code."""
-    name = name.replace("encoder.", "pillar_vfe.pfn_layers.0.").replace("decoder.", "backbone.deblocks.")
-    name = name.replace("shrink.", "shrink_conv.layers.0.double_conv.")
-    return re.sub(r"backbone\.stages\.(\d)", lambda found: f"backbone.resnet.layer{int(found[1]) + 1}", name)
-
-
-def _results(folder: Path) -> list[Target]:
-    """Results of an evaluation, which `dsrc view` opens and another evaluation resumes."""
-    drives, out = small.write_drives(folder / "judged", drives=1, frames=1), folder / "results"
-    checkpoint = small.write_detector(folder / "judge.pt", "dsrc")
-    evaluate_drives(Evaluation(checkpoints=(str(checkpoint),), data=drives, out=out, corruptions=()))
-    cell = sorted((out / "cells").glob("*.npz"))[0]
-    notes, episodes = folder / "notes.json", folder / "episodes"
-    NoteBook(notes).put("drive_0, 0: missed 3", "behind a bus", ["occlusion"])
-    episodes.mkdir()
-    (episodes / "a.npz").touch()
-    driven = episodes / "a.json"
-    words = dict.fromkeys(EpisodeResult.__struct_fields__, "ideal")
-    driven.write_text(json.dumps(words | {"severity": 3, "seed": 1, "detectable": True, "metrics": {"risk": 0.5}}))
-
-    def told() -> object:
-        result = read_result(episodes, "a")
-        return None if result is None else results_csv([result])
-
-    def judged() -> object:
-        return [read_run(out, keys) for run in read_index(out).runs for keys in run.cells], open_results(out)
-
-    return [
-        Target(
-            "cell", cell, lambda: (read_cell(cell.parent, cell.stem), cell_settings(cell.parent, cell.stem)), "arrays"
-        ),
-        Target("times of a cell", cell.with_suffix(".seconds"), lambda: read_cell(cell.parent, cell.stem), "text"),
-        Target("index of results", out / "detections.json", judged, "text"),
-        Target("notes", notes, lambda: NoteBook(notes).tags, "text"),
-        Target("result of an episode", driven, told, "text"),
-    ]
-
-
-def _runs(folder: Path) -> list[Target]:
-    """A finished training, which `dsrc model verify` reads and the same command resumes."""
-    run = RunFolder(folder / "run" / "plain")
-    train(tiny(epochs=1), write_drive_of_cars(folder / "cars", 2), run.path, "plain")
-    record = json.loads(run.settings.read_text())
-    rows = MetricsFile(run.path)
-    trainer: Any = SimpleNamespace(current_epoch=3)
-    return [
-        Target("settings of a run", run.settings, lambda: (run.state(record), verify(run.path)), "text"),
-        Target("result of a run", run.result, lambda: verify(run.path), "text"),
-        Target("environment of a run", run.environment, lambda: run.note_environment(1), "text"),
-        Target("metrics of a run", rows.path, lambda: rows.on_train_start(trainer, trainer), "text"),
+        Target("mesh .3ds", studio, read_3ds),
+        Target("mesh .obj", wavefront, read_obj, "text"),
     ]

@@ -10,7 +10,7 @@ from tests.fuzz.run import fuzz
 
 def test_files_of_others_are_read_before_they_are_mutated(tmp_path: Path) -> None:
     for target in foreign_targets(tmp_path):
-        target.read()
+        target.read(target.path)
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs fork and limits of Linux")
