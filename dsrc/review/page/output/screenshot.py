@@ -16,7 +16,7 @@ from sim.errors import DataError, SettingsError
 from sim.files import write_file
 
 PATIENCE_S = 300.0
-"""Longest time that a picture takes, s: a renderer in software on a busy machine is slow."""
+"""Longest time for which a browser is waited for, s: one that draws in software on a busy machine is slow."""
 
 # Software rendering by name: a later Chromium may otherwise have no WebGL.
 _FLAGS = (
@@ -61,7 +61,7 @@ class BrowserPage:
         self._socket = socket
         self._ids = count(1)
 
-    def send(self, method: str, timeout_s: float = 60.0, **parameters: Any) -> dict[str, Any]:
+    def send(self, method: str, timeout_s: float = PATIENCE_S, **parameters: Any) -> dict[str, Any]:
         """Call a DevTools method and return its result."""
         number = next(self._ids)
         self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
@@ -89,7 +89,7 @@ class BrowserPage:
 
     def png(self) -> bytes:
         """PNG of the page."""
-        return base64.b64decode(self.send("Page.captureScreenshot", PATIENCE_S, format="png")["data"])
+        return base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"])
 
 
 @contextmanager
