@@ -305,6 +305,8 @@ def test_the_campaign_halves_the_distillation_once_after_a_first_gate_that_did_n
     halved = {training.name: training for training in campaign.campaign(2, 0.5)}
     assert "dsrc-single-halved_s0" in halved["dsrc_s0"].needs()
     assert "distill.dap=0.25" in halved["dsrc_s0"].settings
+    folders = "--data", "data", "--out", str(tmp_path)
+    assert "dsrc-single-halved_s0" in run(ROOT / "examples/campaign.py", *folders, "--dry-run", "--only", "dsrc_s0")
     assert not any("distill" in setting for setting in halved["attfuse_s0"].settings)
     gates.record(tmp_path, gates.gate("G2", {"gain_50": 1.0}, {"gain_50": 0.5}, ""))
     assert {name: gate.passed for name, gate in gates.recorded(tmp_path).items()} == {"G1": False, "G2": True}
