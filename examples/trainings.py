@@ -1,5 +1,12 @@
-"""Plan of the campaign: every training of docs/results.md, what it starts from and is taught by, in order."""
+"""Plan of the campaign: every training of docs/results.md, what it starts from and is taught by, in order.
 
+`examples/campaign.py` runs it.
+
+Usage:
+    python examples/trainings.py
+"""
+
+import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -157,3 +164,20 @@ FURTHER = {
 ALONE = "vulnerable-alone"
 VULNERABLE = ("users=vulnerable", 'grid={"range_m":[-38.4,-25.6,-3,38.4,25.6,1],"cell_m":0.2}')
 """Network for pedestrians and two-wheelers, on a grid as fine as they are small."""
+
+
+def main() -> None:
+    description, _, usage = (__doc__ or "").partition("\n\n")
+    argparse.ArgumentParser(
+        description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args()
+    line = "{:5} {:26} {:17} {:5} {:26} {}"
+    print(line.format("phase", "training", "method", "steps", "starts from", "teacher"))
+    for one in campaign():
+        steps = f"{one.passes} x" if one.passes else one.steps
+        print(line.format(one.phase, one.name, one.method, steps, one.init or "-", one.teacher or "-").rstrip())
+    print("steps are of two frames; x: passes over all frames")
+
+
+if __name__ == "__main__":
+    main()
