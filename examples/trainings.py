@@ -159,6 +159,7 @@ FURTHER = {
     "corrupted": ("augmentation.corruption=0.5",),
     "consistent": ("augmentation.corruption=0.5", "consistency=0.5"),
     "directed": ("direction=true",),
+    "lifted": ("augmentation.height_m=0.4",),
 }
 """Extensions of the paper, as changes of the recipe by name."""
 ALONE = "vulnerable-alone"

@@ -39,7 +39,7 @@ def _reach(along: float, across: float, rotation_deg: float) -> float:
 
 
 def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.random.Generator) -> Sample:
-    """Drop collaborators, flip, rotate and scale a sample, then crop it to the grid.
+    """Drop collaborators, flip, rotate, scale and lift a sample, then crop it to the grid.
 
     `ego_from_agent` is unchanged: a mirror image has no pose.
     """
@@ -54,15 +54,16 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     # x and y only: scaling z would move the road.
     plane = scale * rotation @ np.diag(signs)
+    thin, lift = rng.random() < augmentation.thinning, augmentation.height_m * rng.uniform(-1, 1)
     moved = replace(
         sample,
-        clouds=tuple(_cloud(cloud, plane, grid) for cloud in sample.clouds),
-        other_clouds=tuple(_cloud(cloud, plane, grid) for cloud in sample.other_clouds),
-        corrupted=tuple(_cloud(cloud, plane, grid) for cloud in sample.corrupted),
-        boxes=_boxes(sample.boxes, plane, scale, grid),
-        agent_boxes=tuple(_boxes(boxes, plane, scale, grid) for boxes in sample.agent_boxes),
+        clouds=tuple(_cloud(cloud, plane, lift, grid) for cloud in sample.clouds),
+        other_clouds=tuple(_cloud(cloud, plane, lift, grid) for cloud in sample.other_clouds),
+        corrupted=tuple(_cloud(cloud, plane, lift, grid) for cloud in sample.corrupted),
+        boxes=_boxes(sample.boxes, plane, scale, lift, grid),
+        agent_boxes=tuple(_boxes(boxes, plane, scale, lift, grid) for boxes in sample.agent_boxes),
     )
-    return thinned(moved, rng) if rng.random() < augmentation.thinning else moved
+    return thinned(moved, rng) if thin else moved
 
 
 def thinned(sample: Sample, rng: np.random.Generator) -> Sample:
@@ -96,19 +97,21 @@ def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
     )
 
 
-def _cloud(cloud: NDArray[np.float32], plane: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
+def _cloud(cloud: NDArray[np.float32], plane: NDArray[np.float64], lift: float, grid: GridSpec) -> NDArray[np.float32]:
     moved = cloud.copy()
     moved[:, :2] = cloud[:, :2] @ plane.T.astype(np.float32)
+    moved[:, 2] += np.float32(lift)
     inside = np.ones(len(moved), bool)
     for axis in range(3):
         inside &= (moved[:, axis] > grid.range_m[axis]) & (moved[:, axis] < grid.range_m[axis + 3])
     return moved[inside]
 
 
-def _boxes(boxes: Boxes, plane: NDArray[np.float64], scale: float, grid: GridSpec) -> Boxes:
+def _boxes(boxes: Boxes, plane: NDArray[np.float64], scale: float, lift: float, grid: GridSpec) -> Boxes:
     forward = np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1) @ plane.T
     center = boxes.center.copy()
     center[:, :2] = boxes.center[:, :2] @ plane.T
+    center[:, 2] += lift
     moved = replace(
         boxes,
         center=center,

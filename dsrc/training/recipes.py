@@ -27,6 +27,7 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         flip: mirror left and right, and front and back, each with probability one half.
         rotation_deg: largest rotation about the vertical axis, degrees.
         scale: largest relative change of size in the plane.
+        height_m: largest shift along the vertical axis, m, as if the ego's LiDAR stood higher or lower.
         random_ego: any of the frame's vehicles is the ego, not always the first.
         dropout: probability that only some agents (one to all, evenly) take part, with the ground truth that these have
             seen. One network so learns to detect alone and with collaborators.
@@ -41,6 +42,7 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     flip: bool = True
     rotation_deg: Annotated[float, Meta(ge=0, le=180)] = 15.0
     scale: Annotated[float, Meta(ge=0, lt=1)] = 0.05
+    height_m: Annotated[float, Meta(ge=0, le=1)] = 0.0
     random_ego: bool = True
     dropout: Annotated[float, Meta(ge=0, le=1)] = 0.3
     thinning: Annotated[float, Meta(ge=0, le=1)] = 0.0

@@ -257,7 +257,7 @@ def test_the_projects_own_benchmark_has_all_that_the_papers_tables_need():
     assert set(METHODS) - starts <= {name for name, _, _ in runs}
     parts, otherwise = (
         {"sdd", "pcp", "sdd-pcp"},
-        {f"dsrc-{name}" for name in ("thinned", "corrupted", "consistent", "directed")},
+        {f"dsrc-{name}" for name in ("thinned", "corrupted", "consistent", "directed", "lifted")},
     )
     assert {name for name, _, _ in runs} - set(METHODS) == parts | otherwise
     trainings = {method.name: len(method.detectors) for method in plan.methods}

@@ -14,6 +14,7 @@ from dsrc.training.recipes import Augmentation, debug
 from tests.dsrc.training.drive import frame
 
 GRID = debug().model.grid
+WHOLE = Augmentation()
 STILL = Augmentation(flip=False, rotation_deg=0, scale=0, random_ego=False, dropout=0)
 
 
@@ -123,3 +124,23 @@ def test_thinning_changes_nothing_else_of_a_sample(sample: Sample) -> None:
     for ours, theirs in zip(thin.clouds, whole.clouds, strict=True):
         np.testing.assert_array_equal(ours, theirs)
     np.testing.assert_array_equal(thin.boxes.array, whole.boxes.array)
+
+
+def test_a_lifted_sample_is_the_scene_from_another_height(sample: Sample) -> None:
+    lifts = set()
+    for seed in range(4):
+        raised, level = (
+            augment(sample, GRID, choice, np.random.default_rng(seed)) for choice in (Augmentation(height_m=0.4), WHOLE)
+        )
+        shared = np.isin(raised.boxes.object_id, level.boxes.object_id)
+        before = level.boxes[np.isin(level.boxes.object_id, raised.boxes.object_id)]
+        move = raised.boxes[shared].center - before.center
+        np.testing.assert_allclose(move[:, :2], 0.0, atol=1e-9)
+        assert np.ptp(move[:, 2]) < 1e-9 and 0 < abs(move[0, 2]) <= 0.4
+        # Points went with their boxes, and the road with them.
+        assert np.median(raised.clouds[0][:, 2]) - np.median(level.clouds[0][:, 2]) == pytest.approx(
+            move[0, 2], abs=0.05
+        )
+        assert abs(points_in_boxes(raised) - points_in_boxes(level)) <= 2
+        lifts.add(round(float(move[0, 2]), 6))
+    assert len(lifts) == 4
