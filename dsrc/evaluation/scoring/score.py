@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from dsrc.data.drives import list_drives
 from dsrc.data.executors import Progress
@@ -104,9 +105,30 @@ def score(
         own = one.truth if known is None else known
         if own is None:
             raise DataError(complaint(where, "truth", "a tree of true boxes, since none are stored here", "none"))
+        if doubt := _doubt(one, own):
+            one = replace(one, note=f"{one.note}; {doubt}" if one.note else doubt)
         rated = one.images is not None and all(truth.image is not None for truth in own.values())
         results += _scores(one, own, get_protocols(protocol, levels=rated))
     return results
+
+
+_NEAR_M, _LEAST_NEAR, _ENOUGH = 3.0, 0.05, 20
+
+
+def _doubt(one: DetectionSet, truth: Mapping[FrameKey, Truth]) -> str:
+    """Say that a set hardly touches the true boxes; "" where it does, or holds too little to tell.
+
+    Data sets share names of drives and numbers of frames, so boxes of another one are scored without an error.
+    """
+    near = found = 0
+    for key, detections in one.frames.items():
+        if len(true := truth[key].boxes):
+            ours, theirs = detections.boxes.center[:, None, :2], true.center[None, :, :2]
+            near += int((np.linalg.norm(ours - theirs, axis=2) < _NEAR_M).any(axis=1).sum())
+            found += len(detections.boxes)
+    if found < _ENOUGH or near >= _LEAST_NEAR * found:
+        return ""
+    return f"{near} of {found} boxes lie within {_NEAR_M:g} m of a true one: the truth seems to be of another data set or ego"
 
 
 def _scores(one: DetectionSet, truth: Mapping[FrameKey, Truth], protocols: Iterable[Protocol]) -> Iterator[Score]:

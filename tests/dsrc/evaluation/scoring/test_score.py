@@ -199,6 +199,19 @@ def test_several_sets_share_a_table() -> None:
     assert len(score_table(found).renderables) == 2
 
 
+def test_boxes_of_another_data_set_are_doubted(world) -> None:
+    _, frames = world
+    own = [Boxes.from_array(np.repeat(found.boxes.array, 4, axis=0)) for found in frames.values()]
+    assert len(own[0]) * FRAMES >= 20
+    elsewhere = [boxes.array + np.array([200.0, 0, 0, 0, 0, 0, 0]) for boxes in own]
+    scores = [np.linspace(0.9, 0.1, len(boxes), dtype=np.float32) for boxes in own]
+    near, far = (
+        score([Detections(Boxes.from_array(a), s) for a, s in zip(arrays, scores, strict=True)], own, "opencood")[0]
+        for arrays in ([boxes.array for boxes in own], elsewhere)
+    )
+    assert near.note == "" and "0 of" in far.note and "data set" in far.note
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [
