@@ -128,7 +128,8 @@ def _doubt(one: DetectionSet, truth: Mapping[FrameKey, Truth]) -> str:
             found += len(detections.boxes)
     if found < _ENOUGH or near >= _LEAST_NEAR * found:
         return ""
-    return f"{near} of {found} boxes lie within {_NEAR_M:g} m of a true one: the truth seems to be of another data set or ego"
+    touching = f"{near} of {found} boxes lie within {_NEAR_M:g} m of a true one"
+    return f"{touching}: the truth seems to be of another data set or ego"
 
 
 def _scores(one: DetectionSet, truth: Mapping[FrameKey, Truth], protocols: Iterable[Protocol]) -> Iterator[Score]:
