@@ -32,7 +32,7 @@ from dsrc.closed_loop.perception.error_model.sight import (
     SIGHTS,
     bands_of,
     ego_frame,
-    lies_across,
+    quarters_of,
     within,
 )
 from sim.geometry import wrap_angle
@@ -62,7 +62,7 @@ class _Table:
         error: (R, 8) of `PARTS`, the score itself; NaN where it was not found.
         flipped: (R,) whether the box points backwards.
         crossed: (R,) whether the box lies across its object.
-        across: (R,) whether the object lies across the ego's heading.
+        quarter: (R,) heading of the object, quarter turns from the ego's.
         second: (R, 8) error of `PARTS` of a second box; NaN without one.
     """
 
@@ -74,7 +74,7 @@ class _Table:
     error: NDArray[np.float64]
     flipped: Mask
     crossed: Mask
-    across: Mask
+    quarter: NDArray[np.int64]
     second: NDArray[np.float64]
 
 
@@ -90,13 +90,13 @@ def fit_errors(sequences: Iterable[Sequence[Observed]], interval_s: float, **con
     area = _area(known)
     table, places = _table(known, area, interval_s)
     cells, marks = [], np.zeros_like(table.error)
-    any_row = np.ones(len(table.hit), bool)
+    any_row, lies_across = np.ones(len(table.hit), bool), table.quarter % 2 == 1
     doubled = ~np.isnan(table.second[:, 7])
     names = product(enumerate(KINDS), enumerate(SIGHTS), (False, True), enumerate(BANDS))
     for (kind, name), (sight, sees), across, (band, ends) in names:
         sees_so = table.sight == sight
         both = sees_so & (table.kind == kind)
-        heads_so = both & (table.across == across)
+        heads_so = both & (lies_across == across)
         own = heads_so & (table.band == band)
         groups: Groups = (
             ("cell", own),
@@ -115,16 +115,19 @@ def fit_errors(sequences: Iterable[Sequence[Observed]], interval_s: float, **con
         episodes=len(known),
         area_m=area,
         cells=tuple(cells),
-        flipped=_chain(table.flipped, table, (("all", any_row),), table.hit & ~table.crossed),
+        flipped=tuple(  # type: ignore[arg-type]
+            _chain(table.flipped, table, (("cell", table.quarter == k), ("all", any_row)), table.hit & ~table.crossed)
+            for k in range(4)
+        ),
         crossed=(
-            _chain(table.crossed, table, (("cell", ~table.across),), table.hit),
-            _chain(table.crossed, table, (("cell", table.across),), table.hit),
+            _chain(table.crossed, table, (("cell", ~lies_across),), table.hit),
+            _chain(table.crossed, table, (("cell", lies_across),), table.hit),
         ),
         correlation=_correlation(marks, table),
         doubles=Doubles(
             there=(
-                _chain(doubled, table, (("cell", ~table.across),), table.hit),
-                _chain(doubled, table, (("cell", table.across),), table.hit),
+                _chain(doubled, table, (("cell", ~lies_across),), table.hit),
+                _chain(doubled, table, (("cell", lies_across),), table.hit),
             ),
             examples=_some(np.round(table.second[doubled], 4).tolist()),  # type: ignore[arg-type]
         ),
@@ -184,14 +187,14 @@ def _table(
             last, last_s = {number: count + row for row, number in enumerate(ids)}, one.time_s
             count += len(rows)
             error, flipped, crossed = _errors_of(one, box[rows], rows)
-            kind, across = KIND_OF_LABEL[one.truth.label[rows]], lies_across(one.truth.yaw[rows] - one.ego[2])
+            kind, quarter = KIND_OF_LABEL[one.truth.label[rows]], quarters_of(one.truth.yaw[rows] - one.ego[2])
             seen = kind, one.sight[rows], bands_of(local[rows]), box[rows] >= 0
-            columns.append((*seen, before, error, flipped, crossed, across, _offsets(one, second[rows], rows)))
+            columns.append((*seen, before, error, flipped, crossed, quarter, _offsets(one, second[rows], rows)))
     if not columns:
         none = np.zeros(0, np.int64)
         empty = np.zeros(0, bool)
         errors = np.zeros((0, len(PARTS)))
-        return _Table(none, none, none, empty, none, errors, empty, empty, empty, errors), false
+        return _Table(none, none, none, empty, none, errors, empty, empty, none, errors), false
     return _Table(*(np.concatenate(parts) for parts in zip(*columns, strict=True))), false
 
 
@@ -248,7 +251,7 @@ def _chain(event: Mask, table: _Table, groups: Groups, counts: Mask | None = Non
 
     def of(rows: Mask) -> Chance:
         listed: list[tuple[Wider, Mask]] = [(name, group & counts & rows) for name, group in groups]
-        if len(groups) > 1:
+        if len(groups) > 2:
             listed.insert(3, ("kind and sight, whatever came before", groups[2][1] & counts))
         return _chance(event, listed)
 

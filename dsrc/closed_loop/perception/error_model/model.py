@@ -19,8 +19,8 @@ from sim.files import write_file
 from sim.radio import IDEAL
 from sim.reading import read_bytes
 
-Format = Literal["dsrc error model 3"]
-FORMAT: Format = "dsrc error model 3"
+Format = Literal["dsrc error model 4"]
+FORMAT: Format = "dsrc error model 4"
 QUANTILES = tuple(k / 10 for k in range(11))
 """Shares of the scores below those of `BoxErrors.score`."""
 PARTS = ("along", "across", "up", "length", "width", "height", "yaw", "score")
@@ -172,7 +172,8 @@ class Errors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         episodes: recordings of the fit.
         area_m: where boxes were found, x and y of the low and of the high corner in the ego's frame, m.
         cells: each kind, sight, heading and range once.
-        flipped: whether a box points backwards, in time.
+        flipped: whether a box points backwards, in time: of objects that head as the ego does, to its left, against it
+            and to its right. A network without a head for it tells the line that an object lies on, not the direction.
         crossed: whether a box lies across its object, in time: of objects along the ego's heading, and of those across
             it.
         correlation: of each of `PARTS` in consecutive percepts; the score's of its normal quantile.
@@ -188,7 +189,7 @@ class Errors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     episodes: Count
     area_m: tuple[_Bounded, _Bounded, _Bounded, _Bounded]
     cells: tuple[Cell, ...]
-    flipped: Chain
+    flipped: tuple[Chain, Chain, Chain, Chain]
     crossed: tuple[Chain, Chain]
     correlation: Annotated[tuple[Share, ...], Meta(min_length=len(PARTS), max_length=len(PARTS))]
     doubles: Doubles

@@ -16,7 +16,7 @@ from dsrc.closed_loop.perception.error_model.sight import (
     Viewpoints,
     bands_of,
     ego_frame,
-    lies_across,
+    quarters_of,
     within,
 )
 from dsrc.closed_loop.types import Percept
@@ -95,12 +95,15 @@ class ModelPerception:
         local = ego_frame(now.boxes.center[:, :2], ego)
         near = np.flatnonzero(within(self.errors.area_m, local) & (now.boxes.object_id != self._ego_id))
         kinds, bands = KIND_OF_LABEL[now.boxes.label[near]], bands_of(local[near])
-        across = lies_across(now.boxes.yaw[near] - ego[2])
+        quarters = quarters_of(now.boxes.yaw[near] - ego[2])
         sights = self._views.sight(before, now, near)
         rows, boxes = [], []
-        for place, key in enumerate(zip(kinds.tolist(), sights.tolist(), across.tolist(), bands.tolist(), strict=True)):
+        for place, (kind, sight, quarter, band) in enumerate(
+            zip(kinds.tolist(), sights.tolist(), quarters.tolist(), bands.tolist(), strict=True)
+        ):
             object_id = int(now.boxes.object_id[near[place]])
-            for drawn in self._draw(object_id, self._cells[key], now.boxes.array[near[place]], intervals):
+            cell = self._cells[kind, sight, quarter % 2 == 1, band]
+            for drawn in self._draw(object_id, cell, quarter, now.boxes.array[near[place]], intervals):
                 rows.append(near[place])
                 boxes.append(drawn)
         base = now.boxes.center[row, 2] - 0.5 * now.boxes.size[row, 2]
@@ -111,7 +114,7 @@ class ModelPerception:
         return Percept(now.time_s, Boxes.from_array(found[:, :7], label), found[:, 7], velocity)
 
     def _draw(
-        self, object_id: int, cell: Cell, box: NDArray[np.float64], intervals: float
+        self, object_id: int, cell: Cell, quarter: int, box: NDArray[np.float64], intervals: float
     ) -> list[NDArray[np.float64]]:
         """Return (8,) boxes and scores of an object, none for a miss. All draws are taken, whatever comes of them."""
         memory = self._memories.get(object_id)
@@ -136,7 +139,7 @@ class ModelPerception:
         if memory.crossed:
             turn = 0.5 * np.pi * memory.side
         else:
-            memory.flipped = bool(chance[1] < self.errors.flipped.at(memory.flipped, True, intervals))
+            memory.flipped = bool(chance[1] < self.errors.flipped[quarter].at(memory.flipped, True, intervals))
             turn = np.pi * memory.flipped
         error = np.array(cell.errors.bias) + np.array(cell.errors.sd) * memory.noise[:7]
         error[6] += turn

@@ -10,6 +10,7 @@ import pytest
 from dsrc.closed_loop.perception.error_model.fit import EXAMPLES, LEAST, classes_found, fit_errors
 from dsrc.closed_loop.perception.error_model.model import Cell, Chance, ErrorModel, Errors, read_model, write_model
 from dsrc.closed_loop.perception.error_model.percepts import Observed
+from dsrc.closed_loop.perception.error_model.sight import quarters_of
 from sim.errors import DataError, SettingsError
 from tests.dsrc.closed_loop.perception.error_model import percepts
 from tests.dsrc.closed_loop.perception.error_model.percepts import INTERVAL_S, sequence
@@ -75,10 +76,30 @@ def test_boxes_across_their_objects_are_told_by_where_the_objects_head(errors: E
     mixed = fit_errors([*map(sequence, range(5)), *map(turned, range(5, 10))], INTERVAL_S)
     along, across = mixed.crossed
     assert (along.first.p, along.after_no.p, across.first.p, across.after_yes.p) == (0.0, 0.0, 1.0, 1.0)
-    assert min(along.first.trials, across.first.trials) >= LEAST and mixed.flipped.first.p == 0.0
+    assert min(along.first.trials, across.first.trials) >= LEAST
+    assert all(chain.first.p == 0.0 for chain in mixed.flipped)
     cell = cell_of(mixed, "car", "clear", (15.0, 30.0))
     assert abs(cell.errors.bias[6] - percepts.BIAS[6]) < 0.03
     assert cell.errors.sd[6] == pytest.approx(percepts.SD[6], rel=0.1)  # a quarter turn is no noise
+
+
+def test_boxes_that_point_backwards_are_told_by_where_the_objects_head() -> None:
+    def lines(seed: int, turn: float) -> list[Observed]:
+        """Percepts of an ego at an angle to the cars, and of a network that knows no more than the line of a car."""
+        seen = []
+        for one in sequence(seed):
+            ego = one.ego + np.array([0.0, 0.0, turn])
+            half = np.rint((one.found.yaw - ego[2]) / np.pi) * np.pi
+            seen.append(replace(one, ego=ego, found=replace(one.found, yaw=one.found.yaw - half)))
+        return seen
+
+    ahead = [lines(seed, 0.0) for seed in range(5)]
+    heading = float(np.median(ahead[0][0].truth.yaw - ahead[0][0].ego[2]))
+    against = [lines(seed, np.pi) for seed in range(5, 10)]
+    fitted = fit_errors([*ahead, *against], INTERVAL_S).flipped
+    same, opposed = ((quarters_of(np.array([heading + turn]))[0]) for turn in (0.0, np.pi))
+    assert {fitted[same].first.p, fitted[opposed].first.p} == {0.0, 1.0}
+    assert fitted[opposed].after_yes.trials >= LEAST
 
 
 def test_cars_across_the_ego_s_heading_have_rates_of_their_own() -> None:

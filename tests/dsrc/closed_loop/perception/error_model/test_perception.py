@@ -123,7 +123,7 @@ def test_boxes_lie_across_the_objects_that_are_said_to(fitted: Errors, crossing:
 
 
 def test_second_boxes_lie_where_the_model_has_them(fitted: Errors) -> None:
-    always = certain(fitted.flipped, 1.0)
+    always = certain(fitted.flipped[0], 1.0)
     example = (2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5 * np.pi, 0.21)
     errors = msgspec.structs.replace(fitted, doubles=Doubles(there=(always, always), examples=(example,)))
     once, twice = percepts_of(fitted, 0, 20), percepts_of(errors, 0, 20)
