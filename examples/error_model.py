@@ -32,7 +32,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the picture")
     options = parser.parse_args()
     logs = [dsrc.EpisodeLog.load(path) for path in sorted((options.real / "episodes").glob("*.npz"))]
-    real = {key_of(log): log for log in logs if log.settings.corruption == "clean"}
+    real = {key_of(log): log for log in logs if log.settings.corruption == "clean" and log.settings.detector}
     modelled = drive(options.real, real)
     rows = compare({key: log.outcome for key, log in real.items()}, modelled)
     for (name, scenario), (ours, theirs) in rows.items():
