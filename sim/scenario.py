@@ -130,6 +130,7 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 TrafficLevel = Literal["none", "light", "dense"]
 """Density of the background traffic of an encounter."""
+TRAFFIC_LEVELS = ("light", "dense")
 
 CONTROLS = ("no_occluder", "no_conflict", "ghost")
 """Control conditions of an encounter, see `EncounterSpec`."""

@@ -17,7 +17,7 @@ import msgspec
 from sim.catalog.check import wrong_values
 from sim.catalog.registry import Registry
 from sim.errors import ScenarioError, SettingsError, complaint, did_you_mean
-from sim.scenario import CONTROLS, Scenario
+from sim.scenario import CONTROLS, TRAFFIC_LEVELS, Scenario
 from sim.tomlfile import read_toml
 
 ROOT = Path(__file__).resolve().parents[2] / "scenarios"
@@ -59,13 +59,14 @@ def register_scenario(path: str | Path) -> Scenario:
 def load_scenario(name_or_path: str | Path) -> Scenario:
     """Load a scenario by its name, or by the path of its .toml or of the folder that holds it.
 
-    `NAME:CONTROL` is an encounter under a control condition, such as `ima_building:no_occluder`.
+    `NAME:CONTROL` is an encounter under a control condition, such as `ima_building:no_occluder`, `NAME:light` or
+    `NAME:dense` one with background traffic; `NAME:dense:no_occluder` is both.
 
     Raises:
         ScenarioError: the scenario is unknown or its file invalid.
     """
     if isinstance(name_or_path, str) and ":" in name_or_path and not Path(name_or_path).exists():
-        return _controlled(name_or_path)
+        return _varied(name_or_path)
     path = _locate(name_or_path)
     scenario = read_toml(path, Scenario, ScenarioError)
     for field, expected, found, hint in wrong_values(scenario, path):
@@ -74,22 +75,22 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     return msgspec.structs.replace(scenario, network=network, demand=_beside(scenario.demand, ("trips",), path.parent))
 
 
-def _controlled(name: str) -> Scenario:
-    """Return an encounter under the control condition NAME:CONTROL, renamed accordingly.
+def _varied(name: str) -> Scenario:
+    """Return the encounter NAME:CONTROL or NAME:TRAFFIC, renamed accordingly.
 
     Raises:
-        ScenarioError: the scenario or control is unknown.
+        ScenarioError: the scenario, control or level of traffic is unknown.
     """
-    base, _, control = name.rpartition(":")
+    base, _, variant = name.rpartition(":")
     scenario = load_scenario(base)
     if scenario.conflict is None:
         raise ScenarioError(complaint(name, "scenario", "a control of a conflict", f"'{base}', which has none"))
-    if control not in CONTROLS:
-        raise ScenarioError(
-            complaint(name, "control", "a known control", f"'{control}'", did_you_mean(control, CONTROLS))
-        )
-    conflict = msgspec.structs.replace(scenario.conflict, control=control)
-    return msgspec.structs.replace(scenario, name=f"{scenario.name}-{control}", conflict=conflict)
+    known = (*CONTROLS, *TRAFFIC_LEVELS)
+    if variant not in known:
+        raise ScenarioError(complaint(name, "control", "a known control", f"'{variant}'", did_you_mean(variant, known)))
+    changed = {"traffic" if variant in TRAFFIC_LEVELS else "control": variant}
+    conflict = msgspec.structs.replace(scenario.conflict, **changed)
+    return msgspec.structs.replace(scenario, name=f"{scenario.name}-{variant}", conflict=conflict)
 
 
 def _beside(table: Any, names: tuple[str, ...], folder: Path) -> Any:

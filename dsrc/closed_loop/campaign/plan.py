@@ -307,8 +307,8 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
 
 def controls_of(plan: Campaign) -> Campaign | None:
     """Return the campaign of the controls of all encounters with the truth; None without an encounter."""
-    names = [name for name in plan.scenarios if load_scenario(name).conflict is not None]
-    bare = [name for name in names if ":" not in name and name in ENCOUNTERS]
+    shipped = [name for name in plan.scenarios if name.partition(":")[0] in ENCOUNTERS]
+    bare = [name for name in shipped if (conflict := load_scenario(name).conflict) is not None and not conflict.control]
     if not bare:
         return None
     return replace(

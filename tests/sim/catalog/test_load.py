@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from sim.catalog.load import list_scenarios, load_scenario
@@ -116,3 +117,18 @@ def test_an_unknown_name_suggests_the_nearest_scenario() -> None:
 def test_a_missing_path_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="no such file"):
         load_scenario(tmp_path / "nothing.toml")
+
+
+def test_an_encounter_has_variants_by_name() -> None:
+    plain, busy = load_scenario("lta_truck"), load_scenario("lta_truck:dense:no_occluder")
+    assert plain.conflict is not None and busy.conflict is not None
+    assert (busy.name, busy.conflict.traffic, busy.conflict.control) == (
+        "lta_truck-dense-no_occluder",
+        "dense",
+        "no_occluder",
+    )
+    assert plain.conflict.traffic is msgspec.UNSET
+    with pytest.raises(ScenarioError, match="did you mean 'dense'"):
+        load_scenario("lta_truck:dence")
+    with pytest.raises(ScenarioError, match="which has none"):
+        load_scenario("four_way:dense")

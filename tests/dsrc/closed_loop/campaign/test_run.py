@@ -203,6 +203,8 @@ def test_controls_are_those_of_the_encounters() -> None:
     found = runner.controls_of(replace(PLAN, scenarios=("ima_building", "four_way")))
     assert found is not None and found.scenarios == ("ima_building:no_occluder", "ima_building:no_conflict")
     assert runner.controls_of(replace(PLAN, scenarios=("four_way",))) is None
+    busy = runner.controls_of(replace(PLAN, scenarios=("ima_building:dense", "lta_truck:no_occluder")))
+    assert busy is not None and busy.scenarios == ("ima_building:dense:no_occluder", "ima_building:dense:no_conflict")
 
 
 def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
