@@ -45,22 +45,25 @@ class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         duration_s: longest episode, s.
         detect_every_s: interval of detections, s, a multiple of the traffic's step; tracks are predicted between.
         latency_s: time from a measurement to its percept, s.
+        look_ahead_s: the range of a detector lies ahead of the ego by the way that it drives in this time, s; at most
+            by half its reach to the front.
         stuck_s: time of standing without a red light after which an episode ends, s; it must have moved before.
         perception_limit_s: longest computation of one percept, s of wall time.
 
     Raises:
-        SettingsError: a time is not finite, below 0, or 0 where only the latency may be.
+        SettingsError: a time is not finite, below 0, or 0 where only the latency and the look ahead may be.
     """
 
     duration_s: float = 20.0
     detect_every_s: float = 0.1
     latency_s: float = 0.0
+    look_ahead_s: float = 0.0
     stuck_s: float = 8.0
     perception_limit_s: float = 60.0
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
-            value, may_be_zero = getattr(self, name), name == "latency_s"
+            value, may_be_zero = getattr(self, name), name in ("latency_s", "look_ahead_s")
             if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not may_be_zero):
                 expected = "seconds >= 0" if may_be_zero else "seconds > 0"
                 raise SettingsError(complaint("drive", name, expected, f"{value:g}"))

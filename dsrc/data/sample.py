@@ -24,7 +24,8 @@ class Sample:
         key: `drive/agent/frame`, for messages and seeds.
         agent_ids: (A,) ids, ego first.
         clouds: per agent (P, 4) float32 x, y, z, intensity; own body removed, cropped to the grid's range.
-        ego_from_agent: (A, 4, 4) float64 poses of the agents' LiDARs.
+        ego_from_agent: (A, 4, 4) float64 poses of the agents' LiDARs; the ego's own is the identity, but where the
+            frame is shifted ahead.
         boxes: ground truth: road users that are to be detected, with a point of any agent that takes part, all corners
             in range; without the ego, unless OpenCOOD judges.
         agent_boxes: per agent the boxes of the ground truth with a point of its own.
@@ -91,6 +92,7 @@ def make_sample(
     team_by: TeamBy = "range",
     truth_range_m: Range | None = None,
     users: Users = "vehicles",
+    ahead_m: float = 0.0,
 ) -> Sample:
     """Make the sample of one ego in a frame; `sample_for` makes that of a detector.
 
@@ -106,13 +108,16 @@ def make_sample(
         team_by: order of the rules of range and number.
         truth_range_m: range of the ground truth, where it is not the grid's.
         users: road users of the ground truth.
+        ahead_m: shift of the sample's frame, and so of the grid, along the ego's heading, m.
 
     Raises:
         DataError: the frame lacks the ego.
     """
     rows = _participants(frame, ego_id, comm_range_m, max_agents, team_by)
     ego = frame.agents[rows[0]]
-    ego_from_world = invert(ego.sweep.world_from_lidar)
+    shift = np.eye(4)
+    shift[0, 3] = -ahead_m
+    ego_from_world = shift @ invert(ego.sweep.world_from_lidar)
     truth = frame.truth.transform(ego_from_world)
     eligible = users_in(truth, users) & inside(truth, truth_range_m or grid.range_m)
     if not keep_ego_box:
@@ -122,7 +127,7 @@ def make_sample(
     annotated = eligible & seen & (truth.object_id != ids[:, None])
     active = rows if cooperative else rows[:1]
     poses = np.stack([ego_from_world @ frame.agents[row].sweep.world_from_lidar for row in active])
-    poses[0] = np.eye(4)
+    poses[0] = shift
     return Sample(
         key=key or f"{ego.agent_id}/{frame.index:06d}",
         agent_ids=tuple(frame.agents[row].agent_id for row in active),
@@ -133,7 +138,9 @@ def make_sample(
     )
 
 
-def sample_for(settings: Any, frame: Frame, ego_id: int | None, *, cooperative: bool = True, key: str = "") -> Sample:
+def sample_for(
+    settings: Any, frame: Frame, ego_id: int | None, *, cooperative: bool = True, key: str = "", ahead_m: float = 0.0
+) -> Sample:
     """Make the sample that a detector is run and judged on.
 
     Args:
@@ -142,6 +149,7 @@ def sample_for(settings: Any, frame: Frame, ego_id: int | None, *, cooperative: 
         ego_id: the ego.
         cooperative: include the collaborators' clouds.
         key: name of the sample.
+        ahead_m: shift of the sample's frame.
 
     Raises:
         DataError: the frame lacks the ego.
@@ -157,6 +165,7 @@ def sample_for(settings: Any, frame: Frame, ego_id: int | None, *, cooperative: 
         team_by=getattr(settings, "team_by", "range"),
         truth_range_m=judged_range(settings),
         users=getattr(settings, "users", "vehicles"),
+        ahead_m=ahead_m,
     )
 
 

@@ -68,7 +68,7 @@ class Receiver:
         ego, others = sample.agent_ids[0], sample.agent_ids[1:]
         snapshots = _Snapshots(frames, position, self.payload)
         links = tuple(self.channel.newest(snapshots, agent, ego) for agent in others)
-        ego_from_world = invert(frames[0].agent(ego).sweep.world_from_lidar)
+        ego_from_world = sample.ego_from_agent[0] @ invert(frames[0].agent(ego).sweep.world_from_lidar)
         rows, poses, clouds, lost = [0], [sample.ego_from_agent[0]], [sample.clouds[0]], [_ALL_ARRIVED]
         for row, link in enumerate(links, start=1):
             if not link.received:

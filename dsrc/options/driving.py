@@ -32,6 +32,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
         duration_s: longest episode, s; default: 20.
         detect_every_s: interval of detections, s; default: 0.1.
         latency_s: time from a measurement to its detections, s; default: 0.
+        look_ahead_s: shift of the detector's range ahead, by the way driven in this time, s; default: 0.
     """
 
     what: Positional[Annotated[str, arg(metavar="SCENARIO|PLAN.toml|EPISODE.npz")]]
@@ -48,3 +49,4 @@ class DriveOptions(msgspec.Struct, frozen=True):
     duration_s: float | None = None
     detect_every_s: float | None = None
     latency_s: float | None = None
+    look_ahead_s: float | None = None

@@ -214,6 +214,7 @@ def _perception(job: EpisodeJob) -> Perception:
         job.who,
         job.channel,
         job.loop.detect_every_s,
+        job.loop.look_ahead_s,
         job.engine,
     )
 
@@ -228,6 +229,7 @@ def _opened(
     who: str,
     channel: str,
     interval_s: float,
+    look_ahead_s: float,
     engine: str,
 ) -> Perception:
     return open_perception(
@@ -239,5 +241,6 @@ def _opened(
         who=who,
         channel=channel,
         interval_s=interval_s,
+        look_ahead_s=look_ahead_s,
         engine=engine,
     )

@@ -147,5 +147,6 @@ def _perception(plan: Campaign, one: PerceptionSpec, kind: str, quantity: Quanti
         who=plan.who if severity else "all",
         channel=radio,
         interval_s=plan.loop.detect_every_s,
+        look_ahead_s=plan.loop.look_ahead_s,
         engine=plan.engine,
     )

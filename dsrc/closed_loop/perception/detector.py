@@ -12,6 +12,7 @@ from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections
 from sensors.frame import Frame
 from sim.boxes import VEHICLES, Boxes
+from sim.geometry import invert
 from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
@@ -26,6 +27,8 @@ class DetectorPerception:
         faults: corruption of the sweeps.
         channel: radio channel between the helpers and the ego.
         interval_s: time between percepts, s, thus between the helpers' messages.
+        look_ahead_s: the detector's range lies ahead of the ego by the way that it drives in this time, s, at most by
+            half its reach to the front.
     """
 
     def __init__(
@@ -36,10 +39,11 @@ class DetectorPerception:
         faults: Faults | None = None,
         channel: ChannelSpec = PRESETS[IDEAL],
         interval_s: float = 0.1,
+        look_ahead_s: float = 0.0,
     ) -> None:
         self.detector, self.cooperative, self.channel = detector, cooperative, channel
         self.senses = Senses(faults or Faults(), cooperative)
-        self._interval_s = interval_s
+        self._interval_s, self._look_ahead_s = interval_s, look_ahead_s
         self._ego_id = -1
         self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
 
@@ -65,7 +69,9 @@ class DetectorPerception:
     def sample(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> tuple[Sample, tuple[Link, ...]]:
         """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""
         frame, settings = self.senses.frame(before, now, claims), self.detector.settings
-        sample = sample_for(settings, frame, self._ego_id, cooperative=self.cooperative)
+        speed_mps = float(np.linalg.norm(now.velocity[now.row(self._ego_id)]))
+        ahead_m = min(self._look_ahead_s * speed_mps, 0.5 * settings.grid.range_m[3])
+        sample = sample_for(settings, frame, self._ego_id, cooperative=self.cooperative, ahead_m=ahead_m)
         self._past.appendleft(frame)
         sample, links = self._receiver.receive(self._past, self.senses.index, sample, settings.grid)
         none = (Boxes.zeros(),) * len(sample.agent_ids)
@@ -82,7 +88,8 @@ class DetectorPerception:
         if not isinstance(found, Detections):
             name = type(self.detector).__name__
             raise TypeError(f"{name}.detect: expected Detections, found {type(found).__name__}")
-        boxes = found.boxes.transform(self._past[0].agent(self._ego_id).sweep.world_from_lidar)
+        world_from_lidar = self._past[0].agent(self._ego_id).sweep.world_from_lidar
+        boxes = found.boxes.transform(world_from_lidar @ invert(sample.ego_from_agent[0]))
         unknown = np.full(len(boxes), -1, np.int64)
         return Percept(
             time_s=now.time_s,

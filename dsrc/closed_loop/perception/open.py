@@ -46,6 +46,7 @@ def open_perception(
     who: Who | str = EVERYONE,
     channel: str | ChannelSpec = IDEAL,
     interval_s: float = 0.1,
+    look_ahead_s: float = 0.0,
     engine: str = "fused",
     device: Literal["cpu", "cuda"] = "cpu",
 ) -> Perception:
@@ -70,6 +71,7 @@ def open_perception(
         who: agents whose sweeps are corrupted: `all`, `ego`, `helpers`, or ids.
         channel: name or settings of the radio channel; it does not matter without helpers.
         interval_s: time between percepts, s.
+        look_ahead_s: shift of a detector's range, see `LoopSettings`.
         engine: execution of the network, see `dsrc.models.storage.deploy.ENGINES`.
         device: of the network.
 
@@ -110,7 +112,12 @@ def open_perception(
     cooperative = name != ALONE
     spec = radio if cooperative else _IDEAL
     return DetectorPerception(
-        cast(SampleDetector, detector), cooperative=cooperative, faults=faults, channel=spec, interval_s=interval_s
+        cast(SampleDetector, detector),
+        cooperative=cooperative,
+        faults=faults,
+        channel=spec,
+        interval_s=interval_s,
+        look_ahead_s=look_ahead_s,
     )
 
 

@@ -165,3 +165,18 @@ def test_points_stay_where_the_world_has_them():
     source = frame.agents[1].sweep.world_points
     nearest = np.array([np.abs(source - p).max(axis=1).min() for p in world])
     assert nearest.max() < 1e-4
+
+
+def test_a_frame_that_lies_ahead_holds_the_same_scene():
+    frame, ahead_m = toy_frame(0), 12.0
+    near, far = make_sample(frame, None, GRID), make_sample(frame, None, GRID, ahead_m=ahead_m)
+    shift = np.array([ahead_m, 0.0, 0.0])
+    assert near.agent_ids == far.agent_ids
+    np.testing.assert_allclose(far.ego_from_agent[:, :3, 3] + shift, near.ego_from_agent[:, :3, 3])
+    for one, other in zip(near.clouds, far.clouds, strict=True):
+        inside = [
+            cloud[np.abs(cloud[:, 0] + by) < 120.0, :3] + [move, 0, 0]
+            for cloud, by, move in ((one, 0.0, 0.0), (other, ahead_m, ahead_m))
+        ]
+        np.testing.assert_allclose(*inside, atol=1e-4)
+    np.testing.assert_allclose(far.boxes.center + shift, near.boxes.center)

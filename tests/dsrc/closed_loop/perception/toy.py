@@ -58,7 +58,7 @@ class Knowing(PointCounter):
         self.places = places
 
     def detect(self, sample: Sample) -> Detections:
-        known: Boxes = cars(self.places).boxes.transform(invert(WORLD_FROM_LIDAR))
+        known: Boxes = cars(self.places).boxes.transform(sample.ego_from_agent[0] @ invert(WORLD_FROM_LIDAR))
         bodies = tuple(cloud[cloud[:, 2] > 0.3 - WORLD_FROM_LIDAR[2, 3]] for cloud in sample.clouds)
         found = super().detect(replace(sample, boxes=known, clouds=bodies))
         self.seen[-1] = sample
