@@ -45,8 +45,8 @@ class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         duration_s: longest episode, s.
         detect_every_s: interval of detections, s, a multiple of the traffic's step; tracks are predicted between.
         latency_s: time from a measurement to its percept, s.
-        look_ahead_s: the range of a detector lies ahead of the ego by the way that it drives in this time, s; at most
-            by half its reach to the front.
+        look_ahead_s: a fast ego's range of detection is shifted ahead until it holds the way to stop after this time,
+            s, at most by half its reach; 0 leaves it around the ego. Perceptions are opened with it.
         stuck_s: time of standing without a red light after which an episode ends, s; it must have moved before.
         perception_limit_s: longest computation of one percept, s of wall time.
 

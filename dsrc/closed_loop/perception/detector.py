@@ -17,6 +17,9 @@ from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 
+_BRAKING_MPS2 = 7.0
+"""Braking of the way to stop, as that of the encounters' proofs."""
+
 
 class DetectorPerception:
     """Detections in the sweeps of the ego and its helpers; the detector gets no ground truth.
@@ -27,8 +30,8 @@ class DetectorPerception:
         faults: corruption of the sweeps.
         channel: radio channel between the helpers and the ego.
         interval_s: time between percepts, s, thus between the helpers' messages.
-        look_ahead_s: the detector's range lies ahead of the ego by the way that it drives in this time, s, at most by
-            half its reach to the front.
+        look_ahead_s: a fast ego's range is shifted ahead until it holds the way to stop after this time, s, at most by
+            half its reach; 0 leaves it around the ego.
     """
 
     def __init__(
@@ -70,7 +73,7 @@ class DetectorPerception:
         """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""
         frame, settings = self.senses.frame(before, now, claims), self.detector.settings
         speed_mps = float(np.linalg.norm(now.velocity[now.row(self._ego_id)]))
-        ahead_m = min(self._look_ahead_s * speed_mps, 0.5 * settings.grid.range_m[3])
+        ahead_m = _shift_m(speed_mps, self._look_ahead_s, settings.grid.range_m[3])
         sample = sample_for(settings, frame, self._ego_id, cooperative=self.cooperative, ahead_m=ahead_m)
         self._past.appendleft(frame)
         sample, links = self._receiver.receive(self._past, self.senses.index, sample, settings.grid)
@@ -98,3 +101,11 @@ class DetectorPerception:
             velocity=np.full((len(boxes), 2), np.nan),
             links=links,
         )
+
+
+def _shift_m(speed_mps: float, look_ahead_s: float, reach_m: float) -> float:
+    """Return how far a range that reaches some way ahead is shifted, m."""
+    if look_ahead_s == 0.0:
+        return 0.0
+    stop_m = speed_mps * look_ahead_s + speed_mps**2 / (2.0 * _BRAKING_MPS2)
+    return float(np.clip(stop_m - reach_m, 0.0, 0.5 * reach_m))

@@ -55,7 +55,9 @@ def test_the_ego_alone_sees_less_than_together_with_its_helper() -> None:
 @pytest.mark.parametrize("late", [False, True])
 def test_a_range_that_lies_ahead_moves_what_is_seen_and_not_where_it_is(late: bool) -> None:
     channel = changed(PRESETS["ideal"], medium="fixed", delay_s=0.1 if late else 0.0)
-    moving = [replace(instant(step), velocity=np.array([[8.0, 0], [0, 0], [0, 0], [0, 0]])) for step in range(3)]
+    reach_m = Knowing(OTHERS).settings.grid.range_m[3]
+    speed_mps = np.sqrt(14.0 * (reach_m - 8.0))  # it stops within its range, but not after a second
+    moving = [replace(instant(step), velocity=np.array([[speed_mps, 0], [0, 0], [0, 0], [0, 0]])) for step in range(3)]
     seen, shifts = [], []
     for look_ahead_s in (0.0, 1.0, 1e3):
         perception = started(channel=channel, look_ahead_s=look_ahead_s)
@@ -66,7 +68,8 @@ def test_a_range_that_lies_ahead_moves_what_is_seen_and_not_where_it_is(late: bo
         shifts.append(-sample.ego_from_agent[0, 0, 3])
         # The helper's place and points, late or not, are in the same frame as the ego's.
         np.testing.assert_allclose(sample.ego_from_agent[1, :2, 3] + [shifts[-1], 0.0], [29.0, 14.0], atol=1e-9)
-    assert shifts == [0.0, 8.0, 0.5 * perception.detector.settings.grid.range_m[3]]
+    assert shifts == pytest.approx([0.0, min(speed_mps - 8.0, 0.5 * reach_m), 0.5 * reach_m])
+    assert shifts[1] > 1.0
     assert len(seen[0]) == 2
     for moved in seen[1:]:
         np.testing.assert_allclose(moved, seen[0], atol=1e-9)
