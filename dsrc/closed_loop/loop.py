@@ -163,7 +163,7 @@ class ClosedLoop:
         self.scenario = self.base
         self.perception = perception
         self.driver = driver or PlanningDriver()
-        self.settings = settings or LoopSettings()
+        self.settings = _with_range_of(perception, settings or LoopSettings())
         self.ticks: list[Tick] = []
         self.outcome: Outcome | None = None
         self.message = ""
@@ -403,3 +403,16 @@ def checked_percept(percept: Percept, now_s: float) -> Percept:
 
 def _one_line(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _with_range_of(perception: Perception, settings: LoopSettings) -> LoopSettings:
+    """Return the settings with the shift of the range that a perception was opened with.
+
+    Raises:
+        SettingsError: they ask for another one.
+    """
+    own = getattr(perception, "look_ahead_s", settings.look_ahead_s)
+    if settings.look_ahead_s not in (0.0, own):
+        expected = f"that of the perception, {own:g}, or 0"
+        raise SettingsError(complaint("drive", "look_ahead_s", expected, f"{settings.look_ahead_s:g}"))
+    return msgspec.structs.replace(settings, look_ahead_s=own)

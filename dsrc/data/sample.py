@@ -1,4 +1,4 @@
-"""Sample: one instant seen by one ego and its collaborators, in the ego LiDAR's frame."""
+"""Sample: one instant seen by one ego and its collaborators, in the ego LiDAR's frame or one ahead of it."""
 
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -18,7 +18,9 @@ from sim.geometry import invert, transform_points
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """Input of a detector at one instant: A agents, ego first, everything in the ego LiDAR's frame.
+    """Input of a detector at one instant: A agents, ego first, everything in one frame.
+
+    The frame is the ego LiDAR's, or one shifted ahead of it: the ego's LiDAR stands at `ego_from_agent[0]`.
 
     Attributes:
         key: `drive/agent/frame`, for messages and seeds.
@@ -55,7 +57,7 @@ class SampleDetector(Protocol):
         ...
 
     def detect(self, sample: Sample) -> Detections:
-        """Return detections in the ego LiDAR's frame."""
+        """Return detections in the sample's frame."""
         ...
 
 

@@ -32,8 +32,8 @@ class DriveOptions(msgspec.Struct, frozen=True):
         duration_s: longest episode, s; default: 20.
         detect_every_s: interval of detections, s; default: 0.1.
         latency_s: time from a measurement to its detections, s; default: 0.
-        look_ahead_s: shift a fast ego's range of detection ahead until it holds the way to stop after this time, s;
-            default: 0, the range stays around the ego.
+        look_ahead_s: shift the range of detection ahead so that it covers the stopping distance with this reaction
+            time, s, by half the range at most; default: 0, no shift.
     """
 
     what: Positional[Annotated[str, arg(metavar="SCENARIO|PLAN.toml|EPISODE.npz")]]

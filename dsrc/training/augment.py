@@ -54,7 +54,9 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     # x and y only: scaling z would move the road.
     plane = scale * rotation @ np.diag(signs)
-    thin, lift = rng.random() < augmentation.thinning, augmentation.height_m * rng.uniform(-1, 1)
+    thin = rng.random() < augmentation.thinning
+    # Of a stream of its own, which leaves the draws of the thinning as they are.
+    lift = augmentation.height_m * rng.spawn(1)[0].uniform(-1, 1)
     moved = replace(
         sample,
         clouds=tuple(_cloud(cloud, plane, lift, grid) for cloud in sample.clouds),

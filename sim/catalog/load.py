@@ -84,12 +84,16 @@ def _varied(name: str) -> Scenario:
     base, _, variant = name.rpartition(":")
     scenario = load_scenario(base)
     if scenario.conflict is None:
-        raise ScenarioError(complaint(name, "scenario", "a control of a conflict", f"'{base}', which has none"))
+        raise ScenarioError(complaint(name, "scenario", "a variant of an encounter", f"'{base}', which is none"))
     known = (*CONTROLS, *TRAFFIC_LEVELS)
     if variant not in known:
-        raise ScenarioError(complaint(name, "control", "a known control", f"'{variant}'", did_you_mean(variant, known)))
-    changed = {"traffic" if variant in TRAFFIC_LEVELS else "control": variant}
-    conflict = msgspec.structs.replace(scenario.conflict, **changed)
+        expected = "a known control or level of traffic"
+        raise ScenarioError(complaint(name, "variant", expected, f"'{variant}'", did_you_mean(variant, known)))
+    field = "traffic" if variant in TRAFFIC_LEVELS else "control"
+    before = getattr(scenario.conflict, field)
+    if before not in ("", "none", msgspec.UNSET):
+        raise ScenarioError(complaint(name, field, "one", f"'{before}' and '{variant}'"))
+    conflict = msgspec.structs.replace(scenario.conflict, **{field: variant})
     return msgspec.structs.replace(scenario, name=f"{scenario.name}-{variant}", conflict=conflict)
 
 

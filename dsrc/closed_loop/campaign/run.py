@@ -246,7 +246,7 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
         who=options.who or ("all" if corruption == CLEAN else settings.who),
         channel=(options.channel or (IDEAL if asked else settings.channel,))[0],
         interval_s=settings.loop.get("detect_every_s", settings.scenario.step_s),
-        look_ahead_s=settings.loop.get("look_ahead_s", 0.0),
+        look_ahead_s=settings.loop.get("look_ahead_s", 0.0) if options.look_ahead_s is None else options.look_ahead_s,
         engine=options.engine or settings.engine,
     )
     name = uses if corruption == CLEAN else f"{uses} in {corruption}"

@@ -12,6 +12,7 @@ from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections
 from sensors.frame import Frame
 from sim.boxes import VEHICLES, Boxes
+from sim.errors import SettingsError, complaint
 from sim.geometry import invert
 from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
 from sim.scenario import Scenario
@@ -32,6 +33,9 @@ class DetectorPerception:
         interval_s: time between percepts, s, thus between the helpers' messages.
         look_ahead_s: a fast ego's range is shifted ahead until it holds the way to stop after this time, s, at most by
             half its reach; 0 leaves it around the ego.
+
+    Raises:
+        SettingsError: a shifted range for a network that encodes each cloud in its agent's own frame.
     """
 
     def __init__(
@@ -46,7 +50,10 @@ class DetectorPerception:
     ) -> None:
         self.detector, self.cooperative, self.channel = detector, cooperative, channel
         self.senses = Senses(faults or Faults(), cooperative)
-        self._interval_s, self._look_ahead_s = interval_s, look_ahead_s
+        if look_ahead_s and getattr(detector.settings, "own_frame", False):
+            expected = "0 with a network that encodes clouds in the agents' own frames"
+            raise SettingsError(complaint("perception", "look_ahead_s", expected, f"{look_ahead_s:g}"))
+        self._interval_s, self.look_ahead_s = interval_s, look_ahead_s
         self._ego_id = -1
         self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
 
@@ -73,7 +80,7 @@ class DetectorPerception:
         """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""
         frame, settings = self.senses.frame(before, now, claims), self.detector.settings
         speed_mps = float(np.linalg.norm(now.velocity[now.row(self._ego_id)]))
-        ahead_m = _shift_m(speed_mps, self._look_ahead_s, settings.grid.range_m[3])
+        ahead_m = _shift_m(speed_mps, self.look_ahead_s, settings.grid.range_m[3])
         sample = sample_for(settings, frame, self._ego_id, cooperative=self.cooperative, ahead_m=ahead_m)
         self._past.appendleft(frame)
         sample, links = self._receiver.receive(self._past, self.senses.index, sample, settings.grid)

@@ -129,7 +129,7 @@ def _doubt(one: DetectionSet, truth: Mapping[FrameKey, Truth]) -> str:
     if found < _ENOUGH or near >= _LEAST_NEAR * found:
         return ""
     touching = f"{near} of {found} boxes lie within {_NEAR_M:g} m of a true one"
-    return f"{touching}: the truth seems to be of another data set or ego"
+    return f"{touching}: they are of another data set or ego, or find next to nothing"
 
 
 def _scores(one: DetectionSet, truth: Mapping[FrameKey, Truth], protocols: Iterable[Protocol]) -> Iterator[Score]:

@@ -130,5 +130,8 @@ def test_an_encounter_has_variants_by_name() -> None:
     assert plain.conflict.traffic is msgspec.UNSET
     with pytest.raises(ScenarioError, match="did you mean 'dense'"):
         load_scenario("lta_truck:dence")
-    with pytest.raises(ScenarioError, match="which has none"):
+    with pytest.raises(ScenarioError, match="which is none"):
         load_scenario("four_way:dense")
+    for twice in ("lta_truck:dense:light", "lta_truck:no_occluder:no_conflict"):
+        with pytest.raises(ScenarioError, match="expected one, found"):
+            load_scenario(twice)

@@ -66,6 +66,7 @@ def _of_logs(data: Path, perception: str | None, seeds: tuple[int, ...], progres
         ("perception", {log.settings.perception for log in kept}),
         ("detector", {log.settings.detector[:12] for log in kept}),
         ("detect_every_s", {f"{_interval(log):g}" for log in kept}),
+        ("look_ahead_s", {f"{log.settings.loop.get('look_ahead_s', 0.0):g}" for log in kept}),
     ):
         if len(values) > 1:
             hint = "; name one with --perception" if field == "perception" else ""

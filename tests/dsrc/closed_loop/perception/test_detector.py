@@ -1,11 +1,13 @@
 """A detector in the loop: from sweeps to boxes in the world, without a look at the truth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
+from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.senses import Faults, Senses
 from dsrc.ops.detections import Detections
@@ -73,6 +75,18 @@ def test_a_range_that_lies_ahead_moves_what_is_seen_and_not_where_it_is(late: bo
     assert len(seen[0]) == 2
     for moved in seen[1:]:
         np.testing.assert_allclose(moved, seen[0], atol=1e-9)
+
+
+def test_a_shifted_range_is_said_once_and_not_for_every_network() -> None:
+    shifted, around = started(look_ahead_s=1.0), started()
+    assert ClosedLoop(SCENARIO, shifted).settings.look_ahead_s == 1.0
+    assert ClosedLoop(SCENARIO, around).settings.look_ahead_s == 0.0
+    with pytest.raises(SettingsError, match="look_ahead_s: expected that of the perception, 0, or 0, found 1"):
+        ClosedLoop(SCENARIO, around, settings=LoopSettings(look_ahead_s=1.0))
+    own = Knowing(OTHERS)
+    own.settings = SimpleNamespace(own_frame=True)
+    with pytest.raises(SettingsError, match="own frames, found 1"):
+        started(own, look_ahead_s=1.0)
 
 
 def test_no_truth_reaches_a_detector() -> None:
