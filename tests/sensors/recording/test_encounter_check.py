@@ -102,7 +102,7 @@ def test_a_control_of_a_shipped_scenario_has_a_name() -> None:
     assert scenario.conflict == EncounterSpec(kind="ima_building", control="no_occluder")
     with pytest.raises(ScenarioError, match="did you mean 'no_occluder'"):
         load_scenario("ima_building:no_ocluder")
-    with pytest.raises(ScenarioError, match="control of a conflict"):
+    with pytest.raises(ScenarioError, match="variant of an encounter"):
         load_scenario("four_way:ghost")
 
 
