@@ -1,6 +1,6 @@
 """Scenario: roads, demand, agents and encounter of a drive, as frozen validated values; `sim.catalog` loads them."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -130,7 +130,7 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 TrafficLevel = Literal["none", "light", "dense"]
 """Density of the background traffic of an encounter."""
-TRAFFIC_LEVELS = ("light", "dense")
+TRAFFIC_LEVELS = tuple(level for level in get_args(TrafficLevel) if level != "none")
 
 CONTROLS = ("no_occluder", "no_conflict", "ghost")
 """Control conditions of an encounter, see `EncounterSpec`."""

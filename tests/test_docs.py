@@ -1,5 +1,6 @@
 """Docs: no link leads nowhere, and the tutorials run as they are written."""
 
+import csv
 import hashlib
 import json
 import os
@@ -18,6 +19,7 @@ from PIL import Image
 from dsrc.cli.demo import SCENARIO, TEST_SEED
 from dsrc.cli.main import COMMANDS, command_class, run
 from dsrc.cli.options import parse
+from dsrc.closed_loop.metrics.statistics import rate
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
 from dsrc.evaluation.scoring.truth import truth_of_frame
@@ -111,6 +113,68 @@ def test_the_page_of_models_has_every_method_with_the_bytes_that_it_sends() -> N
             fusion = FUSIONS[model.fusion]
             sent = message_bytes(model, fusion.values_sent(model), fusion.channels_sent(model))
             assert size == ("–" if name in ("early", "late") else f"{sent:,}"), (name, recipe.name)
+
+
+Row = dict[str, str]
+
+
+def driven(name: str) -> list[Row]:
+    """Episodes of a committed campaign whose road user every detector has a class for."""
+    with (ROOT / f"docs/results/closed-loop/{name}/results.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    unknown = {(row["scenario"], row["seed"]) for row in rows if row["detectable"] == "False"}
+    return [row for row in rows if (row["scenario"], row["seed"]) not in unknown]
+
+
+def crashed(rows: list[Row]) -> str:
+    met = [float(row["outcome"] == "crashed") for row in rows if row["outcome"] != "desynchronised"]
+    found = rate(met)
+    return f"{100 * found.value:.0f} ({100 * found.low:.0f} to {100 * found.high:.0f})"
+
+
+def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
+    page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
+    rows, names = driven("small"), ("truth", "ego alone", "late fusion", "plain student", "DSRC")
+    by: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        by.setdefault((row["perception"], row["corruption"]), []).append(row)
+    kinds = ("beam_missing", "motion_blur", "cross_sensor", "snow", "crosstalk", "fog")
+
+    def arrived(found: list[Row]) -> int:
+        return sum(row["outcome"] == "arrived" for row in found)
+
+    for name in names:
+        clean = by[name, "clean"]
+        assert f"| {name} | {crashed(clean)} | {arrived(clean)} of {len(clean)} |" in page
+        if name != "truth":
+            assert {len(by[name, kind]) for kind in kinds} == {17}
+            assert f"| {name} | {' | '.join(str(arrived(by[name, kind])) for kind in kinds)} |" in page
+    for scenario in {row["scenario"] for row in rows}:
+        counts = [
+            sum(row["outcome"] == "crashed" for row in by[name, "clean"] if row["scenario"] == scenario)
+            for name in names
+        ]
+        assert f"| `{scenario}` | {' | '.join(map(str, counts))} |" in page
+    for title, found in (
+        ("nine encounters, nothing hidden", driven("no-occluder")),
+        ("four encounters, light traffic", [row for row in driven("traffic") if row["scenario"].endswith("light")]),
+        ("four encounters, dense traffic", [row for row in driven("traffic") if row["scenario"].endswith("dense")]),
+        ("these four, light and dense together", driven("traffic")),
+    ):
+        own, ours = ([row for row in found if row["perception"] == name] for name in ("ego alone", "DSRC"))
+        assert f"| {title} | {crashed(own)} | {crashed(ours)} |" in page
+    shifted = driven("look-ahead")
+    for scenario in {row["scenario"] for row in shifted}:
+        counts = [
+            sum(
+                row["outcome"] == "crashed" and row["scenario"] == scenario
+                for row in table
+                if row["perception"] == name
+            )
+            for name in ("ego alone", "DSRC")
+            for table in (by[name, "clean"], shifted)
+        ]
+        assert f"| `{scenario}` | {' | '.join(map(str, counts))} |" in page
 
 
 @pytest.mark.slow

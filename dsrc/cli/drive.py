@@ -65,6 +65,10 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             given = [name for name in ("who", "severity", "family") if getattr(self, name)]
             if given:
                 raise SettingsError(complaint("drive", "corruption", f"one beside --{given[0]}", "none"))
+        if self.what.endswith(".npz"):
+            for name in ("seed", "duration_s", "detect_every_s", "latency_s"):
+                if getattr(self, name) not in (None, ()):
+                    raise SettingsError(complaint("drive", name, f"that of the log {self.what}", "another"))
         if self.view and (self.critical is not None or self.what.endswith(".npz")):
             hint = f"; run: dsrc view {self.what}" if self.what.endswith(".npz") else ""
             raise SettingsError(complaint("drive", "view", "an episode to drive", "a search or a log", hint))

@@ -45,8 +45,8 @@ class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         duration_s: longest episode, s.
         detect_every_s: interval of detections, s, a multiple of the traffic's step; tracks are predicted between.
         latency_s: time from a measurement to its percept, s.
-        look_ahead_s: a fast ego's range of detection is shifted ahead until it holds the way to stop after this time,
-            s, at most by half its reach; 0 leaves it around the ego. Perceptions are opened with it.
+        look_ahead_s: reaction time of the stopping distance that a detector's range is shifted ahead to cover, s, by
+            half its reach at most; 0 for that of the perception, which is opened with it.
         stuck_s: time of standing without a red light after which an episode ends, s; it must have moved before.
         perception_limit_s: longest computation of one percept, s of wall time.
 

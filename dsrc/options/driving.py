@@ -32,8 +32,8 @@ class DriveOptions(msgspec.Struct, frozen=True):
         duration_s: longest episode, s; default: 20.
         detect_every_s: interval of detections, s; default: 0.1.
         latency_s: time from a measurement to its detections, s; default: 0.
-        look_ahead_s: shift the range of detection ahead so that it covers the stopping distance with this reaction
-            time, s, by half the range at most; default: 0, no shift.
+        look_ahead_s: reaction time of the stopping distance that the detector's range is shifted ahead to cover, s, by
+            half its reach at most; default: 0, no shift.
     """
 
     what: Positional[Annotated[str, arg(metavar="SCENARIO|PLAN.toml|EPISODE.npz")]]

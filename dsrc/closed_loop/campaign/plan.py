@@ -243,6 +243,9 @@ def check(plan: Campaign, where: str) -> None:
     who = parse_who(plan.who)
     for condition in plan.conditions:
         require_who(condition.kind, who)
+    if plan.loop.look_ahead_s and all(one.kind in (*WITHOUT_SENSOR, MODELLED) for one in plan.perceptions):
+        expected = f"0 with perception '{plan.perceptions[0].name}', which has no detector whose range could be shifted"
+        raise SettingsError(complaint(where, "look_ahead_s", expected, f"{plan.loop.look_ahead_s:g}"))
     for scenario in plan.scenarios:
         load_scenario(scenario)
     for channel in plan.channels:

@@ -1,5 +1,6 @@
 """Detector as a perception: from corrupted sweeps through the radio channel to boxes in the world."""
 
+import math
 from collections import deque
 from dataclasses import replace
 
@@ -11,15 +12,13 @@ from dsrc.data.sample import Sample, SampleDetector, sample_for
 from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections
 from sensors.frame import Frame
+from sensors.recording.encounter_check import BRAKING_MPS2
 from sim.boxes import VEHICLES, Boxes
 from sim.errors import SettingsError, complaint
 from sim.geometry import invert
 from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
-
-_BRAKING_MPS2 = 7.0
-"""Braking of the way to stop, as that of the encounters' proofs."""
 
 
 class DetectorPerception:
@@ -31,11 +30,12 @@ class DetectorPerception:
         faults: corruption of the sweeps.
         channel: radio channel between the helpers and the ego.
         interval_s: time between percepts, s, thus between the helpers' messages.
-        look_ahead_s: a fast ego's range is shifted ahead until it holds the way to stop after this time, s, at most by
-            half its reach; 0 leaves it around the ego.
+        look_ahead_s: reaction time of the stopping distance that the detector's range is shifted ahead to cover, s, by
+            half its reach at most; 0: no shift.
 
     Raises:
-        SettingsError: a shifted range for a network that encodes each cloud in its agent's own frame.
+        SettingsError: `look_ahead_s` is not finite or below 0, or not 0 for a network that encodes each cloud in its
+            agent's own frame.
     """
 
     def __init__(
@@ -50,6 +50,8 @@ class DetectorPerception:
     ) -> None:
         self.detector, self.cooperative, self.channel = detector, cooperative, channel
         self.senses = Senses(faults or Faults(), cooperative)
+        if not (math.isfinite(look_ahead_s) and look_ahead_s >= 0.0):
+            raise SettingsError(complaint("perception", "look_ahead_s", "seconds >= 0", f"{look_ahead_s:g}"))
         if look_ahead_s and getattr(detector.settings, "own_frame", False):
             expected = "0 with a network that encodes clouds in the agents' own frames"
             raise SettingsError(complaint("perception", "look_ahead_s", expected, f"{look_ahead_s:g}"))
@@ -111,8 +113,8 @@ class DetectorPerception:
 
 
 def _shift_m(speed_mps: float, look_ahead_s: float, reach_m: float) -> float:
-    """Return how far a range that reaches some way ahead is shifted, m."""
+    """Return the shift of a range that covers `reach_m` ahead of the ego, m."""
     if look_ahead_s == 0.0:
         return 0.0
-    stop_m = speed_mps * look_ahead_s + speed_mps**2 / (2.0 * _BRAKING_MPS2)
+    stop_m = speed_mps * look_ahead_s + speed_mps**2 / (2.0 * BRAKING_MPS2)
     return float(np.clip(stop_m - reach_m, 0.0, 0.5 * reach_m))

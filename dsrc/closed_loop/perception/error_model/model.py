@@ -269,7 +269,8 @@ def read_model(path: Path) -> ErrorModel:
     try:
         model = msgspec.json.decode(content, type=ErrorModel)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        hint = "; another version made it: run dsrc model fit again" if b"dsrc error model" in content else ""
+        other = b'"dsrc error model' in content and FORMAT.encode() not in content
+        hint = "; another version made it: run dsrc model fit again" if other else ""
         raise DataError(complaint(path, "error model", "the JSON of dsrc model fit", str(error), hint)) from None
     unknown = [name for name in model.classes if name not in CLASSES]
     if unknown:

@@ -118,8 +118,3 @@ def bands_of(local: NDArray[np.float64]) -> NDArray[np.int64]:
 def quarters_of(turn: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the nearest (N,) quarter turns to angles, rad: 0 ahead, 1 to the left, 2 back, 3 to the right."""
     return np.rint(turn / (0.5 * np.pi)).astype(np.int64) % 4
-
-
-def lies_across(turn: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return the (N,) mask of angles, rad, that are closer to a quarter turn than to none or half a turn."""
-    return np.asarray(np.abs(np.sin(turn)) > np.sqrt(0.5), bool)

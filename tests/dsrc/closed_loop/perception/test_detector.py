@@ -85,6 +85,9 @@ def test_a_shifted_range_is_said_once_and_not_for_every_network() -> None:
         ClosedLoop(SCENARIO, around, settings=LoopSettings(look_ahead_s=1.0))
     own = Knowing(OTHERS)
     own.settings = SimpleNamespace(own_frame=True)
+    for wrong in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(SettingsError, match="look_ahead_s: expected seconds >= 0"):
+            started(look_ahead_s=wrong)
     with pytest.raises(SettingsError, match="own frames, found 1"):
         started(own, look_ahead_s=1.0)
 

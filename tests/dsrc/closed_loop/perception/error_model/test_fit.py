@@ -220,6 +220,9 @@ def test_a_wrong_file_is_one_line(errors: Errors, tmp_path: Path, change, field:
     with pytest.raises(DataError, match=field) as wrong:
         read_model(path)
     assert "\n" not in str(wrong.value)
+    path.write_bytes(msgspec.json.encode(raw | {"format": "dsrc error model 3"}))
+    with pytest.raises(DataError, match="another version made it: run dsrc model fit again"):
+        read_model(path)
     path.write_bytes(b"\x80\x04no json")
     with pytest.raises(DataError, match="error model"):
         read_model(path)

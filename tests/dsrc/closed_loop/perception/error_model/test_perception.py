@@ -12,7 +12,7 @@ from dsrc.closed_loop.perception.error_model.fit import fit_errors
 from dsrc.closed_loop.perception.error_model.model import Chain, Doubles, ErrorModel, Errors, write_model
 from dsrc.closed_loop.perception.error_model.perception import ModelPerception
 from dsrc.closed_loop.perception.error_model.percepts import Observed
-from dsrc.closed_loop.perception.error_model.sight import SIGHTS, Viewpoints, lies_across
+from dsrc.closed_loop.perception.error_model.sight import SIGHTS, Viewpoints, quarters_of
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Percept
 from dsrc.options.driving import DriveOptions
@@ -116,8 +116,8 @@ def test_boxes_lie_across_the_objects_that_are_said_to(fitted: Errors, crossing:
             if apart.min() > 2.0:
                 continue  # a ghost
             yaw = truth.yaw[apart.argmin()]
-            is_crossed = bool(lies_across(np.array(box[6] - yaw)))
-            assert is_crossed == (bool(lies_across(np.array(yaw - ego))) == crossing)
+            is_crossed = bool(across(np.array(box[6] - yaw)))
+            assert is_crossed == (bool(across(np.array(yaw - ego))) == crossing)
             seen += 1
     assert seen > 10
 
@@ -138,8 +138,12 @@ def test_second_boxes_lie_where_the_model_has_them(fitted: Errors) -> None:
         for box in second.array:
             apart = np.linalg.norm(places - box[:2], axis=1)
             assert apart.min() < 1e-6
-            assert bool(lies_across(np.array(box[6] - truth.yaw[apart.argmin()])))
+            assert bool(across(np.array(box[6] - truth.yaw[apart.argmin()])))
     assert seconds > 10
+
+
+def across(turn: np.ndarray) -> np.ndarray:
+    return quarters_of(turn) % 2 == 1
 
 
 def certain(chain: Chain, p: float) -> Chain:

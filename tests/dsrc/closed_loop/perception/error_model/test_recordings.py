@@ -58,6 +58,10 @@ def test_recordings_that_do_not_fit_are_one_line(folder: Path) -> None:
     log.save(folder / "episodes" / "2.npz")
     with pytest.raises(DataError, match="perception: expected the same in all episodes, found ego, late"):
         fit_model(folder)
+    log = episode(MOVERS, 5, sees=sees, scenario=toy.SCENARIO, perception="ego", loop={"look_ahead_s": 1.0})
+    log.save(folder / "episodes" / "2.npz")
+    with pytest.raises(DataError, match="look_ahead_s: expected the same in all episodes, found 0, 1"):
+        fit_model(folder)
 
 
 def test_stored_detections_know_who_sees_an_object() -> None:
