@@ -50,7 +50,7 @@ class _Record(msgspec.Struct, frozen=True):
     seed: int
     versions: dict[str, str]
     data: dict[str, str]
-    folders: dict[str, str | None]
+    folders: dict[str, str | None] = {}
     validation: dict[str, str] | None = None
     teacher: str | None = None
     init: dict[str, Any] | None = None

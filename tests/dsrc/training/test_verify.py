@@ -102,6 +102,15 @@ def test_other_settings_data_and_versions_are_named(run: Path, tmp_path: Path) -
     assert set(differing(run, data=other)) >= {"recipe learning_rate", "version torch", "data made_up"}
 
 
+def test_a_run_whose_folders_were_not_recorded_agrees_with_the_given_ones(run: Path) -> None:
+    record = json.loads((run / "settings.json").read_text())
+    folders = record.pop("folders")
+    (run / "settings.json").write_text(json.dumps(record))
+    assert differing(run, data=Path(folders["data"])) == []
+    with pytest.raises(DataError, match=r"data: expected the folder of its drives, found None; say .* --data"):
+        verify(run)
+
+
 def test_the_command_says_what_differs_and_returns_1(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cli(["model", "verify", str(run.parent)])
     assert "agrees   data: all 1" in capsys.readouterr().out
