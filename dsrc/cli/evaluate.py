@@ -37,8 +37,8 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
 
     Attributes:
         out: folder for results, tables, plots and cached evaluations.
-        docs: Markdown document that gets the tables too, between its markers or at its end, files beside it;
-            default: none.
+        docs: Markdown document that gets the tables too, files beside it: those that it has markers for, or all at its
+            end if it has none; default: none.
         partial: leave out missing detector files and list them.
         device: device of the networks.
         engine: execution of the networks: fused layers, the same in half precision for CPUs with AMX, PyTorch's

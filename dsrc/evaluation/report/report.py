@@ -292,12 +292,16 @@ class _Writer:
         self._folder, self._made_by, self._published = folder, made_by, published_tables()
 
     def sheet(self, sheet: ResultTable | str, figure: Figure | None, suffix: str = "") -> None:
-        """Write a table and its section, with the published table below; a text says why a table is left out."""
+        """Write a table and its section; a text says why a table is left out.
+
+        Below that of the first family, whose sections have no suffix, is the published table.
+        """
         if isinstance(sheet, str):
             name = sheet.split(" is ")[0].lower().replace(" ", "_")
             self.section(f"{name}{suffix}", f"{sheet}\n")
             return
-        beside = f"\n{self._published[sheet.name].markdown()}" if sheet.name in self._published else ""
+        published = None if suffix else self._published.get(sheet.name)
+        beside = f"\n{published.markdown()}" if published else ""
         files = {".md": sheet.markdown(), ".csv": sheet.csv()}
         self.section(f"{sheet.name}{suffix}", f"{sheet.markdown()}{beside}", files, figure, sheet.title)
 
@@ -372,8 +376,9 @@ def _traffic(results: DatasetResults) -> dict[str, tuple[float, float, float]]:
 def publish(sections: list[Section], out: Path, document: Path, name: str) -> Path:
     """Write sections between their markers in a document, and their files beside it in a folder `name`.
 
-    A section `x/y` goes between the lines `<!-- begin NAME/x/y -->` and `<!-- end NAME/x/y -->`; without them it is
-    added at the end. The rest of the document stays. `out` may be that folder.
+    A section `x/y` goes between the lines `<!-- begin NAME/x/y -->` and `<!-- end NAME/x/y -->`. A document with such
+    lines of this name gets the sections that it has a place for, any other all of them at its end. The rest of the
+    document stays. `out` may be that folder.
 
     Returns:
         The folder of result files, tables and pictures; cells stay in `out`.
@@ -382,11 +387,14 @@ def publish(sections: list[Section], out: Path, document: Path, name: str) -> Pa
         DataError: a begin marker without its end.
     """
     folder = document.parent / document.stem / slug(name)
+    text = document.read_text(encoding="utf-8") if document.is_file() else f"# {document.stem.capitalize()}\n"
+    places = {section.name: f"<!-- begin {slug(name)}/{section.name} -->" for section in sections}
+    if f"<!-- begin {slug(name)}/" in text:
+        sections = [section for section in sections if places[section.name] in text]
     for file in (*_RESULTS, *(path for section in sections for path in section.files)):
         write_file(folder / file, (out / file).read_bytes())
-    text = document.read_text(encoding="utf-8") if document.is_file() else f"# {document.stem.capitalize()}\n"
     for section in sections:
-        begin, end = (f"<!-- {word} {slug(name)}/{section.name} -->" for word in ("begin", "end"))
+        begin, end = places[section.name], f"<!-- end {slug(name)}/{section.name} -->"
         content = f"{begin}\n{section.markdown(folder.relative_to(document.parent))}\n{end}"
         if begin not in text:
             text = f"{text.rstrip()}\n\n{content}\n"

@@ -37,7 +37,8 @@ from dsrc.ops.iou import bev_iou
 from sim.boxes import Boxes
 
 HIT_IOU = 0.5
-TOP = 0.998
+TOP = 0.99
+"""Quantile of the cells in true boxes at which the colours of Figure 6 end: single cells elsewhere have far more."""
 
 
 def feature_figure(chosen: Sequence[DrawnFrame], maps: Mapping[str, EvidenceFunction], grid: GridSpec) -> Figure:
@@ -50,7 +51,10 @@ def feature_figure(chosen: Sequence[DrawnFrame], maps: Mapping[str, EvidenceFunc
     """
     x0, y0, _, x1, y1, _ = grid.range_m
     values = [[seen(frame.sample) for frame in chosen] for seen in maps.values()]
-    high = float(np.quantile(np.array(values), TOP)) or 1.0
+    inside = [_cells(frame, grid, values[0][0].shape) for frame in chosen]
+    pairs = (zip(of_network, inside, strict=True) for of_network in values)
+    within = np.concatenate([seen[cells] for several in pairs for seen, cells in several])
+    high = (float(np.quantile(within, TOP)) if len(within) else 0.0) or 1.0
     with figure_style():
         heights = [(y1 - y0) / (x1 - x0)] * (1 + len(maps))
         figure, axes = _columns(chosen, heights, "Evidence for a vehicle in feature maps")
@@ -58,29 +62,36 @@ def feature_figure(chosen: Sequence[DrawnFrame], maps: Mapping[str, EvidenceFunc
             points = axes[0, column]
             draw_points(points, frame.sample)
             points.set_title(frame.heading, fontsize=8.5)
-            inside = cells_in_boxes([frame.sample.boxes], grid)[0]
             for line, of_network in enumerate(values):
                 panel, seen = axes[1 + line, column], of_network[column]
                 image = panel.imshow(seen, "YlOrBr", origin="lower", extent=(x0, x1, y0, y1), vmin=0.0, vmax=high)
-                panel.set_title(_contrast(seen, inside), fontsize=8, fontweight="normal")
+                panel.set_title(_contrast(seen, inside[column]), fontsize=8, fontweight="normal")
             for panel in axes[:, column]:
                 draw_truth(panel, frame.sample, 0.9, filled=panel is points)
                 show_range(panel, grid)
                 draw_agents(panel, frame.sample, grid)
         _name_lines(axes, ["LiDAR points of all agents", *maps])
         bar = figure.colorbar(image, ax=axes[1:].ravel().tolist(), extend="max", fraction=0.02, pad=0.01, aspect=40)
-        bar.set_label(f"evidence for a vehicle, logits; up to the {100 * TOP:g}th percentile of all panels' cells")
+        bar.set_label(
+            f"evidence for a vehicle, logits; up to the {100 * TOP:g}th percentile of the cells in true boxes"
+        )
         axes[-1, len(chosen) // 2].set_xlabel("x ahead of the ego, y to its left, m", fontsize=8)
         figure.legend(handles=_handles(), loc="outside lower center", ncols=5)
     return figure
 
 
+def _cells(frame: DrawnFrame, grid: GridSpec, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Cells of an (h, w) map in the true boxes of a frame; the input's cells are smaller."""
+    inside = cells_in_boxes([frame.sample.boxes], grid)[0]
+    height, width = shape
+    found: NDArray[np.bool_] = inside.reshape(height, inside.shape[0] // height, width, -1).any(axis=(1, 3))
+    return found
+
+
 def _contrast(seen: NDArray[np.float32], inside: NDArray[np.bool_]) -> str:
-    """Text of an (h, w) map's means in true boxes and elsewhere; `inside` is (H, W), of the input's smaller cells."""
-    height, width = seen.shape
-    cells = inside.reshape(height, inside.shape[0] // height, width, inside.shape[1] // width).any(axis=(1, 3))
-    within = f"{seen[cells].mean():.2f}" if cells.any() else "-"
-    return f"mean in true boxes {within}, elsewhere {seen[~cells].mean():.2f}"
+    """Text of an (h, w) map's means in the cells of true boxes and elsewhere."""
+    within = f"{seen[inside].mean():.2f}" if inside.any() else "-"
+    return f"mean in true boxes {within}, elsewhere {seen[~inside].mean():.2f}"
 
 
 def detection_figure(chosen: Sequence[DrawnFrame], found: Mapping[str, Sequence[Detections]], grid: GridSpec) -> Figure:

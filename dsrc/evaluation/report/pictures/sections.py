@@ -72,8 +72,8 @@ def _figure_6(
         f"**{title}**\n\nEvidence in a cell: the sum over the channels c of relu(w_c f_c), in logits, with f the "
         "feature after the shrink convolutions and w the weights of the class head; of the cell's two anchors the one "
         "with more. The bias and what speaks against a vehicle are left out. All panels have one linear scale, from 0 "
-        f"to the {100 * TOP:g}th percentile of all their cells. Above a panel: the mean over the cells in true boxes, "
-        f"and over all others. {taught}{_selection_rule(chosen)}\n"
+        f"to the {100 * TOP:g}th percentile of their cells in true boxes. Above a panel: the mean over these cells and "
+        f"over all others. {taught}{_selection_rule(chosen)}\n"
     )
     yield Section("figure_6", text, "figure_6.png", title)
     sheet = channel_table(networks, spread_samples(plan, grid), results.dataset)

@@ -295,9 +295,19 @@ def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
     assert folder == tmp_path / "docs" / "results" / "small"
     publish(sections, out, document, "Small")
     assert document.read_text() == text
-    written = {name for block in sections for name in block.files} | {"results.json", "results.csv", "timings.csv"}
-    assert "made-up/table_1.csv" in written and "made-up/figure_4.png" in written
-    assert {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} == written
+    assert files_below(folder) == RESULT_FILES | set(sections[0].files) and "made-up/table_1.csv" in sections[0].files
+    # Without a place for any section the document gets all of them.
+    publish(sections, out, tmp_path / "all.md", "Small")
+    assert all(f"<!-- begin small/{block.name} -->" in (tmp_path / "all.md").read_text() for block in sections)
+    written = {name for block in sections for name in block.files} | RESULT_FILES
+    assert "made-up/figure_4.png" in written and files_below(tmp_path / "all/small") == written
+
+
+RESULT_FILES = {"results.json", "results.csv", "timings.csv"}
+
+
+def files_below(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_parts_of_dsrc_alone_are_reported_too(tmp_path):
