@@ -1,7 +1,7 @@
 """What flakes do to a pillar network: snowy clouds are changed bit by bit until it finds the near objects again.
 
 Usage:
-    python examples/snow_pillars.py --data data/dsrc-sim/validation --checkpoint docs/results/dsrc-sim-small/dsrc.pt
+    python examples/snow_pillars.py --data data/dsrc-sim/validation --checkpoint dsrc/checkpoints/small-dsrc.pt
     python examples/snow_pillars.py --data data/dsrc-sim/validation --checkpoint detector.pt --docs docs/corruptions.md
 """
 
@@ -251,7 +251,7 @@ def measured_again(detector: Detector, scenes: Sequence[Scene], momentum: float 
         for part in scenes:
             batch = collate([part.snowy], detector.settings, training=False)
             assert batch.student is not None
-            detector(batch.student, batch.company)
+            detector(batch.student, batch.layout)
     return detector.eval()
 
 
@@ -357,7 +357,7 @@ def maps(detector: Detector, sample: Sample) -> tuple[torch.Tensor, torch.Tensor
     """Return the ego's map of the encoder, the fused one and the logits, each (C, h, w)."""
     batch = collate([sample], detector.settings, training=False)
     assert batch.student is not None
-    output = detector(batch.student, batch.company)
+    output = detector(batch.student, batch.layout)
     return detector.encoder(batch.student)[0], output.fused[0], output.cls[0]
 
 
