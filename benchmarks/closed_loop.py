@@ -1,12 +1,14 @@
 """How many steps the closed loop drives in a second, and which stage takes the time.
 
 Truth: a junction of four arms with about a hundred vehicles on it, against highway-env's `highway-v0` with 50 vehicles
-in the same run. Detector: the shipped one in `lta_truck`, where the ego, two vehicles and a roadside unit sense. Real
-time is ten steps a second. CPU seconds of one thread count; wall time is beside them. Error model: whole episodes of
-`lta_truck` by a model of that detector, starts included, beside the same episodes with the detector's time per step.
+in the same run. Detector: the shipped one in `lta_truck`, where the ego, two vehicles and a roadside unit sense, or in
+another scenario. Real time is ten steps a second. CPU seconds of one thread count; wall time is beside them. Error
+model: whole episodes of that scenario by a model of the detector, starts included, beside the same episodes with the
+detector's time per step.
 
     python -m benchmarks.closed_loop            # 150 steps of each, the rivals take turns
     python -m benchmarks.closed_loop --quick    # under 50 s of a core
+    python -m benchmarks.closed_loop --quick --scenario eebl_chain    # three vehicles sense
 """
 
 import json
@@ -37,6 +39,7 @@ from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Perception
 from sim.boxes import VEHICLES
 from sim.catalog.load import load_scenario
+from sim.errors import UserError
 from sim.scenario import Scenario
 
 STAGES = ("move", "perceive", "track", "decide", "judge")
@@ -119,22 +122,23 @@ def busy_junction() -> Scenario:
     return msgspec.structs.replace(scenario, demand=demand, warmup_s=90.0)
 
 
-def modelled_episodes(detector_s: float, episodes: int, record_s: float, engine: str) -> dict[str, float]:
+def modelled_episodes(
+    scenario: str, detector_s: float, episodes: int, record_s: float, engine: str
+) -> dict[str, float]:
     """Return episodes a minute of one thread, by an error model and by the detector that it is of.
 
     Args:
+        scenario: of the episodes.
         detector_s: CPU time of a percept of the detector, s.
         episodes: to drive with the model.
         record_s: time of the episode with the detector that the model is fitted to, s.
         engine: execution of the detector.
     """
-    recorded = ClosedLoop(
-        "lta_truck", open_perception("team", engine=engine), settings=LoopSettings(duration_s=record_s)
-    )
+    recorded = ClosedLoop(scenario, open_perception("team", engine=engine), settings=LoopSettings(duration_s=record_s))
     recorded.run(1)
     errors = fit_errors([list(observed_episode(recorded.log(perception="team"), cooperative=True))], 0.1)
     model = ErrorModel(perception="team", cooperative=True, interval_s=0.1, classes=VEHICLES, conditions=(errors,))
-    loop = ClosedLoop("lta_truck", ModelPerception(model, errors))
+    loop = ClosedLoop(scenario, ModelPerception(model, errors))
     loop.run(100)  # compiles
     percepts, perceive_s, began = 0, 0.0, time.process_time()
     for seed in range(episodes):
@@ -165,13 +169,19 @@ def rival() -> Callable[[], object]:
     return step
 
 
-def main(quick: bool = False, engine: str = "fused") -> None:
+def main(quick: bool = False, engine: str = "fused", scenario: str = "lta_truck") -> None:
     """Measure the closed loop.
 
     Args:
         quick: under 50 s of a core.
         engine: execution of the detector, see `dsrc.models.storage.deploy.ENGINES`.
+        scenario: of the detector's loop.
     """
+    try:
+        load_scenario(scenario)
+    except UserError as error:
+        sys.stderr.write(f"closed_loop: {error}\n")
+        sys.exit(2)
     began = time.process_time()
     torch.set_num_threads(1)
     truth = Endless(busy_junction(), open_perception("truth"))
@@ -182,14 +192,14 @@ def main(quick: bool = False, engine: str = "fused") -> None:
         for run in runs:
             run.take(steps // _TURNS, until)
     truth.loop.close()  # one simulation of SUMO per process
-    detector = Endless("lta_truck", open_perception("team", engine=engine))
+    detector = Endless(scenario, open_perception("team", engine=engine))
     seeing = Run("detector", detector.step)
     detector.step()  # compiles
     detector.seconds = dict.fromkeys(STAGES, 0.0)
     seeing.take(steps, began + (30.0 if quick else 1e6))
     detector.loop.close()
     percept_s = detector.shares()["perceive"] * seeing.cpu_s / max(seeing.steps, 1)
-    episodes = modelled_episodes(percept_s, 3 if quick else 20, 1.0 if quick else 10.0, engine)
+    episodes = modelled_episodes(scenario, percept_s, 3 if quick else 20, 1.0 if quick else 10.0, engine)
     console, table = Console(highlight=False), Table(title="closed loop, one thread")
     for heading in ("variant", "steps", "steps per CPU s", "steps per s", *STAGES):
         table.add_column(heading, justify="left" if heading == "variant" else "right")
@@ -197,9 +207,10 @@ def main(quick: bool = False, engine: str = "fused") -> None:
         shares = [f"{100 * share:.0f} %" for share in own.shares().values()] if own else [""] * len(STAGES)
         table.add_row(run.name, str(run.steps), f"{run.per_cpu_s:.1f}", f"{run.per_wall_s:.1f}", *shares)
     console.print(table)
+    agents = len(detector.loop.perception.senses.agents)  # type: ignore[attr-defined]
     console.print(
-        f"real time is {REAL_TIME:g} steps a second; truth with {np.median(truth.actors):.0f} vehicles, detector with "
-        f"{len(detector.loop.perception.senses.agents)} sensing agents"  # type: ignore[attr-defined]
+        f"real time is {REAL_TIME:g} steps a second; truth with {np.median(truth.actors):.0f} vehicles, detector in "
+        f"{scenario} with {agents} sensing agents"
     )
     console.print(
         f"episodes a minute and thread: {episodes['episodes_min_model']:g} by the error model, "
@@ -214,6 +225,8 @@ def main(quick: bool = False, engine: str = "fused") -> None:
         "steps_s_detector_wall": round(seeing.per_wall_s, 2),
         **episodes,
         "vehicles": int(np.median(truth.actors)),
+        "scenario": scenario,
+        "sensing_agents": agents,
         "engine": engine,
         **{f"share_truth_{stage}": round(share, 3) for stage, share in truth.shares().items()},
         **{f"share_detector_{stage}": round(share, 3) for stage, share in detector.shares().items()},
