@@ -27,6 +27,7 @@ from dsrc.models.compression import message_bytes
 from dsrc.models.fusion import FUSIONS
 from dsrc.training.recipes import METHODS, of_method, opv2v, small
 from sensors.corruptions.check import example_frame
+from tests.commands import run_script
 from tests.dsrc.data.toy import toy_frame
 from tests.dsrc.evaluation.small import write_detector, write_drives
 from tests.dsrc.models.storage.opencood_networks import network
@@ -130,6 +131,40 @@ def crashed(rows: list[Row]) -> str:
     met = [float(row["outcome"] == "crashed") for row in rows if row["outcome"] != "desynchronised"]
     found = rate(met)
     return f"{100 * found.value:.0f} ({100 * found.low:.0f} to {100 * found.high:.0f})"
+
+
+def test_the_zoo_has_every_kept_detector_as_its_run_folder_records_it() -> None:
+    kept = ROOT / "docs/results/dsrc-sim-small/kept"
+    printed = run_script(ROOT / "examples/zoo.py", str(kept))
+    assert printed.returncode == 0, printed.stderr
+    page = (ROOT / "docs/zoo.md").read_text()
+    assert page.partition("<!-- begin zoo -->\n")[2].partition("\n<!-- end zoo -->")[0] == printed.stdout.strip()
+    detectors = sorted(kept.rglob("detector.pt"))
+    assert len(detectors) == printed.stdout.count("\n") - 2  # a line each below the head
+    for detector in detectors:
+        recorded = json.loads((detector.parent / "result.json").read_text())["detector"]
+        assert hashlib.sha256(detector.read_bytes()).hexdigest() == recorded, detector
+
+
+def test_the_gain_from_the_usual_score_is_that_of_the_twins_results() -> None:
+    page = (ROOT / "docs/results.md").read_text()
+    block = page.partition("<!-- begin score_thresholds -->\n")[2].partition("<!-- end")[0]
+    shown = {row[0]: row[1] for row in (line.strip("| ").split(" | ") for line in block.splitlines()[2:])}
+    text = (ROOT / "docs/results/dsrc-sim-twins/results.csv").read_text()
+    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    whole = {
+        "clean": ("physical", True),
+        "mean of the corruptions as published": ("paper", False),
+        "mean of our corruptions": ("physical", False),
+    }
+    for title, (family, clean) in whole.items():
+        among = [row for row in rows if row["family"] == family and (row["condition"] == "clean") is clean]
+        for iou, value in zip((50, 70), shown[title].split(" / "), strict=True):
+            ours, plain = (
+                np.mean([float(row[f"ap_opencood_bev_{iou}"]) for row in among if row["method"] == name])
+                for name in ("DSRC", "AttFuse (plain student)")
+            )
+            assert float(value) == pytest.approx(100.0 * (ours - plain), abs=0.051)
 
 
 def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:

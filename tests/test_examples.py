@@ -16,6 +16,7 @@ from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
 from tests.commands import run_script
 from tests.dsrc.data.toy import SETTINGS, ToySource
+from tests.dsrc.evaluation.small import write_detector, write_drives
 from tests.paths import ROOT
 
 SCRIPTS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != "look.py")
@@ -345,3 +346,32 @@ def test_a_training_without_its_package_says_in_one_line_what_to_install(tmp_pat
     assert result.returncode == 2
     assert "stable-baselines3 is missing: pip install -e '.[rl]'" in result.stderr.splitlines()[-1]
     assert not (tmp_path / "out").exists()
+
+
+def test_snow_is_taken_apart_for_any_detector_and_drives(tmp_path: Path) -> None:
+    drives = write_drives(tmp_path / "data")
+    detector = write_detector(tmp_path / "detector.pt", "attfuse")
+    arguments = ("--data", str(drives), "--checkpoint", str(detector), "--frames", "1")
+    experiments, _, pillars = run(ROOT / "examples/snow_pillars.py", *arguments).strip().partition("\n| within 15 m")
+    assert [line.split(" | ")[0] for line in experiments.splitlines()][2:4] == ["| clear air", "| **snow**"]
+    assert experiments.splitlines()[-1].startswith("| norms' statistics measured again in snow")
+    assert pillars.splitlines()[-1].startswith("| median confidence at true objects")
+    clear = next(line for line in experiments.splitlines() if line.startswith("| clear air")).split(" | ")
+    assert clear[1] == clear[2] and clear[3] == clear[4].rstrip(" |")  # of no severity
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments", "told"),
+    [
+        ("zoo.py", ("nowhere",), "runs: expected finished trainings in nowhere, found none"),
+        (
+            "zoo.py",
+            ("docs/results/dsrc-sim-small/kept", "--docs", "docs/lidar.md"),
+            "docs/lidar.md: zoo: expected the lines <!-- begin zoo -->",
+        ),
+        ("score_thresholds.py", ("nowhere",), "nowhere: results: expected a folder, found no such folder"),
+    ],
+)
+def test_a_table_that_cannot_be_made_is_told_in_one_line(script: str, arguments: tuple[str, ...], told: str) -> None:
+    result = run_script(ROOT / "examples" / script, *arguments)
+    assert result.returncode == 2 and told in result.stderr and "Traceback" not in result.stderr
