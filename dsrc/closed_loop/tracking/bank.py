@@ -86,7 +86,7 @@ class Bank:
         push: (N,) running mean of the residuals along the heading, standard deviations.
         facing: (N,) running mean of +1 for detected headings near the track's, -1 for opposite ones.
         score: (N,) confidence.
-        recent: (N, K) scores in the latest percepts, 0 where unseen.
+        evidence: (N,) logarithm of the odds that it is a road user and no series of ghosts.
         hits: (N,) number of detections.
         needed: (N,) least number of them that confirms it.
         seen_s: (N,) instant of the last detection, s.
@@ -102,7 +102,7 @@ class Bank:
     push: Array
     facing: Array
     score: Array
-    recent: Array
+    evidence: Array
     hits: Rows
     needed: Rows
     seen_s: Array

@@ -73,11 +73,17 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         direction_mps: speed from which on the motion decides the heading, m/s.
         smoothing: weight of a detection in the size and height of a track, 0 to 1.
         start_score: lowest score of a detection that starts a track.
-        confirm_score: sum of the scores of a track's detections that confirms it: 0.8 needs one detection of score 0.8,
-            two of 0.4, three of 0.27. With 1 the small detector's tracks come 0.2 s later in the median, and 11 instead
-            of 7 of 17 encounters in which sight helps end in a crash for the ego alone (others than it was chosen on);
-            with 0.8 there are 30 % more false tracks.
-        confirm_percepts: number of latest percepts that count in that sum.
+        even_score: score of a box that is as likely a road user as a ghost. Of 43,000 boxes of the shipped detectors in
+            nine encounters, clean and in fog, snow and crosstalk, 14 % of those with scores of 0.20 to 0.25 are road
+            users, 60 % of those of 0.4 to 0.5, and 97 % of those of 0.6 to 0.7.
+        score_evidence: growth of the logarithm of these odds per unit of score.
+        ghosts_per_m2: density of ghosts where there are some, 1/m2.
+        sure_score: score from which on one box is enough; else a track needs two, since one has no velocity.
+        missed_evidence: evidence against a track of a percept that does not show it.
+        confirm_evidence: evidence at which a track becomes known. With -1 tracks come 0.1 s earlier and there are a
+            quarter more false ones.
+        refute_evidence: evidence below which a known track ends.
+        most_evidence: bound of the evidence, so that a long history does not outweigh what is seen now.
         score_gain: weight of a detection in the score of a track, 0 to 1.
         half_life_s: time in which the score of an unseen confirmed track halves, s.
         tentative_half_life_s: the same of a tentative track, s.
@@ -101,8 +107,14 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     direction_mps: float = 2.0
     smoothing: float = 0.2
     start_score: float = 0.1
-    confirm_score: float = 0.8
-    confirm_percepts: int = 5
+    even_score: float = 0.4
+    score_evidence: float = 12.0
+    ghosts_per_m2: float = 0.01
+    sure_score: float = 0.8
+    missed_evidence: float = 0.7
+    confirm_evidence: float = 0.0
+    refute_evidence: float = -1.0
+    most_evidence: float = 8.0
     score_gain: float = 0.3
     half_life_s: float = 0.3
     tentative_half_life_s: float = 0.1

@@ -54,10 +54,15 @@ class _Step:
 class Tracker:
     """Tracker of boxes: Kalman filter, gated assignment, confirmed tracks.
 
-    Tracks become known (`Tracks`) once the scores of their detections add up: one box alone needs a high one. Unseen
-    tracks coast and end after a time that their score decides. A percept older than the last one is filtered in its
-    place: the tracks go back to the instant before it and the later percepts are filtered again. It starts no track,
-    since the later percepts saw more; one older than `history_s` is ignored.
+    Tracks are known (`Tracks`) while the evidence says that they are road users rather than series of ghosts: the
+    logarithm of the odds by the scores of their boxes and by how well these lie where the motion leads, against ghosts
+    that lie anywhere (R. Sittler, *An Optimal Data Association Problem in Surveillance Theory*, IEEE Transactions on
+    Military Electronics, 1964; S. Blackman and R. Popoli, *Design and Analysis of Modern Tracking Systems*, 1999,
+    section 6.2). Unseen tracks coast and end after a time that their score decides.
+
+    A percept older than the last one is filtered in its place: the tracks go back to the instant before it and the
+    later percepts are filtered again. It starts no track, since the later percepts saw more; one older than `history_s`
+    is ignored.
 
     Args:
         settings: motion, association and life cycle.
@@ -132,10 +137,10 @@ class Tracker:
         unseen[tracks] = False
         half_life_s = np.where(bank.number >= 0, settings.half_life_s, settings.tentative_half_life_s)
         score = np.where(unseen, bank.score * 2.0 ** (-since_s / half_life_s), bank.score)
-        seen_now = np.zeros(len(bank.z))
-        seen_now[tracks] = measured.score[found]
-        bank = replace(bank, score=score, recent=np.column_stack([bank.recent[:, 1:], seen_now]))
-        if (ended := unseen & (score < settings.drop_score)).any():
+        evidence = bank.evidence - settings.missed_evidence * unseen
+        bank = replace(bank, score=score, evidence=evidence)
+        refuted = (bank.number >= 0) & (evidence < settings.refute_evidence)
+        if (ended := unseen & (score < settings.drop_score) | refuted).any():
             bank = bank.rows(~ended)
 
         if fresh.any():
@@ -216,6 +221,7 @@ class Tracker:
             replace(first, state=state).rows(rows),
             birth=serial * _SLOTS + _SLOTS // 2 + place,
             needed=np.full(len(rows), 3),
+            number=np.full(len(rows), -1),
         )
         return np.append(tracks, len(bank.z) + place), np.append(found, rest[theirs]), bank.joined(crossing)
 
@@ -254,6 +260,13 @@ class Tracker:
             rolled = without_slip(state.rows(rolling), Parameters.of(table[rolling]))
             state = state.replaced(rolling, facing_forward(rolled, settings.direction_mps))
 
+        expected = bank.state.covariance[tracks, :2, :2] + variance
+        area = 2.0 * np.pi * np.sqrt(np.linalg.det(expected))
+        evidence = bank.evidence.copy()
+        evidence[tracks] += self._evidence(measured.score) - 0.5 * squared_distances(offset, expected)
+        evidence[tracks] -= np.log(area * settings.ghosts_per_m2)
+        evidence = np.minimum(evidence, settings.most_evidence)
+
         hits = bank.hits.copy()
         hits[tracks] += 1
         weight = np.where(reported, 1.0, np.maximum(1.0 / hits[tracks], settings.smoothing))
@@ -274,9 +287,14 @@ class Tracker:
             push=push,
             facing=faces,
             score=score,
+            evidence=evidence,
             hits=hits,
             seen_s=seen_s,
         )
+
+    def _evidence(self, score: Array) -> Array:
+        """Return the logarithm of the odds (N,) that boxes of these scores are road users."""
+        return self.settings.score_evidence * (score - self.settings.even_score)
 
     def _start(self, measured: Measured, serial: int, time_s: float) -> Bank:
         """Return new tracks of boxes."""
@@ -293,8 +311,6 @@ class Tracker:
         covariance[:, RATE, RATE] = p.curvature_per_m * p.lateral_mps2
         votes = np.zeros((n, len(CLASSES)))
         votes[np.arange(n), measured.label] = measured.score
-        recent = np.zeros((n, settings.confirm_percepts))
-        recent[:, -1] = measured.score
         return Bank(
             time_s=time_s,
             state=State(np.column_stack([measured.box[:, :2], measured.velocity, yaw, np.zeros(n)]), covariance),
@@ -304,9 +320,9 @@ class Tracker:
             push=np.zeros(n),
             facing=np.full(n, 0.3),
             score=measured.score,
-            recent=recent,
+            evidence=self._evidence(measured.score),
             hits=np.ones(n, np.int64),
-            needed=np.ones(n, np.int64),
+            needed=np.where(measured.score >= settings.sure_score, 1, 2),
             seen_s=np.full(n, time_s),
             birth=serial * _SLOTS + np.arange(n),
             number=np.full(n, -1, np.int64),
@@ -317,7 +333,7 @@ class Tracker:
 
         A number belongs to the detection that started the track, so it survives filtering again.
         """
-        enough = (bank.recent.sum(axis=1) >= self.settings.confirm_score - 1e-9) & (bank.hits >= bank.needed)
+        enough = (bank.evidence >= self.settings.confirm_evidence) & (bank.hits >= bank.needed)
         new = np.flatnonzero((bank.number < 0) & enough)
         if not len(new):
             return bank
@@ -351,7 +367,7 @@ class Tracker:
         merged = replace(
             taken,
             votes=bank.votes,
-            recent=np.maximum(bank.recent, taken.recent),
+            evidence=np.maximum(bank.evidence, taken.evidence),
             score=np.maximum(bank.score, taken.score),
             birth=bank.birth,
             number=bank.number,

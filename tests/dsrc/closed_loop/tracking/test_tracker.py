@@ -193,11 +193,37 @@ def test_a_false_box_whose_score_does_not_confirm_it_never_appears() -> None:
         assert len(tracker.update(percept(0.1 * k, np.zeros((0, 2))), 0.1 * k)) == 0
 
 
-@pytest.mark.parametrize(("score", "needed"), [(1.0, 1), (0.8, 1), (0.79, 2), (0.4, 2), (0.27, 3), (0.2, 4)])
+@pytest.mark.parametrize(("score", "needed"), [(1.0, 1), (0.8, 1), (0.79, 2), (0.3, 2), (0.2, 3), (0.15, 4)])
 def test_surer_detections_confirm_sooner(score: float, needed: int) -> None:
     after = follow([percept(0.1 * k, [[0.0, 0.0]], score=score) for k in range(8)])
     assert [len(tracks) for tracks in after] == [0] * (needed - 1) + [1] * (9 - needed)
     assert after[-1].score[0] == pytest.approx(score)
+
+
+def test_ghosts_that_lie_anywhere_are_no_track_and_a_steady_car_of_their_score_is() -> None:
+    """Both are boxes of score 0.25 in every percept; the ghost's is drawn anew around one place."""
+    rng = np.random.default_rng(7)
+    known = {"ghost": 0, "car": 0}
+    for _ in range(20):
+        ghost, car = Tracker(), Tracker()
+        for k in range(25):
+            time_s = 0.2 * k
+            known["ghost"] += len(ghost.update(percept(time_s, rng.normal(0.0, 1.5, 2), score=0.25), time_s))
+            place = [1.6 * k, 0.0] + rng.normal(0.0, 0.15, 2)
+            known["car"] += len(car.update(percept(time_s, place, score=0.25), time_s))
+    assert known["car"] > 0.8 * 20 * 25
+    assert known["ghost"] < 0.1 * 20 * 25
+
+
+def test_a_track_whose_boxes_turn_doubtful_ends() -> None:
+    tracker = Tracker()
+    rng = np.random.default_rng(3)
+    for k in range(10):
+        tracks = tracker.update(percept(0.1 * k, [[0.0, 0.0]], score=0.7), 0.1 * k)
+    assert len(tracks) == 1
+    for k in range(10, 40):
+        tracks = tracker.update(percept(0.1 * k, rng.normal(0.0, 1.5, 2), score=0.2), 0.1 * k)
+    assert len(tracks) == 0
 
 
 def test_a_missed_car_coasts_and_is_forgotten_the_later_the_surer_it_was() -> None:
