@@ -6,15 +6,20 @@ import re
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from dsrc.closed_loop.types import Percept
 from dsrc.data.datasets.convert import Format, convert
 from dsrc.data.write import write_drive
 from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
+from sim.traffic.base import Actors
 from tests.commands import run_script
+from tests.dsrc.closed_loop.logged import Mover, ahead, episode
 from tests.dsrc.data.toy import SETTINGS, ToySource
 from tests.dsrc.evaluation.small import write_detector, write_drives
 from tests.paths import ROOT
@@ -360,9 +365,35 @@ def test_snow_is_taken_apart_for_any_detector_and_drives(tmp_path: Path) -> None
     assert clear[1] == clear[2] and clear[3] == clear[4].rstrip(" |")  # of no severity
 
 
+def test_false_tracks_and_late_ones_are_counted(tmp_path: Path) -> None:
+    """A car that is found from 1 s on, and a box 20 m beside it in each of the 30 percepts, where nobody is."""
+
+    def sees(now: Actors) -> Percept:
+        boxes = now.boxes[[1, 1]]
+        boxes = replace(boxes, center=boxes.center + np.array([[0.0, 0.0, 0.0], [0.0, 20.0, 0.0]]))
+        score = np.array([0.7 if now.time_s > 0.95 else 0.05, 0.7])
+        return Percept(now.time_s, boxes, score, np.full((2, 2), np.nan))
+
+    movers = [Mover("ego", ahead(0.0)), Mover("car", ahead(5.0, x=30.0))]
+    (tmp_path / "episodes").mkdir()
+    episode(movers, 30, sees=sees, detector="0" * 64).save(tmp_path / "episodes/one.npz")
+    printed = run(ROOT / "examples/tracking.py", str(tmp_path), "--set", "ghosts_per_m2=1e9").splitlines()
+    assert "| 0.7 to 1 | 50 | 40 |" in printed
+    now, never = (line.split(" | ")[1:] for line in printed[-2:])
+    # Both are known from their second box on: the false one in 29 of 30 instants, the car a second late.
+    assert now == ["30", "0.97", "0.97", "63", "1.10", "0 |"]
+    assert never == ["30", "0.00", "0.00", "0", "3.00", "100 |"]
+
+
 @pytest.mark.parametrize(
     ("script", "arguments", "told"),
     [
+        ("tracking.py", ("docs",), "docs: expected episodes of a detector, found none"),
+        (
+            "tracking.py",
+            ("docs", "--set", "gait=2"),
+            "--set: expected NAME=VALUE, a number of TrackerSettings, found gait",
+        ),
         ("zoo.py", ("nowhere",), "runs: expected finished trainings in nowhere, found none"),
         (
             "zoo.py",

@@ -209,7 +209,7 @@ def test_ghosts_that_lie_anywhere_are_no_track_and_a_steady_car_of_their_score_i
         for k in range(25):
             time_s = 0.2 * k
             known["ghost"] += len(ghost.update(percept(time_s, rng.normal(0.0, 1.5, 2), score=0.25), time_s))
-            place = [1.6 * k, 0.0] + rng.normal(0.0, 0.15, 2)
+            place = rng.normal([1.6 * k, 0.0], 0.15)
             known["car"] += len(car.update(percept(time_s, place, score=0.25), time_s))
     assert known["car"] > 0.8 * 20 * 25
     assert known["ghost"] < 0.1 * 20 * 25
