@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WORST = 12
+_SEEN_S, _TRACKED_S = 1.5, 0.4
+"""Time before a crash from which on a first box is late; time after it from which on a first track is."""
 _COLUMNS = ("episodes", "crashed", "stuck", "lost", "score", "progress")
 
 
@@ -147,7 +149,7 @@ def markdown(result: CampaignResult, pictures: Sequence[str] = ()) -> str:
     first = result.plan.channels[0]
     parts += [_scenarios_part([[one for one in part if one.channel == first] for part in (common, apart)])]
     parts += [_differences_part(result.plan, common)]
-    parts += [_robustness_part(result.plan, common), _worst_part(result)]
+    parts += [_robustness_part(result.plan, common), _causes_part(common), _worst_part(result)]
     if result.controls:
         fine = sum(one.outcome == Outcome.ARRIVED.value for one in result.controls)
         parts.append(f"Controls with the truth: {fine} of {len(result.controls)} arrived.")
@@ -292,6 +294,34 @@ def _robustness_part(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
             lines.append(_row(one.name, *("" if value != value else f"{value:.2f}" for value in values)))
     text = f"Collision rate under a corruption over that of {alone}; 1 is as bad."
     return f"## Closed-loop corruption error\n\n{text}\n\n" + "\n".join(lines)
+
+
+def _causes_part(results: Sequence[EpisodeResult]) -> str:
+    """Return what came late in crashes: the sight of the conflict actor, its track, or the driver."""
+    crashed = [one for one in results if one.outcome == Outcome.CRASHED.value]
+    lines = [_row("perception", "condition", "crashes", "not seen", "seen late", "tracked late", "in time"), _rule(7)]
+    for perception, condition, group in _groups(crashed):
+        counts = dict.fromkeys(("not seen", "seen late", "tracked late", "in time"), 0)
+        for one in group:
+            counts[_late(one)] += 1
+        lines.append(_row(perception, condition, str(len(group)), *map(str, counts.values())))
+    if len(lines) == 2:
+        return ""
+    text = (
+        "Crashes by what came late first. Not seen: no percept had a box of the conflict actor. Seen late: the "
+        f"first one did less than {_SEEN_S:g} s before the crash. Tracked late: its track was known more than "
+        f"{_TRACKED_S:g} s after that, or never. In time: neither, or a crash with somebody else."
+    )
+    return f"## What came late\n\n{text}\n\n" + "\n".join(lines)
+
+
+def _late(one: EpisodeResult) -> str:
+    seen_s, tracked_s, crash_s = (metric(one, name) for name in ("seen_s", "tracked_s", "duration_s"))
+    if seen_s != seen_s:
+        return "not seen"
+    if crash_s - seen_s < _SEEN_S:
+        return "seen late"
+    return "in time" if tracked_s - seen_s <= _TRACKED_S else "tracked late"
 
 
 def _worst_part(result: CampaignResult) -> str:

@@ -214,6 +214,25 @@ def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
     assert all(path.stat().st_size > 0 for path in paths)
     assert "| nothing | clean | 2 | 100 %" in text and "Hardest crashes" in text
     assert summary_table(result).row_count == 2
+    # Who perceives nothing has no percept of the actor that it crashes with.
+    assert "| nothing | clean | 2 | 2 | 0 | 0 | 0 |" in text.partition("## What came late")[2]
+
+
+def test_a_report_tells_what_came_late_in_a_crash(driven: Path) -> None:
+    result = run_campaign(PLAN, driven)
+    crash = next(one for one in result.results if one.outcome == "crashed")
+    times = {"late": (4.0, 4.2), "tracked": (2.0, 3.0), "lost": (2.0, None), "fine": (2.0, 2.2)}
+    results = [
+        replace(
+            crash, perception=name, metrics=crash.metrics | {"duration_s": 5.0, "seen_s": seen, "tracked_s": tracked}
+        )
+        for name, (seen, tracked) in times.items()
+    ]
+    table = markdown(dataclasses.replace(result, results=tuple(results))).partition("## What came late")[2]
+    assert "| late | clean | 1 | 0 | 1 | 0 | 0 |" in table
+    assert "| tracked | clean | 1 | 0 | 0 | 1 | 0 |" in table
+    assert "| lost | clean | 1 | 0 | 0 | 1 | 0 |" in table
+    assert "| fine | clean | 1 | 0 | 0 | 0 | 1 |" in table
 
 
 def test_encounters_of_a_class_that_a_perception_has_not_are_kept_apart(tmp_path: Path) -> None:
