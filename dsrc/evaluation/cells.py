@@ -3,14 +3,12 @@
 All that this module imports, at any depth, is hashed into the keys of cells, see `sim.kept.code_hash`.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import msgspec
-import torch
 
 from dsrc.data.drives import Drive, open_drive
 from dsrc.evaluation.cache import CellSettings, write_cell
@@ -19,6 +17,7 @@ from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import load_student
+from dsrc.models.threads import one_thread
 from sim.errors import SettingsError
 from sim.radio import ChannelSpec
 
@@ -97,17 +96,6 @@ def load_adjusted(path: Path, use: Mapping[str, bool | int | float | str], engin
         except (msgspec.ValidationError, ValueError) as error:
             raise SettingsError(f"{path}: use: {' '.join(str(error).split())}") from None
     return detector
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Run torch on one thread: the number of threads changes the last digits of a network's numbers."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def detector_of(job: CellJob) -> Detector:

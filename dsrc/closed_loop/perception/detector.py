@@ -10,6 +10,7 @@ from dsrc.closed_loop.perception.senses import Faults, Senses
 from dsrc.closed_loop.types import Percept
 from dsrc.data.sample import Sample, SampleDetector, sample_for
 from dsrc.models.channel import Receiver
+from dsrc.models.threads import one_thread
 from dsrc.ops.detections import Detections
 from sensors.frame import Frame
 from sensors.recording.encounter_check import BRAKING_MPS2
@@ -96,7 +97,8 @@ class DetectorPerception:
             TypeError: the detector returns something else than `Detections`.
         """
         sample, links = self.sample(before, now, claims)
-        found = self.detector.detect(sample)
+        with one_thread():  # workers beside each other would take the cores from one another
+            found = self.detector.detect(sample)
         if not isinstance(found, Detections):
             name = type(self.detector).__name__
             raise TypeError(f"{name}.detect: expected Detections, found {type(found).__name__}")

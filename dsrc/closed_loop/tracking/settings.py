@@ -73,17 +73,17 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         direction_mps: speed from which on the motion decides the heading, m/s.
         smoothing: weight of a detection in the size and height of a track, 0 to 1.
         start_score: lowest score of a detection that starts a track.
-        even_score: score of a box that is as likely a road user as a ghost. Of 43,000 boxes of the shipped detectors in
-            nine encounters, clean and in fog, snow and crosstalk, 14 % of those with scores of 0.20 to 0.25 are road
-            users, 60 % of those of 0.4 to 0.5, and 97 % of those of 0.6 to 0.7.
-        score_evidence: growth of the logarithm of these odds per unit of score.
-        ghosts_per_m2: density of ghosts where there are some, 1/m2.
-        sure_score: score from which on one box is enough; else a track needs two, since one has no velocity.
-        missed_evidence: evidence against a track of a percept that does not show it.
-        confirm_evidence: evidence at which a track becomes known. With -1 tracks come 0.1 s earlier and there are a
-            quarter more false ones.
-        refute_evidence: evidence below which a known track ends.
-        most_evidence: bound of the evidence, so that a long history does not outweigh what is seen now.
+        even_score: detection score that is evidence neither for a road user nor for a ghost. Of 43,000 boxes of the
+            shipped detectors in nine encounters, clean and in fog, snow and crosstalk, 14 % of those with scores of
+            0.20 to 0.25 are road users, 60 % of those of 0.4 to 0.5, and 97 % of those of 0.6 to 0.7.
+        score_evidence: evidence of a box per unit of detection score above that.
+        ghosts_per_m2: density of ghosts that a box is compared with, 1/m2; fitted.
+        sure_score: score of the first box of a track that can confirm it alone; others need a second, for a velocity.
+        missed_evidence: loss of evidence with each percept that has no box of the track, at any rate of percepts.
+        confirm_evidence: evidence that confirms a track.
+        refute_evidence: evidence below which a confirmed track ends.
+        least_evidence: lower bound of the evidence.
+        most_evidence: upper bound: a long history must not outweigh what is seen now.
         score_gain: weight of a detection in the score of a track, 0 to 1.
         half_life_s: time in which the score of an unseen confirmed track halves, s.
         tentative_half_life_s: the same of a tentative track, s.
@@ -114,6 +114,7 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     missed_evidence: float = 0.7
     confirm_evidence: float = 0.0
     refute_evidence: float = -1.0
+    least_evidence: float = -4.0
     most_evidence: float = 8.0
     score_gain: float = 0.3
     half_life_s: float = 0.3
@@ -121,3 +122,11 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     drop_score: float = 0.05
     forget_s: float = 3.0
     history_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not self.ghosts_per_m2 > 0.0:
+            raise ValueError(f"ghosts_per_m2: expected more than 0, found {self.ghosts_per_m2:g}")
+        bounds = self.least_evidence, self.refute_evidence, self.confirm_evidence, self.most_evidence
+        if not (bounds[0] <= bounds[1] < bounds[2] <= bounds[3]):
+            found = ", ".join(f"{bound:g}" for bound in bounds)
+            raise ValueError(f"evidence: expected least <= refute < confirm <= most, found {found}")

@@ -54,11 +54,12 @@ class _Step:
 class Tracker:
     """Tracker of boxes: Kalman filter, gated assignment, confirmed tracks.
 
-    Tracks are known (`Tracks`) while the evidence says that they are road users rather than series of ghosts: the
-    logarithm of the odds by the scores of their boxes and by how well these lie where the motion leads, against ghosts
-    that lie anywhere (R. Sittler, *An Optimal Data Association Problem in Surveillance Theory*, IEEE Transactions on
+    A track is confirmed, and so part of `Tracks`, when its score, here `evidence`, says that it is a road user and no
+    series of ghosts (R. Sittler, *An Optimal Data Association Problem in Surveillance Theory*, IEEE Transactions on
     Military Electronics, 1964; S. Blackman and R. Popoli, *Design and Analysis of Modern Tracking Systems*, 1999,
-    section 6.2). Unseen tracks coast and end after a time that their score decides.
+    section 6.2). Each box adds two terms: one by its detection score, one by its distance from the predicted place,
+    against ghosts that lie anywhere. Prior odds and the probability of detection are in the fitted settings. Unseen
+    tracks coast and end by their detection scores or for lack of evidence.
 
     A percept older than the last one is filtered in its place: the tracks go back to the instant before it and the
     later percepts are filtered again. It starts no track, since the later percepts saw more; one older than `history_s`
@@ -127,8 +128,6 @@ class Tracker:
         bank, since_s = self._predicted(step.before, measured.time_s)
         measured = self._without_duplicates(measured)
         tracks, found, bank = self._associated(bank, measured)
-        fresh = (measured.score >= settings.start_score) & step.may_start
-        fresh[found] = False
         if step.may_start:
             tracks, found, bank = self._with_crossing(bank, measured, tracks, found, step.serial)
         bank = self._matched(bank, tracks, measured.rows(found))
@@ -140,8 +139,11 @@ class Tracker:
         evidence = bank.evidence - settings.missed_evidence * unseen
         bank = replace(bank, score=score, evidence=evidence)
         refuted = (bank.number >= 0) & (evidence < settings.refute_evidence)
-        if (ended := unseen & (score < settings.drop_score) | refuted).any():
-            bank = bank.rows(~ended)
+        ended = unseen & (score < settings.drop_score) | refuted
+        # The box that refutes a track may be another road user's first.
+        fresh = (measured.score >= settings.start_score) & step.may_start
+        fresh[found[~ended[tracks]]] = False
+        bank = bank.rows(~ended)
 
         if fresh.any():
             bank = bank.joined(self._start(measured.rows(np.flatnonzero(fresh)), step.serial, measured.time_s))
@@ -260,12 +262,13 @@ class Tracker:
             rolled = without_slip(state.rows(rolling), Parameters.of(table[rolling]))
             state = state.replaced(rolling, facing_forward(rolled, settings.direction_mps))
 
+        # A box that overlaps the track beyond the gate is of it as well, and counts as one at the gate.
         expected = bank.state.covariance[tracks, :2, :2] + variance
+        distance = np.minimum(squared_distances(offset, expected), settings.gate**2)
         area = 2.0 * np.pi * np.sqrt(np.linalg.det(expected))
+        change = self._score_evidence(measured.score) - 0.5 * distance - np.log(area * settings.ghosts_per_m2)
         evidence = bank.evidence.copy()
-        evidence[tracks] += self._evidence(measured.score) - 0.5 * squared_distances(offset, expected)
-        evidence[tracks] -= np.log(area * settings.ghosts_per_m2)
-        evidence = np.minimum(evidence, settings.most_evidence)
+        evidence[tracks] = self._bounded(evidence[tracks] + change)
 
         hits = bank.hits.copy()
         hits[tracks] += 1
@@ -292,9 +295,12 @@ class Tracker:
             seen_s=seen_s,
         )
 
-    def _evidence(self, score: Array) -> Array:
-        """Return the logarithm of the odds (N,) that boxes of these scores are road users."""
+    def _score_evidence(self, score: Array) -> Array:
+        """Return the evidence of scores (N,)."""
         return self.settings.score_evidence * (score - self.settings.even_score)
+
+    def _bounded(self, evidence: Array) -> Array:
+        return np.clip(evidence, self.settings.least_evidence, self.settings.most_evidence)
 
     def _start(self, measured: Measured, serial: int, time_s: float) -> Bank:
         """Return new tracks of boxes."""
@@ -320,7 +326,7 @@ class Tracker:
             push=np.zeros(n),
             facing=np.full(n, 0.3),
             score=measured.score,
-            evidence=self._evidence(measured.score),
+            evidence=self._bounded(self._score_evidence(measured.score)),
             hits=np.ones(n, np.int64),
             needed=np.where(measured.score >= settings.sure_score, 1, 2),
             seen_s=np.full(n, time_s),

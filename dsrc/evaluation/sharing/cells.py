@@ -16,10 +16,11 @@ from dsrc.data.executors import Progress
 from dsrc.data.jsonio import encode_json, read_json
 from dsrc.data.sample import Sample, sample_for
 from dsrc.evaluation.cache import CellSettings
-from dsrc.evaluation.cells import WorkUnit, detector_of, drive_of, one_thread
+from dsrc.evaluation.cells import WorkUnit, detector_of, drive_of
 from dsrc.evaluation.detect import FrameHistory, corrupted, interval_of
 from dsrc.evaluation.sharing.shares import Shares, share_sample
 from dsrc.models.channel import Receiver
+from dsrc.models.threads import one_thread
 from sensors.corruptions import drive_seed
 from sim.errors import DataError
 from sim.files import write_file

@@ -157,6 +157,14 @@ def test_a_reversing_car_with_a_reported_velocity_keeps_its_heading() -> None:
     assert after[-1].boxes.yaw[0] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_sure_car_that_lies_across_its_first_box_has_one_number() -> None:
+    """Its first box alone confirms a track; the moving one that it starts as well is another."""
+    for tracks in follow([percept(0.2 * k, [[3.0 * k, 0.0]], yaw=0.5 * np.pi, score=0.9) for k in range(8)]):
+        numbers = tracks.boxes.object_id
+        assert len(set(numbers.tolist())) == len(numbers) > 0
+    assert tracks.velocity[-1] == pytest.approx([15.0, 0.0], abs=0.5)
+
+
 def test_a_car_is_tracked_from_its_third_box_although_all_lie_across_it() -> None:
     """As detectors report a crossing car whose place they know and whose heading they do not."""
     for turn in (0.5 * np.pi, -0.5 * np.pi):
@@ -215,15 +223,52 @@ def test_ghosts_that_lie_anywhere_are_no_track_and_a_steady_car_of_their_score_i
     assert known["ghost"] < 0.1 * 20 * 25
 
 
+def doubtful(settings: TrackerSettings | None = None) -> list[int]:
+    """Numbers of known tracks when the boxes of a sure car turn doubtful: low scores, to either side of it."""
+    sure = [percept(0.1 * k, [[0.0, 0.0]], score=0.7) for k in range(10)]
+    low = [percept(0.1 * k, [[0.0, 0.75 * (-1) ** k]], score=0.2) for k in range(10, 30)]
+    return [len(tracks) for tracks in follow([*sure, *low], settings)]
+
+
 def test_a_track_whose_boxes_turn_doubtful_ends() -> None:
-    tracker = Tracker()
-    rng = np.random.default_rng(3)
-    for k in range(10):
-        tracks = tracker.update(percept(0.1 * k, [[0.0, 0.0]], score=0.7), 0.1 * k)
-    assert len(tracks) == 1
-    for k in range(10, 40):
-        tracks = tracker.update(percept(0.1 * k, rng.normal(0.0, 1.5, 2), score=0.2), 0.1 * k)
-    assert len(tracks) == 0
+    known = doubtful()
+    assert known[9] == 1 and 10 < known.index(0, 9) < 16
+    assert 0 not in doubtful(TrackerSettings(refute_evidence=-4.0))[9:]  # which is as little as evidence can be
+    longer = doubtful(TrackerSettings(most_evidence=30.0))
+    assert longer.index(0, 9) > known.index(0, 9) + 3
+
+
+def test_the_box_that_ends_a_track_may_start_the_next() -> None:
+    sure = [percept(0.1 * k, [[0.0, 0.0]], score=0.4) for k in range(3)]
+    jumped = [percept(0.1 * k, [[1.2, 0.0]], score=0.4) for k in range(3, 8)]
+    known = [len(tracks) for tracks in follow([*sure, *jumped])]
+    assert known[2] == 1 and known[5:] == [1, 1, 1]
+
+
+def test_a_car_that_was_doubtful_for_long_is_confirmed_as_soon_as_it_is_found_well() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(10):
+        far = [percept(0.2 * k, rng.normal(0.0, 0.45, 2), score=0.15) for k in range(50)]
+        near = [percept(0.2 * k, rng.normal(0.0, 0.1, 2), score=0.9) for k in range(50, 53)]
+        assert len(follow([*far, *near])[-1]) == 1
+
+
+def test_a_missed_percept_is_evidence_against_a_track() -> None:
+    gone = [percept(0.05 * k, np.zeros((0, 2))) for k in range(10, 60)]
+    seen = [percept(0.05 * k, [[0.0, 0.0]], score=1.0) for k in range(10)]
+    lasted = [
+        sum(len(tracks) for tracks in follow([*seen, *gone], TrackerSettings(missed_evidence=loss))[10:])
+        for loss in (0.0, 0.7, 3.0)
+    ]
+    assert lasted[0] > lasted[1] > lasted[2] > 0
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"ghosts_per_m2": 0.0}, {"confirm_evidence": -1.0}, {"confirm_evidence": 9.0}, {"least_evidence": 0.0}]
+)
+def test_bounds_of_the_evidence_that_contradict_each_other_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        TrackerSettings(**wrong)
 
 
 def test_a_missed_car_coasts_and_is_forgotten_the_later_the_surer_it_was() -> None:
