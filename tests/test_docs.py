@@ -182,7 +182,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         clean = by[name, "clean"]
         assert f"| {name} | {crashed(clean)} | {arrived(clean)} of {len(clean)} |" in page
         if name != "truth":
-            assert {len(by[name, kind]) for kind in kinds} == {17}
+            assert len({len(by[name, kind]) for kind in kinds}) == 1
             assert f"| {name} | {' | '.join(str(arrived(by[name, kind])) for kind in kinds)} |" in page
     for scenario in {row["scenario"] for row in rows}:
         counts = [
@@ -198,8 +198,8 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
     ):
         own, ours = ([row for row in found if row["perception"] == name] for name in ("ego alone", "DSRC"))
         assert f"| {title} | {crashed(own)} | {crashed(ours)} |" in page
-    shifted = driven("look-ahead")
-    for scenario in {row["scenario"] for row in shifted}:
+    unshifted = driven("look-ahead")
+    for scenario in {row["scenario"] for row in unshifted}:
         counts = [
             sum(
                 row["outcome"] == "crashed" and row["scenario"] == scenario
@@ -207,7 +207,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
                 if row["perception"] == name
             )
             for name in ("ego alone", "DSRC")
-            for table in (by[name, "clean"], shifted)
+            for table in (unshifted, by[name, "clean"])
         ]
         assert f"| `{scenario}` | {' | '.join(map(str, counts))} |" in page
 

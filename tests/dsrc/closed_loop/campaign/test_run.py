@@ -221,7 +221,14 @@ def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
 def test_a_report_tells_what_came_late_in_a_crash(driven: Path) -> None:
     result = run_campaign(PLAN, driven)
     crash = next(one for one in result.results if one.outcome == "crashed")
-    times = {"late": (4.0, 4.2), "tracked": (2.0, 3.0), "lost": (2.0, None), "fine": (2.0, 2.2)}
+    step = 0.1
+    times = {
+        "late": (36 * step, 37 * step),
+        "tracked": (14 * step, 19 * step),
+        "lost": (2.0, None),
+        "fine": (14 * step, 18 * step),
+        "just": (35 * step, 36 * step),
+    }
     results = [
         replace(
             crash, perception=name, metrics=crash.metrics | {"duration_s": 5.0, "seen_s": seen, "tracked_s": tracked}
@@ -233,6 +240,7 @@ def test_a_report_tells_what_came_late_in_a_crash(driven: Path) -> None:
     assert "| tracked | clean | 1 | 0 | 0 | 1 | 0 |" in table
     assert "| lost | clean | 1 | 0 | 0 | 1 | 0 |" in table
     assert "| fine | clean | 1 | 0 | 0 | 0 | 1 |" in table
+    assert "| just | clean | 1 | 0 | 0 | 0 | 1 |" in table
 
 
 def test_encounters_of_a_class_that_a_perception_has_not_are_kept_apart(tmp_path: Path) -> None:
