@@ -73,9 +73,9 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         direction_mps: speed from which on the motion decides the heading, m/s.
         smoothing: weight of a detection in the size and height of a track, 0 to 1.
         start_score: lowest score of a detection that starts a track.
-        even_score: detection score that is evidence neither for a road user nor for a ghost. Of 43,000 boxes of the
-            shipped detectors in nine encounters, clean and in fog, snow and crosstalk, 14 % of those with scores of
-            0.20 to 0.25 are road users, 60 % of those of 0.4 to 0.5, and 97 % of those of 0.6 to 0.7.
+        even_score: detection score that is evidence neither for a road user nor for a ghost. Of 60,000 boxes of two
+            detectors in nine encounters, clean and in fog, snow and crosstalk, 13 % of those with scores of 0.20 to
+            0.25 are of road users, 64 % of those of 0.4 to 0.5, and 98 % of those of 0.6 to 0.7.
         score_evidence: evidence of a box per unit of detection score above that.
         ghosts_per_m2: density of ghosts that a box is compared with, 1/m2; fitted.
         sure_score: score of the first box of a track that can confirm it alone; others need a second, for a velocity.
