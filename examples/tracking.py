@@ -7,7 +7,8 @@ The folder is that of `dsrc drive CAMPAIGN.toml --out runs/real`.
 
 Usage:
     python examples/tracking.py runs/real
-    python examples/tracking.py runs/real --set confirm_evidence=-1 --set ghosts_per_m2=0.03 --docs docs/closed_loop.md
+    python examples/tracking.py runs/real --set confirm_evidence=1 --set ghosts_per_m2=0.03
+    python examples/tracking.py runs/closed-loop-small --docs docs/closed_loop.md
 """
 
 import argparse
@@ -77,7 +78,7 @@ def main() -> None:
     try:
         variants = {"as it is": TrackerSettings()} | {change: changed(change) for change in options.set}
     except ValueError as error:
-        parser.error(f"--set: expected NAME=VALUE, a number of {TrackerSettings.__name__}, found {error}")
+        parser.error(f"--set: {error}")
     try:
         logs = [dsrc.EpisodeLog.load(path) for path in sorted((options.episodes / "episodes").glob("*.npz"))]
         logs = [log for log in logs if log.settings.detector]
@@ -103,9 +104,9 @@ def changed(change: str) -> TrackerSettings:
     try:
         number = float(value)
     except ValueError:
-        raise ValueError(change) from None
-    if not isinstance(getattr(TrackerSettings(), name, None), float):
-        raise ValueError(change)
+        number = float("nan")
+    if not (isinstance(getattr(TrackerSettings(), name, None), float) and np.isfinite(number)):
+        raise ValueError(f"expected NAME=VALUE, a number of TrackerSettings, found {change}")
     return msgspec.structs.replace(TrackerSettings(), **{name: number})
 
 

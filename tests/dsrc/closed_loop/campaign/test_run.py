@@ -241,6 +241,8 @@ def test_a_report_tells_what_came_late_in_a_crash(driven: Path) -> None:
     assert "| lost | clean | 1 | 0 | 0 | 1 | 0 |" in table
     assert "| fine | clean | 1 | 0 | 0 | 0 | 1 |" in table
     assert "| just | clean | 1 | 0 | 0 | 0 | 1 |" in table
+    nobody = tuple(replace(one, road_user="") for one in results)  # no encounter, so nobody to see
+    assert "What came late" not in markdown(dataclasses.replace(result, results=nobody))
 
 
 def test_encounters_of_a_class_that_a_perception_has_not_are_kept_apart(tmp_path: Path) -> None:

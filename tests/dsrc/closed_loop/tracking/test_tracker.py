@@ -239,10 +239,16 @@ def test_a_track_whose_boxes_turn_doubtful_ends() -> None:
 
 
 def test_the_box_that_ends_a_track_may_start_the_next() -> None:
-    sure = [percept(0.1 * k, [[0.0, 0.0]], score=0.4) for k in range(3)]
-    jumped = [percept(0.1 * k, [[1.2, 0.0]], score=0.4) for k in range(3, 8)]
-    known = [len(tracks) for tracks in follow([*sure, *jumped])]
-    assert known[2] == 1 and known[5:] == [1, 1, 1]
+    """A doubtful track, a doubtful box 0.9 m beside it that ends it, and then a sure one there."""
+    scores, aside = [0.3, 0.3, 0.2, 0.5, 0.5], [0.0, 0.0, 0.9, 0.9, 0.9]
+    boxes = [percept(0.1 * k, [[0.0, y]], score=score) for k, (score, y) in enumerate(zip(scores, aside, strict=True))]
+    assert [[*tracks.boxes.object_id] for tracks in follow(boxes)] == [[], [0], [], [1], [1]]
+
+
+def test_a_doubtful_box_that_overlaps_a_sure_car_beyond_its_gate_does_not_end_it() -> None:
+    sure = [percept(0.1 * k, [[0.0, 0.0]], score=0.8) for k in range(15)]
+    jumped = [percept(0.1 * k, [[2.5, 0.0]], score=0.3) for k in range(15, 20)]
+    assert all([*tracks.boxes.object_id] == [0] for tracks in follow([*sure, *jumped]))
 
 
 def test_a_car_that_was_doubtful_for_long_is_confirmed_as_soon_as_it_is_found_well() -> None:
