@@ -389,11 +389,10 @@ def test_false_tracks_and_late_ones_are_counted(tmp_path: Path) -> None:
     ("script", "arguments", "told"),
     [
         ("tracking.py", ("docs",), "docs: expected episodes of a detector, found none"),
-        (
-            "tracking.py",
-            ("docs", "--set", "gait=2"),
-            "--set: expected NAME=VALUE, a number of TrackerSettings, found gait",
-        ),
+        ("tracking.py", ("docs", "--set", "gait=2"), "--set: expected NAME=VALUE, a number of TrackerSettings, found"),
+        ("tracking.py", ("docs", "--set", "gate=nan"), "a number of TrackerSettings, found gate=nan"),
+        ("tracking.py", ("docs", "--set", "history_s=a"), "a number of TrackerSettings, found history_s=a"),
+        ("tracking.py", ("docs", "--set", "ghosts_per_m2=0"), "--set: ghosts_per_m2: expected more than 0, found 0"),
         ("zoo.py", ("nowhere",), "runs: expected finished trainings in nowhere, found none"),
         (
             "zoo.py",

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from msgspec.structs import replace as changed
 
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
@@ -99,6 +100,24 @@ def test_no_truth_reaches_a_detector() -> None:
     assert sample.agent_ids == (EGO, HELPER)
     assert [len(boxes) for boxes in (sample.boxes, *sample.agent_boxes)] == [0, 0, 0]
     assert sample.other_clouds == sample.corrupted == ()
+
+
+def test_a_network_runs_on_one_thread_and_the_process_keeps_its_own_number() -> None:
+    """The number of threads changes the last digits of a network's numbers, and so an episode."""
+    seen = []
+
+    class Counting(Knowing):
+        def detect(self, sample):
+            seen.append(torch.get_num_threads())
+            return super().detect(sample)
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        perceive(started(Counting(OTHERS)))
+        assert (seen, torch.get_num_threads()) == ([1], 2)
+    finally:
+        torch.set_num_threads(before)
 
 
 def test_the_class_is_that_of_the_detector() -> None:
