@@ -19,7 +19,7 @@ from PIL import Image
 from dsrc.cli.demo import SCENARIO, TEST_SEED
 from dsrc.cli.main import COMMANDS, command_class, run
 from dsrc.cli.options import parse
-from dsrc.closed_loop.metrics.statistics import rate
+from dsrc.closed_loop.metrics.statistics import paired_rates, rate
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
 from dsrc.evaluation.scoring.truth import truth_of_frame
@@ -190,6 +190,31 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
             for name in names
         ]
         assert f"| `{scenario}` | {' | '.join(map(str, counts))} |" in page
+    text = " ".join(page.split())
+    for ours, other, claim in (
+        ("DSRC", "ego alone", "DSRC arrives in {0} of {n}, the ego alone in {1}"),
+        ("DSRC", "plain student", "{0} of {n} against {1}; eleven pairs differ, ten"),
+        (
+            "DSRC",
+            "late fusion",
+            "in {better} episodes in which it does not, and the other way round in {worse}, of {n}",
+        ),
+    ):
+        there = {
+            name: {
+                (row["scenario"], row["seed"], row["corruption"]): row["outcome"] == "arrived"
+                for row in rows
+                if row["perception"] == name and row["corruption"] in kinds
+            }
+            for name in (ours, other)
+        }
+        pairs = [(there[ours][key], there[other][key]) for key in there[ours]]
+        better, worse = (sum(pair == one for pair in pairs) for one in ((True, False), (False, True)))
+        counts = [sum(column) for column in zip(*pairs, strict=True)]
+        assert claim.format(*counts, n=len(pairs), better=better, worse=worse) in text
+        if other == "plain student":
+            found = paired_rates(*(np.array(column, float) for column in zip(*pairs, strict=True)))
+            assert (better, worse) == (10, 1) and f"p = {found.p_value:.3f} over all six" in text
     for title, found in (
         ("nine encounters, nothing hidden", driven("no-occluder")),
         ("four encounters, light traffic", [row for row in driven("traffic") if row["scenario"].endswith("light")]),
