@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import dsrc.outputs as _outputs  # noqa: F401 - whoever writes knows what may be replaced
 
 if TYPE_CHECKING:
-    from dsrc.closed_loop.campaign.report import summary_table, write_report
     from dsrc.closed_loop.campaign.run import drive
     from dsrc.closed_loop.environments import register_environments
     from dsrc.closed_loop.environments.driving import DrivingEnv
@@ -19,6 +18,8 @@ if TYPE_CHECKING:
     from dsrc.closed_loop.metrics.episode import episode_metrics
     from dsrc.closed_loop.perception.open import open_perception
     from dsrc.closed_loop.replay import look_again
+    from dsrc.closed_loop.report.report import write_report
+    from dsrc.closed_loop.report.terminal import summary_table
     from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tracks
     from dsrc.data.clouds.corrupt import corrupt
     from dsrc.data.clouds.transform import CorruptTransform
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
     from sim.scenario import Scenario
 
 _MODULES = {
-    "dsrc.closed_loop.campaign.report": ("summary_table", "write_report"),
     "dsrc.closed_loop.campaign.run": ("drive",),
     "dsrc.closed_loop.environments": ("register_environments",),
     "dsrc.closed_loop.environments.driving": ("DrivingEnv",),
@@ -63,6 +63,8 @@ _MODULES = {
     "dsrc.closed_loop.loop": ("ClosedLoop", "LoopSettings"),
     "dsrc.closed_loop.metrics.episode": ("episode_metrics",),
     "dsrc.closed_loop.perception.open": ("open_perception",),
+    "dsrc.closed_loop.report.report": ("write_report",),
+    "dsrc.closed_loop.report.terminal": ("summary_table",),
     "dsrc.closed_loop.replay": ("look_again",),
     "dsrc.closed_loop.types": ("Decision", "EgoState", "Outcome", "Percept", "Tracks"),
     "dsrc.data.clouds.corrupt": ("corrupt",),

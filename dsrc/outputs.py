@@ -11,7 +11,14 @@ sign("animation", COMMENT)
 sign("MCAP recording", b"dsrc-testbed")
 sign("web page", b"__REVIEW__")
 sign("network", b"dsrc-testbed")
-sign("data", b'# {"', b"scenario,perception,", b"SHA-256 of the drives: `", b'"dsrc error model')
+sign(
+    "data",
+    b'# {"',
+    b"scenario,perception,",
+    b"SHA-256 of the drives: `",
+    b'"dsrc error model',
+    b"Driven by `dsrc drive`",
+)
 
 sign_folder("data_protocol.yaml", b"testbed:")
 sign_folder("conversion.json", b'"drives"')

@@ -51,9 +51,9 @@ def run_demo(out: Path, quick: bool = False) -> None:
     """
     from rich.console import Console
 
-    from dsrc.closed_loop.campaign.report import summary_table
     from dsrc.closed_loop.campaign.run import drive
     from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
+    from dsrc.closed_loop.report.terminal import summary_table
     from dsrc.data.executors import Pool
     from dsrc.data.write import generate
     from dsrc.evaluation.evaluate import Evaluation, evaluate_drives

@@ -9,7 +9,7 @@ import msgspec
 from dsrc.cli.progress import progress
 from dsrc.data.executors import SERIAL, Pool
 from dsrc.options.driving import DriveOptions
-from dsrc.options.fields import Folder, Output
+from dsrc.options.fields import File, Folder, Output
 
 
 class Drive(DriveOptions, frozen=True, kw_only=True):
@@ -21,12 +21,18 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
 
     Attributes:
         out: folder of results and logs; default: results are printed only.
+        reuse: results.csv, controls.csv or careful.csv of earlier runs: an episode that is in them, with the same
+            settings, detector and code, is not driven again, and has no log; default: none.
+        docs: Markdown document that gets the tables and plots of `out` too, files beside it: those that it has markers
+            for, or all at its end if it has none; default: none.
         critical: search the severity of the corruption, or the delay or loss of messages, at which the outcome of the
             episode flips; default: none.
         view: show one episode in the browser as it is driven, and go on showing it until interrupted.
     """
 
     out: Folder | None = None
+    reuse: tuple[File, ...] = ()
+    docs: File | None = None
     critical: Literal["severity", "delay_s", "loss"] | None = None
     view: bool = False
     pool: Pool = SERIAL
@@ -57,6 +63,9 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from sensors.corruptions import CLEAN
         from sim.errors import SettingsError, complaint
 
+        for name in ("docs", "reuse"):
+            if getattr(self, name) and (self.out is None or self.view or self.what.endswith(".npz")):
+                raise SettingsError(complaint("drive", name, "--out of episodes to drive beside it", "none"))
         if self.critical is not None and self.out is not None:
             raise SettingsError(complaint("drive", "out", "none beside --critical, which prints", str(self.out)))
         if self.critical is not None and self.what.endswith(".npz"):
@@ -77,23 +86,26 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from rich.console import Console
 
         from dsrc.closed_loop.campaign.plan import campaign_of
-        from dsrc.closed_loop.campaign.report import summary_table, write_report
-        from dsrc.closed_loop.campaign.run import estimate_s, run_campaign
+        from dsrc.closed_loop.campaign.run import estimate_s, read_results, run_campaign
+        from dsrc.closed_loop.report.report import publish_report, write_report
+        from dsrc.closed_loop.report.terminal import summary_table
         from dsrc.data.drive_folder import locked
 
-        plan = campaign_of(self)
+        plan, known = campaign_of(self), read_results(self.reuse)
         if self.out is not None:
             with locked(out, what="campaign"):
                 pass  # a folder that cannot be written to is told before anything else
-            episodes, seconds = estimate_s(plan, out, self.pool)
+            episodes, seconds = estimate_s(plan, out, self.pool, known)
             sys.stderr.write(f"{episodes} episodes to drive, about {_duration(seconds)}\n")
         with progress(f"drive {plan.name}") as report:
-            result = run_campaign(plan, out, self.pool, report)
+            result = run_campaign(plan, out, self.pool, report, known)
         console = Console(highlight=False)
         console.print(summary_table(result))
         if self.out is not None:
             for path in write_report(result, out):
                 sys.stdout.write(f"{path}\n")
+            if self.docs is not None:
+                sys.stdout.write(f"{publish_report(result, out, self.docs)}\n{self.docs}\n")
 
     def _watch(self) -> None:
         """Drive one episode before the eyes of a page; its log goes to `out`."""
@@ -143,8 +155,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from rich.console import Console
 
         from dsrc.closed_loop.campaign.plan import campaign_of
-        from dsrc.closed_loop.campaign.report import comparison_table
         from dsrc.closed_loop.campaign.run import look_again_at
+        from dsrc.closed_loop.report.terminal import comparison_table
 
         campaign_of(msgspec.structs.replace(self, what="four_way"))  # options are checked as those of an episode
         former, again = look_again_at(Path(self.what), self)

@@ -59,9 +59,10 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
 
         from dsrc.evaluation.config import available, plan_of
         from dsrc.evaluation.report.dataset_results import DatasetResults
+        from dsrc.evaluation.report.document import publish
         from dsrc.evaluation.report.paper_tables import table_1
         from dsrc.evaluation.report.pictures import check_pictures, write_pictures
-        from dsrc.evaluation.report.report import publish, write_report
+        from dsrc.evaluation.report.report import RESULTS, write_report
         from dsrc.evaluation.runner import run_plan
         from sim.files import write_file
 
@@ -82,7 +83,7 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
         if absent:
             sys.stdout.write(f"Missing detector files, left out: {', '.join(absent)}.\n")
         if self.docs is not None:
-            publish(sections, self.out, self.docs, plan.name)
+            publish(sections, self.out, self.docs, plan.name, RESULTS)
             sys.stdout.write(f"{self.docs}\n")
         sys.stdout.write(f"{self.out / 'tables.md'}\n")
 

@@ -8,7 +8,7 @@ means anything: the campaign refuses to run.
 import csv
 import io
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -80,7 +80,13 @@ def drive(
     return run_campaign(campaign_of(options), Path(out), pool, progress)
 
 
-def run_campaign(plan: Campaign, out: Path, pool: Pool = SERIAL, progress: Progress | None = None) -> CampaignResult:
+def run_campaign(
+    plan: Campaign,
+    out: Path,
+    pool: Pool = SERIAL,
+    progress: Progress | None = None,
+    known: Mapping[str, EpisodeResult] | None = None,
+) -> CampaignResult:
     """Drive the episodes missing in `out/episodes`, and write results.csv and controls.csv.
 
     Args:
@@ -88,6 +94,7 @@ def run_campaign(plan: Campaign, out: Path, pool: Pool = SERIAL, progress: Progr
         out: folder of the campaign.
         pool: workers; the results are the same for any.
         progress: called with episodes done and episodes missing at the start.
+        known: results of episodes that are not driven again, by key, see `read_results`.
 
     Raises:
         SettingsError: a control fails with the truth.
@@ -100,12 +107,13 @@ def run_campaign(plan: Campaign, out: Path, pool: Pool = SERIAL, progress: Progr
         folder.mkdir(parents=True, exist_ok=True)
         controls: tuple[EpisodeResult, ...] = ()
         made = 0
+        there = _There(folder, known or {})
         if controls_plan is not None:
-            controls, made = _driven(episodes_of(controls_plan), folder, pool, progress)
+            controls, made = _driven(episodes_of(controls_plan), there, pool, progress)
             write_file(out / "controls.csv", results_csv(controls))
             _require_controls(controls, out)
         own, reference = episodes_of(plan), _reference(plan)
-        both, more = _driven([*own, *reference], folder, pool, progress)
+        both, more = _driven([*own, *reference], there, pool, progress)
         results, careful = both[: len(own)], both[len(own) :]
         write_file(out / "plan.json", msgspec.json.format(msgspec.json.encode(plan)))
         write_file(out / "results.csv", results_csv(results))
@@ -133,6 +141,35 @@ def results_csv(results: Iterable[EpisodeResult]) -> str:
     return text.getvalue()
 
 
+def read_results(paths: Iterable[Path]) -> dict[str, EpisodeResult]:
+    """Return the results of results.csv, controls.csv or careful.csv of other runs by key, with six digits each.
+
+    Raises:
+        DataError: a file is none of these; one line names its line and field.
+    """
+    names = [name for name in EpisodeResult.__struct_fields__ if name != "metrics"]
+    found = {}
+    for path in paths:
+        try:
+            with path.open(encoding="utf-8", newline="") as file:
+                rows = list(csv.DictReader(file, strict=True))
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise DataError(f"{path}: {error}") from None
+        if not rows:
+            raise DataError(complaint(path, "lines", "results of a campaign", "none"))
+        if lacking := [name for name in names if name not in rows[0]]:
+            raise DataError(complaint(path, "columns", ", ".join(names), f"none named {lacking[0]}"))
+        for number, row in enumerate(rows, start=2):
+            own = {name: value for name, value in row.items() if name in names}
+            try:
+                numbers = {name: float(value) if value else None for name, value in row.items() if name not in names}
+                result = msgspec.convert(own | {"metrics": numbers}, EpisodeResult, strict=False)
+            except (msgspec.ValidationError, TypeError, ValueError) as error:
+                raise DataError(complaint(path, f"line {number}", "a result of a campaign", str(error))) from None
+            found[result.key] = result
+    return found
+
+
 def read_result(folder: Path, key: str) -> EpisodeResult | None:
     """Return the result of an episode; None where it is missing or damaged."""
     path = folder / f"{key}.json"
@@ -144,13 +181,25 @@ def read_result(folder: Path, key: str) -> EpisodeResult | None:
         return None
 
 
+@dataclass(frozen=True, slots=True)
+class _There:
+    """Results that are there: of a folder of episodes, and known from elsewhere."""
+
+    folder: Path
+    known: Mapping[str, EpisodeResult]
+
+    def get(self, key: str) -> EpisodeResult | None:
+        """Return the result of an episode; None where it is missing or damaged."""
+        return read_result(self.folder, key) or self.known.get(key)
+
+
 def _driven(
-    episodes: Sequence[EpisodeJob], folder: Path, pool: Pool, progress: Progress | None
+    episodes: Sequence[EpisodeJob], there: _There, pool: Pool, progress: Progress | None
 ) -> tuple[tuple[EpisodeResult, ...], int]:
     keyed = {key_of(job): job for job in episodes}
-    missing = {key: one for key, one in keyed.items() if read_result(folder, key) is None}
+    missing = {key: one for key, one in keyed.items() if there.get(key) is None}
     units = [
-        WorkUnit(str(folder), tuple(group))
+        WorkUnit(str(there.folder), tuple(group))
         for _, group in groupby(missing.items(), key=lambda entry: (entry[1].scenario, entry[1].seed, entry[1].uses))
     ]
     done = [0] * len(units)
@@ -166,14 +215,14 @@ def _driven(
             failures = [r.error for r in executor.run(drive_unit, units, follow) if r.error is not None]
     if failures:
         raise failures[0]
-    return tuple(_named(folder, key_of(job), job) for job in episodes), len(missing)
+    return tuple(_named(there, key_of(job), job) for job in episodes), len(missing)
 
 
-def _named(folder: Path, key: str, job: EpisodeJob) -> EpisodeResult:
+def _named(there: _There, key: str, job: EpisodeJob) -> EpisodeResult:
     """Return a result under the names of this campaign: two names may share a cell."""
-    result = read_result(folder, key)
+    result = there.get(key)
     if result is None:
-        raise DataError(complaint(folder / f"{key}.json", "episode", "a whole one", "a damaged one"))
+        raise DataError(complaint(there.folder / f"{key}.json", "episode", "a whole one", "a damaged one"))
     return msgspec.structs.replace(result, scenario=job.scenario, perception=job.perception, channel=job.channel)
 
 
@@ -187,7 +236,9 @@ def _require_controls(controls: Sequence[EpisodeResult], out: Path) -> None:
         raise SettingsError(complaint("campaign", "controls", expected, f"{listed}{more}", hint))
 
 
-def estimate_s(plan: Campaign, out: Path, pool: Pool) -> tuple[int, float]:
+def estimate_s(
+    plan: Campaign, out: Path, pool: Pool, known: Mapping[str, EpisodeResult] | None = None
+) -> tuple[int, float]:
     """Return the number of episodes missing and the estimated time to drive them, s, by a probe of each perception.
 
     Controls and the reference driver count. An episode lasts as long as those that are there did, else as its scenario.
@@ -196,10 +247,12 @@ def estimate_s(plan: Campaign, out: Path, pool: Pool) -> tuple[int, float]:
         plan: a valid campaign.
         out: folder of the campaign.
         pool: workers.
+        known: results of episodes that are not driven again, by key.
     """
+    there = _There(out / "episodes", known or {})
     controls = controls_of(plan) if plan.controls else None
     jobs = [*(episodes_of(controls) if controls else []), *episodes_of(plan), *_reference(plan)]
-    found = {key: read_result(out / "episodes", key) for key in dict.fromkeys(map(key_of, jobs))}
+    found = {key: there.get(key) for key in dict.fromkeys(map(key_of, jobs))}
     missing = [job for job in {key_of(job): job for job in jobs}.values() if found[key_of(job)] is None]
     driven = [one.metrics["duration_s"] for one in found.values() if one is not None]
     known_s = [seconds for seconds in driven if seconds is not None]

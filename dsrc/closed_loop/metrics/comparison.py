@@ -73,6 +73,11 @@ def collided(result: Result) -> float:
     return metric(result, "collision")
 
 
+def arrived(result: Result) -> float:
+    """Return 1 for an arrival, else 0."""
+    return float(result.outcome == Outcome.ARRIVED.value)
+
+
 def lost_score(result: Result) -> float:
     """Return what lacks to a full driving score (2.1)."""
     return 1.0 - metric(result, "driving_score_2_1")

@@ -1,10 +1,11 @@
 """Statistics of a campaign: intervals of rates and means, and of paired differences."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 LEVEL = 0.95
@@ -32,7 +33,7 @@ class PairedRates(NamedTuple):
 
     Attributes:
         difference: of the rates, with its interval.
-        p_value: of McNemar's exact test that both are equal.
+        p_value: of the exact test that both are equal.
         only_first: episodes in which only the first had the event.
         only_second: episodes in which only the second had it.
     """
@@ -104,31 +105,60 @@ def paired_difference(first: Sequence[float], second: Sequence[float], level: fl
     return mean([a - b for a, b in zip(first, second, strict=True)], level, seed)
 
 
-def paired_rates(first: Sequence[float], second: Sequence[float], level: float = LEVEL) -> PairedRates:
+def paired_rates(
+    first: Sequence[float],
+    second: Sequence[float],
+    level: float = LEVEL,
+    clusters: Sequence[Hashable] | None = None,
+) -> PairedRates:
     """Return the difference of two rates over the same episodes, by those in which they differ.
 
-    The interval adds one to both counts of episodes that differ and two to all, Wald's formula then holds its level;
-    the p-value is that of McNemar's test without approximation, 1 where the episodes never differ.
+    Episodes of a cluster may be alike; clusters are independent. The p-value is that of the exact test of all ways to
+    swap both sides in whole clusters, 1 where the episodes never differ; with clusters of one episode it is McNemar's.
+    The interval is Wald's with the variance between clusters, after one episode is added to each count of those that
+    differ; with clusters of one episode it is Bonett and Price's.
 
     Sources: Q. McNemar, Note on the sampling error of the difference between correlated proportions or percentages,
     Psychometrika 12 (1947), 153-157; D. G. Bonett and R. M. Price, Adjusted Wald confidence interval for a difference
-    of binomial proportions based on paired data, Journal of Educational and Behavioral Statistics 37 (2012), 479-488.
+    of binomial proportions based on paired data, Journal of Educational and Behavioral Statistics 37 (2012), 479-488;
+    K.-Y. Liang and S. L. Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73 (1986),
+    13-22 (variance); R. A. Fisher, The Design of Experiments (1935), section 21 (test).
 
     Args:
         first: 1 or 0 for each episode.
         second: of the same episodes.
         level: share of samples whose interval holds the true value.
+        clusters: cluster of each episode; None: each is one of its own.
 
     Raises:
         ValueError: the lengths differ.
     """
-    only_first = sum(a > b for a, b in zip(first, second, strict=True))
-    only_second = sum(a < b for a, b in zip(first, second, strict=True))
-    n, differing = len(first), only_first + only_second
+    differences = [round(a - b) for a, b in zip(first, second, strict=True)]
+    n = len(differences)
     if not n:
         return PairedRates(UNKNOWN, math.nan, 0, 0)
-    p, q = (only_first + 1) / (n + 2), (only_second + 1) / (n + 2)
-    half = float(stats.norm.ppf(0.5 + 0.5 * level)) * math.sqrt((p + q - (p - q) ** 2) / (n + 2))
-    difference = Estimate((only_first - only_second) / n, max(p - q - half, -1.0), min(p - q + half, 1.0))
-    p_value = float(stats.binomtest(only_first, differing).pvalue) if differing else 1.0
-    return PairedRates(difference, p_value, only_first, only_second)
+    of_cluster: dict[Hashable, list[int]] = {}
+    for cluster, difference in zip(range(n) if clusters is None else clusters, differences, strict=True):
+        of_cluster.setdefault(cluster, []).append(difference)
+    sums = np.array([sum(one) for one in of_cluster.values()])
+    sizes = np.array([len(one) for one in of_cluster.values()])
+    middle = sums.sum() / (n + 2)
+    spread = np.sum((np.array([*sums, 1, -1]) - np.array([*sizes, 1, 1]) * middle) ** 2)
+    half = float(stats.norm.ppf(0.5 + 0.5 * level)) * math.sqrt(spread) / (n + 2)
+    low, high = max(float(middle) - half, -1.0), min(float(middle) + half, 1.0)
+    return PairedRates(
+        Estimate(float(sums.sum()) / n, low, high),
+        _swapped(sums),
+        differences.count(1),
+        differences.count(-1),
+    )
+
+
+def _swapped(sums: NDArray[np.int_]) -> float:
+    """Return the share of all signs of some whole numbers whose sum is at least as far from 0 as theirs."""
+    share = np.ones(1)  # of each sum, from the least to the largest, in steps of 1
+    for size in np.abs(sums[sums != 0]).tolist():
+        share = 0.5 * (np.pad(share, (0, 2 * size)) + np.pad(share, (2 * size, 0)))
+    reach = len(share) // 2
+    far = np.abs(np.arange(-reach, reach + 1)) >= abs(int(sums.sum()))
+    return min(float(share[far].sum()), 1.0)

@@ -5,9 +5,7 @@ import io
 import json
 import math
 import platform
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from dsrc.evaluation.figures.style import Style, png_bytes, styles_of
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
 from dsrc.evaluation.report.dataset_results import NAMES, DatasetResults, averaged_methods, compared_methods
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
+from dsrc.evaluation.report.document import Section, slug
 from dsrc.evaluation.report.paper_tables import corruption_tables
 from dsrc.evaluation.report.published import published_tables
 from dsrc.evaluation.report.sweep_tables import axes_of, clean_tables
@@ -31,48 +30,12 @@ from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.evaluation.stored import StoredDrive, StoredIndex, StoredRun, write_index
 from dsrc.evaluation.table import ResultTable, Stat
 from sensors.corruptions import Family
-from sim.errors import DataError, complaint
 from sim.files import write_file
 
 _CASE = ("method", "training", "dataset")
 _SWEPT = ("channel", "agents", "pose_error", "delay_s", "loss")
-_RESULTS = ("results.json", "results.csv", "timings.csv")
+RESULTS = ("results.json", "results.csv", "timings.csv")
 _COUNTS = ("frames", "truth", "detections", "bytes_per_frame", "message_age_s", "heard")
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """Section of a document: text, a picture, or both.
-
-    Attributes:
-        name: of its markers in the document.
-        text: Markdown.
-        picture: file of the picture; "" for none.
-        about: caption of the picture.
-        tables: files of the text's numbers.
-    """
-
-    name: str
-    text: str = ""
-    picture: str = ""
-    about: str = ""
-    tables: tuple[str, ...] = ()
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Files of the section."""
-        return (*self.tables, self.picture) if self.picture else self.tables
-
-    def below(self, folder: str) -> "Section":
-        """Section with its name and files in a folder."""
-        picture = f"{folder}/{self.picture}" if self.picture else ""
-        tables = tuple(f"{folder}/{table}" for table in self.tables)
-        return replace(self, name=f"{folder}/{self.name}", picture=picture, tables=tables)
-
-    def markdown(self, pictures: Path) -> str:
-        """Text with the picture, whose path is below the folder `pictures`."""
-        picture = f"\n![{self.about}]({(pictures / self.picture).as_posix()})\n" if self.picture else ""
-        return f"{self.text}{picture}"
 
 
 def write_report(result: BenchmarkResult, out: Path) -> list[Section]:
@@ -196,11 +159,6 @@ def provenance_of(result: BenchmarkResult) -> dict[str, Any]:
         "platform": platform.platform(),
         "commit": commit(),
     }
-
-
-def slug(name: str) -> str:
-    """Name in paths: lower case, words joined by hyphens."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "dataset"
 
 
 def _listed(entry: CaseResult, one: TrainedDetector) -> dict[str, Any]:
@@ -371,38 +329,3 @@ def _traffic(results: DatasetResults) -> dict[str, tuple[float, float, float]]:
         low, high = results.ap(rows)
         points[method] = (1e-3 * sent, low.mean, high.mean)
     return points
-
-
-def publish(sections: list[Section], out: Path, document: Path, name: str) -> Path:
-    """Write sections between their markers in a document, and their files beside it in a folder `name`.
-
-    A section `x/y` goes between the lines `<!-- begin NAME/x/y -->` and `<!-- end NAME/x/y -->`. A document with such
-    lines of this name gets the sections that it has a place for, any other all of them at its end. The rest of the
-    document stays. `out` may be that folder.
-
-    Returns:
-        The folder of result files, tables and pictures; cells stay in `out`.
-
-    Raises:
-        DataError: a begin marker without its end.
-    """
-    folder = document.parent / document.stem / slug(name)
-    text = document.read_text(encoding="utf-8") if document.is_file() else f"# {document.stem.capitalize()}\n"
-    places = {section.name: f"<!-- begin {slug(name)}/{section.name} -->" for section in sections}
-    if f"<!-- begin {slug(name)}/" in text:
-        sections = [section for section in sections if places[section.name] in text]
-    for file in (*_RESULTS, *(path for section in sections for path in section.files)):
-        write_file(folder / file, (out / file).read_bytes())
-    for section in sections:
-        begin, end = places[section.name], f"<!-- end {slug(name)}/{section.name} -->"
-        content = f"{begin}\n{section.markdown(folder.relative_to(document.parent))}\n{end}"
-        if begin not in text:
-            text = f"{text.rstrip()}\n\n{content}\n"
-            continue
-        before, _, rest = text.partition(begin)
-        _, ended, after = rest.partition(end)
-        if not ended:
-            raise DataError(complaint(document, begin, f"a line {end} after it", "none"))
-        text = f"{before}{content}{after}"
-    write_file(document, text, edited=True)
-    return folder

@@ -8,10 +8,11 @@ from typing import Any
 from dsrc.evaluation.config import Benchmark
 from dsrc.evaluation.figures.style import png_bytes
 from dsrc.evaluation.report.dataset_results import DatasetResults
+from dsrc.evaluation.report.document import Section, slug
 from dsrc.evaluation.report.pictures.evidence import EvidenceFunction, channel_table, vehicle_evidence
 from dsrc.evaluation.report.pictures.figures import HIT_IOU, TOP, detection_figure, feature_figure
 from dsrc.evaluation.report.pictures.frames import DrawnFrame, only_helpers_see, read_drawn_frames, spread_samples
-from dsrc.evaluation.report.report import Section, provenance_of, slug
+from dsrc.evaluation.report.report import provenance_of
 from dsrc.evaluation.runner import BenchmarkResult, TrainedDetector, load_adjusted
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector, with_fusion

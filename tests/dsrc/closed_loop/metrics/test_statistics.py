@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from dsrc.closed_loop.metrics.statistics import mean, paired_difference, paired_rates, rate
 
@@ -61,3 +62,30 @@ def test_episodes_that_never_differ_are_no_evidence() -> None:
     found = paired_rates([1.0, 0.0], [1.0, 0.0])
     assert (found.difference.value, found.p_value) == (0.0, 1.0)
     assert not found.difference.excludes_zero
+
+
+def test_episodes_of_a_cluster_are_no_more_evidence_than_one() -> None:
+    """Three clusters of four episodes, all of which only the first has: of 2^3 signs two are as far from 0."""
+    first, second = [1.0] * 12 + [0.0] * 8, [0.0] * 20
+    clusters = [*np.repeat(["a", "b", "c"], 4).tolist(), *range(8)]
+    alike, apart = paired_rates(first, second, clusters=clusters), paired_rates(first, second)
+    assert alike.p_value == pytest.approx(2 / 8) and apart.p_value == pytest.approx(2 / 2**12)
+    assert alike[2:] == apart[2:] == (12, 0)
+    assert alike.difference.value == apart.difference.value == pytest.approx(0.6)
+    assert alike.difference.high - alike.difference.low > 1.4 * (apart.difference.high - apart.difference.low)
+
+
+def test_differences_that_cancel_inside_a_cluster_are_none() -> None:
+    found = paired_rates([1.0, 0.0, 1.0], [0.0, 1.0, 1.0], clusters=[0, 0, 1])
+    assert found.p_value == 1.0 and (found.only_first, found.only_second) == (1, 1)
+
+
+def test_the_exact_test_of_clusters_is_the_permutation_test_of_their_sums() -> None:
+    rng = np.random.default_rng(3)
+    first, second = ((rng.uniform(size=40) < share).astype(float) for share in (0.7, 0.4))
+    clusters = rng.integers(0, 9, 40)
+    sums = [float(np.sum(first[clusters == one] - second[clusters == one])) for one in np.unique(clusters)]
+    oracle = stats.permutation_test(
+        (sums, np.zeros(len(sums))), lambda a, b: np.sum(a - b), permutation_type="samples", n_resamples=np.inf
+    )
+    assert paired_rates(first, second, clusters=clusters.tolist()).p_value == pytest.approx(oracle.pvalue)

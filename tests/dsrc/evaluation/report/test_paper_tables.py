@@ -13,8 +13,9 @@ from msgspec.structs import replace
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark, Case, DatasetSpec, Footnote, MethodSpec, ParameterSweeps, cases_of
 from dsrc.evaluation.report.dataset_results import DatasetResults, averaged_methods, compared_methods
+from dsrc.evaluation.report.document import publish
 from dsrc.evaluation.report.paper_tables import corruption_tables, mean_corrupted, table_1, table_2, table_3, table_4
-from dsrc.evaluation.report.report import publish, write_report
+from dsrc.evaluation.report.report import RESULTS, write_report
 from dsrc.evaluation.report.sweep_tables import axes_of, clean_tables, sweep_table
 from dsrc.evaluation.results import Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
@@ -287,17 +288,17 @@ def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
     (out / "made-up" / "stale.csv").write_text("of a run before")
     begin, end = (f"<!-- {word} small/made-up/table_1 -->" for word in ("begin", "end"))
     document.write_text(f"# Results\n\nBefore.\n\n{begin}\nold\n{end}\n\nAfter.\n")
-    folder = publish(sections, out, document, "Small")
+    folder = publish(sections, out, document, "Small", RESULTS)
     text = document.read_text()
     assert "old" not in text and text.index("Before.") < text.index("| dsrc |") < text.index("After.")
     assert "(results/small/made-up/table_1.png)" in text
     assert (folder / "results.json").read_bytes() == (out / "results.json").read_bytes()
     assert folder == tmp_path / "docs" / "results" / "small"
-    publish(sections, out, document, "Small")
+    publish(sections, out, document, "Small", RESULTS)
     assert document.read_text() == text
     assert files_below(folder) == RESULT_FILES | set(sections[0].files) and "made-up/table_1.csv" in sections[0].files
     # Without a place for any section the document gets all of them.
-    publish(sections, out, tmp_path / "all.md", "Small")
+    publish(sections, out, tmp_path / "all.md", "Small", RESULTS)
     assert all(f"<!-- begin small/{block.name} -->" in (tmp_path / "all.md").read_text() for block in sections)
     written = {name for block in sections for name in block.files} | RESULT_FILES
     assert "made-up/figure_4.png" in written and files_below(tmp_path / "all/small") == written
@@ -322,6 +323,6 @@ def test_results_may_lie_in_the_documents_own_folder(tmp_path):
     out = tmp_path / "results" / "small"
     sections = write_report(outcome_of({"dsrc": 1}, name="Small"), out)
     before = (out / "results.json").read_bytes()
-    assert publish(sections, out, tmp_path / "results.md", "Small") == out
+    assert publish(sections, out, tmp_path / "results.md", "Small", RESULTS) == out
     assert (out / "results.json").read_bytes() == before
     assert (tmp_path / "results" / sections[0].picture).name == "table_1.png"

@@ -1,0 +1,71 @@
+"""Cells of a campaign's tables: episodes by perception and condition, and how their numbers are written."""
+
+from collections.abc import Sequence
+
+from dsrc.closed_loop.campaign.episode import EpisodeResult
+from dsrc.closed_loop.metrics.comparison import collided, counted, metric
+from dsrc.closed_loop.metrics.statistics import Estimate, mean, rate
+from dsrc.closed_loop.types import Outcome
+from sensors.corruptions import CLEAN
+
+COLUMNS = ("episodes", "crashed", "stuck", "lost", "score", "progress")
+"""Headings of `condition_cells`."""
+
+
+def groups(results: Sequence[EpisodeResult]) -> list[tuple[str, str, list[EpisodeResult]]]:
+    """Return results by perception and condition, in the order of their first appearance."""
+    found: dict[tuple[str, str], list[EpisodeResult]] = {}
+    for perception in dict.fromkeys(one.perception for one in results):
+        for one in (one for one in results if one.perception == perception):
+            found.setdefault((perception, condition(one)), []).append(one)
+    return [(*key, group) for key, group in found.items()]
+
+
+def condition(one: EpisodeResult) -> str:
+    """Return the title of an episode's corruption and channel."""
+    text = one.corruption if one.corruption == CLEAN else f"{one.corruption} {one.severity}"
+    text += "" if one.who == "all" else f", {one.who}"
+    return text if one.channel == "ideal" else f"{text}, {one.channel}"
+
+
+def condition_cells(group: Sequence[EpisodeResult]) -> tuple[str, ...]:
+    """Return the numbers of a perception under a condition."""
+    met = counted(group)
+    return (
+        str(len(group)),
+        share(rate([collided(one) for one in met])),
+        str(sum(one.outcome == Outcome.STUCK.value for one in group)),
+        str(len(group) - len(met)),
+        score(mean([metric(one, "driving_score_2_1") for one in met])),
+        percent(mean([metric(one, "completion") for one in met]).value),
+    )
+
+
+def share(found: Estimate, signed: bool = False) -> str:
+    """Return a share with its interval, %; "" if it is unknown."""
+    if found.value != found.value:
+        return ""
+    sign = "+" if signed else ""
+    return f"{100 * found.value:{sign}.0f} % [{100 * found.low:.0f}, {100 * found.high:.0f}]"
+
+
+def score(found: Estimate) -> str:
+    """Return a driving score with its interval; "" if it is unknown."""
+    if found.value != found.value:
+        return ""
+    return f"{found.value:.2f}" + ("" if found.low != found.low else f" [{found.low:.2f}, {found.high:.2f}]")
+
+
+def percent(value: float) -> str:
+    """Return a share, %; "" if it is unknown."""
+    return "" if value != value else f"{100 * value:.0f} %"
+
+
+def row(*cells: str) -> str:
+    """Return a line of a Markdown table."""
+    return "| " + " | ".join(cells) + " |"
+
+
+def rule(columns: int) -> str:
+    """Return the line below the headings of a Markdown table."""
+    return "|" + "---|" * columns

@@ -1,0 +1,120 @@
+"""Report of a campaign: report.md with its tables, plots, and the sections of a document with them."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dsrc.closed_loop.campaign.run import CampaignResult
+from dsrc.closed_loop.metrics.comparison import Result
+from dsrc.closed_loop.report.tables import parts_of, tables
+from dsrc.evaluation.report.document import Section, publish
+from sensors.corruptions import CLEAN
+from sim.files import write_file
+from sim.radio import get_channel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PICTURES = {
+    "collisions": "Collision rate and driving score of each perception, clean and under each corruption",
+    "corruptions": "Which corruption kills: collision rate of each perception, by scenario and corruption",
+    "severities": "Collision rate over the severity of each corruption",
+    "channels": "Cost of the delay and the loss of messages",
+}
+"""Captions of the plots, by name."""
+
+
+def write_report(result: CampaignResult, out: Path) -> list[Path]:
+    """Write report.md and its plots into the folder of a campaign; return the paths, and that of its results."""
+    from dsrc.evaluation.figures.style import png_bytes
+
+    pictures = []
+    for name, plot in _plots(result).items():
+        path = out / f"{name}.png"
+        write_file(path, png_bytes(plot()))
+        pictures.append(path)
+    report = out / "report.md"
+    write_file(report, markdown(result))
+    return [report, *pictures, out / "results.csv"]
+
+
+def publish_report(result: CampaignResult, out: Path, document: Path) -> Path:
+    """Write the tables and plots of a campaign between their markers in a document, their files beside it.
+
+    Args:
+        result: of the campaign.
+        out: its folder, with the report.
+        document: Markdown, see `dsrc.evaluation.report.document.publish`; sections are named like the tables and plots.
+
+    Returns:
+        The folder of the files beside the document.
+
+    Raises:
+        DataError: a begin marker without its end.
+    """
+    named = ("report.md", "results.csv", "controls.csv", "careful.csv", *(f"{name}.png" for name in _PICTURES))
+    files = [name for name in named if (out / name).is_file()]
+    return publish(sections(result), out, document, result.plan.name, files)
+
+
+def markdown(result: CampaignResult) -> str:
+    """Return the report of a campaign."""
+    plan = result.plan
+    seeds = ", ".join(f"{_seeds(of)} {what}" for of, what in ((plan.clean_seeds, "clean"), (plan.seeds, "corrupted")))
+    driven = f"Driven by `dsrc drive`: {len(result.results)} episodes, seeds {seeds}."
+    parts = [f"# {plan.name}", driven]
+    for section in sections(result):
+        title = "" if section.picture else f"## {section.about}\n\n"
+        parts.append(f"{title}{section.markdown(Path()).strip()}")
+    return "\n\n".join(parts) + "\n"
+
+
+def _seeds(seeds: int | tuple[int, ...]) -> str:
+    listed = tuple(range(seeds)) if isinstance(seeds, int) else seeds
+    whole = listed == tuple(range(listed[0], listed[-1] + 1))
+    return f"{listed[0]} to {listed[-1]}" if whole and len(listed) > 2 else " ".join(map(str, listed))
+
+
+def sections(result: CampaignResult) -> list[Section]:
+    """Return the tables and plots of a campaign as sections of a document, in the order of the report."""
+    found = [Section(name, f"{text}\n", about=title) for name, (title, text) in tables(result).items()]
+    plots = [Section(name, picture=f"{name}.png", about=_PICTURES[name]) for name in _plots(result)]
+    first = sum(section.name in ("conditions", "apart") for section in found)
+    return [*found[:first], *plots, *found[first:]]
+
+
+def _plots(result: CampaignResult) -> "dict[str, Callable[[], Figure]]":
+    """Return makers of the plots that a campaign has results for, by name: of one severity, but for theirs."""
+    # Matplotlib takes as long to import as all else that a finished campaign's table needs.
+    from dsrc.closed_loop.report.plots import (
+        collision_and_score,
+        cost_of_channel,
+        deadly_corruptions,
+        rate_over_severity,
+    )
+
+    common, apart = parts_of(result)
+    plan, every = result.plan, common or apart
+    severity = plan.severities[len(plan.severities) // 2]
+    one_channel = [one for one in every if one.channel == plan.channels[0]]
+    shown = [one for one in one_channel if one.corruption == CLEAN or one.severity == severity]
+    plots: dict[str, Callable[[], Figure]] = {"collisions": partial(collision_and_score, shown, title=plan.name)}
+    if any(one.corruption != CLEAN for one in shown):
+        plots["corruptions"] = partial(deadly_corruptions, shown)
+    if len(plan.severities) > 1:
+        plots["severities"] = partial(rate_over_severity, one_channel)
+    clean = [one for one in every if one.corruption == CLEAN]
+    quantities = {"delay, s": _delay_s, "lost packets": _loss}
+    cost = {label: value for label, value in quantities.items() if len({value(one) for one in clean}) > 1}
+    if cost:
+        plots["channels"] = partial(cost_of_channel, clean, cost)
+    return plots
+
+
+def _delay_s(result: Result) -> float:
+    return get_channel(result.channel).delay_s
+
+
+def _loss(result: Result) -> float:
+    return get_channel(result.channel).packet_loss

@@ -1,0 +1,325 @@
+"""Tables of a campaign in Markdown, a section each."""
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+
+from dsrc.closed_loop.campaign.episode import EpisodeResult
+from dsrc.closed_loop.campaign.plan import Campaign
+from dsrc.closed_loop.campaign.run import CampaignResult
+from dsrc.closed_loop.metrics.comparison import (
+    Result,
+    Value,
+    arrived,
+    avoidable,
+    collided,
+    corruption_errors,
+    counted,
+    gain_per_megabyte,
+    harm_rate,
+    mean_corruption_error,
+    metric,
+    pairs,
+)
+from dsrc.closed_loop.metrics.statistics import PairedRates, paired_rates, rate
+from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR
+from dsrc.closed_loop.report.cells import COLUMNS, condition, condition_cells, groups, percent, row, rule, share
+from dsrc.closed_loop.types import Outcome
+from sensors.corruptions import CLEAN
+
+ALL_CORRUPTIONS = "all corruptions"
+"""Title of the episodes under several corruptions together."""
+_WORST = 12
+_SEEN_S = 1.5
+"""Least time between the first box of the conflict actor and the crash: who drives 40 km/h stops in it, at 8 m/s2."""
+_TRACKED_S = 0.4
+"""Most time between its first box and its track: two more percepts at 5 Hz."""
+_SMALL_P = 0.05
+_PAIRED = (
+    "Paired episodes of one encounter and seed are a cluster: the p-value is that of the exact test that swaps both "
+    "perceptions of clusters, without a correction for the number of tests; intervals of 95 %."
+)
+
+
+def tables(result: CampaignResult) -> dict[str, tuple[str, str]]:
+    """Return the title and the Markdown of each table that a campaign has results for, by name."""
+    common, apart = parts_of(result)
+    first = result.plan.channels[0]
+    of_first = [[one for one in part if one.channel == first] for part in (common, apart)]
+    found = {
+        "conditions": ("All scenarios", _all_scenarios(result, common)),
+        "apart": (_kinds(apart).capitalize(), _apart(result, apart)),
+        "crashed": ("Crashed", _crashed(of_first[0])),
+        "arrived": ("Arrived", _arrived(of_first[0])),
+        "scenarios": ("By scenario, clean", _scenarios(of_first)),
+        "differences": ("Paired crashes", _differences(result.plan, common)),
+        "arrivals": ("Paired arrivals", _arrivals(result.plan, common)),
+        "robustness": ("Closed-loop corruption error", _robustness(result.plan, common)),
+        "causes": ("What came late", _causes(common)),
+        "hardest": ("Hardest crashes", _worst(result)),
+        "controls": ("Controls", _controls(result)),
+    }
+    return {name: (title, text) for name, (title, text) in found.items() if text}
+
+
+def parts_of(result: CampaignResult) -> tuple[list[EpisodeResult], list[EpisodeResult]]:
+    """Return the episodes that all perceptions of a campaign have the classes for, and the others.
+
+    A comparison over the others would compare classes: who has none for a pedestrian is blind by construction.
+    """
+    unknown = {(one.scenario, one.seed) for one in result.results if not one.detectable}
+    apart = [one for one in result.results if (one.scenario, one.seed) in unknown]
+    return [one for one in result.results if (one.scenario, one.seed) not in unknown], apart
+
+
+def _all_scenarios(result: CampaignResult, common: Sequence[EpisodeResult]) -> str:
+    if not common:
+        return ""
+    text = (
+        "Crashed: share of the episodes that met their encounter, with its Wilson interval of 95 %. Lost: episodes "
+        "that never met it, not counted. Score: CARLA's driving score 2.1, with a bootstrap interval. Progress: share "
+        "of the reference distance."
+    )
+    if result.careful:
+        text += (
+            " Avoidable: share of the crashes that the careful driver of UN R157 avoids on the same seeds when it "
+            "knows the truth, with its Wilson interval."
+        )
+    return f"{_conditions(result, common)}\n\n{text}"
+
+
+def _kinds(apart: Sequence[EpisodeResult]) -> str:
+    return " and ".join("buses" if kind == "bus" else f"{kind}s" for kind in sorted({one.road_user for one in apart}))
+
+
+def _apart(result: CampaignResult, apart: Sequence[EpisodeResult]) -> str:
+    """Return the table of the episodes that a perception has no class for."""
+    if not apart:
+        return ""
+    text = (
+        f"Encounters with {_kinds(apart)}, which some perceptions have no class for: no part of the other tables, but "
+        "for those by scenario and of the hardest crashes. No class: episodes in which the perception is blind for the "
+        "conflict actor for that reason."
+    )
+    return f"{_conditions(result, apart, blind=True)}\n\n{text}"
+
+
+def _crashed(results: Sequence[EpisodeResult]) -> str:
+    table = _by_condition(results, lambda met: share(rate([collided(one) for one in met])))
+    return table and f"{table}\n\nShare of the episodes that met their encounter, with its Wilson interval of 95 %."
+
+
+def _arrived(results: Sequence[EpisodeResult]) -> str:
+    table = _by_condition(results, lambda met: f"{sum(arrived(one) for one in met):.0f} of {len(met)}")
+    return table and f"{table}\n\nOf the episodes that met their encounter."
+
+
+def _by_condition(results: Sequence[EpisodeResult], cell: Callable[[Sequence[Result]], str]) -> str:
+    """Return a table with a line per perception and a column per condition."""
+    by_perception = {
+        name: _conditions_of([one for one in results if one.perception == name])
+        for name in dict.fromkeys(one.perception for one in results)
+    }
+    titles = list(dict.fromkeys(title for groups_of in by_perception.values() for title in groups_of))
+    lines = [
+        row(name, *(cell(counted(own[title])) if title in own else "" for title in titles))
+        for name, own in by_perception.items()
+    ]
+    return "\n".join([row("perception", *titles), rule(len(titles) + 1), *lines]) if lines else ""
+
+
+def _unknown(group: Sequence[EpisodeResult]) -> str:
+    """Return the number of episodes with a road user that the perception has no class for."""
+    return str(sum(not one.detectable for one in group))
+
+
+def _conditions(result: CampaignResult, results: Sequence[EpisodeResult], blind: bool = False) -> str:
+    """Return a table with a line per perception and condition."""
+    more = (["avoidable"] if result.careful else []) + (["no class"] if blind else [])
+    headings = ("perception", "condition", *COLUMNS, *more)
+    lines = [row(*headings), rule(len(headings))]
+    for perception, title, group in groups(results):
+        avoided = [share(rate(avoidable(group, result.careful)))] if result.careful else []
+        unknown = [_unknown(group)] if blind else []
+        lines.append(row(perception, title, *condition_cells(group), *avoided, *unknown))
+    return "\n".join(lines)
+
+
+def _scenarios(parts: Sequence[Sequence[EpisodeResult]]) -> str:
+    """Return the clean collision rates by scenario and perception, marked where it has no class.
+
+    Args:
+        parts: of one channel, the episodes for all perceptions and those that are apart.
+    """
+    common, apart = parts
+    rows = []
+    names = list(dict.fromkeys(one.perception for one in (*common, *apart)))
+    for part, results in (("", common), ("apart", apart)):
+        clean = [one for one in results if one.corruption == CLEAN]
+        for scenario in dict.fromkeys(one.scenario for one in clean):
+            group = [one for one in clean if one.scenario == scenario]
+            title = f"{scenario} ({group[0].road_user})" if part else scenario
+            rows.append(row(title, *(_crashes([one for one in group if one.perception == name]) for name in names)))
+    if not rows:
+        return ""
+    lines = [row("scenario", *names), rule(len(names) + 1), *rows]
+    text = "Share of episodes with a crash, through the first channel." + (
+        " *: no class for the road user." if apart else ""
+    )
+    return "\n".join([*lines, "", text])
+
+
+def _crashes(group: Sequence[EpisodeResult]) -> str:
+    """Return the collision rate of some episodes, and how many were stuck or lost."""
+    met = counted(group)
+    counts = {"stuck": sum(one.outcome == Outcome.STUCK.value for one in group), "lost": len(group) - len(met)}
+    rates = share(rate([collided(one) for one in met]))
+    text = ", ".join([rates, *(f"{count} {what}" for what, count in counts.items() if count)])
+    return text if all(one.detectable for one in group) else f"{text} *"
+
+
+def _differences(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
+    """Return what each perception gains over `ego`, the detector without helpers, over paired episodes."""
+    alone = _alone(plan)
+    if alone is None or not any(one.perception != alone for one in results):
+        return ""
+    lines = [
+        row("perception", "condition", "pairs", f"crashes less those of {alone}", "p", "harm rate", "gain per MB"),
+        rule(7),
+    ]
+    base = [one for one in results if one.perception == alone]
+    for name in dict.fromkeys(one.perception for one in results if one.perception != alone):
+        for title, group in _conditions_of([one for one in results if one.perception == name]).items():
+            matched = pairs(group, base, any_channel=True)
+            if not matched:
+                continue
+            found = _paired(matched, collided)
+            together, single = [a for a, _ in matched], [b for _, b in matched]
+            gain = gain_per_megabyte(together, single)
+            numbers = (
+                share(found.difference, signed=True),
+                f"{found.p_value:.3f}",
+                percent(harm_rate(together, single)),
+                "" if gain != gain else f"{gain:.3f}",
+            )
+            lines.append(row(name, title, str(len(matched)), *numbers))
+    return "\n".join([*lines, "", _PAIRED])
+
+
+def _arrivals(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
+    """Return the differences of arrivals between all perceptions with a sensor, a line per pair."""
+    names = [one.name for one in plan.perceptions if one.kind not in WITHOUT_SENSOR]
+    own = {name: _conditions_of([one for one in results if one.perception == name]) for name in names}
+    titles = list(dict.fromkeys(title for conditions in own.values() for title in conditions))
+    lines = []
+    for before, after in combinations(names, 2):
+        matched = {
+            title: pairs(own[after][title], own[before][title])
+            for title in titles
+            if title in own[before] and title in own[after]
+        }
+        found = {title: _paired(of_both, arrived) for title, of_both in matched.items() if of_both}
+        if found:
+            cells = [_arrivals_cell(found[title]) if title in found else "" for title in titles]
+            lines.append(row(f"{after} less {before}", *cells))
+    if not lines:
+        return ""
+    text = (
+        "Arrivals, percentage points, of the pairs in which both met the encounter; in brackets the episodes in which "
+        f"only the first, and only the second, arrives. Bold: p < {_SMALL_P:g}. {_PAIRED}"
+    )
+    return "\n".join([row("", *titles), rule(len(titles) + 1), *lines, "", text])
+
+
+def _arrivals_cell(found: PairedRates) -> str:
+    text = f"{100 * found.difference.value:+.0f} ({found.only_first}, {found.only_second})"
+    return f"**{text}**" if found.p_value < _SMALL_P else text
+
+
+def _conditions_of(results: Sequence[EpisodeResult]) -> dict[str, list[EpisodeResult]]:
+    """Return the episodes of one perception by condition, and those of several corruptions together."""
+    found = {title: group for _, title, group in groups(results)}
+    channels = list(dict.fromkeys(one.channel for one in results))
+    corrupted = [one for one in results if one.corruption != CLEAN and one.channel == channels[0]]
+    if len({condition(one) for one in corrupted}) > 1:
+        found[ALL_CORRUPTIONS] = corrupted
+    return found
+
+
+def _paired(matched: Sequence[tuple[Result, Result]], value: Value) -> PairedRates:
+    ours, theirs = ([value(pair[side]) for pair in matched] for side in (0, 1))
+    return paired_rates(ours, theirs, clusters=[(one.scenario, one.seed) for one, _ in matched])
+
+
+def _alone(plan: Campaign) -> str | None:
+    return next((one.name for one in plan.perceptions if one.kind == ALONE), None)
+
+
+def _robustness(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
+    """Return corruption errors of every perception relative to `ego`, the form of mCE."""
+    alone = _alone(plan)
+    kinds = list(dict.fromkeys(one.corruption for one in results if one.corruption != CLEAN))
+    if alone is None or not kinds:
+        return ""
+    base = [one for one in results if one.perception == alone and one.corruption != CLEAN]
+    lines = [row("perception", "mCE", *kinds), rule(len(kinds) + 2)]
+    for one in plan.perceptions:
+        own = [r for r in results if r.perception == one.name and r.corruption != CLEAN]
+        if own:
+            errors = corruption_errors(own, base)
+            values = [mean_corruption_error(errors), *(errors.get(kind, float("nan")) for kind in kinds)]
+            lines.append(row(one.name, *("" if value != value else f"{value:.2f}" for value in values)))
+    text = f"Collision rate under a corruption over that of {alone}; 1 is as bad."
+    return "\n".join([*lines, "", text])
+
+
+def _causes(results: Sequence[EpisodeResult]) -> str:
+    """Return what came late in the crashes of encounters: the sight of the conflict actor, its track, or neither."""
+    crashed = [one for one in results if one.outcome == Outcome.CRASHED.value and one.road_user]
+    if not crashed:
+        return ""
+    kinds = ("not seen", "seen late", "tracked late", "in time")
+    lines = [row("perception", "condition", "crashes", *kinds), rule(7)]
+    for perception, title, group in groups(crashed):
+        found = [_late(one) for one in group]
+        lines.append(row(perception, title, str(len(group)), *(str(found.count(kind)) for kind in kinds)))
+    text = (
+        "Crashes in encounters, whoever the ego crashed with, by what came late first. Not seen: no percept had a box "
+        f"of the conflict actor. Seen late: the first one did less than {_SEEN_S:g} s before the crash. Tracked late: "
+        f"its track was confirmed more than {_TRACKED_S:g} s after that, or never. In time: neither."
+    )
+    return "\n".join([*lines, "", text])
+
+
+def _late(one: EpisodeResult) -> str:
+    seen_s, tracked_s, crash_s = (metric(one, name) for name in ("seen_s", "tracked_s", "duration_s"))
+    if seen_s != seen_s:
+        return "not seen"
+    # Times are sums of steps: rounded, so that equal ones are.
+    if round(crash_s - seen_s, 6) < _SEEN_S:
+        return "seen late"
+    return "in time" if round(tracked_s - seen_s, 6) <= _TRACKED_S else "tracked late"
+
+
+def _worst(result: CampaignResult) -> str:
+    crashed = [one for one in result.results if one.outcome == Outcome.CRASHED.value and one.detectable]
+    failed = [one for one in result.results if one.outcome == Outcome.PERCEPTION_FAILED.value]
+    if not crashed and not failed:
+        return ""
+    worst = sorted(crashed, key=lambda one: -metric(one, "delta_v_mps"))[:_WORST]
+    lines = [row("scenario", "seed", "perception", "condition", "closing m/s", "delta-v m/s", "log"), rule(7)]
+    for one in worst:
+        closing, change = metric(one, "impact_mps"), metric(one, "delta_v_mps")
+        numbers = f"{closing:.1f}", f"{change:.1f}"
+        lines.append(
+            row(one.scenario, str(one.seed), one.perception, condition(one), *numbers, f"episodes/{one.key}.npz")
+        )
+    text = "\n".join(lines)
+    if failed:
+        first = failed[0]
+        text += f"\n\nPerceptions failed in {len(failed)} episodes, first: {first.message}"
+    return text
+
+
+def _controls(result: CampaignResult) -> str:
+    fine = sum(one.outcome == Outcome.ARRIVED.value for one in result.controls)
+    return f"{fine} of {len(result.controls)} arrived with the truth." if result.controls else ""

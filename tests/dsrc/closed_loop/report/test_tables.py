@@ -1,0 +1,77 @@
+"""Tables of a campaign: what they count, and what they leave out."""
+
+import pytest
+
+from dsrc.closed_loop.campaign.episode import EpisodeResult
+from dsrc.closed_loop.campaign.run import CampaignResult
+from dsrc.closed_loop.report.tables import ALL_CORRUPTIONS, tables
+from tests.dsrc.closed_loop.results import PLAN, RESULTS, one
+
+
+def tables_of(*results: EpisodeResult) -> dict[str, list[list[str]]]:
+    """Cells of the tables by name, headings first."""
+    found = tables(CampaignResult(PLAN, results, (), (), 0, 0.0))
+    return {
+        name: [
+            [cell.strip() for cell in line.strip("|").split("|")]
+            for line in text.splitlines()
+            if line.startswith("|") and not line.startswith("|---")
+        ]
+        for name, (_, text) in found.items()
+    }
+
+
+def test_rates_and_arrivals_are_of_the_episodes_that_met_their_encounter() -> None:
+    found = tables_of(*RESULTS)
+    assert found["arrived"] == [
+        ["perception", "clean", "fog 3", "snow 3", ALL_CORRUPTIONS],
+        ["truth", "3 of 3", "", "", ""],
+        ["alone", "0 of 3", "0 of 2", "0 of 2", "0 of 4"],
+        ["together", "2 of 2", "2 of 2", "2 of 2", "4 of 4"],
+    ]
+    crashed = {row[0]: row[1:] for row in found["crashed"]}
+    assert crashed["alone"][0].startswith("100 % [") and crashed["alone"][-1].startswith("0 % [")
+    assert crashed["together"][0].startswith("0 % [")
+
+
+def test_pairs_of_one_encounter_and_seed_are_one_cluster_under_all_corruptions() -> None:
+    found = tables_of(*RESULTS)
+    assert found["arrivals"] == [
+        ["", "clean", "fog 3", "snow 3", ALL_CORRUPTIONS],
+        ["together less alone", "+100 (2, 0)", "+100 (2, 0)", "+100 (2, 0)", "+100 (4, 0)"],
+    ]
+    rows = {tuple(row[:2]): row[2:] for row in found["differences"]}
+    assert rows["together", "clean"][0] == "2" and rows["together", "clean"][1].startswith("-100 %")
+    # Two clusters of two pairs: of four ways to swap them two are as far from 0; nobody crashes under corruptions.
+    assert rows["together", ALL_CORRUPTIONS][0] == "4" and rows["together", ALL_CORRUPTIONS][2] == "1.000"
+    many = [
+        one(name, seed, outcome)
+        for seed in range(6)
+        for name, outcome in (("alone", "timeout"), ("together", "arrived"))
+    ]
+    assert tables_of(*many)["arrivals"][1][1] == "**+100 (6, 0)**", "p = 2 / 2^6"
+
+
+@pytest.mark.parametrize(
+    ("seen_s", "tracked_s", "column"),
+    [
+        pytest.param(3.6, 3.7, "seen late", id="seen 1.4 s before"),
+        pytest.param(35 * 0.1, 36 * 0.1, "in time", id="seen 1.5 s before"),
+        pytest.param(14 * 0.1, 19 * 0.1, "tracked late", id="tracked 0.5 s later"),
+        pytest.param(14 * 0.1, 18 * 0.1, "in time", id="tracked 0.4 s later"),
+        pytest.param(2.0, None, "tracked late", id="never tracked"),
+        pytest.param(None, None, "not seen", id="never seen"),
+    ],
+)
+def test_a_crash_has_one_thing_that_came_late(seen_s: float | None, tracked_s: float | None, column: str) -> None:
+    times = {"duration_s": 5.0, "seen_s": seen_s, "tracked_s": tracked_s}
+    heads, counts = tables_of(one("alone", 0, "crashed", **times))["causes"]
+    assert [head for head, count in zip(heads[3:], counts[3:], strict=True) if count == "1"] == [column]
+
+
+def test_without_an_encounter_there_is_nobody_to_see() -> None:
+    assert "causes" not in tables_of(one("alone", 0, "crashed", road_user="", duration_s=5.0))
+
+
+def test_without_results_there_are_no_tables() -> None:
+    assert not tables_of()
