@@ -8,7 +8,7 @@ The folder is that of `dsrc drive CAMPAIGN.toml --out runs/real`.
 Usage:
     python examples/tracking.py runs/real
     python examples/tracking.py runs/real --set confirm_evidence=1 --set ghosts_per_m2=0.03
-    python examples/tracking.py runs/closed-loop-small --docs docs/closed_loop.md
+    python examples/tracking.py runs/closed-loop --seed 10 11 --docs docs/closed_loop.md
 """
 
 import argparse
@@ -73,6 +73,7 @@ def main() -> None:
     )
     parser.add_argument("episodes", type=Path, help="folder of `dsrc drive --out`")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="changed setting, alone")
+    parser.add_argument("--seed", type=int, nargs="+", metavar="SEED", help="seeds of the episodes; default: all")
     parser.add_argument("--docs", type=Path, help="Markdown document that gets the tables, between their markers")
     options = parser.parse_args()
     try:
@@ -81,9 +82,10 @@ def main() -> None:
         parser.error(f"--set: {error}")
     try:
         logs = [dsrc.EpisodeLog.load(path) for path in sorted((options.episodes / "episodes").glob("*.npz"))]
-        logs = [log for log in logs if log.settings.detector]
+        wanted = set(options.seed or [log.settings.seed for log in logs])
+        logs = [log for log in logs if log.settings.detector and log.settings.seed in wanted]
         if not logs:
-            parser.error(f"{options.episodes}: expected episodes of a detector, found none")
+            parser.error(f"{options.episodes}: expected episodes of a detector, found none with these seeds")
         clean = [log for log in logs if log.settings.corruption == "clean"]
         parts = {"clean": clean, "corrupted": [log for log in logs if log.settings.corruption != "clean"]}
         put_table(options.docs, "boxes_by_score", ["score", "boxes", "of a road user, %"], by_score(logs))

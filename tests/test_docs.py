@@ -19,9 +19,13 @@ from PIL import Image
 from dsrc.cli.demo import SCENARIO, TEST_SEED
 from dsrc.cli.main import COMMANDS, command_class, run
 from dsrc.cli.options import parse
-from dsrc.closed_loop.metrics.statistics import paired_rates, rate
+from dsrc.closed_loop.campaign.plan import read_campaign
+from dsrc.closed_loop.campaign.run import CampaignResult, read_results
+from dsrc.closed_loop.metrics.statistics import rate
+from dsrc.closed_loop.report.report import sections
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
+from dsrc.evaluation.report.document import slug
 from dsrc.evaluation.scoring.truth import truth_of_frame
 from dsrc.models.compression import message_bytes
 from dsrc.models.fusion import FUSIONS
@@ -119,9 +123,21 @@ def test_the_page_of_models_has_every_method_with_the_bytes_that_it_sends() -> N
 Row = dict[str, str]
 
 
+def campaigns() -> dict[str, CampaignResult]:
+    """Committed campaigns with the results of theirs that are committed, by the name of their folder."""
+    found = {}
+    for path in sorted((ROOT / "docs/closed_loop").glob("*.toml")):
+        plan = read_campaign(path)
+        folder = path.parent / slug(plan.name)
+        files = [folder / f"{what}.csv" for what in ("results", "controls", "careful")]
+        parts = [tuple(read_results([file]).values()) if file.is_file() else () for file in files]
+        found[folder.name] = CampaignResult(plan, *parts, made=0, seconds=0.0)
+    return found
+
+
 def driven(name: str) -> list[Row]:
     """Episodes of a committed campaign whose road user every detector has a class for."""
-    with (ROOT / f"docs/results/closed-loop/{name}/results.csv").open(encoding="utf-8", newline="") as file:
+    with (ROOT / f"docs/closed_loop/{name}/results.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     unknown = {(row["scenario"], row["seed"]) for row in rows if row["detectable"] == "False"}
     return [row for row in rows if (row["scenario"], row["seed"]) not in unknown]
@@ -169,72 +185,18 @@ def test_the_gain_from_the_usual_score_is_that_of_the_twins_results() -> None:
 
 def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
     page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
-    rows, names = driven("small"), ("truth", "ego alone", "late fusion", "plain student", "DSRC")
-    by: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        by.setdefault((row["perception"], row["corruption"]), []).append(row)
-    kinds = ("beam_missing", "motion_blur", "cross_sensor", "snow", "crosstalk", "fog")
-
-    def arrived(found: list[Row]) -> int:
-        return sum(row["outcome"] == "arrived" for row in found)
-
-    for name in names:
-        clean = by[name, "clean"]
-        assert f"| {name} | {crashed(clean)} | {arrived(clean)} of {len(clean)} |" in page
-        if name != "truth":
-            assert len({len(by[name, kind]) for kind in kinds}) == 1
-            assert f"| {name} | {' | '.join(str(arrived(by[name, kind])) for kind in kinds)} |" in page
-    for scenario in {row["scenario"] for row in rows}:
-        counts = [
-            sum(row["outcome"] == "crashed" for row in by[name, "clean"] if row["scenario"] == scenario)
-            for name in names
-        ]
-        assert f"| `{scenario}` | {' | '.join(map(str, counts))} |" in page
-    text = " ".join(page.split())
-    for ours, other, claim in (
-        ("DSRC", "ego alone", "DSRC arrives in {0} of {n}, the ego alone in {1}"),
-        ("DSRC", "plain student", "{0} of {n} against {1}; eleven pairs differ, ten"),
-        (
-            "DSRC",
-            "late fusion",
-            "in {better} episodes in which it does not, and the other way round in {worse}, of {n}",
-        ),
-    ):
-        there = {
-            name: {
-                (row["scenario"], row["seed"], row["corruption"]): row["outcome"] == "arrived"
-                for row in rows
-                if row["perception"] == name and row["corruption"] in kinds
-            }
-            for name in (ours, other)
-        }
-        pairs = [(there[ours][key], there[other][key]) for key in there[ours]]
-        better, worse = (sum(pair == one for pair in pairs) for one in ((True, False), (False, True)))
-        counts = [sum(column) for column in zip(*pairs, strict=True)]
-        assert claim.format(*counts, n=len(pairs), better=better, worse=worse) in text
-        if other == "plain student":
-            found = paired_rates(*(np.array(column, float) for column in zip(*pairs, strict=True)))
-            assert (better, worse) == (10, 1) and f"p = {found.p_value:.3f} over all six" in text
-    for title, found in (
-        ("nine encounters, nothing hidden", driven("no-occluder")),
-        ("four encounters, light traffic", [row for row in driven("traffic") if row["scenario"].endswith("light")]),
-        ("four encounters, dense traffic", [row for row in driven("traffic") if row["scenario"].endswith("dense")]),
-        ("these four, light and dense together", driven("traffic")),
-    ):
-        own, ours = ([row for row in found if row["perception"] == name] for name in ("ego alone", "DSRC"))
-        assert f"| {title} | {crashed(own)} | {crashed(ours)} |" in page
-    unshifted = driven("look-ahead")
-    for scenario in {row["scenario"] for row in unshifted}:
-        counts = [
-            sum(
-                row["outcome"] == "crashed" and row["scenario"] == scenario
-                for row in table
-                if row["perception"] == name
-            )
-            for name in ("ego alone", "DSRC")
-            for table in (unshifted, by[name, "clean"])
-        ]
-        assert f"| `{scenario}` | {' | '.join(map(str, counts))} |" in page
+    blocks = {
+        f"{folder}/{section.name}": section.markdown(Path("closed_loop") / folder)
+        for folder, result in campaigns().items()
+        for section in sections(result)
+    }
+    places = re.findall(r"<!-- begin (\S+/\S+) -->\n(.*?)\n<!-- end \1 -->", page, re.DOTALL)
+    assert {name.partition("/")[0] for name, _ in places} == {
+        "which-corruption-kills",
+        "range-around-the-ego",
+        "nothing-is-hidden",
+    }
+    assert all(shown == blocks[name] for name, shown in places)
 
 
 @pytest.mark.slow

@@ -178,7 +178,7 @@ def _settings(folder: Path) -> list[Target]:
     scenario = folder / "scenario.toml"
     scenario.write_text((ROOT / "scenarios" / "four_way" / "scenario.toml").read_text())
     campaign = folder / "campaign.toml"
-    shipped = (ROOT / "docs" / "results" / "closed-loop" / "campaign.toml").read_text()
+    shipped = (ROOT / "docs" / "closed_loop" / "campaign.toml").read_text()
     campaign.write_text(shipped.replace("../../../dsrc", f"{ROOT}/dsrc"))
     files = {"benchmark.toml": BENCHMARK, "few.toml": DATASET, "trace.csv": TRACE, "set.txt": "batch_size=2"}
     benchmark, dataset, trace, words = (folder / name for name in files)

@@ -23,7 +23,7 @@ def groups(results: Sequence[EpisodeResult]) -> list[tuple[str, str, list[Episod
 
 def condition(one: EpisodeResult) -> str:
     """Return the title of an episode's corruption and channel."""
-    text = one.corruption if one.corruption == CLEAN else f"{one.corruption} {one.severity}"
+    text = CLEAN if one.corruption == CLEAN else f"{one.corruption.replace('_', ' ')} {one.severity}"
     text += "" if one.who == "all" else f", {one.who}"
     return text if one.channel == "ideal" else f"{text}, {one.channel}"
 

@@ -36,7 +36,7 @@ _TRACKED_S = 0.4
 _SMALL_P = 0.05
 _PAIRED = (
     "Paired episodes of one encounter and seed are a cluster: the p-value is that of the exact test that swaps both "
-    "perceptions of clusters, without a correction for the number of tests; intervals of 95 %."
+    "perceptions of clusters, without a correction for the number of tests."
 )
 
 
@@ -202,7 +202,7 @@ def _differences(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
                 "" if gain != gain else f"{gain:.3f}",
             )
             lines.append(row(name, title, str(len(matched)), *numbers))
-    return "\n".join([*lines, "", _PAIRED])
+    return "\n".join([*lines, "", f"In brackets the interval of 95 %. {_PAIRED}"])
 
 
 def _arrivals(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
@@ -274,20 +274,25 @@ def _robustness(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
 
 def _causes(results: Sequence[EpisodeResult]) -> str:
     """Return what came late in the crashes of encounters: the sight of the conflict actor, its track, or neither."""
-    crashed = [one for one in results if one.outcome == Outcome.CRASHED.value and one.road_user]
-    if not crashed:
-        return ""
     kinds = ("not seen", "seen late", "tracked late", "in time")
-    lines = [row("perception", "condition", "crashes", *kinds), rule(7)]
-    for perception, title, group in groups(crashed):
-        found = [_late(one) for one in group]
-        lines.append(row(perception, title, str(len(group)), *(str(found.count(kind)) for kind in kinds)))
+    lines = []
+    for perception in dict.fromkeys(one.perception for one in results):
+        conditions = _conditions_of([one for one in results if one.perception == perception])
+        wanted = (CLEAN, ALL_CORRUPTIONS) if ALL_CORRUPTIONS in conditions else conditions
+        for title in wanted:
+            crashed = [one for one in conditions.get(title, ()) if one.outcome == Outcome.CRASHED.value]
+            found = [_late(one) for one in crashed if one.road_user]
+            if found:
+                lines.append(row(perception, title, str(len(found)), *(str(found.count(kind)) for kind in kinds)))
+    if not lines:
+        return ""
+    heads = ("perception", "condition", "crashes", *kinds)
     text = (
         "Crashes in encounters, whoever the ego crashed with, by what came late first. Not seen: no percept had a box "
         f"of the conflict actor. Seen late: the first one did less than {_SEEN_S:g} s before the crash. Tracked late: "
         f"its track was confirmed more than {_TRACKED_S:g} s after that, or never. In time: neither."
     )
-    return "\n".join([*lines, "", text])
+    return "\n".join([row(*heads), rule(len(heads)), *lines, "", text])
 
 
 def _late(one: EpisodeResult) -> str:
