@@ -23,8 +23,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         out: folder of results and logs; default: results are printed only.
         reuse: results.csv, controls.csv or careful.csv of earlier runs: an episode that is in them, with the same
             settings, detector and code, is not driven again, and has no log; default: none.
-        docs: Markdown document that gets the tables and plots of `out` too, files beside it: those that it has markers
-            for, or all at its end if it has none; default: none.
+        docs: Markdown document that gets the tables and plots of a campaign too, files beside it: those that it has
+            markers for, or all at its end if it has none; default: none.
         critical: search the severity of the corruption, or the delay or loss of messages, at which the outcome of the
             episode flips; default: none.
         view: show one episode in the browser as it is driven, and go on showing it until interrupted.
@@ -63,9 +63,14 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from sensors.corruptions import CLEAN
         from sim.errors import SettingsError, complaint
 
-        for name in ("docs", "reuse"):
-            if getattr(self, name) and (self.out is None or self.view or self.what.endswith(".npz")):
-                raise SettingsError(complaint("drive", name, "--out of episodes to drive beside it", "none"))
+        asks = {"--view": self.view, "--critical": self.critical, "a log": self.what.endswith(".npz")}
+        for name in (one for one in ("docs", "reuse") if getattr(self, one)):
+            for beside in (one for one, given in asks.items() if given):
+                raise SettingsError(complaint("drive", name, f"none beside {beside}", "one"))
+            if self.out is None:
+                raise SettingsError(complaint("drive", name, "--out beside it", "none"))
+        if self.docs is not None and not self.what.endswith(".toml"):
+            raise SettingsError(complaint("drive", "docs", "a campaign's TOML, which has a name", self.what))
         if self.critical is not None and self.out is not None:
             raise SettingsError(complaint("drive", "out", "none beside --critical, which prints", str(self.out)))
         if self.critical is not None and self.what.endswith(".npz"):
@@ -86,15 +91,19 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from rich.console import Console
 
         from dsrc.closed_loop.campaign.plan import campaign_of
-        from dsrc.closed_loop.campaign.run import estimate_s, read_results, run_campaign
-        from dsrc.closed_loop.report.report import publish_report, write_report
+        from dsrc.closed_loop.campaign.run import estimate_s, read_results, reused, run_campaign
+        from dsrc.closed_loop.report.report import check_publication, publish_report, write_report
         from dsrc.closed_loop.report.terminal import summary_table
         from dsrc.data.drive_folder import locked
 
         plan, known = campaign_of(self), read_results(self.reuse)
         if self.out is not None:
+            if self.docs is not None:
+                check_publication(plan, self.docs)
             with locked(out, what="campaign"):
                 pass  # a folder that cannot be written to is told before anything else
+            if self.reuse:
+                sys.stderr.write(f"{reused(plan, known)} of {len(known)} results are of this campaign's episodes\n")
             episodes, seconds = estimate_s(plan, out, self.pool, known)
             sys.stderr.write(f"{episodes} episodes to drive, about {_duration(seconds)}\n")
         with progress(f"drive {plan.name}") as report:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dsrc.closed_loop.campaign.plan import is_campaign, read_campaign
+from dsrc.closed_loop.campaign.run import read_results
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.data.checksums import read_checksums
 from dsrc.data.datasets.manifest import read_manifest
@@ -179,7 +180,9 @@ def _settings(folder: Path) -> list[Target]:
     scenario.write_text((ROOT / "scenarios" / "four_way" / "scenario.toml").read_text())
     campaign = folder / "campaign.toml"
     shipped = (ROOT / "docs" / "closed_loop" / "campaign.toml").read_text()
-    campaign.write_text(shipped.replace("../../../dsrc", f"{ROOT}/dsrc"))
+    campaign.write_text(shipped.replace("../../dsrc", f"{ROOT}/dsrc").replace("../results", f"{ROOT}/docs/results"))
+    driven = folder / "results.csv"
+    driven.write_bytes((ROOT / "docs/closed_loop/nothing-is-hidden/results.csv").read_bytes())
     files = {"benchmark.toml": BENCHMARK, "few.toml": DATASET, "trace.csv": TRACE, "set.txt": "batch_size=2"}
     benchmark, dataset, trace, words = (folder / name for name in files)
     for name, text in files.items():
@@ -191,6 +194,7 @@ def _settings(folder: Path) -> list[Target]:
     return [
         Target("scenario", scenario, load_scenario, "text"),
         Target("campaign", campaign, lambda path: is_campaign(path) and read_campaign(path), "text"),
+        Target("results of a campaign", driven, lambda path: read_results([path]), "text"),
         Target("benchmark", benchmark, lambda path: check_plan(read_benchmark(path), "benchmark"), "text"),
         Target("dataset", dataset, _drives_of, "text"),
         Target("channel trace", trace, _channel, "text"),

@@ -7,12 +7,13 @@ means anything: the campaign refuses to run.
 
 import csv
 import io
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import cast
+from typing import Self, cast
 
 import msgspec
 
@@ -27,6 +28,7 @@ from dsrc.closed_loop.campaign.plan import (
     key_of,
 )
 from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.metrics.episode import EpisodeMetrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.replay import look_again
 from dsrc.closed_loop.types import Outcome
@@ -39,6 +41,11 @@ from sim.errors import DataError, SettingsError, UserError, complaint
 from sim.files import write_file
 from sim.machine import core_count
 from sim.radio import IDEAL
+from sim.reading import parsing, read_text
+
+_COLUMNS = tuple(name for name in EpisodeResult.__struct_fields__ if name != "metrics")
+_REUSED = "reused.csv"
+"""Results of earlier runs in a campaign's folder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +101,7 @@ def run_campaign(
         out: folder of the campaign.
         pool: workers; the results are the same for any.
         progress: called with episodes done and episodes missing at the start.
-        known: results of episodes that are not driven again, by key, see `read_results`.
+        known: results of episodes that are not driven again, by key, see `read_results`; `out` keeps them.
 
     Raises:
         SettingsError: a control fails with the truth.
@@ -107,7 +114,9 @@ def run_campaign(
         folder.mkdir(parents=True, exist_ok=True)
         controls: tuple[EpisodeResult, ...] = ()
         made = 0
-        there = _There(folder, known or {})
+        there = _There.of(out, known)
+        if there.known:
+            write_file(out / _REUSED, results_csv(there.known.values()))
         if controls_plan is not None:
             controls, made = _driven(episodes_of(controls_plan), there, pool, progress)
             write_file(out / "controls.csv", results_csv(controls))
@@ -129,15 +138,14 @@ def _reference(plan: Campaign) -> list[EpisodeJob]:
 def results_csv(results: Iterable[EpisodeResult]) -> str:
     """Return results as CSV, a line per episode and a column per metric."""
     results = list(results)
-    names = [name for name in EpisodeResult.__struct_fields__ if name != "metrics"]
     metrics = sorted({name for result in results for name in result.metrics})
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*names, *metrics])
+    writer.writerow([*_COLUMNS, *metrics])
     for result in results:
         values = [result.metrics.get(name) for name in metrics]
         listed = ["" if value is None else f"{value:.6g}" for value in values]
-        writer.writerow([*(getattr(result, name) for name in names), *listed])
+        writer.writerow([*(getattr(result, name) for name in _COLUMNS), *listed])
     return text.getvalue()
 
 
@@ -145,29 +153,40 @@ def read_results(paths: Iterable[Path]) -> dict[str, EpisodeResult]:
     """Return the results of results.csv, controls.csv or careful.csv of other runs by key, with six digits each.
 
     Raises:
-        DataError: a file is none of these; one line names its line and field.
+        DataError: a file is none of these, one line names its line and field; two results of one key differ.
     """
-    names = [name for name in EpisodeResult.__struct_fields__ if name != "metrics"]
-    found = {}
+    found: dict[str, EpisodeResult] = {}
     for path in paths:
-        try:
-            with path.open(encoding="utf-8", newline="") as file:
-                rows = list(csv.DictReader(file, strict=True))
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise DataError(f"{path}: {error}") from None
-        if not rows:
-            raise DataError(complaint(path, "lines", "results of a campaign", "none"))
-        if lacking := [name for name in names if name not in rows[0]]:
-            raise DataError(complaint(path, "columns", ", ".join(names), f"none named {lacking[0]}"))
-        for number, row in enumerate(rows, start=2):
-            own = {name: value for name, value in row.items() if name in names}
+        text = read_text(path, "results")
+        with parsing(path, "results"):
+            rows = list(csv.reader(io.StringIO(text)))
+        heads = rows[0] if rows else []
+        if lacking := [name for name in (*_COLUMNS, *EpisodeMetrics.__struct_fields__) if name not in heads]:
+            raise DataError(complaint(path, "columns", "those of results.csv", f"none named {lacking[0]}"))
+        for number, row in enumerate(rows[1:], start=2):
+            where = f"result {number - 1}"
+            if len(row) != len(heads):
+                raise DataError(complaint(path, where, f"{len(heads)} fields", f"{len(row)}"))
+            given = dict(zip(heads, row, strict=True))
             try:
-                numbers = {name: float(value) if value else None for name, value in row.items() if name not in names}
-                result = msgspec.convert(own | {"metrics": numbers}, EpisodeResult, strict=False)
-            except (msgspec.ValidationError, TypeError, ValueError) as error:
-                raise DataError(complaint(path, f"line {number}", "a result of a campaign", str(error))) from None
-            found[result.key] = result
+                own = {name: given.pop(name) for name in _COLUMNS}
+                metrics = {name: float(value) if value else None for name, value in given.items()}
+                result = msgspec.convert(own | {"metrics": metrics}, EpisodeResult, strict=False)
+                Outcome(result.outcome)
+            except ValueError as error:
+                raise DataError(complaint(path, where, "one of a campaign", str(error))) from None
+            if infinite := [name for name, value in metrics.items() if value is not None and not math.isfinite(value)]:
+                raise DataError(complaint(path, f"{where}: {infinite[0]}", "a finite number", given[infinite[0]]))
+            if found.setdefault(result.key, result).metrics != metrics:
+                raise DataError(complaint(path, where, "the same as before", "another result of the same episode"))
     return found
+
+
+def reused(plan: Campaign, known: Mapping[str, EpisodeResult]) -> int:
+    """Return the number of results that are of a campaign's episodes, its controls and its reference driver counted."""
+    controls = controls_of(plan) if plan.controls else None
+    jobs = [*(episodes_of(controls) if controls else []), *episodes_of(plan), *_reference(plan)]
+    return len({key_of(job) for job in jobs} & known.keys())
 
 
 def read_result(folder: Path, key: str) -> EpisodeResult | None:
@@ -187,6 +206,13 @@ class _There:
 
     folder: Path
     known: Mapping[str, EpisodeResult]
+
+    @classmethod
+    def of(cls, out: Path, known: Mapping[str, EpisodeResult] | None) -> Self:
+        """Return what is there of a campaign's folder, with what it was given in an earlier run."""
+        kept = out / _REUSED
+        before = read_results([kept]) if kept.is_file() else {}
+        return cls(out / "episodes", before | dict(known or {}))
 
     def get(self, key: str) -> EpisodeResult | None:
         """Return the result of an episode; None where it is missing or damaged."""
@@ -249,7 +275,7 @@ def estimate_s(
         pool: workers.
         known: results of episodes that are not driven again, by key.
     """
-    there = _There(out / "episodes", known or {})
+    there = _There.of(out, known)
     controls = controls_of(plan) if plan.controls else None
     jobs = [*(episodes_of(controls) if controls else []), *episodes_of(plan), *_reference(plan)]
     found = {key: there.get(key) for key in dict.fromkeys(map(key_of, jobs))}

@@ -115,8 +115,8 @@ def paired_rates(
 
     Episodes of a cluster may be alike; clusters are independent. The p-value is that of the exact test of all ways to
     swap both sides in whole clusters, 1 where the episodes never differ; with clusters of one episode it is McNemar's.
-    The interval is Wald's with the variance between clusters, after one episode is added to each count of those that
-    differ; with clusters of one episode it is Bonett and Price's.
+    The interval is Wald's with the variance between clusters, after one cluster of mean size is added in which only the
+    first has the event, and one in which only the second has it; with clusters of one episode it is Bonett and Price's.
 
     Sources: Q. McNemar, Note on the sampling error of the difference between correlated proportions or percentages,
     Psychometrika 12 (1947), 153-157; D. G. Bonett and R. M. Price, Adjusted Wald confidence interval for a difference
@@ -142,9 +142,10 @@ def paired_rates(
         of_cluster.setdefault(cluster, []).append(difference)
     sums = np.array([sum(one) for one in of_cluster.values()])
     sizes = np.array([len(one) for one in of_cluster.values()])
-    middle = sums.sum() / (n + 2)
-    spread = np.sum((np.array([*sums, 1, -1]) - np.array([*sizes, 1, 1]) * middle) ** 2)
-    half = float(stats.norm.ppf(0.5 + 0.5 * level)) * math.sqrt(spread) / (n + 2)
+    more = n / len(sizes)
+    middle = sums.sum() / (n + 2 * more)
+    spread = np.sum((np.array([*sums, more, -more]) - np.array([*sizes, more, more]) * middle) ** 2)
+    half = float(stats.norm.ppf(0.5 + 0.5 * level)) * math.sqrt(spread) / (n + 2 * more)
     low, high = max(float(middle) - half, -1.0), min(float(middle) + half, 1.0)
     return PairedRates(
         Estimate(float(sums.sum()) / n, low, high),

@@ -1,14 +1,15 @@
 """Report of a campaign: report.md with its tables, plots, and the sections of a document with them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dsrc.closed_loop.campaign.plan import Campaign
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.metrics.comparison import Result
-from dsrc.closed_loop.report.tables import parts_of, tables
-from dsrc.evaluation.report.document import Section, publish
+from dsrc.closed_loop.report.tables import NAMES, parts_of, tables
+from dsrc.evaluation.report.document import Section, check_document, publish
 from sensors.corruptions import CLEAN
 from sim.files import write_file
 from sim.radio import get_channel
@@ -29,14 +30,25 @@ def write_report(result: CampaignResult, out: Path) -> list[Path]:
     """Write report.md and its plots into the folder of a campaign; return the paths, and that of its results."""
     from dsrc.evaluation.figures.style import png_bytes
 
-    pictures = []
-    for name, plot in _plots(result).items():
+    pictures, plots = [], _plots(result)
+    for name, plot in plots.items():
         path = out / f"{name}.png"
         write_file(path, png_bytes(plot()))
         pictures.append(path)
+    for name in _PICTURES.keys() - plots.keys():
+        (out / f"{name}.png").unlink(missing_ok=True)  # of a run before
     report = out / "report.md"
     write_file(report, markdown(result))
     return [report, *pictures, out / "results.csv"]
+
+
+def check_publication(plan: Campaign, document: Path) -> None:
+    """Check before a campaign that its tables can be written into a document, see `publish_report`.
+
+    Raises:
+        UserError: the document cannot be written to or is no text; a marker has no end, or is of no section.
+    """
+    check_document(document, plan.name, (*NAMES, *_PICTURES))
 
 
 def publish_report(result: CampaignResult, out: Path, document: Path) -> Path:
@@ -51,28 +63,31 @@ def publish_report(result: CampaignResult, out: Path, document: Path) -> Path:
         The folder of the files beside the document.
 
     Raises:
-        DataError: a begin marker without its end.
+        DataError: the document is no text, or a begin marker has no end.
     """
-    named = ("report.md", "results.csv", "controls.csv", "careful.csv", *(f"{name}.png" for name in _PICTURES))
-    files = [name for name in named if (out / name).is_file()]
-    return publish(sections(result), out, document, result.plan.name, files)
+    found = sections(result)
+    absent = [name for name in (*NAMES, *_PICTURES) if name not in {section.name for section in found}]
+    files = ["report.md", "results.csv", *(f"{name}.png" for name in _plots(result))]
+    files += [f"{name}.csv" for name in ("controls", "careful") if getattr(result, name)]
+    return publish(found, out, document, result.plan.name, files, absent)
 
 
 def markdown(result: CampaignResult) -> str:
     """Return the report of a campaign."""
-    plan = result.plan
-    seeds = ", ".join(f"{_seeds(of)} {what}" for of, what in ((plan.clean_seeds, "clean"), (plan.seeds, "corrupted")))
-    driven = f"Driven by `dsrc drive`: {len(result.results)} episodes, seeds {seeds}."
-    parts = [f"# {plan.name}", driven]
+    driven = {
+        what: sorted({one.seed for one in result.results if (one.corruption == CLEAN) == clean})
+        for what, clean in (("clean", True), ("corrupted", False))
+    }
+    seeds = ", ".join(f"{_seeds(listed)} {what}" for what, listed in driven.items() if listed)
+    parts = [f"# {result.plan.name}", f"Driven by `dsrc drive`: {len(result.results)} episodes, seeds {seeds}."]
     for section in sections(result):
         title = "" if section.picture else f"## {section.about}\n\n"
         parts.append(f"{title}{section.markdown(Path()).strip()}")
     return "\n\n".join(parts) + "\n"
 
 
-def _seeds(seeds: int | tuple[int, ...]) -> str:
-    listed = tuple(range(seeds)) if isinstance(seeds, int) else seeds
-    whole = listed == tuple(range(listed[0], listed[-1] + 1))
+def _seeds(listed: Sequence[int]) -> str:
+    whole = list(listed) == list(range(listed[0], listed[-1] + 1))
     return f"{listed[0]} to {listed[-1]}" if whole and len(listed) > 2 else " ".join(map(str, listed))
 
 

@@ -26,6 +26,21 @@ from dsrc.closed_loop.report.cells import COLUMNS, condition, condition_cells, g
 from dsrc.closed_loop.types import Outcome
 from sensors.corruptions import CLEAN
 
+NAMES = (
+    "conditions",
+    "apart",
+    "crashed",
+    "arrived",
+    "scenarios",
+    "differences",
+    "arrivals",
+    "robustness",
+    "causes",
+    "hardest",
+    "controls",
+)
+"""Names of the tables."""
+_OF_ONE_CHANNEL = ("crashed", "arrived", "scenarios", "arrivals", "robustness", "causes")
 ALL_CORRUPTIONS = "all corruptions"
 """Title of the episodes under several corruptions together."""
 _WORST = 12
@@ -52,13 +67,18 @@ def tables(result: CampaignResult) -> dict[str, tuple[str, str]]:
         "arrived": ("Arrived", _arrived(of_first[0])),
         "scenarios": ("By scenario, clean", _scenarios(of_first)),
         "differences": ("Paired crashes", _differences(result.plan, common)),
-        "arrivals": ("Paired arrivals", _arrivals(result.plan, common)),
-        "robustness": ("Closed-loop corruption error", _robustness(result.plan, common)),
-        "causes": ("What came late", _causes(common)),
+        "arrivals": ("Paired arrivals", _arrivals(result.plan, of_first[0])),
+        "robustness": ("Closed-loop corruption error", _robustness(result.plan, of_first[0])),
+        "causes": ("What came late", _causes(of_first[0])),
         "hardest": ("Hardest crashes", _worst(result)),
         "controls": ("Controls", _controls(result)),
     }
-    return {name: (title, text) for name, (title, text) in found.items() if text}
+    through = f" Through the channel `{first}`." if len(result.plan.channels) > 1 else ""
+    return {
+        name: (title, text + (through if name in _OF_ONE_CHANNEL else ""))
+        for name, (title, text) in found.items()
+        if text
+    }
 
 
 def parts_of(result: CampaignResult) -> tuple[list[EpisodeResult], list[EpisodeResult]]:
@@ -104,16 +124,23 @@ def _apart(result: CampaignResult, apart: Sequence[EpisodeResult]) -> str:
 
 
 def _crashed(results: Sequence[EpisodeResult]) -> str:
-    table = _by_condition(results, lambda met: share(rate([collided(one) for one in met])))
-    return table and f"{table}\n\nShare of the episodes that met their encounter, with its Wilson interval of 95 %."
+    def cell(title: str, met: Sequence[Result]) -> str:
+        found = rate([collided(one) for one in met])
+        return percent(found.value) if title == ALL_CORRUPTIONS else share(found)
+
+    table = _by_condition(results, cell)
+    text = "Share of the episodes that met their encounter, with its Wilson interval of 95 %."
+    if ALL_CORRUPTIONS in table:
+        text += f" Without one, {ALL_CORRUPTIONS}: episodes of one encounter and seed are alike."
+    return table and f"{table}\n\n{text}"
 
 
 def _arrived(results: Sequence[EpisodeResult]) -> str:
-    table = _by_condition(results, lambda met: f"{sum(arrived(one) for one in met):.0f} of {len(met)}")
+    table = _by_condition(results, lambda _, met: f"{sum(arrived(one) for one in met):.0f} of {len(met)}")
     return table and f"{table}\n\nOf the episodes that met their encounter."
 
 
-def _by_condition(results: Sequence[EpisodeResult], cell: Callable[[Sequence[Result]], str]) -> str:
+def _by_condition(results: Sequence[EpisodeResult], cell: Callable[[str, Sequence[Result]], str]) -> str:
     """Return a table with a line per perception and a column per condition."""
     by_perception = {
         name: _conditions_of([one for one in results if one.perception == name])
@@ -121,7 +148,7 @@ def _by_condition(results: Sequence[EpisodeResult], cell: Callable[[Sequence[Res
     }
     titles = list(dict.fromkeys(title for groups_of in by_perception.values() for title in groups_of))
     lines = [
-        row(name, *(cell(counted(own[title])) if title in own else "" for title in titles))
+        row(name, *(cell(title, counted(own[title])) if title in own else "" for title in titles))
         for name, own in by_perception.items()
     ]
     return "\n".join([row("perception", *titles), rule(len(titles) + 1), *lines]) if lines else ""
@@ -162,7 +189,7 @@ def _scenarios(parts: Sequence[Sequence[EpisodeResult]]) -> str:
     if not rows:
         return ""
     lines = [row("scenario", *names), rule(len(names) + 1), *rows]
-    text = "Share of episodes with a crash, through the first channel." + (
+    text = "Crashes, clean, of the episodes that met their encounter, with the Wilson interval of 95 %." + (
         " *: no class for the road user." if apart else ""
     )
     return "\n".join([*lines, "", text])
@@ -197,7 +224,7 @@ def _differences(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
             gain = gain_per_megabyte(together, single)
             numbers = (
                 share(found.difference, signed=True),
-                f"{found.p_value:.3f}",
+                _p_value(found.p_value),
                 percent(harm_rate(together, single)),
                 "" if gain != gain else f"{gain:.3f}",
             )
@@ -209,18 +236,16 @@ def _arrivals(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
     """Return the differences of arrivals between all perceptions with a sensor, a line per pair."""
     names = [one.name for one in plan.perceptions if one.kind not in WITHOUT_SENSOR]
     own = {name: _conditions_of([one for one in results if one.perception == name]) for name in names}
-    titles = list(dict.fromkeys(title for conditions in own.values() for title in conditions))
-    lines = []
+    order = list(dict.fromkeys(title for conditions in own.values() for title in conditions))
+    found: dict[str, dict[str, str]] = {}
     for before, after in combinations(names, 2):
-        matched = {
-            title: pairs(own[after][title], own[before][title])
-            for title in titles
-            if title in own[before] and title in own[after]
+        both = [title for title in order if title in own[before] and title in own[after]]
+        matched = {title: pairs(own[after][title], own[before][title]) for title in both}
+        found[f"{after} less {before}"] = {
+            title: _arrivals_cell(_paired(of_both, arrived)) for title, of_both in matched.items() if of_both
         }
-        found = {title: _paired(of_both, arrived) for title, of_both in matched.items() if of_both}
-        if found:
-            cells = [_arrivals_cell(found[title]) if title in found else "" for title in titles]
-            lines.append(row(f"{after} less {before}", *cells))
+    titles = [title for title in order if any(title in cells for cells in found.values())]
+    lines = [row(pair, *(cells.get(title, "") for title in titles)) for pair, cells in found.items() if cells]
     if not lines:
         return ""
     text = (
@@ -228,6 +253,10 @@ def _arrivals(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
         f"only the first, and only the second, arrives. Bold: p < {_SMALL_P:g}. {_PAIRED}"
     )
     return "\n".join([row("", *titles), rule(len(titles) + 1), *lines, "", text])
+
+
+def _p_value(value: float) -> str:
+    return "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
 def _arrivals_cell(found: PairedRates) -> str:
@@ -238,9 +267,8 @@ def _arrivals_cell(found: PairedRates) -> str:
 def _conditions_of(results: Sequence[EpisodeResult]) -> dict[str, list[EpisodeResult]]:
     """Return the episodes of one perception by condition, and those of several corruptions together."""
     found = {title: group for _, title, group in groups(results)}
-    channels = list(dict.fromkeys(one.channel for one in results))
-    corrupted = [one for one in results if one.corruption != CLEAN and one.channel == channels[0]]
-    if len({condition(one) for one in corrupted}) > 1:
+    corrupted = [one for one in results if one.corruption != CLEAN]
+    if len({one.corruption for one in corrupted}) > 1 and len({one.channel for one in corrupted}) == 1:
         found[ALL_CORRUPTIONS] = corrupted
     return found
 

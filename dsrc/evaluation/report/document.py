@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sim.errors import DataError, complaint
-from sim.files import write_file
+from sim.files import check_output, overwriting, write_file
+from sim.reading import read_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +18,7 @@ class Section:
         name: of its markers in the document.
         text: Markdown.
         picture: file of the picture; "" for none.
-        about: caption of the picture.
+        about: caption of the picture; of text the title that it gets in a document without a place for it, "" for none.
         tables: files of the text's numbers.
     """
 
@@ -49,7 +50,14 @@ def slug(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "dataset"
 
 
-def publish(sections: Sequence[Section], out: Path, document: Path, name: str, results: Sequence[str] = ()) -> Path:
+def publish(
+    sections: Sequence[Section],
+    out: Path,
+    document: Path,
+    name: str,
+    results: Sequence[str] = (),
+    absent: Sequence[str] = (),
+) -> Path:
     """Write sections between their markers in a document, and their files beside it in a folder `name`.
 
     A section `x/y` goes between the lines `<!-- begin NAME/x/y -->` and `<!-- end NAME/x/y -->`. A document with such
@@ -62,30 +70,77 @@ def publish(sections: Sequence[Section], out: Path, document: Path, name: str, r
         document: Markdown; it is made if there is none.
         name: of the run.
         results: files of `out` that are no section's and are copied too.
+        absent: names of sections that this run has nothing for; their places are emptied.
 
     Returns:
         The folder of result files, tables and pictures; cells stay in `out`.
 
     Raises:
-        DataError: a begin marker without its end.
+        DataError: the document is no text, or a begin marker has no end; nothing is written then.
     """
     folder = document.parent / document.stem / slug(name)
-    text = document.read_text(encoding="utf-8") if document.is_file() else f"# {document.stem.capitalize()}\n"
-    places = {section.name: f"<!-- begin {slug(name)}/{section.name} -->" for section in sections}
+    text = _text_of(document)
+    begins = {section.name: _begin(name, section.name) for section in sections}
     if f"<!-- begin {slug(name)}/" in text:
-        sections = [section for section in sections if places[section.name] in text]
+        sections = [section for section in sections if begins[section.name] in text]
+    for section in sections:
+        title = f"## {section.about}\n\n" if section.text and section.about else ""
+        place = f"{begins[section.name]}\n{_end(name, section.name)}"
+        if begins[section.name] not in text:
+            text = f"{text.rstrip()}\n\n{title}{place}\n"
+        text = _filled(document, text, name, section.name, section.markdown(folder.relative_to(document.parent)))
+    for one in absent:
+        if _begin(name, one) in text:
+            text = _filled(document, text, name, one, "Nothing.\n")
     for file in (*results, *(path for section in sections for path in section.files)):
         write_file(folder / file, (out / file).read_bytes())
-    for section in sections:
-        begin, end = places[section.name], f"<!-- end {slug(name)}/{section.name} -->"
-        content = f"{begin}\n{section.markdown(folder.relative_to(document.parent))}\n{end}"
-        if begin not in text:
-            text = f"{text.rstrip()}\n\n{content}\n"
-            continue
-        before, _, rest = text.partition(begin)
-        _, ended, after = rest.partition(end)
-        if not ended:
-            raise DataError(complaint(document, begin, f"a line {end} after it", "none"))
-        text = f"{before}{content}{after}"
     write_file(document, text, edited=True)
     return folder
+
+
+def check_document(document: Path, name: str, names: Sequence[str]) -> None:
+    """Check before the work that `publish` can write into a document.
+
+    Args:
+        document: Markdown, or where it will be.
+        name: of the run.
+        names: of the sections that it may have.
+
+    Raises:
+        UserError: the document cannot be written to or is no text; a marker has no end, or is of no section.
+    """
+    if document.suffix != ".md":
+        raise DataError(complaint(document, "name", "a Markdown document, PAGE.md", document.name))
+    if not re.search("[a-z0-9]", name.lower()):
+        raise DataError(complaint(document, "name of the run", "a letter from a to z or a digit in it", repr(name)))
+    with overwriting():
+        check_output(document)
+    text = _text_of(document)
+    for one in re.findall(rf"<!-- begin {re.escape(slug(name))}/(\S+) -->", text):
+        if one not in names:
+            raise DataError(complaint(document, _begin(name, one), f"one of {', '.join(names)}", one))
+        _filled(document, text, name, one, "")
+
+
+def _text_of(document: Path) -> str:
+    if document.exists():
+        return read_text(document, "document")
+    return f"# {document.stem.capitalize()}\n"
+
+
+def _filled(document: Path, text: str, name: str, section: str, content: str) -> str:
+    """Return a text with other content in the place of a section that it has."""
+    begin, end = _begin(name, section), _end(name, section)
+    before, _, rest = text.partition(begin)
+    _, ended, after = rest.partition(end)
+    if not ended:
+        raise DataError(complaint(document, begin, f"a line {end} after it", "none"))
+    return f"{before}{begin}\n{content}\n{end}{after}"
+
+
+def _begin(name: str, section: str) -> str:
+    return f"<!-- begin {slug(name)}/{section} -->"
+
+
+def _end(name: str, section: str) -> str:
+    return f"<!-- end {slug(name)}/{section} -->"

@@ -10,15 +10,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
+from dsrc.cli.drive import Drive
 from dsrc.closed_loop.campaign import run as runner
 from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec, campaign_of, episodes_of, key_of, read_campaign
-from dsrc.closed_loop.campaign.run import drive, look_again_at, read_results, run_campaign
+from dsrc.closed_loop.campaign.run import drive, look_again_at, read_results, reused, run_campaign
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.report.report import markdown, write_report
@@ -104,24 +106,38 @@ def test_a_lost_episode_comes_back_with_the_same_bytes(driven: Path) -> None:
 
 def test_results_of_another_folder_are_not_driven_again(driven: Path, tmp_path: Path) -> None:
     known = read_results([driven / "results.csv"])
+    assert reused(PLAN, known) == 4
     again = run_campaign(PLAN, tmp_path / "same", known=known)
     assert again.made == 0 and (tmp_path / "same/results.csv").read_bytes() == (driven / "results.csv").read_bytes()
-    more = run_campaign(replace(PLAN, clean_seeds=3), tmp_path / "more", known=known)
-    assert more.made == 2 and len(more.results) == 6
-    other = run_campaign(
-        replace(PLAN, clean_seeds=1, loop=LoopSettings(duration_s=14.0)), tmp_path / "other", known=known
-    )
-    assert other.made == 2, "other settings are other episodes"
+    more = run_campaign(replace(PLAN, clean_seeds=3), tmp_path / "same")
+    assert more.made == 2 and len(more.results) == 6, "the folder keeps what it was given"
+    fewer = run_campaign(replace(PLAN, clean_seeds=1), tmp_path / "same", known=known)
+    assert fewer.made == 0 and run_campaign(PLAN, tmp_path / "same").made == 0
+    other = replace(PLAN, clean_seeds=1, loop=LoopSettings(duration_s=14.0))
+    assert reused(other, known) == 0, "other settings are other episodes"
+
+
+def changed(text: str, column: str, value: str) -> str:
+    """Results with another value in the first line."""
+    heads, first, *others = (line.split(",") for line in text.splitlines())
+    first[heads.index(column)] = value
+    return "\n".join(",".join(row) for row in (heads, first, *others))
 
 
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        pytest.param(lambda text: text.replace("ima_building", "", 1).replace("True", "maybe"), "line 2", id="value"),
-        pytest.param(lambda text: text.replace(",outcome,", ",end,"), "outcome", id="column"),
-        pytest.param(lambda text: text.partition("\n")[0], "none", id="no line"),
-        pytest.param(lambda text: "a,b\n1,2\n", "scenario", id="other CSV"),
-        pytest.param(lambda text: "\0", "none", id="bytes"),
+        pytest.param(lambda text: changed(text, "detectable", "maybe"), "result 1", id="flag"),
+        pytest.param(lambda text: changed(text, "outcome", "flew"), "'flew'", id="outcome"),
+        pytest.param(lambda text: changed(text, "duration_s", "inf"), "duration_s: expected a finite", id="infinite"),
+        pytest.param(lambda text: changed(text, "pdms", "high"), "result 1", id="word"),
+        pytest.param(lambda text: text.replace(",outcome,", ",end,"), "named outcome", id="column"),
+        pytest.param(lambda text: text.replace(",duration_s,", ",time,"), "named duration_s", id="metric"),
+        pytest.param(lambda text: text[:-20], "result 4: expected .* fields", id="cut"),
+        pytest.param(lambda text: text + changed(text, "duration_s", "1").splitlines()[1], "the same", id="two"),
+        pytest.param(lambda text: "a,b\n1,2\n", "named scenario", id="other CSV"),
+        pytest.param(lambda text: "\0", "results.csv", id="bytes"),
+        pytest.param(lambda text: "", "named scenario", id="empty"),
     ],
 )
 def test_a_file_that_is_no_result_is_one_line_that_names_it(driven: Path, tmp_path: Path, change, expected) -> None:
@@ -129,7 +145,25 @@ def test_a_file_that_is_no_result_is_one_line_that_names_it(driven: Path, tmp_pa
     path.write_text(change((driven / "results.csv").read_text()))
     with pytest.raises(DataError, match=expected) as error:
         read_results([path])
-    assert str(path) in str(error.value)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param({"docs": Path("page.md")}, id="without a folder"),
+        pytest.param({"docs": Path("page.md"), "out": Path("runs")}, id="of flags"),
+        pytest.param({"docs": Path("page.md"), "out": Path("runs"), "view": True}, id="beside a view"),
+        pytest.param({"docs": Path("page.md"), "critical": "severity"}, id="beside a search"),
+        pytest.param({"reuse": (Path("results.csv"),), "critical": "severity"}, id="reused beside a search"),
+        pytest.param({"reuse": (Path("results.csv"),)}, id="reused without a folder"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(tmp_path: Path, options: dict[str, Any], monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SettingsError, match=f"drive: {'reuse' if 'reuse' in options else 'docs'}: expected"):
+        Drive(what="lta_truck", corruption=("fog",), **options).run()
+    assert not list(tmp_path.iterdir())
 
 
 def test_other_workers_give_the_same_results(driven: Path, tmp_path: Path) -> None:
