@@ -19,10 +19,9 @@ from PIL import Image
 from dsrc.cli.demo import SCENARIO, TEST_SEED
 from dsrc.cli.main import COMMANDS, command_class, run
 from dsrc.cli.options import parse
-from dsrc.closed_loop.campaign.plan import read_campaign
+from dsrc.closed_loop.campaign.plan import episodes_of, read_campaign
 from dsrc.closed_loop.campaign.run import CampaignResult, read_results
-from dsrc.closed_loop.metrics.statistics import rate
-from dsrc.closed_loop.report.report import sections
+from dsrc.closed_loop.report.report import markdown, sections
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
 from dsrc.evaluation.report.document import slug
@@ -120,9 +119,6 @@ def test_the_page_of_models_has_every_method_with_the_bytes_that_it_sends() -> N
             assert size == ("–" if name in ("early", "late") else f"{sent:,}"), (name, recipe.name)
 
 
-Row = dict[str, str]
-
-
 def campaigns() -> dict[str, CampaignResult]:
     """Committed campaigns with the results of theirs that are committed, by the name of their folder."""
     found = {}
@@ -133,20 +129,6 @@ def campaigns() -> dict[str, CampaignResult]:
         parts = [tuple(read_results([file]).values()) if file.is_file() else () for file in files]
         found[folder.name] = CampaignResult(plan, *parts, made=0, seconds=0.0)
     return found
-
-
-def driven(name: str) -> list[Row]:
-    """Episodes of a committed campaign whose road user every detector has a class for."""
-    with (ROOT / f"docs/closed_loop/{name}/results.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    unknown = {(row["scenario"], row["seed"]) for row in rows if row["detectable"] == "False"}
-    return [row for row in rows if (row["scenario"], row["seed"]) not in unknown]
-
-
-def crashed(rows: list[Row]) -> str:
-    met = [float(row["outcome"] == "crashed") for row in rows if row["outcome"] != "desynchronised"]
-    found = rate(met)
-    return f"{100 * found.value:.0f} ({100 * found.low:.0f} to {100 * found.high:.0f})"
 
 
 def test_the_zoo_has_every_kept_detector_as_its_run_folder_records_it() -> None:
@@ -191,12 +173,14 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         for section in sections(result)
     }
     places = re.findall(r"<!-- begin (\S+/\S+) -->\n(.*?)\n<!-- end \1 -->", page, re.DOTALL)
-    assert {name.partition("/")[0] for name, _ in places} == {
-        "which-corruption-kills",
-        "range-around-the-ego",
-        "nothing-is-hidden",
-    }
+    published = {"which-corruption-kills", "range-around-the-ego", "nothing-is-hidden", "background-traffic"}
+    assert {name.partition("/")[0] for name, _ in places} == published
     assert all(shown == blocks[name] for name, shown in places)
+    for folder in published:
+        result = campaigns()[folder]
+        assert (ROOT / "docs/closed_loop" / folder / "report.md").read_text(encoding="utf-8") == markdown(result)
+        planned = {(job.scenario, job.seed, job.perception, job.condition["kind"]) for job in episodes_of(result.plan)}
+        assert {(one.scenario, one.seed, one.perception, one.corruption) for one in result.results} == planned
 
 
 @pytest.mark.slow
