@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from urllib.parse import unquote
 
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -19,9 +20,13 @@ from PIL import Image
 from dsrc.cli.demo import SCENARIO, TEST_SEED
 from dsrc.cli.main import COMMANDS, command_class, run
 from dsrc.cli.options import parse
+from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.plan import episodes_of, read_campaign
 from dsrc.closed_loop.campaign.run import CampaignResult, read_results
+from dsrc.closed_loop.metrics.comparison import Value, arrived, avoidable, collided, pairs
+from dsrc.closed_loop.metrics.statistics import paired_rates
 from dsrc.closed_loop.report.report import markdown, sections
+from dsrc.closed_loop.report.tables import parts_of
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
 from dsrc.evaluation.report.document import slug
@@ -181,6 +186,45 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         assert (ROOT / "docs/closed_loop" / folder / "report.md").read_text(encoding="utf-8") == markdown(result)
         planned = {(job.scenario, job.seed, job.perception, job.condition["kind"]) for job in episodes_of(result.plan)}
         assert {(one.scenario, one.seed, one.perception, one.corruption) for one in result.results} == planned
+
+
+def test_what_the_closed_loop_s_page_says_is_in_its_results() -> None:
+    text = " ".join((ROOT / "docs/closed_loop.md").read_text(encoding="utf-8").split())
+    result = campaigns()["which-corruption-kills"]
+    common = parts_of(result)[0]
+    kinds = {one.corruption for one in common} - {"clean"}
+
+    def of(name: str, *corruptions: str) -> list[EpisodeResult]:
+        return [one for one in common if one.perception == name and one.corruption in corruptions]
+
+    def compared(ours: list[EpisodeResult], theirs: list[EpisodeResult], value: Value) -> tuple[int, int, str]:
+        matched = pairs(ours, theirs)
+        clusters = [(one.scenario, one.seed) for one, _ in matched]
+        found = paired_rates(*([value(pair[side]) for pair in matched] for side in (0, 1)), clusters=clusters)
+        return found.only_first, found.only_second, f"{found.p_value:.3f}"
+
+    def as_clean(results: list[EpisodeResult]) -> list[EpisodeResult]:
+        return [msgspec.structs.replace(one, corruption="clean", severity=0) for one in results]
+
+    met = [sum(collided(one) for one in of(name, "clean")) for name in ("DSRC", "ego alone", "plain student")]
+    assert f"DSRC crashes in {met[0]:.0f} of 171 encounters, 4 %, and the ego alone in {met[1]:.0f}, 68 %" in text
+    assert f"clean ({met[0]:.0f} and {met[2]:.0f} of 171" in text and len(of("DSRC", "clean")) == 171
+    assert compared(of("DSRC", "clean"), of("ego alone", "clean"), collided)[0] == 0
+    more, fewer, _ = compared(of("DSRC", *kinds), of("ego alone", *kinds), arrived)
+    assert (more, fewer) == (146, 2) and f"DSRC arrives in {more} pairs" in text
+    more, fewer, p_value = compared(of("DSRC", *kinds), of("plain student", *kinds), arrived)
+    assert f"in {more} pairs against {fewer} of 253 (p = {p_value})" in text
+    more, fewer, p_value = compared(of("DSRC", "fog"), of("plain student", "fog"), arrived)
+    assert f"in fog in {more} against {fewer} (p = {p_value})" in text
+    for name, claim in (("DSRC", "in one of the same clean (p = {})"), ("plain student", "instead of one (p = {})")):
+        assert claim.format(compared(as_clean(of(name, "snow")), of(name, "clean"), collided)[2]) in text
+    assert f"instead of 41 (p = {compared(as_clean(of('DSRC', 'fog')), of('DSRC', 'clean'), arrived)[2]})" in text
+    elsewhere = [one for one in of("DSRC", "clean", *(kinds - {"snow"})) if collided(one)]
+    chain = [one for one in elsewhere if one.scenario == "eebl_chain"]
+    assert f"DSRC's {len(elsewhere)} crashes without snow {len(chain)} are in `eebl_chain`" in text
+    spared = avoidable(common, result.careful)
+    assert len(spared) - sum(spared) == 2 and all(avoidable(of("DSRC", "clean", *kinds), result.careful))
+    assert {one.outcome for one in result.controls} == {"arrived"} and f"All {len(result.controls)} controls" in text
 
 
 @pytest.mark.slow

@@ -389,6 +389,7 @@ def test_false_tracks_and_late_ones_are_counted(tmp_path: Path) -> None:
     ("script", "arguments", "told"),
     [
         ("tracking.py", ("docs",), "docs: expected episodes of a detector, found none"),
+        ("tracking.py", ("docs", "--seed", "3"), "found none with these seeds"),
         ("tracking.py", ("docs", "--set", "gait=2"), "--set: expected NAME=VALUE, a number of TrackerSettings, found"),
         ("tracking.py", ("docs", "--set", "gate=nan"), "a number of TrackerSettings, found gate=nan"),
         ("tracking.py", ("docs", "--set", "history_s=a"), "a number of TrackerSettings, found history_s=a"),

@@ -157,8 +157,8 @@ def read_results(paths: Iterable[Path]) -> dict[str, EpisodeResult]:
     """
     found: dict[str, EpisodeResult] = {}
     for path in paths:
-        text = read_text(path, "results")
-        with parsing(path, "results"):
+        text = read_text(path, "results.csv")
+        with parsing(path, "results.csv"):
             rows = list(csv.reader(io.StringIO(text)))
         heads = rows[0] if rows else []
         if lacking := [name for name in (*_COLUMNS, *EpisodeMetrics.__struct_fields__) if name not in heads]:

@@ -84,7 +84,7 @@ def publish(
     if f"<!-- begin {slug(name)}/" in text:
         sections = [section for section in sections if begins[section.name] in text]
     for section in sections:
-        title = f"## {section.about}\n\n" if section.text and section.about else ""
+        title = f"## {section.about}\n\n" if section.about and not section.picture else ""
         place = f"{begins[section.name]}\n{_end(name, section.name)}"
         if begins[section.name] not in text:
             text = f"{text.rstrip()}\n\n{title}{place}\n"
