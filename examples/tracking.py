@@ -1,7 +1,8 @@
-"""What the tracker makes of percepts: false tracks, and how late the true ones come, from logs of episodes.
+"""What the tracker makes of percepts: false tracks, late ones, and those of conflict actors, from logs of episodes.
 
 The percepts of each log are tracked again, with the settings of the tracker and with changed ones. A box or track is
-of a road user if its centre lies within it or 1 m beside it. The ego drives as it did.
+of a road user if its centre lies within it or 1 m beside it. The ego drives as it did. How well a perception knows the
+conflict actor of an encounter is counted as driven.
 
 The folder is that of `dsrc drive CAMPAIGN.toml --out runs/real`.
 
@@ -9,6 +10,7 @@ Usage:
     python examples/tracking.py runs/real
     python examples/tracking.py runs/real --set confirm_evidence=1 --set ghosts_per_m2=0.03
     python examples/tracking.py runs/closed-loop --seed 10 11 --docs docs/closed_loop.md
+    python examples/tracking.py runs/snow --scenario stalled_after_curve
 """
 
 import argparse
@@ -28,7 +30,10 @@ from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Percept, Tick
 from sim.boxes import Boxes
 from sim.errors import UserError
+from sim.traffic.base import Actors
 
+CONFLICT = "conflict"
+"""Name of the conflict actor in the traffic of an encounter."""
 BESIDE_M, ROUTE_M, MOVING_MPS = 1.0, 30.0, 1.0
 """Distance from a road user at which a box is of it; distance from the route and speed of what matters there."""
 LATE_S = 3.0
@@ -41,6 +46,14 @@ HEAD = (
     "boxed and tracked, %",
     "delay, s",
     "over 3 s, %",
+)
+SIGHT_HEAD = (
+    "perception",
+    "condition",
+    "episodes",
+    "percepts with a box of it, %",
+    "median score",
+    "tracked, % of the time",
 )
 SCORES = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 1.0)
 
@@ -74,6 +87,7 @@ def main() -> None:
     parser.add_argument("episodes", type=Path, help="folder of `dsrc drive --out`")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="changed setting, alone")
     parser.add_argument("--seed", type=int, nargs="+", metavar="SEED", help="seeds of the episodes; default: all")
+    parser.add_argument("--scenario", nargs="+", metavar="NAME", help="scenarios of the episodes; default: all")
     parser.add_argument("--docs", type=Path, help="Markdown document that gets the tables, between their markers")
     options = parser.parse_args()
     try:
@@ -83,9 +97,13 @@ def main() -> None:
     try:
         logs = [dsrc.EpisodeLog.load(path) for path in sorted((options.episodes / "episodes").glob("*.npz"))]
         wanted = set(options.seed or [log.settings.seed for log in logs])
+        named = set(options.scenario or [log.settings.scenario.name for log in logs])
         logs = [log for log in logs if log.settings.detector and log.settings.seed in wanted]
+        logs = [log for log in logs if log.settings.scenario.name in named]
         if not logs:
-            parser.error(f"{options.episodes}: expected episodes of a detector, found none with these seeds")
+            parser.error(
+                f"{options.episodes}: expected episodes of a detector, found none with these seeds and scenarios"
+            )
         clean = [log for log in logs if log.settings.corruption == "clean"]
         parts = {"clean": clean, "corrupted": [log for log in logs if log.settings.corruption != "clean"]}
         put_table(options.docs, "boxes_by_score", ["score", "boxes", "of a road user, %"], by_score(logs))
@@ -96,6 +114,8 @@ def main() -> None:
             for name, settings in variants.items()
         ]
         put_table(options.docs, "tracks", HEAD, rows)
+        if sights := by_perception(logs):
+            put_table(options.docs, "conflict_actors", SIGHT_HEAD, sights)
     except UserError as error:
         parser.error(str(error))
 
@@ -173,6 +193,53 @@ def count(logs: Sequence[dsrc.EpisodeLog], settings: TrackerSettings) -> Counts:
         early = {one: at for one, at in seen.items() if at <= last_s}
         counts.delays += [min(max(known.get(one, np.inf) - at, 0.0), LATE_S) for one, at in early.items()]
     return counts
+
+
+def by_perception(logs: Sequence[dsrc.EpisodeLog]) -> list[list[str]]:
+    """Return how well each perception knows the conflict actor under each condition, from the first box of it on."""
+    parts: dict[tuple[str, str], list[dsrc.EpisodeLog]] = {}
+    for log in logs:
+        if any(CONFLICT in tick.actors.name for tick in log.ticks):
+            parts.setdefault((log.settings.perception, log.settings.corruption), []).append(log)
+    found = []
+    for (perception, condition), part in sorted(parts.items()):
+        scores, tracked = [np.zeros(0)], [np.zeros(0, bool)]
+        for log in part:
+            score, known = sight_of_conflict(log)
+            scores.append(score)
+            tracked.append(known)
+        score, known = np.concatenate(scores), np.concatenate(tracked)
+        median = f"{np.median(score[score > 0]):.2f}" if (score > 0).any() else "-"
+        shares = [f"{100.0 * one.mean():.0f}" if len(one) else "-" for one in (score > 0, known)]
+        found.append([perception, condition, str(len(part)), shares[0], median, shares[1]])
+    return found
+
+
+def sight_of_conflict(log: dsrc.EpisodeLog) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return what a perception knew of the conflict actor, from the first percept with a box of it on.
+
+    Returns:
+        score: best score of its boxes in each percept; 0 without one.
+        tracked: whether it had a track, at each instant.
+    """
+    then = {round(tick.actors.time_s, 6): tick.actors for tick in log.ticks}
+    scores, tracked = [], []
+    for tick in log.ticks:
+        if (percept := tick.percept) is not None:
+            score = percept.score[of_conflict(percept.boxes, then.get(round(percept.time_s, 6), tick.actors))]
+            if len(score) or scores:
+                scores.append(score.max(initial=0.0))
+        if scores:
+            tracked.append(bool(of_conflict(tick.tracks.boxes, tick.actors).any()))
+    return np.array(scores, float), np.array(tracked, bool)
+
+
+def of_conflict(boxes: Boxes, actors: Actors) -> NDArray[np.bool_]:
+    """Return the mask of boxes of the conflict actor; of none where it is not there."""
+    if CONFLICT not in actors.name:
+        return np.zeros(len(boxes), bool)
+    at = actors.name.index(CONFLICT)
+    return of_road_users(boxes, actors.boxes[at : at + 1])[0]
 
 
 def row(title: str, counts: Counts) -> list[str]:

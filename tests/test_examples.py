@@ -12,14 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.closed_loop.types import Percept
+from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.tracking.tracker import Tracker
+from dsrc.closed_loop.types import Outcome, Percept
 from dsrc.data.datasets.convert import Format, convert
 from dsrc.data.write import write_drive
 from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
 from sim.traffic.base import Actors
 from tests.commands import run_script
-from tests.dsrc.closed_loop.logged import Mover, ahead, episode
+from tests.dsrc.closed_loop.logged import Mover, ahead, episode, ticks_of
 from tests.dsrc.data.toy import SETTINGS, ToySource
 from tests.dsrc.evaluation.small import write_detector, write_drives
 from tests.paths import ROOT
@@ -385,11 +387,36 @@ def test_false_tracks_and_late_ones_are_counted(tmp_path: Path) -> None:
     assert never == ["45", "0.00", "0.00", "0", "3.00", "100 |"]
 
 
+def test_what_a_perception_knows_of_the_conflict_actor_is_counted(tmp_path: Path) -> None:
+    """A car that is in every second percept from 1 s on, with a score of 0.4."""
+
+    def sees(now: Actors) -> Percept:
+        seen = now.time_s > 0.95 and round(10 * now.time_s) % 2 == 0
+        boxes = now.boxes[[1] if seen else []]
+        return Percept(now.time_s, boxes, np.full(len(boxes), 0.4), np.full((len(boxes), 2), np.nan))
+
+    movers = [Mover("ego", ahead(0.0)), Mover("conflict", ahead(5.0, x=30.0))]
+    before, ticks = ticks_of(movers, 45, sees)
+    tracker = Tracker()
+    ticks = [replace(tick, tracks=tracker.update(tick.percept, tick.ego.time_s)) for tick in ticks]
+    (tmp_path / "episodes").mkdir()
+    settings = episode(movers, 1, detector="0" * 64).settings
+    log = EpisodeLog(settings, before, ticks, Outcome.TIMEOUT)
+    log.save(tmp_path / "episodes/one.npz")
+    printed = run(ROOT / "examples/tracking.py", str(tmp_path), "--scenario", log.settings.scenario.name)
+    head, _, row = printed.splitlines()[-3:]
+    assert head.split(" | ")[2:5] == ["episodes", "percepts with a box of it, %", "median score"]
+    _, condition, episodes, boxed, score, tracked = row.strip("| ").split(" | ")
+    assert (condition, episodes, score) == ("clean", "1", "0.40") and float(boxed) == pytest.approx(50, abs=2)
+    assert 50 < float(tracked) < 100, tracked  # one weak box confirms no track
+
+
 @pytest.mark.parametrize(
     ("script", "arguments", "told"),
     [
         ("tracking.py", ("docs",), "docs: expected episodes of a detector, found none"),
         ("tracking.py", ("docs", "--seed", "3"), "found none with these seeds"),
+        ("tracking.py", ("docs", "--scenario", "x"), "docs: expected episodes of a detector, found none with these"),
         ("tracking.py", ("docs", "--set", "gait=2"), "--set: expected NAME=VALUE, a number of TrackerSettings, found"),
         ("tracking.py", ("docs", "--set", "gate=nan"), "a number of TrackerSettings, found gate=nan"),
         ("tracking.py", ("docs", "--set", "history_s=a"), "a number of TrackerSettings, found history_s=a"),
