@@ -144,8 +144,9 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             for name, settings in FURTHER.items()
             for seed in range(two)
         ),
-        Training(ALONE, 6, "no-collaboration", settings=(*long, *VULNERABLE), stage="plain", steps=JOINT),
-        Training("vulnerable", 6, "attfuse", ALONE, settings=(*SLOW, *VULNERABLE)),
+        # Encoder and backbone of the vehicles' network: from random weights 500 steps learn nothing but the prior.
+        Training(ALONE, 6, "no-collaboration", "single_s0", settings=(*long, *VULNERABLE), steps=2_500),
+        Training("vulnerable", 6, "attfuse", ALONE, settings=(*SLOW, *VULNERABLE), steps=500),
     ]
     return sorted(
         planned, key=lambda training: (training.phase == 4, training.stage == "student" and training.seed > 1)
