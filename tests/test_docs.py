@@ -27,6 +27,7 @@ from dsrc.closed_loop.metrics.comparison import Value, arrived, avoidable, colli
 from dsrc.closed_loop.metrics.statistics import paired_rates
 from dsrc.closed_loop.report.report import markdown, sections
 from dsrc.closed_loop.report.tables import parts_of
+from dsrc.closed_loop.types import Outcome
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
 from dsrc.evaluation.report.document import slug
@@ -178,7 +179,13 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         for section in sections(result)
     }
     places = re.findall(r"<!-- begin (\S+/\S+) -->\n(.*?)\n<!-- end \1 -->", page, re.DOTALL)
-    published = {"which-corruption-kills", "range-around-the-ego", "nothing-is-hidden", "background-traffic"}
+    published = {
+        "which-corruption-kills",
+        "taught-with-corruption",
+        "range-around-the-ego",
+        "nothing-is-hidden",
+        "background-traffic",
+    }
     assert {name.partition("/")[0] for name, _ in places} == published
     assert all(shown == blocks[name] for name, shown in places)
     for folder in published:
@@ -186,6 +193,30 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         assert (ROOT / "docs/closed_loop" / folder / "report.md").read_text(encoding="utf-8") == markdown(result)
         planned = {(job.scenario, job.seed, job.perception, job.condition["kind"]) for job in episodes_of(result.plan)}
         assert {(one.scenario, one.seed, one.perception, one.corruption) for one in result.results} == planned
+
+
+def test_what_is_said_of_training_with_corruption_is_in_its_results() -> None:
+    page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
+    text = " ".join(page.partition("### Taught with corruption")[2].partition("<!-- begin")[0].split())
+    common = parts_of(campaigns()["taught-with-corruption"])[0]
+
+    def of(name: str, corruption: str) -> list[EpisodeResult]:
+        return [one for one in common if (one.perception, one.corruption) == (name, corruption)]
+
+    def told(value: Value, name: str, corruption: str) -> tuple[int, int]:
+        met = [value(one) for one in of(name, corruption) if one.outcome != Outcome.DESYNCHRONISED.value]
+        return round(sum(met)), len(met)
+
+    new, old = "DSRC, corrupted clouds", "DSRC"
+    (crashed, met), (before, _) = (told(collided, name, "snow") for name in (new, old))
+    assert f"crashes in {crashed} of {met} encounters where DSRC does in {before};" in text
+    assert told(collided, new, "clean") == told(collided, old, "clean") == (1, 43) and "both crash in 1 of 43." in text
+    (more, ours), (fewer, theirs) = (told(arrived, name, "fog") for name in (new, old))
+    assert f"{more} of {ours} arrive instead of {fewer} of {theirs}" in text
+    for corruption, words in (("snow", (1, 5)), ("fog", (5, 1))):
+        matched = pairs(of(new, corruption), of(old, corruption))
+        found = paired_rates(*([arrived(pair[side]) for pair in matched] for side in (0, 1)))
+        assert (found.only_first, found.only_second) == words and found.p_value > 0.05
 
 
 def test_what_the_closed_loop_s_page_says_is_in_its_results() -> None:
