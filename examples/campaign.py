@@ -39,8 +39,9 @@ from sim.files import file_sha256, write_file
 
 EPOCH = 500
 """Steps between two validations."""
-KEPT = ("detector.pt", "settings.json", "environment.json", "metrics.csv", "result.json")
-"""Files of a finished training that later ones need."""
+SETTINGS = "settings.json"
+KEPT = ("detector.pt", SETTINGS, "environment.json", "metrics.csv", "result.json")
+"""Files of a finished training that are kept."""
 TOML = Path(__file__).parents[1] / "docs/results/dsrc-sim-small/benchmark.toml"
 
 
@@ -88,8 +89,13 @@ def main() -> None:
     )
     parser.add_argument("--jobs", type=int, default=2, help="trainings at a time, which share the cores; default: 2")
     parser.add_argument("--workers", type=int, default=0, help="processes per training that prepare batches")
-    parser.add_argument("--bfloat16", action=argparse.BooleanOptionalAction, default=True)
-    parser.add_argument("--kept", type=Path, help="second folder for finished trainings that others need")
+    parser.add_argument(
+        "--bfloat16",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="half precision; some CPUs are not faster with it, see docs/training.md",
+    )
+    parser.add_argument("--kept", type=Path, help="second folder that gets finished trainings, and has earlier ones")
     parser.add_argument("--dry-run", action="store_true", help="print the commands")
     options = parser.parse_args()
     for name, least in (("seeds", 2), ("jobs", 1), ("workers", 0), ("trial", 0)):
@@ -243,18 +249,17 @@ def behind(training: Training, closed: Sequence[str]) -> bool:
 
 
 def keep(out: Path, kept: Path, name: str) -> None:
-    """Copy the files of a finished training that later ones need."""
-    needed = {need for weights in (1.0, 0.5) for training in campaign(SEEDS, weights) for need in training.needs()}
-    for training in (t for weights in (1.0, 0.5) for t in campaign(SEEDS, weights) if t.name == name):
-        if name in needed:
-            target = training.folder(kept)
-            target.mkdir(parents=True, exist_ok=True)
-            for part in KEPT:
-                shutil.copyfile(training.folder(out) / part, target / part)
-            # The folders of this machine mean nothing elsewhere; the hashes of their data stay.
-            made = json.loads((target / "settings.json").read_text(encoding="utf-8"))
-            made.pop("folders", None)
-            write_file(target / "settings.json", json.dumps(made, indent=2) + "\n")
+    """Copy the files of a finished training."""
+    training = next(t for weights in (1.0, 0.5) for t in campaign(SEEDS, weights) if t.name == name)
+    source, target = training.folder(out), training.folder(kept)
+    target.mkdir(parents=True, exist_ok=True)
+    for part in KEPT:
+        if part != SETTINGS:
+            shutil.copyfile(source / part, target / part)
+    # The folders of this machine mean nothing elsewhere; the hashes of their data stay.
+    made = json.loads((source / SETTINGS).read_text(encoding="utf-8"))
+    made.pop("folders", None)
+    write_file(target / SETTINGS, json.dumps(made, indent=2) + "\n")
 
 
 def restore(kept: Path, out: Path) -> None:
@@ -288,7 +293,7 @@ def record(planned: Sequence[Training], out: Path) -> str:
     )
     writer.writerow([*columns, "val_ap_bev_50", "val_ap_bev_70"])
     for training in done:
-        made = json.loads((training.folder(out) / "settings.json").read_text(encoding="utf-8"))
+        made = json.loads((training.folder(out) / SETTINGS).read_text(encoding="utf-8"))
         init, teacher = made.get("init") or {}, made.get("teacher")
         metrics = (training.folder(out) / "metrics.csv").read_text(encoding="utf-8")
         rows = list(csv.DictReader(io.StringIO(metrics)))

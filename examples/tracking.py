@@ -1,8 +1,8 @@
 """What the tracker makes of percepts: false tracks, late ones, and those of conflict actors, from logs of episodes.
 
 The percepts of each log are tracked again, with the settings of the tracker and with changed ones. A box or track is
-of a road user if its centre lies within it or 1 m beside it. The ego drives as it did. How well a perception knows the
-conflict actor of an encounter is counted as driven.
+of a road user if its centre lies within it or 1 m beside it. The ego drives as it did. What each detector, named by its
+hash, knew of the conflict actor of an encounter is counted as driven; a box within 2 m is of it, as for `seen_s`.
 
 The folder is that of `dsrc drive CAMPAIGN.toml --out runs/real`.
 
@@ -25,6 +25,7 @@ from look import put_table
 from numpy.typing import NDArray
 
 import dsrc
+from dsrc.closed_loop.metrics.sight import CONFLICT, MATCH_M
 from dsrc.closed_loop.tracking.settings import TrackerSettings
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Percept, Tick
@@ -32,8 +33,6 @@ from sim.boxes import Boxes
 from sim.errors import UserError
 from sim.traffic.base import Actors
 
-CONFLICT = "conflict"
-"""Name of the conflict actor in the traffic of an encounter."""
 BESIDE_M, ROUTE_M, MOVING_MPS = 1.0, 30.0, 1.0
 """Distance from a road user at which a box is of it; distance from the route and speed of what matters there."""
 LATE_S = 3.0
@@ -97,13 +96,14 @@ def main() -> None:
     try:
         logs = [dsrc.EpisodeLog.load(path) for path in sorted((options.episodes / "episodes").glob("*.npz"))]
         wanted = set(options.seed or [log.settings.seed for log in logs])
-        named = set(options.scenario or [log.settings.scenario.name for log in logs])
         logs = [log for log in logs if log.settings.detector and log.settings.seed in wanted]
-        logs = [log for log in logs if log.settings.scenario.name in named]
         if not logs:
-            parser.error(
-                f"{options.episodes}: expected episodes of a detector, found none with these seeds and scenarios"
-            )
+            parser.error(f"{options.episodes}: expected episodes of a detector, found none with these seeds")
+        there = {log.settings.scenario.name for log in logs}
+        named = set(options.scenario or there)
+        if unknown := sorted(named - there):
+            parser.error(f"--scenario: expected some of {', '.join(sorted(there))}, found {', '.join(unknown)}")
+        logs = [log for log in logs if log.settings.scenario.name in named]
         clean = [log for log in logs if log.settings.corruption == "clean"]
         parts = {"clean": clean, "corrupted": [log for log in logs if log.settings.corruption != "clean"]}
         put_table(options.docs, "boxes_by_score", ["score", "boxes", "of a road user, %"], by_score(logs))
@@ -196,11 +196,13 @@ def count(logs: Sequence[dsrc.EpisodeLog], settings: TrackerSettings) -> Counts:
 
 
 def by_perception(logs: Sequence[dsrc.EpisodeLog]) -> list[list[str]]:
-    """Return how well each perception knows the conflict actor under each condition, from the first box of it on."""
+    """Return how well each detector knows the conflict actor under each condition, from the first box of it on."""
     parts: dict[tuple[str, str], list[dsrc.EpisodeLog]] = {}
     for log in logs:
         if any(CONFLICT in tick.actors.name for tick in log.ticks):
-            parts.setdefault((log.settings.perception, log.settings.corruption), []).append(log)
+            about = log.settings
+            condition = f"{about.corruption} {about.severity}" if about.severity else about.corruption
+            parts.setdefault((f"{about.perception} {about.detector[:8]}", condition), []).append(log)
     found = []
     for (perception, condition), part in sorted(parts.items()):
         scores, tracked = [np.zeros(0)], [np.zeros(0, bool)]
@@ -235,11 +237,11 @@ def sight_of_conflict(log: dsrc.EpisodeLog) -> tuple[NDArray[np.float64], NDArra
 
 
 def of_conflict(boxes: Boxes, actors: Actors) -> NDArray[np.bool_]:
-    """Return the mask of boxes of the conflict actor; of none where it is not there."""
+    """Return the mask of boxes of the conflict actor, as `seen_s` of the results counts them: within `MATCH_M`."""
     if CONFLICT not in actors.name:
         return np.zeros(len(boxes), bool)
     at = actors.name.index(CONFLICT)
-    return of_road_users(boxes, actors.boxes[at : at + 1])[0]
+    return np.asarray(np.linalg.norm(boxes.center[:, :2] - actors.boxes.center[at, :2], axis=1) <= MATCH_M)
 
 
 def row(title: str, counts: Counts) -> list[str]:

@@ -148,6 +148,8 @@ def test_the_zoo_has_every_kept_detector_as_its_run_folder_records_it() -> None:
     for detector in detectors:
         recorded = json.loads((detector.parent / "result.json").read_text())["detector"]
         assert hashlib.sha256(detector.read_bytes()).hexdigest() == recorded, detector
+        settings = json.loads((detector.parent / "settings.json").read_text())
+        assert "folders" not in settings, f"{detector.parent}: paths of the machine that trained it"
 
 
 def test_the_gain_from_the_usual_score_is_that_of_the_twins_results() -> None:

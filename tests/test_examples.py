@@ -1,6 +1,7 @@
 """The examples run: each says how to use it, and draws on a small setting."""
 
 import ast
+import json
 import os
 import re
 import subprocess
@@ -302,6 +303,23 @@ def test_a_gate_passes_where_every_value_reaches_its_bound_and_a_missing_one_rea
     assert not gates.gate("G1", {"gain_50": float("nan"), "gain_70": 2.0}, bounds, "").passed
 
 
+def test_a_kept_training_has_no_path_of_the_machine_that_trained_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import campaign
+
+    folder = tmp_path / "runs/v2vnet_s0/student"  # a rival, which no other training starts from
+    folder.mkdir(parents=True)
+    for part in campaign.KEPT:
+        (folder / part).write_text("{}")
+    (folder / "settings.json").write_text(f'{{"seed": 0, "folders": {{"data": "{tmp_path}"}}}}')
+    campaign.keep(tmp_path / "runs", tmp_path / "kept", "v2vnet_s0")
+    target = tmp_path / "kept/v2vnet_s0/student"
+    assert sorted(path.name for path in target.iterdir()) == sorted(campaign.KEPT)
+    assert json.loads((target / "settings.json").read_text()) == {"seed": 0}
+
+
 def test_the_campaign_halves_the_distillation_once_after_a_first_gate_that_did_not_pass(tmp_path: Path) -> None:
     sys.path.insert(0, str(ROOT / "examples"))
     import campaign
@@ -400,15 +418,20 @@ def test_what_a_perception_knows_of_the_conflict_actor_is_counted(tmp_path: Path
     tracker = Tracker()
     ticks = [replace(tick, tracks=tracker.update(tick.percept, tick.ego.time_s)) for tick in ticks]
     (tmp_path / "episodes").mkdir()
-    settings = episode(movers, 1, detector="0" * 64).settings
-    log = EpisodeLog(settings, before, ticks, Outcome.TIMEOUT)
-    log.save(tmp_path / "episodes/one.npz")
-    printed = run(ROOT / "examples/tracking.py", str(tmp_path), "--scenario", log.settings.scenario.name)
-    head, _, row = printed.splitlines()[-3:]
+    settings = episode(movers, 1, detector="0" * 64, perception="team").settings
+    other = episode(movers, 1, detector="1" * 64, perception="team", corruption="snow", severity=3).settings
+    EpisodeLog(settings, before, ticks, Outcome.TIMEOUT).save(tmp_path / "episodes/one.npz")
+    EpisodeLog(other, before, ticks[:5], Outcome.TIMEOUT).save(tmp_path / "episodes/other.npz")
+    script, scenario = ROOT / "examples/tracking.py", settings.scenario.name
+    head, _, row, never = run(script, str(tmp_path), "--scenario", scenario).splitlines()[-4:]
     assert head.split(" | ")[2:5] == ["episodes", "percepts with a box of it, %", "median score"]
-    _, condition, episodes, boxed, score, tracked = row.strip("| ").split(" | ")
-    assert (condition, episodes, score) == ("clean", "1", "0.40") and float(boxed) == pytest.approx(50, abs=2)
+    name, condition, episodes, boxed, score, tracked = row.strip("| ").split(" | ")
+    assert (name, condition, episodes, score) == ("team 00000000", "clean", "1", "0.40")
+    assert float(boxed) == pytest.approx(50, abs=2)
     assert 50 < float(tracked) < 100, tracked  # one weak box confirms no track
+    assert never == "| team 11111111 | snow 3 | 1 | - | - | - |"
+    wrong = run_script(script, str(tmp_path), "--scenario", scenario, "elsewhere")
+    assert wrong.returncode == 2 and f"--scenario: expected some of {scenario}, found elsewhere" in wrong.stderr
 
 
 @pytest.mark.parametrize(
@@ -416,7 +439,7 @@ def test_what_a_perception_knows_of_the_conflict_actor_is_counted(tmp_path: Path
     [
         ("tracking.py", ("docs",), "docs: expected episodes of a detector, found none"),
         ("tracking.py", ("docs", "--seed", "3"), "found none with these seeds"),
-        ("tracking.py", ("docs", "--scenario", "x"), "docs: expected episodes of a detector, found none with these"),
+        ("tracking.py", ("docs", "--scenario", "x"), "docs: expected episodes of a detector, found none"),
         ("tracking.py", ("docs", "--set", "gait=2"), "--set: expected NAME=VALUE, a number of TrackerSettings, found"),
         ("tracking.py", ("docs", "--set", "gate=nan"), "a number of TrackerSettings, found gate=nan"),
         ("tracking.py", ("docs", "--set", "history_s=a"), "a number of TrackerSettings, found history_s=a"),
