@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -173,6 +174,38 @@ def test_the_gain_from_the_usual_score_is_that_of_the_twins_results() -> None:
             assert float(value) == pytest.approx(100.0 * (ours - plain), abs=0.051)
 
 
+def test_what_is_said_of_detection_after_training_with_corruption_is_in_its_differences() -> None:
+    page = (ROOT / "docs/results.md").read_text(encoding="utf-8")
+    text = " ".join(page.partition("### Taught with corruption")[2].partition("<!-- begin")[0].split())
+    folder = ROOT / "docs/results/dsrc-sim-corrupted"
+
+    def said(condition: str, iou: str, family: str = "") -> str:
+        with (folder / f"dsrc-sim/differences{family}.csv").open(encoding="utf-8", newline="") as file:
+            row = next(one for one in csv.DictReader(file) if (one["condition"], one["iou"]) == (condition, iou))
+        value, low, high = (100.0 * float(row[name]) for name in ("difference", "by_drive_low", "by_drive_high"))
+        return f"{value:.1f}{{}} [{low:.1f}, {high:.1f}]"
+
+    assert f"in snow is {said('snow', '0.5').format(' points at 0.5')}" in text
+    assert f"and {said('snow', '0.7').format(' at 0.7')}" in text
+    mean = [said("mean_corrupted", iou).format("") for iou in ("0.5", "0.7")]
+    assert f"that in the mean of our corruptions {' and '.join(mean)}" in text
+    for kind, words in (("snow", "snow {} at 0.5"), ("crosstalk", "crosstalk {}"), ("motion_blur", "motion blur {}")):
+        assert words.format(said(kind, "0.5", "_paper").format("")) in text
+    mean = [said("mean_corrupted", iou, "_paper").format("") for iou in ("0.5", "0.7")]
+    assert f"the mean {' and at 0.7 '.join(mean)}" in text
+    assert f"**Clean frames:** {' and '.join(said('clean', iou).format('') for iou in ('0.5', '0.7'))}" in text
+    lines = (folder / "results.csv").read_text(encoding="utf-8").splitlines()
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+
+    def ap(method: str, condition: str) -> float:
+        wanted = (method, condition, "physical")
+        found = (one for one in rows if (one["method"], one["condition"], one["family"]) == wanted)
+        return 100.0 * float(next(found)["ap_bev_50"])
+
+    lost = [ap(name, "clean") - ap(name, "snow") for name in ("DSRC, corrupted clouds", "DSRC")]
+    assert f"takes {lost[0]:.1f} points of AP@0.5 instead of {lost[1]:.1f}" in text
+
+
 def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
     page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
     blocks = {
@@ -213,6 +246,8 @@ def test_what_is_said_of_training_with_corruption_is_in_its_results() -> None:
     (crashed, met), (before, _) = (told(collided, name, "snow") for name in (new, old))
     assert f"crashes in {crashed} of {met} encounters where DSRC does in {before};" in text
     assert told(collided, new, "clean") == told(collided, old, "clean") == (1, 43) and "both crash in 1 of 43." in text
+    where = Counter(one.scenario for one in of(new, "snow") if collided(one))
+    assert where == {"eebl_chain": 5, "stalled_after_curve": 5, "roundabout_entry": 3} and "Ten of the 13 are" in text
     (more, ours), (fewer, theirs) = (told(arrived, name, "fog") for name in (new, old))
     assert f"{more} of {ours} arrive instead of {fewer} of {theirs}" in text
     for corruption, words in (("snow", (1, 5)), ("fog", (5, 1))):
