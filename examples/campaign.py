@@ -1,6 +1,9 @@
 """Campaign of trainings: every detector of docs/results.md, several at a time, with gates between the phases.
 
-It needs neither SUMO nor a network: `dsrc dataset build dsrc-sim --out data/dsrc-sim` renders recorded traffic.
+It needs no network: `dsrc dataset build dsrc-sim --out data/dsrc-sim` renders recorded traffic, without SUMO.
+Networks of pedestrians and bicycles have drives of their own beside it:
+`dsrc dataset build dsrc-sim-vulnerable --out data/dsrc-sim-vulnerable`.
+
 Finished trainings are kept, interrupted ones resume. Phases: 1 the teacher; 2 students of single clouds, plain and
 distilled, from the teacher's weights without the paint; 3 the same with collaborators; 4 the parts of DSRC; 5 rivals
 with weights of their own, after starts of their own; 6 extensions of the paper. Seeds 0 and 1 come first, then further
@@ -59,12 +62,25 @@ def command(training: Training, options: argparse.Namespace, known: dict[str, Tr
     settings += ["validate_every=1", f"validation_frames={min(140, 8 * options.trial or 140)}"]
     line = [sys.executable, "-m", "dsrc", "model", "train", options.recipe, "--method", training.method]
     line += ["--stage", training.stage, "--seed", str(training.seed), "--epochs", str(epochs)]
-    line += ["--data", str(data / "train"), "--validate", str(data / "validation"), "--out", str(out / training.name)]
+    drives = drives_of(training, data)
+    line += [
+        "--data",
+        str(drives / "train"),
+        "--validate",
+        str(drives / "validation"),
+        "--out",
+        str(out / training.name),
+    ]
     if training.init:
         line += ["--init", str(known[training.init].detector(out))]
     if training.teacher:
         line += ["--teacher", str(known[training.teacher].detector(out))]
     return [*line, "--set", *settings]
+
+
+def drives_of(training: Training, data: Path) -> Path:
+    """Return the folder of the data set of a training; all lie side by side."""
+    return data.with_name(training.data) if training.data else data
 
 
 def main() -> None:
@@ -103,15 +119,17 @@ def main() -> None:
             parser.error(f"--{name}: expected at least {least}, found {getattr(options, name)}")
     if options.lengthen <= 0:
         parser.error(f"--lengthen: expected more than 0, found {options.lengthen}")
-    known = [training.name for training in campaign(options.seeds, factor(options.out))]
+    planned = campaign(options.seeds, factor(options.out))
+    known = [training.name for training in planned]
     if unknown := sorted(set(options.only or ()) - set(known)):
         parser.error(f"--only: expected some of {', '.join(known)}, found {', '.join(unknown)}")
-    for part in ("train", "validation"):
-        if not options.dry_run and not (options.data / part).is_dir():
-            parser.error(f"--data: expected a folder {part} in {options.data}, found none")
+    chosen = selected(planned, options)
+    for folder in dict.fromkeys(drives_of(training, options.data) for training in chosen):
+        for part in ("train", "validation"):
+            if not options.dry_run and not (folder / part).is_dir():
+                parser.error(f"--data: expected a folder {part} in {folder}, found none")
     if options.dry_run:
-        planned = campaign(options.seeds, factor(options.out))
-        for training in selected(planned, options):
+        for training in chosen:
             print(shlex.join(command(training, options, {t.name: t for t in planned})))
         return
     options.out.mkdir(parents=True, exist_ok=True)

@@ -33,6 +33,7 @@ class Training:
         teacher: training whose detector is the teacher; "" without one.
         stage: `plain` for the first, else `teacher` or `student`.
         passes: passes over all frames, in place of steps.
+        data: name of its data set, beside that of the campaign; "" for the latter.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Training:
     teacher: str = ""
     stage: str = "student"
     passes: int = 0
+    data: str = ""
 
     def folder(self, out: Path) -> Path:
         """Return its run folder."""
@@ -145,8 +147,8 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             for seed in range(two)
         ),
         # Encoder and backbone of the vehicles' network: from random weights 500 steps learn nothing but the prior.
-        Training(ALONE, 6, "no-collaboration", "single_s0", settings=(*long, *VULNERABLE), steps=2_500),
-        Training("vulnerable", 6, "attfuse", ALONE, settings=(*SLOW, *VULNERABLE), steps=500),
+        Training(ALONE, 6, "no-collaboration", "single_s0", 0, 2_500, (*long, *VULNERABLE), data=PEDESTRIANS),
+        Training("vulnerable", 6, "attfuse", ALONE, 0, 500, (*SLOW, *VULNERABLE), data=PEDESTRIANS),
     ]
     return sorted(
         planned, key=lambda training: (training.phase == 4, training.stage == "student" and training.seed > 1)
@@ -164,6 +166,8 @@ FURTHER = {
 }
 """Extensions of the paper, as changes of the recipe by name."""
 ALONE = "vulnerable-alone"
+PEDESTRIANS = "dsrc-sim-vulnerable"
+"""Data set with more of them: dsrc-sim has half a pedestrian a frame for training, and nearly none for validation."""
 VULNERABLE = (
     "users=vulnerable",
     'grid={"range_m":[-38.4,-25.6,-3,38.4,25.6,1],"cell_m":0.2}',
