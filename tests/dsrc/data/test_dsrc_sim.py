@@ -35,8 +35,8 @@ LEAST_BOXES = 3.0
 
 
 @cache
-def items() -> tuple[DriveItem, ...]:
-    path = find_split_file("dsrc-sim")
+def items(name: str = "dsrc-sim") -> tuple[DriveItem, ...]:
+    path = find_split_file(name)
     assert path is not None
     return tuple(expand(read_dataset(path), path))
 
@@ -100,10 +100,30 @@ def test_its_notice_names_every_map_and_none_of_them_forbids_commerce() -> None:
 
 def test_its_sets_share_no_place_and_no_seed() -> None:
     splits = ("train", "validation", "test")
-    places = [{SAME_SITE.get(i.spec.scenario.name, i.spec.scenario.name) for i in of_split(s)} for s in splits]
+    places = [{place(item) for item in of_split(split)} for split in splits]
     seeds = [{item.spec.seed for item in of_split(split)} for split in splits]
     for sets in (places, seeds):
         assert sum(len(one) for one in sets) == len(set().union(*sets))
+
+
+def place(item: DriveItem) -> str:
+    return SAME_SITE.get(item.spec.scenario.name, item.spec.scenario.name)
+
+
+def test_the_drives_of_pedestrians_have_places_of_the_same_split_and_seeds_of_their_own() -> None:
+    drives = items("dsrc-sim-vulnerable")
+    assert {item.split for item in drives} == {"train", "validation"}
+    for item in drives:
+        assert place(item) in {place(other) for other in of_split(item.split)}
+    assert not {item.spec.seed for item in drives} & {item.spec.seed for item in items()}
+
+
+def test_the_drives_of_pedestrians_are_as_many_as_their_document_says() -> None:
+    text = (ROOT / "docs" / "datasets.md").read_text(encoding="utf-8").partition("## dsrc-sim-vulnerable")[2]
+    frames = Counter[str]()
+    for item in items("dsrc-sim-vulnerable"):
+        frames[item.split] += item.spec.frames
+    assert f"{frames['train']:,} / {frames['validation']:,} frames" in text
 
 
 def test_it_has_two_to_five_agents_and_encounters_in_every_set() -> None:
