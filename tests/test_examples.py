@@ -9,6 +9,7 @@ import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,8 +19,11 @@ from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Outcome, Percept
 from dsrc.data.datasets.convert import Format, convert
 from dsrc.data.write import write_drive
+from dsrc.ops.detections import Detections
+from dsrc.ops.grid import GridSpec
 from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
+from sim.boxes import CLASSES, Boxes
 from sim.traffic.base import Actors
 from tests.commands import run_script
 from tests.dsrc.closed_loop.logged import Mover, ahead, episode, ticks_of
@@ -220,6 +224,9 @@ def test_the_campaign_trains_every_detector_of_the_tables_after_those_it_needs()
     made: list[str] = []
     for command in commands:
         words = command.split()
+        data = "dsrc-sim-vulnerable" if "users=vulnerable" in words else "data"
+        for option, part in (("--data", "train"), ("--validate", "validation")):
+            assert words[words.index(option) + 1] == f"{data}/{part}"
         said = {
             name: words[words.index(name) + 1] for name in ("--out", "--stage", "--init", "--teacher") if name in words
         }
@@ -434,9 +441,37 @@ def test_what_a_perception_knows_of_the_conflict_actor_is_counted(tmp_path: Path
     assert wrong.returncode == 2 and f"--scenario: expected some of {scenario}, found elsewhere" in wrong.stderr
 
 
+def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network that takes all for bicycles, misses what is behind, and sees somebody where nobody is."""
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import road_users
+
+    settings = SimpleNamespace(users="vulnerable", grid=GridSpec(range_m=(-25.6, -12.8, -3.0, 25.6, 12.8, 1.0)))
+    people = Boxes.from_array(
+        [(x, 2.0, -1.0, 0.5, 0.5, 1.7, 0.0) for x in (8.0, 12.0, -9.0)],
+        [CLASSES.index(name) for name in ("pedestrian", "motorcycle", "pedestrian")],
+    )
+    boxes = Boxes.from_array([(8.9, 2, -1, 1.8, 0.6, 1.7, 0), (12, 2, -1, 1.8, 0.6, 1.7, 0), (12, 4, -1, 1, 1, 1, 0)])
+    boxes = replace(boxes, label=np.full(3, CLASSES.index("bicycle")))
+    sample = SimpleNamespace(boxes=people)
+    monkeypatch.setattr(road_users, "sample_for", lambda settings, frame, ego: sample)
+    detector = SimpleNamespace(
+        settings=settings, detect=lambda _: Detections(boxes, np.array([0.9, 0.5, 0.3], np.float32))
+    )
+    drives = [SimpleNamespace(frames=range(2), read=lambda position: position)]
+    rows = list(road_users.counted(list(road_users.pairs(detector, drives, 2))))
+    assert rows == [
+        ["pedestrian", "4", "2", "0", "2", "0.90"],
+        ["bicycle", "0", "0", "0", "0", "-"],
+        ["motorcycle", "2", "2", "0", "2", "0.50"],
+        ["nobody", "-", "2", "0", "2", "0.30"],
+    ]
+
+
 @pytest.mark.parametrize(
     ("script", "arguments", "told"),
     [
+        ("road_users.py", ("--data", "nowhere", "--checkpoint", "x.pt"), "nowhere"),
         ("tracking.py", ("docs",), "docs: expected episodes of a detector, found none"),
         ("tracking.py", ("docs", "--seed", "3"), "found none with these seeds"),
         ("tracking.py", ("docs", "--scenario", "x"), "docs: expected episodes of a detector, found none"),
