@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.ops.grid import GridSpec
-from sim.boxes import CLASSES
+from sim.boxes import CLASSES, VEHICLES
 from sim.errors import SettingsError
 
 Users = Literal["vehicles", "vulnerable"]
@@ -19,25 +19,36 @@ class Anchors(NamedTuple):
     Attributes:
         box: (2, 5) heights of the centres in the LiDAR's frame, lengths, widths, heights, m, and headings, rad.
         label: (2,) classes of boxes that are found with them, indices into `CLASSES`.
-        positive_iou: least overlap of a positive anchor with its box.
+        takes: (2, C) bool whether boxes of each of `CLASSES` are learned with them.
+        positive_iou: (2,) least overlaps of positive anchors with their boxes.
     """
 
     box: NDArray[np.float64]
     label: NDArray[np.int64]
-    positive_iou: float
+    takes: NDArray[np.bool_]
+    positive_iou: NDArray[np.float64]
+
+
+def _takes(*anchors: tuple[str, ...]) -> NDArray[np.bool_]:
+    return np.array([[name in names for name in CLASSES] for names in anchors])
 
 
 ANCHORS: dict[Users, Anchors] = {
     # A typical car, along and across. The overlap is about the 0.6 of the released code, which adds a metre to every
     # side; the class of a vehicle is not told.
     "vehicles": Anchors(
-        np.array([(-1.0, 3.9, 1.6, 1.56, 0.0), (-1.0, 3.9, 1.6, 1.56, np.pi / 2)]), np.array([0, 0]), 0.5
+        np.array([(-1.0, 3.9, 1.6, 1.56, 0.0), (-1.0, 3.9, 1.6, 1.56, np.pi / 2)]),
+        np.array([0, 0]),
+        _takes(VEHICLES, VEHICLES),
+        np.array([0.5, 0.5]),
     ),
-    # Squares: a two-wheeler overlaps its own as much along as across, and more than a pedestrian's.
+    # Squares: a two-wheeler overlaps its own as much along as across. People are little larger than a cell, 0.4 m, so
+    # they have the lower bound: both have about three positive anchors. With 0.35 for both, people had one.
     "vulnerable": Anchors(
         np.array([(-1.0, 0.6, 0.6, 1.75, 0.0), (-1.05, 1.2, 1.2, 1.6, 0.0)]),
         np.array([CLASSES.index("pedestrian"), CLASSES.index("bicycle")]),
-        0.35,
+        _takes(("pedestrian",), ("bicycle", "motorcycle")),
+        np.array([0.15, 0.35]),
     ),
 }
 

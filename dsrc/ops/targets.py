@@ -31,9 +31,10 @@ class AnchorAssignment:
 def assign_targets(
     boxes: ArrayLike,
     anchors: NDArray[np.float64],
-    positive_iou: float = 0.5,
+    positive_iou: float | NDArray[np.float64] = 0.5,
     legacy_iou: bool = False,
     negative_iou: float = 0.35,
+    fits: NDArray[np.bool_] | None = None,
 ) -> AnchorAssignment:
     """Assign the anchors of one sample.
 
@@ -43,20 +44,22 @@ def assign_targets(
 
     With `legacy_iou` the labels are the released code's: overlap of axis-aligned hulls with one metre added to every
     side (a pixel convention, applied to metres), more than 0.6 positive, less than 0.45 negative, the first box wins a
-    disputed anchor and a box can end without any. The other thresholds are then unused.
+    disputed anchor and a box can end without any. The other arguments are then unused.
 
     Args:
         boxes: (n, 7) x, y, z, l, w, h, yaw in the anchors' frame.
         anchors: (H, W, 2, 7) of `anchor_grid`.
-        positive_iou: least overlap of a positive anchor.
+        positive_iou: least overlap of a positive anchor, or (2,) of each of a cell.
         legacy_iou: reproduce the released labels.
         negative_iou: overlap from which an anchor that is not positive is `ignored`.
+        fits: (n, 2) whether a box may have each anchor of a cell; all may when left out.
     """
     boxes = np.asarray(boxes, np.float64).reshape(-1, 7)
     if legacy_iou:
         owner, ignored = _assign_legacy(boxes, anchors)
     else:
-        owner, ignored = _assign(boxes, anchors, positive_iou, negative_iou)
+        fits = np.ones((len(boxes), 2), bool) if fits is None else fits
+        owner, ignored = _assign(boxes, anchors, positive_iou, negative_iou, fits)
     positive = owner >= 0
     regression = np.zeros((*owner.shape, 7), np.float32)
     if len(boxes):
@@ -65,12 +68,19 @@ def assign_targets(
 
 
 def _assign(
-    boxes: NDArray[np.float64], anchors: NDArray[np.float64], positive_iou: float, negative_iou: float
+    boxes: NDArray[np.float64],
+    anchors: NDArray[np.float64],
+    positive_iou: float | NDArray[np.float64],
+    negative_iou: float,
+    fits: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """Return `owner` and `ignored` by true overlap."""
     best = np.zeros(anchors.shape[:3])
     owner = np.full(anchors.shape[:3], -1, np.int32)
-    overlaps = [_overlap(_nearest_axis_hull(box), anchors, 0.0) for box in boxes]
+    overlaps = []
+    for box, fit in zip(boxes, fits, strict=True):
+        window, iou = _overlap(_nearest_axis_hull(box), anchors, 0.0)
+        overlaps.append((window, iou * fit))
     for row, (window, iou) in enumerate(overlaps):
         more = iou > best[window]
         best[window][more] = iou[more]

@@ -351,8 +351,11 @@ def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: LabelSe
     """Assign every sample's boxes to anchors."""
     legacy = labels.targets == "released"
     anchors = _anchors(settings.grid, settings.head_stride, settings.users, settings.anchor_lwh)
-    least = ANCHORS[settings.users].positive_iou
-    found = [assign_targets(sample.boxes.array, anchors, least, legacy) for sample in samples]
+    least, takes = ANCHORS[settings.users].positive_iou, ANCHORS[settings.users].takes
+    found = [
+        assign_targets(sample.boxes.array, anchors, least, legacy, fits=takes[:, sample.boxes.label].T)
+        for sample in samples
+    ]
     regression = np.stack([np.asarray(t.regression, np.float32) for t in found])
     if settings.box_order == "hwl":
         regression = regression.reshape(*regression.shape[:3], 2, 7)[..., REFERENCE_ORDER].reshape(regression.shape)

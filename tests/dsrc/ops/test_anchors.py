@@ -47,22 +47,36 @@ def test_a_grid_that_the_stride_does_not_divide_is_refused():
 
 def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stands():
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
-    anchors, (_, label, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
+    anchors, (_, label, takes, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
     rng = np.random.default_rng(0)
     for name, size in (("pedestrian", (0.5, 0.6, 1.7)), ("bicycle", (1.8, 0.65, 1.7)), ("motorcycle", (2.2, 0.8, 1.5))):
         place = np.append(rng.uniform(-10, 10, (60, 2)), rng.uniform(-1.2, -0.8, (60, 1)), axis=1)
         rows = np.column_stack([place, np.tile(size, (60, 1)), rng.uniform(-np.pi, np.pi, 60)])
         for row in rows:
-            found = assign_targets(row[None], anchors, least)
+            found = assign_targets(row[None], anchors, least, fits=takes[:, [CLASSES.index(name)]].T)
             classes = {CLASSES[label[anchor]] for anchor in np.nonzero(found.positive)[2]}
             assert classes == {"pedestrian" if name == "pedestrian" else "bicycle"}
 
 
+def test_people_have_about_as_many_positive_anchors_as_two_wheelers():
+    """Those with fewer are found with lower scores."""
+    grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
+    anchors, (_, _, takes, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
+    place = np.random.default_rng(0).uniform(-10, 10, (200, 2))
+    counts = {}
+    for name, size in (("pedestrian", (0.55, 0.55, 1.7)), ("bicycle", (1.7, 0.6, 1.7))):
+        fits = takes[:, [CLASSES.index(name)]].T
+        found = [assign_targets([[x, y, -1.0, *size, 0.0]], anchors, least, fits=fits).positive.sum() for x, y in place]
+        counts[name] = np.mean(found)
+    assert 0.8 < counts["pedestrian"] / counts["bicycle"] < 1.25, counts
+
+
 def test_perfect_maps_decode_to_the_road_users_and_their_classes():
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
-    anchors, (_, label, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
+    anchors, (_, label, takes, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
     boxes = np.array([(3.0, 4.0, -1.0, 0.5, 0.6, 1.7, 2.0), (-6.1, 2.0, -1.0, 1.8, 0.65, 1.7, -0.8)])
-    found = assign_targets(boxes, anchors, least)
+    fits = takes[:, [CLASSES.index("pedestrian"), CLASSES.index("bicycle")]].T
+    found = assign_targets(boxes, anchors, least, fits=fits)
     logits = np.where(np.moveaxis(found.positive, -1, 0), 4.0, -9.0)
     regression = np.moveaxis(found.regression, -1, 0)
     read = decode_detections(logits, regression, anchors, PostSettings(), label)
