@@ -325,8 +325,9 @@ def controls_of(plan: Campaign) -> Campaign | None:
 
 
 def careful_of(plan: Campaign) -> Campaign:
-    """Return the campaign of the reference driver of UN R157: the truth on all seeds of a plan, clean."""
-    seeds = tuple(dict.fromkeys([*_listed(plan.clean_seeds), *_listed(plan.seeds)]))
+    """Return the campaign of the reference driver of UN R157: the truth on all seeds that a plan drives, clean."""
+    corrupted = _listed(plan.seeds) if len(plan.conditions) > 1 else ()
+    seeds = tuple(dict.fromkeys([*_listed(plan.clean_seeds), *corrupted]))
     return replace(
         plan,
         perceptions=(PerceptionSpec(name="truth"),),

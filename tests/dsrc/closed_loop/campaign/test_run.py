@@ -19,7 +19,15 @@ from rich.console import Console
 
 from dsrc.cli.drive import Drive
 from dsrc.closed_loop.campaign import run as runner
-from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec, campaign_of, episodes_of, key_of, read_campaign
+from dsrc.closed_loop.campaign.plan import (
+    Campaign,
+    PerceptionSpec,
+    campaign_of,
+    careful_of,
+    episodes_of,
+    key_of,
+    read_campaign,
+)
 from dsrc.closed_loop.campaign.run import drive, look_again_at, read_results, reused, run_campaign
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
@@ -270,6 +278,14 @@ def test_controls_are_those_of_the_encounters() -> None:
     assert runner.controls_of(replace(PLAN, scenarios=("four_way",))) is None
     busy = runner.controls_of(replace(PLAN, scenarios=("ima_building:dense", "lta_truck:no_occluder")))
     assert busy is not None and busy.scenarios == ("ima_building:dense:no_occluder", "ima_building:dense:no_conflict")
+
+
+@pytest.mark.parametrize(("corruptions", "seeds"), [(("clean",), {0, 1}), (("fog",), {0, 1, 7, 8})])
+def test_the_careful_driver_drives_the_seeds_that_others_drive(corruptions: tuple[str, ...], seeds: set[int]) -> None:
+    plan = replace(PLAN, corruptions=corruptions, seeds=(7, 8))
+    driven = {(job.perception, job.seed) for job in episodes_of(careful_of(plan))}
+    assert driven == {("truth", seed) for seed in seeds}
+    assert {job.seed for job in episodes_of(plan)} == seeds
 
 
 def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
