@@ -7,10 +7,13 @@ import pytest
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.data.write import generate
 from dsrc.evaluation.evaluate import evaluate_drives
-from dsrc.models.storage.checkpoint import load_detector
+from dsrc.models.storage.checkpoint import join_files, load_detector, load_joined
 from dsrc.options.detection import Evaluation
 
 FOLDER = SHIPPED_DETECTOR.parent
+DOCS = Path(__file__).parents[2] / "docs"
+KEPT = DOCS / "results" / "dsrc-sim-small" / "kept"
+DRIVEN = DOCS / "closed_loop" / "detectors"
 
 
 @pytest.mark.parametrize(("name", "switches"), [("small-dsrc", True), ("small-plain", False)])
@@ -22,8 +25,31 @@ def test_a_shipped_detector_loads_as_a_student(name: str, switches: bool) -> Non
     assert (settings.sdd, settings.pcp, settings.rec) == (switches,) * 3
 
 
+@pytest.mark.parametrize(
+    ("joined", "vehicles", "others"),
+    [
+        (FOLDER / "small-dsrc-vulnerable.pt", SHIPPED_DETECTOR, "vulnerable"),
+        (DRIVEN / "plain-vulnerable.pt", FOLDER / "small-plain.pt", "vulnerable"),
+        (DRIVEN / "single-vulnerable.pt", KEPT / "single_s0/student/detector.pt", "vulnerable-alone"),
+    ],
+    ids=lambda value: value.stem if isinstance(value, Path) else value,
+)
+def test_joined_detectors_are_those_of_vehicles_and_the_kept_networks_of_pedestrians(
+    joined: Path, vehicles: Path, others: str, tmp_path: Path
+) -> None:
+    join_files([vehicles, KEPT / others / "student" / "detector.pt"], tmp_path / "joined.pt")
+    assert joined.read_bytes() == (tmp_path / "joined.pt").read_bytes()
+    assert {"car", "pedestrian", "bicycle", "motorcycle"} <= set(load_joined(joined).classes)
+
+
 def test_only_shipped_detectors_lie_there() -> None:
-    assert sorted(p.name for p in FOLDER.iterdir()) == ["README.md", "small-dsrc.pt", "small-plain.pt"]
+    assert sorted(p.name for p in FOLDER.iterdir()) == [
+        "README.md",
+        "small-dsrc-vulnerable.pt",
+        "small-dsrc.pt",
+        "small-plain.pt",
+    ]
+    assert sum(p.stat().st_size for p in FOLDER.glob("*.pt")) <= 12_000_000
 
 
 @pytest.mark.slow
