@@ -269,7 +269,8 @@ def test_what_the_closed_loop_s_page_says_is_in_its_results() -> None:
         matched = pairs(ours, theirs)
         clusters = [(one.scenario, one.seed) for one, _ in matched]
         found = paired_rates(*([value(pair[side]) for pair in matched] for side in (0, 1)), clusters=clusters)
-        return found.only_first, found.only_second, f"{found.p_value:.3f}"
+        p_value = f"p = {found.p_value:.3f}" if found.p_value >= 0.001 else "p < 0.001"
+        return round(found.only_first), round(found.only_second), p_value
 
     def as_clean(results: list[EpisodeResult]) -> list[EpisodeResult]:
         return [msgspec.structs.replace(one, corruption="clean", severity=0) for one in results]
@@ -278,15 +279,37 @@ def test_what_the_closed_loop_s_page_says_is_in_its_results() -> None:
     assert f"DSRC crashes in {met[0]:.0f} of 171 encounters, 4 %, and the ego alone in {met[1]:.0f}, 68 %" in text
     assert f"clean ({met[0]:.0f} and {met[2]:.0f} of 171" in text and len(of("DSRC", "clean")) == 171
     assert compared(of("DSRC", "clean"), of("ego alone", "clean"), collided)[0] == 0
-    more, fewer, _ = compared(of("DSRC", *kinds), of("ego alone", *kinds), arrived)
-    assert (more, fewer) == (146, 2) and f"DSRC arrives in {more} pairs" in text
+    words = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine"]
+    more, fewer, p_value = compared(of("DSRC", *kinds), of("ego alone", *kinds), arrived)
+    lost = f"in which the ego alone does not, and the other way round in {words[fewer]} ({p_value})"
+    assert f"DSRC arrives in {more} pairs {lost}" in text
     more, fewer, p_value = compared(of("DSRC", *kinds), of("plain student", *kinds), arrived)
-    assert f"in {more} pairs against {fewer} of 253 (p = {p_value})" in text
+    matched = len(pairs(of("DSRC", *kinds), of("plain student", *kinds)))
+    assert f"in {more} pairs against {fewer} of {matched} ({p_value})" in text
     more, fewer, p_value = compared(of("DSRC", "fog"), of("plain student", "fog"), arrived)
-    assert f"in fog in {more} against {fewer} (p = {p_value})" in text
-    for name, claim in (("DSRC", "in one of the same clean (p = {})"), ("plain student", "instead of one (p = {})")):
+    assert f"in fog in {more} against {fewer} ({p_value})" in text
+    for name, claim in (("DSRC", "in one of the same clean ({})"), ("plain student", "instead of two ({})")):
         assert claim.format(compared(as_clean(of(name, "snow")), of(name, "clean"), collided)[2]) in text
-    assert f"instead of 41 (p = {compared(as_clean(of('DSRC', 'fog')), of('DSRC', 'clean'), arrived)[2]})" in text
+        foggy = as_clean([one for one in of(name, "fog") if one.outcome != Outcome.DESYNCHRONISED.value])
+        _, stopped, p_value = compared(foggy, of(name, "clean"), arrived)
+        here = sum(arrived(one) for one in foggy)
+        assert f"in {here:.0f} of {len(foggy)} instead of {here + stopped:.0f} ({p_value})" in text
+    worse, better, p_value = compared(
+        as_clean(of("plain student", "cross_sensor")), of("plain student", "clean"), collided
+    )
+    assert f"the plain student {words[worse]} crashes and spares {words[better]} ({p_value})" in text
+    worse, better, p_value = compared(as_clean(of("DSRC", "cross_sensor")), of("DSRC", "clean"), collided)
+    assert better == 0 and f"DSRC's {words[worse]} are not resolved ({p_value})" in text
+    for conditions, claim in ((["clean"], "(6 and 10 of 171, {})"), (kinds, "(30 of 512 and 39 of 509, {})")):
+        ours, theirs = of("DSRC", *conditions), of("plain student", *conditions)
+        assert claim.format(compared(ours, theirs, collided)[2]) in text
+        counts = [round(sum(map(collided, results))) for results in (ours, theirs)]
+        assert counts == ([6, 10] if conditions == ["clean"] else [30, 39])
+    ours, theirs, p_value = compared(of("late fusion", "snow"), of("DSRC", "snow"), collided)
+    assert f"alone in {ours} of the pairs and DSRC alone in {theirs} ({p_value})" in text
+    snow = Counter(one.scenario for one in of("DSRC", "snow") if collided(one))
+    assert snow == {"stalled_after_curve": 10, "eebl_chain": 6, "lta_truck": 2}
+    assert "Sixteen of DSRC's 18 crashes in snow are on fast roads, ten of them in `stalled_after_curve`" in text
     elsewhere = [one for one in of("DSRC", "clean", *(kinds - {"snow"})) if collided(one)]
     chain = [one for one in elsewhere if one.scenario == "eebl_chain"]
     assert f"DSRC's {len(elsewhere)} crashes without snow {len(chain)} are in `eebl_chain`" in text
