@@ -1,7 +1,7 @@
 """Campaign of trainings: every detector of docs/results.md, several at a time, with gates between the phases.
 
-It needs no network: `dsrc dataset build dsrc-sim --out data/dsrc-sim` renders recorded traffic, without SUMO.
-Networks of pedestrians and bicycles have drives of their own beside it:
+It works offline: `dsrc dataset build dsrc-sim --out data/dsrc-sim` renders recorded traffic, without SUMO. Detectors of
+pedestrians and two-wheelers are trained on drives of their own, in a folder beside it:
 `dsrc dataset build dsrc-sim-vulnerable --out data/dsrc-sim-vulnerable`.
 
 Finished trainings are kept, interrupted ones resume. Phases: 1 the teacher; 2 students of single clouds, plain and
@@ -38,6 +38,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from trainings import SEEDS, TEACHER, Training, campaign
 
 from dsrc.training.recipes import RECIPES, of_method
+from sim.errors import UserError
 from sim.files import file_sha256, write_file
 
 EPOCH = 500
@@ -63,14 +64,8 @@ def command(training: Training, options: argparse.Namespace, known: dict[str, Tr
     line = [sys.executable, "-m", "dsrc", "model", "train", options.recipe, "--method", training.method]
     line += ["--stage", training.stage, "--seed", str(training.seed), "--epochs", str(epochs)]
     drives = drives_of(training, data)
-    line += [
-        "--data",
-        str(drives / "train"),
-        "--validate",
-        str(drives / "validation"),
-        "--out",
-        str(out / training.name),
-    ]
+    line += ["--data", str(drives / "train"), "--validate", str(drives / "validation")]
+    line += ["--out", str(out / training.name)]
     if training.init:
         line += ["--init", str(known[training.init].detector(out))]
     if training.teacher:
@@ -80,7 +75,26 @@ def command(training: Training, options: argparse.Namespace, known: dict[str, Tr
 
 def drives_of(training: Training, data: Path) -> Path:
     """Return the folder of the data set of a training; all lie side by side."""
-    return data.with_name(training.data) if training.data else data
+    if not training.data:
+        return data
+    return (data if data.name not in ("", "..") else data.resolve()).with_name(training.data)
+
+
+def check_drives(chosen: Sequence[Training], options: argparse.Namespace) -> None:
+    """Check that the drives are there of every training that is not finished.
+
+    Raises:
+        UserError: a folder is missing.
+    """
+    finished = [folder for folder in (options.out, options.kept) if folder]
+    for training in chosen:
+        if any(training.detector(folder).is_file() for folder in finished):
+            continue
+        drives = drives_of(training, options.data)
+        for part in ("train", "validation"):
+            if not (drives / part).is_dir():
+                build = f"`dsrc dataset build {training.data or 'dsrc-sim'} --out {drives}`"
+                raise UserError(f"{drives}: {training.name} needs its folder {part}, found none; {build} makes it")
 
 
 def main() -> None:
@@ -124,14 +138,15 @@ def main() -> None:
     if unknown := sorted(set(options.only or ()) - set(known)):
         parser.error(f"--only: expected some of {', '.join(known)}, found {', '.join(unknown)}")
     chosen = selected(planned, options)
-    for folder in dict.fromkeys(drives_of(training, options.data) for training in chosen):
-        for part in ("train", "validation"):
-            if not options.dry_run and not (folder / part).is_dir():
-                parser.error(f"--data: expected a folder {part} in {folder}, found none")
     if options.dry_run:
+        by_name = {training.name: training for training in planned}
         for training in chosen:
-            print(shlex.join(command(training, options, {t.name: t for t in planned})))
+            print(shlex.join(command(training, options, by_name)))
         return
+    try:
+        check_drives(chosen, options)
+    except UserError as error:
+        parser.error(f"--data: {error}")
     options.out.mkdir(parents=True, exist_ok=True)
     if options.kept:
         restore(options.kept, options.out)
@@ -291,7 +306,7 @@ def restore(kept: Path, out: Path) -> None:
 
 
 def record(planned: Sequence[Training], out: Path) -> str:
-    """Return the finished trainings as CSV: starts, steps and results of their run folders."""
+    """Return the finished trainings as CSV: starts, steps and results, see `Training` for `data`."""
     done = [t for t in planned if t.detector(out).exists() and (t.folder(out) / "metrics.csv").exists()]
     names = {file_sha256(t.detector(out)): t.name for t in done}
     text = io.StringIO()
@@ -306,6 +321,7 @@ def record(planned: Sequence[Training], out: Path) -> str:
         "tensors_taken",
         "teacher",
         "settings",
+        "data",
         "steps",
         "minutes",
     )
@@ -322,6 +338,7 @@ def record(planned: Sequence[Training], out: Path) -> str:
                 *(training.name, training.phase, training.method, made["settings"]["stage"], made["seed"]),
                 *(names.get(init.get("sha256"), init.get("sha256", "")), taken),
                 *("" if teacher is None else names.get(teacher, teacher), " ".join(training.settings)),
+                training.data,
                 *(rows[-1]["step"], f"{minutes:.1f}"),
                 *(rows[-1].get(f"val/ap_bev_{iou}", "") for iou in (50, 70)),
             ]

@@ -1,6 +1,6 @@
 """What a network for pedestrians and two-wheelers finds of each, by class, in frames of drives.
 
-A box is of the road user that its centre is next to, within 1 m; the most confident box chooses first. True boxes are
+Boxes are matched to true boxes whose centres lie within 1 m, one to one, the most confident box first. True boxes are
 those that the network is judged on: with a point of an agent, wholly inside its range.
 
 Usage:
@@ -17,18 +17,19 @@ import numpy as np
 import torch
 from look import put_table
 
-from dsrc.data.drives import Drive, open_drives
+from dsrc.data.drives import open_drives
 from dsrc.data.sample import inside_range, sample_for
 from dsrc.evaluation.detect import frame_positions
 from dsrc.evaluation.metrics.matching import match
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector
+from sensors.frame import Frame
 from sim.boxes import CLASSES
 from sim.errors import UserError
 
 NEXT_TO_M = 1.0
-NOBODY = "nobody"
-KINDS = ("pedestrian", "bicycle", "motorcycle", NOBODY)
+SECOND, NOBODY = "matched already", "nobody"
+KINDS = ("pedestrian", "bicycle", "motorcycle", SECOND, NOBODY)
 
 
 def main() -> None:
@@ -43,49 +44,53 @@ def main() -> None:
     torch.set_num_threads(1)
     try:
         drives = open_drives(options.data)
-        head = ["network", f"{options.frames} frames", "true boxes", "found", "as a pedestrian", "as a two-wheeler"]
-        head.append("median score")
-        rows = []
+        detectors = {}
         for given in options.checkpoint:
-            name, _, file = given.rpartition("=")
+            name, _, file = given.rpartition("=") if not Path(given).exists() else ("", "", given)
             detector = load_detector(Path(file)).eval()
             if detector.settings.users != "vulnerable":
                 raise UserError(f"{file}: expected a network of users=vulnerable, found {detector.settings.users}")
-            found = list(pairs(detector, drives, options.frames))
-            rows += [[name or Path(file).stem, *row] for row in counted(found)]
+            detectors[name or Path(file).stem] = detector
+        found: dict[str, list[Pair]] = {name: [] for name in detectors}
+        for drive, positions in zip(drives, frame_positions(drives, options.frames), strict=True):
+            for position in positions:
+                frame = drive.read(position)
+                for name, detector in detectors.items():
+                    found[name] += pairs(detector, frame)
+        head = ("network", "road user", "true boxes", "found", "as a pedestrian", "as a two-wheeler", "median score")
+        rows = [[name, *row] for name, pairs_of_it in found.items() for row in counted(pairs_of_it)]
         put_table(options.docs, "road_users", head, rows)
     except UserError as error:
         parser.error(str(error))
 
 
 Pair = tuple[str, str, float]
-"""True class, or `NOBODY`; class that it was found as, "" if missed; score."""
+"""True class, or `SECOND` or `NOBODY`; class that it was found as, "" if missed; score."""
 
 
-def pairs(detector: Detector, drives: Sequence[Drive], count: int) -> Iterator[Pair]:
-    """Yield every true box with the box that is of it, and the boxes that are of nobody."""
-    for drive, positions in zip(drives, frame_positions(drives, count), strict=True):
-        for position in positions:
-            sample = sample_for(detector.settings, drive.read(position), None)
-            found = detector.detect(sample)
-            found = found[inside_range(found.boxes, detector.settings.grid)]
-            away = np.linalg.norm(found.boxes.center[:, None, :2] - sample.boxes.center[None, :, :2], axis=2)
-            of = match(-away, found.score, -NEXT_TO_M)
-            for row, truth in zip(of.order, of.truth, strict=True):
-                kind = CLASSES[sample.boxes.label[truth]] if truth >= 0 else NOBODY
-                yield kind, CLASSES[found.boxes.label[row]], float(found.score[row])
-            for truth in np.setdiff1d(np.arange(len(sample.boxes)), of.truth):
-                yield CLASSES[sample.boxes.label[truth]], "", 0.0
+def pairs(detector: Detector, frame: Frame) -> Iterator[Pair]:
+    """Yield every true box of a frame with the box matched to it, and the boxes that have none."""
+    sample = sample_for(detector.settings, frame, None)
+    found = detector.detect(sample)
+    found = found[inside_range(found.boxes, detector.settings.grid)]
+    away = np.linalg.norm(found.boxes.center[:, None, :2] - sample.boxes.center[None, :, :2], axis=2)
+    of = match(-away, found.score, -NEXT_TO_M)
+    for row, truth in zip(of.order, of.truth, strict=True):
+        near = (away[row] <= NEXT_TO_M).any()
+        kind = CLASSES[sample.boxes.label[truth]] if truth >= 0 else SECOND if near else NOBODY
+        yield kind, CLASSES[found.boxes.label[row]], float(found.score[row])
+    for truth in np.setdiff1d(np.arange(len(sample.boxes)), of.truth):
+        yield CLASSES[sample.boxes.label[truth]], "", 0.0
 
 
 def counted(found: Sequence[Pair]) -> Iterator[list[str]]:
-    """Yield a row of the table for each class and for the boxes that are of nobody."""
+    """Yield a row of the table for each class and for the boxes without a match."""
     for kind in KINDS:
         of_it = [(called, score) for true, called, score in found if true == kind]
         boxes = [(called, score) for called, score in of_it if called]
         walking = sum(called == "pedestrian" for called, _ in boxes)
         middle = f"{np.median([score for _, score in boxes]):.2f}" if boxes else "-"
-        true = "-" if kind == NOBODY else f"{len(of_it)}"
+        true = "-" if kind in (SECOND, NOBODY) else f"{len(of_it)}"
         yield [kind, true, f"{len(boxes)}", f"{walking}", f"{len(boxes) - walking}", middle]
 
 

@@ -33,7 +33,7 @@ class Training:
         teacher: training whose detector is the teacher; "" without one.
         stage: `plain` for the first, else `teacher` or `student`.
         passes: passes over all frames, in place of steps.
-        data: name of its data set, beside that of the campaign; "" for the latter.
+        data: name of the data set of its drives, in a folder beside that of the campaign; "" for the campaign's.
     """
 
     name: str
@@ -147,8 +147,16 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             for seed in range(two)
         ),
         # Encoder and backbone of the vehicles' network: from random weights 500 steps learn nothing but the prior.
-        Training(ALONE, 6, "no-collaboration", "single_s0", 0, 2_500, (*long, *VULNERABLE), data=PEDESTRIANS),
-        Training("vulnerable", 6, "attfuse", ALONE, 0, 500, (*SLOW, *VULNERABLE), data=PEDESTRIANS),
+        Training(
+            ALONE,
+            6,
+            "no-collaboration",
+            "single_s0",
+            steps=2_500,
+            settings=(*long, *VULNERABLE),
+            data=PEDESTRIANS,
+        ),
+        Training("vulnerable", 6, "attfuse", ALONE, steps=500, settings=(*SLOW, *VULNERABLE), data=PEDESTRIANS),
     ]
     return sorted(
         planned, key=lambda training: (training.phase == 4, training.stage == "student" and training.seed > 1)
@@ -183,12 +191,13 @@ def main() -> None:
     argparse.ArgumentParser(
         description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args()
-    line = "{:5} {:26} {:17} {:5} {:26} {}"
-    print(line.format("phase", "training", "method", "steps", "starts from", "teacher"))
+    line = "{:5} {:26} {:17} {:5} {:26} {:13} {}"
+    print(line.format("phase", "training", "method", "steps", "starts from", "teacher", "data").rstrip())
     for one in campaign():
         steps = f"{one.passes} x" if one.passes else one.steps
-        print(line.format(one.phase, one.name, one.method, steps, one.init or "-", one.teacher or "-").rstrip())
-    print("steps are of two frames; x: passes over all frames")
+        init, teacher = one.init or "-", one.teacher or "-"
+        print(line.format(one.phase, one.name, one.method, steps, init, teacher, one.data).rstrip())
+    print("steps are of two frames; x: passes over all frames; data: that of the campaign where none is named")
 
 
 if __name__ == "__main__":

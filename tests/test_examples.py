@@ -24,6 +24,7 @@ from dsrc.ops.grid import GridSpec
 from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
 from sim.boxes import CLASSES, Boxes
+from sim.errors import UserError
 from sim.traffic.base import Actors
 from tests.commands import run_script
 from tests.dsrc.closed_loop.logged import Mover, ahead, episode, ticks_of
@@ -257,7 +258,7 @@ def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path)
     assert [dict(zip(names.split(","), line.split(","), strict=True)) for line in lines] == [
         {
             **{"name": "first", "phase": "1", "method": "no-collaboration", "stage": "plain", "seed": "0", "init": ""},
-            **{"tensors_taken": "", "teacher": "", "settings": "", "steps": "20", "minutes": "1.5"},
+            **{"tensors_taken": "", "teacher": "", "settings": "", "data": "", "steps": "20", "minutes": "1.5"},
             **{"val_ap_bev_50": "0.2", "val_ap_bev_70": "0.1"},
         }
     ]
@@ -269,7 +270,10 @@ def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path)
         (("--only", "telepathy"), "--only: expected some of first, .* found telepathy"),
         (("--jobs", "0"), "--jobs: expected at least 1, found 0"),
         (("--trial", "-3"), "--trial: expected at least 0, found -3"),
-        ((), "--data: expected a folder train in .*, found none"),
+        (
+            (),
+            "--data: .*data: first needs its folder train, found none; `dsrc dataset build dsrc-sim --out",
+        ),
     ],
 )
 def test_the_campaign_refuses_what_it_cannot_do_before_it_begins(
@@ -280,6 +284,27 @@ def test_the_campaign_refuses_what_it_cannot_do_before_it_begins(
     assert result.returncode == 2
     assert re.search(told, result.stderr.splitlines()[-1])
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_campaign_needs_the_drives_of_what_is_not_trained_yet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    from campaign import check_drives, drives_of
+    from trainings import Training
+
+    for part in ("train", "validation"):
+        (tmp_path / "data" / part).mkdir(parents=True)
+    both = [Training("vehicles", 1, "none"), Training("people", 6, "none", data="streets")]
+    options = SimpleNamespace(data=tmp_path / "data", out=tmp_path / "runs", kept=tmp_path / "kept")
+    check_drives(both[:1], options)
+    with pytest.raises(UserError, match=r"people needs its folder train, .* build streets --out .*streets`"):
+        check_drives(both, options)
+    both[1].folder(options.kept).mkdir(parents=True)
+    both[1].detector(options.kept).touch()
+    check_drives(both, options)
+    monkeypatch.chdir(tmp_path / "data")
+    assert drives_of(both[1], Path(".")).resolve() == drives_of(both[1], options.data) == tmp_path / "streets"
 
 
 @pytest.mark.parametrize("name", LIDARS)
@@ -442,7 +467,7 @@ def test_what_a_perception_knows_of_the_conflict_actor_is_counted(tmp_path: Path
 
 
 def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A network that takes all for bicycles, misses what is behind, and sees somebody where nobody is."""
+    """A network that takes all for bicycles, misses what is behind, and sees two of one and somebody who is not."""
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
     import road_users
 
@@ -451,19 +476,19 @@ def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatc
         [(x, 2.0, -1.0, 0.5, 0.5, 1.7, 0.0) for x in (8.0, 12.0, -9.0)],
         [CLASSES.index(name) for name in ("pedestrian", "motorcycle", "pedestrian")],
     )
-    boxes = Boxes.from_array([(8.9, 2, -1, 1.8, 0.6, 1.7, 0), (12, 2, -1, 1.8, 0.6, 1.7, 0), (12, 4, -1, 1, 1, 1, 0)])
-    boxes = replace(boxes, label=np.full(3, CLASSES.index("bicycle")))
+    boxes = Boxes.from_array([(x, y, -1, 1.8, 0.6, 1.7, 0) for x, y in ((8.9, 2), (12, 2), (12.5, 2), (12, 4))])
+    boxes = replace(boxes, label=np.full(4, CLASSES.index("bicycle")))
     sample = SimpleNamespace(boxes=people)
     monkeypatch.setattr(road_users, "sample_for", lambda settings, frame, ego: sample)
     detector = SimpleNamespace(
-        settings=settings, detect=lambda _: Detections(boxes, np.array([0.9, 0.5, 0.3], np.float32))
+        settings=settings, detect=lambda _: Detections(boxes, np.array([0.9, 0.5, 0.4, 0.3], np.float32))
     )
-    drives = [SimpleNamespace(frames=range(2), read=lambda position: position)]
-    rows = list(road_users.counted(list(road_users.pairs(detector, drives, 2))))
+    rows = list(road_users.counted([pair for frame in range(2) for pair in road_users.pairs(detector, frame)]))
     assert rows == [
         ["pedestrian", "4", "2", "0", "2", "0.90"],
         ["bicycle", "0", "0", "0", "0", "-"],
         ["motorcycle", "2", "2", "0", "2", "0.50"],
+        ["matched already", "-", "2", "0", "2", "0.40"],
         ["nobody", "-", "2", "0", "2", "0.30"],
     ]
 

@@ -1,13 +1,15 @@
 import numpy as np
 import pytest
 
+from dsrc.data.sample import users_in
 from dsrc.ops.anchors import ANCHORS, anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.postprocess import PostSettings, decode_detections
 from dsrc.ops.targets import assign_targets
-from sim.boxes import CLASSES
+from sim.boxes import CLASSES, Boxes
 from sim.errors import SettingsError
+from sim.vehicle_types import TYPES
 from tests.paths import GOLDENS
 
 GOLDEN = GOLDENS / "models" / "anchors.npz"
@@ -58,17 +60,24 @@ def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stand
             assert classes == {"pedestrian" if name == "pedestrian" else "bicycle"}
 
 
+def test_every_class_of_road_users_has_an_anchor_that_takes_it():
+    for users, (_, label, takes, _) in ANCHORS.items():
+        everybody = Boxes.from_array(np.ones((len(CLASSES), 7)), np.arange(len(CLASSES)))
+        assert np.array_equal(takes.any(axis=0), users_in(everybody, users))
+        assert all(takes[row, kind] for row, kind in enumerate(label))
+
+
 def test_people_have_about_as_many_positive_anchors_as_two_wheelers():
-    """Those with fewer are found with lower scores."""
+    """Those with fewer are found with lower scores. Motorcycles, the largest, have more than both."""
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
     anchors, (_, _, takes, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
-    place = np.random.default_rng(0).uniform(-10, 10, (200, 2))
+    rng = np.random.default_rng(0)
     counts = {}
-    for name, size in (("pedestrian", (0.55, 0.55, 1.7)), ("bicycle", (1.7, 0.6, 1.7))):
-        fits = takes[:, [CLASSES.index(name)]].T
-        found = [assign_targets([[x, y, -1.0, *size, 0.0]], anchors, least, fits=fits).positive.sum() for x, y in place]
-        counts[name] = np.mean(found)
-    assert 0.8 < counts["pedestrian"] / counts["bicycle"] < 1.25, counts
+    for kind in (kind for kind in TYPES.values() if kind.label in ("pedestrian", "bicycle")):
+        fits = takes[:, [CLASSES.index(kind.label)]].T
+        rows = [(*rng.uniform(-10, 10, 2), -1.0, *kind.size, rng.uniform(-np.pi, np.pi)) for _ in range(150)]
+        counts[kind.name] = np.mean([assign_targets([row], anchors, least, fits=fits).positive.sum() for row in rows])
+    assert len(counts) == 5 and max(counts.values()) < 1.75 * min(counts.values()), counts
 
 
 def test_perfect_maps_decode_to_the_road_users_and_their_classes():

@@ -1,5 +1,7 @@
 """Batches: pillars, foreground, scene and targets of a sample."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,10 @@ from msgspec.structs import replace
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.inputs.batch import collate, scene_of
 from dsrc.models.settings import ModelSettings
+from dsrc.ops.anchors import ANCHORS
+from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import debug
+from sim.boxes import CLASSES, Boxes
 from tests.dsrc.training.drive import frame
 
 
@@ -55,6 +60,20 @@ def test_without_the_designs_a_batch_has_no_teacher_and_no_scene(samples: list[S
     batch = collate(samples, replace(debug().model, sdd=False, pcp=False, rec=False), training=True)
     assert batch.teacher is batch.foreground is batch.scene is None
     assert batch.targets.positive.any()
+
+
+@pytest.mark.parametrize("name", ["pedestrian", "bicycle", "motorcycle"])
+def test_the_anchors_of_a_road_user_are_those_of_its_class(name: str) -> None:
+    """An overlap with the other anchor, large as it may be, teaches that one nothing."""
+    grid = GridSpec(range_m=(-12.8, -12.8, -3.0, 12.8, 12.8, 1.0), cell_m=0.2)
+    settings = replace(debug().model, grid=grid, users="vulnerable", sdd=False, pcp=False, rec=False)
+    places = np.random.default_rng(0).uniform(-10, 10, (20, 2))
+    rows = [(x, y, -1.0, 0.9, 0.9, 1.7, 0.0) for x, y in places]
+    sample = make_sample(frame(0), 1000, grid)
+    sample = dataclasses.replace(sample, boxes=Boxes.from_array(rows, np.full(20, CLASSES.index(name))))
+    found = collate([sample], settings, training=True).targets.positive.numpy()
+    called = {CLASSES[ANCHORS["vulnerable"].label[anchor]] for anchor in np.nonzero(found)[-1]}
+    assert called == {"pedestrian" if name == "pedestrian" else "bicycle"}
 
 
 @pytest.mark.parametrize(("fusion", "agents"), [("attention", (3, 3)), ("none", (1, 1)), ("late", (1,) * 6)])
