@@ -15,7 +15,10 @@ Rows = NDArray[np.int64]
 
 _TWO_WHEELERS = ("motorcycle", "bicycle")
 KIND = np.array([0 if name in VEHICLES else 1 if name in _TWO_WHEELERS else 2 for name in CLASSES])
-"""Kind of road user by label; a detection and a track of two kinds are never one object."""
+"""Kind of road user by label, which decides how it moves."""
+GROUP = np.minimum(KIND, 1)
+"""Group of road users by label; a detection and a track of two groups are never one object. Detectors change between a
+pedestrian and a bicycle from percept to percept, but a vehicle is neither."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,8 +37,17 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 VEHICLE = Motion()
 """Cars, vans, trucks and buses."""
-TWO_WHEELER = Motion(length_error=0.0, yaw_rad=0.2, speed_mps=8.0, sideways_acceleration=0.5, slip_mps=0.3)
-"""Motorcycles and bicycles."""
+TWO_WHEELER = Motion(
+    length_error=0.0,
+    yaw_rad=0.5,
+    speed_mps=8.0,
+    sideways_acceleration=0.7,
+    turning=0.5,
+    curvature_per_m=0.0,
+    slip_mps=None,
+)
+"""Motorcycles and bicycles, and pedestrians whom a detector takes for them: these step sideways, so no direction is
+excluded."""
 PEDESTRIAN = Motion(
     length_error=0.0,
     yaw_rad=0.5,
@@ -69,7 +78,7 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         turn_time_s: correlation time of the turn rate, s.
         gate: largest Mahalanobis distance of a detection from a track, standard deviations.
         score_cost: cost of a detection of score 0 above one of score 1, squared standard deviations.
-        overlap: footprint IoU from which on two boxes of one kind are one object.
+        overlap: footprint IoU from which on two boxes of one group, vehicles or others, are one object.
         direction_mps: speed from which on the motion decides the heading, m/s.
         smoothing: weight of a detection in the size and height of a track, 0 to 1.
         start_score: lowest score of a detection that starts a track.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.closed_loop.tracking.association import assigned, originals, overlaps, squared_distances
-from dsrc.closed_loop.tracking.bank import KIND, Bank, Measured
+from dsrc.closed_loop.tracking.bank import GROUP, KIND, Bank, Measured
 from dsrc.closed_loop.tracking.filter import (
     RATE,
     VX,
@@ -164,9 +164,9 @@ class Tracker:
         return replace(bank, state=predicted(bank.state, since_s, p, settings.turn_time_s)), since_s
 
     def _without_duplicates(self, measured: Measured) -> Measured:
-        """Return the boxes without those that overlap a better one of their kind; owners' reports always differ."""
-        kind, reported = KIND[measured.label], measured.reported
-        alike = (kind[:, None] == kind[None, :]) & ~(reported[:, None] & reported[None, :])
+        """Return the boxes without those that overlap a better one of their group; owners' reports always differ."""
+        group, reported = GROUP[measured.label], measured.reported
+        alike = (group[:, None] == group[None, :]) & ~(reported[:, None] & reported[None, :])
         np.fill_diagonal(alike, False)
         same = overlaps(measured.box, measured.box, alike, self.settings.overlap)
         return measured.rows(originals(same)) if same.any() else measured
@@ -177,7 +177,7 @@ class Tracker:
         mean, covariance = bank.state.mean, bank.state.covariance
         offset = measured.box[None, :, :2] - mean[:, None, :2]
         distance = squared_distances(offset, covariance[:, None, :2, :2] + measured.variance[None])
-        alike = KIND[bank.label][:, None] == KIND[measured.label][None, :]
+        alike = GROUP[bank.label][:, None] == GROUP[measured.label][None, :]
         gate = settings.gate**2
         # A tentative track, which may move anyhow, would fit nearly every box: confirmed ones choose first.
         most = gate + settings.score_cost
@@ -216,7 +216,7 @@ class Tracker:
         state = lying_across(first.state)
         offset = second.box[None, :, :2] - state.mean[:, None, :2]
         distance = squared_distances(offset, state.covariance[:, None, :2, :2] + second.variance[None])
-        alike = KIND[first.label][:, None] == KIND[second.label][None, :]
+        alike = GROUP[first.label][:, None] == GROUP[second.label][None, :]
         rows, theirs = assigned(distance, alike & (distance <= gate), gate)
         place = np.arange(len(rows))
         crossing = replace(
@@ -349,16 +349,16 @@ class Tracker:
         return replace(bank, number=number)
 
     def _merged(self, bank: Bank) -> Bank:
-        """Return the tracks without those that overlap another one of their kind and of which only one is seen now.
+        """Return the tracks without those that overlap another one of their group and of which only one is seen now.
 
         The motion of the one that is seen stays; a tentative one inherits number and history.
         """
-        seen, kind = bank.seen_s == bank.time_s, KIND[bank.label]
+        seen, group = bank.seen_s == bank.time_s, GROUP[bank.label]
         if seen.all():
             return bank
         box = bank.box
         lost, found = np.flatnonzero(~seen), np.flatnonzero(seen)
-        same = overlaps(box[lost], box[found], kind[lost][:, None] == kind[found][None, :], self.settings.overlap)
+        same = overlaps(box[lost], box[found], group[lost][:, None] == group[found][None, :], self.settings.overlap)
         if not same.any():
             return bank
         source, keep = np.arange(len(seen)), np.ones(len(seen), bool)

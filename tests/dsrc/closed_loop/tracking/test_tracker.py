@@ -124,6 +124,29 @@ def test_a_pedestrian_walks_in_any_direction_of_its_box() -> None:
     assert after[-1].yaw_rate[0] == 0.0
 
 
+@pytest.mark.parametrize("labels", [("bicycle",), ("bicycle", "pedestrian"), ("bicycle", "bicycle", "pedestrian")])
+def test_a_pedestrian_taken_for_a_bicycle_is_one_object_that_may_step_sideways(labels: tuple[str, ...]) -> None:
+    """It stands for a second, then crosses at 2 m/s, and every percept has it as this or that."""
+    steps = [max(k - 10, 0) for k in range(20)]
+    after = follow(
+        [percept(0.1 * k, [[0.0, 0.2 * n]], yaw=0.0, label=labels[k % len(labels)]) for k, n in enumerate(steps)]
+    )
+    assert [tracks.boxes.object_id.tolist() for tracks in after[2:]] == [[0]] * 18
+    assert after[-1].velocity[0] == pytest.approx([0.0, 2.0], abs=0.3)
+
+
+def test_two_boxes_of_one_road_user_as_this_and_that_are_one_object() -> None:
+    walker, rider = (percept(0.0, [[0.0, 0.0]], label=name) for name in ("pedestrian", "bicycle"))
+    boxes = Boxes.from_array(
+        np.concatenate([walker.boxes.array, rider.boxes.array]),
+        [CLASSES.index("pedestrian"), CLASSES.index("bicycle")],
+    )
+    tracker = Tracker()
+    for k in range(3):
+        tracks = tracker.update(Percept(0.1 * k, boxes, np.array([0.9, 0.8]), np.full((2, 2), np.nan)), 0.1 * k)
+    assert tracks.boxes.label.tolist() == [CLASSES.index("pedestrian")]
+
+
 def test_a_measured_velocity_is_believed_at_once() -> None:
     tracker = Tracker()
     tracks = tracker.update(percept(0.0, [[0.0, 0.0]], score=1.0, velocity=[12.0, 0.0]), 0.0)
