@@ -153,6 +153,22 @@ def test_the_zoo_has_every_kept_detector_as_its_run_folder_records_it() -> None:
         assert "folders" not in settings, f"{detector.parent}: paths of the machine that trained it"
 
 
+def test_what_is_said_of_pedestrians_and_two_wheelers_is_in_their_table() -> None:
+    page = (ROOT / "docs/results.md").read_text(encoding="utf-8")
+    block, _, after = page.partition("<!-- begin road_users -->\n")[2].partition("\n<!-- end road_users -->")
+    text = " ".join(after.partition("[Gates]")[0].split())
+    cells = (line.strip("| ").split(" | ") for line in block.splitlines()[2:])
+    counts = {(network, user): [int(one) for one in row[1:4]] for network, user, *row in cells}
+    found, called, _ = counts["vulnerable", "pedestrian"]
+    assert f"gives {called} of the {found} pedestrians that it finds their class" in text
+    (bicycles, _, so), (motorcycles, _, as_well) = (counts["vulnerable", user] for user in ("bicycle", "motorcycle"))
+    assert f"and {so + as_well} of {bicycles + motorcycles} two-wheelers" in text
+    found, _, wrong = counts["before", "pedestrian"]
+    assert f"called {wrong} of {found} pedestrians two-wheelers" in text
+    before, now = (counts[name, "nobody"][0] for name in ("before", "vulnerable"))
+    assert f"({before} against {now})" in text and round(now / before) == 4
+
+
 def test_the_gain_from_the_usual_score_is_that_of_the_twins_results() -> None:
     page = (ROOT / "docs/results.md").read_text()
     block = page.partition("<!-- begin score_thresholds -->\n")[2].partition("<!-- end")[0]
