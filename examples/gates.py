@@ -23,6 +23,7 @@ from dsrc.data.sample import Sample
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate
 from dsrc.models.storage.checkpoint import load_detector, with_fusion
+from dsrc.ops.anchors import ANCHORS
 from dsrc.ops.targets import assign_targets
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.initialise import initialise_from
@@ -93,7 +94,8 @@ def teacher_gate(teacher: Path, data: Path, recipe: Recipe, frames: int = 140, b
 
 def hidden_scores(teacher: Detector, drives: Sequence[Path], recipe: Recipe, frames: int) -> list[float]:
     """Return a teacher's scores at the positive anchors of boxes without a point of the ego."""
-    store = SampleStore(drives, recipe.model.grid, recipe.comm_range_m, recipe.model.max_agents)
+    users = recipe.model.users
+    store = SampleStore(drives, recipe.model.grid, recipe.comm_range_m, recipe.model.max_agents, users=users)
     refs = [store.frames[i] for i in np.linspace(0, len(store.frames) - 1, frames).round().astype(int)]
     scores: list[float] = []
     for ref in refs:
@@ -102,7 +104,8 @@ def hidden_scores(teacher: Detector, drives: Sequence[Path], recipe: Recipe, fra
         hidden = sample.boxes[np.setdiff1d(np.arange(len(sample.boxes)), seen)]
         if not len(hidden):
             continue
-        positive = assign_targets(hidden.array, teacher.anchors).positive
+        fits = ANCHORS[users].takes[hidden.label]
+        positive = assign_targets(hidden.array, teacher.anchors, ANCHORS[users].positive_iou, fits=fits).positive
         with torch.no_grad():
             output = as_teacher(teacher, collate([sample], recipe.settings("student"), training=True))
         scores += torch.sigmoid(output.cls[0].permute(1, 2, 0))[torch.as_tensor(np.asarray(positive))].tolist()

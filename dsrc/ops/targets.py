@@ -53,12 +53,17 @@ def assign_targets(
         legacy_iou: reproduce the released labels.
         negative_iou: overlap from which an anchor that is not positive is `ignored`.
         fits: (n, 2) whether a box may have each anchor of a cell; all may when left out.
+
+    Raises:
+        ValueError: `fits` is not (n, 2).
     """
     boxes = np.asarray(boxes, np.float64).reshape(-1, 7)
+    fits = np.ones((len(boxes), 2), bool) if fits is None else fits
+    if fits.shape != (len(boxes), 2):
+        raise ValueError(f"fits: expected ({len(boxes)}, 2), found {fits.shape}")
     if legacy_iou:
         owner, ignored = _assign_legacy(boxes, anchors)
     else:
-        fits = np.ones((len(boxes), 2), bool) if fits is None else fits
         owner, ignored = _assign(boxes, anchors, positive_iou, negative_iou, fits)
     positive = owner >= 0
     regression = np.zeros((*owner.shape, 7), np.float32)

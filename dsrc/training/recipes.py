@@ -130,6 +130,11 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bfloat16: bool = False
     half: bool = True
 
+    def __post_init__(self) -> None:
+        if self.labels.targets == "released" and self.model.users != "vehicles":
+            # The released rules know one class: either anchor may have every box.
+            raise ValueError(f"labels.targets: expected overlap with users={self.model.users}, found released")
+
     def settings(self, stage: Stage) -> ModelSettings:
         """Return the settings of a stage's network."""
         if stage == "teacher":

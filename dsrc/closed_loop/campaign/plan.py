@@ -156,6 +156,10 @@ def read_campaign(path: Path) -> Campaign:
         perceptions.append(replace(one, uses=kind, checkpoint=found(file or one.checkpoint)))
     plan = replace(plan, perceptions=tuple(perceptions))
     check(plan, str(path))
+    clean = len(plan.conditions) == 1 or all(one.kind in WITHOUT_SENSOR for one in plan.perceptions)
+    given = read_tables(path, SettingsError).get("seeds")
+    if clean and given is not None:
+        raise SettingsError(complaint(path, "seeds", "clean_seeds: no episode is corrupted", f"seeds = {given}"))
     return plan
 
 
@@ -326,8 +330,7 @@ def controls_of(plan: Campaign) -> Campaign | None:
 
 def careful_of(plan: Campaign) -> Campaign:
     """Return the campaign of the reference driver of UN R157: the truth on all seeds that a plan drives, clean."""
-    corrupted = _listed(plan.seeds) if len(plan.conditions) > 1 else ()
-    seeds = tuple(dict.fromkeys([*_listed(plan.clean_seeds), *corrupted]))
+    seeds = tuple(dict.fromkeys(job.seed for job in episodes_of(plan)))
     return replace(
         plan,
         perceptions=(PerceptionSpec(name="truth"),),

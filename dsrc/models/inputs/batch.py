@@ -353,8 +353,7 @@ def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: LabelSe
     anchors = _anchors(settings.grid, settings.head_stride, settings.users, settings.anchor_lwh)
     least, takes = ANCHORS[settings.users].positive_iou, ANCHORS[settings.users].takes
     found = [
-        assign_targets(sample.boxes.array, anchors, least, legacy, fits=takes[:, sample.boxes.label].T)
-        for sample in samples
+        assign_targets(sample.boxes.array, anchors, least, legacy, fits=takes[sample.boxes.label]) for sample in samples
     ]
     regression = np.stack([np.asarray(t.regression, np.float32) for t in found])
     if settings.box_order == "hwl":

@@ -55,7 +55,7 @@ def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stand
         place = np.append(rng.uniform(-10, 10, (60, 2)), rng.uniform(-1.2, -0.8, (60, 1)), axis=1)
         rows = np.column_stack([place, np.tile(size, (60, 1)), rng.uniform(-np.pi, np.pi, 60)])
         for row in rows:
-            found = assign_targets(row[None], anchors, least, fits=takes[:, [CLASSES.index(name)]].T)
+            found = assign_targets(row[None], anchors, least, fits=takes[[CLASSES.index(name)]])
             classes = {CLASSES[label[anchor]] for anchor in np.nonzero(found.positive)[2]}
             assert classes == {"pedestrian" if name == "pedestrian" else "bicycle"}
 
@@ -63,8 +63,8 @@ def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stand
 def test_every_class_of_road_users_has_an_anchor_that_takes_it():
     for users, (_, label, takes, _) in ANCHORS.items():
         everybody = Boxes.from_array(np.ones((len(CLASSES), 7)), np.arange(len(CLASSES)))
-        assert np.array_equal(takes.any(axis=0), users_in(everybody, users))
-        assert all(takes[row, kind] for row, kind in enumerate(label))
+        assert np.array_equal(takes.any(axis=1), users_in(everybody, users))
+        assert all(takes[kind, row] for row, kind in enumerate(label))
 
 
 def test_people_have_about_as_many_positive_anchors_as_two_wheelers():
@@ -74,7 +74,7 @@ def test_people_have_about_as_many_positive_anchors_as_two_wheelers():
     rng = np.random.default_rng(0)
     counts = {}
     for kind in (kind for kind in TYPES.values() if kind.label in ("pedestrian", "bicycle")):
-        fits = takes[:, [CLASSES.index(kind.label)]].T
+        fits = takes[[CLASSES.index(kind.label)]]
         rows = [(*rng.uniform(-10, 10, 2), -1.0, *kind.size, rng.uniform(-np.pi, np.pi)) for _ in range(150)]
         counts[kind.name] = np.mean([assign_targets([row], anchors, least, fits=fits).positive.sum() for row in rows])
     assert len(counts) == 5 and max(counts.values()) < 1.75 * min(counts.values()), counts
@@ -84,7 +84,7 @@ def test_perfect_maps_decode_to_the_road_users_and_their_classes():
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
     anchors, (_, label, takes, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
     boxes = np.array([(3.0, 4.0, -1.0, 0.5, 0.6, 1.7, 2.0), (-6.1, 2.0, -1.0, 1.8, 0.65, 1.7, -0.8)])
-    fits = takes[:, [CLASSES.index("pedestrian"), CLASSES.index("bicycle")]].T
+    fits = takes[[CLASSES.index("pedestrian"), CLASSES.index("bicycle")]]
     found = assign_targets(boxes, anchors, least, fits=fits)
     logits = np.where(np.moveaxis(found.positive, -1, 0), 4.0, -9.0)
     regression = np.moveaxis(found.regression, -1, 0)

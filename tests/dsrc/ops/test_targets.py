@@ -76,6 +76,16 @@ def test_a_bus_owns_every_anchor_that_fits_inside_it():
     assert (centres[:, 6] == 0).all()
 
 
+def test_a_box_has_only_anchors_that_fit_it():
+    targets = assign_targets(
+        np.concatenate([car(0, 0, 0), car(8, 0, 0)]), ANCHORS, fits=np.array([[1, 1], [0, 1]], bool)
+    )
+    _, _, anchor = np.nonzero(targets.owner == 1)
+    assert len(anchor) and (anchor == 1).all() and (targets.owner == 0).any()
+    with pytest.raises(ValueError, match=r"fits: expected \(2, 2\), found \(2, 1\)"):
+        assign_targets(np.concatenate([car(0, 0, 0), car(8, 0, 0)]), ANCHORS, fits=np.ones((2, 1), bool))
+
+
 def test_two_cars_side_by_side_share_no_anchor_and_both_get_some():
     targets = assign_targets(np.concatenate([car(0, 0, 0), car(0.3, 2.4, 0)]), ANCHORS)
     assert (targets.owner == 0).any()

@@ -37,6 +37,11 @@ def differences(one: msgspec.Struct, other: msgspec.Struct) -> dict[str, tuple[o
     return found
 
 
+def test_the_released_targets_know_no_pedestrians() -> None:
+    with pytest.raises(ValueError, match=r"labels.targets: expected overlap with users=vulnerable, found released"):
+        replace(dsrc_code(), model=replace(dsrc_code().model, users="vulnerable"))
+
+
 def test_the_presets_differ_where_the_text_and_the_released_code_do() -> None:
     assert differences(dsrc_paper(), dsrc_code()) == {
         "name": ("dsrc-paper", "dsrc-code"),

@@ -280,9 +280,18 @@ def test_controls_are_those_of_the_encounters() -> None:
     assert busy is not None and busy.scenarios == ("ima_building:dense:no_occluder", "ima_building:dense:no_conflict")
 
 
-@pytest.mark.parametrize(("corruptions", "seeds"), [(("clean",), {0, 1}), (("fog",), {0, 1, 7, 8})])
-def test_the_careful_driver_drives_the_seeds_that_others_drive(corruptions: tuple[str, ...], seeds: set[int]) -> None:
-    plan = replace(PLAN, corruptions=corruptions, seeds=(7, 8))
+@pytest.mark.parametrize(
+    ("corruptions", "perceptions", "seeds"),
+    [
+        (("clean",), PLAN.perceptions, {0, 1}),
+        (("fog",), PLAN.perceptions, {0, 1, 7, 8}),
+        (("fog",), PLAN.perceptions[:1], {0, 1}),  # the truth has no sensor that a corruption could break
+    ],
+)
+def test_the_careful_driver_drives_the_seeds_that_others_drive(
+    corruptions: tuple[str, ...], perceptions: tuple[PerceptionSpec, ...], seeds: set[int]
+) -> None:
+    plan = replace(PLAN, corruptions=corruptions, perceptions=perceptions, seeds=(7, 8))
     driven = {(job.perception, job.seed) for job in episodes_of(careful_of(plan))}
     assert driven == {("truth", seed) for seed in seeds}
     assert {job.seed for job in episodes_of(plan)} == seeds
@@ -413,6 +422,20 @@ def test_a_wrong_plan_is_one_line_that_names_the_field(tmp_path: Path, text: str
     with pytest.raises(UserError) as error:
         read_campaign(path)
     assert field in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("text", ['corruptions = ["clean"]', 'corruptions = ["fog"]'])
+def test_seeds_that_no_episode_would_have_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(
+        f'scenarios = ["ima_building"]\n{text}\nseeds = [20, 21]\n[[perceptions]]\nname = "truth"\n', encoding="utf-8"
+    )
+    with pytest.raises(SettingsError, match=r"plan\.toml: seeds: expected clean_seeds"):
+        read_campaign(path)
+    with path.open("a", encoding="utf-8") as file:
+        file.write('[[perceptions]]\nname = "ego"\n')
+    if "fog" in text:
+        assert {job.seed for job in episodes_of(read_campaign(path)) if job.condition["kind"] == "fog"} == {20, 21}
 
 
 def test_options_beside_a_plan_are_refused(tmp_path: Path) -> None:
