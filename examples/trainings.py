@@ -152,11 +152,11 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             6,
             "no-collaboration",
             "single_s0",
-            steps=2_500,
+            steps=3_000,
             settings=(*long, *VULNERABLE),
             data=PEDESTRIANS,
         ),
-        Training("vulnerable", 6, "attfuse", ALONE, steps=500, settings=(*SLOW, *VULNERABLE), data=PEDESTRIANS),
+        Training("vulnerable", 6, "attfuse", ALONE, steps=1_500, settings=(*SLOW, *VULNERABLE), data=PEDESTRIANS),
     ]
     return sorted(
         planned, key=lambda training: (training.phase == 4, training.stage == "student" and training.seed > 1)
