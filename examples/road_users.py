@@ -50,7 +50,10 @@ def main() -> None:
             detector = load_detector(Path(file)).eval()
             if detector.settings.users != "vulnerable":
                 raise UserError(f"{file}: expected a network of users=vulnerable, found {detector.settings.users}")
-            detectors[name or Path(file).stem] = detector
+            name = name or Path(file).stem
+            if name in detectors:
+                raise UserError(f"--checkpoint: expected names that differ, as NAME=FILE, found {name} twice")
+            detectors[name] = detector
         found: dict[str, list[Pair]] = {name: [] for name in detectors}
         for drive, positions in zip(drives, frame_positions(drives, options.frames), strict=True):
             for position in positions:

@@ -136,7 +136,7 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             )
         ),
         # In the shape of the methods that fuse one map; with CoAlign's backbone. Others have all layers of their start.
-        # Layers of the maps' own learn from nothing: after 1,000 steps at half the rate AP@0.7 was 22, single_s0's is 38.
+        # Its own layers start from nothing: after 1,000 steps at half the rate AP@0.7 was 22, that of single_s0 is 38.
         Training(MAP_START, 5, "max-map", "single_s0", 0, LONG, (*long, "max_agents=1")),
         Training("coalign-start", 5, "no-collaboration", TEACHER, 0, LONG, (*long, "backbone=resnet")),
         *(Training(f"{m}_s0", 5, m, MAP_START) for m in ("v2vnet", "v2x-vit", "cobevt", "ermvp")),

@@ -31,7 +31,7 @@ class JoinedDetectors:
         self.classes = tuple(name for detector in detectors for name in detector.classes)
         users = [detector.settings.users for detector in detectors]
         if len(set(users)) < len(users):
-            raise SettingsError(complaint("detectors", "users", "other road users each", " and ".join(users)))
+            raise SettingsError(complaint("detectors", "users", "different road users", " and ".join(users)))
         whole = self.settings.grid
         for detector in detectors[1:]:
             grid = detector.settings.grid

@@ -42,9 +42,9 @@ ANCHORS: dict[Users, Anchors] = {
         _takes(VEHICLES, VEHICLES),
         np.array([0.5, 0.5]),
     ),
-    # Squares: a two-wheeler overlaps its own as much along as across. People are little larger than a cell, 0.4 m, so
-    # they have the lower bound. On average a child has 2.6 positive anchors, an adult 3.5, a cyclist 2.9 to 4.0 and a
-    # motorcycle 5; with 0.35 for both, people had one.
+    # Squares: a two-wheeler overlaps its own as much along as across. People are little larger than an output cell,
+    # 0.4 m, so they have the lower bound. On average a child has 2.6 positive anchors, an adult 3.5, a cyclist 2.9 to
+    # 4.0 and a motorcycle 5; with 0.35 for both, people had one.
     "vulnerable": Anchors(
         np.array([(-1.0, 0.6, 0.6, 1.75, 0.0), (-1.05, 1.2, 1.2, 1.6, 0.0)]),
         np.array([CLASSES.index("pedestrian"), CLASSES.index("bicycle")]),

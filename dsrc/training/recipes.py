@@ -302,8 +302,9 @@ def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
     """Change a recipe by `field=value` of its model, of itself, or of a part (`augmentation.dropout=0`).
 
     Raises:
-        SettingsError: the field is unknown, or the value has another type.
+        SettingsError: the field is unknown, the value has another type, or the values do not go together.
     """
+    plain = msgspec.to_builtins(recipe)
     parts = {part: getattr(recipe, part).__struct_fields__ for part in PARTS}
     for text in overrides:
         name, _, value = text.partition("=")
@@ -320,10 +321,8 @@ def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
             parsed = value
         except RecursionError:
             raise SettingsError(complaint("--set", name, "a value", "one nested too deeply")) from None
-        plain = msgspec.to_builtins(recipe)
         (plain[part] if part else plain)[field] = parsed
-        try:
-            recipe = msgspec.convert(plain, Recipe, strict=False)
-        except msgspec.ValidationError as error:
-            raise SettingsError(f"--set {one_line(text, 80)}: {error}") from None
-    return recipe
+    try:
+        return msgspec.convert(plain, Recipe, strict=False)
+    except msgspec.ValidationError as error:
+        raise SettingsError(f"--set {one_line(' '.join(overrides), 80)}: {error}") from None

@@ -159,7 +159,7 @@ def read_campaign(path: Path) -> Campaign:
     clean = len(plan.conditions) == 1 or all(one.kind in WITHOUT_SENSOR for one in plan.perceptions)
     given = read_tables(path, SettingsError).get("seeds")
     if clean and given is not None:
-        raise SettingsError(complaint(path, "seeds", "clean_seeds: no episode is corrupted", f"seeds = {given}"))
+        raise SettingsError(complaint(path, "seeds", "none, since no episode is corrupted: clean_seeds", f"{given}"))
     return plan
 
 

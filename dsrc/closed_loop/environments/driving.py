@@ -27,6 +27,8 @@ from sim.scenario import Scenario
 COLLIDED = (Outcome.CRASHED, Outcome.LEFT)
 _OVER = (Outcome.TIMEOUT, Outcome.DESYNCHRONISED)
 """Outcomes that cut an episode: the task itself has not ended."""
+_WALKS_MPS = 0.5
+"""Speed from which the motion of somebody on foot or on two wheels gives the heading, m/s."""
 
 
 class _Agent:
@@ -230,10 +232,13 @@ class DrivingEnv(AbstractEnv):
         self.road.vehicles = [ego]
         boxes, velocity = tick.tracks.boxes, tick.tracks.velocity
         positions = to_plane(boxes.center[:, :2])
-        along = velocity[:, 0] * np.cos(boxes.yaw) + velocity[:, 1] * np.sin(boxes.yaw)
+        # A vehicle of highway-env moves along its heading. People step sideways: theirs is that of their motion.
+        sideways = ~boxes.is_vehicle & (np.hypot(*velocity.T) > _WALKS_MPS)
+        heading = np.where(sideways, np.arctan2(velocity[:, 1], velocity[:, 0]), boxes.yaw)
+        along = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
         for row in range(len(boxes)):
             size = (float(boxes.size[row, 0]), float(boxes.size[row, 1]))
-            other = TrackedVehicle(self.road, positions[row], -float(boxes.yaw[row]), float(along[row]), size)
+            other = TrackedVehicle(self.road, positions[row], -float(heading[row]), float(along[row]), size)
             other.color = TRACK
             self.road.vehicles.append(other)
 

@@ -58,6 +58,19 @@ def overlaps(a: Array, b: Array, alike: NDArray[np.bool_], iou: float) -> NDArra
     return out
 
 
+def centred(a: Array, b: Array) -> NDArray[np.bool_]:
+    """Return the (N, M) mask of boxes a (N, 7) and b (M, 7) of which one has the other's centre in its footprint."""
+    offset = b[None, :, :2] - a[:, None, :2]
+    return _holds(a[:, None], offset) | _holds(b[None, :], -offset)
+
+
+def _holds(box: Array, offset: Array) -> NDArray[np.bool_]:
+    """Return whether points at offsets (..., 2) from the centres of boxes (..., 7) lie in their footprints."""
+    c, s = np.cos(box[..., 6]), np.sin(box[..., 6])
+    along, across = c * offset[..., 0] + s * offset[..., 1], c * offset[..., 1] - s * offset[..., 0]
+    return np.asarray((np.abs(along) <= 0.5 * box[..., 3]) & (np.abs(across) <= 0.5 * box[..., 4]))
+
+
 def _reach(box: Array, x: Array, y: Array) -> Array:
     """Return (K,) half extents of boxes (K, 7) along vectors (K,), times the vectors' lengths."""
     c, s = np.cos(box[:, 6]), np.sin(box[:, 6])

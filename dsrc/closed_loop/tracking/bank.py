@@ -84,13 +84,13 @@ class Bank:
         time_s: instant, s; -infinity before the first percept.
         state: estimates of the motion.
         z: (N,) height of the centre, m.
-        size: (N, 3) m.
+        sizes: (N, 7, 3) by class, m; 0 of those that no detection had.
+        counts: (N, 7) number of detections by class.
         votes: (N, 7) sum of the scores by class.
         push: (N,) running mean of the residuals along the heading, standard deviations.
         facing: (N,) running mean of +1 for detected headings near the track's, -1 for opposite ones.
         score: (N,) confidence.
         evidence: (N,) logarithm of the odds that it is a road user and no series of ghosts.
-        hits: (N,) number of detections.
         needed: (N,) least number of them that confirms it.
         seen_s: (N,) instant of the last detection, s.
         birth: (N,) number of the detection that started it.
@@ -100,13 +100,13 @@ class Bank:
     time_s: float
     state: State
     z: Array
-    size: Array
+    sizes: Array
+    counts: Rows
     votes: Array
     push: Array
     facing: Array
     score: Array
     evidence: Array
-    hits: Rows
     needed: Rows
     seen_s: Array
     birth: Rows
@@ -129,8 +129,18 @@ class Bank:
 
     @property
     def label(self) -> Rows:
-        """(N,) class of most votes."""
-        return self.votes.argmax(axis=1)
+        """(N,) class of most votes, of those that a detection had."""
+        return np.where(self.counts > 0, self.votes, -1.0).argmax(axis=1)
+
+    @property
+    def hits(self) -> Rows:
+        """(N,) number of detections."""
+        return self.counts.sum(axis=1)
+
+    @property
+    def size(self) -> Array:
+        """(N, 3) size as of its class, m."""
+        return self.sizes[np.arange(len(self.z)), self.label]
 
     @property
     def box(self) -> Array:

@@ -43,7 +43,6 @@ TWO_WHEELER = Motion(
     speed_mps=8.0,
     sideways_acceleration=0.7,
     turning=0.5,
-    curvature_per_m=0.0,
     slip_mps=None,
 )
 """Motorcycles and bicycles, and pedestrians whom a detector takes for them: these step sideways, so no direction is
@@ -78,7 +77,8 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         turn_time_s: correlation time of the turn rate, s.
         gate: largest Mahalanobis distance of a detection from a track, standard deviations.
         score_cost: cost of a detection of score 0 above one of score 1, squared standard deviations.
-        overlap: footprint IoU from which on two boxes of one group, vehicles or others, are one object.
+        overlap: footprint IoU from which on two boxes of one group, vehicles or others, are one object; two others are
+            one also where the centre of one lies in the other.
         direction_mps: speed from which on the motion decides the heading, m/s.
         smoothing: weight of a detection in the size and height of a track, 0 to 1.
         start_score: lowest score of a detection that starts a track.

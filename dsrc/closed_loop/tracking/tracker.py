@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.tracking.association import assigned, originals, overlaps, squared_distances
+from dsrc.closed_loop.tracking.association import assigned, centred, originals, overlaps, squared_distances
 from dsrc.closed_loop.tracking.bank import GROUP, KIND, Bank, Measured
 from dsrc.closed_loop.tracking.filter import (
     RATE,
@@ -165,10 +165,8 @@ class Tracker:
 
     def _without_duplicates(self, measured: Measured) -> Measured:
         """Return the boxes without those that overlap a better one of their group; owners' reports always differ."""
-        group, reported = GROUP[measured.label], measured.reported
-        alike = (group[:, None] == group[None, :]) & ~(reported[:, None] & reported[None, :])
-        np.fill_diagonal(alike, False)
-        same = overlaps(measured.box, measured.box, alike, self.settings.overlap)
+        both = measured.reported[:, None] & measured.reported[None, :]
+        same = self._in_one_place(measured, measured, ~both & ~np.eye(len(both), dtype=bool))
         return measured.rows(originals(same)) if same.any() else measured
 
     def _associated(self, bank: Bank, measured: Measured) -> tuple[Rows, Rows, Bank]:
@@ -188,7 +186,7 @@ class Tracker:
         # moved as the filter did not expect.
         alike[tracks, :] = False
         alike[:, found] = False
-        if len(tracks) < min(alike.shape) and (same := overlaps(bank.box, measured.box, alike, settings.overlap)).any():
+        if len(tracks) < min(alike.shape) and (same := self._in_one_place(bank, measured, alike)).any():
             more, theirs = assigned(distance, same, float(distance[same].max()) + 1.0)
             widened = covariance[more] * (distance[more, theirs] / gate)[:, None, None].clip(1.0)
             bank = replace(bank, state=bank.state.replaced(more, State(mean[more], widened)))
@@ -259,8 +257,9 @@ class Tracker:
             told = with_velocity(state.rows(known), measured.velocity[known], settings.reported_velocity_mps)
             state = state.replaced(known, told)
         if (rolling := np.flatnonzero(np.isfinite(p.slip_mps) & ~reported)).size:
-            rolled = without_slip(state.rows(rolling), Parameters.of(table[rolling]))
-            state = state.replaced(rolling, facing_forward(rolled, settings.direction_mps))
+            state = state.replaced(rolling, without_slip(state.rows(rolling), Parameters.of(table[rolling])))
+        if (free := np.flatnonzero(~reported)).size:
+            state = state.replaced(free, facing_forward(state.rows(free), settings.direction_mps))
 
         # A box that overlaps the track beyond the gate is of it as well, and counts as one at the gate.
         expected = bank.state.covariance[tracks, :2, :2] + variance
@@ -270,14 +269,15 @@ class Tracker:
         evidence = bank.evidence.copy()
         evidence[tracks] = self._bounded(evidence[tracks] + change)
 
-        hits = bank.hits.copy()
-        hits[tracks] += 1
-        weight = np.where(reported, 1.0, np.maximum(1.0 / hits[tracks], settings.smoothing))
-        z, size, votes, faces = bank.z.copy(), bank.size.copy(), bank.votes.copy(), bank.facing.copy()
+        label, counts, votes = measured.label, bank.counts.copy(), bank.votes.copy()
+        z, sizes, faces = bank.z.copy(), bank.sizes.copy(), bank.facing.copy()
         score, seen_s = bank.score.copy(), bank.seen_s.copy()
+        counts[tracks, label] += 1
+        votes[tracks, label] += measured.score
+        weight = np.where(reported, 1.0, np.maximum(1.0 / counts[tracks].sum(axis=1), settings.smoothing))
         z[tracks] += weight * (measured.box[:, 2] - z[tracks])
-        size[tracks] += weight[:, None] * (measured.box[:, 3:6] - size[tracks])
-        votes[tracks, measured.label] += measured.score
+        weight = np.where(reported, 1.0, np.maximum(1.0 / counts[tracks, label], settings.smoothing))
+        sizes[tracks, label] += weight[:, None] * (measured.box[:, 3:6] - sizes[tracks, label])
         faces[tracks] = facing
         score[tracks] += settings.score_gain * (measured.score - score[tracks])
         seen_s[tracks] = measured.time_s
@@ -285,13 +285,13 @@ class Tracker:
             bank,
             state=bank.state.replaced(tracks, state),
             z=z,
-            size=size,
+            sizes=sizes,
+            counts=counts,
             votes=votes,
             push=push,
             facing=faces,
             score=score,
             evidence=evidence,
-            hits=hits,
             seen_s=seen_s,
         )
 
@@ -315,24 +315,34 @@ class Tracker:
         covariance[:, YAW, YAW] = np.where(reported, settings.reported_yaw_rad, p.yaw_rad) ** 2
         # The largest variance at any speed: that where curvature and grip bound the turn rate equally.
         covariance[:, RATE, RATE] = p.curvature_per_m * p.lateral_mps2
-        votes = np.zeros((n, len(CLASSES)))
+        votes, sizes = np.zeros((n, len(CLASSES))), np.zeros((n, len(CLASSES), 3))
         votes[np.arange(n), measured.label] = measured.score
+        sizes[np.arange(n), measured.label] = measured.box[:, 3:6]
         return Bank(
             time_s=time_s,
             state=State(np.column_stack([measured.box[:, :2], measured.velocity, yaw, np.zeros(n)]), covariance),
             z=measured.box[:, 2],
-            size=measured.box[:, 3:6],
+            sizes=sizes,
+            counts=np.eye(len(CLASSES), dtype=np.int64)[measured.label],
             votes=votes,
             push=np.zeros(n),
             facing=np.full(n, 0.3),
             score=measured.score,
             evidence=self._bounded(self._score_evidence(measured.score)),
-            hits=np.ones(n, np.int64),
             needed=np.where(measured.score >= settings.sure_score, 1, 2),
             seen_s=np.full(n, time_s),
             birth=serial * _SLOTS + np.arange(n),
             number=np.full(n, -1, np.int64),
         )
+
+    def _in_one_place(self, a: Bank | Measured, b: Bank | Measured, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which pairs (N, M) of `among` are of one group and in one place, where two road users cannot be.
+
+        A pedestrian covers too little of the box of a bicycle for `overlap`.
+        """
+        group, box = (GROUP[a.label][:, None], GROUP[b.label][None, :]), (a.box, b.box)
+        alike = among & (group[0] == group[1])
+        return overlaps(*box, alike, self.settings.overlap) | (centred(*box) & alike & (group[0] == 1))
 
     def _numbered(self, bank: Bank) -> Bank:
         """Return the tracks with numbers for those that are confirmed now.
@@ -353,12 +363,11 @@ class Tracker:
 
         The motion of the one that is seen stays; a tentative one inherits number and history.
         """
-        seen, group = bank.seen_s == bank.time_s, GROUP[bank.label]
+        seen = bank.seen_s == bank.time_s
         if seen.all():
             return bank
-        box = bank.box
         lost, found = np.flatnonzero(~seen), np.flatnonzero(seen)
-        same = overlaps(box[lost], box[found], group[lost][:, None] == group[found][None, :], self.settings.overlap)
+        same = self._in_one_place(bank.rows(lost), bank.rows(found), np.ones((len(lost), len(found)), bool))
         if not same.any():
             return bank
         source, keep = np.arange(len(seen)), np.ones(len(seen), bool)
@@ -370,8 +379,11 @@ class Tracker:
             else:
                 keep[old] = False
         taken = bank.rows(source)
+        known = taken.counts > 0
         merged = replace(
             taken,
+            sizes=np.where(known[:, :, None], taken.sizes, bank.sizes),
+            counts=np.where(known, taken.counts, bank.counts),
             votes=bank.votes,
             evidence=np.maximum(bank.evidence, taken.evidence),
             score=np.maximum(bank.score, taken.score),

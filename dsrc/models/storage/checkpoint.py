@@ -121,7 +121,8 @@ def load_joined(path: Path, device: str = "cpu", engine: str = "fused", fusion: 
     content = _content(Path(path), (FORMAT, JOINED))
     parts = content.get("detectors") if content["format"] == JOINED else [content]
     if not isinstance(parts, list) or not 1 <= len(parts) <= len(ANCHORS):
-        raise CheckpointError(complaint(path, "detectors", f"1 to {len(ANCHORS)} detectors", type(parts).__name__))
+        found = len(parts) if isinstance(parts, list) else type(parts).__name__
+        raise CheckpointError(complaint(path, "detectors", f"1 to {len(ANCHORS)} detectors", found))
     students = [_student(path, _checked(path, part), device, engine, fusion) for part in parts]
     return students[0] if len(students) == 1 else JoinedDetectors(students)
 
@@ -187,7 +188,7 @@ def _checked(path: Path, content: Any, formats: Sequence[str] = (FORMAT,)) -> di
         found = content.get("format", "none") if isinstance(content, dict) else type(content).__name__
         hint = "; the deployable file of a training is its detector.pt; dsrc model import makes one of others' files"
         if found == JOINED:
-            hint = "; of all commands `dsrc drive` alone reads several detectors in one file"
+            hint = "; only `dsrc drive` reads joined detectors, other commands the files that they were joined from"
         raise CheckpointError(complaint(path, "format", " or ".join(formats), found, hint))
     return content
 

@@ -17,7 +17,7 @@ from dsrc.evaluation.metrics.ap import FrameResult, evaluate
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
-from dsrc.training.recipes import METHODS, Augmentation, debug, of_method, override
+from dsrc.training.recipes import METHODS, Augmentation, debug, dsrc_code, of_method, override
 from dsrc.training.train import train, train_stages
 from sim.errors import CheckpointError, SettingsError
 from sim.files import file_sha256
@@ -189,6 +189,13 @@ def test_a_setting_is_of_the_model_of_the_recipe_or_of_a_part_of_it() -> None:
         override(changed, ["fusion=attention", "epochs=60", "augmentation.dropout=0", "sdd=true"]).model
         == debug().model
     )
+
+
+def test_settings_that_go_together_may_come_in_any_order() -> None:
+    together = ["users=vulnerable", "labels.targets=overlap", "direction=false"]
+    assert override(dsrc_code(), together) == override(dsrc_code(), together[::-1])
+    with pytest.raises(SettingsError, match=r"users=vulnerable.*labels.targets: expected overlap"):
+        override(dsrc_code(), together[::2])
 
 
 WRONG = [

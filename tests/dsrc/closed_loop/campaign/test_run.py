@@ -430,7 +430,7 @@ def test_seeds_that_no_episode_would_have_are_refused(tmp_path: Path, text: str)
     path.write_text(
         f'scenarios = ["ima_building"]\n{text}\nseeds = [20, 21]\n[[perceptions]]\nname = "truth"\n', encoding="utf-8"
     )
-    with pytest.raises(SettingsError, match=r"plan\.toml: seeds: expected clean_seeds"):
+    with pytest.raises(SettingsError, match=r"plan\.toml: seeds: expected none, since"):
         read_campaign(path)
     with path.open("a", encoding="utf-8") as file:
         file.write('[[perceptions]]\nname = "ego"\n')
