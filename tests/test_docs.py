@@ -236,6 +236,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         "range-around-the-ego",
         "nothing-is-hidden",
         "background-traffic",
+        "pedestrians-and-bicycles",
     }
     assert {name.partition("/")[0] for name, _ in places} == published
     assert all(shown == blocks[name] for name, shown in places)
@@ -270,6 +271,27 @@ def test_what_is_said_of_training_with_corruption_is_in_its_results() -> None:
         matched = pairs(of(new, corruption), of(old, corruption))
         found = paired_rates(*([arrived(pair[side]) for pair in matched] for side in (0, 1)))
         assert (found.only_first, found.only_second) == words and found.p_value > 0.05
+
+
+def test_what_is_said_of_pedestrians_and_bicycles_is_in_their_results() -> None:
+    page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
+    text = " ".join(page.partition("### Pedestrians and bicycles")[2].partition("### Whose crash")[0].split())
+    result = campaigns()["pedestrians-and-bicycles"]
+    feet, wheels = ("ped_dartout", "ped_bus_stop"), ("cyclist_right_hook",)
+
+    def of(name: str, scenarios: tuple[str, ...]) -> list[EpisodeResult]:
+        return [one for one in result.results if one.perception == name and one.scenario in scenarios]
+
+    crashed = [round(sum(map(collided, of(name, feet)))) for name in ("DSRC", "ego alone", "late fusion")]
+    assert crashed[2] == 0 and f"crashes in {crashed[0]} of 40 episodes, the ego alone in {crashed[1]} and" in text
+    matched = pairs(of("DSRC", feet), of("ego alone", feet))
+    found = paired_rates(*([arrived(pair[side]) for pair in matched] for side in (0, 1)))
+    assert f"{found.only_first:.0f} arrive with DSRC only and one with the ego only (p < 0.001)" in text
+    assert found.only_second == 1 and found.p_value < 0.001
+    assert sum(map(collided, of("DSRC", wheels))) == sum(map(collided, of("ego alone", wheels))) == 9
+    outcomes = Counter(one.outcome for one in of("late fusion", wheels))
+    assert "in 9 of 20" in text and f"{outcomes['stuck']} of 20 are stuck" in text
+    assert {one.outcome for one in result.controls} == {"arrived"} and f"All {len(result.controls)} controls" in text
 
 
 def test_what_the_closed_loop_s_page_says_is_in_its_results() -> None:
@@ -322,7 +344,7 @@ def test_what_the_closed_loop_s_page_says_is_in_its_results() -> None:
         counts = [round(sum(map(collided, results))) for results in (ours, theirs)]
         assert counts == ([6, 10] if conditions == ["clean"] else [30, 39])
     ours, theirs, p_value = compared(of("late fusion", "snow"), of("DSRC", "snow"), collided)
-    assert f"alone in {ours} of the pairs and DSRC alone in {theirs} ({p_value})" in text
+    assert f"in {ours} pairs late fusion only, in {theirs} DSRC only ({p_value})" in text
     snow = Counter(one.scenario for one in of("DSRC", "snow") if collided(one))
     assert snow == {"stalled_after_curve": 10, "eebl_chain": 6, "lta_truck": 2}
     assert "Sixteen of DSRC's 18 crashes in snow are on fast roads, ten of them in `stalled_after_curve`" in text

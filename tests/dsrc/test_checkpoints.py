@@ -29,7 +29,6 @@ def test_a_shipped_detector_loads_as_a_student(name: str, switches: bool) -> Non
     ("joined", "vehicles", "others"),
     [
         (FOLDER / "small-dsrc-vulnerable.pt", SHIPPED_DETECTOR, "vulnerable"),
-        (DRIVEN / "plain-vulnerable.pt", FOLDER / "small-plain.pt", "vulnerable"),
         (DRIVEN / "single-vulnerable.pt", KEPT / "single_s0/student/detector.pt", "vulnerable-alone"),
     ],
     ids=lambda value: value.stem if isinstance(value, Path) else value,
