@@ -28,6 +28,8 @@ SAME_SITE = {
     "resco_ingolstadt1": "ingolstadt",
     "resco_ingolstadt21": "ingolstadt",
     "rilsa_walk": "rilsa_1",
+    "rilsa_crowd": "rilsa_1",
+    "ingolstadt_crowd": "ingolstadt",
 }
 """Places that are parts of one town or one junction."""
 LEAST_BOXES = 3.0
