@@ -22,7 +22,6 @@ from dsrc.models.layers.blocks import Compressor, Decoder, double_conv, upsample
 from dsrc.models.layers.encoder import PillarEncoder, Pillars
 from dsrc.models.pose_graph import aligned
 from dsrc.models.settings import ModelSettings
-from dsrc.models.windows import Windows
 from dsrc.ops.anchors import ANCHORS, anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, headed, in_half_turn
 from dsrc.ops.detections import Detections
@@ -98,22 +97,20 @@ class Detector(nn.Module):
         # Measured on CPUs: 30 % faster.
         self.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def forward(self, pillars: Pillars, layout: AgentLayout, windows: Windows | None = None) -> Output:
+    def forward(self, pillars: Pillars, layout: AgentLayout) -> Output:
         """Detect in B samples.
 
         Args:
             pillars: clouds of all samples' agents, those of a sample consecutive and ego first.
             layout: agents of the clouds; lost tiles of their maps are zeros.
-            windows: parts of the maps to detect in; None: the whole maps.
         """
         if self.precision == torch.float32:
-            return self._forward(pillars, layout, windows)
+            return self._forward(pillars, layout)
         with torch.autocast(pillars.points.device.type, self.precision):
-            return self._forward(pillars, layout, windows).float()
+            return self._forward(pillars, layout).float()
 
-    def _forward(self, pillars: Pillars, layout: AgentLayout, windows: Windows | None) -> Output:
-        maps = self.encoder(pillars)
-        stages = self.backbone(maps if windows is None else windows.of_agents(maps, layout))
+    def _forward(self, pillars: Pillars, layout: AgentLayout) -> Output:
+        stages = self.backbone(self.encoder(pillars))
         return self.heads(stages, self.fuse(self.maps(stages), layout))
 
     def maps(self, stages: Sequence[Tensor]) -> list[Tensor]:

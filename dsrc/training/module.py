@@ -14,11 +14,10 @@ from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.reconstruction import Reconstruction, reconstruction_losses
-from dsrc.models.windows import Windows
 from dsrc.training.losses import consistency_loss, detection_loss, direction_loss, distillation_losses
 from dsrc.training.recipes import Recipe
 from dsrc.training.validation import detections_of, frames_named, metrics_of, prefixed
-from sim.errors import SettingsError, UserError, complaint
+from sim.errors import UserError
 
 
 class TrainingAlarm(UserError):
@@ -49,10 +48,6 @@ class DetectionModule(pl.LightningModule):
         super().__init__()
         self.recipe, self.detector, self.seed, self.unseen = recipe, detector, seed, validates_on_unseen
         settings = detector.settings
-        whole = teacher is not None or settings.role == "teacher" or settings.rec or settings.own_frame
-        if recipe.window_m is not None and (whole or recipe.consistency):
-            expected = "none with a teacher, reconstruction, consistency or clouds in frames of their own"
-            raise SettingsError(complaint("recipe", "window_m", expected, str(recipe.window_m)))
         self.reconstruction = Reconstruction(settings) if settings.rec and settings.role == "student" else None
         # In a tuple the teacher is not a submodule: it is neither saved with the student nor trained.
         self._teacher = (teacher.eval().requires_grad_(False),) if teacher is not None else ()
@@ -61,32 +56,28 @@ class DetectionModule(pl.LightningModule):
         self._results: list[list[FrameResult]] = []
         self._zeros_in_a_row = 0
 
-    def forward(self, batch: Batch, windows: Windows | None = None) -> Output:
-        """Run the network on its clouds: a teacher's own, or the sensors', there in windows or everywhere."""
+    def forward(self, batch: Batch) -> Output:
+        """Run the network on its clouds: a teacher's own, or the sensors'."""
         with self._autocast():
             if self.detector.settings.role == "teacher":
                 return as_teacher(self.detector, batch).float()
             if batch.student is None:
                 raise ValueError("the batch was collated for another network")
-            return self.detector(batch.student, batch.layout, windows).float()
+            return self.detector(batch.student, batch.layout).float()
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.bfloat16)
 
     def losses(self, batch: Batch) -> dict[str, Tensor]:
         """Return the weighted losses of a training batch by name; training minimises their sum."""
+        output = self(batch)
         if batch.targets is None:
             raise ValueError("the batch was collated without targets")
-        positive, regression, windows = batch.targets.positive, batch.targets.regression, None
-        if self.recipe.window_m is not None:
-            stride = self.detector.settings.head_stride
-            windows = Windows.around(positive, self.recipe.window_cells, stride)
-            positive, regression = (windows.of_samples(part, stride) for part in (positive, regression))
-        output = self(batch, windows)
-        cls, reg = detection_loss(output.cls, output.reg, positive, regression)
+        positive = batch.targets.positive
+        cls, reg = detection_loss(output.cls, output.reg, positive, batch.targets.regression)
         losses = {"cls": cls, "reg": reg}
         if output.direction is not None:
-            turned = direction_loss(output.direction, positive, regression)
+            turned = direction_loss(output.direction, positive, batch.targets.regression)
             losses["direction"] = self.recipe.direction * turned
         if self.recipe.consistency and batch.student is not None:
             losses["consistency"] = self.recipe.consistency * self._consistency(batch, output)

@@ -4,13 +4,11 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 import msgspec
-import numpy as np
 from msgspec import Meta
 from msgspec.structs import replace
 
 from dsrc.models.inputs.labels import LabelSettings, released_labels
 from dsrc.models.settings import Count, ModelSettings
-from dsrc.models.windows import ALIGNED
 from dsrc.ops.grid import GridSpec
 from dsrc.training.losses import DistillSettings, released
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX
@@ -76,8 +74,6 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         consistency: weight of the loss between the predictions in a sample's corrupted and clean view; the other losses
             then use the clean one. With 0 there is no clean view of a corrupted sample.
         augmentation: changes of the training samples.
-        window_m: length along x and width along y, m, of the part of the map that a step trains on, around a random box
-            of each sample; None: all of it. For students without a teacher, whose fusion has all clouds in one frame.
         epochs: passes over the data, or over draws of `epoch_frames` from it.
         epoch_frames: frames per epoch, drawn anew for each epoch without replacement; None takes all. Frames a tenth of
             a second apart are much alike.
@@ -113,7 +109,6 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     direction: NotNegative = 0.2
     consistency: NotNegative = 0.0
     augmentation: Augmentation = Augmentation()
-    window_m: tuple[Annotated[float, Meta(gt=0)], Annotated[float, Meta(gt=0)]] | None = None
     epochs: Count = 40
     epoch_frames: Count | None = None
     batch_size: Count = 2
@@ -139,21 +134,6 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.labels.targets == "released" and self.model.users != "vehicles":
             # The released rules know one class: either anchor may have every box.
             raise ValueError(f"labels.targets: expected overlap with users={self.model.users}, found released")
-        if self.window_m is not None:
-            grid, (height, width) = self.model.grid, self.window_cells
-            exact = np.allclose([width * grid.cell_m, height * grid.cell_m], self.window_m)
-            if height % ALIGNED or width % ALIGNED or height > grid.height or width > grid.width or not exact:
-                step, most = ALIGNED * grid.cell_m, f"{grid.width * grid.cell_m:g} x {grid.height * grid.cell_m:g}"
-                found = " x ".join(f"{side:g}" for side in self.window_m)
-                raise ValueError(f"window_m: expected multiples of {step:g} m of at most {most}, found {found}")
-
-    @property
-    def window_cells(self) -> tuple[int, int]:
-        """Height and width of `window_m` in input cells; those of the map without it."""
-        grid = self.model.grid
-        if self.window_m is None:
-            return grid.height, grid.width
-        return round(self.window_m[1] / grid.cell_m), round(self.window_m[0] / grid.cell_m)
 
     def settings(self, stage: Stage) -> ModelSettings:
         """Return the settings of a stage's network."""
