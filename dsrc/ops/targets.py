@@ -39,8 +39,8 @@ def assign_targets(
     """Assign the anchors of one sample.
 
     An anchor with an overlap of at least `positive_iou` is positive for the box that it overlaps most. A box without
-    such an anchor takes those that overlap it most: every anchor that fits inside a bus. For the overlap a box is
-    turned to the nearest axis, so that the number of its anchors does not depend on its heading.
+    such an anchor takes those that overlap it most: every anchor that fits inside a bus. For the overlap a box and
+    an anchor are turned to the nearest axis, so that the number of a box's anchors does not depend on its heading.
 
     With `legacy_iou` the labels are the released code's: overlap of axis-aligned hulls with one metre added to every
     side (a pixel convention, applied to metres), more than 0.6 positive, less than 0.45 negative, the first box wins a
@@ -137,10 +137,11 @@ def _overlap(
     Args:
         hull: (4,) x_min, y_min, x_max, y_max.
         anchors: (H, W, 2, 7): a grid, its centres vary in x along W and in y along H only.
-        extra: added to every side before multiplying, 1 in the legacy convention (which is computed in float32).
+        extra: added to every side before multiplying, 1 in the legacy convention (anchors' hulls, in float32), or 0.
     """
     x, y = anchors[0, :, 0, 0], anchors[:, 0, 0, 1]
-    low = np.array([_hull(a)[:2] - a[:2] for a in anchors[0, 0]])  # (2, 2) anchor corners about their centres
+    hull_of = _hull if extra else _nearest_axis_hull
+    low = np.array([hull_of(a)[:2] - a[:2] for a in anchors[0, 0]])  # (2, 2) anchor corners about their centres
     reach = np.abs(low).max() + extra
     window = (
         slice(*np.searchsorted(y, [hull[1] - reach, hull[3] + reach])),

@@ -351,11 +351,13 @@ def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: LabelSe
     """Assign every sample's boxes to anchors."""
     legacy = labels.targets == "released"
     anchors = _anchors(settings.grid, settings.head_stride, settings.users, settings.anchor_lwh)
-    least, takes = ANCHORS[settings.users].positive_iou, ANCHORS[settings.users].takes
+    kinds = ANCHORS[settings.users]
     found = [
-        assign_targets(sample.boxes.array, anchors, least, legacy, fits=takes[sample.boxes.label]) for sample in samples
+        assign_targets(sample.boxes.array, anchors, kinds.positive_iou, legacy, fits=kinds.takes[sample.boxes.label])
+        for sample in samples
     ]
     regression = np.stack([np.asarray(t.regression, np.float32) for t in found])
+    regression[..., 6::7] *= kinds.headed
     if settings.box_order == "hwl":
         regression = regression.reshape(*regression.shape[:3], 2, 7)[..., REFERENCE_ORDER].reshape(regression.shape)
     return Targets(

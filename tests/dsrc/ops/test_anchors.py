@@ -49,7 +49,7 @@ def test_a_grid_that_the_stride_does_not_divide_is_refused():
 
 def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stands():
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
-    anchors, (_, label, takes, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
+    anchors, (_, label, takes, least, _) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
     rng = np.random.default_rng(0)
     for name, size in (("pedestrian", (0.5, 0.6, 1.7)), ("bicycle", (1.8, 0.65, 1.7)), ("motorcycle", (2.2, 0.8, 1.5))):
         place = np.append(rng.uniform(-10, 10, (60, 2)), rng.uniform(-1.2, -0.8, (60, 1)), axis=1)
@@ -61,7 +61,7 @@ def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stand
 
 
 def test_every_class_of_road_users_has_an_anchor_that_takes_it():
-    for users, (_, label, takes, _) in ANCHORS.items():
+    for users, (_, label, takes, *_) in ANCHORS.items():
         everybody = Boxes.from_array(np.ones((len(CLASSES), 7)), np.arange(len(CLASSES)))
         assert np.array_equal(takes.any(axis=1), users_in(everybody, users))
         assert all(takes[kind, row] for row, kind in enumerate(label))
@@ -70,7 +70,7 @@ def test_every_class_of_road_users_has_an_anchor_that_takes_it():
 def test_people_have_about_as_many_positive_anchors_as_two_wheelers():
     """Those with fewer are found with lower scores. Motorcycles, the largest, have more than both."""
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
-    anchors, (_, _, takes, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
+    anchors, (_, _, takes, least, _) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
     rng = np.random.default_rng(0)
     counts = {}
     for kind in (kind for kind in TYPES.values() if kind.label in ("pedestrian", "bicycle")):
@@ -82,7 +82,7 @@ def test_people_have_about_as_many_positive_anchors_as_two_wheelers():
 
 def test_perfect_maps_decode_to_the_road_users_and_their_classes():
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
-    anchors, (_, label, takes, least) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
+    anchors, (_, label, takes, least, _) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
     boxes = np.array([(3.0, 4.0, -1.0, 0.5, 0.6, 1.7, 2.0), (-6.1, 2.0, -1.0, 1.8, 0.65, 1.7, -0.8)])
     fits = takes[[CLASSES.index("pedestrian"), CLASSES.index("bicycle")]]
     found = assign_targets(boxes, anchors, least, fits=fits)
@@ -92,3 +92,16 @@ def test_perfect_maps_decode_to_the_road_users_and_their_classes():
     read = read[np.argsort(-read.boxes.label)]
     assert [CLASSES[i] for i in read.boxes.label] == ["pedestrian", "bicycle"]
     np.testing.assert_allclose(read.boxes.array, boxes, atol=1e-5)
+
+
+def test_two_wheelers_along_and_across_are_learned_at_half_a_right_angle_from_their_anchor():
+    """The loss is of the sine of the angle: it has no slope at a right angle."""
+    grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
+    anchors, (_, _, takes, least, headed) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
+    for yaw in (0.0, np.pi / 2):
+        box = np.array([(1.0, 2.0, -1.0, 1.8, 0.65, 1.7, yaw)])
+        found = assign_targets(box, anchors, least, fits=takes[[CLASSES.index("bicycle")]])
+        place = np.nonzero(found.positive)
+        assert headed[place[2]].all()
+        angles = found.regression.reshape(*anchors.shape[:2], 2, 7)[place][:, 6]
+        np.testing.assert_allclose(np.abs(angles), np.pi / 4, atol=1e-6)

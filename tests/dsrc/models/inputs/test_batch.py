@@ -1,13 +1,19 @@
+from dataclasses import replace as replace_sample
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from msgspec.structs import replace
 
-from dsrc.models.inputs.batch import pillars_of, scene_of
+from dsrc.data.sample import make_sample
+from dsrc.models.inputs.batch import collate, pillars_of, scene_of
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.pillars import voxelise
+from sim.boxes import CLASSES, Boxes
+from tests.dsrc.training.drive import frame
+from tests.dsrc.training.runs import tiny
 
 SETTINGS = ModelSettings(grid=GridSpec(range_m=(-3.2, -1.6, -3.0, 3.2, 1.6, 1.0)))
 
@@ -64,3 +70,16 @@ def test_a_voxels_offset_is_that_of_the_mean_of_its_points():
 def test_a_point_that_is_nowhere_is_in_no_cell_beyond_the_grid(cloud):
     z, y, x = scene_of([cloud], SETTINGS).voxel[:, 1:].numpy().T
     assert all(((0 <= at) & (at < size)).all() for at, size in ((z, 10), (y, 8), (x, 16)))
+
+
+def test_a_persons_heading_is_not_learned_a_two_wheelers_is():
+    settings = replace(tiny().model, users="vulnerable", sdd=False, pcp=False, rec=False)
+    rows = [(3.0, 2.0, -1.0, 0.5, 0.6, 1.7, 2.0), (-6.1, 2.0, -1.0, 1.8, 0.65, 1.7, 1.0)]
+    boxes = Boxes.from_array(np.array(rows), np.array([CLASSES.index("pedestrian"), CLASSES.index("bicycle")]))
+    sample = replace_sample(make_sample(frame(0), 1000, settings.grid), boxes=boxes)
+    targets = collate([sample], settings, training=True).targets
+    angle = targets.regression[..., 6::7]
+    person, bicycle = (targets.positive[..., anchor] for anchor in (0, 1))
+    assert person.any() and bicycle.any()
+    assert not angle[..., 0][person].any()
+    np.testing.assert_allclose(angle[..., 1][bicycle], 1.0 - np.pi / 4, rtol=1e-6)
