@@ -157,9 +157,11 @@ def read_campaign(path: Path) -> Campaign:
     plan = replace(plan, perceptions=tuple(perceptions))
     check(plan, str(path))
     clean = len(plan.conditions) == 1 or all(one.kind in WITHOUT_SENSOR for one in plan.perceptions)
-    given = read_tables(path, SettingsError).get("seeds")
-    if clean and given is not None:
-        raise SettingsError(complaint(path, "seeds", "none, since no episode is corrupted: clean_seeds", f"{given}"))
+    given = read_tables(path, SettingsError) if clean else {}
+    for field in (name for name in ("seeds", "severities", "family", "who") if name in given):
+        instead = ": clean_seeds" if field == "seeds" else ""
+        expected = f"none, since no episode is corrupted{instead}"
+        raise SettingsError(complaint(path, field, expected, f"{given[field]}"))
     return plan
 
 

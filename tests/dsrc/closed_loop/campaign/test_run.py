@@ -424,6 +424,16 @@ def test_a_wrong_plan_is_one_line_that_names_the_field(tmp_path: Path, text: str
     assert field in str(error.value) and "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("text", ["severities = [4]", 'family = "paper"', 'who = "helpers"'])
+def test_settings_of_corruptions_beside_none_are_refused(tmp_path: Path, text: str) -> None:
+    path, lines = tmp_path / "plan.toml", f'scenarios = ["ima_building"]\n{text}\n[[perceptions]]\nname = "ego"\n'
+    path.write_text(f'corruptions = ["clean"]\n{lines}', encoding="utf-8")
+    with pytest.raises(SettingsError, match=rf"plan\.toml: {text.split()[0]}: expected none, since"):
+        read_campaign(path)
+    path.write_text(f'corruptions = ["fog"]\n{lines}', encoding="utf-8")
+    assert len(read_campaign(path).conditions) == 2
+
+
 @pytest.mark.parametrize("text", ['corruptions = ["clean"]', 'corruptions = ["fog"]'])
 def test_seeds_that_no_episode_would_have_are_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "plan.toml"
