@@ -94,6 +94,9 @@ def publish(
             text = _filled(document, text, name, one, "Nothing.\n")
     for file in (*results, *(path for section in sections for path in section.files)):
         write_file(folder / file, (out / file).read_bytes())
+    # An editor on Windows may have ended the lines by two characters; `_text_of` reads them as one.
+    if document.exists() and b"\r\n" in document.read_bytes():
+        text = text.replace("\n", "\r\n")
     write_file(document, text, edited=True)
     return folder
 

@@ -296,6 +296,9 @@ def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
     assert folder == tmp_path / "docs" / "results" / "small"
     publish(sections, out, document, "Small", RESULTS)
     assert document.read_text() == text
+    document.write_bytes(text.encode().replace(b"\n", b"\r\n"))
+    publish(sections, out, document, "Small", RESULTS)
+    assert document.read_bytes() == text.encode().replace(b"\n", b"\r\n")  # its own line ends stay
     assert files_below(folder) == RESULT_FILES | set(sections[0].files) and "made-up/table_1.csv" in sections[0].files
     # Without a place for any section the document gets all of them.
     publish(sections, out, tmp_path / "all.md", "Small", RESULTS)
