@@ -1,7 +1,8 @@
 """What a network for pedestrians and two-wheelers finds of each, by class, in frames of drives.
 
 Boxes are matched to true boxes whose centres lie within 1 m, one to one, the most confident box first. True boxes are
-those that the network is judged on: with a point of an agent, wholly inside its range.
+those that the network is judged on: with a point of an agent, wholly inside its range. A two-wheeler's box is along its
+line within 30 degrees of the true heading or its opposite, as a third of random boxes are.
 
 Usage:
     python examples/road_users.py --data data/dsrc-sim/test --checkpoint vulnerable.pt
@@ -12,6 +13,7 @@ Usage:
 import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -28,8 +30,11 @@ from sim.boxes import CLASSES
 from sim.errors import UserError
 
 NEXT_TO_M = 1.0
+ALONG = np.cos(2 * np.radians(30.0))
+"""Cosine of twice the largest angle between two lines that run alike."""
 SECOND, NOBODY = "matched already", "nobody"
-KINDS = ("pedestrian", "bicycle", "motorcycle", SECOND, NOBODY)
+TWO_WHEELERS = ("bicycle", "motorcycle")
+KINDS = ("pedestrian", *TWO_WHEELERS, SECOND, NOBODY)
 
 
 def main() -> None:
@@ -60,15 +65,36 @@ def main() -> None:
                 frame = drive.read(position)
                 for name, detector in detectors.items():
                     found[name] += pairs(detector, frame)
-        head = ("network", "road user", "true boxes", "found", "as a pedestrian", "as a two-wheeler", "median score")
+        head = (
+            "network",
+            "road user",
+            "true boxes",
+            "found",
+            "as a pedestrian",
+            "as a two-wheeler",
+            "median score",
+            "along its line, %",
+        )
         rows = [[name, *row] for name, pairs_of_it in found.items() for row in counted(pairs_of_it)]
         put_table(options.docs, "road_users", head, rows)
     except UserError as error:
         parser.error(str(error))
 
 
-Pair = tuple[str, str, float]
-"""True class, or `SECOND` or `NOBODY`; class that it was found as, "" if missed; score."""
+class Pair(NamedTuple):
+    """True box and the box matched to it.
+
+    Attributes:
+        true: class, or `SECOND` or `NOBODY` of a box that has no true one.
+        called: class that it was found as, "" if missed.
+        score: of the box.
+        along: whether the box lies along the true line.
+    """
+
+    true: str
+    called: str = ""
+    score: float = 0.0
+    along: bool = False
 
 
 def pairs(detector: Detector, frame: Frame) -> Iterator[Pair]:
@@ -81,20 +107,23 @@ def pairs(detector: Detector, frame: Frame) -> Iterator[Pair]:
     for row, truth in zip(of.order, of.truth, strict=True):
         near = (away[row] <= NEXT_TO_M).any()
         kind = CLASSES[sample.boxes.label[truth]] if truth >= 0 else SECOND if near else NOBODY
-        yield kind, CLASSES[found.boxes.label[row]], float(found.score[row])
+        turned = found.boxes.yaw[row] - sample.boxes.yaw[truth] if truth >= 0 else np.pi / 2
+        yield Pair(kind, CLASSES[found.boxes.label[row]], float(found.score[row]), np.cos(2 * turned) >= ALONG)
     for truth in np.setdiff1d(np.arange(len(sample.boxes)), of.truth):
-        yield CLASSES[sample.boxes.label[truth]], "", 0.0
+        yield Pair(CLASSES[sample.boxes.label[truth]])
 
 
 def counted(found: Sequence[Pair]) -> Iterator[list[str]]:
     """Yield a row of the table for each class and for the boxes without a match."""
     for kind in KINDS:
-        of_it = [(called, score) for true, called, score in found if true == kind]
-        boxes = [(called, score) for called, score in of_it if called]
-        walking = sum(called == "pedestrian" for called, _ in boxes)
-        middle = f"{np.median([score for _, score in boxes]):.2f}" if boxes else "-"
+        of_it = [pair for pair in found if pair.true == kind]
+        boxes = [pair for pair in of_it if pair.called]
+        riding = [pair for pair in boxes if pair.called != "pedestrian"]
+        middle = f"{np.median([pair.score for pair in boxes]):.2f}" if boxes else "-"
+        lined = kind in TWO_WHEELERS and riding
+        along = f"{100 * np.mean([pair.along for pair in riding]):.0f}" if lined else "-"
         true = "-" if kind in (SECOND, NOBODY) else f"{len(of_it)}"
-        yield [kind, true, f"{len(boxes)}", f"{walking}", f"{len(boxes) - walking}", middle]
+        yield [kind, true, f"{len(boxes)}", f"{len(boxes) - len(riding)}", f"{len(riding)}", middle, along]
 
 
 if __name__ == "__main__":

@@ -466,7 +466,8 @@ def test_what_a_perception_knows_of_the_conflict_actor_is_counted(tmp_path: Path
     assert wrong.returncode == 2 and f"--scenario: expected some of {scenario}, found elsewhere" in wrong.stderr
 
 
-def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("yaw", "along"), [(np.pi + 0.4, "100"), (0.6, "0")])
+def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatch, yaw: float, along: str) -> None:
     """A network that takes all for bicycles, misses what is behind, and sees two of one and somebody who is not."""
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
     import road_users
@@ -476,7 +477,7 @@ def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatc
         [(x, 2.0, -1.0, 0.5, 0.5, 1.7, 0.0) for x in (8.0, 12.0, -9.0)],
         [CLASSES.index(name) for name in ("pedestrian", "motorcycle", "pedestrian")],
     )
-    boxes = Boxes.from_array([(x, y, -1, 1.8, 0.6, 1.7, 0) for x, y in ((8.9, 2), (12, 2), (12.5, 2), (12, 4))])
+    boxes = Boxes.from_array([(x, y, -1, 1.8, 0.6, 1.7, yaw) for x, y in ((8.9, 2), (12, 2), (12.5, 2), (12, 4))])
     boxes = replace(boxes, label=np.full(4, CLASSES.index("bicycle")))
     sample = SimpleNamespace(boxes=people)
     monkeypatch.setattr(road_users, "sample_for", lambda settings, frame, ego: sample)
@@ -485,11 +486,11 @@ def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatc
     )
     rows = list(road_users.counted([pair for frame in range(2) for pair in road_users.pairs(detector, frame)]))
     assert rows == [
-        ["pedestrian", "4", "2", "0", "2", "0.90"],
-        ["bicycle", "0", "0", "0", "0", "-"],
-        ["motorcycle", "2", "2", "0", "2", "0.50"],
-        ["matched already", "-", "2", "0", "2", "0.40"],
-        ["nobody", "-", "2", "0", "2", "0.30"],
+        ["pedestrian", "4", "2", "0", "2", "0.90", "-"],
+        ["bicycle", "0", "0", "0", "0", "-", "-"],
+        ["motorcycle", "2", "2", "0", "2", "0.50", along],
+        ["matched already", "-", "2", "0", "2", "0.40", "-"],
+        ["nobody", "-", "2", "0", "2", "0.30", "-"],
     ]
 
 
