@@ -165,9 +165,12 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
 
         from dsrc.closed_loop.campaign.plan import campaign_of
         from dsrc.closed_loop.campaign.run import look_again_at
+        from dsrc.closed_loop.log import EpisodeLog
         from dsrc.closed_loop.report.terminal import comparison_table
 
-        campaign_of(msgspec.structs.replace(self, what="four_way"))  # options are checked as those of an episode
+        own = EpisodeLog.load(Path(self.what)).settings.perception
+        # Options are checked as those of an episode by these eyes.
+        campaign_of(msgspec.structs.replace(self, what="four_way", perception=self.perception or (own,)))
         former, again = look_again_at(Path(self.what), self)
         Console(highlight=False).print(comparison_table(former, again))
         if self.out is not None:

@@ -117,11 +117,16 @@ class PerceptionClock:
             before: actors one step ago.
             now: actors now.
             claims: false objects that helpers report.
+
+        Raises:
+            SettingsError: a setting of the perception does not fit the agents: `who` names an id that none has.
         """
         if self._steps % self._every == 0 and not self.failure:
             began = time.perf_counter()
             try:
                 self._waiting.append(checked_percept(self._perception.perceive(before, now, claims), now.time_s))
+            except SettingsError:
+                raise
             except Exception as error:  # as in `begin`
                 self.failure = _one_line(error)
                 return None

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Self, cast
+from typing import Any, Self
 
 import msgspec
 
@@ -29,14 +29,14 @@ from dsrc.closed_loop.campaign.plan import (
 )
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.episode import EpisodeMetrics
-from dsrc.closed_loop.perception.open import open_perception
+from dsrc.closed_loop.perception.open import open_perception, parse_perception
 from dsrc.closed_loop.replay import look_again
 from dsrc.closed_loop.types import Outcome
 from dsrc.data.drive_folder import locked
 from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields
-from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Family
+from sensors.corruptions import CLEAN, DEFAULT_SEVERITY
 from sim.errors import DataError, SettingsError, UserError, complaint
 from sim.files import write_file
 from sim.machine import core_count
@@ -301,11 +301,15 @@ def _probed(job: EpisodeJob) -> tuple[str, str]:
 def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog]:
     """Return the log of an episode, and another with the percepts of the perception of a command line.
 
-    Without a perception in the options it is the log's own: both logs are then the same.
+    Without a perception in the options it is the log's own: both logs are then the same. With another perception,
+    corruption or channel, the corruption and the channel are those of the options, not of the log.
 
     Raises:
         UserError: the log or a setting is wrong, or the log's own detector is not the file that is given.
     """
+    for field in ("perception", "corruption", "severity", "channel"):
+        if len(values := getattr(options, field)) > 1:
+            raise SettingsError(complaint("drive", field, "one for a log", " ".join(map(str, values))))
     former = EpisodeLog.load(path)
     settings = former.settings
     uses = options.perception[0] if options.perception else settings.perception
@@ -316,17 +320,31 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
             raise SettingsError(complaint("drive", "checkpoint", expected, checkpoint or f"that of '{uses}'"))
     asked = options.perception or options.corruption or options.channel
     corruption = (options.corruption or (CLEAN if asked else settings.corruption,))[0]
+    if corruption == CLEAN:
+        for field in ("severity", "who", "family"):
+            if getattr(options, field):
+                raise SettingsError(complaint("drive", "corruption", f"one beside --{field}", CLEAN))
+    used: dict[str, Any] = {
+        "corruption": corruption,
+        "family": options.family or settings.family,
+        "who": options.who or ("all" if corruption == CLEAN else settings.who),
+        "channel": (options.channel or (IDEAL if asked else settings.channel,))[0],
+        "engine": options.engine or settings.engine,
+    }
+    severity = (options.severity or (settings.severity or DEFAULT_SEVERITY,))[0]
     perception = open_perception(
         uses,
         checkpoint=options.checkpoint,
-        corruption=corruption,
-        severity=(options.severity or (settings.severity or DEFAULT_SEVERITY,))[0],
-        family=options.family or cast(Family, settings.family),
-        who=options.who or ("all" if corruption == CLEAN else settings.who),
-        channel=(options.channel or (IDEAL if asked else settings.channel,))[0],
+        severity=severity,
         interval_s=settings.loop.get("detect_every_s", settings.scenario.step_s),
         look_ahead_s=settings.loop.get("look_ahead_s", 0.0) if options.look_ahead_s is None else options.look_ahead_s,
-        engine=options.engine or settings.engine,
+        **used,
     )
-    name = uses if corruption == CLEAN else f"{uses} in {corruption}"
-    return former, look_again(former, perception, name, DRIVERS[options.driver or settings.driver]())
+    driver = options.driver or settings.driver
+    again = look_again(former, perception, uses, DRIVERS[driver]())
+    if options.perception or options.checkpoint:
+        asked_for = parse_perception(uses)
+        used["detector"] = detector_hash(asked_for.kind, asked_for.file or str(options.checkpoint or ""))
+    severity = 0 if corruption == CLEAN else severity
+    again.settings = msgspec.structs.replace(again.settings, severity=severity, driver=driver, **used)
+    return former, again

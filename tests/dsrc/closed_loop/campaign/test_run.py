@@ -32,7 +32,7 @@ from dsrc.closed_loop.campaign.run import drive, look_again_at, read_results, re
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.report.report import markdown, write_report
-from dsrc.closed_loop.report.terminal import summary_table
+from dsrc.closed_loop.report.terminal import comparison_table, summary_table
 from dsrc.closed_loop.types import Percept
 from dsrc.data.executors import Pool
 from dsrc.options.driving import DriveOptions
@@ -367,6 +367,50 @@ def test_an_episode_is_looked_at_again_from_its_log(driven: Path) -> None:
     _, other = look_again_at(path, DriveOptions(what=str(path), perception=(f"{__name__}:Blind",)))
     assert all(len(tick.tracks) == 0 for tick in other.ticks)
     assert EpisodeLog.load(path).outcome is former.outcome
+    assert same.settings == former.settings
+
+
+def test_a_second_look_says_what_it_looked_with(driven: Path) -> None:
+    path = driven / "episodes" / f"{rows(driven)[0]['key']}.npz"
+    options = DriveOptions(what=str(path), perception=("ego",), corruption=("fog",), driver="careful")
+    former, again = look_again_at(path, options)
+    settings = again.settings
+    assert (settings.perception, settings.corruption, settings.severity) == ("ego", "fog", 3)
+    assert settings.detector and settings.driver == "careful"
+    heads = [str(column.header) for column in comparison_table(former, again).columns]
+    assert "tracks, truth, planning" in heads and "tracks, ego in fog 3, careful" in heads
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"perception": ("ego", "truth")}, {"perception": ("ego",), "corruption": ("snow", "fog")}, {"severity": (2,)}],
+)
+def test_options_beside_a_log_that_would_do_nothing_are_refused(driven: Path, given: dict[str, Any]) -> None:
+    path = driven / "episodes" / f"{rows(driven)[0]['key']}.npz"
+    with pytest.raises(SettingsError, match="expected one"):
+        look_again_at(path, DriveOptions(what=str(path), **given))
+
+
+def test_a_perception_that_fails_at_once_is_a_row_and_its_message_is_shown(tmp_path: Path) -> None:
+    plan = replace(PLAN, clean_seeds=1, perceptions=(PerceptionSpec(name="broken", uses=f"{__name__}:Broken"),))
+    assert runner.estimate_s(plan, tmp_path, Pool())[0] == 1
+    result = run_campaign(plan, tmp_path)
+    assert [one.outcome for one in result.results] == ["perception failed"]
+    assert "broken: perception failed in 1 of 1 episodes: " in str(summary_table(result).caption)
+
+
+def test_an_agent_that_does_not_exist_ends_the_campaign(tmp_path: Path) -> None:
+    plan = replace(
+        PLAN,
+        scenarios=("lta_truck",),
+        corruptions=("fog",),
+        who="999999",
+        clean_seeds=1,
+        seeds=1,
+        perceptions=(PerceptionSpec(name="team"),),
+    )
+    with pytest.raises(SettingsError, match=r"who: expected ids .* found 999999"):
+        run_campaign(plan, tmp_path)
 
 
 def test_a_log_is_not_repeated_by_another_detector(driven: Path, tmp_path: Path) -> None:
