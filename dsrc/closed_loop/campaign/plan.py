@@ -239,12 +239,18 @@ def check(plan: Campaign, where: str) -> None:
     for field, names in (
         ("scenarios", list(plan.scenarios)),
         ("perceptions", [one.name for one in plan.perceptions]),
+        ("corruptions", list(plan.corruptions)),
         ("severities", list(map(str, plan.severities))),
         ("channels", list(plan.channels)),
+        ("clean_seeds", [] if isinstance(plan.clean_seeds, int) else list(map(str, plan.clean_seeds))),
+        ("seeds", [] if isinstance(plan.seeds, int) else list(map(str, plan.seeds))),
     ):
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise SettingsError(complaint(where, field, "names that differ", repeated[0]))
+    for one in plan.perceptions:
+        if not one.name.strip() or set("|\n") & set(one.name):
+            raise SettingsError(complaint(where, "perceptions.name", "a name without | and line ends", f"'{one.name}'"))
     corruption_kinds(plan.corruptions, plan.family, where)
     who = parse_who(plan.who)
     for condition in plan.conditions:

@@ -95,7 +95,8 @@ def publish(
     for file in (*results, *(path for section in sections for path in section.files)):
         write_file(folder / file, (out / file).read_bytes())
     # An editor on Windows may have ended the lines by two characters; `_text_of` reads them as one.
-    if document.exists() and b"\r\n" in document.read_bytes():
+    before = document.read_bytes() if document.exists() else b""
+    if 2 * before.count(b"\r\n") > before.count(b"\n"):
         text = text.replace("\n", "\r\n")
     write_file(document, text, edited=True)
     return folder

@@ -455,6 +455,9 @@ def test_python_drives_by_the_options_of_the_command(tmp_path: Path) -> None:
         ("seeds = 0", "seeds"),
         ('channels = ["pigeon"]', "pigeon"),
         ("colour = 1", "colour"),
+        ("clean_seeds = [1, 1]", "clean_seeds"),
+        ('corruptions = ["fog", "fog"]', "corruptions"),
+        ('[[perceptions]]\nname = "a|b"\nuses = "truth"', "perceptions.name"),
     ],
 )
 def test_a_wrong_plan_is_one_line_that_names_the_field(tmp_path: Path, text: str, field: str) -> None:
