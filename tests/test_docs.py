@@ -280,10 +280,8 @@ def test_what_is_said_of_pedestrians_and_bicycles_is_in_their_results() -> None:
         return [one for one in result.results if one.perception == name and one.scenario in chosen]
 
     crashed = [round(sum(map(collided, of(name)))) for name in ("DSRC", "plain student", "ego alone")]
-    assert (
-        crashed[0] == crashed[1]
-        and f"crash in {crashed[0]} of 60 episodes each, the ego alone in {crashed[2]};" in text
-    )
+    assert crashed[0] == crashed[1]
+    assert f"crash in {crashed[0]} of 60 episodes each, the ego alone in {crashed[2]};" in text
     matched = pairs(of("DSRC"), of("ego alone"))
     found = paired_rates(*([arrived(pair[side]) for pair in matched] for side in (0, 1)))
     assert f"{found.only_first:.0f} arrive with DSRC only and none with the ego only (p < 0.001)" in text

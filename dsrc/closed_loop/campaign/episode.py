@@ -170,12 +170,12 @@ def probe_s(job: EpisodeJob, steps: int = 4) -> float:
     loop = ClosedLoop(msgspec.convert(job.content, Scenario), _perception(job), DRIVERS[job.driver](), job.loop)
     try:
         loop.start(job.seed)
+        if loop.outcome is None:  # a perception may fail at once
+            loop.advance()
         began = time.perf_counter()
-        for step in range(1 + steps):
-            if loop.outcome is None:  # a perception may fail at once
+        for _ in range(steps):
+            if loop.outcome is None:
                 loop.advance()
-            if step == 0:
-                began = time.perf_counter()
         return (time.perf_counter() - began) / steps
     finally:
         loop.close()

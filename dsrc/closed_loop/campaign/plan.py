@@ -195,6 +195,8 @@ def campaign_of(options: DriveOptions) -> Campaign:
         for number in numbers:
             if number not in fits:
                 raise SettingsError(complaint("drive", field, expected, str(number)))
+    if repeated := [seed for seed in options.seed if options.seed.count(seed) > 1]:
+        raise SettingsError(complaint("drive", "seed", "numbers that differ", str(repeated[0])))
     takers = [one.name for one in asked if not one.file and one.kind in (ALONE, TOGETHER, LATE, MODELLED)]
     if checkpoint and not takers:
         expected = f"none with '{asked[0].name}': ego, team and late take one"
@@ -250,7 +252,8 @@ def check(plan: Campaign, where: str) -> None:
             raise SettingsError(complaint(where, field, "names that differ", repeated[0]))
     for one in plan.perceptions:
         if not one.name.strip() or set("|\n") & set(one.name):
-            raise SettingsError(complaint(where, "perceptions.name", "a name without | and line ends", f"'{one.name}'"))
+            expected = "a name, without | and line ends"
+            raise SettingsError(complaint(where, "perceptions.name", expected, f"'{one.name}'"))
     corruption_kinds(plan.corruptions, plan.family, where)
     who = parse_who(plan.who)
     for condition in plan.conditions:

@@ -301,8 +301,8 @@ def _probed(job: EpisodeJob) -> tuple[str, str]:
 def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog]:
     """Return the log of an episode, and another with the percepts of the perception of a command line.
 
-    Without a perception in the options it is the log's own: both logs are then the same. With another perception,
-    corruption or channel, the corruption and the channel are those of the options, not of the log.
+    Without a perception in the options it is the log's own: both logs are then the same. With a perception, a
+    corruption or a channel in the options, what they leave out of the other two is clean and ideal, not the log's.
 
     Raises:
         UserError: the log or a setting is wrong, or the log's own detector is not the file that is given.
@@ -345,6 +345,8 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
     if options.perception or options.checkpoint:
         asked_for = parse_perception(uses)
         used["detector"] = detector_hash(asked_for.kind, asked_for.file or str(options.checkpoint or ""))
+    if options.look_ahead_s is not None:
+        used["loop"] = settings.loop | {"look_ahead_s": options.look_ahead_s}
     severity = 0 if corruption == CLEAN else severity
     again.settings = msgspec.structs.replace(again.settings, severity=severity, driver=driver, **used)
     return former, again

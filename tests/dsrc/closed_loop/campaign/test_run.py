@@ -31,6 +31,7 @@ from dsrc.closed_loop.campaign.plan import (
 from dsrc.closed_loop.campaign.run import drive, look_again_at, read_results, reused, run_campaign
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
+from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.closed_loop.report.report import markdown, write_report
 from dsrc.closed_loop.report.terminal import comparison_table, summary_table
 from dsrc.closed_loop.types import Percept
@@ -38,6 +39,7 @@ from dsrc.data.executors import Pool
 from dsrc.options.driving import DriveOptions
 from sim.boxes import VEHICLES, Boxes
 from sim.errors import DataError, SettingsError
+from sim.files import file_sha256
 
 PLAN = Campaign(
     scenarios=("ima_building",),
@@ -370,8 +372,9 @@ def test_an_episode_is_looked_at_again_from_its_log(driven: Path) -> None:
     assert same.settings == former.settings
 
 
-def test_a_second_look_says_what_it_looked_with(driven: Path) -> None:
-    path = driven / "episodes" / f"{rows(driven)[0]['key']}.npz"
+def test_a_second_look_says_what_it_looked_with(driven: Path, tmp_path: Path) -> None:
+    log = EpisodeLog.load(driven / "episodes" / f"{rows(driven)[0]['key']}.npz")
+    path = EpisodeLog(log.settings, log.actors[0], log.ticks[:2], log.outcome).save(tmp_path / "log.npz")
     options = DriveOptions(what=str(path), perception=("ego",), corruption=("fog",), driver="careful")
     former, again = look_again_at(path, options)
     settings = again.settings
@@ -391,6 +394,22 @@ def test_options_beside_a_log_that_would_do_nothing_are_refused(driven: Path, gi
         look_again_at(path, DriveOptions(what=str(path), **given))
 
 
+def test_a_log_s_own_perception_looks_again_through_a_corruption(driven: Path, tmp_path: Path) -> None:
+    """Options are checked as those of that perception, a detector here, not of the truth."""
+    path = driven / "episodes" / f"{rows(driven)[0]['key']}.npz"
+    log = EpisodeLog.load(path)
+    settings = replace(log.settings, perception="ego", detector=file_sha256(SHIPPED_DETECTOR))
+    short = EpisodeLog(settings, log.actors[0], log.ticks[:2], log.outcome).save(tmp_path / "log.npz")
+    Drive(what=str(short), corruption=("fog",), out=tmp_path / "again").run()
+    again = EpisodeLog.load(tmp_path / "again/again.npz").settings
+    assert again == replace(settings, corruption="fog", severity=3)
+
+
+def test_repeated_seeds_of_a_command_line_are_refused() -> None:
+    with pytest.raises(SettingsError, match="drive: seed: expected numbers that differ, found 4"):
+        campaign_of(DriveOptions(what="ima_building", seed=(4, 4)))
+
+
 def test_a_perception_that_fails_at_once_is_a_row_and_its_message_is_shown(tmp_path: Path) -> None:
     plan = replace(PLAN, clean_seeds=1, perceptions=(PerceptionSpec(name="broken", uses=f"{__name__}:Broken"),))
     assert runner.estimate_s(plan, tmp_path, Pool())[0] == 1
@@ -408,6 +427,7 @@ def test_an_agent_that_does_not_exist_ends_the_campaign(tmp_path: Path) -> None:
         clean_seeds=1,
         seeds=1,
         perceptions=(PerceptionSpec(name="team"),),
+        loop=LoopSettings(duration_s=0.5),
     )
     with pytest.raises(SettingsError, match=r"who: expected ids .* found 999999"):
         run_campaign(plan, tmp_path)
@@ -458,6 +478,7 @@ def test_python_drives_by_the_options_of_the_command(tmp_path: Path) -> None:
         ("clean_seeds = [1, 1]", "clean_seeds"),
         ('corruptions = ["fog", "fog"]', "corruptions"),
         ('[[perceptions]]\nname = "a|b"\nuses = "truth"', "perceptions.name"),
+        ('[[perceptions]]\nname = ""\nuses = "truth"', "perceptions.name"),
     ],
 )
 def test_a_wrong_plan_is_one_line_that_names_the_field(tmp_path: Path, text: str, field: str) -> None:
