@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -36,7 +36,7 @@ def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Setti
         try:
             return msgspec.convert(raw, kind, strict=True)
         except msgspec.ValidationError as wrong:
-            raise error(_explain(path, raw, _named(raw, kind) or str(wrong))) from None
+            raise error(_explain(path, raw, kind, _named(raw, kind) or str(wrong))) from None
 
 
 def read_tables(path: Path, error: type[UserError]) -> dict[str, Any]:
@@ -87,18 +87,35 @@ def _named(raw: dict, kind: type[msgspec.Struct]) -> str:
     return ""
 
 
-def _explain(path: Path, raw: dict, message: str) -> str:
+def _explain(path: Path, raw: dict, kind: type[msgspec.Struct], message: str) -> str:
     """Return the one-line form of a msgspec message `Expected X, got Y - at `$.a.b[0]``."""
     text, _, pointer = message.partition(" - at ")
     field = pointer.strip("`").removeprefix("$").lstrip(".").replace("[...]", "")
     if "missing required field" in text:
         missing = text.split("`")[1]
         return complaint(path, f"{field}.{missing}".lstrip("."), "a value", "nothing")
+    keys = field.replace("[", ".").replace("]", "").split(".")
     found: object = raw
-    for key in field.replace("[", ".").replace("]", "").split("."):
+    for key in keys:
         if isinstance(found, list) and key.isdigit():
             found = found[int(key)]
         elif isinstance(found, dict):
             found = found.get(key, found)
-    expected = text.removeprefix("Expected ").split(", got")[0].replace("`", "")
+    if text.startswith("Invalid enum value"):
+        expected = f"one of {', '.join(map(str, _choices(kind, keys)))}"
+    else:
+        expected = text.removeprefix("Expected ").split(", got")[0].replace("`", "")
     return complaint(path, field or "top level", expected, found)
+
+
+def _choices(kind: Any, keys: Iterable[str]) -> tuple:
+    """Return the values of a `Literal` below a type, those of the items of a tuple or dict included."""
+    for key in keys:
+        while get_origin(kind) in (Annotated, tuple, dict):
+            kind = get_args(kind)[get_origin(kind) is dict]
+        if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+            kind = get_type_hints(kind).get(key, kind)
+    while get_origin(kind) in (Annotated, tuple, dict):
+        kind = get_args(kind)[get_origin(kind) is dict]
+    literals = [one for one in (kind, *get_args(kind)) if get_origin(one) is Literal]
+    return get_args(literals[0]) if literals else ()

@@ -69,6 +69,9 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 raise SettingsError(complaint("drive", name, f"none beside {beside}", "one"))
             if self.out is None:
                 raise SettingsError(complaint("drive", name, "--out beside it", "none"))
+        for beside in (one for one, given in asks.items() if given and self.pool != SERIAL):
+            expected = f"none beside {beside}, which drives one episode after another"
+            raise SettingsError(complaint("drive", "workers", expected, f"{self.pool.workers or 'one per core'}"))
         if self.docs is not None and not self.what.endswith(".toml"):
             raise SettingsError(complaint("drive", "docs", "a campaign's TOML, which has a name", self.what))
         if self.critical is not None and self.out is not None:
@@ -81,8 +84,9 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 raise SettingsError(complaint("drive", "corruption", f"one beside --{given[0]}", "none"))
         if self.what.endswith(".npz"):
             for name in ("seed", "duration_s", "detect_every_s", "latency_s"):
-                if getattr(self, name) not in (None, ()):
-                    raise SettingsError(complaint("drive", name, f"that of the log {self.what}", "another"))
+                if (given := getattr(self, name)) not in (None, ()):
+                    found = " ".join(map(str, given)) if isinstance(given, tuple) else str(given)
+                    raise SettingsError(complaint("drive", name, "none beside a log, which has its own", found))
         if self.view and (self.critical is not None or self.what.endswith(".npz")):
             hint = f"; run: dsrc view {self.what}" if self.what.endswith(".npz") else ""
             raise SettingsError(complaint("drive", "view", "an episode to drive", "a search or a log", hint))

@@ -156,13 +156,25 @@ def read_campaign(path: Path) -> Campaign:
         perceptions.append(replace(one, uses=kind, checkpoint=found(file or one.checkpoint)))
     plan = replace(plan, perceptions=tuple(perceptions))
     check(plan, str(path))
-    clean = len(plan.conditions) == 1 or all(one.kind in WITHOUT_SENSOR for one in plan.perceptions)
-    given = read_tables(path, SettingsError) if clean else {}
-    for field in (name for name in ("seeds", "severities", "family", "who") if name in given):
-        instead = ": clean_seeds" if field == "seeds" else ""
-        expected = f"none, since no episode is corrupted{instead}"
-        raise SettingsError(complaint(path, field, expected, f"{given[field]}"))
+    given = read_tables(path, SettingsError)
+    for field, expected in _without_effect(plan):
+        if given.get(field) not in (None, [], [CLEAN], [IDEAL]):
+            raise SettingsError(complaint(path, field, expected, f"{given[field]}"))
     return plan
+
+
+def _without_effect(plan: Campaign) -> Iterator[tuple[str, str]]:
+    """Yield the fields that would change no episode of a plan, with what is expected of each."""
+    no_sensor = all(one.kind in WITHOUT_SENSOR for one in plan.perceptions)
+    if no_sensor or len(plan.conditions) == 1:
+        for field in ("seeds", "severities", "family", "who"):
+            yield field, f"none, since no episode is corrupted{': clean_seeds' if field == 'seeds' else ''}"
+    if no_sensor:
+        yield "corruptions", "none, since no perception has a sensor"
+    if not any(_has_detector(one) for one in plan.perceptions):
+        yield "engine", "none, since no perception has a detector"
+    if not any(_has_helpers(one) for one in plan.perceptions):
+        yield "channels", "none, since no perception has helpers"
 
 
 def campaign_of(options: DriveOptions) -> Campaign:
@@ -225,6 +237,10 @@ def campaign_of(options: DriveOptions) -> Campaign:
     except msgspec.ValidationError as error:
         raise SettingsError(f"drive: {error}") from None
     check(plan, "drive")
+    for field, expected in _without_effect(plan):
+        value = {"channels": options.channel, "engine": options.engine}.get(field)
+        if value not in (None, (), (IDEAL,)):
+            raise SettingsError(complaint("drive", field.removesuffix("s"), expected, f"{value}"))
     return plan
 
 
@@ -258,7 +274,7 @@ def check(plan: Campaign, where: str) -> None:
     who = parse_who(plan.who)
     for condition in plan.conditions:
         require_who(condition.kind, who)
-    if plan.loop.look_ahead_s and all(one.kind in (*WITHOUT_SENSOR, MODELLED) for one in plan.perceptions):
+    if plan.loop.look_ahead_s and not any(_has_detector(one) for one in plan.perceptions):
         expected = f"0 with perception '{plan.perceptions[0].name}', which has no detector whose range could be shifted"
         raise SettingsError(complaint(where, "look_ahead_s", expected, f"{plan.loop.look_ahead_s:g}"))
     for scenario in plan.scenarios:
@@ -313,7 +329,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
                             channel=channel,
                             radio=radios[channel],
                             seed=seed,
-                            engine=plan.engine if one.kind not in (*WITHOUT_SENSOR, MODELLED) else "fused",
+                            engine=plan.engine if _has_detector(one) else "fused",
                             driver=plan.driver,
                             loop=plan.loop,
                             versions=versions,
@@ -365,6 +381,10 @@ def _cells(plan: Campaign, one: PerceptionSpec, seed: int, helped: bool) -> Iter
         if seed not in wanted or (one.kind in WITHOUT_SENSOR and not clean):
             continue
         yield from ((condition, channel) for channel in (plan.channels if helped else plan.channels[:1]))
+
+
+def _has_detector(one: PerceptionSpec) -> bool:
+    return one.kind not in (*WITHOUT_SENSOR, MODELLED)
 
 
 def _has_helpers(one: PerceptionSpec) -> bool:

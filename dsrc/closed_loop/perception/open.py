@@ -13,7 +13,7 @@ from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.types import Perception
 from dsrc.data.sample import SampleDetector
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Family, Who, parse_who
-from sim.boxes import VEHICLES
+from sim.boxes import CLASSES, VEHICLES
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
 
@@ -205,6 +205,10 @@ def _own(text: str) -> Any:
     except Exception as error:  # code of one's own can fail in any way
         cause = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise SettingsError(complaint("perception", text, "a class that loads", cause)) from None
+    classes = getattr(made, "classes", VEHICLES)
+    if not isinstance(classes, tuple) or not set(classes) <= set(CLASSES):
+        expected = f"a tuple of {', '.join(CLASSES)}"
+        raise SettingsError(complaint("perception", f"{text}.classes", expected, classes))
     if hasattr(made, "perceive") and hasattr(made, "reset"):
         return made
     if not hasattr(made, "detect"):

@@ -1,4 +1,4 @@
-"""Campaigns: cells that resume, failures that are rows, controls that guard them, plans that are checked."""
+"""Campaigns: cells that resume, failures that are rows, controls that guard them."""
 
 import csv
 import dataclasses
@@ -20,13 +20,7 @@ from rich.console import Console
 from dsrc.cli.drive import Drive
 from dsrc.closed_loop.campaign import run as runner
 from dsrc.closed_loop.campaign.plan import (
-    Campaign,
     PerceptionSpec,
-    campaign_of,
-    careful_of,
-    episodes_of,
-    key_of,
-    read_campaign,
 )
 from dsrc.closed_loop.campaign.run import drive, look_again_at, read_results, reused, run_campaign
 from dsrc.closed_loop.log import EpisodeLog
@@ -34,50 +28,11 @@ from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.closed_loop.report.report import markdown, write_report
 from dsrc.closed_loop.report.terminal import comparison_table, summary_table
-from dsrc.closed_loop.types import Percept
 from dsrc.data.executors import Pool
 from dsrc.options.driving import DriveOptions
-from sim.boxes import VEHICLES, Boxes
 from sim.errors import DataError, SettingsError
 from sim.files import file_sha256
-
-PLAN = Campaign(
-    scenarios=("ima_building",),
-    perceptions=(PerceptionSpec(name="truth"), PerceptionSpec(name="nothing", uses=f"{__name__}:Blind")),
-    corruptions=("clean",),
-    clean_seeds=2,
-    seeds=1,
-    loop=LoopSettings(duration_s=15.0),
-    controls=False,
-    careful=False,
-)
-
-
-class Blind:
-    """Perceives nothing."""
-
-    cooperative = False
-
-    def reset(self, scenario, ego_id: int, seed: int) -> None:
-        pass
-
-    def perceive(self, before, now, claims) -> Percept:
-        return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
-
-
-class BlindForPeople(Blind):
-    """Perceives nothing, and says that it has classes for vehicles alone."""
-
-    classes = VEHICLES
-
-
-class Broken(Blind):
-    """Fails after a while."""
-
-    def perceive(self, before, now, claims) -> Percept:
-        if now.time_s > 1.0:
-            raise MemoryError("no memory left")
-        return super().perceive(before, now, claims)
+from tests.dsrc.closed_loop.campaign.blind import EYES, PLAN
 
 
 def rows(out: Path) -> list[dict[str, str]]:
@@ -189,82 +144,9 @@ def test_more_seeds_keep_those_that_are_there(driven: Path, tmp_path: Path) -> N
 
 
 def test_a_perception_that_fails_is_a_row(tmp_path: Path) -> None:
-    broken = replace(PLAN, clean_seeds=1, perceptions=(PerceptionSpec(name="broken", uses=f"{__name__}:Broken"),))
+    broken = replace(PLAN, clean_seeds=1, perceptions=(PerceptionSpec(name="broken", uses=f"{EYES}:Broken"),))
     (row,) = run_campaign(broken, tmp_path).results
     assert (row.outcome, row.message) == ("perception failed", "MemoryError: no memory left")
-
-
-def test_every_setting_has_a_cell_of_its_own() -> None:
-    plans = [
-        PLAN,
-        replace(PLAN, loop=LoopSettings(duration_s=15.0, latency_s=0.1)),
-        replace(PLAN, driver="careful"),
-        replace(PLAN, scenarios=("ima_queue",)),
-        replace(PLAN, clean_seeds=(7,), seeds=(7,)),
-    ]
-    keys = [key_of(job) for plan in plans for job in episodes_of(plan)]
-    assert len(set(keys)) == len(keys)
-
-
-def test_the_engine_decides_cells_of_networks_alone() -> None:
-    sensed = replace(PLAN, perceptions=(PerceptionSpec(name="truth"), PerceptionSpec(name="ego")))
-    fused, half = (episodes_of(replace(sensed, engine=engine)) for engine in ("fused", "bf16"))
-    changed = [one.uses for one, other in zip(fused, half, strict=True) if key_of(one) != key_of(other)]
-    assert set(changed) == {"ego"} and len(changed) == 2
-    assert campaign_of(DriveOptions(what="ima_building", engine="bf16")).engine == "bf16"
-
-
-def test_names_and_paths_decide_nothing() -> None:
-    renamed = replace(
-        PLAN, perceptions=tuple(replace(one, name=f"my {one.name}", uses=one.kind) for one in PLAN.perceptions)
-    )
-    assert [key_of(job) for job in episodes_of(renamed)] == [key_of(job) for job in episodes_of(PLAN)]
-
-
-def test_a_detector_is_known_by_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def key(text: str, **options) -> str:
-        (job,) = episodes_of(campaign_of(DriveOptions(what="ima_building", perception=(text,), **options)))
-        return key_of(job)
-
-    one, copy = tmp_path / "one.pt", tmp_path / "copy.pt"
-    for path in (one, copy):
-        path.write_bytes(b"weights")
-    first = key(str(one))
-    assert first == key(str(copy)) == key(f"mine={copy}") == key("team", checkpoint=one)
-    assert len({first, key(f"ego={one}"), key(f"late={one}"), key("team")}) == 4
-    one.write_bytes(b"other weights")
-    assert key(str(one)) != first
-    eyes = tmp_path / "eyes_of_a_file.py"
-    monkeypatch.syspath_prepend(str(tmp_path))
-    eyes.write_text("class Eyes: ...")
-    before = key("eyes_of_a_file:Eyes")
-    eyes.write_text("class Eyes: detect = print")
-    assert key("eyes_of_a_file:Eyes") != before
-
-
-def test_a_file_in_a_plan_is_the_checkpoint(tmp_path: Path) -> None:
-    (tmp_path / "one.pt").write_bytes(b"weights")
-    plan = tmp_path / "plan.toml"
-    head = 'scenarios = ["ima_building"]\n[[perceptions]]\nname = "mine"\n'
-    plan.write_text(f'{head}uses = "late=one.pt"\n')
-    (mine,) = read_campaign(plan).perceptions
-    assert mine == PerceptionSpec(name="mine", uses="late", checkpoint=str(tmp_path / "one.pt"))
-    plan.write_text(f'{head}uses = "one.pt"\ncheckpoint = "two.pt"\n')
-    with pytest.raises(
-        SettingsError, match=r"perceptions.mine.checkpoint: expected none beside 'one.pt', found two.pt"
-    ):
-        read_campaign(plan)
-
-
-@pytest.mark.parametrize("text", ["truth", "a.pt", "my_eyes:Own"])
-def test_a_checkpoint_that_nobody_takes_is_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(SettingsError, match="checkpoint: expected none with"):
-        campaign_of(DriveOptions(what="ima_building", perception=(text,), checkpoint=tmp_path / "a.pt"))
-
-
-def test_corruptions_reach_nobody_without_a_sensor() -> None:
-    jobs = episodes_of(replace(PLAN, corruptions=("paper_six",), perceptions=PLAN.perceptions[:1], seeds=2))
-    assert [job.condition["kind"] for job in jobs] == ["clean", "clean"]
 
 
 def test_a_driver_who_fails_a_control_stops_the_campaign(tmp_path: Path, monkeypatch) -> None:
@@ -272,31 +154,6 @@ def test_a_driver_who_fails_a_control_stops_the_campaign(tmp_path: Path, monkeyp
     with pytest.raises(SettingsError, match="ima_building seed 0: crashed"):
         run_campaign(replace(PLAN, controls=True), tmp_path)
     assert not (tmp_path / "results.csv").exists() and (tmp_path / "controls.csv").exists()
-
-
-def test_controls_are_those_of_the_encounters() -> None:
-    found = runner.controls_of(replace(PLAN, scenarios=("ima_building", "four_way")))
-    assert found is not None and found.scenarios == ("ima_building:no_occluder", "ima_building:no_conflict")
-    assert runner.controls_of(replace(PLAN, scenarios=("four_way",))) is None
-    busy = runner.controls_of(replace(PLAN, scenarios=("ima_building:dense", "lta_truck:no_occluder")))
-    assert busy is not None and busy.scenarios == ("ima_building:dense:no_occluder", "ima_building:dense:no_conflict")
-
-
-@pytest.mark.parametrize(
-    ("corruptions", "perceptions", "seeds"),
-    [
-        (("clean",), PLAN.perceptions, {0, 1}),
-        (("fog",), PLAN.perceptions, {0, 1, 7, 8}),
-        (("fog",), PLAN.perceptions[:1], {0, 1}),  # the truth has no sensor that a corruption could break
-    ],
-)
-def test_the_careful_driver_drives_the_seeds_that_others_drive(
-    corruptions: tuple[str, ...], perceptions: tuple[PerceptionSpec, ...], seeds: set[int]
-) -> None:
-    plan = replace(PLAN, corruptions=corruptions, perceptions=perceptions, seeds=(7, 8))
-    driven = {(job.perception, job.seed) for job in episodes_of(careful_of(plan))}
-    assert driven == {("truth", seed) for seed in seeds}
-    assert {job.seed for job in episodes_of(plan)} == seeds
 
 
 def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
@@ -311,7 +168,7 @@ def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
 
 
 def test_encounters_of_a_class_that_a_perception_has_not_are_kept_apart(tmp_path: Path) -> None:
-    blind = PerceptionSpec(name="vehicles only", uses=f"{__name__}:BlindForPeople")
+    blind = PerceptionSpec(name="vehicles only", uses=f"{EYES}:BlindForPeople")
     plan = replace(
         PLAN, scenarios=("ima_building", "ped_dartout"), perceptions=(*PLAN.perceptions, blind), clean_seeds=1
     )
@@ -366,7 +223,7 @@ def test_an_episode_is_looked_at_again_from_its_log(driven: Path) -> None:
     former, same = look_again_at(path, DriveOptions(what=str(path)))
     for one, other in zip(former.ticks, same.ticks, strict=True):
         assert np.array_equal(one.percept.boxes.array, other.percept.boxes.array)
-    _, other = look_again_at(path, DriveOptions(what=str(path), perception=(f"{__name__}:Blind",)))
+    _, other = look_again_at(path, DriveOptions(what=str(path), perception=(f"{EYES}:Blind",)))
     assert all(len(tick.tracks) == 0 for tick in other.ticks)
     assert EpisodeLog.load(path).outcome is former.outcome
     assert same.settings == former.settings
@@ -405,13 +262,8 @@ def test_a_log_s_own_perception_looks_again_through_a_corruption(driven: Path, t
     assert again == replace(settings, corruption="fog", severity=3)
 
 
-def test_repeated_seeds_of_a_command_line_are_refused() -> None:
-    with pytest.raises(SettingsError, match="drive: seed: expected numbers that differ, found 4"):
-        campaign_of(DriveOptions(what="ima_building", seed=(4, 4)))
-
-
 def test_a_perception_that_fails_at_once_is_a_row_and_its_message_is_shown(tmp_path: Path) -> None:
-    plan = replace(PLAN, clean_seeds=1, perceptions=(PerceptionSpec(name="broken", uses=f"{__name__}:Broken"),))
+    plan = replace(PLAN, clean_seeds=1, perceptions=(PerceptionSpec(name="broken", uses=f"{EYES}:Broken"),))
     assert runner.estimate_s(plan, tmp_path, Pool())[0] == 1
     result = run_campaign(plan, tmp_path)
     assert [one.outcome for one in result.results] == ["perception failed"]
@@ -465,63 +317,6 @@ def test_two_campaigns_cannot_write_into_one_folder(tmp_path: Path) -> None:
 def test_python_drives_by_the_options_of_the_command(tmp_path: Path) -> None:
     result = drive("ima_building:no_conflict", perception=("truth",), seed=(3,), out=tmp_path)
     assert [one.seed for one in result.results] == [3] and result.results[0].outcome == "arrived"
-
-
-@pytest.mark.parametrize(
-    ("text", "field"),
-    [
-        ('scenarios = ["nowhere"]', "nowhere"),
-        ('corruptions = ["mist"]', "mist"),
-        ("seeds = 0", "seeds"),
-        ('channels = ["pigeon"]', "pigeon"),
-        ("colour = 1", "colour"),
-        ("clean_seeds = [1, 1]", "clean_seeds"),
-        ('corruptions = ["fog", "fog"]', "corruptions"),
-        ('[[perceptions]]\nname = "a|b"\nuses = "truth"', "perceptions.name"),
-        ('[[perceptions]]\nname = ""\nuses = "truth"', "perceptions.name"),
-    ],
-)
-def test_a_wrong_plan_is_one_line_that_names_the_field(tmp_path: Path, text: str, field: str) -> None:
-    path = tmp_path / "plan.toml"
-    lines = ['scenarios = ["ima_building"]'] * (not text.startswith("scenarios"))
-    path.write_text("\n".join([*lines, text, '[[perceptions]]\nname = "truth"\n']), encoding="utf-8")
-    from sim.errors import UserError
-
-    with pytest.raises(UserError) as error:
-        read_campaign(path)
-    assert field in str(error.value) and "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("text", ["severities = [4]", 'family = "paper"', 'who = "helpers"'])
-def test_settings_of_corruptions_beside_none_are_refused(tmp_path: Path, text: str) -> None:
-    path, lines = tmp_path / "plan.toml", f'scenarios = ["ima_building"]\n{text}\n[[perceptions]]\nname = "ego"\n'
-    path.write_text(f'corruptions = ["clean"]\n{lines}', encoding="utf-8")
-    with pytest.raises(SettingsError, match=rf"plan\.toml: {text.split()[0]}: expected none, since"):
-        read_campaign(path)
-    path.write_text(f'corruptions = ["fog"]\n{lines}', encoding="utf-8")
-    assert len(read_campaign(path).conditions) == 2
-
-
-@pytest.mark.parametrize("text", ['corruptions = ["clean"]', 'corruptions = ["fog"]'])
-def test_seeds_that_no_episode_would_have_are_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "plan.toml"
-    path.write_text(
-        f'scenarios = ["ima_building"]\n{text}\nseeds = [20, 21]\n[[perceptions]]\nname = "truth"\n', encoding="utf-8"
-    )
-    with pytest.raises(SettingsError, match=r"plan\.toml: seeds: expected none, since"):
-        read_campaign(path)
-    with path.open("a", encoding="utf-8") as file:
-        file.write('[[perceptions]]\nname = "ego"\n')
-    if "fog" in text:
-        assert {job.seed for job in episodes_of(read_campaign(path)) if job.condition["kind"] == "fog"} == {20, 21}
-
-
-def test_options_beside_a_plan_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "plan.toml"
-    path.write_text('scenarios = ["ima_building"]\n[[perceptions]]\nname = "truth"\n', encoding="utf-8")
-    assert campaign_of(DriveOptions(what=str(path))).scenarios == ("ima_building",)
-    with pytest.raises(SettingsError, match="seed"):
-        campaign_of(DriveOptions(what=str(path), seed=(1,)))
 
 
 @pytest.mark.slow

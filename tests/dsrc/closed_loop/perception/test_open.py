@@ -31,6 +31,9 @@ class Own:
     def reset(self, scenario, ego_id, seed): ...
     def perceive(self, before, now, claims): ...
 
+class Misspelt(Blind):
+    classes = ("car", "lorry")
+
 class Nothing: ...
 
 class Broken:
@@ -136,6 +139,7 @@ def test_classes_of_ones_own(own: None) -> None:
     [
         ("my_eyes:Nothing", "expected a class with reset and perceive, or with detect, found a Nothing without them"),
         ("my_eyes:Broken", "expected a class that loads, found RuntimeError: no licence"),
+        ("my_eyes:Misspelt", r"Misspelt\.classes: expected a tuple of car, .*, found \('car', 'lorry'\)"),
         ("my_eyes:Blnd", "expected a class that loads, found AttributeError"),
         ("your_eyes:Own", "expected a class that loads, found ModuleNotFoundError: No module named 'your_eyes'"),
         ("trut", "name: expected a name, .*, found trut; did you mean 'truth'"),

@@ -1,0 +1,49 @@
+"""Perceptions that see nothing, and a campaign of two short episodes with one."""
+
+import numpy as np
+
+from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec
+from dsrc.closed_loop.loop import LoopSettings
+from dsrc.closed_loop.types import Percept
+from sim.boxes import VEHICLES, Boxes
+
+EYES = __name__
+"""Module of the perceptions, as `module:Class` names it."""
+
+PLAN = Campaign(
+    scenarios=("ima_building",),
+    perceptions=(PerceptionSpec(name="truth"), PerceptionSpec(name="nothing", uses=f"{__name__}:Blind")),
+    corruptions=("clean",),
+    clean_seeds=2,
+    seeds=1,
+    loop=LoopSettings(duration_s=15.0),
+    controls=False,
+    careful=False,
+)
+
+
+class Blind:
+    """Perceives nothing."""
+
+    cooperative = False
+
+    def reset(self, scenario, ego_id: int, seed: int) -> None:
+        pass
+
+    def perceive(self, before, now, claims) -> Percept:
+        return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
+
+
+class BlindForPeople(Blind):
+    """Perceives nothing, and says that it has classes for vehicles alone."""
+
+    classes = VEHICLES
+
+
+class Broken(Blind):
+    """Fails after a while."""
+
+    def perceive(self, before, now, claims) -> Percept:
+        if now.time_s > 1.0:
+            raise MemoryError("no memory left")
+        return super().perceive(before, now, claims)

@@ -1,0 +1,208 @@
+"""Plans of campaigns: checked, and expanded into cells with keys of their own."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from dsrc.closed_loop.campaign.plan import (
+    PerceptionSpec,
+    campaign_of,
+    careful_of,
+    controls_of,
+    episodes_of,
+    key_of,
+    read_campaign,
+)
+from dsrc.closed_loop.loop import LoopSettings
+from dsrc.options.driving import DriveOptions
+from sim.errors import SettingsError
+from tests.dsrc.closed_loop.campaign.blind import PLAN
+
+
+def test_every_setting_has_a_cell_of_its_own() -> None:
+    plans = [
+        PLAN,
+        replace(PLAN, loop=LoopSettings(duration_s=15.0, latency_s=0.1)),
+        replace(PLAN, driver="careful"),
+        replace(PLAN, scenarios=("ima_queue",)),
+        replace(PLAN, clean_seeds=(7,), seeds=(7,)),
+    ]
+    keys = [key_of(job) for plan in plans for job in episodes_of(plan)]
+    assert len(set(keys)) == len(keys)
+
+
+def test_the_engine_decides_cells_of_networks_alone() -> None:
+    sensed = replace(PLAN, perceptions=(PerceptionSpec(name="truth"), PerceptionSpec(name="ego")))
+    fused, half = (episodes_of(replace(sensed, engine=engine)) for engine in ("fused", "bf16"))
+    changed = [one.uses for one, other in zip(fused, half, strict=True) if key_of(one) != key_of(other)]
+    assert set(changed) == {"ego"} and len(changed) == 2
+    assert campaign_of(DriveOptions(what="ima_building", perception=("ego",), engine="bf16")).engine == "bf16"
+
+
+def test_names_and_paths_decide_nothing() -> None:
+    renamed = replace(
+        PLAN, perceptions=tuple(replace(one, name=f"my {one.name}", uses=one.kind) for one in PLAN.perceptions)
+    )
+    assert [key_of(job) for job in episodes_of(renamed)] == [key_of(job) for job in episodes_of(PLAN)]
+
+
+def test_a_detector_is_known_by_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def key(text: str, **options) -> str:
+        (job,) = episodes_of(campaign_of(DriveOptions(what="ima_building", perception=(text,), **options)))
+        return key_of(job)
+
+    one, copy = tmp_path / "one.pt", tmp_path / "copy.pt"
+    for path in (one, copy):
+        path.write_bytes(b"weights")
+    first = key(str(one))
+    assert first == key(str(copy)) == key(f"mine={copy}") == key("team", checkpoint=one)
+    assert len({first, key(f"ego={one}"), key(f"late={one}"), key("team")}) == 4
+    one.write_bytes(b"other weights")
+    assert key(str(one)) != first
+    eyes = tmp_path / "eyes_of_a_file.py"
+    monkeypatch.syspath_prepend(str(tmp_path))
+    eyes.write_text("class Eyes: ...")
+    before = key("eyes_of_a_file:Eyes")
+    eyes.write_text("class Eyes: detect = print")
+    assert key("eyes_of_a_file:Eyes") != before
+
+
+def test_a_file_in_a_plan_is_the_checkpoint(tmp_path: Path) -> None:
+    (tmp_path / "one.pt").write_bytes(b"weights")
+    plan = tmp_path / "plan.toml"
+    head = 'scenarios = ["ima_building"]\n[[perceptions]]\nname = "mine"\n'
+    plan.write_text(f'{head}uses = "late=one.pt"\n')
+    (mine,) = read_campaign(plan).perceptions
+    assert mine == PerceptionSpec(name="mine", uses="late", checkpoint=str(tmp_path / "one.pt"))
+    plan.write_text(f'{head}uses = "one.pt"\ncheckpoint = "two.pt"\n')
+    with pytest.raises(
+        SettingsError, match=r"perceptions.mine.checkpoint: expected none beside 'one.pt', found two.pt"
+    ):
+        read_campaign(plan)
+
+
+@pytest.mark.parametrize("text", ["truth", "a.pt", "my_eyes:Own"])
+def test_a_checkpoint_that_nobody_takes_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(SettingsError, match="checkpoint: expected none with"):
+        campaign_of(DriveOptions(what="ima_building", perception=(text,), checkpoint=tmp_path / "a.pt"))
+
+
+def test_corruptions_reach_nobody_without_a_sensor() -> None:
+    jobs = episodes_of(replace(PLAN, corruptions=("paper_six",), perceptions=PLAN.perceptions[:1], seeds=2))
+    assert [job.condition["kind"] for job in jobs] == ["clean", "clean"]
+
+
+def test_controls_are_those_of_the_encounters() -> None:
+    found = controls_of(replace(PLAN, scenarios=("ima_building", "four_way")))
+    assert found is not None and found.scenarios == ("ima_building:no_occluder", "ima_building:no_conflict")
+    assert controls_of(replace(PLAN, scenarios=("four_way",))) is None
+    busy = controls_of(replace(PLAN, scenarios=("ima_building:dense", "lta_truck:no_occluder")))
+    assert busy is not None and busy.scenarios == ("ima_building:dense:no_occluder", "ima_building:dense:no_conflict")
+
+
+@pytest.mark.parametrize(
+    ("corruptions", "perceptions", "seeds"),
+    [
+        (("clean",), PLAN.perceptions, {0, 1}),
+        (("fog",), PLAN.perceptions, {0, 1, 7, 8}),
+        (("fog",), PLAN.perceptions[:1], {0, 1}),  # the truth has no sensor that a corruption could break
+    ],
+)
+def test_the_careful_driver_drives_the_seeds_that_others_drive(
+    corruptions: tuple[str, ...], perceptions: tuple[PerceptionSpec, ...], seeds: set[int]
+) -> None:
+    plan = replace(PLAN, corruptions=corruptions, perceptions=perceptions, seeds=(7, 8))
+    driven = {(job.perception, job.seed) for job in episodes_of(careful_of(plan))}
+    assert driven == {("truth", seed) for seed in seeds}
+    assert {job.seed for job in episodes_of(plan)} == seeds
+
+
+def test_repeated_seeds_of_a_command_line_are_refused() -> None:
+    with pytest.raises(SettingsError, match="drive: seed: expected numbers that differ, found 4"):
+        campaign_of(DriveOptions(what="ima_building", seed=(4, 4)))
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ('scenarios = ["nowhere"]', "nowhere"),
+        ('corruptions = ["mist"]', "mist"),
+        ("seeds = 0", "seeds"),
+        ('channels = ["pigeon"]', "pigeon"),
+        ('driver = "reckless"', "driver: expected one of planning, careful, found reckless"),
+        ("colour = 1", "colour"),
+        ("clean_seeds = [1, 1]", "clean_seeds"),
+        ('corruptions = ["fog", "fog"]', "corruptions"),
+        ('[[perceptions]]\nname = "a|b"\nuses = "truth"', "perceptions.name"),
+        ('[[perceptions]]\nname = ""\nuses = "truth"', "perceptions.name"),
+    ],
+)
+def test_a_wrong_plan_is_one_line_that_names_the_field(tmp_path: Path, text: str, field: str) -> None:
+    path = tmp_path / "plan.toml"
+    lines = ['scenarios = ["ima_building"]'] * (not text.startswith("scenarios"))
+    path.write_text("\n".join([*lines, text, '[[perceptions]]\nname = "truth"\n']), encoding="utf-8")
+    from sim.errors import UserError
+
+    with pytest.raises(UserError) as error:
+        read_campaign(path)
+    assert field in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["severities = [4]", 'family = "paper"', 'who = "helpers"'])
+def test_settings_of_corruptions_beside_none_are_refused(tmp_path: Path, text: str) -> None:
+    path, lines = tmp_path / "plan.toml", f'scenarios = ["ima_building"]\n{text}\n[[perceptions]]\nname = "ego"\n'
+    path.write_text(f'corruptions = ["clean"]\n{lines}', encoding="utf-8")
+    with pytest.raises(SettingsError, match=rf"plan\.toml: {text.split()[0]}: expected none, since"):
+        read_campaign(path)
+    path.write_text(f'corruptions = ["fog"]\n{lines}', encoding="utf-8")
+    assert len(read_campaign(path).conditions) == 2
+
+
+@pytest.mark.parametrize("text", ['corruptions = ["clean"]', 'corruptions = ["fog"]'])
+def test_seeds_that_no_episode_would_have_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(
+        f'scenarios = ["ima_building"]\n{text}\nseeds = [20, 21]\n[[perceptions]]\nname = "truth"\n', encoding="utf-8"
+    )
+    with pytest.raises(SettingsError, match=r"plan\.toml: seeds: expected none, since"):
+        read_campaign(path)
+    with path.open("a", encoding="utf-8") as file:
+        file.write('[[perceptions]]\nname = "ego"\n')
+    if "fog" in text:
+        assert {job.seed for job in episodes_of(read_campaign(path)) if job.condition["kind"] == "fog"} == {20, 21}
+
+
+def test_options_beside_a_plan_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text('scenarios = ["ima_building"]\n[[perceptions]]\nname = "truth"\n', encoding="utf-8")
+    assert campaign_of(DriveOptions(what=str(path))).scenarios == ("ima_building",)
+    with pytest.raises(SettingsError, match="seed"):
+        campaign_of(DriveOptions(what=str(path), seed=(1,)))
+
+
+@pytest.mark.parametrize(
+    ("perception", "text"),
+    [
+        ("truth", 'corruptions = ["fog"]'),
+        ("sight", 'engine = "bf16"'),
+        ("truth", 'channels = ["paper"]'),
+        ("ego", 'channels = ["ideal", "paper"]'),
+    ],
+)
+def test_settings_of_what_no_perception_has_are_refused(tmp_path: Path, perception: str, text: str) -> None:
+    path = tmp_path / "plan.toml"
+    lines = f'scenarios = ["ima_building"]\n{text}\n[[perceptions]]\nname = "{perception}"\n'
+    path.write_text(lines, encoding="utf-8")
+    with pytest.raises(SettingsError, match=rf"plan\.toml: {text.split()[0]}: expected none, since no perception has"):
+        read_campaign(path)
+    path.write_text(f'{lines}[[perceptions]]\nname = "team"\n', encoding="utf-8")
+    assert len(read_campaign(path).perceptions) == 2
+
+
+@pytest.mark.parametrize("given", [{"channel": ("paper",)}, {"engine": "bf16"}])
+def test_options_of_what_the_perception_has_not_are_refused(given: dict[str, Any]) -> None:
+    perception = "ego" if "channel" in given else "truth"
+    with pytest.raises(SettingsError, match=f"drive: {next(iter(given))}: expected"):
+        campaign_of(DriveOptions(what="ima_building", perception=(perception,), **given))
