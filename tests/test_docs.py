@@ -22,8 +22,8 @@ from dsrc.cli.demo import SCENARIO, TEST_SEED
 from dsrc.cli.main import COMMANDS, command_class, run
 from dsrc.cli.options import parse
 from dsrc.closed_loop.campaign.episode import EpisodeResult
-from dsrc.closed_loop.campaign.plan import episodes_of, read_campaign
-from dsrc.closed_loop.campaign.run import CampaignResult, read_results
+from dsrc.closed_loop.campaign.plan import episodes_of
+from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.metrics.comparison import Value, arrived, avoidable, collided, pairs
 from dsrc.closed_loop.metrics.statistics import paired_rates
 from dsrc.closed_loop.report.report import markdown, sections
@@ -31,7 +31,6 @@ from dsrc.closed_loop.report.tables import parts_of
 from dsrc.closed_loop.types import Outcome
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
-from dsrc.evaluation.report.document import slug
 from dsrc.evaluation.scoring.truth import truth_of_frame
 from dsrc.models.compression import message_bytes
 from dsrc.models.fusion import FUSIONS
@@ -128,14 +127,11 @@ def test_the_page_of_models_has_every_method_with_the_bytes_that_it_sends() -> N
 
 def campaigns() -> dict[str, CampaignResult]:
     """Committed campaigns with the results of theirs that are committed, by the name of their folder."""
-    found = {}
-    for path in sorted((ROOT / "docs/closed_loop").glob("*.toml")):
-        plan = read_campaign(path)
-        folder = path.parent / slug(plan.name)
-        files = [folder / f"{what}.csv" for what in ("results", "controls", "careful")]
-        parts = [tuple(read_results([file]).values()) if file.is_file() else () for file in files]
-        found[folder.name] = CampaignResult(plan, *parts, made=0, seconds=0.0)
-    return found
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "examples"))
+        from closed_loop_page import committed
+    found = (committed(path) for path in sorted((ROOT / "docs/closed_loop").glob("*.toml")))
+    return {folder.name: result for folder, result in found}
 
 
 def test_the_zoo_has_every_kept_detector_as_its_run_folder_records_it() -> None:

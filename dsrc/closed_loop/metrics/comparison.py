@@ -8,6 +8,8 @@ import numpy as np
 
 from dsrc.closed_loop.types import Outcome
 
+_FAILED = Outcome.PERCEPTION_FAILED.value
+
 
 class Result(Protocol):
     """Result of an episode: what decided it, its outcome, and its metrics, see `EpisodeMetrics`; None is undefined."""
@@ -83,13 +85,22 @@ def lost_score(result: Result) -> float:
     return 1.0 - metric(result, "driving_score_2_1")
 
 
-def counted(results: Sequence[Result]) -> list[Result]:
-    """Return the results that are a success or a failure: an episode that lost its encounter is neither."""
-    return [one for one in results if one.outcome != Outcome.DESYNCHRONISED.value and not math.isnan(collided(one))]
+def counted(results: Sequence[Result], failed: bool = False) -> list[Result]:
+    """Return the results whose crash, or lack of one, counts.
+
+    An episode that lost its encounter is neither a success nor a failure; one whose perception failed ended before its
+    driving could be judged, so that it must not count as one without a crash.
+
+    Args:
+        results: of any perceptions.
+        failed: keep episodes whose perception failed, for arrivals: they are none.
+    """
+    dropped = {Outcome.DESYNCHRONISED.value} if failed else {Outcome.DESYNCHRONISED.value, _FAILED}
+    return [one for one in results if one.outcome not in dropped and not math.isnan(collided(one))]
 
 
 def pairs(
-    results: Sequence[Result], others: Sequence[Result], any_channel: bool = False
+    results: Sequence[Result], others: Sequence[Result], any_channel: bool = False, failed: bool = False
 ) -> list[tuple[Result, Result]]:
     """Return the counted results of the same scenario, seed, corruption, severity, corrupted agents and channel.
 
@@ -97,18 +108,19 @@ def pairs(
         results: of one perception.
         others: of another.
         any_channel: channels may differ: a perception without helpers has none.
+        failed: see `counted`.
 
     Raises:
         ValueError: two results of one side have the same key.
     """
-    ours, theirs = _by_key(results, any_channel=False), _by_key(others, any_channel)
+    ours, theirs = _by_key(counted(results, failed), any_channel=False), _by_key(counted(others, failed), any_channel)
     cut = -1 if any_channel else None
     return [(one, theirs[key[:cut]]) for key, one in ours.items() if key[:cut] in theirs]
 
 
 def _by_key(results: Sequence[Result], any_channel: bool) -> dict[tuple, Result]:
     found: dict[tuple, Result] = {}
-    for one in counted(results):
+    for one in results:
         key = (one.scenario, one.seed, one.corruption, one.severity, one.who, one.channel)[
             : -1 if any_channel else None
         ]

@@ -1,5 +1,6 @@
 """Cells of a campaign's tables: episodes by perception and condition, and how their numbers are written."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
@@ -8,7 +9,7 @@ from dsrc.closed_loop.metrics.statistics import Estimate, mean, rate
 from dsrc.closed_loop.types import Outcome
 from sensors.corruptions import CLEAN
 
-COLUMNS = ("episodes", "crashed", "stuck", "lost", "score", "progress")
+COLUMNS = ("episodes", "crashed", "at fault", "stuck", "lost", "failed", "score", "progress")
 """Headings of `condition_cells`."""
 
 
@@ -30,12 +31,12 @@ def condition(one: EpisodeResult) -> str:
 
 def condition_cells(group: Sequence[EpisodeResult]) -> tuple[str, ...]:
     """Return the numbers of a perception under a condition."""
-    met = counted(group)
+    met, ends = counted(group), Counter(one.outcome for one in group)
     return (
         str(len(group)),
         share(rate([collided(one) for one in met])),
-        str(sum(one.outcome == Outcome.STUCK.value for one in group)),
-        str(len(group) - len(met)),
+        str(sum(bool(collided(one)) and metric(one, "at_fault") == 1.0 for one in met)),
+        *(str(ends[end.value]) for end in (Outcome.STUCK, Outcome.DESYNCHRONISED, Outcome.PERCEPTION_FAILED)),
         score(mean([metric(one, "driving_score_2_1") for one in met])),
         percent(mean([metric(one, "completion") for one in met]).value),
     )

@@ -95,15 +95,18 @@ def _all_scenarios(result: CampaignResult, common: Sequence[EpisodeResult]) -> s
     if not common:
         return ""
     text = (
-        "Crashed: share of the episodes that met their encounter, with its Wilson interval of 95 %. Lost: episodes "
-        "that never met it, not counted. Score: CARLA's driving score 2.1, with a bootstrap interval. Progress: share "
-        "of the reference distance."
+        "Crashed: share of the episodes that met their encounter, with its Wilson interval of 95 %. At fault: crashes "
+        "in which the ego neither stood nor was hit from behind. Lost: episodes that never met their encounter, not "
+        "counted. Failed: episodes whose perception failed, not counted either. Score: CARLA's driving score 2.1, with "
+        "a bootstrap interval. Progress: share of the reference distance."
     )
     if result.careful:
         text += (
             " Avoidable: share of the crashes that the careful driver of UN R157 avoids on the same seeds when it "
             "knows the truth, with its Wilson interval."
         )
+        own = [collided(one) for one in counted(result.careful)]
+        text += f" That driver itself crashes in {sum(own):.0f} of {len(own)} episodes."
     return f"{_conditions(result, common)}\n\n{text}"
 
 
@@ -136,11 +139,13 @@ def _crashed(results: Sequence[EpisodeResult]) -> str:
 
 
 def _arrived(results: Sequence[EpisodeResult]) -> str:
-    table = _by_condition(results, lambda _, met: f"{sum(arrived(one) for one in met):.0f} of {len(met)}")
+    table = _by_condition(results, lambda _, met: f"{sum(arrived(one) for one in met):.0f} of {len(met)}", failed=True)
     return table and f"{table}\n\nOf the episodes that met their encounter."
 
 
-def _by_condition(results: Sequence[EpisodeResult], cell: Callable[[str, Sequence[Result]], str]) -> str:
+def _by_condition(
+    results: Sequence[EpisodeResult], cell: Callable[[str, Sequence[Result]], str], failed: bool = False
+) -> str:
     """Return a table with a line per perception and a column per condition."""
     by_perception = {
         name: _conditions_of([one for one in results if one.perception == name])
@@ -148,7 +153,7 @@ def _by_condition(results: Sequence[EpisodeResult], cell: Callable[[str, Sequenc
     }
     titles = list(dict.fromkeys(title for groups_of in by_perception.values() for title in groups_of))
     lines = [
-        row(name, *(cell(title, counted(own[title])) if title in own else "" for title in titles))
+        row(name, *(cell(title, counted(own[title], failed)) if title in own else "" for title in titles))
         for name, own in by_perception.items()
     ]
     return "\n".join([row("perception", *titles), rule(len(titles) + 1), *lines]) if lines else ""
@@ -196,9 +201,10 @@ def _scenarios(parts: Sequence[Sequence[EpisodeResult]]) -> str:
 
 
 def _crashes(group: Sequence[EpisodeResult]) -> str:
-    """Return the collision rate of some episodes, and how many were stuck or lost."""
+    """Return the collision rate of some episodes, and how many were stuck, lost or had a perception that failed."""
     met = counted(group)
-    counts = {"stuck": sum(one.outcome == Outcome.STUCK.value for one in group), "lost": len(group) - len(met)}
+    kinds = {"stuck": Outcome.STUCK, "lost": Outcome.DESYNCHRONISED, "failed": Outcome.PERCEPTION_FAILED}
+    counts = {what: sum(one.outcome == end.value for one in group) for what, end in kinds.items()}
     rates = share(rate([collided(one) for one in met]))
     text = ", ".join([rates, *(f"{count} {what}" for what, count in counts.items() if count)])
     return text if all(one.detectable for one in group) else f"{text} *"
@@ -240,7 +246,7 @@ def _arrivals(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
     found: dict[str, dict[str, str]] = {}
     for before, after in combinations(names, 2):
         both = [title for title in order if title in own[before] and title in own[after]]
-        matched = {title: pairs(own[after][title], own[before][title]) for title in both}
+        matched = {title: pairs(own[after][title], own[before][title], failed=True) for title in both}
         found[f"{after} less {before}"] = {
             title: _arrivals_cell(_paired(of_both, arrived)) for title, of_both in matched.items() if of_both
         }

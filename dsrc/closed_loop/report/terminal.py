@@ -31,14 +31,16 @@ def summary_table(result: CampaignResult) -> Table:
     scenarios = [one.scenario for one in result.results] if several else []
     table.add_column("perception", min_width=max(map(len, scenarios), default=None))
     table.add_column("condition")
-    for heading in COLUMNS:
-        table.add_column(heading, justify="right", no_wrap=True)
+    shown = [place for place, heading in enumerate(COLUMNS) if heading != "failed"]
+    for place in shown:
+        table.add_column(COLUMNS[place], justify="right", no_wrap=True)
     for scenario in dict.fromkeys(one.scenario for one in result.results):
         if several:
             table.add_section()
             table.add_row(f"[bold]{scenario}[/]")
         for perception, condition, group in groups([r for r in result.results if r.scenario == scenario]):
-            values = [value.partition(" [")[0] for value in condition_cells(group)]
+            cells = condition_cells(group)
+            values = [cells[place].partition(" [")[0] for place in shown]
             name = perception if all(one.detectable for one in group) else f"{perception} *"
             table.add_row(name, condition, *values)
     return table

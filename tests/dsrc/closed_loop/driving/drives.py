@@ -40,10 +40,10 @@ class Drive:
         return np.array([state.speed_mps for state in self.states])
 
 
-def true_tracks(actors: Actors, before: Actors | None, ego_id: int, range_m: float) -> Tracks:
+def true_tracks(actors: Actors, before: Actors | None, ego_id: int) -> Tracks:
     """Return the road users around the ego as tracks without error."""
     ego = actors.boxes.center[actors.row(ego_id), :2]
-    near = np.hypot(*(actors.boxes.center[:, :2] - ego).T) < range_m
+    near = np.hypot(*(actors.boxes.center[:, :2] - ego).T) < RANGE_M
     rows = np.flatnonzero(near & (actors.boxes.object_id != ego_id))
     boxes, n = actors.boxes[rows], len(rows)
     rate = np.zeros(n)
@@ -71,7 +71,6 @@ def drive(
     seconds: float = 14.0,
     driver: Driver | None = None,
     commanded: bool = True,
-    range_m: float = RANGE_M,
 ) -> Drive:
     """Drive a scenario with the truth until a collision; without commands the backend's own driver does."""
     scenario = proven(name, seed)
@@ -96,7 +95,7 @@ def drive(
             out.states.append(state)
             out.progress_m = state.progress_m
             if commanded:
-                tracks = true_tracks(now, before, ego_id, range_m)
+                tracks = true_tracks(now, before, ego_id)
                 began = time.perf_counter()
                 decision = driver.decide(state, tracks)
                 out.seconds.append(time.perf_counter() - began)

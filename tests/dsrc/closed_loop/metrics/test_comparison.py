@@ -9,6 +9,7 @@ from dsrc.closed_loop.metrics.comparison import (
     avoidable,
     collided,
     corruption_errors,
+    counted,
     gain_per_megabyte,
     harm_rate,
     lost_score,
@@ -59,6 +60,13 @@ def test_clean_episodes_and_those_that_lost_their_encounter_are_no_error() -> No
     lost = One(corruption="fog", severity=1, seed=1, outcome="desynchronised", metrics={"collision": 1.0})
     ours = [result(0.0), result(0.0, 0, "fog", 1), lost]
     assert corruption_errors(ours, [result(1.0, 0, "fog", 1)]) == {"fog": 0.0}
+
+
+def test_a_perception_that_fails_is_no_episode_without_a_crash() -> None:
+    failed, driven = replace(result(0.0), outcome="perception failed"), result(0.0, seed=1)
+    assert counted([failed, driven]) == [driven]
+    assert counted([failed, driven], failed=True) == [failed, driven], "and it is no arrival"
+    assert pairs([failed], [result(0.0)]) == [] and len(pairs([failed], [result(0.0)], failed=True)) == 1
 
 
 def test_pairs_are_of_one_scenario_seed_and_corruption() -> None:

@@ -35,6 +35,14 @@ def test_rates_and_arrivals_are_of_the_episodes_that_met_their_encounter() -> No
     assert crashed["together"][0].startswith("0 % [")
 
 
+def test_a_perception_that_fails_neither_crashes_nor_arrives() -> None:
+    found = tables_of(one("together", 0, "crashed", at_fault=0.0), one("together", 1, "perception failed"))
+    assert found["arrived"][1] == ["together", "0 of 2"]
+    assert found["crashed"][1][1].startswith("100 % [")
+    cells = dict(zip(found["conditions"][0], found["conditions"][1], strict=True))
+    assert (cells["episodes"], cells["at fault"], cells["lost"], cells["failed"]) == ("2", "0", "0", "1")
+
+
 def test_pairs_of_one_encounter_and_seed_are_one_cluster_under_all_corruptions() -> None:
     found = tables_of(*RESULTS)
     assert found["arrivals"] == [
