@@ -8,7 +8,7 @@ from tyro.conf import Positional, arg
 from dsrc.options.detection import Engine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, choice
 
-PERCEPTIONS = ("truth", "sight", "ego", "team", "late", "MODEL.json", "MODULE:CLASS")
+PERCEPTIONS = ("truth", "sight", "ego", "team", "late", "FILE", "MODEL.json", "MODULE:CLASS")
 
 
 class DriveOptions(msgspec.Struct, frozen=True):
@@ -17,8 +17,9 @@ class DriveOptions(msgspec.Struct, frozen=True):
     Attributes:
         what: scenario, TOML of a campaign, or log of an episode to look at again.
         perception: what the ego perceives: the truth, the truth in its line of sight, its detector alone, the detector
-            with helpers, an error model (dsrc model fit), or a class of one's own; NAME=PERCEPTION names a line of the
-            table; default: truth.
+            with helpers, detections of each agent alone joined (late), the detector of a file with helpers
+            (ego=FILE: alone, late=FILE: joined), an error model (dsrc model fit), or a class of one's own;
+            NAME=PERCEPTION names a line of the table; default: truth.
         checkpoint: detector file; default: the shipped one.
         corruption: kinds of corruption, each in episodes of its own; paper_six are those of the paper's tables;
             default: none.

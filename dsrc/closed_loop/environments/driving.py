@@ -200,6 +200,8 @@ class DrivingEnv(AbstractEnv):
         self._mirror()
 
     def _simulate(self, action: Any = None) -> None:
+        if action is not None and not np.isfinite(action).all():
+            raise ValueError(f"action must be finite, got {action}")
         for number in range(self._steps):
             if self.loop.outcome is not None:
                 return

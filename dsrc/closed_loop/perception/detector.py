@@ -100,7 +100,7 @@ class DetectorPerception:
         with one_thread():  # workers beside each other would take the cores from one another
             found = self.detector.detect(sample)
         if not isinstance(found, Detections):
-            name = type(self.detector).__name__
+            name = getattr(self.detector, "name", type(self.detector).__name__)
             raise TypeError(f"{name}.detect: expected Detections, found {type(found).__name__}")
         world_from_lidar = self._past[0].agent(self._ego_id).sweep.world_from_lidar
         boxes = found.boxes.transform(world_from_lidar @ invert(sample.ego_from_agent[0]))

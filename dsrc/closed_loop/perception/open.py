@@ -233,5 +233,5 @@ class _WithGrid:
         from dsrc.models.storage.checkpoint import load_detector
 
         self.settings = load_detector(SHIPPED_DETECTOR).settings
-        self.detect = detector.detect
+        self.name, self.detect = type(detector).__name__, detector.detect
         self.classes = getattr(detector, "classes", VEHICLES)

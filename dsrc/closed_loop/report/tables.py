@@ -323,7 +323,7 @@ def _causes(results: Sequence[EpisodeResult]) -> str:
     heads = ("perception", "condition", "crashes", *kinds)
     text = (
         "Crashes in encounters, whoever the ego crashed with, by what came late first. Not seen: no percept had a box "
-        f"of the conflict actor. Seen late: the first one did less than {_SEEN_S:g} s before the crash. Tracked late: "
+        f"of the conflict actor. Seen late: the first box came less than {_SEEN_S:g} s before the crash. Tracked late: "
         f"its track was confirmed more than {_TRACKED_S:g} s after that, or never. In time: neither."
     )
     return "\n".join([row(*heads), rule(len(heads)), *lines, "", text])

@@ -189,11 +189,14 @@ def test_environments_of_encounters_run_side_by_side_in_one_process_those_of_sum
     envs.close()
 
 
-def test_an_action_that_is_not_finite_is_refused() -> None:
-    env = DrivingEnv(scenario=SCENARIO)
+@pytest.mark.parametrize(
+    ("name", "action"), [("dsrc/Rail-v0", [np.nan]), ("dsrc/Free-v0", [0.0, np.nan]), ("dsrc/Free-v0", [np.inf, 0.0])]
+)
+def test_an_action_that_is_not_finite_is_refused(name: str, action: list[float]) -> None:
+    env = DrivingEnv(scenario=SCENARIO, **ENVIRONMENTS[name])
     env.reset(seed=1)
-    with pytest.raises(ValueError, match="finite"):
-        env.step(np.array([np.nan], np.float32))
+    with pytest.raises(ValueError, match="action must be finite"):
+        env.step(np.array(action, np.float32))
     env.close()
 
 

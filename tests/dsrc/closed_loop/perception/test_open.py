@@ -130,7 +130,7 @@ def test_classes_of_ones_own(own: None) -> None:
     perception = open_perception("my_eyes:Blind", corruption="snow", channel="paper")
     assert isinstance(perception, DetectorPerception) and perception.cooperative
     assert perception.detector.settings.grid.range_m[3] == 51.2
-    assert perception.classes == VEHICLES
+    assert perception.classes == VEHICLES and perception.detector.name == "Blind"
     assert open_perception("my_eyes:Everyone").classes == CLASSES
 
 
