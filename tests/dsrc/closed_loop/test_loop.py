@@ -1,6 +1,10 @@
 """The closed loop: encounters are met, survived by those who perceive, and a perception that fails is an outcome."""
 
+import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +21,7 @@ from sim.catalog.load import load_scenario
 from sim.encounters import ENCOUNTERS
 from sim.errors import TrafficError
 from sim.traffic.script import FIRST_ID
+from tests.paths import ROOT
 
 SEED = 1
 
@@ -189,6 +194,24 @@ def test_one_seed_is_one_episode_bit_for_bit() -> None:
         assert one.decision == other.decision
         assert np.array_equal(one.tracks.boxes.array, other.tracks.boxes.array)
         assert np.array_equal(one.actors.boxes.array, other.actors.boxes.array)
+
+
+def test_another_process_with_other_threads_writes_the_same_log(tmp_path: Path) -> None:
+    """Traffic, rays, network and tracks of a detector's drive, byte for byte."""
+    script = (
+        "import sys, dsrc\n"
+        "from dsrc.closed_loop.loop import LoopSettings\n"
+        "loop = dsrc.ClosedLoop('lta_truck', dsrc.open_perception('team'), settings=LoopSettings(duration_s=1.0))\n"
+        "loop.run(1)\n"
+        "loop.log(perception='team').save(sys.argv[1])\n"
+    )
+    written = []
+    for threads in ("1", "2"):
+        path = tmp_path / f"{threads}.npz"
+        threaded = os.environ | {"OMP_NUM_THREADS": threads}
+        subprocess.run([sys.executable, "-c", script, str(path)], check=True, cwd=ROOT, env=threaded)
+        written.append(path.read_bytes())
+    assert written[0] == written[1]
 
 
 def test_a_replay_shows_the_same_and_other_eyes_see_something_else(tmp_path) -> None:
