@@ -24,7 +24,7 @@ from dsrc.cli.options import parse
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.plan import episodes_of
 from dsrc.closed_loop.campaign.run import CampaignResult
-from dsrc.closed_loop.metrics.comparison import Value, arrived, avoidable, collided, pairs
+from dsrc.closed_loop.metrics.comparison import Value, arrived, avoidable, collided, counted, pairs
 from dsrc.closed_loop.metrics.statistics import paired_rates
 from dsrc.closed_loop.report.report import markdown, sections
 from dsrc.closed_loop.report.tables import parts_of
@@ -270,21 +270,69 @@ def test_what_is_said_of_pedestrians_and_bicycles_is_in_their_results() -> None:
     page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
     text = " ".join(page.partition("### Pedestrians and bicycles")[2].partition("### Whose crash")[0].split())
     result = campaigns()["pedestrians-and-bicycles"]
+    kinds = {one.corruption for one in result.results} - {"clean"}
+    names = ("DSRC", "plain student", "ego alone", "late fusion")
 
-    def of(name: str, *scenarios: str) -> list[EpisodeResult]:
-        chosen = scenarios or result.plan.scenarios
-        return [one for one in result.results if one.perception == name and one.scenario in chosen]
+    def of(name: str, *corruptions: str) -> list[EpisodeResult]:
+        chosen = corruptions or ("clean",)
+        return [one for one in result.results if one.perception == name and one.corruption in chosen]
 
-    crashed = [round(sum(map(collided, of(name)))) for name in ("DSRC", "plain student", "ego alone")]
-    assert crashed[0] == crashed[1]
+    def compared(ours: list[EpisodeResult], theirs: list[EpisodeResult], value: Value) -> tuple[int, int, float]:
+        matched = pairs(ours, theirs)
+        clusters = [(one.scenario, one.seed) for one, _ in matched]
+        found = paired_rates(*([value(pair[side]) for pair in matched] for side in (0, 1)), clusters=clusters)
+        return round(found.only_first), round(found.only_second), found.p_value
+
+    def of_clean(name: str, corruption: str, value: Value) -> tuple[int, int, float]:
+        as_clean = [msgspec.structs.replace(one, corruption="clean", severity=0) for one in of(name, corruption)]
+        return compared(as_clean, of(name), value)
+
+    def told(value: Value, name: str, *corruptions: str) -> str:
+        met = counted(of(name, *corruptions))
+        return f"{round(sum(map(value, met)))} of {len(met)}"
+
+    crashed = [round(sum(map(collided, of(name)))) for name in names]
+    assert crashed[0] == crashed[1] and crashed[3] == 0
     assert f"crash in {crashed[0]} of 60 episodes each, the ego alone in {crashed[2]};" in text
-    matched = pairs(of("DSRC"), of("ego alone"))
-    found = paired_rates(*([arrived(pair[side]) for pair in matched] for side in (0, 1)))
-    assert f"{found.only_first:.0f} arrive with DSRC only and none with the ego only (p < 0.001)" in text
-    assert found.only_second == 0 and found.p_value < 0.001
-    late = of("late fusion", "cyclist_right_hook")
-    assert f"{Counter(one.outcome for one in late)['stuck']} of 20 are stuck" in text
-    assert not any(map(collided, of("late fusion")))
+    first, second, p_value = compared(of("DSRC"), of("ego alone"), arrived)
+    assert f"{first} arrive with DSRC only and none with the ego only (p < 0.001)" in text
+    assert second == 0 and p_value < 0.001
+    alone = told(collided, "ego alone", *kinds)
+    assert f"DSRC crashes in {told(collided, 'DSRC', *kinds)}, the ego alone in {alone}; " in text
+    first, second, p_value = compared(of("DSRC", *kinds), of("ego alone", *kinds), arrived)
+    snow = compared(of("DSRC", "snow"), of("ego alone", "snow"), arrived)
+    assert f"{first} pairs arrive with DSRC only, {second} with the ego only (p < 0.001), {snow[1]} of them" in text
+    assert p_value < 0.001 and snow[2] > 0.05
+
+    assert f"DSRC arrives in {told(arrived, 'DSRC', 'snow')} episodes, all of which it finishes clean" in text
+    assert f"(p = {of_clean('DSRC', 'snow', arrived)[2]:.3f})" in text
+    assert f"plain student in {told(arrived, 'plain student', 'snow')} (p < 0.001)" in text
+    assert of_clean("plain student", "snow", arrived)[2] < 0.001
+    assert told(collided, "DSRC", "snow") == told(collided, "plain student", "snow") == "4 of 30"
+    harm = [of_clean(name, "snow", collided)[2] for name in names[:2]]
+    assert harm == [0.125, 0.125] and "Both crash in 4 of 30, which is not resolved against none" in text
+
+    ours = told(arrived, "DSRC", "crosstalk").replace(" of ", " of the ")
+    assert f"DSRC arrives in {ours} episodes that met" in text
+    assert f"(p = {of_clean('DSRC', 'crosstalk', arrived)[2]:.3f} against" in text
+    plain, late, ego = (told(arrived, name, "crosstalk") for name in ("plain student", "late fusion", "ego alone"))
+    assert f"the plain student in {plain} and late fusion in {late} (p < 0.001 each), the ego alone in {ego}." in text
+    assert all(of_clean(name, "crosstalk", arrived)[2] < 0.001 for name in ("plain student", "late fusion"))
+    lost = Counter(one.outcome for one in of("DSRC", "crosstalk"))["desynchronised"]
+    assert f"{lost} of DSRC's 30 so long" in text
+
+    mild = ("fog", "beam_missing", "motion_blur", "cross_sensor")
+    met = counted(of("DSRC", *mild))
+    assert not any(map(collided, met)) and [one.corruption for one in met if not arrived(one)] == ["fog"]
+    assert f"arrives in fog in {told(arrived, 'ego alone', 'fog')}." in text
+    both = of("DSRC", *kinds), of("plain student", *kinds)
+    first, second, p_value = compared(*both, arrived)
+    assert f"in {first} pairs against {second} of {len(pairs(*both))} (p = {p_value:.3f})" in text
+    assert min(compared(of("DSRC", k), of("plain student", k), arrived)[2] for k in kinds) > 0.05
+    stuck = [one for one in of("late fusion") if one.scenario == "cyclist_right_hook"]
+    assert f"{Counter(one.outcome for one in stuck)['stuck']} of 20 are stuck" in text
+    assert told(collided, "late fusion", *kinds).startswith("0 ")
+    assert f"arrives in {told(arrived, 'late fusion', *kinds)} corrupted episodes" in text
     assert {one.outcome for one in result.controls} == {"arrived"} and f"All {len(result.controls)} controls" in text
 
 
