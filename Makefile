@@ -7,11 +7,24 @@ INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 # make clean test TORCH_INDEX=https://pypi.org/simple
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: demo test test-slow test-browser test-explore fuzz lint format docs clean
+.PHONY: demo results test test-slow test-browser test-explore fuzz lint format docs clean
 
 # An interrupted demo resumes.
 demo: $(READY)
 	$(BIN)/dsrc demo --out demo
+
+# All trainings and tables of docs/results.md, days on two cores; an interrupted one resumes.
+KEPT := docs/results/dsrc-sim-small/kept
+BENCHMARK := OMP_NUM_THREADS=1 $(BIN)/dsrc benchmark --docs docs/results.md --partial --workers 2
+results: $(READY)
+	$(BIN)/dsrc dataset build dsrc-sim --out data/dsrc-sim
+	$(BIN)/dsrc dataset build dsrc-sim-vulnerable --out data/dsrc-sim-vulnerable
+	$(BIN)/python examples/campaign.py --data data/dsrc-sim --out runs --kept $(KEPT) --past G2
+	$(BENCHMARK) docs/results/dsrc-sim-small/benchmark.toml --out runs/benchmark
+	$(BENCHMARK) docs/results/dsrc-sim-small/twins.toml --out runs/twins
+	$(BENCHMARK) docs/results/dsrc-sim-small/sweeps.toml --out runs/sweeps
+	$(BIN)/python examples/score_thresholds.py runs/twins --docs docs/results.md
+	$(BIN)/python examples/zoo.py $(KEPT) --docs docs/zoo.md
 
 test: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile

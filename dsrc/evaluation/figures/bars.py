@@ -1,4 +1,4 @@
-"""Bars and heat maps of AP: per condition, and of tables."""
+"""Bars and heat maps of AP: per condition, of tables and of differences."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,6 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
 
 from dsrc.evaluation.figures.style import (
     INK,
@@ -24,11 +25,14 @@ from dsrc.evaluation.figures.style import (
     styles_of,
 )
 from dsrc.evaluation.metrics.ap import metric_name
-from dsrc.evaluation.metrics.intervals import IOUS
-from dsrc.evaluation.results import Row, condition_title, conditions_of, find_row, methods_of
+from dsrc.evaluation.metrics.intervals import IOUS, Difference
+from dsrc.evaluation.results import MCE, MEAN_CORRUPTED, Row, condition_title, conditions_of, find_row, methods_of
 from dsrc.evaluation.table import ResultTable, Stat
 
 _MOST_BARS = 6
+_GAINS, _STRONG = "RdBu", 10.0
+"""Colours of differences, and the points that have the strongest."""
+_WHITE = (1.0, 1.0, 1.0)
 
 
 def corruption_bars(rows: Sequence[Row], styles: Mapping[str, Style] | None = None, title: str = "") -> Figure:
@@ -129,25 +133,56 @@ def _map(
                 texts = ["-" if math.isnan(value) else f"{value:.1f}" for value in column]
                 best = f"{max(column, key=lambda value: -math.inf if math.isnan(value) else value):.1f}"
                 for y, (value, text) in enumerate(zip(column, texts, strict=True)):
-                    _cell(axes, x, y, scale(value), text, bold=text == best and len(lines) > 1)
-            axes.set(xlim=(-0.5, max(places, default=0.0) + 0.5), ylim=(max(len(lines), 1) - 0.5, -0.5))
+                    color = _WHITE if text == "-" else mpl.colormaps[_CMAP](float(scale(value)))[:3]
+                    _cell(axes, x, y, color, text, bold=text == best and len(lines) > 1)
+            _frame(axes, places, columns, lines, named=axes is parts[0])
             axes.set_title(f"IoU {iou}")
-            names = [column.replace(", ", "\n") for column in columns]
-            turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if len(columns) > 4 else {}
-            axes.set_xticks(places, names, **turned)  # type: ignore[arg-type]
-            axes.set_yticks(range(len(lines)), lines if axes is parts[0] else [""] * len(lines))
-            axes.tick_params(length=0)
-            axes.grid(visible=False)
-            axes.spines[:].set_visible(False)
         bar = figure.colorbar(ScalarMappable(scale, _CMAP), ax=parts, fraction=0.02, pad=0.01)
         bar.set_label("average precision, %")
         bar.outline.set_visible(False)  # type: ignore[operator]
     return figure
 
 
-def _cell(axes: Axes, x: float, y: float, value: float, text: str, *, bold: bool) -> None:
-    """Draw a number on its colour, in black or white, whichever is legible; a missing one on white."""
-    color = (1.0, 1.0, 1.0) if text == "-" else mpl.colormaps[_CMAP](float(value))[:3]
+def difference_map(differences: Sequence[Difference], title: str = "") -> Figure:
+    """Draw differences as a heat map with numbers, a panel per IoU, a line per pair, a column per condition.
+
+    Differences that both intervals resolve have a colour and bold numbers: blue where the method is better.
+    """
+    pairs = list(dict.fromkeys((one.method, one.baseline) for one in differences))
+    conditions = list(dict.fromkeys(one.condition for one in differences))
+    lines = [f"{method} \N{MINUS SIGN} {baseline}" for method, baseline in pairs]
+    places = np.arange(len(conditions)) + 0.25 * np.isin(conditions, [MEAN_CORRUPTED, MCE])
+    scale = Normalize(-_STRONG, _STRONG, clip=True)
+    with figure_style():
+        figure, parts = panels(WIDTH_IN, len(IOUS) * (1.5 + 0.24 * len(lines)), rows=len(IOUS), title=title)
+        for axes, iou in zip(parts, IOUS, strict=True):
+            for one in (one for one in differences if one.iou == iou):
+                x, y = places[conditions.index(one.condition)], pairs.index((one.method, one.baseline))
+                value = 100 * one.value.mean
+                gain = -value if one.condition == MCE else value
+                color = mpl.colormaps[_GAINS](float(scale(gain)))[:3] if one.resolved else _WHITE
+                _cell(axes, x, y, color, "-" if math.isnan(value) else f"{value:+.1f}", bold=one.resolved)
+            _frame(axes, places, list(map(condition_title, conditions)), lines, named=True)
+            axes.set_title(f"IoU {iou}, points; coloured: both intervals exclude 0; blue: better")
+    return figure
+
+
+def _frame(
+    axes: Axes, places: NDArray[np.float64], columns: Sequence[str], lines: Sequence[str], *, named: bool
+) -> None:
+    """Name the columns of a heat map and, if wanted, its lines."""
+    axes.set(xlim=(-0.5, max(places, default=0.0) + 0.5), ylim=(max(len(lines), 1) - 0.5, -0.5))
+    names = [column.replace(", ", "\n") for column in columns]
+    turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if len(columns) > 4 else {}
+    axes.set_xticks(places, names, **turned)  # type: ignore[arg-type]
+    axes.set_yticks(range(len(lines)), lines if named else [""] * len(lines))
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+
+
+def _cell(axes: Axes, x: float, y: float, color: tuple[float, float, float], text: str, *, bold: bool) -> None:
+    """Draw a number on a colour, in black or white, whichever is legible."""
     axes.add_patch(Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=color, linewidth=0))
     ink = "white" if np.dot(color, (0.299, 0.587, 0.114)) < 0.5 else "black"
     weight = "bold" if bold else "normal"

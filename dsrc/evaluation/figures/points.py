@@ -23,27 +23,23 @@ from dsrc.evaluation.results import MCE, MEAN_AP, Row, condition_title, find_row
 
 
 def difference_dots(differences: Sequence[Difference], title: str = "") -> Figure:
-    """Draw differences with their intervals, a row of panels per pair, a panel per IoU, a line per condition.
+    """Draw the differences of a pair with their intervals, a panel per IoU, a line per condition.
 
     The upper bar of a line is the interval by frame, the lower one that by drive; dots are full where both exclude 0.
     """
-    pairs = list(dict.fromkeys((one.method, one.baseline) for one in differences))
     conditions = list(dict.fromkeys(one.condition for one in differences))
-    height = 0.9 + len(pairs) * (0.8 + 0.24 * len(conditions))
     with figure_style():
-        figure, parts = panels(WIDTH_IN, height, rows=max(len(pairs), 1), columns=len(IOUS), title=title)
-        wanted = [(pair, iou) for pair in pairs for iou in IOUS]
-        for axes, (pair, iou) in zip(parts, wanted, strict=False):
-            shown = [one for one in differences if (one.method, one.baseline) == pair and one.iou == iou]
+        figure, parts = panels(WIDTH_IN, 1.7 + 0.24 * len(conditions), columns=len(IOUS), title=title)
+        for axes, iou in zip(parts, IOUS, strict=True):
+            shown = [one for one in differences if one.iou == iou]
             axes.axvline(0.0, color=INK, linewidth=0.9)
             for y, one in enumerate(shown):
                 _interval(axes, y, one, named=y == 0)
             first = iou == IOUS[0]
             axes.set_yticks(range(len(shown)), [condition_title(one.condition) if first else "" for one in shown])
             axes.set(ylim=(len(conditions) - 0.5, -0.5))
-            axes.set_title(f"{pair[0]} minus\n{pair[1]}, IoU {iou}")
+            axes.set_title(f"{shown[0].method} minus\n{shown[0].baseline}, IoU {iou}")
             axes.grid(visible=False, axis="y")
-        for axes in parts[-len(IOUS) :]:
             axes.set_xlabel("difference, points of AP (mCE: less is better)")
         add_legend(figure, parts[0], below=True)
     return figure

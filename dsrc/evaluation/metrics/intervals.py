@@ -147,8 +147,8 @@ class Difference:
         baseline: name of the baseline.
         condition: `clean`, a corruption, `mean_corrupted` or `mce`, of which less is better.
         iou: bird's-eye IoU threshold.
-        value: difference in average precision or mCE, means over the trainings; its spread is that of the trainings'
-            own differences, paired by seed, NaN where seeds differ.
+        value: difference in average precision or mCE, means over the trainings; its spread is that of the differences
+            between trainings of one seed, NaN with fewer than two common seeds.
         by_frame: interval over resampled frames.
         by_drive: interval over resampled drives.
     """

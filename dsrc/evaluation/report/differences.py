@@ -3,7 +3,7 @@
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +62,21 @@ class DifferenceTable:
         parts = [f"**{self.title}**", markdown_table(rows), self.claims(), *self.footnotes, self.note]
         return "\n\n".join(parts) + "\n"
 
+    def summary(self) -> str:
+        """Markdown: title, a line per pair with its clean frames, mean of the corruptions and mCE, and a note.
+
+        Intervals are those by drive; bold is what both intervals resolve.
+        """
+        shown = [one for one in self.differences if one.condition in (CLEAN, MEAN_CORRUPTED, MCE)]
+        columns = list(dict.fromkeys((one.condition, one.iou) for one in shown))
+        rows = [["Difference", *(f"{_titled(condition)}, {iou:g}" for condition, iou in columns)]]
+        rows.append(["---", *("---:" for _ in columns)])
+        for start in range(0, len(shown), len(columns)):
+            group = shown[start : start + len(columns)]
+            rows.append([self._pair(group[0]), *map(_by_drive, group)])
+        note = f"Points of AP at IoU 0.5 and 0.7, with the interval by drive. {self.note}"
+        return "\n\n".join([f"**{self.title}**", markdown_table(rows), *self.footnotes, note]) + "\n"
+
     def csv(self) -> str:
         """CSV with a line per difference, unscaled; unknown numbers are empty."""
         text = io.StringIO()
@@ -111,8 +126,8 @@ def difference_table(
         "on the same resamples, AP computed anew in each. Bold: the interval excludes 0, as one of twenty does by "
         "chance; of a difference, both do. Frames of one drive are alike, so the interval by frame is too narrow for "
         "other drives. The trainings of a method are averaged in each resample, so what another training would change "
-        "is in neither interval; where the seeds of both methods are the same, ± is the standard deviation of the "
-        f"difference between seeds.{sample_note(results, methods, spread=False)}"
+        "is in neither interval. Where two methods have trainings of two or more common seeds, only these count, and ± "
+        f"is the standard deviation of the difference between seeds.{sample_note(results, methods, spread=False)}"
     )
     marked = {name: results.marked(name, name) for name in methods}
     return DifferenceTable(f"Differences, {results.titled}", note, marked, results.footnotes(methods), found)
@@ -135,16 +150,18 @@ def _differences(
         units: numbers of frames and drives.
     """
     names = (pair.method, pair.baseline)
-    orders = _orders([one.seed for one in results.trained[name]] for name in names)
+    first, second = ([one.seed for one in results.trained[name]] for name in names)
+    paired = _paired(first, second)
+    orders = paired or (list(range(len(first))), list(range(len(second))))
     listed = []
     for condition in by_frame[pair.method]:
         for k, iou in enumerate(IOUS):
-            frame, drive = ([metrics[name][condition][:, k] for name in names] for metrics in (by_frame, by_drive))
+            frame, drive = (
+                [metrics[name][condition][order, k] for name, order in zip(names, orders, strict=True)]
+                for metrics in (by_frame, by_drive)
+            )
             values, values_by_drive = (a.mean(axis=0) - b.mean(axis=0) for a, b in (frame, drive))
-            spread = math.nan
-            if orders is not None:
-                each = [training[order, 0] for training, order in zip(frame, orders, strict=True)]
-                spread = Stat.of(list(each[0] - each[1])).spread
+            spread = Stat.of(list(frame[0][:, 0] - frame[1][:, 0])).spread if paired else math.nan
             value = Stat(float(values[0]), spread)
             resampled = zip((values[1:], values_by_drive[1:]), units, strict=True)
             bounds = (percentile_interval(of_unit, number) for of_unit, number in resampled)
@@ -152,12 +169,15 @@ def _differences(
     return listed
 
 
-def _orders(seeds: Iterable[list[int | None]]) -> list[NDArray[np.intp]] | None:
-    """Order by seed of two methods' trainings; None where their seeds differ or are unknown."""
-    known = [np.array([math.nan if seed is None else seed for seed in own], np.float64) for own in seeds]
-    orders = [np.argsort(own, kind="stable") for own in known]
-    ordered = [own[order] for own, order in zip(known, orders, strict=True)]
-    return orders if np.array_equal(ordered[0], ordered[1]) else None
+def _paired(first: Sequence[int | None], second: Sequence[int | None]) -> tuple[list[int], list[int]] | None:
+    """Places of two methods' trainings with the same seeds, in one order; None for fewer than two common seeds.
+
+    One training of a method says little of its mean, so a single common seed leaves all trainings in.
+    """
+    common = sorted({seed for seed in first if seed is not None} & {seed for seed in second if seed is not None})
+    if len(common) < 2:
+        return None
+    return [first.index(seed) for seed in common], [second.index(seed) for seed in common]
 
 
 def _resampled(results: DatasetResults, methods: Sequence[str], group: NDArray[np.int64]) -> dict[str, _Metrics]:
@@ -200,6 +220,12 @@ def _texts(one: Difference) -> tuple[str, str, str]:
     spread = "" if math.isnan(one.value.spread) else f" ± {100 * one.value.spread:.1f}"
     value = f"{_signed(one.value.mean)}{spread}"
     return f"**{value}**" if one.resolved else value, _bounds(one.by_frame), _bounds(one.by_drive)
+
+
+def _by_drive(one: Difference) -> str:
+    """Text of a difference with its interval by drive."""
+    bounds = "" if math.isnan(one.by_drive.low) else f" [{_signed(one.by_drive.low)}, {_signed(one.by_drive.high)}]"
+    return f"**{_signed(one.value.mean)}{bounds}**" if one.resolved else f"{_signed(one.value.mean)}{bounds}"
 
 
 def _bounds(interval: Interval) -> str:

@@ -20,6 +20,7 @@ class Section:
         picture: file of the picture; "" for none.
         about: caption of the picture; of text the title that it gets in a document without a place for it, "" for none.
         tables: files of the text's numbers.
+        whole: the one of them that the text sums up; "" if it is all in the text.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Section:
     picture: str = ""
     about: str = ""
     tables: tuple[str, ...] = ()
+    whole: str = ""
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -37,12 +39,14 @@ class Section:
         """Section with its name and files in a folder."""
         picture = f"{folder}/{self.picture}" if self.picture else ""
         tables = tuple(f"{folder}/{table}" for table in self.tables)
-        return replace(self, name=f"{folder}/{self.name}", picture=picture, tables=tables)
+        whole = f"{folder}/{self.whole}" if self.whole else ""
+        return replace(self, name=f"{folder}/{self.name}", picture=picture, tables=tables, whole=whole)
 
-    def markdown(self, pictures: Path) -> str:
-        """Text with the picture, whose path is below the folder `pictures`."""
-        picture = f"\n![{self.about}]({(pictures / self.picture).as_posix()})\n" if self.picture else ""
-        return f"{self.text}{picture}"
+    def markdown(self, files: Path) -> str:
+        """Text with a link to the whole table and the picture, whose paths are below the folder `files`."""
+        whole = f"\n[The whole table]({(files / self.whole).as_posix()})\n" if self.whole else ""
+        picture = f"\n![{self.about}]({(files / self.picture).as_posix()})\n" if self.picture else ""
+        return f"{self.text}{whole}{picture}"
 
 
 def slug(name: str) -> str:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from dsrc.data.provenance import commit, versions
 from dsrc.data.sample import judged_range
-from dsrc.evaluation.figures.bars import corruption_bars, mean_bars, table_bars, table_heatmap
+from dsrc.evaluation.figures.bars import corruption_bars, difference_map, mean_bars, table_bars, table_heatmap
 from dsrc.evaluation.figures.curves import table_lines
 from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, traffic_scatter
 from dsrc.evaluation.figures.style import Style, png_bytes, styles_of
@@ -221,9 +221,14 @@ def _dataset(
             writer.sheet(sheet, None if isinstance(sheet, str) else _figure_of(sheet, results, result, styles), suffix)
         if family in tables:
             table = tables[family]
-            figure = difference_dots(table.differences, table.title)
             files = {".md": table.markdown(), ".csv": table.csv()}
-            writer.section(f"differences{suffix}", table.markdown(), files, figure, table.title)
+            name = f"differences{suffix}"
+            if len(plan.differences) > 1:
+                figure = difference_map(table.differences, table.title)
+                writer.section(name, table.summary(), files, figure, table.title, whole=f"{name}.md")
+            else:
+                figure = difference_dots(table.differences, table.title)
+                writer.section(name, table.markdown(), files, figure, table.title)
         if results.kinds():
             four = f"Figure 4. Mean of all methods under each corruption, {results.titled}"
             five = f"Figure 5. mCE against mean AP, {results.titled}"
@@ -270,6 +275,7 @@ class _Writer:
         files: Mapping[str, str] | None = None,
         figure: Figure | None = None,
         about: str = "",
+        whole: str = "",
     ) -> None:
         """Write the files of a section, by suffix, and its plot."""
         tables = {f"{name}{ending}": content for ending, content in (files or {}).items()}
@@ -278,7 +284,7 @@ class _Writer:
         picture = "" if figure is None else f"{name}.png"
         if figure is not None:
             write_file(self._folder / picture, png_bytes(figure, self._made_by))
-        self.sections.append(Section(name, text, picture, about if picture else "", tuple(tables)))
+        self.sections.append(Section(name, text, picture, about if picture else "", tuple(tables), whole))
 
 
 def _figure_of(

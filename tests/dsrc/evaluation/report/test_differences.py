@@ -12,6 +12,7 @@ import pytest
 from msgspec.structs import replace
 
 from dsrc.evaluation.config import DifferenceSpec, Footnote, ParameterSweeps
+from dsrc.evaluation.figures.bars import difference_map
 from dsrc.evaluation.figures.points import difference_dots
 from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.metrics.intervals import RankedDetections
@@ -125,6 +126,19 @@ def test_of_a_single_drive_nothing_is_known_by_drive():
     assert next(csv.DictReader(io.StringIO(table.csv())))["by_drive_low"] == ""
 
 
+def test_the_summary_has_a_line_per_pair_with_the_intervals_by_drive(table):
+    lines = [line for line in table.summary().splitlines() if line.startswith(("| dsrc", "| late"))]
+    assert len(lines) == 2
+    own = {(one.method, one.condition, one.iou): one for one in table.differences}
+    wanted = [(condition, iou) for condition in ("clean", "mean_corrupted", "mce") for iou in (0.5, 0.7)]
+    for method, line in zip(("dsrc", "late"), lines, strict=True):
+        cells = [cell.strip() for cell in line.strip("|").split("|")][1:]
+        for (condition, iou), cell in zip(wanted, cells, strict=True):
+            one = own[method, condition, iou]
+            value, low, high = (f"{100 * number:+.1f}" for number in (one.value.mean, *one.by_drive))
+            assert cell.strip("*") == f"{value} [{low}, {high}]" and cell.startswith("**") == one.resolved
+
+
 def test_trainings_are_paired_by_their_seeds_or_not_at_all(result, table):
     swapped = {**result.trained, "dsrc": [changed(one, seed=1 - i) for i, one in enumerate(result.trained["dsrc"])]}
     crossed = table_of(changed(result, trained=swapped)).differences[0]
@@ -137,7 +151,28 @@ def test_trainings_are_paired_by_their_seeds_or_not_at_all(result, table):
     for seeds in ((0, 7), (None, None)):
         others = [changed(one, seed=seed) for one, seed in zip(result.trained["dsrc"], seeds, strict=True)]
         unpaired = table_of(changed(result, trained={**result.trained, "dsrc": others})).differences[0]
-        assert math.isnan(unpaired.value.spread)
+        assert math.isnan(unpaired.value.spread) and unpaired.value.mean == table.differences[0].value.mean
+
+
+def test_only_trainings_of_common_seeds_count_where_there_are_two():
+    result = found_in((20, 15, 15, 10), trainings=3)
+    seeds = {"dsrc": (0, 1, 2), "attfuse": (2, 0, 7), "late": (5, 6, 7)}
+    trained = {
+        name: [changed(one, seed=seed) for one, seed in zip(result.trained[name], seeds[name], strict=True)]
+        for name in seeds
+    }
+    result = changed(result, trained=trained)
+    first = table_of(result).differences[0]
+    dsrc, attfuse, late = (
+        [entry.row.metrics["ap_bev_50"] for entry in DatasetResults.of(result, "made up").found(name)]
+        for name in ("dsrc", "attfuse", "late")
+    )
+    each = [dsrc[0] - attfuse[1], dsrc[2] - attfuse[0]]
+    assert first.value.mean == pytest.approx(np.mean(each)) and first.value.spread == pytest.approx(
+        np.std(each, ddof=1)
+    )
+    unpaired = next(one for one in table_of(result).differences if one.method == "late")  # one common seed
+    assert unpaired.value.mean == pytest.approx(np.mean(late) - np.mean(attfuse)) and math.isnan(unpaired.value.spread)
 
 
 def test_footnotes_and_provenance_are_below_the_table(result):
@@ -148,14 +183,25 @@ def test_footnotes_and_provenance_are_below_the_table(result):
 
 
 def test_dots_stand_at_the_differences_full_where_resolved(table):
-    axes = difference_dots(table.differences, "Differences").axes
-    assert len(axes) == 4
+    axes = difference_dots(table.differences[:10], "Differences").axes
+    assert len(axes) == 2
     for k, panel in enumerate(axes):
-        shown = [one for one in table.differences if one.iou == (0.5, 0.7)[k % 2]][5 * (k // 2) :][:5]
+        shown = [one for one in table.differences[:10] if one.iou == (0.5, 0.7)[k]]
         dots = [line for line in panel.lines if line.get_marker() == "o"]
         assert [dot.get_xdata()[0] for dot in dots] == pytest.approx([100 * one.value.mean for one in shown])
         assert [dot.get_markerfacecolor() != "white" for dot in dots] == [one.resolved for one in shown]
     assert [t.get_text() for t in axes[0].get_yticklabels()][-2:] == ["mean of the corruptions", "mCE"]
+
+
+def test_the_map_has_a_number_per_difference_and_a_colour_where_it_is_resolved(table):
+    axes = difference_map(table.differences, "Differences").axes[:2]
+    for panel, iou in zip(axes, (0.5, 0.7), strict=True):
+        shown = [one for one in table.differences if one.iou == iou]
+        assert [text.get_text() for text in panel.texts] == [f"{100 * one.value.mean:+.1f}" for one in shown]
+        for patch, one in zip(panel.patches, shown, strict=True):
+            red, _, blue, _ = patch.get_facecolor()
+            gain = -one.value.mean if one.condition == "mce" else one.value.mean
+            assert np.sign(round(blue - red, 6)) == (np.sign(gain) if one.resolved else 0)
 
 
 def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path):
