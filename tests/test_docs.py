@@ -208,6 +208,17 @@ def test_every_interval_in_the_text_is_in_a_table_of_differences_and_those_that_
         assert resolved[numbers] or "not resolved" in clause.lower(), clause
 
 
+def test_the_gain_in_the_readme_is_that_of_the_twins() -> None:
+    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    with (ROOT / "docs/results/dsrc-sim-twins/dsrc-sim/differences_paper.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["condition"] == "mean_corrupted"]
+    gains = " / ".join(f"{100 * float(row['difference']):.1f}" for row in rows)
+    bounds = [[f"{100 * float(row[f'by_drive_{end}']):.1f}" for end in ("low", "high")] for row in rows]
+    assert f"ahead of its plain student by {gains} points in the mean of the six corruptions as published" in text
+    assert f"(95 % by drive: {' and '.join(' to '.join(pair) for pair in bounds)};" in text
+    assert all(row["resolved"] == "True" for row in rows)
+
+
 def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
     page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
     blocks = {

@@ -15,6 +15,7 @@ import torch
 from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.executors import SERIAL, Pool, Progress, Task
+from dsrc.data.sample import judged_range
 from dsrc.evaluation.cache import CellSettings, has_cell, read_cell
 from dsrc.evaluation.cells import CellJob, WorkUnit, load_adjusted, make_cells
 from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
@@ -140,6 +141,7 @@ def run_plan(
                 raise SettingsError(
                     complaint(other.path, "settings", f"those of {several[0].path}, which is '{name}' too", "others")
                 )
+    _check_judged_alike(plan, trained)
     datasets = {d.name: [r for folder in d.drives for r in _readers(folder)] for d in plan.datasets}
     positions = {name: frame_positions(readers, plan.limit) for name, readers in datasets.items()}
     drives = {name: {str(r.drive): r.digest() for r in readers} for name, readers in datasets.items()}
@@ -169,6 +171,19 @@ def _trained(path: Path, method: MethodSpec, engine: str) -> TrainedDetector:
         recipe = recipe.get(name) if isinstance(recipe, Mapping) else None
     seed, recipe = seed if isinstance(seed, int) else None, recipe if isinstance(recipe, str) else ""
     return TrainedDetector(path, file_sha256(path), settings, seed, method.use, recipe, method.agents)
+
+
+def _check_judged_alike(plan: Benchmark, trained: Mapping[str, Sequence[TrainedDetector]]) -> None:
+    """Check that both methods of a difference are judged on the same boxes."""
+    for pair in plan.differences:
+        found, wanted = trained[pair.method][0], trained[pair.baseline][0]
+        ranges = judged_range(found.settings), judged_range(wanted.settings)
+        fields = ("users", "max_agents", "team_by", "judged_by")
+        pairs = [(name, getattr(found.settings, name), getattr(wanted.settings, name)) for name in fields]
+        for name, own, other in (("range", *ranges), *pairs):
+            if own != other:
+                hint = f", or no difference from '{pair.baseline}', which is judged on other boxes"
+                raise SettingsError(complaint(found.path, name, str(other), str(own), hint))
 
 
 def _readers(folder: str) -> list[Drive]:

@@ -13,7 +13,7 @@ from dsrc.data.executors import Pool
 from dsrc.evaluation import cells, runner
 from dsrc.evaluation.cache import CellSettings, read_cell
 from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
-from dsrc.evaluation.config import ParameterSweeps
+from dsrc.evaluation.config import DifferenceSpec, MethodSpec, ParameterSweeps
 from dsrc.evaluation.detect import Method
 from dsrc.evaluation.report.report import write_report
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
@@ -262,6 +262,12 @@ def test_mistakes_are_reported_before_the_work(plan, root):
     mixed = (str(root / "dsrc_0.pt"), str(write_detector(root / "mixed.pt", "dsrc-max")))
     with pytest.raises(SettingsError, match=r"mixed\.pt: settings: expected those of .*dsrc_0\.pt"):
         run_plan(replace(plan, methods=(replace(plan.methods[0], detectors=mixed),)), root / "wrong")
+    alone = MethodSpec(name="few", detectors=plan.methods[0].detectors, use={"max_agents": 2})
+    pair = DifferenceSpec(method="few", baseline=plan.methods[0].name)
+    with pytest.raises(
+        SettingsError, match=r"dsrc_0\.pt: max_agents: expected 5, found 2, or no difference from 'DSRC'"
+    ):
+        run_plan(replace(plan, methods=(*plan.methods, alone), differences=(pair,)), root / "wrong")
     assert not (root / "wrong" / "cells").exists()
 
 
