@@ -16,7 +16,16 @@ KEPT = DOCS / "results" / "dsrc-sim-small" / "kept"
 DRIVEN = DOCS / "closed_loop" / "detectors"
 
 
-@pytest.mark.parametrize(("name", "switches"), [("small-dsrc", True), ("small-plain", False)])
+SHIPPED = {"small-dsrc": "dsrc_s0", "small-plain": "attfuse_s0", "small-dsrc-corrupted": "dsrc-corrupted_s0"}
+"""Training of the campaign that each shipped detector of vehicles is."""
+
+
+@pytest.mark.parametrize(("name", "training"), SHIPPED.items())
+def test_a_shipped_detector_is_that_of_its_training(name: str, training: str) -> None:
+    assert (FOLDER / f"{name}.pt").read_bytes() == (KEPT / training / "student/detector.pt").read_bytes()
+
+
+@pytest.mark.parametrize(("name", "switches"), [(name, name != "small-plain") for name in SHIPPED])
 def test_a_shipped_detector_loads_as_a_student(name: str, switches: bool) -> None:
     path = FOLDER / f"{name}.pt"
     assert path.stat().st_size <= 8_000_000
@@ -44,6 +53,7 @@ def test_joined_detectors_are_those_of_vehicles_and_the_kept_networks_of_pedestr
 def test_only_shipped_detectors_lie_there() -> None:
     assert sorted(p.name for p in FOLDER.iterdir()) == [
         "README.md",
+        "small-dsrc-corrupted.pt",
         "small-dsrc-vulnerable.pt",
         "small-dsrc.pt",
         "small-plain.pt",
@@ -52,7 +62,7 @@ def test_only_shipped_detectors_lie_there() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["small-dsrc", "small-plain"])
+@pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_detector_finds_more_vehicles_on_unseen_drives_with_collaborators(
     name: str, unseen: Path, tmp_path: Path
 ) -> None:
