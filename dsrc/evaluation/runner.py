@@ -182,8 +182,8 @@ def _check_judged_alike(plan: Benchmark, trained: Mapping[str, Sequence[TrainedD
         pairs = [(name, getattr(found.settings, name), getattr(wanted.settings, name)) for name in fields]
         for name, own, other in (("range", *ranges), *pairs):
             if own != other:
-                hint = f", or no difference from '{pair.baseline}', which is judged on other boxes"
-                raise SettingsError(complaint(found.path, name, str(other), str(own), hint))
+                expected = f"{other}, as its baseline '{pair.baseline}' has, for a difference on the same boxes"
+                raise SettingsError(complaint(found.path, name, expected, str(own)))
 
 
 def _readers(folder: str) -> list[Drive]:

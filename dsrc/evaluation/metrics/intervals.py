@@ -151,6 +151,7 @@ class Difference:
             between trainings of one seed, NaN with fewer than two common seeds.
         by_frame: interval over resampled frames.
         by_drive: interval over resampled drives.
+        seeds: of the trainings that count, those that both methods have; empty where all trainings count.
     """
 
     method: str
@@ -160,6 +161,7 @@ class Difference:
     value: Stat
     by_frame: Interval
     by_drive: Interval
+    seeds: tuple[int | None, ...] = ()
 
     @property
     def resolved(self) -> bool:
@@ -173,4 +175,4 @@ class Difference:
             numbers |= {f"{name}_low": interval.low, f"{name}_high": interval.high}
         known = {name: None if math.isnan(number) else number for name, number in numbers.items()}
         fields = {name: getattr(self, name) for name in ("method", "baseline", "condition", "iou")}
-        return {**fields, **known, "resolved": self.resolved}
+        return {**fields, **known, "resolved": self.resolved, "seeds": " ".join(map(str, self.seeds))}

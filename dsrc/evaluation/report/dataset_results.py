@@ -194,6 +194,11 @@ def compared_methods(results: DatasetResults) -> list[str]:
     return [name for name, settings in results.settings.items() if parts_of(settings) in (PLAIN, WHOLE)]
 
 
+def trained_methods(results: DatasetResults) -> list[str]:
+    """Methods of Table 1 without variants in use, which have another's weights and almost its place in a figure."""
+    return [name for name in compared_methods(results) if not results.trained[name][0].use]
+
+
 def averaged_methods(results: DatasetResults) -> list[str]:
     """Methods averaged in Figure 4: neither with changed settings nor, as in Tables 3 and 4, DSRC around them.
 
@@ -202,9 +207,8 @@ def averaged_methods(results: DatasetResults) -> list[str]:
     first = {settings: name for name, settings in reversed(results.settings.items())}
     return [
         name
-        for name in compared_methods(results)
-        if not results.trained[name][0].use
-        and results.trained[name][0].agents is None
+        for name in trained_methods(results)
+        if results.trained[name][0].agents is None
         and first[results.settings[name]] == name
         and (parts_of(results.settings[name]) == PLAIN or results.settings[name].fusion == "attention")
     ]

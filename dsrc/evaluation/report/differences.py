@@ -41,6 +41,7 @@ class DifferenceTable:
     Attributes:
         title: one line.
         note: explanation below the table.
+        summary_note: explanation below the summary.
         marked: names of methods with their footnote marks.
         footnotes: of the methods.
         differences: by pair, condition and IoU, in this order.
@@ -48,6 +49,7 @@ class DifferenceTable:
 
     title: str
     note: str
+    summary_note: str
     marked: Mapping[str, str]
     footnotes: tuple[str, ...]
     differences: tuple[Difference, ...]
@@ -74,8 +76,7 @@ class DifferenceTable:
         for start in range(0, len(shown), len(columns)):
             group = shown[start : start + len(columns)]
             rows.append([self._pair(group[0]), *map(_by_drive, group)])
-        note = f"Points of AP at IoU 0.5 and 0.7, with the interval by drive. {self.note}"
-        return "\n\n".join([f"**{self.title}**", markdown_table(rows), *self.footnotes, note]) + "\n"
+        return "\n\n".join([f"**{self.title}**", markdown_table(rows), *self.footnotes, self.summary_note]) + "\n"
 
     def csv(self) -> str:
         """CSV with a line per difference, unscaled; unknown numbers are empty."""
@@ -118,19 +119,32 @@ def difference_table(
     by_drive = _resampled(results, methods, np.repeat(np.arange(len(drives)), drives))
     units = sum(drives), len(drives)
     found = tuple(one for pair in pairs for one in _differences(results, pair, by_frame, by_drive, units))
+    what = (
+        "Method less baseline, points of average precision in bird's-eye view at IoU 0.5 and 0.7, sorted over all "
+        f"frames. {results.level} mCE: share of the clean AP lost, less is better."
+    )
+    bootstrap = (
+        f"{RESAMPLES} resamples of {sum(drives)} frames and of {len(drives)} drives (expanded percentile bootstrap): "
+        "both methods on the same resamples, AP computed anew in each"
+    )
+    sample = (
+        "The trainings of a method are averaged in each resample, so what another training would change is in no "
+        "interval. Where two methods have trainings of two or more common seeds, only these count"
+    )
+    trained = sample_note(results, methods, spread=False)
     note = (
-        "Method less baseline, points of average precision in bird's-eye view, sorted over all frames. "
-        f"{results.level} "
-        f"mCE: share of the clean AP lost, less is better. In brackets the {LEVEL:.0%} interval of {RESAMPLES} "
-        f"resamples of {sum(drives)} frames and of {len(drives)} drives (expanded percentile bootstrap): both methods "
-        "on the same resamples, AP computed anew in each. Bold: the interval excludes 0, as one of twenty does by "
-        "chance; of a difference, both do. Frames of one drive are alike, so the interval by frame is too narrow for "
-        "other drives. The trainings of a method are averaged in each resample, so what another training would change "
-        "is in neither interval. Where two methods have trainings of two or more common seeds, only these count, and ± "
-        f"is the standard deviation of the difference between seeds.{sample_note(results, methods, spread=False)}"
+        f"{what} In brackets the {LEVEL:.0%} interval of {bootstrap}. Bold: the interval excludes 0, as one of twenty "
+        "does by chance; of a difference, both do. Frames of one drive are alike, so the interval by frame is too "
+        f"narrow for other drives. {sample}, and ± is the standard deviation of the difference between seeds.{trained}"
+    )
+    summary_note = (
+        f"{what} In brackets the {LEVEL:.0%} interval by drive. Bold: it excludes 0, and the interval by frame, which "
+        f"is in the whole table, does too; {bootstrap}. {sample}.{trained}"
     )
     marked = {name: results.marked(name, name) for name in methods}
-    return DifferenceTable(f"Differences, {results.titled}", note, marked, results.footnotes(methods), found)
+    return DifferenceTable(
+        f"Differences, {results.titled}", note, summary_note, marked, results.footnotes(methods), found
+    )
 
 
 def _differences(
@@ -164,18 +178,20 @@ def _differences(
             spread = Stat.of(list(frame[0][:, 0] - frame[1][:, 0])).spread if paired else math.nan
             value = Stat(float(values[0]), spread)
             resampled = zip((values[1:], values_by_drive[1:]), units, strict=True)
-            bounds = (percentile_interval(of_unit, number) for of_unit, number in resampled)
-            listed.append(Difference(*names, condition, iou, value, *bounds))
+            frames, drives = (percentile_interval(of_unit, number) for of_unit, number in resampled)
+            seeds = tuple(first[place] for place in paired[0]) if paired else ()
+            listed.append(Difference(*names, condition, iou, value, frames, drives, seeds))
     return listed
 
 
 def _paired(first: Sequence[int | None], second: Sequence[int | None]) -> tuple[list[int], list[int]] | None:
     """Places of two methods' trainings with the same seeds, in one order; None for fewer than two common seeds.
 
-    One training of a method says little of its mean, so a single common seed leaves all trainings in.
+    None as well where a method has a seed twice: which of its trainings to take would be a choice. One training of a
+    method says little of its mean, so a single common seed leaves all trainings in.
     """
     common = sorted({seed for seed in first if seed is not None} & {seed for seed in second if seed is not None})
-    if len(common) < 2:
+    if len(common) < 2 or len(set(first)) < len(first) or len(set(second)) < len(second):
         return None
     return [first.index(seed) for seed in common], [second.index(seed) for seed in common]
 
@@ -224,12 +240,20 @@ def _texts(one: Difference) -> tuple[str, str, str]:
 
 def _by_drive(one: Difference) -> str:
     """Text of a difference with its interval by drive."""
-    bounds = "" if math.isnan(one.by_drive.low) else f" [{_signed(one.by_drive.low)}, {_signed(one.by_drive.high)}]"
+    bounds = "" if math.isnan(one.by_drive.low) else f" {_interval(one.by_drive)}"
     return f"**{_signed(one.value.mean)}{bounds}**" if one.resolved else f"{_signed(one.value.mean)}{bounds}"
 
 
 def _bounds(interval: Interval) -> str:
     if math.isnan(interval.low):
         return "-"
-    text = f"[{_signed(interval.low)}, {_signed(interval.high)}]"
-    return f"**{text}**" if interval.excludes_zero else text
+    return f"**{_interval(interval)}**" if interval.excludes_zero else _interval(interval)
+
+
+def _interval(interval: Interval) -> str:
+    """Text of an interval, in points; a bound near 0 has a second digit, which tells its side."""
+    bounds = (_signed(bound) for bound in interval)
+    signed = (
+        f"{100 * bound:+.2f}" if text[1:] == "0.0" else text for bound, text in zip(interval, bounds, strict=True)
+    )
+    return f"[{', '.join(signed)}]"

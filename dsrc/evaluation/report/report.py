@@ -19,7 +19,13 @@ from dsrc.evaluation.figures.curves import table_lines
 from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, traffic_scatter
 from dsrc.evaluation.figures.style import Style, png_bytes, styles_of
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
-from dsrc.evaluation.report.dataset_results import NAMES, DatasetResults, averaged_methods, compared_methods
+from dsrc.evaluation.report.dataset_results import (
+    NAMES,
+    DatasetResults,
+    averaged_methods,
+    compared_methods,
+    trained_methods,
+)
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
 from dsrc.evaluation.report.document import Section, slug
 from dsrc.evaluation.report.paper_tables import corruption_tables
@@ -232,7 +238,7 @@ def _dataset(
         if results.kinds():
             four = f"Figure 4. Mean of all methods under each corruption, {results.titled}"
             five = f"Figure 5. mCE against mean AP, {results.titled}"
-            means, rows = mean_rows(results, averaged_methods(results)), mean_rows(results, compared_methods(results))
+            means, rows = mean_rows(results, averaged_methods(results)), mean_rows(results, trained_methods(results))
             writer.section(f"figure_4{suffix}", figure=mean_bars(means, title=four), about=four)
             writer.section(f"figure_5{suffix}", figure=robustness_scatter(rows, styles=styles, title=five), about=five)
     for sheet in clean_tables(first, axes_of(result)):

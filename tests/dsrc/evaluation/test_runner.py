@@ -262,12 +262,17 @@ def test_mistakes_are_reported_before_the_work(plan, root):
     mixed = (str(root / "dsrc_0.pt"), str(write_detector(root / "mixed.pt", "dsrc-max")))
     with pytest.raises(SettingsError, match=r"mixed\.pt: settings: expected those of .*dsrc_0\.pt"):
         run_plan(replace(plan, methods=(replace(plan.methods[0], detectors=mixed),)), root / "wrong")
-    alone = MethodSpec(name="few", detectors=plan.methods[0].detectors, use={"max_agents": 2})
-    pair = DifferenceSpec(method="few", baseline=plan.methods[0].name)
-    with pytest.raises(
-        SettingsError, match=r"dsrc_0\.pt: max_agents: expected 5, found 2, or no difference from 'DSRC'"
+    pair = DifferenceSpec(method="other", baseline=plan.methods[0].name)
+    for field, value, usual in (
+        ("max_agents", 2, 5),
+        ("team_by", "folders", "range"),
+        ("judged_by", "opencood", "grid"),
     ):
-        run_plan(replace(plan, methods=(*plan.methods, alone), differences=(pair,)), root / "wrong")
+        other = MethodSpec(name="other", detectors=plan.methods[0].detectors, use={field: value})
+        name = "range" if field == "judged_by" else field  # boxes outside the grid count, too
+        expected = r"\(" if name == "range" else f"{usual}, as its baseline 'DSRC' has"
+        with pytest.raises(SettingsError, match=rf"dsrc_0\.pt: {name}: expected {expected}"):
+            run_plan(replace(plan, methods=(*plan.methods, other), differences=(pair,)), root / "wrong")
     assert not (root / "wrong" / "cells").exists()
 
 
