@@ -28,7 +28,7 @@ results: $(READY)
 tables: $(READY)
 	$(BIN)/dsrc dataset build dsrc-sim --out data/dsrc-sim
 	mkdir -p runs
-	cp -rn $(KEPT)/. runs
+	for one in $(KEPT)/*/; do [ -e runs/$$(basename $$one) ] || cp -r $$one runs; done
 	$(BENCHMARK) $(SMALL)/benchmark.toml --out runs/benchmark
 	$(BENCHMARK) $(SMALL)/twins.toml --out runs/twins
 	$(BENCHMARK) $(SMALL)/sweeps.toml --out runs/sweeps

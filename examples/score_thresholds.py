@@ -109,7 +109,7 @@ def text_of(gains: NDArray[np.float64], drives: int, *, short: bool) -> str:
     interval = percentile_interval(gains[1:], drives)
     text = f"{100 * gains[0]:+.1f}"
     if not short:
-        text += f" [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]"
+        text += f" {interval.points}"
     return f"**{text}**" if interval.excludes_zero else text
 
 

@@ -69,6 +69,16 @@ class Interval(NamedTuple):
         """Whether 0 lies outside; an unknown interval excludes nothing."""
         return self.low > 0.0 or self.high < 0.0
 
+    @property
+    def points(self) -> str:
+        """Bounds in points; one near 0 has a second digit, which tells its side."""
+        return f"[{', '.join(map(_points, self))}]"
+
+
+def _points(bound: float) -> str:
+    text = f"{100 * bound:+.1f}"
+    return f"{100 * bound:+.2f}" if text[1:] == "0.0" else text
+
 
 def draw_weights(group: NDArray[np.int64], count: int, rng: np.random.Generator) -> NDArray[np.float32]:
     """Draw (count, F) multiplicities of the frames in each resample.

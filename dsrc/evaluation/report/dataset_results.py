@@ -202,13 +202,14 @@ def trained_methods(results: DatasetResults) -> list[str]:
 def averaged_methods(results: DatasetResults) -> list[str]:
     """Methods averaged in Figure 4: neither with changed settings nor, as in Tables 3 and 4, DSRC around them.
 
-    Of methods with equal settings, such as those trained on other clouds, the first.
+    Of methods that differ in their training alone, such as its clouds or a head for directions, the first.
     """
-    first = {settings: name for name, settings in reversed(results.settings.items())}
+    alike = {name: replace(settings, direction=False) for name, settings in results.settings.items()}
+    first = {settings: name for name, settings in reversed(alike.items())}
     return [
         name
         for name in trained_methods(results)
         if results.trained[name][0].agents is None
-        and first[results.settings[name]] == name
+        and first[alike[name]] == name
         and (parts_of(results.settings[name]) == PLAIN or results.settings[name].fusion == "attention")
     ]

@@ -240,20 +240,11 @@ def _texts(one: Difference) -> tuple[str, str, str]:
 
 def _by_drive(one: Difference) -> str:
     """Text of a difference with its interval by drive."""
-    bounds = "" if math.isnan(one.by_drive.low) else f" {_interval(one.by_drive)}"
+    bounds = "" if math.isnan(one.by_drive.low) else f" {one.by_drive.points}"
     return f"**{_signed(one.value.mean)}{bounds}**" if one.resolved else f"{_signed(one.value.mean)}{bounds}"
 
 
 def _bounds(interval: Interval) -> str:
     if math.isnan(interval.low):
         return "-"
-    return f"**{_interval(interval)}**" if interval.excludes_zero else _interval(interval)
-
-
-def _interval(interval: Interval) -> str:
-    """Text of an interval, in points; a bound near 0 has a second digit, which tells its side."""
-    bounds = (_signed(bound) for bound in interval)
-    signed = (
-        f"{100 * bound:+.2f}" if text[1:] == "0.0" else text for bound, text in zip(interval, bounds, strict=True)
-    )
-    return f"[{', '.join(signed)}]"
+    return f"**{interval.points}**" if interval.excludes_zero else interval.points
