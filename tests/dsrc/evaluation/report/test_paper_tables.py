@@ -210,10 +210,13 @@ def test_every_table_says_what_its_numbers_come_from():
 def test_figure_4_is_the_mean_of_methods_that_are_different():
     result = outcome_of({"late": 1, "f-cooper": 1, "dsrc": 1, "dsrc-max": 1, "dsrc-alone": 1, "v2vnet": 1})
     result.trained["dsrc, its clouds thinned"] = result.trained["dsrc"]
+    only = result.trained["dsrc"][0]
+    headed = replace(only.settings, direction=True)
+    result.trained["dsrc, a head for directions"] = [changed(only, settings=headed)]
     result.trained["late"][0] = changed(result.trained["late"][0], use={"bits": 8})
     results = DatasetResults.of(result, "made up")
     assert averaged_methods(results) == ["f-cooper", "dsrc", "v2vnet"]
-    assert len(compared_methods(results)) == 7
+    assert len(compared_methods(results)) == 8
 
 
 def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
