@@ -14,7 +14,7 @@ demo: $(READY)
 	$(BIN)/dsrc demo --out demo
 
 # All trainings of docs/results.md, then its tables; days on two cores, and an interrupted one resumes. `make tables`
-# measures the trainings that are kept in the repository; two hours.
+# measures the trainings that are kept in the repository; three hours, estimated.
 SMALL := docs/results/dsrc-sim-small
 KEPT := $(SMALL)/kept
 BENCHMARK := OMP_NUM_THREADS=1 $(BIN)/dsrc benchmark --docs docs/results.md --partial --workers 2
@@ -28,7 +28,7 @@ results: $(READY)
 tables: $(READY)
 	$(BIN)/dsrc dataset build dsrc-sim --out data/dsrc-sim
 	mkdir -p runs
-	for one in $(KEPT)/*/; do [ -e runs/$$(basename $$one) ] || cp -r $$one runs; done
+	for one in $(KEPT)/*/; do [ -e runs/$$(basename $$one) ] || cp -r $$one runs || exit 1; done
 	$(BENCHMARK) $(SMALL)/benchmark.toml --out runs/benchmark
 	$(BENCHMARK) $(SMALL)/twins.toml --out runs/twins
 	$(BENCHMARK) $(SMALL)/sweeps.toml --out runs/sweeps

@@ -18,6 +18,7 @@ from look import put_table
 from numpy.typing import NDArray
 
 from dsrc.evaluation.cache import read_cell
+from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.metrics.intervals import (
     IOUS,
     RESAMPLES,
@@ -26,6 +27,7 @@ from dsrc.evaluation.metrics.intervals import (
     percentile_interval,
     resampled_ap,
 )
+from dsrc.evaluation.report.differences import SEED
 from dsrc.evaluation.stored import StoredRun, read_index
 from sim.errors import UserError
 
@@ -50,58 +52,59 @@ def main() -> None:
         "--docs", type=Path, help="Markdown document that gets the table, between markers score_thresholds_FOLDER"
     )
     options = parser.parse_args()
+    if not all(0.0 <= score <= 1.0 for score in options.scores):
+        parser.error(f"--scores: expected numbers from 0 to 1, found {' '.join(map(str, options.scores))}")
     try:
-        runs = [run for run in read_index(options.results).runs if run.channel == "ideal" and not run.swept]
+        index = read_index(options.results)
+        if len(datasets := {drive.dataset for drive in index.drives}) > 1:
+            parser.error(f"{options.results}: expected results of one dataset, found {', '.join(sorted(datasets))}")
+        runs = [run for run in index.runs if run.channel == "ideal" and not run.swept]
         names = sorted({run.method for run in runs})
         for option, wanted in (("method", [options.method]), ("baseline", options.baseline)):
             for name in wanted:
                 if name not in names:
                     parser.error(f"--{option}: expected one of {', '.join(names)}, found {name}")
-        aps = {
-            name: {group: resampled(options, runs, name, group) for group in GROUPS}
-            for name in (options.method, *options.baseline)
-        }
+        rows = rows_of(options, runs)
     except UserError as error:
         parser.error(str(error))
-    rows, several = [], len(options.baseline) > 1
-    for baseline in options.baseline:
-        for group in GROUPS:
-            gains, units = aps[options.method][group][0] - aps[baseline][group][0], aps[baseline][group][1]
-            cells = [[text_of(gain, units, short=several) for gain in at_score] for at_score in gains]
-            if several:
-                rows.append([f"{options.method} − {baseline}", group, *map(" / ".join, cells)])
-            else:
-                rows += [
-                    [f"{group}, {iou:g}", *column] for iou, column in zip(IOUS, zip(*cells, strict=True), strict=True)
-                ]
+    several = len(options.baseline) > 1
     head = [*(["difference"] if several else []), "boxes count from", *(f"{score:g}" for score in options.scores)]
     put_table(options.docs, f"score_thresholds_{options.results.name}", head, rows)
 
 
-def resampled(
-    options: argparse.Namespace, runs: Sequence[StoredRun], name: str, group: str
-) -> tuple[NDArray[np.float64], int]:
-    """Return (S, T, 1 + R) mean AP of a method in the sample and in its resamples, by score and IoU, and its drives."""
-    family, clean = GROUPS[group]
-    chosen = [run for run in runs if (run.method, run.family, run.kind == "clean") == (name, family, clean)]
+def rows_of(options: argparse.Namespace, runs: Sequence[StoredRun]) -> list[list[str]]:
+    """Return the table's rows: a baseline's by group and IoU, several baselines' by baseline and group."""
+    rows, several = [], len(options.baseline) > 1
+    for baseline in options.baseline:
+        for group, (family, clean) in GROUPS.items():
+            chosen = [run for run in runs if (run.family, run.kind == "clean") == (family, clean)]
+            if not chosen:
+                continue
+            gains = resampled(options, chosen, options.method) - resampled(options, chosen, baseline)
+            drives = len(chosen[0].cells)
+            cells = [[text_of(gain, drives, short=several) for gain in at_score] for at_score in gains]
+            if several:
+                rows.append([f"{options.method} − {baseline}", group, *map(" / ".join, cells)])
+            else:
+                columns = zip(*cells, strict=True)
+                rows += [[f"{group}, {iou:g}", *column] for iou, column in zip(IOUS, columns, strict=True)]
+    return rows
+
+
+def resampled(options: argparse.Namespace, runs: Sequence[StoredRun], method: str) -> NDArray[np.float64]:
+    """Return (S, T, 1 + R) mean AP of a method's runs in the sample and in its resamples, by score and IoU."""
+    own = [run for run in runs if run.method == method]
     found = np.zeros((len(options.scores), len(IOUS), 1 + RESAMPLES))
-    for run in chosen:
-        parts = [[read_cell(options.results / "cells", key).matches for key in keys] for keys in run.cells]
-        cells = [cell for own in parts for cell in own]
-        truths = np.concatenate([cell.truth_counts for cell in cells])
-        counts = np.concatenate([cell.detection_counts for cell in cells])
-        # Cells keep the detections of a frame by falling score, frame after frame.
-        frame = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-        hit = np.stack([np.concatenate([cell.matched["bev", iou] for cell in cells]) >= 0 for iou in IOUS])
-        score = np.concatenate([cell.score for cell in cells])
-        drive = np.repeat(np.arange(len(parts)), [sum(cell.frames for cell in own) for own in parts])
-        drawn = draw_weights(drive, RESAMPLES, np.random.default_rng(0))
-        weights = np.concatenate([np.ones((1, len(truths)), np.float32), drawn])
+    for run in own:
+        drives = [join_results([read_cell(options.results / "cells", key) for key in keys]) for keys in run.cells]
+        matches = join_results(drives).matches
+        drive = np.repeat(np.arange(len(drives)), [one.matches.frames for one in drives])
+        drawn = draw_weights(drive, RESAMPLES, np.random.default_rng(SEED))
+        weights = np.concatenate([np.ones((1, matches.frames), np.float32), drawn])
         for row, least in enumerate(options.scores):
-            kept = score >= least  # what is left out had suppressed nothing that is kept
-            ranked = RankedDetections(frame[kept], hit[:, kept], truths)
-            found[row] += resampled_ap(ranked, weights) / len(chosen)
-    return found, len(run.cells)
+            ranked = RankedDetections.of(matches, inside_frames=True, least_score=least)
+            found[row] += resampled_ap(ranked, weights) / len(own)
+    return found
 
 
 def text_of(gains: NDArray[np.float64], drives: int, *, short: bool) -> str:

@@ -512,6 +512,8 @@ def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatc
             "docs/lidar.md: zoo: expected the lines <!-- begin zoo -->",
         ),
         ("score_thresholds.py", ("nowhere",), "nowhere: results: expected a folder, found no such folder"),
+        ("score_thresholds.py", ("nowhere", "--scores", "2"), "--scores: expected numbers from 0 to 1, found 2"),
+        ("score_thresholds.py", ("nowhere", "--scores", "nan"), "--scores: expected numbers from 0 to 1, found nan"),
     ],
 )
 def test_a_table_that_cannot_be_made_is_told_in_one_line(script: str, arguments: tuple[str, ...], told: str) -> None:

@@ -9,7 +9,8 @@ of all frames in the order of falling confidence, in frame f(k), hit (h_k = 1) o
 
 This is the area under the envelope of `dsrc.evaluation.metrics.ap`, of each frame copied w_f times; only hits need be
 looked at, for precision falls from one to the next. The interval of a difference lies between two quantiles of its
-values over the resamples, and both methods are evaluated on the same resamples.
+values over the resamples, and both methods are evaluated on the same resamples. Where detections are sorted inside
+frames, as by OpenCOOD, the sums run over them frame after frame.
 
 Source: B. Efron, Bootstrap methods: another look at the jackknife, Annals of Statistics 7 (1979), 1-26; B. Efron and
 R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapter 13, for the percentile interval; T. C. Hesterberg,
@@ -37,7 +38,7 @@ IOUS = (0.5, 0.7)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankedDetections:
-    """Detections of F frames, most confident first.
+    """Detections of F frames in their ranking.
 
     Attributes:
         frame: (D,) number of each detection's frame.
@@ -50,11 +51,21 @@ class RankedDetections:
     truths: NDArray[np.int64]
 
     @classmethod
-    def of(cls, matches: Matches, ious: Sequence[float] = IOUS) -> "RankedDetections":
-        """Rank the detections by their matches in bird's-eye view; ties stay in the order of the frames."""
-        order = np.argsort(-matches.score, kind="stable")
+    def of(
+        cls, matches: Matches, ious: Sequence[float] = IOUS, *, inside_frames: bool = False, least_score: float = 0.0
+    ) -> "RankedDetections":
+        """Rank the detections by their matches in bird's-eye view; ties stay in the order of the frames.
+
+        Args:
+            matches: by falling score inside each frame.
+            ious: thresholds.
+            inside_frames: keep that order, frame after frame, as OpenCOOD does, in place of one by score over all.
+            least_score: of the detections that count; those left out had suppressed nothing that counts.
+        """
         frame = np.repeat(np.arange(matches.frames, dtype=np.int32), matches.detection_counts)
         hit = np.stack([matches.matched["bev", iou] >= 0 for iou in ious])
+        order = np.arange(len(frame)) if inside_frames else np.argsort(-matches.score, kind="stable")
+        order = order[matches.score[order] >= least_score]
         return cls(frame[order], hit[:, order], matches.truth_counts)
 
 

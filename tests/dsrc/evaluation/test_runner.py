@@ -17,7 +17,8 @@ from dsrc.evaluation.config import DifferenceSpec, MethodSpec, ParameterSweeps
 from dsrc.evaluation.detect import Method
 from dsrc.evaluation.report.report import write_report
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
-from dsrc.models.storage.checkpoint import load_student
+from dsrc.models.detector import Detector
+from dsrc.models.storage.checkpoint import load_student, save_detector
 from sim.errors import CheckpointError, DataError, SettingsError
 from sim.radio import PRESETS
 from tests.dsrc.evaluation.fakes import detect_all
@@ -263,15 +264,16 @@ def test_mistakes_are_reported_before_the_work(plan, root):
     with pytest.raises(SettingsError, match=r"mixed\.pt: settings: expected those of .*dsrc_0\.pt"):
         run_plan(replace(plan, methods=(replace(plan.methods[0], detectors=mixed),)), root / "wrong")
     pair = DifferenceSpec(method="other", baseline=plan.methods[0].name)
-    for field, value, usual in (
-        ("max_agents", 2, 5),
-        ("team_by", "folders", "range"),
-        ("judged_by", "opencood", "grid"),
+    few = Detector(replace(load_student(Path(plan.methods[0].detectors[0])).settings, max_agents=2))
+    save_detector(root / "few.pt", few, {"seed": 0}, half=False)
+    own = plan.methods[0].detectors
+    for detectors, use, told in (
+        ((str(root / "few.pt"),), {}, r"few\.pt: max_agents: expected 5, as its baseline 'DSRC' has, .*, found 2"),
+        (own, {"team_by": "folders"}, r"dsrc_0\.pt: team_by: expected range, as its baseline .*, found folders"),
+        (own, {"judged_by": "opencood"}, r"dsrc_0\.pt: range: expected \(.*, as its baseline .*, found \(-140"),
     ):
-        other = MethodSpec(name="other", detectors=plan.methods[0].detectors, use={field: value})
-        name = "range" if field == "judged_by" else field  # boxes outside the grid count, too
-        expected = r"\(" if name == "range" else f"{usual}, as its baseline 'DSRC' has"
-        with pytest.raises(SettingsError, match=rf"dsrc_0\.pt: {name}: expected {expected}"):
+        other = MethodSpec(name="other", detectors=detectors, use=use)
+        with pytest.raises(SettingsError, match=told):
             run_plan(replace(plan, methods=(*plan.methods, other), differences=(pair,)), root / "wrong")
     assert not (root / "wrong" / "cells").exists()
 

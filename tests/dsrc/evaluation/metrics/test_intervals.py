@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dsrc.evaluation.metrics.ap import Matches, evaluate_matches, join_matches, match_frames
+from dsrc.evaluation.metrics.ap import Matches, curve_of, evaluate_matches, join_matches, match_frames
 from dsrc.evaluation.metrics.intervals import (
     Interval,
     RankedDetections,
@@ -46,6 +46,21 @@ def test_each_frame_once_is_the_average_precision_itself(seed):
     found = resampled_ap(RankedDetections.of(judged, (0.3, 0.5, 0.7)), np.ones((1, 30), np.float32))
     curves = evaluate_matches(judged).curves
     assert found[:, 0] == pytest.approx([curves["bev", iou].ap for iou in (0.3, 0.5, 0.7)], abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sorted_inside_frames_it_is_that_of_opencood_also_without_the_boxes_below_a_score(seed):
+    judged = match_frames(random_frames(np.random.default_rng(seed), 30))
+    ranked = RankedDetections.of(judged, (0.5,), inside_frames=True)
+    curve = evaluate_matches(judged).curves["bev", 0.5]
+    assert resampled_ap(ranked, np.ones((1, 30), np.float32))[0, 0] == pytest.approx(curve.ap_opencood, abs=1e-12)
+    least = float(np.median(judged.score))
+    kept = judged.score >= least
+    fewer = RankedDetections.of(judged, (0.5,), inside_frames=True, least_score=least)
+    hit = judged.matched["bev", 0.5][kept] >= 0
+    expected = curve_of(hit, judged.score[kept], int(judged.truth_counts.sum())).ap_opencood
+    assert resampled_ap(fewer, np.ones((1, 30), np.float32))[0, 0] == pytest.approx(expected, abs=1e-12)
+    assert 0 < kept.sum() < len(kept)
 
 
 @pytest.mark.parametrize("seed", range(4))

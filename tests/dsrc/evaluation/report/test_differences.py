@@ -6,6 +6,7 @@ import json
 import math
 import re
 from dataclasses import replace as changed
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -214,6 +215,19 @@ def test_the_map_has_a_number_per_difference_and_a_colour_where_it_is_resolved(t
             red, _, blue, _ = patch.get_facecolor()
             gain = -one.value.mean if one.condition == "mce" else one.value.mean
             assert np.sign(round(blue - red, 6)) == (np.sign(gain) if one.resolved else 0)
+
+
+def test_a_page_sums_up_many_pairs_and_links_the_whole_table(tmp_path):
+    write_drives(tmp_path / "test")
+    methods = {name: [(method, 0)] for name, method in (("DSRC", "dsrc"), ("plain", "attfuse"), ("late", "late"))}
+    pairs = tuple(DifferenceSpec(method=name, baseline="plain") for name in ("DSRC", "late"))
+    for count in (2, 1):
+        plan = make_plan(tmp_path, methods, corruptions=("fog",), differences=pairs[:count])
+        result = run_plan(plan, tmp_path / "out")
+        section = next(one for one in write_report(result, tmp_path / "out") if one.name == "made-up/differences")
+        page, whole = section.markdown(Path("results")), (tmp_path / "out/made-up/differences.md").read_text()
+        assert ("| DSRC − plain | Fog |" in page) is (count == 1) and "| DSRC − plain | Fog |" in whole
+        assert ("[The whole table](results/made-up/differences.md)" in page) is (count == 2)
 
 
 def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path):
