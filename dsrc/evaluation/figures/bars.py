@@ -146,8 +146,8 @@ def _map(
 def difference_map(differences: Sequence[Difference], title: str = "") -> Figure:
     """Draw differences as a heat map with numbers, a panel per IoU, a line per pair, a column per condition.
 
-    Differences that both intervals resolve have a colour and bold numbers: blue where the method is better, red where it
-    is worse, darkest from ten points on.
+    Differences that both intervals resolve have a colour and bold numbers: blue where the method is better, red where
+    it is worse, darkest from ten points on.
     """
     pairs = list(dict.fromkeys((one.method, one.baseline) for one in differences))
     conditions = list(dict.fromkeys(one.condition for one in differences))
