@@ -73,19 +73,6 @@ def mean_bars(rows: Sequence[Row], title: str = "") -> Figure:
     return figure
 
 
-def table_bars(sheet: ResultTable) -> Figure:
-    """Draw the columns of a table of AP as bars, a group per line, a panel per IoU."""
-    with figure_style():
-        figure, parts = panels(WIDTH_IN, 5.2, rows=2, title=sheet.title)
-        for part, (axes, iou) in enumerate(zip(parts, IOUS, strict=True)):
-            series = {c.title: [line.cells[k][part] for line in sheet.lines] for k, c in enumerate(sheet.columns)}
-            _grouped(axes, [line.label for line in sheet.lines], series, SHADES)
-            axes.set_title(f"IoU {iou}")
-            axes.set_ylabel("average precision, %")
-        add_legend(figure, parts[0], below=True)
-    return figure
-
-
 def _grouped(
     axes: Axes, groups: Sequence[str], series: Mapping[str, Sequence[Stat]], fills: Sequence[Mapping[str, Any]]
 ) -> None:
@@ -112,28 +99,40 @@ _CMAP = "cividis"
 
 
 def table_heatmap(sheet: ResultTable) -> Figure:
-    """Draw a table's columns of AP as a heat map with numbers, a panel per IoU; the best of a column is bold."""
-    shown = [i for i, column in enumerate(sheet.columns) if column.better == "high" and len(column.parts) == len(IOUS)]
+    """Draw a table's columns of AP as a heat map with numbers, a panel per IoU; the best of a column is bold.
+
+    A column where less is better, such as mCE, has numbers alone: the colours are those of AP.
+    """
+    shown = [i for i, column in enumerate(sheet.columns) if column.better and len(column.parts) == len(IOUS)]
     values = [[[line.cells[i][part].mean for i in shown] for line in sheet.lines] for part in range(len(IOUS))]
-    return _map(sheet.title, [line.title for line in sheet.lines], [sheet.columns[i].title for i in shown], values)
+    columns = [sheet.columns[i] for i in shown]
+    losses = [column.better == "low" for column in columns]
+    return _map(sheet.title, [line.title for line in sheet.lines], [column.title for column in columns], values, losses)
 
 
 def _map(
-    title: str, lines: Sequence[str], columns: Sequence[str], values: Sequence[Sequence[Sequence[float]]]
+    title: str,
+    lines: Sequence[str],
+    columns: Sequence[str],
+    values: Sequence[Sequence[Sequence[float]]],
+    losses: Sequence[bool] = (),
 ) -> Figure:
-    """Draw a heat map of (IoU, line, column) AP; a column of means stands apart."""
+    """Draw a heat map of (IoU, line, column) AP; columns of means and losses, without colours, stand apart."""
     percent = 100 * np.array(values, float).reshape(len(IOUS), len(lines), len(columns))
-    known = percent[np.isfinite(percent)]
+    lost = np.array(losses or [False] * len(columns), bool)
+    known = percent[np.isfinite(percent) & ~lost]
     scale = Normalize(*((known.min(), known.max()) if known.size else (0.0, 100.0)))
-    places = np.arange(len(columns)) + 0.25 * np.isin(columns, ["mAP", "mean AP"])
+    apart = lost | np.isin(columns, ["mAP", "mean AP"])
+    places = np.arange(len(columns)) + 0.25 * (np.cumsum(apart) > 0)
     with figure_style():
         figure, parts = panels(WIDTH_IN, 1.9 + 0.24 * len(lines), columns=2, title=title)
         for axes, iou, numbers in zip(parts, IOUS, percent, strict=True):
-            for x, column in zip(places, numbers.T, strict=True):
+            for x, column, less in zip(places, numbers.T, lost, strict=True):
                 texts = ["-" if math.isnan(value) else f"{value:.1f}" for value in column]
-                best = f"{max(column, key=lambda value: -math.inf if math.isnan(value) else value):.1f}"
+                ranks = np.nan_to_num(-column if less else column, nan=-math.inf)
+                best = f"{column[ranks.argmax()]:.1f}" if len(column) else ""
                 for y, (value, text) in enumerate(zip(column, texts, strict=True)):
-                    color = _WHITE if text == "-" else mpl.colormaps[_CMAP](float(scale(value)))[:3]
+                    color = _WHITE if text == "-" or less else mpl.colormaps[_CMAP](float(scale(value)))[:3]
                     _cell(axes, x, y, color, text, bold=text == best and len(lines) > 1)
             _frame(axes, places, columns, lines, named=axes is parts[0])
             axes.set_title(f"IoU {iou}")

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 
 from dsrc.data.provenance import commit, versions
 from dsrc.data.sample import judged_range
-from dsrc.evaluation.figures.bars import corruption_bars, difference_map, mean_bars, table_bars, table_heatmap
+from dsrc.evaluation.figures.bars import corruption_bars, difference_map, mean_bars, table_heatmap
 from dsrc.evaluation.figures.curves import table_lines
-from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, traffic_scatter
+from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, table_dots, traffic_scatter
 from dsrc.evaluation.figures.style import Style, png_bytes, styles_of
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
 from dsrc.evaluation.report.dataset_results import (
@@ -307,7 +307,7 @@ def _figure_of(
     if sheet.name in ("table_1", "visibility"):
         return table_heatmap(sheet)
     if sheet.name == "table_2":
-        return table_bars(sheet)
+        return table_dots(sheet)
     if sheet.name in ("table_3", "table_4"):
         fusions = ("max", "attention") if sheet.name == "table_3" else ("none",)
         pairs = [(results.plain(fusion), results.whole(fusion)) for fusion in fusions]

@@ -48,7 +48,7 @@ def axes_of(result: BenchmarkResult) -> list[SweepAxis]:
         )
     ]
     for name, title, label, values in (
-        ("pose_error", "Errors of the pose", "standard deviation of the pose, m and degrees", sweeps.pose_error),
+        ("pose_error", "Errors of the pose", "standard deviation of the pose error, m and degrees", sweeps.pose_error),
         ("delay_s", "Delay", "delay, s", sweeps.delay_s),
         ("loss", "Loss", "share of packets lost", sweeps.loss),
     ):

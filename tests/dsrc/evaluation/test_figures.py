@@ -6,9 +6,9 @@ import pytest
 from matplotlib.colors import to_hex
 from PIL import Image
 
-from dsrc.evaluation.figures.bars import corruption_bars, mean_bars, table_bars, table_heatmap
+from dsrc.evaluation.figures.bars import corruption_bars, mean_bars, table_heatmap
 from dsrc.evaluation.figures.curves import apart, precision_recall_curves, table_lines, training_curves
-from dsrc.evaluation.figures.points import robustness_scatter, traffic_scatter
+from dsrc.evaluation.figures.points import robustness_scatter, table_dots, traffic_scatter
 from dsrc.evaluation.figures.style import COLORS, png_bytes, styles_of
 from dsrc.evaluation.metrics.ap import FrameResult, evaluate
 from dsrc.evaluation.results import Row, make_row, summary_rows
@@ -79,11 +79,31 @@ def test_a_map_holds_every_number_with_the_best_in_bold():
     assert len(many.texts) == 30
 
 
-def test_bars_of_a_sheet_stand_in_groups_of_its_lines():
+def test_the_best_of_a_column_where_less_is_better_is_its_lowest_number_without_a_colour():
+    columns = (Column("clean"), Column("mCE", better="low"), Column("mAP"))
+    lines = [TableRow(name, ((Stat(ap),) * 2, (Stat(lost),) * 2, (Stat(ap),) * 2)) for name, ap, lost in CLEAN_AND_LOST]
+    axes = table_heatmap(ResultTable("x", "", "", "Method", columns, tuple(lines))).axes[0]
+    assert [t.get_text() for t in axes.texts if t.get_fontweight() == "bold"] == ["90.0", "20.0", "90.0"]
+    colors = [to_hex(patch.get_facecolor()) for patch in axes.patches]
+    assert [color == "#ffffff" for color in colors] == [False] * 3 + [True] * 3 + [False] * 3
+    assert [t.get_text() for t in axes.get_xticklabels()] == ["clean", "mCE", "mAP"]
+
+
+CLEAN_AND_LOST = (("a", 0.9, 0.3), ("b", 0.8, 0.2), ("c", 0.7, 0.4))
+
+
+def test_points_of_a_sheet_stand_on_its_lines_and_fill_the_axis():
     sheet = some_sheet(("none", "SDD", "SDD + PCP"))
-    for axes in table_bars(sheet).axes:
-        assert [t.get_text() for t in axes.get_xticklabels()] == ["none", "SDD", "SDD + PCP"]
-        assert len(axes.containers) == 3  # one for each column
+    figure = table_dots(sheet)
+    assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == ["none", "SDD", "SDD + PCP"]
+    for axes in figure.axes:
+        assert [container.get_label() for container in axes.containers] == ["clean", "fog", "snow"]
+        low, high = axes.get_xlim()
+        assert low > 40 and high < 100
+    np.testing.assert_allclose(figure.axes[0].containers[1].lines[0].get_xydata(), [[80, 0], [75, 1], [70, 2]])
+
+
+def test_groups_of_bars_are_conditions():
     (axes,) = mean_bars(some_rows()).axes
     assert [bar.get_height() for bar in axes.containers[0]] == pytest.approx([85, 75, 65])
     assert len({round(t.get_position()[0], 3) for t in axes.texts}) == len(axes.texts) == 6
