@@ -71,9 +71,10 @@ def run_demo(out: Path, quick: bool = False) -> None:
             drives[split] = generate(
                 SCENARIO, out / split, frames=frames, seed=seed, interval_s=interval_s, progress=report
             )
-    dsrc, plain = SHIPPED_DETECTOR, SHIPPED_DETECTOR.with_name("small-plain.pt")
+    dsrc = SHIPPED_DETECTOR
+    plain, corrupted = (dsrc.with_name(f"small-{name}.pt") for name in ("plain", "dsrc-corrupted"))
     with progress("evaluate, clean and six corruptions") as report:
-        checkpoints = (f"DSRC (SDD+PCP+REC)={dsrc}", f"plain student={plain}")
+        checkpoints = (f"DSRC (SDD+PCP+REC)={dsrc}", f"plain student={plain}", f"DSRC, corrupted clouds={corrupted}")
         config = Evaluation(checkpoints=checkpoints, data=out / "test", out=out / "results")
         table = result_table(evaluate_drives(config, Pool(), report))
     with progress("review page") as report:
