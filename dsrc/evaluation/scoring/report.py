@@ -93,8 +93,8 @@ def score_figure(scores: Sequence[Score]) -> Figure:
     """Draw average precision, a panel per set of detections, a line per protocol, a colour per IoU threshold."""
     names = _names(scores)
     protocols = list(dict.fromkeys(one.protocol.name for one in scores))
-    columns = min(len(names), _MOST_COLUMNS)
-    rows = math.ceil(len(names) / columns)
+    rows = math.ceil(len(names) / _MOST_COLUMNS)
+    columns = math.ceil(len(names) / rows)  # four panels are two by two
     with figure_style():
         height = 1.2 + rows * (0.6 + 0.26 * len(protocols))
         figure, parts = panels(9.0, height, rows, columns, title="The same boxes under each protocol")
