@@ -117,7 +117,12 @@ def main() -> None:
     parser.add_argument(
         "--past", nargs="+", default=[], metavar="GATE", help="continue past this gate, although it failed"
     )
-    parser.add_argument("--jobs", type=int, default=2, help="trainings at a time, which share the cores; default: 2")
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=2,
+        help="trainings at a time; they share the cores, unless OMP_NUM_THREADS is set; default: 2",
+    )
     parser.add_argument("--workers", type=int, default=0, help="processes per training that prepare batches")
     parser.add_argument(
         "--bfloat16",
@@ -182,8 +187,9 @@ class Campaign:
         self.options, self.out = options, options.out
         self.running: dict[str, subprocess.Popen] = {}
         self.failed: list[str] = []
-        threads = max((os.cpu_count() or 1) // options.jobs, 1) if not torch.cuda.is_available() else None
-        self.environment = os.environ | ({"OMP_NUM_THREADS": str(threads)} if threads else {})
+        threads = max((os.cpu_count() or 1) // options.jobs, 1)
+        shared = {} if torch.cuda.is_available() else {"OMP_NUM_THREADS": str(threads)}
+        self.environment = shared | dict(os.environ)
 
     def run(self) -> str:
         """Run everything; return the reason of an early end, "" when all is done."""
