@@ -148,6 +148,8 @@ def campaign(seeds: int = SEEDS, weights: float = 1.0) -> list[Training]:
             for name, settings in FURTHER.items()
             for seed in range(two)
         ),
+        # What corruption teaches without distillation.
+        *(student(f"attfuse-corrupted_s{seed}", 6, "attfuse", seed, *FURTHER["corrupted"]) for seed in range(two)),
         # Encoder and backbone of the vehicles' network: from random weights 500 steps learn nothing but the prior.
         Training(
             ALONE,
