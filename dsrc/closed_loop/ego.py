@@ -51,7 +51,9 @@ def ego_state(traffic: DrivableTraffic, ego_id: int, before: EgoState | None) ->
     gained, driven = 0.0, 0.0
     if before is not None:
         gained = (speed - before.speed_mps) / traffic.step_s
-        driven = before.progress_m + float(np.linalg.norm(box.center[0, :2] - before.box.center[0, :2]))
+        moved = box.center[0, :2] - before.box.center[0, :2]
+        ahead = moved @ [np.cos(box.yaw[0]), np.sin(box.yaw[0])]
+        driven = before.progress_m + float(np.copysign(np.linalg.norm(moved), ahead))
     return EgoState(
         time_s=actors.time_s,
         box=box,

@@ -168,6 +168,7 @@ def _percept_columns(percepts: Sequence[Percept | None]) -> dict[str, NDArray]:
             [(one.age_s, one.delay_s, one.distance_m, one.probability, one.load) for one in links], np.float64
         ).reshape(-1, 5),
         "link/arrived": np.packbits(arrived),
+        "link/held": np.array([one.held for one in links], bool),
     }
 
 

@@ -210,6 +210,8 @@ def _links(reader: ColumnReader) -> list[Link]:
     if (len(ids) and not 0 <= packets.min() <= packets.max() <= room) or (total := int(packets.sum())) > room:
         raise reader.wrong("link/ids", f"at most {room} packets", "others")
     arrived = reader.bits("link/arrived", total)
+    # Logs of earlier versions do not tell who was held back.
+    held = reader.array("link/held", "b1", (len(ids),)) if "link/held" in reader.columns else np.zeros(len(ids), bool)
     ends = np.concatenate([[0], np.cumsum(packets)])
     reader.index("link/ids", len(Obstruction), ids[:, 5])
     return [
@@ -226,6 +228,7 @@ def _links(reader: ColumnReader) -> list[Link]:
             sight=Obstruction(row[5]),
             probability=number[3],
             load=number[4],
+            held=bool(held[i]),
         )
         for i, (row, number) in enumerate(zip(ids.tolist(), numbers, strict=True))
     ]

@@ -168,7 +168,7 @@ class ClosedLoop:
         self.scenario = self.base
         self.perception = perception
         self.driver = driver or PlanningDriver()
-        self.settings = _with_range_of(perception, settings or LoopSettings())
+        self.settings = _agreed(perception, settings or LoopSettings())
         self.ticks: list[Tick] = []
         self.outcome: Outcome | None = None
         self.message = ""
@@ -410,14 +410,18 @@ def _one_line(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-def _with_range_of(perception: Perception, settings: LoopSettings) -> LoopSettings:
+def _agreed(perception: Perception, settings: LoopSettings) -> LoopSettings:
     """Return the settings with the shift of the range that a perception was opened with.
 
     Raises:
-        SettingsError: they ask for another one.
+        SettingsError: they ask for another one, or for another interval than that of the helpers' messages.
     """
     own = getattr(perception, "look_ahead_s", settings.look_ahead_s)
     if settings.look_ahead_s not in (0.0, own):
         expected = f"that of the perception, {own:g}, or 0"
         raise SettingsError(complaint("drive", "look_ahead_s", expected, f"{settings.look_ahead_s:g}"))
+    interval_s = getattr(perception, "message_interval_s", None)
+    if interval_s is not None and not math.isclose(interval_s, settings.detect_every_s):
+        expected = f"that of the perception, {interval_s:g} (`interval_s` of open_perception)"
+        raise SettingsError(complaint("drive", "detect_every_s", expected, f"{settings.detect_every_s:g}"))
     return msgspec.structs.replace(settings, look_ahead_s=own)

@@ -156,7 +156,7 @@ def join_results(parts: Sequence[MethodResult]) -> MethodResult:
 
 def _traffic(links: Sequence[Link]) -> tuple[float, float, float, float]:
     heard = [link.age_s for link in links if link.received]
-    return float(sum(link.bytes for link in links)), float(len(links)), float(len(heard)), float(sum(heard))
+    return float(sum(link.bytes_now for link in links)), float(len(links)), float(len(heard)), float(sum(heard))
 
 
 def _ego_share(frame: Frame, sample: Sample) -> NDArray[np.float32]:

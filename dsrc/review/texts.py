@@ -16,6 +16,11 @@ from sensors.sweep import MOVED, SCATTERED
 _SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by a collaborator only", BY_NOBODY: "not seen"}
 
 
+def quoted(text: str) -> str:
+    """Markdown that shows a text as it is: names from files are no formatting, and no HTML."""
+    return "".join(f"\\{letter}" if letter in r"\`*_{}[]<>()#|!&~" else letter for letter in " ".join(text.split()))
+
+
 def frame_report(view: FrameView) -> str:
     """Markdown of a frame: number, time, TP, FP, FN, precision and recall."""
     head = f"**Frame {view.index}** · {view.time_s:.1f} s"
@@ -37,12 +42,12 @@ def notice(view: FrameView) -> str:
     """Explanation of missing detections in a frame, and counts of the methods drawn over the judged one."""
     compared = [one for one in view.compared if one.counts is not None]
     rows = "\n".join(
-        f"| {one.name.replace('|', '/')} | {one.counts.tp} | {one.counts.fp} | {one.counts.fn} |"
+        f"| {quoted(one.name)} | {one.counts.tp} | {one.counts.fp} | {one.counts.fn} |"
         for one in compared
         if one.counts is not None
     )
     table = f"| over it | TP | FP | FN |\n|:--|--:|--:|--:|\n{rows}" if rows else ""
-    return "\n\n".join(part for part in (view.notice, table) if part)
+    return "\n\n".join(part for part in (quoted(view.notice), table) if part)
 
 
 def moment_report(moment: EpisodeMoment, timeline: EpisodeTimeline, row: int) -> str:
@@ -51,19 +56,19 @@ def moment_report(moment: EpisodeMoment, timeline: EpisodeTimeline, row: int) ->
     percept = "none yet" if math.isnan(moment.percept_age_s) else f"{1e3 * moment.percept_age_s:.0f} ms old"
     heard = f"{int(moment.links.received.sum())} of {len(moment.links.received)} messages"
     lines = [
-        f"**{moment.acceleration_mps2:+.1f} m/s²**, {moment.reason}{track} · {timeline.speed_mps[row]:.1f} m/s",
+        f"**{moment.acceleration_mps2:+.1f} m/s²**, {quoted(moment.reason)}{track} · {timeline.speed_mps[row]:.1f} m/s",
         f"percept {percept} · {heard} · {len(moment.tracks)} tracks"
         + (
-            f" · {len(moment.claims)} claims of {', '.join(dict.fromkeys(moment.claimed_by))}"
+            f" · {len(moment.claims)} claims of {', '.join(map(quoted, dict.fromkeys(moment.claimed_by)))}"
             if moment.claimed_by
             else ""
         ),
     ]
     if moment.contact is not None:
-        lines.append(f"**contact** with {moment.contact.other} at {moment.contact.closing_mps:.1f} m/s")
+        lines.append(f"**contact** with {quoted(moment.contact.other)} at {moment.contact.closing_mps:.1f} m/s")
     end = f"contact at {timeline.time_s[timeline.contact_row]:.1f} s" if timeline.contact_row is not None else ""
-    outcome = f"outcome: {timeline.outcome}"
-    return "\n\n".join([*lines, " · ".join(part for part in (outcome, end, timeline.message) if part)])
+    outcome = f"outcome: {quoted(timeline.outcome)}"
+    return "\n\n".join([*lines, " · ".join(part for part in (outcome, end, quoted(timeline.message)) if part)])
 
 
 def _share(value: float | None) -> str:
@@ -78,9 +83,8 @@ def selection_report(details: ObjectDetails | DetectionDetails | None) -> str:
 
 
 def _object_card(details: ObjectDetails) -> str:
-    # In a code span a lane's underscores stay what they are.
-    lane = f" · lane `{details.lane}`" if details.lane else ""
-    lights = f" · {', '.join(details.lights)}" if details.lights else ""
+    lane = f" · lane {quoted(details.lane)}" if details.lane else ""
+    lights = f" · {', '.join(map(quoted, details.lights))}" if details.lights else ""
     change = "" if math.isnan(details.acceleration) else f", {details.acceleration:+.1f} m/s²"
     head = f"**{details.class_name} {details.object_id}**, {_SEEN_BY[details.seen_by]}"
     detected = ""

@@ -41,6 +41,7 @@ from sim.geometry import invert
 from sim.streams import Stream, random_generator
 
 WATER_MM = (0.2, 0.5, 1.0, 1.5, 2.5)
+_MOST_WATER_MM = 100.0
 
 LIDAR_RATIO_SR = 18.8
 """Extinction over backscatter of water drops, sr."""
@@ -73,14 +74,14 @@ class Spray(SeveritySettings, frozen=True, kw_only=True):
     """
 
     LEVELS: ClassVar = {"water_mm": WATER_MM}
-    RANGES: ClassVar = {"water_mm": (0.0, 100.0)}
+    RANGES: ClassVar = {"water_mm": (0.0, _MOST_WATER_MM)}
 
     water_mm: float = 1.0
     range_10_m: float | None = None
 
     def scaled(self, factor: float) -> Self:
         """Return the settings with `factor` times the water."""
-        return msgspec.structs.replace(self, water_mm=factor * self.water_mm)
+        return msgspec.structs.replace(self, water_mm=min(factor * self.water_mm, _MOST_WATER_MM))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,7 +39,7 @@ from sensors.sweep import ATTENUATED, KEPT, UNKNOWN_MATERIAL, Sweep
 from sim.mesh.materials import MATERIALS
 
 WATER_MM = (0.1, 0.3, 0.6, 1.2, 2.5)
-
+_MOST_WATER_MM = 100.0
 WATER_INDEX = 1.33 / 1.0003
 """Refractive index of water against air."""
 
@@ -60,7 +60,7 @@ class WetGround(SeveritySettings, frozen=True, kw_only=True):
     """
 
     LEVELS: ClassVar = {"water_mm": WATER_MM}
-    RANGES: ClassVar = {"water_mm": (0.0, 100.0), "texture_mm": (0.01, 100.0)}
+    RANGES: ClassVar = {"water_mm": (0.0, _MOST_WATER_MM), "texture_mm": (0.01, 100.0)}
 
     water_mm: float = 0.6
     texture_mm: float = _TEXTURE_MM
@@ -68,7 +68,7 @@ class WetGround(SeveritySettings, frozen=True, kw_only=True):
 
     def scaled(self, factor: float) -> Self:
         """Return the settings with `factor` times the water."""
-        return msgspec.structs.replace(self, water_mm=factor * self.water_mm)
+        return msgspec.structs.replace(self, water_mm=min(factor * self.water_mm, _MOST_WATER_MM))
 
 
 def corrupt(sweep: Sweep, wet: WetGround, rng: np.random.Generator) -> Sweep:

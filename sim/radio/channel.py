@@ -40,13 +40,14 @@ class Link:
         sent: number of the instant of the measurement; -1 without a usable message.
         age_s: time from that instant to now, s; NaN without a message.
         delay_s: latency from measurement to the last packet, s; NaN without a message.
-        bytes: bytes on air for this message.
+        bytes: size of this message on air.
         packets: number of its packets.
         arrived: (packets,) bool mask of received packets.
         distance_m: distance between the antennas when sent, m.
         sight: obstruction between them then.
         probability: reception probability of a packet, without collisions.
         load: channel busy ratio.
+        held: whether the sender sends nothing now: its turn comes later, since the channel is full.
     """
 
     sender: int
@@ -61,6 +62,12 @@ class Link:
     sight: Obstruction
     probability: float
     load: float
+    held: bool = False
+
+    @property
+    def bytes_now(self) -> int:
+        """Bytes that the sender puts on air now."""
+        return 0 if self.held else self.bytes
 
     @property
     def received(self) -> bool:
@@ -136,7 +143,8 @@ class Channel:
             probability *= 1.0 - self.spec.packet_loss
             rng = self._rng(Stream.RADIO_LOSSES, instant.index, sender, receiver)
             arrived &= rng.random(packets) >= self.spec.packet_loss
-        if distance > self.spec.range_m or instant.index % stride != self._phase(sender, stride):
+        held = instant.index % stride != self._phase(sender, stride)
+        if held or distance > self.spec.range_m:
             arrived = np.zeros(packets, bool)
         received = float(arrived.mean()) >= LEAST_SHARE
         return Link(
@@ -152,6 +160,7 @@ class Channel:
             sight=sight,
             probability=probability,
             load=load,
+            held=held,
         )
 
     def newest(self, instants: Sequence[RadioSnapshot], sender: int, receiver: int) -> Link:
@@ -171,7 +180,7 @@ class Channel:
             first = first or link
             age_s = (now - instant.index) * self.interval_s
             if link.received and link.delay_s <= age_s + 1e-9:
-                return dataclasses.replace(link, age_s=age_s)
+                return dataclasses.replace(link, age_s=age_s, held=first.held)
         if first is None:
             raise KeyError(sender)
         return dataclasses.replace(first, sent=-1, age_s=math.nan, delay_s=math.nan)

@@ -249,3 +249,17 @@ def test_instants_are_made_only_as_far_back_as_is_looked():
     instants = Made(at(i, [(0, 0), (20, 0)]) for i in range(5, -1, -1))
     assert Channel(PRESETS["ideal"], 1, 0.1).newest(instants, 1, 0).sent == 5
     assert instants.asked == (0,)
+
+
+def test_who_waits_for_its_turn_puts_nothing_on_air():
+    """Four senders of 16 kB at 6 Mb/s: congestion control gives each every fifth instant."""
+    channel = Channel(SLOW, 1, 0.1)
+    places = [(0.0, 0.0), (20.0, 0.0), (40.0, 0.0), (60.0, 0.0)]
+    links = [channel.newest([at(n, places, 16_000)], sender, 0) for n in range(50) for sender in (1, 2, 3)]
+    sent = [link for link in links if not link.held]
+    assert len(sent) == 3 * 10 and {link.bytes_now for link in sent} == {16_000}
+    assert {link.bytes_now for link in links if link.held} == {0} and all(link.bytes == 16_000 for link in links)
+    assert not any(link.received for link in links if link.held)
+    older = channel.newest([at(n, places, 16_000) for n in range(8, -1, -1)], 1, 0)
+    assert older.received and older.age_s > 0.0 and older.held and older.bytes_now == 0
+    assert not any(Channel(PRESETS["ideal"], 1, 0.1).link(at(n, places), 1, 0).held for n in range(9))

@@ -150,6 +150,12 @@ class DrivingEnv(AbstractEnv):
         if origin not in ("world", "junction"):
             raise SettingsError(complaint("environment", "origin", "'world' or 'junction'", str(origin)))
         super().configure(config)
+        self._end_loop()
+
+    def _end_loop(self) -> None:
+        """Give the simulation back: only one runs in a process."""
+        if self._loop is not None:
+            self._loop.close()
         self._loop = None
 
     def _new_loop(self) -> ClosedLoop:
@@ -159,7 +165,8 @@ class DrivingEnv(AbstractEnv):
             detect_every_s=self.config["detect_every_s"],
             latency_s=self.config["latency_s"],
         )
-        found = open_perception(perception) if isinstance(perception, str) else perception
+        interval_s = self.config["detect_every_s"]
+        found = open_perception(perception, interval_s=interval_s) if isinstance(perception, str) else perception
         return ClosedLoop(self.config["scenario"], found, _Agent(), settings)
 
     @property
@@ -188,8 +195,8 @@ class DrivingEnv(AbstractEnv):
         self.config["simulation_frequency"] = self._steps * self.config["policy_frequency"]
         tick = self.loop.start(episode)
         network = network_of(self.loop.scenario, episode)
-        if self.config["origin"] == "junction":
-            self._origin = junction_ahead(self.loop.scenario, episode, tick.ego.route)
+        at_junction = self.config["origin"] == "junction"
+        self._origin = junction_ahead(self.loop.scenario, episode, tick.ego.route) if at_junction else None
         self.road = Road(network, np_random=self.np_random, record_history=False)
         box = tick.ego.box
         x, y = to_plane(box.center[0, :2])
@@ -219,6 +226,7 @@ class DrivingEnv(AbstractEnv):
             self.loop.advance(float(ego.action["acceleration"]))
             return
         ego.step(self.loop.scenario.step_s)
+        ego.speed = max(float(ego.speed), 0.0)  # brakes stop a vehicle; highway-env's drive it backwards
         x, y = to_plane(ego.position)
         self.loop.advance_to((float(x), float(y), -float(ego.heading)), float(ego.speed))
 

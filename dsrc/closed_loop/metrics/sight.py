@@ -101,7 +101,7 @@ def information(log: EpisodeLog) -> Information:
         if tick.percept is not None:
             newest_s = tick.percept.time_s
             for link in tick.percept.links:
-                sent += link.bytes
+                sent += link.bytes_now
                 if link.received:
                     message_ages.append(link.age_s)
                     received[link.sender, link.receiver, link.sent] = link.bytes * float(link.arrived.mean())

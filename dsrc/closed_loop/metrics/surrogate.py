@@ -46,15 +46,17 @@ def time_to_collision(
         velocity: (N, 2) m/s.
         horizon_s: longest time, s.
     """
-    times = times_to_collision(ego, ego_velocity, others, velocity)
-    first = float(times.min(initial=math.inf))
-    return first if first <= horizon_s else math.inf
+    return float(times_to_collision(ego, ego_velocity, others, velocity, horizon_s).min(initial=math.inf))
 
 
 def times_to_collision(
-    ego: Boxes, ego_velocity: NDArray[np.float64], others: Boxes, velocity: NDArray[np.float64]
+    ego: Boxes,
+    ego_velocity: NDArray[np.float64],
+    others: Boxes,
+    velocity: NDArray[np.float64],
+    horizon_s: float = HORIZON_S,
 ) -> NDArray[np.float64]:
-    """Return the (N,) times until the ego's box meets each other one, s; 0 for overlaps, inf beyond `HORIZON_S`.
+    """Return the (N,) times until the ego's box meets each other one, s; 0 for overlaps, inf beyond the horizon.
 
     Exact: two moving rectangles meet when their shadows overlap on the normals of all their sides at once.
     """
@@ -63,11 +65,11 @@ def times_to_collision(
     # Only boxes whose circles can meet within the horizon need the exact test.
     reach = 0.5 * (np.linalg.norm(ego.size[:, :2], axis=1) + np.linalg.norm(others.size[:, :2], axis=1))
     away = np.linalg.norm(others.center[:, :2] - ego.center[:, :2], axis=1)
-    near = np.flatnonzero(away <= reach + HORIZON_S * np.linalg.norm(relative, axis=1))
+    near = np.flatnonzero(away <= reach + horizon_s * np.linalg.norm(relative, axis=1))
     near = near[_same_road(ego, others[near])]
     if len(near):
         times = _first_touch(ego, others[near], relative[near])
-        found[near] = np.where(times <= HORIZON_S, times, math.inf)
+        found[near] = np.where(times <= horizon_s, times, math.inf)
     return found
 
 

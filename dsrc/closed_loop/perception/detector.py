@@ -61,6 +61,11 @@ class DetectorPerception:
         self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
 
     @property
+    def message_interval_s(self) -> float | None:
+        """Time between the helpers' messages, s; None without any, or where they arrive at once."""
+        return self._interval_s if self.cooperative and self.channel != PRESETS[IDEAL] else None
+
+    @property
     def classes(self) -> tuple[str, ...]:
         """Classes that the detector names, else vehicles, which all detectors that train here are for."""
         return tuple(getattr(self.detector, "classes", VEHICLES))

@@ -25,6 +25,7 @@ from dsrc.review.page.protocol import Shown
 from dsrc.review.page.scene import Clicked
 from dsrc.review.page.stage import Stage, root_of
 from dsrc.review.state import Camera, ReviewState, with_changes
+from dsrc.review.texts import quoted
 from dsrc.review.view import FrameView
 from dsrc.review.worker import Progress, Worker
 from sensors.corruptions import CLEAN
@@ -424,6 +425,5 @@ class Session:
 
 
 def _quoted(text: str) -> str:
-    """Markdown that shows a text as it is."""
-    quoted = "".join(f"\\{letter}" if letter in r"\`*_{}[]<>#|" else letter for letter in text)
-    return f"**{quoted}**" if text else ""
+    """Markdown that shows a text as it is, in bold."""
+    return f"**{quoted(text)}**" if text else ""

@@ -44,6 +44,8 @@ class PlacedVehicles:
         for name, (x, y, angle_deg, speed_mps) in self._poses.items():
             sumo.vehicle.moveToXY(name, "", -1, x, y, angle_deg, _EXACTLY_THERE)
             sumo.vehicle.setPreviousSpeed(name, speed_mps)
+            # A command of before would hold SUMO's speed, which the ego reads as its own.
+            sumo.vehicle.setSpeed(name, speed_mps)
         return list(self._poses)
 
     def slow_others(

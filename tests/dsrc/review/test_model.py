@@ -6,7 +6,7 @@ import pytest
 
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.state import ReviewState
-from dsrc.review.texts import legend, selection_report
+from dsrc.review.texts import legend, quoted, selection_report
 from dsrc.review.view import (
     DETECTED_TRUTH,
     FALSE_NEGATIVES,
@@ -178,7 +178,7 @@ def test_object_details_give_motion_lights_and_visibility(truth_model):
 def test_object_details_as_text(truth_model):
     text = selection_report(truth_model.view(ReviewState(object_id=1003)).details)
     assert "**car 1003**, seen by the ego" in text
-    assert "3.0 m/s, -2.5 m/s² · brake light · lane `main_0`" in text
+    assert "3.0 m/s, -2.5 m/s² · brake light · lane main\\_0" in text
     assert "| vehicle 1000 | 40 | 25 % |" in text
     unknown = selection_report(truth_model.view(ReviewState(object_id=1005)).details)
     assert (
@@ -194,3 +194,10 @@ def test_a_corruption_of_an_agent_changes_nothing_in_frames_without_it_and_the_p
         pairs = zip(clean.agents, view.agents, strict=True)
         assert [int(len(one.points) != len(other.points)) for one, other in pairs] == counts[: len(clean.agents)]
         assert ("no such agent in this frame" in view.notice) == (not any(counts))
+
+
+def test_names_from_files_are_shown_as_they_are_and_are_no_html(truth_model: ReviewModel) -> None:
+    details = truth_model.view(ReviewState(object_id=1003)).details
+    text = selection_report(replace(details, lane='`<iframe srcdoc="<script>1</script>">'))
+    assert "<" not in text.replace("\\<", "") and "\\`\\<iframe" in text
+    assert quoted("a|b\n# c") == r"a\|b \# c"

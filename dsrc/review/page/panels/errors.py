@@ -15,7 +15,7 @@ from dsrc.review.page.panels.widgets import build_controls
 from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.palette import Rgb, css, curve_color
 from dsrc.review.state import IOU_THRESHOLDS, ReviewState, Theme
-from dsrc.review.texts import html_table
+from dsrc.review.texts import html_table, quoted
 from dsrc.review.worker import Progress
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
@@ -76,7 +76,7 @@ class ErrorsPanel:
                 shown.state, _PATIENCE_S if self._page.playing or self._page.detecting() else 0.0
             )
         except SettingsError as error:
-            self.progress.content = str(error)
+            self.progress.content = quoted(str(error))
             return
         if report is not self._report:
             self._first, self._report = 0, report
@@ -91,7 +91,7 @@ class ErrorsPanel:
     def _show_progress(self, shown: Shown, report: RunReport) -> None:
         jobs = self._page.detecting()
         text = f"**{len(report.errors)} errors** in {report.known} of {report.total} frames"
-        against = f" · against {report.versus}" if report.versus else ""
+        against = f" · against {quoted(report.versus)}" if report.versus else ""
         self.progress.content = f"{text}{against}{_running(jobs)}"
         self.bar.visible = bool(jobs)
         if jobs:

@@ -16,6 +16,7 @@ from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.page.scene import place_frame
 from dsrc.review.palette import SENSOR
 from dsrc.review.points import subsample
+from dsrc.review.texts import quoted
 from dsrc.review.view import AgentView
 from sensors.presets import get_lidar
 from sensors.spec import LidarSpec
@@ -205,7 +206,7 @@ class SensorLabPanel:
     def _tell(self, wish: _Wish, text: str) -> None:
         if self._wish is not wish:
             return
-        self.cast, self.text.content = None, text
+        self.cast, self.text.content = None, quoted(text)
         if "cloud" in self._nodes:
             self._nodes["cloud"].visible = False
 

@@ -229,6 +229,14 @@ def test_an_episode_is_looked_at_again_from_its_log(driven: Path) -> None:
     assert same.settings == former.settings
 
 
+def test_a_log_runs_no_code_that_it_names(driven: Path, tmp_path: Path) -> None:
+    log = EpisodeLog.load(driven / "episodes" / f"{rows(driven)[0]['key']}.npz")
+    log.settings = replace(log.settings, perception=f"{EYES}:Blind", detector="")
+    path = log.save(tmp_path / "log.npz")
+    with pytest.raises(SettingsError, match=f"perception: expected --perception {EYES}:Blind"):
+        look_again_at(path, DriveOptions(what=str(path)))
+
+
 def test_a_second_look_says_what_it_looked_with(driven: Path, tmp_path: Path) -> None:
     log = EpisodeLog.load(driven / "episodes" / f"{rows(driven)[0]['key']}.npz")
     path = EpisodeLog(log.settings, log.actors[0], log.ticks[:2], log.outcome).save(tmp_path / "log.npz")

@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 from dsrc.closed_loop.environments import ENVIRONMENTS
 from dsrc.closed_loop.environments.driving import DrivingEnv
+from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.types import Outcome, Percept
 from sim.boxes import Boxes
 from sim.errors import SettingsError, TrafficError
@@ -236,4 +237,37 @@ def test_a_steered_ego_is_where_its_bicycle_model_is() -> None:
         assert moved == pytest.approx(env.vehicle.speed * 0.1, abs=0.1)
         assert np.allclose(env.vehicle.position, box.center[0, :2] * [1.0, -1.0])
         assert env.vehicle.heading == pytest.approx(-float(box.yaw[0]))
+    env.close()
+
+
+@pytest.mark.parametrize("scenario", ["four_way", "ima_building:no_conflict"])
+def test_brakes_stop_a_steered_ego_and_never_drive_it_back(scenario: str) -> None:
+    env = DrivingEnv(scenario=scenario, perception=Blind(), **ENVIRONMENTS["dsrc/Free-v0"])
+    env.reset(seed=0)
+    speeds, progress = [env.loop.tick.ego.speed_mps], [0.0]
+    while env.loop.outcome is None and len(speeds) < 60:
+        env.step(np.array([-1.0, 0.0], np.float32))
+        speeds.append(env.loop.tick.ego.speed_mps)
+        progress.append(env.loop.tick.ego.progress_m)
+    assert speeds[0] > 5.0 and min(speeds) == speeds[-1] == 0.0
+    assert (np.diff(speeds) <= 1e-6).all() and (np.diff(progress) >= -1e-6).all()
+    env.close()
+
+
+def test_an_ego_that_is_driven_back_makes_no_progress() -> None:
+    loop = ClosedLoop("ima_building:no_conflict", Blind())
+    start = loop.start(0).ego
+    x, y = start.box.center[0, :2]
+    yaw = float(start.box.yaw[0])
+    moved = loop.advance_to((x - np.cos(yaw), y - np.sin(yaw), yaw), 0.0).ego
+    assert moved.progress_m == pytest.approx(-1.0, abs=1e-6)
+    loop.close()
+
+
+def test_another_configuration_ends_the_simulation_and_can_be_taken_back() -> None:
+    env = DrivingEnv(scenario="four_way", perception=Blind())
+    world, _ = env.reset(seed=1)
+    junction, _ = env.reset(seed=1, options={"config": {"origin": "junction"}})
+    again, _ = env.reset(seed=1, options={"config": {"origin": "world"}})
+    assert not np.array_equal(world, junction) and np.array_equal(world, again)
     env.close()

@@ -70,3 +70,5 @@ def test_a_message_that_is_used_twice_was_received_once_and_lost_packets_do_not_
     assert found.received_mb == pytest.approx(3.0)
     assert found.sent_mb == pytest.approx(12.0)
     assert found.message_age_s == pytest.approx(0.15)
+    held = episode(MOVERS, 3, sees=lambda now: percept_of(now, [], (replace(link, held=now.time_s > 0.05),)))
+    assert information(held).sent_mb == pytest.approx(4.0)

@@ -28,6 +28,9 @@ def test_a_car_that_closes_in_is_met_when_the_bumpers_touch() -> None:
     other = Boxes.from_array([[24.0, 0.0, 0.8, 4.0, 2.0, 1.6, 0.0]])
     assert time_to_collision(EGO, np.array([10.0, 0.0]), other, np.zeros((1, 2))) == pytest.approx(2.0)
     assert time_to_collision(EGO, np.array([10.0, 0.0]), other, np.zeros((1, 2)), horizon_s=1.9) == math.inf
+    far = Boxes.from_array([[64.0, 0.0, 0.8, 4.0, 2.0, 1.6, 0.0]])
+    assert time_to_collision(EGO, np.array([5.0, 0.0]), far, np.zeros((1, 2))) == math.inf
+    assert time_to_collision(EGO, np.array([5.0, 0.0]), far, np.zeros((1, 2)), horizon_s=20.0) == pytest.approx(12.0)
 
 
 def test_a_crossing_car_is_met_when_it_is_on_the_path_and_not_when_it_is_slow() -> None:
