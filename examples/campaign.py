@@ -55,7 +55,7 @@ def command(training: Training, options: argparse.Namespace, known: dict[str, Tr
     settings = [f"bfloat16={str(options.bfloat16).lower()}", f"workers={options.workers}", *training.settings]
     batch = RECIPES[options.recipe]().batch_size
     if training.passes and not options.trial:
-        epochs = round(training.passes * options.lengthen)
+        epochs = max(round(training.passes * options.lengthen), 1)
     else:
         steps = options.trial or round(training.steps * options.lengthen)
         epochs = max(steps // EPOCH, 1)
@@ -115,7 +115,7 @@ def main() -> None:
     parser.add_argument("--phases", type=int, nargs="+", choices=range(1, 7), help="these and their dependencies")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these and their dependencies")
     parser.add_argument(
-        "--past", nargs="+", default=[], metavar="GATE", help="continue past this gate, although it failed"
+        "--past", nargs="+", default=[], choices=("G0", "G2"), help="continue past this gate, although it failed"
     )
     parser.add_argument(
         "--jobs",
@@ -156,7 +156,7 @@ def main() -> None:
     if options.kept:
         restore(options.kept, options.out)
     failure = Campaign(options).run()
-    table = record(campaign(options.seeds, factor(options.out)), options.out)
+    table = record(campaign(max(options.seeds, SEEDS), factor(options.out)), options.out)
     write_file(options.out / "trainings.csv", table, edited=True)
     if failure:
         sys.exit(failure)
@@ -168,7 +168,9 @@ def selected(planned: Sequence[Training], options: argparse.Namespace) -> list[T
     by_name = {training.name: training for training in planned}
     wanted = {t.name for t in planned if not options.phases or t.phase in options.phases}
     if options.only:
-        wanted = set(options.only)
+        # G1 may have replaced some by trainings of half the weights while the campaign ran.
+        halved = (name.replace("dsrc-single_s", "dsrc-single-halved_s") for name in options.only)
+        wanted = {name if name in by_name else other for name, other in zip(options.only, halved, strict=True)}
     while missing := {need for name in wanted for need in by_name[name].needs()} - wanted:
         wanted |= missing
     return [training for training in planned if training.name in wanted]
@@ -232,7 +234,7 @@ class Campaign:
                 del self.running[name]
                 self.failed += [name] if process.returncode else []
                 if self.options.kept and not process.returncode:
-                    keep(self.out, self.options.kept, name)
+                    keep(self.out, self.options.kept, name, max(self.options.seeds, SEEDS))
 
     def _gates(self, trainings: Sequence[Training]) -> list[str]:
         """Measure the gates that are due; return those that are closed."""
@@ -249,7 +251,8 @@ class Campaign:
                 self._try(name, pairs, step, least)
         pairs = self._pairs("dsrc", "attfuse", self.options.seeds)
         ended = [self.out / run / "student/result.json" for pair in pairs for run in pair]
-        if "G3" not in before and all(path.exists() for path in ended):
+        new = "G3" not in before or not before["G3"].note.endswith(f", {len(pairs)} seeds")
+        if new and all(path.exists() for path in ended):
             self._note(gates.seeds_gate(self.out, pairs))
         return [
             n
@@ -287,9 +290,10 @@ def behind(training: Training, closed: Sequence[str]) -> bool:
     return training.phase > 2 or training.seed > 1
 
 
-def keep(out: Path, kept: Path, name: str) -> None:
-    """Copy the files of a finished training."""
-    training = next(t for weights in (1.0, 0.5) for t in campaign(SEEDS, weights) if t.name == name)
+def keep(out: Path, kept: Path, name: str, seeds: int = SEEDS) -> None:
+    """Copy the files of a finished training of a campaign of so many seeds."""
+    planned = (t for weights in (1.0, 0.5) for t in campaign(seeds, weights))
+    training = next(t for t in planned if t.name == name)
     source, target = training.folder(out), training.folder(kept)
     target.mkdir(parents=True, exist_ok=True)
     for part in KEPT:

@@ -4,7 +4,9 @@ Usage:
     python examples/score_thresholds.py runs/twins --docs docs/results.md
     python examples/score_thresholds.py runs/benchmark --baseline V2VNet CoBEVT --scores 0.2 0.25
 
-Read from the detections that a benchmark has stored, under its ideal channel. Trainings and corruptions are averaged.
+Read from the detections that a benchmark has stored, under its ideal channel, of severity 3 where it has several; boxes
+below a detector's own least score are not among them. Trainings and corruptions are averaged; where two methods have
+trainings of two or more common numbers, only these count.
 In brackets is the 95 % interval of 1,000 resamples of the drives, see dsrc/evaluation/metrics/intervals.py; bold
 numbers are those whose interval excludes 0. With several baselines the intervals are left out.
 """
@@ -27,8 +29,10 @@ from dsrc.evaluation.metrics.intervals import (
     percentile_interval,
     resampled_ap,
 )
+from dsrc.evaluation.report.dataset_results import PAPER_SEVERITY
 from dsrc.evaluation.report.differences import SEED
 from dsrc.evaluation.stored import StoredRun, read_index
+from sensors.corruptions import CLEAN
 from sim.errors import UserError
 
 SCORES = (0.2, 0.25, 0.3, 0.35, 0.4)
@@ -58,7 +62,12 @@ def main() -> None:
         index = read_index(options.results)
         if len(datasets := {drive.dataset for drive in index.drives}) > 1:
             parser.error(f"{options.results}: expected results of one dataset, found {', '.join(sorted(datasets))}")
+        severities = {run.severity for run in index.runs if run.kind != CLEAN}
+        shown = {PAPER_SEVERITY} & severities or severities
+        if len(shown) > 1:
+            parser.error(f"{options.results}: expected severity {PAPER_SEVERITY} or one, found {sorted(shown)}")
         runs = [run for run in index.runs if run.channel == "ideal" and not run.swept]
+        runs = [run for run in runs if run.kind == CLEAN or run.severity in shown]
         names = sorted({run.method for run in runs})
         for option, wanted in (("method", [options.method]), ("baseline", options.baseline)):
             for name in wanted:
@@ -77,9 +86,12 @@ def rows_of(options: argparse.Namespace, runs: Sequence[StoredRun]) -> list[list
     rows, several = [], len(options.baseline) > 1
     for baseline in options.baseline:
         for group, (family, clean) in GROUPS.items():
-            chosen = [run for run in runs if (run.family, run.kind == "clean") == (family, clean)]
+            chosen = [run for run in runs if (run.family, run.kind == CLEAN) == (family, clean)]
             if not chosen:
                 continue
+            numbers = [{run.training for run in chosen if run.method == name} for name in (options.method, baseline)]
+            if len(common := set.intersection(*numbers)) > 1:
+                chosen = [run for run in chosen if run.training in common]
             gains = resampled(options, chosen, options.method) - resampled(options, chosen, baseline)
             drives = len(chosen[0].cells)
             cells = [[text_of(gain, drives, short=several) for gain in at_score] for at_score in gains]
@@ -111,7 +123,7 @@ def text_of(gains: NDArray[np.float64], drives: int, *, short: bool) -> str:
     """Return a difference in points with its interval, which `short` leaves out; bold where it excludes 0."""
     interval = percentile_interval(gains[1:], drives)
     text = f"{100 * gains[0]:+.1f}"
-    if not short:
+    if not short and drives > 1:  # one drive tells nothing of others
         text += f" {interval.points}"
     return f"**{text}**" if interval.excludes_zero else text
 

@@ -1,5 +1,6 @@
 """The examples run: each says how to use it, and draws on a small setting."""
 
+import argparse
 import ast
 import json
 import os
@@ -364,6 +365,12 @@ def test_the_campaign_halves_the_distillation_once_after_a_first_gate_that_did_n
     assert "dsrc-single-halved_s0" in halved["dsrc_s0"].needs()
     assert "distill.dap=0.25" in halved["dsrc_s0"].settings
     folders = "--data", "data", "--out", str(tmp_path)
+    given = argparse.Namespace(phases=None, only=["dsrc-single_s0", "single_s1"])
+    asked = campaign.selected(list(halved.values()), given)  # asked for before the gate replaced the first
+    assert {"dsrc-single-halved_s0", "single_s1"} <= {training.name for training in asked}
+    assert "--epochs 1 " in run(
+        ROOT / "examples/campaign.py", *folders, "--dry-run", "--lengthen", "0.1", "--only", "first"
+    )
     assert "dsrc-single-halved_s0" in run(ROOT / "examples/campaign.py", *folders, "--dry-run", "--only", "dsrc_s0")
     assert not any("distill" in setting for setting in halved["attfuse_s0"].settings)
     gates.record(tmp_path, gates.gate("G2", {"gain_50": 1.0}, {"gain_50": 0.5}, ""))

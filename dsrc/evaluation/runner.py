@@ -132,8 +132,7 @@ def run_plan(
     Raises:
         UserError: a file, a drive or a setting is wrong; all cells that can be computed are there.
     """
-    if device == "cuda" and not torch.cuda.is_available():
-        raise SettingsError(complaint("benchmark", "device", "a GPU that torch can use", "none", "; use cpu"))
+    check_device("benchmark", device)
     trained = {m.name: [_trained(Path(path), m, engine) for path in m.detectors] for m in plan.methods}
     for name, several in trained.items():
         for other in several[1:]:
@@ -162,6 +161,16 @@ def run_plan(
     named = {name: {Path(p).name: digest for p, digest in listed.items()} for name, listed in drives.items()}
     frames = {name: tuple(map(len, of_drives)) for name, of_drives in positions.items()}
     return BenchmarkResult(plan, trained, named, frames, entries, sum(len(unit.jobs) for unit in units), engine)
+
+
+def check_device(what: str, device: Device) -> None:
+    """Check that a device is there.
+
+    Raises:
+        SettingsError: it is not.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise SettingsError(complaint(what, "device", "a GPU that torch can use", "none", "; use cpu"))
 
 
 def _trained(path: Path, method: MethodSpec, engine: str) -> TrainedDetector:

@@ -176,6 +176,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(f"shrink_channels: expected a multiple of 16 heads, found {self.shrink_channels}")
         if self.rec and self.reconstruction_bins % 2:
             raise ValueError(f"grid: expected an even number of 0.4 m layers, found {self.reconstruction_bins}")
+        if self.rec and self.reconstruction_cell_z_m < 0.4:
+            raise ValueError(f"reconstruction_cell_z_m: expected at least 0.4, found {self.reconstruction_cell_z_m:g}")
 
     @property
     def backbone_name(self) -> Backbone:

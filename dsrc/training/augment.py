@@ -14,7 +14,7 @@ from sim.geometry import wrap_angle
 
 
 def source_grid(grid: GridSpec, augmentation: Augmentation) -> GridSpec:
-    """Return the range to read, large enough for the rotated and scaled sample to fill the grid."""
+    """Return the range to read, large enough for the rotated, scaled and lifted sample to fill the grid."""
     x = max(abs(grid.range_m[0]), abs(grid.range_m[3]))
     y = max(abs(grid.range_m[1]), abs(grid.range_m[4]))
     # Multiples of two cells keep the enlarged range a legal grid.
@@ -23,8 +23,10 @@ def source_grid(grid: GridSpec, augmentation: Augmentation) -> GridSpec:
         float(np.ceil(_reach(*sides, augmentation.rotation_deg) / (1 - augmentation.scale) / step) * step)
         for sides in ((x, y), (y, x))
     )
-    low, high = grid.range_m[2], grid.range_m[5]
-    if augmentation.rotation_deg == 0 and augmentation.scale == 0:
+    low, high = grid.range_m[2] - augmentation.height_m, grid.range_m[5] + augmentation.height_m
+    if augmentation.rotation_deg == augmentation.scale == 0:
+        (reach_x, reach_y) = (x, y)
+    if augmentation.rotation_deg == augmentation.scale == augmentation.height_m == 0:
         return grid
     return GridSpec(range_m=(-reach_x, -reach_y, low, reach_x, reach_y, high), cell_m=grid.cell_m)
 

@@ -14,6 +14,8 @@ from torch.nn import functional
 
 from dsrc.models.detector import Output
 
+Weight = Annotated[float, Meta(ge=0)]
+
 # Legend: N agents of all samples, B samples, H W input grid, h w = H/2 W/2 output grid.
 
 
@@ -40,9 +42,9 @@ class DistillSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             teacher is trained, include the objects' clouds.
     """
 
-    dae: float = 1.0
-    daf: float = 1.0
-    dap: float = 0.5
+    dae: Weight = 1.0
+    daf: Weight = 1.0
+    dap: Weight = 0.5
     fade: Annotated[float, Meta(ge=0, le=1)] = 0.0
     form: Literal["paper", "released"] = "paper"
     daf_mask: bool = True

@@ -41,7 +41,7 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     flip: bool = True
     rotation_deg: Annotated[float, Meta(ge=0, le=180)] = 15.0
-    scale: Annotated[float, Meta(ge=0, lt=1)] = 0.05
+    scale: Annotated[float, Meta(ge=0, le=0.5)] = 0.05
     height_m: Annotated[float, Meta(ge=0, le=1)] = 0.0
     random_ego: bool = True
     dropout: Annotated[float, Meta(ge=0, le=1)] = 0.3
@@ -112,7 +112,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     epochs: Count = 40
     epoch_frames: Count | None = None
     batch_size: Count = 2
-    learning_rate: Annotated[float, Meta(gt=0)] = 2e-3
+    learning_rate: Annotated[float, Meta(gt=0, le=10)] = 2e-3
     optimizer: Literal["adamw", "adam"] = "adamw"
     weight_decay: NotNegative = 1e-2
     schedule: Literal["one_cycle", "cosine", "released"] = "one_cycle"

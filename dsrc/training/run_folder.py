@@ -18,8 +18,8 @@ from sim.reading import read_bytes
 
 DETECTOR, SETTINGS, RESULT, ENVIRONMENT = "detector.pt", "settings.json", "result.json", "environment.json"
 """Files of a run folder."""
-_WITHOUT_EFFECT = ("name", "alarm_after", "workers", "half")
-"""Fields of a recipe that do not change the weights."""
+_WITHOUT_EFFECT = ("name", "alarm_after", "workers")
+"""Fields of a recipe that do not change the detector."""
 _OF_THE_CHOICE = ("validate_every", "validation_frames")
 """Fields that change the weights only where validations choose them, or the end of the training."""
 
@@ -58,12 +58,14 @@ class RunFolder:
 
         Args:
             record: its settings, seed, versions and hashes.
-            anew: remove the detector and result of an earlier run, which this one's would be taken for if it is
-                interrupted before it writes its own.
+            anew: remove detector, result and checkpoints of an earlier run, which this one's would be taken for if it
+                is interrupted before it writes its own.
         """
         if anew:
             self.detector.unlink(missing_ok=True)
             self.result.unlink(missing_ok=True)
+            self.last.unlink(missing_ok=True)
+            self.best.unlink(missing_ok=True)
         # A detector without its result is of a run that was interrupted between the two, and so is the record.
         if not self.detector.exists():
             write_json(self.settings, record)

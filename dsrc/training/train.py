@@ -34,10 +34,12 @@ from dsrc.training.recipes import RECIPES, Recipe, Stage, of_method, override
 from dsrc.training.run_folder import DETECTOR, RunFolder, validations_decide, write_json
 from dsrc.training.validation import best_device
 from dsrc.training.validation import validate as validate_detector
-from sim.errors import SettingsError, complaint, did_you_mean
+from sim.errors import SettingsError, UserError, complaint, did_you_mean
 from sim.files import check_folder, file_sha256
 
 LOG = logging.getLogger(__name__)
+_SEEDS = 2**31
+"""Seeds are below this: generators of 64 bits get one beside a step's number."""
 logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 
 
@@ -45,7 +47,7 @@ logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 def train_stages(options: TrainOptions) -> Path:
     """Train one stage, or the teacher and then the student, each in its own subfolder of the run folder.
 
-    A student that does not distil needs no teacher.
+    A student that does not distil needs no teacher, and one whose teacher is given gets no other.
 
     Args:
         options: recipe, drives, run folder and more, see `TrainOptions`; or these as arguments.
@@ -56,8 +58,8 @@ def train_stages(options: TrainOptions) -> Path:
     Raises:
         UserError: as `train`, or an option is wrong.
     """
-    if options.seed < 0:
-        raise SettingsError(complaint("train", "seed", "at least 0", options.seed))
+    if not 0 <= options.seed < _SEEDS:
+        raise SettingsError(complaint("train", "seed", f"at least 0 and below {_SEEDS}", options.seed))
     if options.recipe not in RECIPES:
         raise SettingsError(f"recipe: unknown '{options.recipe}'{did_you_mean(options.recipe, RECIPES)}")
     recipe = RECIPES[options.recipe]()
@@ -68,8 +70,11 @@ def train_stages(options: TrainOptions) -> Path:
         recipe = replace(recipe, epochs=options.epochs)
     if recipe.epochs < 1:
         raise SettingsError(complaint("recipe", "epochs", "at least 1", recipe.epochs))
+    if options.teacher and not (recipe.model.distils and options.stage in ("all", "student")):
+        which = f"stage {options.stage}" if recipe.model.distils else "a method that nobody teaches"
+        raise SettingsError(complaint("train", "teacher", f"none with {which}", options.teacher))
     stages: list[Stage] = ["teacher", "student"] if options.stage == "all" else [options.stage]
-    if options.stage == "all" and not recipe.model.distils:
+    if options.stage == "all" and (options.teacher or not recipe.model.distils):
         stages = ["student"]
     path = options.out
     for stage in stages:
@@ -127,7 +132,8 @@ def train(
         stage: `teacher` reads clouds made with ground truth; `student` is the recipe's model; `plain` is the student
             without distillation and reconstruction.
         teacher: detector file of a teacher, for a student that distils.
-        validate: folder of validation drives; None holds out the end of each training drive.
+        validate: folder of validation drives; None holds out the end of each training drive. With a drive that is
+            trained on among them, metrics are called those of training frames.
         resume: continue from the run folder's last checkpoint if there is one; a run interrupted and resumed ends with
             the weights of an uninterrupted one. A finished one stays as it is, except for `environment.json`.
         seed: seed of weights, order and augmentation.
@@ -175,7 +181,8 @@ def train(
         return folder.detector
 
     if not loaders.validates_on_unseen and leads():
-        LOG.warning("%s: no frame is held out: average precisions are those on training frames, train/ap_...", out)
+        why = "no frame is held out" if validate is None else "a drive of the validation is trained on"
+        LOG.warning("%s: %s: average precisions are those on training frames, train/ap_...", out, why)
     selection = WeightSelection(recipe, folder.best)
     with _without_advice():
         trainer = _trainer(recipe, folder, processes, [selection, *callbacks])
@@ -183,7 +190,10 @@ def train(
             folders = {"data": str(data.resolve()), "validate": validate and str(validate.resolve())}
             folder.start({**record, "folders": folders}, anew=state == "new")
             folder.note_environment(processes.count)
-        trainer.fit(module, loaders, ckpt_path=str(folder.last) if state == "interrupted" else None)
+        try:
+            trainer.fit(module, loaders, ckpt_path=str(folder.last) if state == "interrupted" else None)
+        except UserError as error:
+            raise _without_traceback(error) from None
     if trainer.interrupted:
         raise KeyboardInterrupt
     if trainer.is_global_zero:
@@ -260,6 +270,15 @@ def _check_frames(recipe: Recipe, loaders: DetectionData, devices: int) -> None:
     if field and not loaders.validates_on_unseen:
         hint = "; give validation drives or a validation_share"
         raise SettingsError(complaint("recipe", field, "frames that are not trained on, to choose by", "none", hint))
+
+
+def _without_traceback(error: UserError) -> UserError:
+    """Return the error of a process that prepares batches: PyTorch hands it on as the text of its traceback."""
+    text = str(error)
+    if not text.startswith("Caught "):
+        return error
+    _, _, message = text.rstrip().rpartition("\n")[2].partition(": ")
+    return type(error)(message)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from dsrc.data.provenance import provenance
 from dsrc.evaluation.cells import CellJob, WorkUnit
 from dsrc.evaluation.conditions import Condition, channel_settings, check_numbers, condition_settings, corruption_kinds
 from dsrc.evaluation.detect import frame_positions
-from dsrc.evaluation.runner import compute
+from dsrc.evaluation.runner import check_device, compute
 from dsrc.evaluation.sharing.cells import ShareRow, ShareSettings, has_share_cell, make_share_cells, read_share_cell
 from dsrc.evaluation.sharing.shares import MOST_AGENTS, check_iou
 from dsrc.evaluation.stored import StoredDrive
@@ -46,6 +46,7 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
     """
     check_numbers("shares", (config.severity,), config.seed, config.limit)
     check_iou(config.iou)
+    check_device("shares", config.device)
     parse_who(config.who)
     kinds = corruption_kinds(config.corruptions, config.family, "shares")
     conditions = [Condition(), *(Condition(kind, config.severity, config.family, config.who) for kind in kinds)]

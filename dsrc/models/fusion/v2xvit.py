@@ -31,7 +31,7 @@ class V2XViT(Fusion):
     Released (OpenCOOD): three channels of prior knowledge (speed, delay, kind) ride on the features; the layer that
     would read them is never called, so speed has no effect, and here only delay and kind exist. Absent agents are zeros
     without effect on others and are left out here, and the last block runs for the ego alone. Without delay nothing
-    moves and all cells are visible.
+    moves and all cells are visible. Samples carry no ages of messages, so the delay is 0 in trainings and evaluations.
     """
 
     place = "map"

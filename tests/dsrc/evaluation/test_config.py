@@ -256,7 +256,8 @@ def test_the_projects_own_benchmark_has_all_that_the_papers_tables_need():
     assert set(METHODS) <= runs
     parts, otherwise = (
         {"sdd", "pcp", "sdd-pcp"},
-        {f"dsrc-{name}" for name in ("thinned", "corrupted", "consistent", "directed", "lifted")},
+        {f"dsrc-{name}" for name in ("thinned", "corrupted", "consistent", "directed", "lifted")}
+        | {"attfuse-corrupted"},
     )
     assert runs - set(METHODS) == parts | otherwise
     trainings = {method.name: len(method.detectors) for method in plan.methods}

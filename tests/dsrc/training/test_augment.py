@@ -43,6 +43,14 @@ def test_points_stay_on_their_objects(sample: Sample, seed: int) -> None:
     assert not np.allclose(moved.boxes.center, sample.boxes.center)
 
 
+def test_what_is_lifted_into_the_grid_was_read_and_what_it_belongs_to_too() -> None:
+    low, high = GRID.range_m[2], GRID.range_m[5]
+    for change in ({"height_m": 0.4}, {"height_m": 0.4, "rotation_deg": 0.0, "scale": 0.0}):
+        read = source_grid(GRID, Augmentation(**change)).range_m
+        assert (read[2], read[5]) == pytest.approx((low - 0.4, high + 0.4))
+    assert source_grid(GRID, STILL) == GRID
+
+
 @pytest.mark.parametrize("scale", [0.0, 0.05, 0.5])
 @pytest.mark.parametrize("limit", [0.0, 15.0, 26.0, 60.0, 120.0])
 def test_whatever_ends_in_the_grid_was_read(limit: float, scale: float) -> None:

@@ -64,6 +64,16 @@ def test_a_teacher_of_another_fusion_with_weights_is_refused(teacher_file: Path)
         load_teacher(teacher_file, changed(settings, fusion="v2vnet"))
 
 
+def test_a_teacher_of_other_road_users_is_refused(teacher_file: Path) -> None:
+    settings = of_method(tiny(), "dsrc").settings("student")
+    with pytest.raises(
+        CheckpointError, match=r"teacher.pt: users: expected vulnerable as the student's, found vehicles"
+    ):
+        load_teacher(teacher_file, changed(settings, users="vulnerable"))
+    with pytest.raises(CheckpointError, match=r"teacher.pt: anchor_lwh: expected \(4.0, 2.0, 1.5\)"):
+        load_teacher(teacher_file, changed(settings, anchor_lwh=(4.0, 2.0, 1.5)))
+
+
 def test_a_student_can_begin_as_its_teacher_without_the_paint(sample: Sample, teacher_file: Path) -> None:
     settings = of_method(tiny(), "dsrc").settings("student")
     student = Detector(settings).eval()

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from dsrc.models.fusion import FUSIONS
 from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
 from dsrc.training.recipes import METHODS, Augmentation, debug, dsrc_code, of_method, override
 from dsrc.training.train import train, train_stages
-from sim.errors import CheckpointError, SettingsError
+from sim.errors import CheckpointError, DataError, SettingsError
 from sim.files import file_sha256
 from tests.dsrc.training.drive import write_drive
 from tests.dsrc.training.runs import Power, tiny
@@ -140,6 +141,69 @@ def test_a_run_is_resumed_with_what_it_was_started_with_or_not_at_all(data: Path
     with pytest.raises(SettingsError, match=r"clip: expected 1.0 as asked for now"):  # always the same one
         train(replace(recipe, **several), data, tmp_path, "plain", seed=4)
     train(replace(recipe, workers=0, alarm_after=9), data, tmp_path, "plain")
+    with pytest.raises(SettingsError, match=r"half: expected False as asked for now, found True"):
+        train(replace(recipe, half=False), data, tmp_path, "plain")
+
+
+def test_a_run_that_is_begun_anew_and_cut_off_is_not_continued_from_the_former_one(data: Path, tmp_path: Path) -> None:
+    train(tiny(epochs=1), data, tmp_path, "plain")
+    other = tiny(epochs=1, learning_rate=1e-3)
+    with pytest.raises(RuntimeError, match="power cut"):
+        train(other, data, tmp_path, "plain", resume=False, callbacks=[Power(0)])
+    assert not list((tmp_path / "checkpoints").glob("*"))
+    train(other, data, tmp_path, "plain")
+    with (tmp_path / "metrics.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 1
+
+
+def test_a_damaged_frame_is_one_line_from_a_process_that_prepares_batches_too(data: Path, tmp_path: Path) -> None:
+    shutil.copytree(data, tmp_path / "data")
+    cloud = next((tmp_path / "data").rglob("*.pcd"))
+    cloud.write_bytes(cloud.read_bytes()[:200])
+    for workers in (0, 1):
+        with pytest.raises(DataError) as caught:
+            train(tiny(epochs=1, workers=workers), tmp_path / "data", tmp_path / str(workers), "plain")
+        assert cloud.name in str(caught.value) and "\n" not in str(caught.value)
+        assert "Traceback" not in str(caught.value)
+
+
+def test_frames_that_are_trained_on_are_not_called_validation(data: Path, tmp_path: Path) -> None:
+    path = train(tiny(epochs=1, validate_every=1), data, tmp_path / "same", "plain", validate=data)
+    metrics = json.loads((path.parent / "result.json").read_text())["metrics"]
+    assert metrics and all(name.startswith("train/") for name in metrics)
+    with pytest.raises(SettingsError, match="keep: expected frames that are not trained on"):
+        train(tiny(epochs=1, keep="best"), data, tmp_path / "best", "plain", validate=data)
+
+
+@pytest.mark.parametrize(
+    ("options", "stages"),
+    [
+        ({}, ["teacher", "student"]),
+        ({"teacher": Path("given.pt")}, ["student"]),
+        ({"stage": "teacher"}, ["teacher"]),
+        ({"method": "attfuse"}, ["student"]),
+    ],
+)
+def test_a_teacher_is_trained_unless_it_is_given_or_not_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, object], stages: list[str]
+) -> None:
+    done = []
+
+    def note(recipe: object, data: Path, out: Path, stage: str, *, teacher: Path | None, **_: object) -> Path:
+        done.append((stage, teacher))
+        return out
+
+    monkeypatch.setattr("dsrc.training.train.train", note)
+    train_stages("debug", data=tmp_path, out=tmp_path, **options)
+    assert [stage for stage, _ in done] == stages
+    given = options.get("teacher") or (tmp_path / "teacher/detector.pt" if stages == ["teacher", "student"] else None)
+    assert done[-1][1] == given
+
+
+@pytest.mark.parametrize("options", [{"method": "attfuse"}, {"stage": "plain"}, {"stage": "teacher"}])
+def test_a_teacher_that_would_not_be_used_is_refused(tmp_path: Path, options: dict[str, object]) -> None:
+    with pytest.raises(SettingsError, match="teacher: expected none with"):
+        train_stages("debug", data=tmp_path, out=tmp_path, teacher=Path("given.pt"), **options)
 
 
 def test_a_training_starts_from_the_weights_that_fit(data: Path, tmp_path: Path) -> None:
@@ -206,6 +270,11 @@ WRONG = [
     "seed",
     "labels.dropout=1",
     "a.b=1",
+    "learning_rate=inf",
+    "distill.dae=-1",
+    "distill.daf=nan",
+    "augmentation.scale=0.999",
+    "reconstruction_cell_z_m=0.2",
 ]
 
 
@@ -251,6 +320,8 @@ def test_a_student_without_its_teacher_is_told(data: Path, tmp_path: Path) -> No
         train_stages("debug", data=data, out=tmp_path, set=("fusoin=max",))
     with pytest.raises(SettingsError, match="did you mean 'debug'"):
         train_stages("debgu", data=data, out=tmp_path)
+    with pytest.raises(SettingsError, match="seed: expected at least 0 and below 2147483648, found 4294967296"):
+        train_stages("debug", data=data, out=tmp_path, seed=2**32)
     with pytest.raises(SettingsError, match=r"method: expected one of .*early.*v2x-vit.*dsrc.*, found foo"):
         train_stages("debug", data=data, out=tmp_path, method="foo")
 
