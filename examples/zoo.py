@@ -20,7 +20,19 @@ from trainings import SEEDS, Training, campaign
 from sim.errors import UserError
 from sim.files import file_sha256
 
-HEAD = ("detector", "method", "stage", "starts from", "teacher", "steps", "minutes", "AP@0.5 / 0.7, %", "MB", "SHA-256")
+HEAD = (
+    "detector",
+    "method",
+    "stage",
+    "starts from",
+    "teacher",
+    "steps",
+    "precision",
+    "minutes",
+    "AP@0.5 / 0.7, %",
+    "MB",
+    "SHA-256",
+)
 
 
 def main() -> None:
@@ -49,9 +61,11 @@ def row(line: dict[str, str], training: Training, runs: Path) -> tuple[str, ...]
     # Of the file itself, in half precision; the last line of metrics.csv is of the weights before they were rounded.
     metrics = json.loads((training.folder(runs) / "result.json").read_text(encoding="utf-8"))["metrics"]
     ap = " / ".join(f"{100.0 * metrics[f'val/ap_bev_{iou}']:.1f}" for iou in (50, 70))
+    made = json.loads((training.folder(runs) / "settings.json").read_text(encoding="utf-8"))
+    precision = "bfloat16" if made["settings"]["recipe"]["bfloat16"] else "float32"
     return (
         *(line["name"], line["method"], line["stage"], line["init"] or "-", line["teacher"] or "-", line["steps"]),
-        *(f"{float(line['minutes']):.0f}", ap, f"{detector.stat().st_size / 1e6:.1f}"),
+        *(precision, f"{float(line['minutes']):.0f}", ap, f"{detector.stat().st_size / 1e6:.1f}"),
         f"`{file_sha256(detector)[:12]}`",
     )
 

@@ -40,10 +40,15 @@ class Show(msgspec.Struct, frozen=True):
 
     def run(self) -> None:
         """Load, check and print it."""
+        from dsrc.data.datasets.spec import find_split_file
         from sensors.presets import scenario_lidars
         from sim.catalog.attribution import attributions
         from sim.catalog.load import load_scenario
+        from sim.errors import SettingsError, complaint
 
+        if find_split_file(str(self.scenario)) is not None:
+            hint = f"; run: dsrc dataset build {self.scenario}"
+            raise SettingsError(complaint("scenario show", "scenario", "a scenario", "a dataset", hint))
         scenario = load_scenario(self.scenario)
         scenario_lidars(scenario)  # unknown sensors are refused here as in `dsrc generate`
         scenario = msgspec.structs.replace(scenario, attribution="; ".join(attributions(scenario)))

@@ -27,7 +27,7 @@ from sensors.frame import Frame
 from sensors.presets import scenario_lidars
 from sim.catalog.load import load_scenario
 from sim.errors import SettingsError, complaint
-from sim.files import remove_leftovers
+from sim.files import check_output, remove_leftovers
 from sim.mesh.materials import MATERIALS
 from sim.scenario import Scenario
 
@@ -221,6 +221,10 @@ def write_drive(
             agents = found.pop("agents", {})
             check_same(drive, found, settings)
         else:
+            # The protocol is written before any frame: these are another program's.
+            for path in sorted(drive.glob("*/*")):
+                if path.parent.name.lstrip("-").isdecimal() and path.suffix in (".pcd", ".yaml"):
+                    check_output(path)
             # Without a protocol the settings of a log or a world are unknown.
             for name in (TRAFFIC_LOG, WORLD):
                 (drive / name).unlink(missing_ok=True)

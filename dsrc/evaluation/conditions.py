@@ -69,7 +69,7 @@ def check_numbers(where: str, severities: Sequence[int], seed: int, limit: int |
     if seed < 0:
         raise SettingsError(complaint(where, "seed", "at least 0", seed))
     if limit is not None and limit < 1:
-        raise SettingsError(complaint(where, "limit", "at least 1 frame", limit))
+        raise SettingsError(complaint(where, "limit", "at least 1 frame (--frames)", limit))
 
 
 def condition_settings(condition: Condition) -> dict[str, Any]:

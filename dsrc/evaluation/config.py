@@ -41,13 +41,14 @@ Paths are relative to the file, or else to the current folder.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_type_hints
 
 import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
 from dsrc.evaluation.conditions import PAPER_TABLE, Condition, check_numbers, corruption_kinds
+from dsrc.models.settings import ModelSettings
 from dsrc.options.detection import BenchmarkOptions
 from sensors.corruptions import EVERYONE, Family, parse_who, require_who
 from sim.errors import SettingsError, complaint, did_you_mean
@@ -355,13 +356,23 @@ def check(plan: Benchmark, where: str) -> None:
             found = f"{pair.method} and {pair.baseline} again"
             raise SettingsError(complaint(where, f"differences[{i}]", "a pair that is not there yet", found))
     for method in plan.methods:
-        for field in method.use:
+        for field, value in method.use.items():
+            place = f"methods.{method.name}.use"
             if field not in IN_USE:
                 expected = "a setting that needs no training"
-                raise SettingsError(
-                    complaint(where, f"methods.{method.name}.use", expected, field, did_you_mean(field, IN_USE))
-                )
+                raise SettingsError(complaint(where, place, expected, field, did_you_mean(field, IN_USE)))
+            try:
+                msgspec.convert(value, get_type_hints(ModelSettings, include_extras=True)[field])
+            except msgspec.ValidationError as error:
+                expected = str(error).removeprefix("Expected ").partition(", got")[0].replace("`", "")
+                raise SettingsError(complaint(where, f"{place}.{field}", expected, value)) from None
     check_numbers(where, plan.severities, plan.seed, plan.limit)
+    if not plan.severities:
+        raise SettingsError(complaint(where, "severities", "at least one", "none"))
+    try:
+        parse_who(plan.who)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from None
     for family in plan.families:
         corruption_kinds((*plan.corruptions, plan.pictures.corruption), family, where)
         try:

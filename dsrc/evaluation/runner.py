@@ -132,7 +132,7 @@ def run_plan(
     Raises:
         UserError: a file, a drive or a setting is wrong; all cells that can be computed are there.
     """
-    check_device("benchmark", device)
+    check_device(plan.name, device)
     trained = {m.name: [_trained(Path(path), m, engine) for path in m.detectors] for m in plan.methods}
     for name, several in trained.items():
         for other in several[1:]:

@@ -41,11 +41,16 @@ class RunFolder:
         """Return the progress of the run that the folder holds.
 
         Raises:
-            SettingsError: it was started with other settings, data, teacher or start than the record's.
+            SettingsError: it was started with other settings, data, teacher or start than the record's, or the folder
+                holds a detector alone, which a training would replace.
             CheckpointError: its last checkpoint is damaged.
         """
         finished = self.detector.exists() and self.result.exists()
         if not finished and not self.last.exists():
+            if self.detector.exists():
+                hint = "; choose another folder, or move the file away"
+                found = "a detector without its run"
+                raise SettingsError(complaint(self.detector, "output", "a new folder, or a run to resume", found, hint))
             return "new"
         self._check_same_run(record)
         if finished:

@@ -5,7 +5,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
 from msgspec.structs import replace
 
+from dsrc.data.drive_folder import locked
 from dsrc.data.drives import list_drives
 from dsrc.data.provenance import hashes, provenance
 from dsrc.models.detector import Detector
@@ -146,7 +147,7 @@ def train(
         The detector file.
 
     Raises:
-        DataError: the data is missing or wrong.
+        DataError: the data is missing or wrong, or another process trains in the folder.
         CheckpointError: the teacher or the start is missing or does not fit, or the checkpoint is damaged.
         SettingsError: the run to resume was started with other settings, data, teacher or start; the recipe needs
             validation frames and there are none; the batch cannot be shared among the devices.
@@ -174,32 +175,33 @@ def train(
     }
 
     folder = RunFolder(out)
-    state = folder.state(record) if resume else "new"
-    if state == "finished":
-        if leads():
-            folder.note_environment(processes.count)
-        return folder.detector
+    with locked(out, what="training") if leads() else nullcontext():
+        state = folder.state(record) if resume else "new"
+        if state == "finished":
+            if leads():
+                folder.note_environment(processes.count)
+            return folder.detector
 
-    if not loaders.validates_on_unseen and leads():
-        why = "no frame is held out" if validate is None else "a drive of the validation is trained on"
-        LOG.warning("%s: %s: average precisions are those on training frames, train/ap_...", out, why)
-    selection = WeightSelection(recipe, folder.best)
-    with _without_advice():
-        trainer = _trainer(recipe, folder, processes, [selection, *callbacks])
+        if not loaders.validates_on_unseen and leads():
+            why = "no frame is held out" if validate is None else "a drive of the validation is trained on"
+            LOG.warning("%s: %s: average precisions are those on training frames, train/ap_...", out, why)
+        selection = WeightSelection(recipe, folder.best)
+        with _without_advice():
+            trainer = _trainer(recipe, folder, processes, [selection, *callbacks])
+            if trainer.is_global_zero:
+                folders = {"data": str(data.resolve()), "validate": validate and str(validate.resolve())}
+                folder.start({**record, "folders": folders}, anew=state == "new")
+                folder.note_environment(processes.count)
+            try:
+                trainer.fit(module, loaders, ckpt_path=str(folder.last) if state == "interrupted" else None)
+            except UserError as error:
+                raise _without_traceback(error) from None
+        if trainer.interrupted:
+            raise KeyboardInterrupt
         if trainer.is_global_zero:
-            folders = {"data": str(data.resolve()), "validate": validate and str(validate.resolve())}
-            folder.start({**record, "folders": folders}, anew=state == "new")
-            folder.note_environment(processes.count)
-        try:
-            trainer.fit(module, loaders, ckpt_path=str(folder.last) if state == "interrupted" else None)
-        except UserError as error:
-            raise _without_traceback(error) from None
-    if trainer.interrupted:
-        raise KeyboardInterrupt
-    if trainer.is_global_zero:
-        _finish(folder, module.detector, selection, loaders, record, recipe.half)
-    trainer.strategy.barrier()  # the next stage of every process reads the file
-    return folder.detector
+            _finish(folder, module.detector, selection, loaders, record, recipe.half)
+        trainer.strategy.barrier()  # the next stage of every process reads the file
+        return folder.detector
 
 
 def _finish(

@@ -21,6 +21,7 @@ Paths are relative to the file, or else to the current folder.
 
 import hashlib
 from collections.abc import Iterator
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -202,7 +203,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
                 raise SettingsError(complaint("drive", field, expected, " ".join(values)))
     for field, numbers, expected, fits in (
         ("severity", options.severity, "1 to 5", range(1, 6)),
-        ("seed", options.seed, "0 or more", range(1 << 63)),
+        ("seed", options.seed, "0 to 2^63 - 1", range(1 << 63)),
     ):
         for number in numbers:
             if number not in fits:
@@ -245,9 +246,10 @@ def campaign_of(options: DriveOptions) -> Campaign:
 
 
 def is_campaign(path: Path) -> bool:
-    """Whether a TOML describes a campaign, not a scenario: it has perceptions."""
+    """Whether a TOML describes a campaign, not a scenario: it has a key, or nearly one, that no scenario has."""
+    own = ("perceptions", "scenarios", "seeds", "clean_seeds", "corruptions", "severities")
     try:
-        return "perceptions" in read_tables(path, SettingsError)
+        return any(get_close_matches(key, own, n=1, cutoff=0.8) for key in read_tables(path, SettingsError))
     except SettingsError:
         return False
 

@@ -68,7 +68,7 @@ def check_dataset(root: Path, pool: Pool = SERIAL, progress: Progress | None = N
             if progress is not None:
                 progress(len(found), len(drives))
     faults = [*_manifest_faults(root), *(fault for row in range(len(drives)) for fault in found[row])]
-    return list(dict.fromkeys(faults))
+    return list({str(fault): fault for fault in faults}.values())  # two checks may tell the same one
 
 
 def _manifest_faults(root: Path) -> list[Fault]:

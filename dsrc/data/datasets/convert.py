@@ -44,7 +44,7 @@ _EGO, _ALL = "ego", "all"
 
 
 class Conversion(msgspec.Struct, frozen=True):
-    """Settings of a conversion: `conversion.json`."""
+    """Settings of a conversion: `conversion.json`, with the number of files of a finished one, 0 for unknown."""
 
     version: int
     to: Format
@@ -52,6 +52,7 @@ class Conversion(msgspec.Struct, frozen=True):
     view: LabelView
     drives: dict[str, str]
     finished: bool = False
+    files: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,7 @@ class _Work:
     out: Path
     mark: Conversion
     source: Source
+    anew: bool
 
 
 @takes_fields(ConvertOptions)
@@ -133,15 +135,19 @@ def convert(options: ConvertOptions, pool: Pool = SERIAL, progress: Progress | N
 
     _check_folder(out, wanted)
     with locked(out):
-        if not _check_folder(out, wanted):
+        state = _check_folder(out, wanted)
+        if state != "finished":
             write_file(out / CONVERSION, encode_json(wanted))
             with pool.open(len(sources)) as executor:
-                for result in executor.run(_convert, [_Work(out.resolve(), wanted, s) for s in sources], report):
+                for result in executor.run(
+                    _convert, [_Work(out.resolve(), wanted, s, state == "lacking") for s in sources], report
+                ):
                     if result.error is not None:
                         raise result.error
             writer.finish(sources)
             remove_leftovers(out)
-            write_file(out / CONVERSION, encode_json(msgspec.structs.replace(wanted, finished=True)))
+            ended = msgspec.structs.replace(wanted, finished=True, files=_files(out))
+            write_file(out / CONVERSION, encode_json(ended))
     if progress is not None:
         progress(total, total)
     return out
@@ -152,7 +158,7 @@ def _convert(work: _Work, progress: Progress) -> None:
     writer, drive = _WRITERS[work.mark.to](work.out, work.mark), open_drive(work.source.path)
     for i in range(len(drive)):
         progress(i, len(drive))
-        if not writer.done(work.source, i):
+        if work.anew or not writer.done(work.source, i):
             writer.write(work.source, i, drive, drive.read(i))
     progress(len(drive), len(drive))
 
@@ -193,15 +199,15 @@ def _check_options(options: ConvertOptions) -> None:
         raise SettingsError(complaint("convert", "view", "camera, or --to kitti", view))
 
 
-def _check_folder(out: Path, wanted: Conversion) -> bool:
-    """Return whether the conversion in a folder is finished; DataError for another one."""
+def _check_folder(out: Path, wanted: Conversion) -> Literal["begun", "finished", "lacking"]:
+    """Return how far the conversion in a folder is, `lacking` where it has lost files; DataError for another one."""
     if not out.is_dir():
-        return False
+        return "begun"
     if not (out / CONVERSION).exists():
         others = sorted(path.name for path in out.iterdir() if path.name != LOCK)
         if others:
             raise DataError(complaint(out, "folder", "a new or empty one", f"'{others[0]}' in it"))
-        return False
+        return "begun"
     found = read_json(out / CONVERSION, Conversion)
     for field in ("version", "to", "agent", "view", "drives"):
         have, want = getattr(found, field), getattr(wanted, field)
@@ -209,7 +215,14 @@ def _check_folder(out: Path, wanted: Conversion) -> bool:
             shown = "other drives" if field == "drives" else have
             asked = "the drives asked for now" if field == "drives" else f"{want!r} as asked for now"
             raise DataError(complaint(out / CONVERSION, field, asked, shown, "; choose another folder"))
-    return found.finished
+    if not found.finished:
+        return "begun"
+    return "finished" if found.files in (0, _files(out)) else "lacking"
+
+
+def _files(out: Path) -> int:
+    """Return the number of files in a folder, the conversion's own record and lock left out."""
+    return sum(path.is_file() and path.name not in (CONVERSION, LOCK) for path in out.rglob("*"))
 
 
 def _compensated(source: Source, frame: Frame) -> Frame:

@@ -12,7 +12,8 @@ from dsrc.data.drive_folder import LOCK, locked
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.write import write_drive
 from sensors.deskew import deskew_frame
-from sim.errors import DataError
+from sim.errors import DataError, OutputError
+from sim.files import overwriting
 from sim.packed import write_arrays
 from tests.dsrc.data.toy import SETTINGS, ToySource, same_frames, toy_frame
 from tests.paths import ROOT
@@ -70,6 +71,17 @@ def test_a_log_of_unknown_settings_is_not_replayed(tmp_path: Path):
     write_arrays(tmp_path / "traffic.npz", {"version": np.array(3)})  # of another run
     write_drive(tmp_path, SETTINGS, ToySource().open)
     assert (tmp_path / "traffic.npz").read_bytes() == b"log"
+
+
+def test_frames_of_another_program_are_not_replaced(tmp_path: Path):
+    foreign = tmp_path / "toy_3/1000/000000.yaml"
+    foreign.parent.mkdir(parents=True)
+    foreign.write_text("vehicles: precious\n")
+    with pytest.raises(OutputError, match=r"000000\.yaml: output: expected a new name, or a file that dsrc wrote"):
+        write_drive(tmp_path / "toy_3", SETTINGS, ToySource().open)
+    assert tree(tmp_path / "toy_3") == {"1000/000000.yaml": b"vehicles: precious\n"}
+    with overwriting():
+        write_drive(tmp_path / "toy_3", SETTINGS, ToySource().open)
 
 
 def test_other_settings_are_refused_by_name(drive: Path):

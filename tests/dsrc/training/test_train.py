@@ -156,6 +156,23 @@ def test_a_run_that_is_begun_anew_and_cut_off_is_not_continued_from_the_former_o
         assert len(list(csv.DictReader(file))) == 1
 
 
+def test_a_folder_is_trained_in_by_one_process_at_a_time(data: Path, tmp_path: Path) -> None:
+    class Second(pl.Callback):
+        def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+            train(tiny(epochs=1), data, tmp_path, "plain", seed=2)
+
+    with pytest.raises(DataError, match="is writing this training"):
+        train(tiny(epochs=1), data, tmp_path, "plain", seed=1, callbacks=[Second()])
+
+
+def test_a_detector_without_its_run_is_not_replaced(data: Path, tmp_path: Path) -> None:
+    save_detector(tmp_path / "detector.pt", Detector(tiny().settings("plain")), half=True)
+    before = file_sha256(tmp_path / "detector.pt")
+    with pytest.raises(SettingsError, match=r"detector.pt: output: .*, found a detector without its run"):
+        train(tiny(epochs=1), data, tmp_path, "plain")
+    assert file_sha256(tmp_path / "detector.pt") == before
+
+
 def test_a_damaged_frame_is_one_line_from_a_process_that_prepares_batches_too(data: Path, tmp_path: Path) -> None:
     shutil.copytree(data, tmp_path / "data")
     cloud = next((tmp_path / "data").rglob("*.pcd"))

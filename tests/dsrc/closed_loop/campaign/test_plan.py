@@ -12,6 +12,7 @@ from dsrc.closed_loop.campaign.plan import (
     careful_of,
     controls_of,
     episodes_of,
+    is_campaign,
     key_of,
     read_campaign,
 )
@@ -206,3 +207,14 @@ def test_options_of_what_the_perception_has_not_are_refused(given: dict[str, Any
     perception = "ego" if "channel" in given else "truth"
     with pytest.raises(SettingsError, match=f"drive: {next(iter(given))}: expected"):
         campaign_of(DriveOptions(what="ima_building", perception=(perception,), **given))
+
+
+@pytest.mark.parametrize("text", ['sceanrios = ["lta_truck"]', 'perception = ["ego"]', "seeds = 3", "duration_s = 1"])
+def test_a_campaign_with_a_mistake_is_answered_as_one(tmp_path: Path, text: str) -> None:
+    """A scenario has none of a campaign's own keys."""
+    path = tmp_path / "c.toml"
+    path.write_text(f"{text}\n")
+    assert is_campaign(path) is (text != "duration_s = 1")
+    if is_campaign(path):
+        with pytest.raises(SettingsError, match=r"c\.toml"):
+            read_campaign(path)

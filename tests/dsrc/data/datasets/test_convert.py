@@ -56,6 +56,12 @@ def test_an_interrupted_conversion_resumes_to_the_same_bytes(
     assert tree(tmp_path / "parts") == whole
     convert(data, tmp_path / "parts", to)
     assert len(reads) == 7 and tree(tmp_path / "parts") == whole
+    lost = next(
+        path for path in sorted((tmp_path / "parts").rglob("*000000.*")) if path.suffix not in (".json", ".bin")
+    )
+    lost.unlink()
+    convert(data, tmp_path / "parts", to)  # a file that was lost since is written again
+    assert tree(tmp_path / "parts") == whole
 
 
 def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path):
