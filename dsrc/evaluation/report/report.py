@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import logging
 import math
 import platform
 from collections.abc import Mapping, Sequence
@@ -38,6 +39,7 @@ from dsrc.evaluation.table import ResultTable, Stat
 from sensors.corruptions import Family
 from sim.files import write_file
 
+LOG = logging.getLogger(__name__)
 _CASE = ("method", "training", "dataset")
 _SWEPT = ("channel", "agents", "pose_error", "delay_s", "loss")
 RESULTS = ("results.json", "results.csv", "timings.csv")
@@ -76,7 +78,7 @@ def write_results(
     entries: Sequence[tuple[CaseResult, TrainedDetector]],
     differences: Sequence[Mapping[str, Any]] = (),
 ) -> None:
-    """Write `results.json`, `results.csv` and `timings.csv`.
+    """Write `results.json`, `results.csv` and `timings.csv`; a warning names former results that they replace.
 
     Args:
         out: folder.
@@ -84,12 +86,30 @@ def write_results(
         entries: results and their detectors, a row each.
         differences: between methods, JSON types.
     """
+    if gone := _methods_of(out / "results.csv") - _methods_in(made_by):
+        names = ", ".join(f"{method} on {dataset}" for method, dataset in sorted(gone))
+        LOG.warning("%s: replaces the results of %s", out / "results.csv", names)
     listed = [_listed(entry, trained) for entry, trained in entries]
     content = {"provenance": made_by, "rows": listed, "differences": differences}
     text = json.dumps(content, indent=1, sort_keys=True, allow_nan=False)
     write_file(out / "results.json", text + "\n")
     write_file(out / "results.csv", _csv(listed, made_by))
     write_file(out / "timings.csv", _timings([entry for entry, _ in entries]))
+
+
+def _methods_of(path: Path) -> set[tuple[str, str]]:
+    """Methods and datasets of a `results.csv`; none where there is no such file."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            return _methods_in(json.loads(file.readline().removeprefix("# ")))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return set()
+
+
+def _methods_in(made_by: Mapping[str, Any]) -> set[tuple[str, str]]:
+    """Methods and datasets of a provenance."""
+    settings = made_by["settings"]
+    return {(method, dataset) for method in settings["methods"] for dataset in settings["datasets"]}
 
 
 def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, TrainedDetector]]) -> StoredIndex:

@@ -101,6 +101,15 @@ def test_clean_only_and_cooperative_only(world):
     assert not (world / "clean" / "mce_map.png").exists()
 
 
+def test_results_that_are_replaced_are_named(world, caplog):
+    clean = {"corruptions": ("clean",), "ego_alone": False}
+    evaluate_drives(config_of(world, "again", **clean))
+    evaluate_drives(config_of(world, "again", **clean, limit=1))  # the same methods: the former results anew
+    assert "replaces" not in caplog.text
+    evaluate_drives(config_of(world, "again", **clean, checkpoints=(str(world / "plain.pt"),)))
+    assert "again/results.csv: replaces the results of DSRC on test" in caplog.text
+
+
 def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world):
     config = config_of(world, "channels", corruptions=("clean",), channels=("ideal", "its-g5-6"))
     rows = evaluate_drives(config)
