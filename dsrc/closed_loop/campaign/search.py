@@ -22,7 +22,8 @@ from sim.radio import get_channel
 Quantity = Literal["severity", "delay_s", "loss"]
 
 LONGEST_DELAY_S = 1.0
-_FINE = (Outcome.ARRIVED, Outcome.TIMEOUT)
+_FINE = (Outcome.ARRIVED, Outcome.TIMEOUT, Outcome.DESYNCHRONISED)
+"""Outcomes that are no failure; who never met the encounter did not fail in it."""
 _LOSS_TOLERANCE = 0.02
 _TITLES = {"severity": "severity", "delay_s": "delay s", "loss": "lost packets"}
 
