@@ -182,7 +182,7 @@ def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
         (("drive", "{out}.npz", "--workers", "2"), "workers: expected none beside a log"),
         (("drive", "lta_truck:dense:light"), "traffic: expected one, found 'dense' and 'light'"),
         (("drive", "four_way", "--perception", "nobody:Here"), "nobody"),
-        (("drive", "four_way", "--seed", "-1", "--out", "{out}/rows.csv"), "seed: expected 0 or more"),
+        (("drive", "four_way", "--seed", "-1", "--out", "{out}/rows.csv"), "seed: expected 0 to 2^63 - 1"),
         (("drive", "ima_queue", "--perception", "team", "--corruption", "fog", "--severity", "9"), "expected 1 to 5"),
         (("drive", "ima_queue", "--perception", "team", "--corruption", "fog", "--who", "helper"), "ego, helpers or"),
         (("drive", "ima_queue", "--perception", "team", "--who", "helpers"), "corruption: expected one beside --who"),

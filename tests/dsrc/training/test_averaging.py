@@ -119,11 +119,11 @@ def test_what_chooses_the_weights_stays_the_same_in_a_run(
     data: Path, tmp_path: Path, choice: dict[str, object]
 ) -> None:
     recipe = tiny(epochs=2, **choice)
-    run, others = tmp_path / "run", write_drive(tmp_path / "others", 3)
+    run, unseen, others = tmp_path / "run", write_drive(tmp_path / "unseen", 2), write_drive(tmp_path / "others", 3)
     with pytest.raises(RuntimeError, match="power cut"):
-        train(recipe, data, run, "plain", validate=data, callbacks=[Power(1)])
-    changes = {"validate_every": (replace(recipe, validate_every=1), data)}
-    changes["validation_frames"] = (replace(recipe, validation_frames=2), data)
+        train(recipe, data, run, "plain", validate=unseen, callbacks=[Power(1)])
+    changes = {"validate_every": (replace(recipe, validate_every=1), unseen)}
+    changes["validation_frames"] = (replace(recipe, validation_frames=2), unseen)
     changes["validation"] = (recipe, others)
     for name, (changed, validation) in changes.items() if choice else ():
         with pytest.raises(SettingsError, match=rf"settings.json: {name}: expected .* as asked for now"):
