@@ -59,6 +59,7 @@ class CarefulDriver:
         self._since: dict[int, float] = {}
         self._begun = False
         self._risk_s = self._last_s = -math.inf
+        self._routine_mps2 = 0.0
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
         """Return the acceleration for the next step."""
@@ -71,12 +72,14 @@ class CarefulDriver:
         plan = self._planner.decide(ego, selected(tracks, known))
         risky = plan.acceleration_mps2 < -s.routine_mps2 and plan.reason not in ("free", "signal")
         if not risky:
+            self._routine_mps2 = min(max(-plan.acceleration_mps2, 0.0), s.routine_mps2)
             return plan
         if now - self._last_s > s.calm_s:
             self._risk_s = now
         self._last_s = now
         braking_s = now - self._risk_s - s.reaction_s
         full = s.full_g * G_MPS2
-        strongest = full * min(max(braking_s / s.ramp_s, 0.0), 1.0)
+        # Braking that has begun goes on while the driver reacts to a harder need.
+        strongest = max(self._routine_mps2, full * min(max(braking_s / s.ramp_s, 0.0), 1.0))
         wanted = full if plan.reason == "emergency" else -plan.acceleration_mps2
         return Decision(-min(wanted, strongest), plan.reason, plan.track)

@@ -5,7 +5,8 @@ import pytest
 
 from dsrc.closed_loop.driving.careful import G_MPS2, CarefulDriver, CarefulSettings
 from dsrc.closed_loop.driving.planner import PlanningDriver
-from tests.dsrc.closed_loop.driving.world import CAR, Other, run
+from dsrc.closed_loop.types import Decision
+from tests.dsrc.closed_loop.driving.world import CAR, Other, ego_at, run, tracks_of
 
 
 def test_it_brakes_at_its_times_and_its_ramp_for_a_car_that_appears() -> None:
@@ -46,3 +47,15 @@ def test_a_slower_reaction_is_never_better() -> None:
         impact.append(met.speed[int(np.argmax(np.array(met.x) > 28.0 + 29.5))] if met.hit else 0.0)
     assert impact == sorted(impact)
     assert impact[-1] > 0.0
+
+
+@pytest.mark.parametrize("routine", [0.0, 1.2])
+def test_braking_that_has_begun_goes_on_while_it_reacts_to_a_harder_need(
+    monkeypatch: pytest.MonkeyPatch, routine: float
+) -> None:
+    driver, wanted = CarefulDriver(), iter([routine] * 10 + [4.0] * 30)
+    monkeypatch.setattr(driver._planner, "decide", lambda ego, tracks: Decision(-next(wanted), "follow"))
+    ahead, times = tracks_of([Other(60.0, 0.0)], 0.0), 0.1 * np.arange(40)
+    braking = [-driver.decide(ego_at(0.0, 14.0, time_s), ahead).acceleration_mps2 for time_s in times]
+    assert braking[:17] == pytest.approx([routine] * 17)  # 0.7 s after the need, within the reaction
+    assert (np.diff(braking) >= -1e-9).all() and braking[-1] == pytest.approx(4.0)
