@@ -188,6 +188,7 @@ def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
         (("drive", "ima_queue", "--perception", "team", "--who", "helpers"), "corruption: expected one beside --who"),
         (("view", "{data}", "--out", "{out}", "--frames", "0"), "frames"),
         (("view", "{data}", "--port", "99999999"), "port"),
+        (("scenario", "show", "dsrc-sim"), "expected a scenario, found a dataset; run: dsrc dataset build dsrc-sim"),
         (("model", "train", "debug", "--data", "{data}", "--out", "{out}", "--epochs", "0"), "epochs"),
     ],
 )

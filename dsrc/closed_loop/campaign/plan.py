@@ -53,6 +53,7 @@ from sim.errors import SettingsError, complaint
 from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, package_versions
 from sim.radio import IDEAL, get_channel
+from sim.scenario import Scenario
 from sim.tomlfile import read_tables, read_toml
 
 CONTROLS = ("no_occluder", "no_conflict")
@@ -249,7 +250,8 @@ def is_campaign(path: Path) -> bool:
     """Whether a TOML describes a campaign, not a scenario: it has a key, or nearly one, that no scenario has."""
     own = ("perceptions", "scenarios", "seeds", "clean_seeds", "corruptions", "severities")
     try:
-        return any(get_close_matches(key, own, n=1, cutoff=0.8) for key in read_tables(path, SettingsError))
+        keys = read_tables(path, SettingsError).keys() - set(Scenario.__struct_fields__)
+        return any(get_close_matches(key, own, n=1, cutoff=0.8) for key in keys)
     except SettingsError:
         return False
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from sensors.corruptions.physics.ground import find_ground
 from sensors.corruptions.physics.receiver import detection_threshold
+from sensors.corruptions.spray import Spray
 from sensors.corruptions.wet_ground import WetGround, corrupt, transmission
 from sensors.optics.reflectance import wet_reflectivity
 from sensors.sweep import ATTENUATED, KEPT, UNKNOWN_MATERIAL, Sweep
@@ -146,3 +147,9 @@ def test_no_water_no_ground_and_no_points() -> None:
     with pytest.raises(SettingsError, match="water_mm: expected 0 to 100, found -1"):
         WetGround(water_mm=-1.0)
     assert WetGround(water_mm=1.0).scaled(1.1).water_mm == pytest.approx(1.1)
+
+
+@pytest.mark.parametrize("kind", [WetGround, Spray])
+def test_weather_that_drifts_stays_within_its_bound(kind: type[WetGround] | type[Spray]) -> None:
+    assert kind(water_mm=100.0).scaled(1.15) == kind(water_mm=100.0)
+    assert kind(water_mm=1.0).scaled(1.15).water_mm == pytest.approx(1.15)

@@ -214,3 +214,13 @@ def test_the_world_is_built_once_for_all_perceptions_of_an_episode(monkeypatch: 
         perception.reset(SCENARIO, EGO, 0)
         perception.reset(SCENARIO, EGO, 1)
     assert built == [0, 1]
+
+
+def test_messages_have_the_interval_of_the_loop_or_it_is_said() -> None:
+    radio = DetectorPerception(PointCounter(), channel=PRESETS["its-g5-6"], interval_s=0.1)
+    with pytest.raises(SettingsError, match=r"detect_every_s: expected that of the perception, 0\.1 .*, found 0\.5"):
+        ClosedLoop(SCENARIO, radio, settings=LoopSettings(detect_every_s=0.5))
+    assert ClosedLoop(SCENARIO, radio).settings.detect_every_s == 0.1
+    for without in ({"channel": PRESETS["ideal"]}, {"channel": PRESETS["its-g5-6"], "cooperative": False}):
+        at_once = DetectorPerception(PointCounter(), interval_s=0.1, **without)
+        assert ClosedLoop(SCENARIO, at_once, settings=LoopSettings(detect_every_s=0.5)).settings.detect_every_s == 0.5
