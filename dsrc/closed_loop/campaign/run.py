@@ -315,7 +315,8 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
     uses = options.perception[0] if options.perception else settings.perception
     if not options.perception and ":" in parse_perception(uses).kind:
         # A log is data: code that it names runs for whoever asks for it.
-        raise SettingsError(complaint("drive", "perception", f"--perception {uses}, to run that class", "a log's name"))
+        expected = f"--perception {uses}, to run that class"
+        raise SettingsError(complaint("drive", "perception", expected, "its name in the log"))
     if not options.perception and settings.detector:
         checkpoint = str(options.checkpoint or "")
         if detector_hash(uses, checkpoint) != settings.detector:

@@ -217,7 +217,7 @@ def _check_folder(out: Path, wanted: Conversion) -> Literal["begun", "finished",
             raise DataError(complaint(out / CONVERSION, field, asked, shown, "; choose another folder"))
     if not found.finished:
         return "begun"
-    return "finished" if found.files in (0, _files(out)) else "lacking"
+    return "lacking" if _files(out) < found.files else "finished"
 
 
 def _files(out: Path) -> int:

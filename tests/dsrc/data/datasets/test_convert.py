@@ -62,6 +62,10 @@ def test_an_interrupted_conversion_resumes_to_the_same_bytes(
     lost.unlink()
     convert(data, tmp_path / "parts", to)  # a file that was lost since is written again
     assert tree(tmp_path / "parts") == whole
+    (tmp_path / "parts/mine.txt").write_text("a note")
+    before = len(reads)
+    convert(data, tmp_path / "parts", to)  # one that somebody added begins nothing anew
+    assert len(reads) == before
 
 
 def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path):
