@@ -82,7 +82,9 @@ def nearest_rotation(matrix: ArrayLike) -> Array:
     The orthogonal Procrustes problem: P. Schoenemann, Psychometrika 31 (1966).
     """
     m = np.asarray(matrix, dtype=np.float64)
-    if np.allclose(m @ m.T, np.eye(3), rtol=0.0, atol=1e-12) and np.linalg.det(m) > 0.0:
+    with np.errstate(over="ignore", invalid="ignore"):  # huge numbers of a broken file are no rotation
+        is_rotation = np.allclose(m @ m.T, np.eye(3), rtol=0.0, atol=1e-12)
+    if is_rotation and np.linalg.det(m) > 0.0:
         return m.copy()
     u, _, v = np.linalg.svd(m)
     # A reflection becomes the nearest rotation.
