@@ -279,6 +279,8 @@ def read_transform(path: Path) -> NDArray[np.float64]:
     except ValueError:
         raise DataError(complaint(path, "rotation, translation", "3 x 3 and 3 numbers", "others")) from None
     matrix = np.eye(4)
+    if max(np.abs(rotation).max(), np.abs(translation).max()) > 1e9:
+        raise DataError(complaint(path, "pose", "numbers up to 1e9", "larger ones"))
     matrix[:3, :3], matrix[:3, 3] = nearest_rotation(rotation), translation
     if not np.allclose(matrix[:3, :3], rotation, atol=_ROUNDED):
         raise DataError(complaint(path, "rotation", "a rotation matrix", np.round(rotation, 3).tolist()))
