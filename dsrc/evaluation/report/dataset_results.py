@@ -13,6 +13,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from dsrc.evaluation.config import Case, Footnote
+from dsrc.evaluation.figures.style import Style, styles_of
 from dsrc.evaluation.results import CLEAN, Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.evaluation.table import Stat
@@ -23,6 +24,11 @@ from sim.radio import IDEAL
 PAPER_SEVERITY = 3
 NAMES = ("ap_bev_50", "ap_bev_70")
 PLAIN, WHOLE = (False, False, False), (True, True, True)
+_STYLED = (
+    "attention", "none", "late", "max", "v2vnet", "v2xvit", "cobevt", "where2comm", "coalign", "ermvp", "mrcnet",
+    "early", "max_map",
+)  # fmt: skip
+"""Fusions in the order of their styles, those of the paper first: there are fewer colours than fusions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +203,12 @@ def compared_methods(results: DatasetResults) -> list[str]:
 def trained_methods(results: DatasetResults) -> list[str]:
     """Methods of Table 1 without variants in use, which have another's weights and almost its place in a figure."""
     return [name for name in compared_methods(results) if not results.trained[name][0].use]
+
+
+def method_styles(results: DatasetResults) -> dict[str, Style]:
+    """Styles of all methods: DSRC and every plain fusion have the same in all benchmarks, whatever else is there."""
+    plain = [results.plain(fusion) or fusion for fusion in _STYLED]
+    return styles_of([results.whole("attention") or "DSRC", *plain, *results.trained])
 
 
 def averaged_methods(results: DatasetResults) -> list[str]:

@@ -18,13 +18,14 @@ from dsrc.data.sample import judged_range
 from dsrc.evaluation.figures.bars import corruption_bars, difference_map, mean_bars, table_heatmap
 from dsrc.evaluation.figures.curves import table_lines
 from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, table_dots, traffic_scatter
-from dsrc.evaluation.figures.style import Style, png_bytes, styles_of
+from dsrc.evaluation.figures.style import Style, png_bytes
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
 from dsrc.evaluation.report.dataset_results import (
     NAMES,
     DatasetResults,
     averaged_methods,
     compared_methods,
+    method_styles,
     trained_methods,
 )
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
@@ -240,7 +241,7 @@ def _dataset(
     plan, writer = result.plan, _Writer(folder, made_by)
     views = {family: DatasetResults.of(result, dataset, family) for family in plan.families}
     first = views[plan.families[0]]
-    styles = styles_of([*plan.sweeps.methods, *first.trained])  # curves lie closest, so theirs differ most
+    styles = method_styles(first)
     for family, results in views.items():
         suffix = "" if results is first else f"_{family}"
         for sheet in corruption_tables(results, plan.severities):

@@ -12,7 +12,12 @@ from msgspec.structs import replace
 
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark, Case, DatasetSpec, Footnote, MethodSpec, ParameterSweeps, cases_of
-from dsrc.evaluation.report.dataset_results import DatasetResults, averaged_methods, compared_methods
+from dsrc.evaluation.report.dataset_results import (
+    DatasetResults,
+    averaged_methods,
+    compared_methods,
+    method_styles,
+)
 from dsrc.evaluation.report.document import publish
 from dsrc.evaluation.report.paper_tables import corruption_tables, mean_corrupted, table_1, table_2, table_3, table_4
 from dsrc.evaluation.report.report import RESULTS, write_report
@@ -217,6 +222,16 @@ def test_figure_4_is_the_mean_of_methods_that_are_different():
     results = DatasetResults.of(result, "made up")
     assert averaged_methods(results) == ["f-cooper", "dsrc", "v2vnet"]
     assert len(compared_methods(results)) == 8
+
+
+def test_a_method_has_one_style_in_all_benchmarks():
+    methods = {"late": 1, "where2comm": 1, "v2vnet": 1, "attfuse": 1, "dsrc": 1, "dsrc-alone": 1}
+    styles = method_styles(view_of(methods))
+    assert len(set(styles.values())) == len(styles) and set(methods) <= set(styles)
+    several = (["attfuse", "dsrc"], ["dsrc", "late"], ["v2vnet", "where2comm", "attfuse"], ["late"])
+    for few in several:
+        alone = method_styles(view_of(dict.fromkeys(few, 1)))
+        assert {name: alone[name] for name in few} == {name: styles[name] for name in few}
 
 
 def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
