@@ -20,6 +20,7 @@ from dsrc.models.storage.checkpoint import load_student
 from dsrc.models.threads import one_thread
 from sim.errors import SettingsError
 from sim.radio import ChannelSpec
+from sim.settings import convert
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +92,11 @@ def load_adjusted(path: Path, use: Mapping[str, bool | int | float | str], engin
     """
     detector = load_student(path, engine=engine)
     if use:
+        changed = {**msgspec.to_builtins(detector.settings), **use}
+        settings = convert(changed, ModelSettings, f"{path}: use", SettingsError)
         try:
-            detector.settings = msgspec.convert({**msgspec.to_builtins(detector.settings), **use}, ModelSettings)
-        except (msgspec.ValidationError, ValueError) as error:
+            detector.settings = settings
+        except ValueError as error:
             raise SettingsError(f"{path}: use: {' '.join(str(error).split())}") from None
     return detector
 

@@ -53,7 +53,7 @@ from dsrc.options.detection import BenchmarkOptions
 from sensors.corruptions import EVERYONE, Family, parse_who, require_who
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.radio import IDEAL, ChannelSpec, get_channel
-from sim.tomlfile import read_toml
+from sim.settings import convert, read_toml
 
 _Texts = Annotated[tuple[str, ...], Meta(min_length=1)]
 IN_USE = ("align_poses", "share", "bits", "score_threshold", "nms_iou", "max_extent_m", "team_by", "judged_by")
@@ -288,10 +288,7 @@ def plan_of(options: BenchmarkOptions) -> Benchmark:
         "sweeps": {name: given.pop(name) for name in ParameterSweeps.__struct_fields__ if name in given},
         **given,
     }
-    try:
-        plan = msgspec.convert(listed, Benchmark)
-    except msgspec.ValidationError as error:
-        raise SettingsError(f"benchmark: {error}") from None
+    plan = convert(listed, Benchmark, "benchmark", SettingsError)
     check(plan, "benchmark")
     return plan
 
@@ -361,11 +358,8 @@ def check(plan: Benchmark, where: str) -> None:
             if field not in IN_USE:
                 expected = "a setting that needs no training"
                 raise SettingsError(complaint(where, place, expected, field, did_you_mean(field, IN_USE)))
-            try:
-                msgspec.convert(value, get_type_hints(ModelSettings, include_extras=True)[field])
-            except msgspec.ValidationError as error:
-                expected = str(error).removeprefix("Expected ").partition(", got")[0].replace("`", "")
-                raise SettingsError(complaint(where, f"{place}.{field}", expected, value)) from None
+            hint = get_type_hints(ModelSettings, include_extras=True)[field]
+            convert(value, hint, where, SettingsError, field=f"{place}.{field}")
     check_numbers(where, plan.severities, plan.seed, plan.limit)
     if not plan.severities:
         raise SettingsError(complaint(where, "severities", "at least one", "none"))

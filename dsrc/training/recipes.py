@@ -13,6 +13,7 @@ from dsrc.ops.grid import GridSpec
 from dsrc.training.losses import DistillSettings, released
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX
 from sim.errors import SettingsError, complaint, did_you_mean, one_line
+from sim.settings import convert
 
 Stage = Literal["teacher", "student", "plain"]
 PARTS = ("model", "distill", "labels", "augmentation")
@@ -322,7 +323,4 @@ def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
         except RecursionError:
             raise SettingsError(complaint("--set", name, "a value", "one nested too deeply")) from None
         (plain[part] if part else plain)[field] = parsed
-    try:
-        return msgspec.convert(plain, Recipe, strict=False)
-    except msgspec.ValidationError as error:
-        raise SettingsError(f"--set {one_line(' '.join(overrides), 80)}: {error}") from None
+    return convert(plain, Recipe, "--set", SettingsError, strict=False)

@@ -11,7 +11,7 @@ from sim.errors import did_you_mean
 from sim.roads.tools import sumo_tools
 from sim.roads.wheels import wheel_folders
 from sim.scenario import MOTOR_CLASSES, SIGNAL_LETTERS, EncounterSpec, Scenario
-from sim.tomlfile import dotted
+from sim.settings import dotted
 from sim.traffic.highway.roads import ENVIRONMENTS
 
 

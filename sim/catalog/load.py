@@ -18,7 +18,7 @@ from sim.catalog.check import wrong_values
 from sim.catalog.registry import Registry
 from sim.errors import ScenarioError, SettingsError, complaint, did_you_mean
 from sim.scenario import CONTROLS, TRAFFIC_LEVELS, Scenario
-from sim.tomlfile import read_toml
+from sim.settings import read_toml
 
 ROOT = Path(__file__).resolve().parents[2] / "scenarios"
 """Folder of the shipped scenarios."""

@@ -54,7 +54,7 @@ from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, package_versions
 from sim.radio import IDEAL, get_channel
 from sim.scenario import Scenario
-from sim.tomlfile import read_tables, read_toml
+from sim.settings import convert, read_tables, read_toml
 
 CONTROLS = ("no_occluder", "no_conflict")
 COMPUTED_BY = "dsrc.closed_loop.campaign.episode"
@@ -234,10 +234,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
         "loop": loop,
         **{name: given[name] for name in ("family", "who", "engine", "driver") if name in given},
     }
-    try:
-        plan = msgspec.convert({**listed, "perceptions": msgspec.to_builtins(perceptions)}, Campaign)
-    except msgspec.ValidationError as error:
-        raise SettingsError(f"drive: {error}") from None
+    plan = convert({**listed, "perceptions": msgspec.to_builtins(perceptions)}, Campaign, "drive", SettingsError)
     check(plan, "drive")
     for field, expected in _without_effect(plan):
         value = {"channels": options.channel, "engine": options.engine}.get(field)

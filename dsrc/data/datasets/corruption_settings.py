@@ -9,6 +9,7 @@ import msgspec
 
 from dsrc.options.drives import CorruptOptions
 from sensors.corruptions import DEFAULT_SEVERITY, Family, drive_seed, settings_of
+from sim.settings import convert
 from sim.errors import SettingsError, complaint, did_you_mean, one_line
 
 
@@ -81,7 +82,4 @@ def changed_settings(settings: Any, changes: Sequence[str]) -> Any:
             plain[name] = msgspec.json.decode(value)
         except (msgspec.DecodeError, RecursionError):
             plain[name] = value
-    try:
-        return msgspec.convert(plain, type(settings)) if changes else settings
-    except msgspec.ValidationError as error:
-        raise SettingsError(f"corrupt: set: {error}") from None
+    return convert(plain, type(settings), "corrupt: set", SettingsError) if changes else settings

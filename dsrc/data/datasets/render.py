@@ -19,6 +19,7 @@ from dsrc.data.formats.opv2v.reader import PROTOCOL
 from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec, make_drive
 from dsrc.options.drives import Changes
+from sim.settings import convert
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import check_apart, file_sha256
 from sim.scenario import Scenario
@@ -142,10 +143,7 @@ def spec_of(log: Path, changes: Changes) -> DriveSpec:
 
 def _checked(log: Path, scenario: Scenario) -> Scenario:
     """Return the scenario; SettingsError for a change out of the range of scenario files."""
-    try:
-        return msgspec.convert(msgspec.to_builtins(scenario), Scenario)
-    except msgspec.ValidationError as error:
-        raise SettingsError(f"{log}: with these changes: {error}") from None
+    return convert(msgspec.to_builtins(scenario), Scenario, f"{log}: with these changes", SettingsError)
 
 
 def _names(log: Path, ids: Sequence[int | str], by_name: bool) -> tuple[str, ...]:

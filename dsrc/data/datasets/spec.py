@@ -33,7 +33,7 @@ from sim.catalog.load import ROOT, load_scenario
 from sim.errors import DataError, ScenarioError, SettingsError, complaint
 from sim.reading import parsing
 from sim.scenario import Scenario
-from sim.tomlfile import read_tables, read_toml
+from sim.settings import read_tables, read_toml
 from sim.traffic.log import read_log_columns
 
 SPLIT_FILE = "split.toml"

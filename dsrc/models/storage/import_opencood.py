@@ -15,6 +15,7 @@ from dsrc.models.storage.published import filled, published_tensors
 from dsrc.models.storage.reference_names import Rule, renamed
 from dsrc.ops.grid import GridSpec
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
+from sim.settings import convert
 
 _SIGNS = {
     "v2vnet": "fusion_net.msg_cnn.",
@@ -93,10 +94,9 @@ def import_opencood(path: Path, origin: Origin | None = None) -> Detector:
     except ValueError as error:
         raise SettingsError(f"{path}: {error}") from None
     try:
-        settings = msgspec.convert(msgspec.to_builtins(_settings(tensors, method, grid, origin)), ModelSettings)
+        plain = msgspec.to_builtins(_settings(tensors, method, grid, origin))
+        settings = convert(plain, ModelSettings, f"{path}: settings", SettingsError)
         state = _as_ours(path, _renamed(path, tensors, method), tensors, settings)
-    except msgspec.ValidationError as error:
-        raise SettingsError(f"{path}: settings: {error}") from None
     except KeyError as error:
         raise CheckpointError(complaint(path, "state", f"a tensor {error.args[0]}", "none")) from None
     except (ValueError, IndexError, TypeError, ArithmeticError) as error:  # of tensors without the axes that ours have

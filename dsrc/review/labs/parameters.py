@@ -14,6 +14,7 @@ from dsrc.evaluation.conditions import Condition
 from sensors.corruptions import CLEAN, CORRUPTIONS, Family
 from sensors.corruptions.physics.levels import SEVERITIES
 from sim.errors import SettingsError, complaint, did_you_mean
+from sim.settings import convert
 
 Value = bool | int | float | str
 
@@ -136,10 +137,8 @@ def tuned_settings(condition: TunedCondition) -> Any:
         if name not in known:
             expected = f"one of {', '.join(known)}" if known else "no parameter"
             raise SettingsError(complaint(where, "parameters", expected, name, did_you_mean(name, known)))
-    try:
-        return msgspec.convert({**msgspec.structs.asdict(settings), **dict(condition.changes)}, type(settings))
-    except msgspec.ValidationError as error:
-        raise SettingsError(f"{where}: {error}") from None
+    tuned = {**msgspec.structs.asdict(settings), **dict(condition.changes)}
+    return convert(tuned, type(settings), where, SettingsError)
 
 
 def changed(changes: Changes, name: str, value: Value, known: Sequence[Parameter]) -> Changes:

@@ -168,7 +168,7 @@ def test_what_does_not_fit_is_named_with_its_shape(tmp_path: Path) -> None:
     assert "grid" in refusal(whole, SettingsError, range_m=(1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert "grid: expected multiples of 8 cells" in refusal(whole, SettingsError, cell_m=0.3)
     for name, number in (("max_agents", 0), ("shrink_stride", -1), ("anchor_lwh", (4.0, 0.0, 1.5))):
-        assert f"$.{name}" in refusal(whole, SettingsError, **{name: number})
+        assert f"settings: {name}" in refusal(whole, SettingsError, **{name: number})
     assert "family dsrc" in refusal({"backbone.resnet.layer1.0.conv3.weight": torch.zeros(2)})
     assert "PointPillar" in refusal({"conv.weight": torch.zeros(2)})
 

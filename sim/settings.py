@@ -1,5 +1,6 @@
-"""TOML settings: read into validated structs, with one-line errors."""
+"""Settings, from a TOML file or a command line, as validated structs; the error of a wrong value is one line."""
 
+import re
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -7,13 +8,16 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 
 import msgspec
 
-from sim.errors import UserError, complaint, did_you_mean
+from sim.errors import UserError, complaint, did_you_mean, one_line
 from sim.reading import parsing, read_text
 
 LARGEST_BYTES = 1 << 24
 """Most bytes of a file of settings."""
 
+T = TypeVar("T")
 Settings = TypeVar("Settings", bound=msgspec.Struct)
+_PLACE = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<field>.*)`)?$", re.DOTALL)
+_ABSENT = re.compile(r"Object missing required field `(?P<name>.*)`")
 
 
 def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Settings:
@@ -33,10 +37,7 @@ def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Setti
         hint = did_you_mean(str(key), struct.__struct_fields__)
         raise error(complaint(path, dotted(where) or "top level", "known keys only", f"key '{key}'", hint))
     with parsing(path, "TOML file", error):
-        try:
-            return msgspec.convert(raw, kind, strict=True)
-        except msgspec.ValidationError as wrong:
-            raise error(_explain(path, raw, kind, _named(raw, kind) or str(wrong))) from None
+        return convert(raw, kind, path, error)
 
 
 def read_tables(path: Path, error: type[UserError]) -> dict[str, Any]:
@@ -53,6 +54,28 @@ def read_tables(path: Path, error: type[UserError]) -> dict[str, Any]:
 def dotted(keys: Iterable[str | int]) -> str:
     """Return the dotted form of keys: `network.signals[0].phases`."""
     return "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).lstrip(".")
+
+
+def convert(
+    raw: object, kind: type[T], where: Path | str, error: type[UserError], *, field: str = "", strict: bool = True
+) -> T:
+    """Convert plain values to a type that msgspec knows: a struct, or a list or dict of structs.
+
+    Args:
+        raw: values of the types that TOML and JSON have.
+        kind: type to make.
+        where: file or command that they are of, for the message.
+        error: class of error to raise.
+        field: that the values are of, where they are not all of `where`.
+        strict: no text is taken for a number.
+
+    Raises:
+        UserError: of the class `error`: a value is missing or wrong.
+    """
+    try:
+        return msgspec.convert(raw, kind, strict=strict)
+    except msgspec.ValidationError as wrong:
+        raise error(_explain(wrong, raw, kind, where, field)) from None
 
 
 def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Iterator[tuple[tuple, Any]]:
@@ -73,8 +96,38 @@ def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Itera
             yield from _unknown_keys(value, hints[key], (*where, key))
 
 
-def _named(raw: dict, kind: type[msgspec.Struct]) -> str:
+def _explain(wrong: msgspec.ValidationError, raw: object, kind: Any, where: Path | str, outer: str) -> str:
+    """Return the one-line form of a msgspec message such as `Expected X, got Y - at `$.a.b[0]``."""
+    message = str(wrong)
+    place = _PLACE.match(_named(raw, kind) or message if "[...]" in message else message)
+    assert place is not None  # it matches every text
+    what, below = place["what"], (place["field"] or "").replace("[...]", "")
+    keys = [key for key in below.replace("[", ".").replace("]", "").split(".") if key]
+    field = f"{outer}{below}".lstrip(".")
+    if absent := _ABSENT.match(what):
+        return complaint(where, f"{field}.{absent['name']}".lstrip("."), "a value", "nothing")
+    shown = field or "top level"
+    if what.startswith("Invalid enum value"):
+        return complaint(where, shown, f"one of {', '.join(map(str, _choices(kind, keys)))}", _found(raw, keys))
+    if what.startswith("Expected "):
+        expected = what.removeprefix("Expected ").split(", got")[0].replace("`", "")
+        return complaint(where, shown, expected, _found(raw, keys))
+    return f"{where}: {one_line(shown, 200)}: {one_line(what, 200)}"
+
+
+def _found(raw: object, keys: Iterable[str]) -> object:
+    for key in keys:
+        if isinstance(raw, list | tuple) and key.isdigit():
+            raw = raw[int(key)]
+        elif isinstance(raw, dict):
+            raw = raw.get(key, raw)
+    return raw
+
+
+def _named(raw: object, kind: Any) -> str:
     """Return msgspec's message of an error below a table of tables, with its key in place of `[...]`; "" elsewhere."""
+    if not isinstance(raw, dict) or not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
+        return ""
     for name, hint in get_type_hints(kind).items():
         below = raw.get(name)
         if get_origin(hint) is dict and isinstance(below, dict):
@@ -85,27 +138,6 @@ def _named(raw: dict, kind: type[msgspec.Struct]) -> str:
                     text, _, pointer = str(wrong).partition(" - at ")
                     return f"{text} - at `$.{name}.{key}{pointer.strip('`').removeprefix('$')}`"
     return ""
-
-
-def _explain(path: Path, raw: dict, kind: type[msgspec.Struct], message: str) -> str:
-    """Return the one-line form of a msgspec message `Expected X, got Y - at `$.a.b[0]``."""
-    text, _, pointer = message.partition(" - at ")
-    field = pointer.strip("`").removeprefix("$").lstrip(".").replace("[...]", "")
-    if "missing required field" in text:
-        missing = text.split("`")[1]
-        return complaint(path, f"{field}.{missing}".lstrip("."), "a value", "nothing")
-    keys = field.replace("[", ".").replace("]", "").split(".")
-    found: object = raw
-    for key in keys:
-        if isinstance(found, list) and key.isdigit():
-            found = found[int(key)]
-        elif isinstance(found, dict):
-            found = found.get(key, found)
-    if text.startswith("Invalid enum value"):
-        expected = f"one of {', '.join(map(str, _choices(kind, keys)))}"
-    else:
-        expected = text.removeprefix("Expected ").split(", got")[0].replace("`", "")
-    return complaint(path, field or "top level", expected, found)
 
 
 def _choices(kind: Any, keys: Iterable[str]) -> tuple:

@@ -1,0 +1,56 @@
+from typing import Annotated, Literal
+
+import msgspec
+import pytest
+from msgspec import Meta
+
+from sim.errors import SettingsError
+from sim.settings import convert
+
+
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    share: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+    kind: Literal["fog", "snow"] = "fog"
+
+    def __post_init__(self) -> None:
+        if self.kind == "snow" and self.share > 0.9:
+            raise ValueError("snow has a share of at most 0.9")
+
+
+class Whole(msgspec.Struct, frozen=True):
+    name: str
+    parts: tuple[Part, ...] = ()
+    named: dict[str, Part] = {}
+
+
+def test_right_values_are_converted() -> None:
+    raw = {"name": "a", "parts": [{"share": 1}], "named": {"x": {"kind": "snow"}}}
+    assert convert(raw, Whole, "file", SettingsError) == Whole("a", (Part(1.0),), {"x": Part(kind="snow")})
+    assert convert("0.3", float, "file", SettingsError, strict=False) == 0.3
+
+
+@pytest.mark.parametrize(
+    ("raw", "message"),
+    [
+        ({}, "name: expected a value, found nothing"),
+        ({"name": 3}, "name: expected str, found 3"),
+        ({"name": "a", "parts": 4}, "parts: expected array, found 4"),
+        ({"name": "a", "parts": [{}, {"share": 2.0}]}, "parts[1].share: expected float <= 1.0, found 2.0"),
+        ({"name": "a", "parts": [{"kind": "hail"}]}, "parts[0].kind: expected one of fog, snow, found hail"),
+        ({"name": "a", "named": {"x": {"share": -1}}}, "named.x.share: expected float >= 0.0, found -1"),
+        ({"name": "a", "named": {"x": {"kind": "hail"}}}, "named.x.kind: expected one of fog, snow, found hail"),
+        ({"name": "a", "parts": [{"kind": "snow", "share": 1.0}]}, "parts[0]: snow has a share of at most 0.9"),
+        ([], "top level: expected object, found []"),
+    ],
+)
+def test_a_wrong_value_is_named_with_its_place(raw: object, message: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        convert(raw, Whole, "file", SettingsError)
+    assert str(caught.value) == f"file: {message}"
+
+
+def test_a_value_alone_has_the_field_that_it_is_of() -> None:
+    with pytest.raises(SettingsError, match=r"^file: methods.DSRC.share: expected float, found a$"):
+        convert("a", float, "file", SettingsError, field="methods.DSRC.share")
+    with pytest.raises(SettingsError, match=r"^file: top level: expected int, found a{77}\.\.\.$"):
+        convert("a" * 10_000, int, "file", SettingsError)
