@@ -241,7 +241,7 @@ def first_unknown(model: Runs, state: ReviewState, step: int) -> int | None:
 
 
 _FIELDS = (
-    *("drive", "ego_id", "cooperative", "methods", "corruption", "severity", "family", "parameters"),
+    *("drive", "ego_id", "cooperative", "methods", "corruption", "severity", "family", "parameters", "who"),
     *("threshold", "iou", "listed", "versus", "error_method", "error_class", "error_range", "error_seen_by"),
 )
 

@@ -107,6 +107,15 @@ def test_reports_are_kept_until_more_frames_are_known(model):
     assert reports.of(replace(STATE, threshold=0.5)) is not first
 
 
+def test_a_report_is_of_the_agents_whose_sweeps_are_corrupted(model):
+    reports, foggy = run.Reports(model), replace(STATE, corruption="beam_missing", severity=5)
+    for who in ("all", "helpers"):
+        model.view(replace(foggy, who=who))
+    everyone, helpers = (reports.of(replace(foggy, who=who)) for who in ("all", "helpers"))
+    assert everyone.errors.conditions == ("beam missing 5",)
+    assert helpers.errors.conditions == ("beam missing 5, helpers",)
+
+
 def test_a_curve_on_a_grid_ends_where_the_detector_does(filled):
     curve = run.report(filled, replace(STATE, threshold=0.0)).curves["detector", 0.5]
     grid = np.linspace(0.0, 1.0, 101)
