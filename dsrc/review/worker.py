@@ -27,7 +27,7 @@ class Progress:
     Attributes:
         number: of the job.
         method: name of the set that it fills.
-        source: name of the source.
+        store: frames of the source; names of sources may be equal.
         setup: of the detections.
         state: of the job.
         done: frames that are known or skipped.
@@ -39,7 +39,7 @@ class Progress:
 
     number: int
     method: str
-    source: str
+    store: FrameStore
     setup: Setup
     state: JobState = "waiting"
     done: int = 0
@@ -114,7 +114,7 @@ class Worker:
             number = self._count = self._count + 1
             self._jobs[number] = _Job(store, own, setup, start)
             total = len(store.source)
-            self._progress[number] = Progress(number, method, store.source.name, setup, total=total)
+            self._progress[number] = Progress(number, method, store, setup, total=total)
             self._waiting.append(number)
             self._forget_old()
             self._changed.notify_all()

@@ -203,8 +203,8 @@ class Session:
 
     def detecting(self) -> list[Progress]:
         """Detections over the whole drive that have not ended."""
-        name = self.model.names[self.state.drive]
-        return [job for job in self.worker.jobs() if not job.ended and job.source == name]
+        store = self.model.stores[self.state.drive]
+        return [job for job in self.worker.jobs() if not job.ended and job.store is store]
 
     def show_error(self, errors: ErrorTable, row: int) -> None:
         """Go to an error: its frame, its box selected, the camera near it."""

@@ -1,6 +1,8 @@
 """Errors on the page: the list, its keys, background detection and notes."""
 
 import json
+import threading
+from pathlib import Path
 
 import pytest
 
@@ -86,6 +88,24 @@ def test_detecting_in_all_frames_fills_the_list(session):
     listed = session.report(session.state).errors
     assert [button.visible for button in errors.rows] == [row < len(listed) for row in range(len(errors.rows))]
     assert errors.rows[0].label.startswith(f"{listed.row[0]}: {KINDS[listed.kind[0]]}")
+
+
+def test_drives_of_one_name_detect_for_themselves(drive, detector, connect_browser, monkeypatch):
+    other = type(drive)(drive=Path("elsewhere/street"))
+    app = ReviewApp(ReviewModel([drive, other], detector), start_server())
+    try:
+        first, second = (connect_browser(app, f"drive={row}").session for row in (0, 1))
+        first.wait_drawn(), second.wait_drawn()
+        detect, gate = detector.detect, threading.Event()
+        monkeypatch.setattr(detector, "detect", lambda sample: gate.wait(10.0) and detect(sample))
+        first.detect_all()
+        assert len(first.detecting()) == 1 and not second.detecting()
+        second.cancel()
+        gate.set()
+        wait_for(lambda: not first.detecting())
+        assert [job.state for job in app.worker.jobs()] == ["done"]
+    finally:
+        app.close()
 
 
 def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_again(session):
