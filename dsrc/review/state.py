@@ -6,7 +6,7 @@ from typing import Any, Literal, get_args
 
 from dsrc.options.review import ColorBy
 from dsrc.review.labs.parameters import Changes
-from sensors.corruptions import EVERYONE, Family
+from sensors.corruptions import CLEAN, EVERYONE, Family
 
 Camera = Literal["chase", "bev", "free"]
 
@@ -23,6 +23,8 @@ Theme = Literal["dark", "light"]
 
 Listed = Literal["all", "missed", "false", "poor", "broken", "fixed"]
 """Errors in the list: all of them, those of a kind, objects that only the other run finds, or only this one."""
+METHOD = "method "
+"""What the name of a method follows in `ReviewState.versus`."""
 Band = Literal["any", "0-30", "30-50", "50-100"]
 """Distances from the ego's LiDAR in the plane, m."""
 
@@ -110,7 +112,8 @@ def with_changes(state: ReviewState, methods: Callable[[int], Collection[str]], 
     """State with other values of some fields, and without what these make meaningless.
 
     Another drive starts at its first frame, another corruption with the parameters of its severity, another carrier at
-    the sensor's usual place; an object or a detection is selected, not both.
+    the sensor's usual place; an object or a detection is selected, not both. No run is compared with itself, and
+    nothing is broken or fixed without another run.
 
     Args:
         state: before.
@@ -130,8 +133,34 @@ def with_changes(state: ReviewState, methods: Callable[[int], Collection[str]], 
         after = replace(after, parameters=())
     if "placement" not in changes and differ("drive", "carrier"):
         after = replace(after, placement=())
+    after = _comparable(after, methods)
     if "object_id" in changes and after.object_id is not None:
         return replace(after, detection=None)
     if "detection" in changes and after.detection is not None:
         return replace(after, object_id=None)
     return replace(after, detection=None) if differ(*_LIST_OF_DETECTIONS) else after
+
+
+def other_run(state: ReviewState) -> ReviewState | None:
+    """State of the run that tells what is broken and fixed; None without one."""
+    versus = state.versus or (CLEAN if state.corruption != CLEAN else "")
+    state = replace(state, versus="")
+    if versus == CLEAN:
+        return replace(state, corruption=CLEAN)
+    if versus == "alone":
+        return replace(state, cooperative=False)
+    return replace(state, methods=(versus.removeprefix(METHOD),)) if versus else None
+
+
+def _comparable(state: ReviewState, methods: Callable[[int], Collection[str]]) -> ReviewState:
+    """State that lists errors of methods that are shown, and compares its run with another one."""
+    shown = state.methods or tuple(methods(state.drive))[:1]
+    if state.error_method not in shown:
+        state = replace(state, error_method="")
+    other = other_run(state)
+    own = replace(state, versus="", methods=shown[:1])
+    if other is not None and replace(other, methods=(other.methods or shown)[:1]) == own:
+        state = replace(state, versus="")
+    if state.listed in ("broken", "fixed") and other_run(state) is None:
+        state = replace(state, listed="all")
+    return state

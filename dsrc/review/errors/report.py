@@ -15,13 +15,11 @@ from dsrc.review.frames import FrameStore
 from dsrc.review.matching import Counts
 from dsrc.review.sources.base import Setup, Source
 from dsrc.review.sources.detected import ComputedSet
-from dsrc.review.state import IOU_THRESHOLDS, Band, ReviewState
+from dsrc.review.state import IOU_THRESHOLDS, METHOD, Band, ReviewState, other_run
 from sensors.corruptions import CLEAN
 from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint
 
-METHOD = "method "
-"""What the name of a method follows in `ReviewState.versus`."""
 BROKEN, FIXED = "broken", "fixed"
 _REPORTS_KEPT = 6
 BANDS: tuple[Band, ...] = get_args(Band)
@@ -95,17 +93,6 @@ def filter_of(state: ReviewState) -> ErrorFilter:
         classes=(state.error_class,) if state.error_class else (),
         seen_by=(state.error_seen_by,) if state.error_seen_by else (),
     )
-
-
-def other_run(state: ReviewState) -> ReviewState | None:
-    """State of the run that tells what is broken and fixed; None without one."""
-    versus = state.versus or (CLEAN if state.corruption != CLEAN else "")
-    state = replace(state, versus="")
-    if versus == CLEAN:
-        return replace(state, corruption=CLEAN)
-    if versus == "alone":
-        return replace(state, cooperative=False)
-    return replace(state, methods=(versus.removeprefix(METHOD),)) if versus else None
 
 
 def versus_options(model: Runs, state: ReviewState) -> dict[str, str]:

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from dsrc.review.errors.report import BANDS, BROKEN, FIXED, other_run, versus_options
+from dsrc.review.errors.report import BANDS, BROKEN, FIXED, versus_options
 from dsrc.review.page.protocol import Shown
-from dsrc.review.state import COLOR_BY, EPISODE_LAYERS, IOU_THRESHOLDS, SHOWN_LAYERS, Listed
+from dsrc.review.state import COLOR_BY, EPISODE_LAYERS, IOU_THRESHOLDS, SHOWN_LAYERS, Listed, other_run
 from sensors.corruptions import CLEAN, CORRUPTIONS, EVERYONE, FAMILIES
 from sensors.presets import LIDARS
 from sim.boxes import CLASSES
@@ -174,7 +174,7 @@ def _several_runs(shown: Shown) -> bool:
 
 
 def _blamed(shown: Shown) -> dict[str, Any]:
-    names = shown.state.methods or shown.model.methods(shown.state.drive)
+    names = shown.state.methods or shown.model.methods(shown.state.drive)[:1]
     return {"all methods": "", **{name: name for name in names}}
 
 
@@ -210,8 +210,8 @@ CONTROLS: tuple[Control, ...] = (
     Control("methods", Choice(_methods, closed=False), "Method", "Detections", link="methods", shown=_several_methods),
     Control("hidden", None, link="hidden"),
     Control("listed", Choice(_listed), "List", "Errors", link="errors", shown=_detects),
-    Control("versus", Choice(_versus, closed=False), "Against", "Errors", link="against", shown=_several_runs),
-    Control("error_method", Choice(_blamed, closed=False), "Of", "Errors", link="of", shown=_compares),
+    Control("versus", Choice(_versus), "Against", "Errors", link="against", shown=_several_runs),
+    Control("error_method", Choice(_blamed), "Of", "Errors", link="of", shown=_compares),
     Control("error_class", Choice(_classes), "Class", "Errors", link="class", shown=_detects),
     Control("error_range", Choice(_same(*BANDS)), "Distance, m", "Errors", link="distance", shown=_detects),
     Control("error_seen_by", Choice(_named(_SEEN)), "Seen by", "Errors", link="seen", shown=_detects),

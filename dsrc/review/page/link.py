@@ -20,7 +20,7 @@ from dsrc.review.page.cameras import UP, CameraPose
 from dsrc.review.page.controls import CONTROLS, Choice, Control, Slider
 from dsrc.review.page.protocol import Shown
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
-from sensors.corruptions import parse_who
+from sensors.corruptions import CLEAN, parse_who
 from sim.errors import SettingsError, complaint
 
 VIEW = "view"
@@ -67,7 +67,8 @@ def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[Revie
     """
     complaints: list[str] = []
     parts = dict(parse_qsl(query, keep_blank_values=True))
-    for name, control in _rows().items():
+    # What is broken and fixed can be listed once it is known against which run.
+    for name, control in sorted(_rows().items(), key=lambda row: row[1].field == "listed"):
         if name not in parts:
             continue
         try:
@@ -117,12 +118,16 @@ def _value(control: Control, text: str, shown: Shown) -> Any:
     value = _parsed(control, text)
     if control.field == "who":
         parse_who(value)
+    if control.field == "versus" and value == CLEAN != shown.state.corruption:
+        return _DEFAULTS["versus"]
     widget = control.widget
     if isinstance(widget, Slider) and not widget.low <= value <= widget.upper(shown):
         expected = f"{widget.low:g} to {widget.upper(shown):g}"
         raise SettingsError(complaint("link", control.link, expected, text))
-    if isinstance(widget, Choice) and widget.closed and value not in widget.options(shown).values():
-        raise SettingsError(complaint("link", control.link, ", ".join(widget.options(shown)), text))
+    if isinstance(widget, Choice) and widget.closed and value not in (options := widget.options(shown)).values():
+        named = control.field == "drive"
+        known = [name if named or one == "" else str(one) for name, one in options.items()]
+        raise SettingsError(complaint("link", control.link, ", ".join(known), text))
     return value
 
 

@@ -313,10 +313,7 @@ class Session:
                 self.state = replace(self.state, frame=frames - 1 if newest else max(self.state.frame, oldest))
                 self._draw_soon()
         elif busy or self._busy:
-            try:
-                self._show_panels()
-            except Exception as error:
-                self._tell_error("the panels", error)
+            self._show_panels()
         self._busy, self._refresh_at = (
             busy,
             time.monotonic() + (GROW_S if self.model.grows(self.state.drive) else REFRESH_S),
@@ -373,10 +370,7 @@ class Session:
         except Exception as error:
             self._tell_error(f"frame {state.frame} of {self.model.names[state.drive]}", error)
         self.address.fall_behind()
-        try:
-            self._show_panels()
-        except Exception as error:
-            self._tell_error("the panels", error)
+        self._show_panels()
 
     def _read_ahead(self, state: ReviewState) -> None:
         """Let the worker read the frames that come next; it corrupts them while the drive is playing."""
@@ -397,7 +391,10 @@ class Session:
     def _show_panels(self) -> None:
         shown = Shown(self.model, self.state, self.view)
         for panel in self.panels:
-            panel.show(shown)
+            try:
+                panel.show(shown)
+            except Exception as error:
+                self._tell_error("the panels", error)
 
     def look(self, pose: CameraPose) -> None:
         """Set the camera to a pose in the scene, that of another cell."""

@@ -12,6 +12,8 @@ from sensors.corruptions import CLEAN, CORRUPTIONS
 
 _OWN = frozenset(
     {"corruption", "severity", "family", "parameters", "who", "methods", "cooperative", "detection", "versus"}
+    # Whose errors are listed, and whether any can be broken or fixed, follows from these.
+    | {"error_method", "listed"}
 )
 _SHARED = tuple(field.name for field in fields(ReviewState) if field.name not in _OWN)
 _REMEMBERED = 30

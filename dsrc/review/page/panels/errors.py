@@ -76,7 +76,7 @@ class ErrorsPanel:
                 shown.state, _PATIENCE_S if self._page.playing or self._page.detecting() else 0.0
             )
         except SettingsError as error:
-            self.progress.content = quoted(str(error))
+            self._clear(str(error))
             return
         if report is not self._report:
             self._first, self._report = 0, report
@@ -87,6 +87,17 @@ class ErrorsPanel:
         self._theme = shown.state.theme
         self._show_rows(shown.state, report)
         self._show_progress(shown, report)
+
+    def _clear(self, why: str) -> None:
+        """Say why there is no report, and leave nothing of the one before."""
+        self._first, self._report = 0, None
+        self.progress.content, self.scores.content, self.frames.options = quoted(why), "", (_NO_FRAME,)
+        for handle in (*self.rows, self.pages, self.bar, self.detect):
+            handle.visible = False
+        self.csv.disabled = True
+        if self.plot is not None:
+            self.plot.remove()
+            self.plot = None
 
     def _show_progress(self, shown: Shown, report: RunReport) -> None:
         jobs = self._page.detecting()
@@ -131,8 +142,7 @@ class ErrorsPanel:
         if self.plot is not None and len(self.plot.data) == len(data):
             self.plot.data, self.plot.series = data, tuple(series)
             return
-        if self.plot is not None:
-            self.plot.remove()
+        before = self.plot
         with self.folder:
             self.plot = self._page.gui.add_uplot(
                 data,
@@ -142,6 +152,8 @@ class ErrorsPanel:
                 legend=uplot.Legend(show=False),
                 height=190,
             )
+        if before is not None:
+            before.remove()
 
     def _show_frames(self, report: RunReport) -> None:
         frames = report.frames

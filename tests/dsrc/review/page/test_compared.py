@@ -5,6 +5,9 @@ import pytest
 
 from dsrc.review import palette
 from dsrc.review.model import ReviewModel
+from dsrc.review.page.commands import lay_over
+from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
+from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.report import ReportPanel
 from dsrc.review.sources.detected import ComputedSet
 from tests.dsrc.review.errors.test_report import Blind
@@ -36,3 +39,20 @@ def test_one_method_alone_leaves_nothing_of_the_other(session):
     session.update(methods=("blind",))
     assert session.wait_drawn().compared == ()
     assert not any(node(session, f"/compared/0/{kind}").visible for kind in ("false", "missed"))
+
+
+def test_the_list_is_of_the_methods_that_are_left(session, fake_fog):
+    errors, lab = panel(session, ErrorsPanel), panel(session, CorruptionLabPanel)
+    lay_over(session)
+    session.update(error_method="blind")
+    session.wait_drawn()
+    wait_for(lambda: len(errors.plot.data) == 3)
+    lay_over(session)
+    session.wait_drawn()
+    wait_for(lambda: "detector" in errors.scores.content)
+    assert session.state.error_method == "" and "blind" not in errors.scores.content
+    session.update(corruption="fog", severity=5)
+    session.wait_drawn()
+    wait_for(lambda: "against clean" in errors.progress.content)
+    severity = next(control.handle for control in lab.controls if control.control.field == "severity")
+    assert severity.value == 5 and not session._notice.visible

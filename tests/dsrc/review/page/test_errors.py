@@ -13,7 +13,9 @@ from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS, go_to_error
 from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.notes import NotesPanel
+from dsrc.review.page.panels.report import ReportPanel
 from dsrc.review.page.server import start_server
+from sim.errors import SettingsError
 from tests.dsrc.review.page.test_session import panel, wait_for
 
 RUN = {command.label: command.run for command in COMMANDS}
@@ -122,6 +124,47 @@ def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_agai
     session.wait_drawn()
     wait_for(lambda: not any("false" in button.label for button in errors.rows if button.visible))
     assert (session.report(session.state).errors.kind != FP).all()
+
+
+def test_clean_sweeps_have_no_list_of_what_is_broken(session, fake_fog):
+    errors = panel(session, ErrorsPanel)
+    session.update(corruption="fog", listed="broken")
+    session.wait_drawn()
+    wait_for(lambda: "against clean" in errors.progress.content)
+    RUN["Clean or corrupted"](session)
+    session.wait_drawn()
+    wait_for(lambda: "against" not in errors.progress.content and errors._report is not None)
+    assert session.state.listed == "all" and errors._report is session.report(session.state)
+
+
+def test_where_there_is_no_report_nothing_is_left_of_the_one_before(session, monkeypatch):
+    errors = panel(session, ErrorsPanel)
+    wait_for(lambda: errors.rows[0].visible and errors.plot is not None)
+
+    def none(*_):
+        raise SettingsError("street: methods: expected a set of detections, found none")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(session, "report", none)
+        session.update(threshold=0.4)
+        session.wait_drawn()
+        wait_for(lambda: "found none" in errors.progress.content)
+        assert not any(row.visible for row in errors.rows) and errors.plot is None and errors.csv.disabled
+        assert errors.scores.content == "" and len(errors.frames.options) == 1
+    session.update(threshold=0.3)
+    session.wait_drawn()
+    wait_for(lambda: errors.rows[0].visible and errors.plot is not None)
+
+
+def test_a_panel_that_fails_keeps_no_other_from_being_set(session, monkeypatch):
+    def fails(_):
+        raise RuntimeError("no curve")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(panel(session, ReportPanel), "show", fails)
+        session.update(object_id=1005)
+        session.wait_drawn()
+        wait_for(lambda: "no curve" in session._notice.content and panel(session, NotesPanel).folder.visible)
 
 
 def test_a_note_is_saved_beside_the_run_and_comes_back(session, tmp_path):

@@ -52,6 +52,17 @@ def test_methods_with_any_names_come_back_in_their_order(two):
     assert read == ReviewState() and "methods: expected detector, DSRC, ego alone" in complaints[0]
 
 
+def test_a_list_of_what_is_broken_comes_back_with_the_run_that_tells_it(two):
+    two.sources[0].sets["weak"] = MemorySet("weak")
+    for state in (
+        ReviewState(listed="broken", versus="method weak"),
+        ReviewState(listed="fixed", versus="alone", methods=("detector", "weak"), error_method="weak"),
+    ):
+        assert read_link(write_link(two, state, None), two, ReviewState()) == (state, None, [])
+    # The usual other run of corrupted sweeps has two names.
+    assert read_link("corruption=fog&against=clean", two, ReviewState())[0] == ReviewState(corruption="fog")
+
+
 def test_agents_of_a_corruption_are_words_or_ids(two):
     for who in ("helpers", "1002,-1"):
         state = ReviewState(corruption="fog", who=who)
@@ -90,6 +101,13 @@ def test_drives_are_named_where_their_name_can_stand_in_an_address(two):
         ("view=1,2,3,1,2,3", "view"),
         ("view=1,2,3,inf,2,3", "view"),
         ("off=walls", "off"),
+        ("of=nonsense", "of: expected all methods, detector, found nonsense"),
+        ("against=method%20nonsense", "against: expected none, alone, found method nonsense"),
+        ("against=method%20detector", "against: expected none, alone"),
+        ("against=clean", "against: expected none, alone"),
+        ("errors=broken", "errors: expected all, missed, false, poor, found broken"),
+        ("camera=top", "camera: expected free, chase, bev"),
+        ("drive=2", "drive: expected street, other street"),
     ],
 )
 def test_a_wrong_part_is_told_and_the_rest_is_taken(two, query, complaint):
