@@ -36,11 +36,17 @@ class Cell(Protocol):
 
 
 class Pair:
-    """Cells that follow each other; threads share it."""
+    """Cells that follow each other; threads share it.
+
+    Attributes:
+        cells: in the order in which they came.
+    """
 
     def __init__(self) -> None:
         self.cells: list[Cell] = []
+        # What a cell was given and has not drawn yet, and what the last user set in any cell.
         self._given: dict[int, deque[tuple[Any, ...]]] = {}
+        self._newest: tuple[Any, ...] | None = None
         self._lock = threading.Lock()
 
     def add(self, cell: Cell) -> None:
@@ -49,6 +55,8 @@ class Pair:
             others = list(self.cells)
             self.cells.append(cell)
             self._given[id(cell)] = deque(maxlen=_REMEMBERED)
+            if not others:
+                self._newest = _shared(cell.state)
         for other in others[:1]:
             self._give(cell, other.state)
 
@@ -56,13 +64,25 @@ class Pair:
         """Remove a cell."""
         with self._lock:
             self.cells = [one for one in self.cells if one is not cell]
+            self._given.pop(id(cell), None)
 
     def state_changed(self, cell: Cell, state: ReviewState) -> None:
-        """Take a state of a cell to the others, unless it has it from them."""
+        """Take a state of a cell to the others, unless it has it from them or they have it already."""
         with self._lock:
-            # A state that came from another cell is behind that one's by now.
-            if _shared(state) in self._given.get(id(cell), ()):
+            shared, given = _shared(state), self._given.get(id(cell))
+            if given is None:
+                # It takes what the others have when it is added.
                 return
+            if shared == self._newest:
+                given.clear()
+                return
+            if shared in given:
+                # It came from another cell, which is further by now. A later return to it is the user's.
+                while given.popleft() != shared:
+                    pass
+                return
+            given.clear()
+            self._newest = shared
             others = [one for one in self.cells if one is not cell]
         for other in others:
             self._give(other, state)
@@ -76,7 +96,9 @@ class Pair:
 
     def _give(self, cell: Cell, state: ReviewState) -> None:
         with self._lock:
-            self._given[id(cell)].append(_shared(state))
+            if (given := self._given.get(id(cell))) is None:
+                return
+            given.append(_shared(state))
         wanted = {name: getattr(state, name) for name in _SHARED}
         if state.drive != cell.state.drive:
             # Another drive starts anew; the rest follows.

@@ -143,6 +143,77 @@ def test_the_page_of_the_cells_is_served(app):
         assert answer.status == 200 and b"side by side" in answer.read()
 
 
+def test_a_way_back_is_followed_too(cells):
+    left, right = (cell.session for cell in cells)
+    for frame in (1, 0, 1):
+        right.update(frame=frame)
+        right.wait_drawn()
+        wait_for(lambda frame=frame: left.state.frame == frame)
+        left.wait_drawn()
+    for object_id in (1003, None, 1003):
+        left.update(object_id=object_id)
+        left.wait_drawn()
+        wait_for(lambda object_id=object_id: right.state.object_id == object_id)
+        right.wait_drawn()
+
+
+def test_what_is_broken_in_one_cell_is_no_list_of_the_other(cells):
+    left, right = (cell.session for cell in cells)
+    right.update(listed="broken", error_class="truck")
+    wait_for(lambda: left.state.error_class == "truck")
+    left.wait_drawn(), right.wait_drawn()
+    assert (left.state.listed, right.state.listed) == ("all", "broken")
+
+
+class DrawnAtOnce:
+    """Cell that tells its pair of each state."""
+
+    def __init__(self, pair, **changes):
+        self.state, self.pair, self.looks = ReviewState(**changes), pair, 0
+        pair.add(self)
+
+    def update(self, **changes):
+        self.looks += 1
+        state = replace(self.state, **changes)
+        if state != self.state:
+            self.state = state
+            self.pair.state_changed(self, state)
+
+
+def test_a_cell_that_is_only_drawn_again_moves_no_other():
+    pair = Pair()
+    left, right = DrawnAtOnce(pair), DrawnAtOnce(pair, corruption="fog")
+    right.update(frame=1)
+    before = left.looks
+    right.update(severity=5)
+    assert (left.state.frame, left.looks) == (1, before)
+    left.update(frame=0)
+    assert (left.state.frame, right.state.frame) == (0, 0)
+
+
+def test_a_state_that_was_given_and_is_drawn_late_is_no_users():
+    class Late:
+        def __init__(self):
+            self.state = ReviewState()
+
+        def update(self, **changes):
+            self.state = replace(self.state, **changes)
+
+    pair, ahead, late = Pair(), Late(), Late()
+    pair.add(ahead), pair.add(late)
+    given = []
+    for frame in (1, 2, 3):
+        ahead.update(frame=frame)
+        pair.state_changed(ahead, ahead.state)
+        given.append(late.state)
+    for state in given:
+        pair.state_changed(late, state)
+        assert ahead.state.frame == 3
+    late.update(frame=2)
+    pair.state_changed(late, late.state)
+    assert ahead.state.frame == 2, "the user's own way back"
+
+
 def test_a_cell_takes_what_a_later_one_lacks():
     class Cell:
         def __init__(self, **changes):
