@@ -1,6 +1,5 @@
 """Table of the commands: what a key does that is no control of its own."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -8,7 +7,7 @@ from functools import partial
 from dsrc.review.errors.index import next_error
 from dsrc.review.errors.report import first_unknown, shown_error
 from dsrc.review.page.controls import CONTROLS, Control, change_of, next_value
-from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.page.protocol import GoesOn, Page, Shown
 from dsrc.review.state import Listed
 from sensors.corruptions import CLEAN, CORRUPTIONS
 
@@ -39,11 +38,17 @@ _LOOK_S = 0.3
 def go_to_error(page: Page, step: int, listed: Listed | None = None) -> None:
     """Go to the next error of a kind in a direction, detecting in further frames where that is needed.
 
+    Another search of the page takes its place; it ends where the page shows something else, or is closed.
+
     Args:
         page: of the browser.
         step: 1 for the next, -1 for the one before.
         listed: kind of error; None for those that are listed.
     """
+    page.search(partial(_look_for_error, page, step, listed))
+
+
+def _look_for_error(page: Page, step: int, listed: Listed | None, goes_on: GoesOn) -> None:
     start = page.state
     wanted = replace(start, listed=listed or start.listed)
     name = _NAMES[wanted.listed]
@@ -73,7 +78,8 @@ def go_to_error(page: Page, step: int, listed: Listed | None = None) -> None:
             page.detect_all()
             detecting = True
         page.tell(f"Looking for a {name}: {report.known} of {report.total} frames.")
-        time.sleep(_LOOK_S)
+        if not goes_on(_LOOK_S):
+            return
 
 
 def toggle_corruption(page: Page) -> None:

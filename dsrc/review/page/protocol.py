@@ -18,6 +18,9 @@ from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
 from dsrc.review.worker import Progress, Worker
 
+GoesOn = Callable[[float], bool]
+"""Waits for some seconds, or less, and says whether a search goes on."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
@@ -89,6 +92,9 @@ class Page(Protocol):
 
     def cancel(self) -> None:
         """End these detections."""
+
+    def search(self, look: Callable[[GoesOn], None]) -> None:
+        """Run a search of this browser, or let the one that runs make way for it and return at once."""
 
     def show_error(self, errors: ErrorTable, row: int) -> None:
         """Go to an error: its frame, its box selected, the camera near it."""

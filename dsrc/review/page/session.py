@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from dsrc.review.page.cells.pairs import Pair, cells_of
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
 from dsrc.review.page.link import write_link
 from dsrc.review.page.panels import PANELS
-from dsrc.review.page.protocol import Shown
+from dsrc.review.page.protocol import GoesOn, Shown
 from dsrc.review.page.scene import Clicked
 from dsrc.review.page.stage import Stage, root_of
 from dsrc.review.state import Camera, ReviewState, with_changes
@@ -107,6 +108,7 @@ class Session:
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
         self._closed = False
+        self._search: Callable[[GoesOn], None] | None = None
         self._playing = False
         self._next_at = 0.0
         self.camera, self.address = BrowserCamera(client, pose), AddressBar(client)
@@ -205,6 +207,29 @@ class Session:
         """Detections over the whole drive that have not ended."""
         store = self.model.stores[self.state.drive]
         return [job for job in self.worker.jobs() if not job.ended and job.store is store]
+
+    def search(self, look: Callable[[GoesOn], None]) -> None:
+        """Run a search of this browser, or let the one that runs make way for it and return at once.
+
+        Callbacks of all browsers share a few threads: those of a held key must not wait in them.
+        """
+        with self._changed:
+            running, self._search = self._search is not None, look
+            self._changed.notify_all()
+        while not running:
+            try:
+                look(partial(self._goes_on, look))
+            except Exception as error:
+                self._tell_error("the search", error)
+            with self._changed:
+                if self._search is look or self._closed:
+                    self._search = None
+                    return
+                look = self._search
+
+    def _goes_on(self, look: Callable[[GoesOn], None], wait_s: float) -> bool:
+        with self._changed:
+            return not self._changed.wait_for(lambda: self._closed or self._search is not look, wait_s)
 
     def show_error(self, errors: ErrorTable, row: int) -> None:
         """Go to an error: its frame, its box selected, the camera near it."""

@@ -68,6 +68,44 @@ def test_without_any_it_says_so_after_all_frames(session):
     assert session.report(session.state).known == 12, "all frames were looked at"
 
 
+@pytest.fixture
+def presses(session, detector, monkeypatch):
+    """Press keys that search, each in a thread of its own, while no detection ends."""
+    detect, gate, threads = detector.detect, threading.Event(), []
+    session.update(threshold=1.0)
+    session.wait_drawn()
+    monkeypatch.setattr(detector, "detect", lambda sample: gate.wait(20.0) and detect(sample))
+
+    def press(kind):
+        threads.append(threading.Thread(target=go_to_error, args=(session, 1, kind), daemon=True))
+        threads[-1].start()
+        return threads
+
+    yield press
+    gate.set()
+    for thread in threads:
+        thread.join(20.0)
+
+
+def test_a_held_key_searches_once_and_another_key_in_its_place(session, presses):
+    for _ in range(5):
+        threads = presses("false")
+    wait_for(lambda: sum(thread.is_alive() for thread in threads) == 1, 3.0)
+    wait_for(lambda: "Looking for a false detection" in session._notice.content)
+    presses("poor")
+    wait_for(lambda: "Looking for a poor box" in session._notice.content, 3.0)
+    wait_for(lambda: sum(thread.is_alive() for thread in threads) == 1, 3.0)
+    session.update(frame=3)
+    wait_for(lambda: not any(thread.is_alive() for thread in threads), 3.0)
+
+
+def test_a_search_ends_with_its_page(session, browser, presses):
+    threads = presses("false")
+    wait_for(lambda: "Looking for a false detection" in session._notice.content)
+    browser.close()
+    wait_for(lambda: not threads[0].is_alive(), 3.0)
+
+
 def test_without_labels_or_detector_it_says_why(truth_model, connect_browser):
     app = ReviewApp(truth_model, start_server())
     try:
