@@ -129,6 +129,11 @@ class Recordings:
         self.stores = [FrameStore(source) for source in self.sources]
         self._origin: dict[int, NDArray[np.float64]] = {}
 
+    def title(self, drive: int) -> str:
+        """Name of a source, after its row where another one has that name too."""
+        name = self.names[drive]
+        return name if self.names.count(name) == 1 else f"{drive}: {name}"
+
     def frame_count(self, drive: int) -> int:
         """Number of frames of a source, which may grow."""
         return len(self.sources[drive])

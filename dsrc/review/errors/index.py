@@ -41,6 +41,7 @@ class ErrorTable:
         loss: (E,) float64 see `error_loss`.
         methods: names of the sets.
         conditions: titles of their conditions.
+        setups: of their detections.
     """
 
     kind: NDArray[np.uint8]
@@ -60,6 +61,7 @@ class ErrorTable:
     loss: NDArray[np.float64]
     methods: tuple[str, ...]
     conditions: tuple[str, ...]
+    setups: tuple[Setup, ...]
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -67,7 +69,7 @@ class ErrorTable:
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> "ErrorTable":
         """Select errors by a mask, indices or a slice."""
         columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in _COLUMNS}
-        return ErrorTable(**columns, methods=self.methods, conditions=self.conditions)
+        return ErrorTable(**columns, methods=self.methods, conditions=self.conditions, setups=self.setups)
 
     def worst_first(self) -> "ErrorTable":
         """Errors by falling loss; equal ones by frame, kind and distance."""
@@ -84,7 +86,7 @@ class ErrorTable:
         return f"{KINDS[self.kind[row]]}, {where}, {self.methods[method]}, {self.conditions[method]}"
 
 
-_COLUMNS = tuple(f.name for f in fields(ErrorTable))[:-2]
+_COLUMNS = tuple(f.name for f in fields(ErrorTable))[:-3]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,8 +152,9 @@ class ErrorIndex:
         runs = [(0, JudgedRun("", Setup(), join_tables([]))), *((names.index(n), run) for n, run in self._asked(only))]
         tables = [_columns(run, number, threshold, iou, poor_iou, only) for number, run in runs]
         columns: dict[str, Any] = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-        conditions = tuple(condition_title(run.setup.condition) for run in self.runs.values())
-        return ErrorTable(**columns, methods=tuple(names), conditions=conditions).worst_first()
+        setups = tuple(run.setup for run in self.runs.values())
+        conditions = tuple(condition_title(setup.condition) for setup in setups)
+        return ErrorTable(**columns, methods=tuple(names), conditions=conditions, setups=setups).worst_first()
 
     def counts(self, threshold: float, iou: float, only: ErrorFilter | None = None) -> dict[str, Counts]:
         """Counts of TP, FP and FN of each method among the objects of a filter."""

@@ -113,6 +113,9 @@ class Judgements(Recordings):
     def _run(self, drive: int, method: str, setup: Setup) -> JudgedRun:
         """Judged run of a method, as far as its detections are known."""
         own = self.sources[drive].sets[method]
+        if own.recorded:
+            # It has its own cooperation, whatever is asked for.
+            setup = replace(setup, cooperative=True)
         rows = own.rows(setup)
         ends = (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
         key = (drive, method, setup, len(rows), *ends)

@@ -2,8 +2,10 @@
 
 import csv
 import io
+import os
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +17,11 @@ from dsrc.review.errors.index import ErrorTable
 from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
 from sim.files import write_file
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks: there one page at a time keeps the notes of a run
+    fcntl = None  # type: ignore[assignment]
 
 FILE = "notes.json"
 VERSION = 1
@@ -40,8 +47,12 @@ class _Book(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     notes: dict[str, Note] = {}
 
 
+class NoteChanged(DataError):
+    """The text of a note is no longer the one that its writer saw."""
+
+
 class NoteBook:
-    """Notes of a run; every change is saved at once, atomically. Threads may share it.
+    """Notes of a run; every change is saved at once, atomically. Threads may share it, and processes the file.
 
     Attributes:
         path: of the JSON.
@@ -63,15 +74,25 @@ class NoteBook:
     def __len__(self) -> int:
         return len(self._notes)
 
-    def get(self, key: str) -> Note | None:
-        """Note on an error by its key, see `error_key`; None without one."""
-        return self._notes.get(key)
+    def get(self, key: str, former: str = "") -> Note | None:
+        """Note on an error by its key, see `error_key` and `former_key`; None without one."""
+        return self._notes.get(key) or self._notes.get(former)
 
-    def put(self, key: str, text: str = "", tags: Iterable[str] = ()) -> None:
-        """Write the note on an error, in place of an earlier one; without text and tags it is removed.
+    def put(
+        self, key: str, text: str = "", tags: Iterable[str] = (), *, former: str = "", seen: Note | None = None
+    ) -> Note:
+        """Write the note on an error, in place of an earlier one, and return it; without text and tags it is removed.
+
+        Args:
+            key: of the error.
+            text: of the note.
+            tags: of the note.
+            former: key of the error in earlier files, "" for none; its note is replaced too.
+            seen: note that the writer changes: what others have changed since stays; None for whatever is there.
 
         Raises:
-            DataError: the text or a tag is too long, or a tag is empty.
+            NoteChanged: others have changed the text since, and so does the writer.
+            DataError: the text or a tag is too long, a tag is empty, or the file is damaged by now.
             OSError: the file cannot be written; the note is as before.
         """
         note = Note(text=text, tags=tuple(dict.fromkeys(tags)))
@@ -79,13 +100,26 @@ class NoteBook:
             msgspec.convert(msgspec.to_builtins(note), Note)
         except msgspec.ValidationError as error:
             raise DataError(complaint(self.path, "note", "a short text and short tags", str(error))) from None
-        with self._lock:
-            changed = {**self._notes, key: note}
-            if not note.text and not note.tags:
-                del changed[key]
+        with self._lock, _alone(self.path.parent):
+            self._notes = _read(self.path) if self.path.is_file() else {}
+            if seen is not None:
+                note = self._merged(note, seen, self.get(key, former) or Note())
+            changed = {name: one for name, one in self._notes.items() if name not in (key, former)}
+            if note != Note():
+                changed[key] = note
             content = msgspec.json.encode(_Book(notes=changed), order="deterministic")
             write_file(self.path, msgspec.json.format(content, indent=1) + b"\n", edited=True)
             self._notes = changed
+        return note
+
+    def _merged(self, note: Note, seen: Note, there: Note) -> Note:
+        """Note with what its writer has changed in the one seen, and what others have."""
+        text = there.text if note.text == seen.text else note.text
+        if there.text not in (seen.text, text):
+            hint = "; another page saved it meanwhile"
+            raise NoteChanged(complaint(self.path, "note", f"{seen.text!r} as shown", repr(there.text), hint))
+        kept = [tag for tag in there.tags if tag in note.tags or tag not in seen.tags]
+        return Note(text=text, tags=tuple(dict.fromkeys([*kept, *(tag for tag in note.tags if tag not in seen.tags)])))
 
     @property
     def tags(self) -> list[str]:
@@ -105,25 +139,57 @@ def _read(path: Path) -> dict[str, Note]:
     return book.notes
 
 
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Let no other process write notes in a folder, which is made; some file systems have no locks."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
 def error_key(drive: str, errors: ErrorTable, row: int) -> str:
     """Key of an error, the same whenever the same run is judged again.
 
     A missed or poor object is known by its id; a false detection by the decimetre where it is.
+
+    Args:
+        drive: name of the source, another one for each source of a page.
+        errors: of the run.
+        row: of the error.
     """
+    alone = "" if errors.setups[errors.method[row]].cooperative else " alone"
+    return _key(drive, errors, row, f"ego {errors.ego_id[row]}{alone}")
+
+
+def former_key(drive: str, errors: ErrorTable, row: int) -> str:
+    """Key of an error in files that do not say who detects; "" unless that is the first vehicle with its helpers."""
+    setup = errors.setups[errors.method[row]]
+    return _key(drive, errors, row) if setup.ego_id is None and setup.cooperative else ""
+
+
+def _key(drive: str, errors: ErrorTable, row: int, *who: str) -> str:
     method, kind = int(errors.method[row]), int(errors.kind[row])
     if kind == FP or errors.object_id[row] < 0:
         what = "at {:.1f} {:.1f}".format(*(errors.box[row, :2] + 0.0).tolist())
     else:
         what = f"object {errors.object_id[row]}"
-    parts = (drive, f"frame {errors.frame[row]}", errors.methods[method], errors.conditions[method], KINDS[kind], what)
-    return " / ".join(parts)
+    run = (drive, f"frame {errors.frame[row]}", errors.methods[method], errors.conditions[method])
+    return " / ".join((*run, *who, KINDS[kind], what))
 
 
 def errors_csv(drive: str, errors: ErrorTable, notes: NoteBook | None = None) -> str:
     """CSV of errors in their order, with notes and tags.
 
     Args:
-        drive: name of the source.
+        drive: name of the source, as in the keys of the notes.
         errors: of the run.
         notes: on them; None for none.
     """
@@ -135,7 +201,8 @@ def errors_csv(drive: str, errors: ErrorTable, notes: NoteBook | None = None) ->
     head = ("drive", "frame", "method", "condition", "kind", "class", "object_id", "score", "iou", "distance_m")
     writer.writerow([*head, *boxes, *points, "seen_by", "loss", "tags", "note"])
     for row in range(len(errors)):
-        note = (notes.get(error_key(drive, errors, row)) if notes is not None else None) or Note()
+        keys = error_key(drive, errors, row), former_key(drive, errors, row)
+        note = (notes.get(*keys) if notes is not None else None) or Note()
         method, label, score = int(errors.method[row]), int(errors.label[row]), float(errors.score[row])
         writer.writerow(
             [

@@ -83,9 +83,7 @@ def _named(options: dict[str, Any]) -> Callable[[Shown], dict[str, Any]]:
 
 
 def _drives(shown: Shown) -> dict[str, Any]:
-    # Two drives of one name in different folders need different entries.
-    names = shown.model.names
-    return {name if names.count(name) == 1 else f"{row}: {name}": row for row, name in enumerate(names)}
+    return {shown.model.title(row): row for row in range(len(shown.model.names))}
 
 
 def _methods(shown: Shown) -> dict[str, Any]:

@@ -85,6 +85,11 @@ def test_the_index_is_of_the_known_frames_and_grows_with_them(two):
     assert curve.ap == evaluate(results).curves["bev", 0.5].ap
 
 
+def test_recorded_detections_have_their_own_cooperation(two):
+    alone = two.index(replace(STATE, methods=(DETECTOR, "weak"), cooperative=False)).runs
+    assert {name: run.setup.cooperative for name, run in alone.items()} == {DETECTOR: False, "weak": True}
+
+
 def test_changes_between_methods_and_conditions_name_what_took(two, fake_fog):
     weak = replace(STATE, methods=("weak",))
     made = two.changes(weak, STATE)

@@ -205,7 +205,7 @@ class ErrorsPanel:
         if self._report is None:
             return
         page = self._page
-        drive = page.model.names[page.state.drive]
+        drive = page.model.title(page.state.drive)
         page.download("errors.csv", errors_csv(drive, self._report.errors, page.notes))
 
 

@@ -1,13 +1,15 @@
 """Note: text and tags of the selected error, saved beside the run."""
 
+import threading
 from typing import Any
 
-from dsrc.review.errors.notes import Note, error_key
+from dsrc.review.errors.notes import Note, NoteChanged, error_key, former_key
 from dsrc.review.errors.report import shown_error
 from dsrc.review.page.protocol import Page, Shown
 from sim.errors import DataError, SettingsError
 
 _PATIENCE_S = 2.0
+_NO_KEYS = ("", "")
 
 
 class NotesPanel:
@@ -16,7 +18,10 @@ class NotesPanel:
     def __init__(self, page: Page) -> None:
         """Build it, hidden."""
         self._page = page
-        self._key = ""
+        # Drawing and saving are done by different threads; the fields are of these keys, and were this note.
+        self._lock = threading.Lock()
+        self._keys, self._note = _NO_KEYS, Note()
+        self._drafts: dict[tuple[str, str], tuple[Note, str, str]] = {}
         self.folder = page.gui.add_folder("Note", visible=False, expand_by_default=False)
         with self.folder:
             self.text: Any = page.gui.add_text("Note", "", multiline=True)
@@ -25,37 +30,68 @@ class NotesPanel:
         self.save.on_click(lambda _: self._save())
 
     def show(self, shown: Shown) -> None:
-        """Write the note on the selected error; what is being written stays."""
-        key = self._selected(shown)
-        if key == self._key:
+        """Write the note on the selected error; what is being written stays, also while another error is selected."""
+        keys, notes = self._selected(shown), self._page.notes
+        if notes is None:
             return
-        self._key = key
-        self.folder.visible = bool(key)
-        if key and self._page.notes is not None:
-            note = self._page.notes.get(key) or Note()
-            self.text.value, self.tags.value = note.text, " ".join(note.tags)
+        with self._lock:
+            if keys != self._keys:
+                if self._edited():
+                    self._drafts[self._keys] = self._note, self.text.value, self.tags.value
+                self._keys = keys
+                self.folder.visible = keys != _NO_KEYS
+                self._write(notes.get(*keys) or Note())
+                if keys in self._drafts:
+                    self._note, self.text.value, self.tags.value = self._drafts.pop(keys)
+            elif not self._edited():
+                self._write(notes.get(*keys) or Note())
 
-    def _selected(self, shown: Shown) -> str:
-        """Key of the selected error, "" without one."""
+    def _edited(self) -> bool:
+        """Whether the fields are no longer as they were written."""
+        return (self.text.value, self.tags.value) != _fields(self._note)
+
+    def _write(self, note: Note) -> None:
+        self._note = note
+        for field, value in zip((self.text, self.tags), _fields(note), strict=True):
+            if field.value != value:
+                field.value = value
+
+    def _selected(self, shown: Shown) -> tuple[str, str]:
+        """Key and former key of the selected error, "" without one."""
         state = shown.state
         chosen = state.object_id is not None or state.detection is not None
         if self._page.notes is None or not chosen or not shown.model.methods(state.drive):
-            return ""
+            return _NO_KEYS
         if not shown.model.labelled(state.drive):
-            return ""
+            return _NO_KEYS
         try:
             errors = self._page.report(state, _PATIENCE_S).errors
         except SettingsError:
-            return ""
-        row = shown_error(errors, state)
-        return error_key(shown.model.names[state.drive], errors, row) if row >= 0 else ""
+            return _NO_KEYS
+        row, drive = shown_error(errors, state), shown.model.title(state.drive)
+        return (error_key(drive, errors, row), former_key(drive, errors, row)) if row >= 0 else _NO_KEYS
 
     def _save(self) -> None:
-        if self._page.notes is None or not self._key:
-            return
+        with self._lock:
+            told = self._saved()
+        self._page.tell(told)
+
+    def _saved(self) -> str:
+        """Save the fields and return why that cannot be, "" where they are saved."""
+        (key, former), notes = self._keys, self._page.notes
+        if notes is None or not key:
+            return ""
+        text, tags = self.text.value.strip(), self.tags.value.split()
         try:
-            self._page.notes.put(self._key, self.text.value.strip(), self.tags.value.split())
+            self._write(notes.put(key, text, tags, former=former, seen=self._note))
+        except NoteChanged as error:
+            # Now that the other text was told, the next try is to replace it.
+            self._note = Note(text=(notes.get(key, former) or Note()).text, tags=self._note.tags)
+            return f"The note is not saved: {error}. Saved again, this one replaces it."
         except (DataError, OSError) as error:
-            self._page.tell(f"The note is not saved: {error}")
-            return
-        self._page.tell("")
+            return f"The note is not saved: {error}"
+        return ""
+
+
+def _fields(note: Note) -> tuple[str, str]:
+    return note.text, " ".join(note.tags)

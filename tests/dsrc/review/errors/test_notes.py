@@ -3,15 +3,21 @@
 import csv
 import io
 import json
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 
 from dsrc.review.errors.filters import FP
 from dsrc.review.errors.index import ErrorIndex
-from dsrc.review.errors.notes import NoteBook, error_key, errors_csv
+from dsrc.review.errors.judged import JudgedRun
+from dsrc.review.errors.notes import Note, NoteBook, NoteChanged, error_key, errors_csv, former_key
+from dsrc.review.sources.base import Setup
 from sim.errors import DataError
-from tests.dsrc.review.errors.runs import draw_run
+from tests.dsrc.review.errors.runs import draw_run, draw_table
 
 
 @pytest.fixture
@@ -28,6 +34,40 @@ def test_a_note_is_there_when_the_book_is_opened_again(tmp_path):
     assert again.tags == ["bus", "label", "occlusion"] and len(again) == 2 and again.get("c") is None
     again.put("a")
     assert len(NoteBook(tmp_path)) == 1 and not list(tmp_path.glob(".*"))
+
+
+def test_two_books_on_one_file_keep_each_others_notes(tmp_path):
+    first, second = NoteBook(tmp_path), NoteBook(tmp_path)
+    first.put("a", "from one")
+    second.put("b", "from two")
+    assert (second.get("a").text, NoteBook(tmp_path).tags, len(NoteBook(tmp_path))) == ("from one", [], 2)
+    first.put("a")
+    assert first.get("b").text == "from two" and len(NoteBook(tmp_path)) == 1
+    (tmp_path / "notes.json").write_text("{")
+    with pytest.raises(DataError, match="content: expected notes on errors"):
+        first.put("a", "again")
+    assert (tmp_path / "notes.json").read_text() == "{"
+
+
+def test_no_note_is_lost_while_processes_write_at_once(tmp_path):
+    script = "import sys; from pathlib import Path; from dsrc.review.errors.notes import NoteBook\n"
+    script += "book = NoteBook(Path(sys.argv[1]))\nfor i in range(20): book.put(f'{sys.argv[2]} {i}', 'text')"
+    commands = [[sys.executable, "-c", script, str(tmp_path), name] for name in "abc"]
+    assert [process.wait(60) for process in [subprocess.Popen(command) for command in commands]] == [0, 0, 0]
+    assert len(NoteBook(tmp_path)) == 60
+
+
+def test_what_others_have_changed_since_a_note_was_seen_stays(tmp_path):
+    book = NoteBook(tmp_path)
+    seen = book.put("a", "old", ["far", "bus"])
+    book.put("a", "old", ["far", "seen"])
+    # Another text, one tag taken away and one added by each.
+    assert book.put("a", "new", ["bus", "late"], seen=seen) == Note(text="new", tags=("seen", "late"))
+    assert book.put("a", "old", ["far", "bus", "dark"], seen=seen) == Note(text="new", tags=("seen", "late", "dark"))
+    with pytest.raises(NoteChanged, match="note: expected 'old' as shown, found 'new'; another page"):
+        book.put("a", "mine", seen=seen)
+    assert book.get("a").text == "new"
+    assert book.put("a", "", seen=book.get("a")) == Note() and len(book) == 0
 
 
 def test_damaged_books_and_long_notes_are_one_line(tmp_path):
@@ -61,6 +101,34 @@ def test_keys_are_those_of_the_errors_whatever_the_threshold(errors):
     stricter = ErrorIndex([draw_run(0, "A"), draw_run(0, "B", skill=0.5)]).errors(0.6, 0.5)
     false = [error_key("drive", stricter, row) for row in np.flatnonzero(stricter.kind == FP)]
     assert set(false) <= set(keys) and false
+
+
+def test_each_ego_has_notes_of_its_own_alone_and_with_its_helpers(errors):
+    def other(ego_id, cooperative):
+        table = replace(draw_table(0), ego_id=np.full(6, 7 if ego_id is None else ego_id))
+        run = JudgedRun("A", Setup(ego_id=ego_id, cooperative=cooperative), table)
+        return ErrorIndex([run]).errors(0.3, 0.5)
+
+    setups = [(None, True), (None, False), (8, True), (8, False)]
+    keys = [{error_key("drive", one, row) for row in range(len(one))} for one in (other(*setup) for setup in setups)]
+    assert all(not a & b for a, b in combinations(keys, 2))
+    # The first vehicle is the same ego, whether or not it is named.
+    named = other(7, True)
+    assert {error_key("drive", named, row) for row in range(len(named))} == keys[0]
+
+
+def test_notes_of_files_that_do_not_say_who_detects_are_those_of_the_first_vehicle(errors, tmp_path):
+    key, former = error_key("drive", errors, 0), former_key("drive", errors, 0)
+    assert " / ego 7 / " in key and former == key.replace(" / ego 7 / ", " / ")
+    book = NoteBook(tmp_path)
+    book.put(former, "of an earlier version")
+    assert book.get(key, former).text == "of an earlier version"
+    assert errors_csv("drive", errors, book).splitlines()[1].endswith("of an earlier version")
+    book.put(key, "of an earlier version", ["new"], former=former, seen=book.get(key, former))
+    assert list(json.loads(book.path.read_text())["notes"]) == [key]
+    for setup in (Setup(ego_id=8), Setup(cooperative=False)):
+        other = ErrorIndex([JudgedRun("A", setup, draw_table(0))]).errors(0.3, 0.5)
+        assert former_key("drive", other, 0) == ""
 
 
 def test_errors_leave_as_csv_with_their_notes(errors, tmp_path):

@@ -222,6 +222,72 @@ def test_a_note_is_saved_beside_the_run_and_comes_back(session, tmp_path):
     wait_for(lambda: notes.folder.visible and notes.text.value == "behind the truck")
 
 
+def noting(session, **selection):
+    """Panel of the notes once something else is selected."""
+    notes = panel(session, NotesPanel)
+    session.update(**selection)
+    session.wait_drawn()
+    wait_for(lambda: notes.folder.visible)
+    return notes
+
+
+def test_browsers_keep_each_others_notes(app, session, connect_browser):
+    other = connect_browser(app).session
+    mine, theirs = (noting(one, object_id=1005) for one in (session, other))
+    theirs.text.value = "a truck hides it"
+    theirs._save()
+    mine.tags.value = "far"
+    mine._save()
+    assert (mine.text.value, mine.tags.value) == ("a truck hides it", "far")
+    noting(other, threshold=0.35)
+    wait_for(lambda: theirs.tags.value == "far")
+    theirs.text.value, mine.text.value = "a bus hides it", "a van hides it"
+    theirs._save(), mine._save()
+    assert "found 'a bus hides it'" in session._notice.content and mine.text.value == "a van hides it"
+    mine._save()
+    assert not session._notice.visible
+    (note,) = json.loads(session.notes.path.read_text())["notes"].values()
+    assert note == {"text": "a van hides it", "tags": ["far"]}
+
+
+def test_what_is_being_written_is_there_again_with_its_error(session):
+    notes = noting(session, object_id=1005)
+    notes.text.value = "half a no"
+    session.step(1)
+    session.wait_drawn()
+    wait_for(lambda: notes.text.value == "")
+    notes._save()
+    session.step(-1)
+    session.wait_drawn()
+    wait_for(lambda: notes.text.value == "half a no")
+    notes.text.value = "half a note"
+    notes._save()
+    assert len(session.notes) == 1
+
+
+def test_notes_are_of_one_drive_one_ego_and_its_cooperation(drive, detector, tmp_path, connect_browser):
+    other = type(drive)(drive=Path("elsewhere/street"))
+    app = ReviewApp(ReviewModel([drive, other], detector, NoteBook(tmp_path)), start_server())
+    try:
+        session = connect_browser(app).session
+        notes = noting(session, object_id=1005)
+        notes.text.value = "of the first"
+        notes._save()
+        (key,) = json.loads((tmp_path / "notes.json").read_text())["notes"]
+        assert key == "0: street / frame 0 / detector / clean / ego 1000 / missed / object 1005"
+        session.update(cooperative=False)
+        session.wait_drawn()
+        wait_for(lambda: notes.text.value == "")
+        session.update(cooperative=True, ego_id=1000)
+        session.wait_drawn()
+        wait_for(lambda: notes.text.value == "of the first")
+        session.update(drive=1)
+        noting(session, object_id=1005)
+        wait_for(lambda: notes.text.value == "")
+    finally:
+        app.close()
+
+
 def test_the_list_is_saved_with_its_notes(session, monkeypatch):
     given = []
     monkeypatch.setattr(session.client, "send_file_download", lambda name, content: given.append((name, content)))
