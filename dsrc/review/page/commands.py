@@ -134,7 +134,7 @@ COMMANDS: tuple[Command, ...] = (
     Command("Previous frame", "J", lambda page: page.step(-1)),
     Command("Ten frames forward", "pagedown", lambda page: page.step(STEP)),
     Command("Ten frames back", "pageup", lambda page: page.step(-STEP)),
-    Command("First frame", "home", lambda page: page.update(frame=0)),
+    Command("First frame", "home", lambda page: page.step(-page.model.frame_count(page.state.drive))),
     Command("Last frame", "end", lambda page: page.step(page.model.frame_count(page.state.drive))),
     Command("Next missed object", "N", partial(go_to_error, step=1, listed="missed")),
     Command("Previous missed object", "N", partial(go_to_error, step=-1, listed="missed"), shift=True),

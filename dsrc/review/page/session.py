@@ -165,11 +165,18 @@ class Session:
         return root_of(self.state.drive)
 
     def step(self, frames: int, wrap: bool = False) -> None:
-        """Step by a number of frames, backward if negative; stop at the ends or wrap around."""
+        """Step by a number of frames, backward if negative; stop at the ends of what is kept, or wrap around.
+
+        Without any frame, as before the first of a running simulation, this does nothing.
+        """
         with self._changed:
+            # First before count: a frame may come in between.
+            first = self.model.first_row(self.state.drive)
             count = self.model.frame_count(self.state.drive)
-            frame = self.state.frame + frames
-            self.update(frame=frame % count if wrap else min(max(frame, 0), count - 1))
+            if count == 0:
+                return
+            past = max(self.state.frame, first) + frames - first
+            self.update(frame=first + (past % (count - first) if wrap else min(max(past, 0), count - first - 1)))
 
     @property
     def playing(self) -> bool:

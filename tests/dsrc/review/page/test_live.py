@@ -9,6 +9,7 @@ from dsrc.cli.drive import Drive
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.truth import TruthPerception
 from dsrc.review.page.app import live_page
+from dsrc.review.page.commands import COMMANDS
 from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.sources.episodes import EpisodeSource
 from dsrc.review.sources.live import LiveSource
@@ -31,6 +32,34 @@ def test_a_page_opened_before_the_first_frame_shows_it_when_it_comes(page, conne
     page.source.put(street_frame(0))
     wait_for(lambda: session.view is not None and session.view.index == 0)
     wait_for(lambda: not session._notice.visible)
+
+
+def test_play_before_the_first_frame_waits_for_it(page, connect_browser):
+    session = connect_browser(page.app).session
+    wait_for(lambda: "first frame to come" in session._notice.content)
+    session.toggle_play()
+    time.sleep(0.3)
+    session.toggle_play()
+    page.source.put(street_frame(0))
+    wait_for(lambda: session.view is not None and session.view.index == 0)
+
+
+def test_first_and_last_are_the_ends_of_what_is_kept(connect_browser):
+    run = {command.label: command.run for command in COMMANDS}
+    with live_page(LiveSource("street", kept=3)) as page:
+        for index in range(6):
+            page.source.put(street_frame(index))
+        page.source.end()
+        session = connect_browser(page.app, "frame=5").session
+        session.wait_drawn()
+        run["First frame"](session)
+        assert session.wait_drawn().index == 3 and not session._notice.visible
+        run["Last frame"](session)
+        assert session.wait_drawn().index == 5
+        session.step(1, wrap=True)
+        assert session.wait_drawn().index == 3
+        session.step(-2)
+        assert session.state.frame == 3
 
 
 def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(page, connect_browser):
