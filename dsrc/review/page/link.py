@@ -60,13 +60,15 @@ def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None) 
 def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[ReviewState, CameraPose | None, list[str]]:
     """Return the state of a link, its camera, and one complaint per part that cannot be taken.
 
+    Without a frame, a source that grows is shown at its newest, and another drive than that of `state` at its first.
+
     Args:
         query: of the page's address.
         model: drives that the link is about.
         state: of a page without a link.
     """
     complaints: list[str] = []
-    parts = dict(parse_qsl(query, keep_blank_values=True))
+    parts, start = dict(parse_qsl(query, keep_blank_values=True)), state
     # What is broken and fixed can be listed once it is known against which run.
     for name, control in sorted(_rows().items(), key=lambda row: row[1].field == "listed"):
         if name not in parts:
@@ -75,6 +77,12 @@ def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[Revie
             state = replace(state, **{control.field: _value(control, parts[name], Shown(model, state))})
         except SettingsError as error:
             complaints.append(str(error))
+    first = model.first_row(state.drive)
+    if "frame" not in parts and model.grows(state.drive):
+        state = replace(state, frame=model.frame_count(state.drive) - 1)
+    elif "frame" not in parts and state.drive != start.drive:
+        state = replace(state, frame=first)
+    state = replace(state, frame=max(state.frame, first))
     pose = None
     if VIEW in parts:
         try:

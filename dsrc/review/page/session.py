@@ -342,7 +342,8 @@ class Session:
                 # Whoever looks at an earlier frame stays there, as long as it is kept.
                 newest = self.view is None or self.state.frame >= before - 1
                 oldest = self.model.first_row(self.state.drive)
-                self.state = replace(self.state, frame=frames - 1 if newest else max(self.state.frame, oldest))
+                self.update(frame=frames - 1 if newest else max(self.state.frame, oldest))
+                # A frame that stays is drawn again, too: its timeline is longer.
                 self._draw_soon()
         elif busy or self._busy:
             self._show_panels()

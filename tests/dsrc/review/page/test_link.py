@@ -116,6 +116,11 @@ def test_a_wrong_part_is_told_and_the_rest_is_taken(two, query, complaint):
     assert len(complaints) == 1 and complaint in complaints[0]
 
 
+def test_another_drive_is_shown_from_its_first_frame_unless_the_link_names_one(two):
+    start = ReviewState(frame=7)
+    assert [read_link(link, two, start)[0].frame for link in ("", "drive=1", "drive=1&frame=3")] == [7, 0, 3]
+
+
 def test_a_browser_that_connects_with_a_link_sees_its_frame(app, connect_browser):
     session = connect_browser(app, "frame=7&camera=chase&view=-20,5,10,0,0,1&score=9&object=1003").session
     assert session.wait_drawn().index == 7

@@ -79,6 +79,40 @@ def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(page, conne
     wait_for(lambda: session.view.index == 6)
 
 
+def test_a_browser_that_comes_later_follows_the_newest_frame_unless_its_link_names_one(page, connect_browser):
+    for index in range(6):
+        page.source.put(street_frame(index))
+    late, stays = (connect_browser(page.app, link).session for link in ("", "frame=2"))
+    assert (late.wait_drawn().index, stays.wait_drawn().index) == (5, 2)
+    page.source.put(street_frame(6))
+    wait_for(lambda: late.view.index == 6 and handle(stays, "frame").max == 6)
+    assert stays.state.frame == 2
+
+
+@pytest.mark.parametrize("link", ["", "frame=0"])
+def test_a_browser_starts_at_no_frame_that_is_no_longer_kept(connect_browser, link):
+    with live_page(LiveSource("street", kept=2)) as page:
+        for index in range(6):
+            page.source.put(street_frame(index))
+        page.source.end()
+        assert connect_browser(page.app, link).session.wait_drawn().index == 4
+
+
+def test_a_selected_detection_is_left_with_its_frame_and_a_selected_object_is_not(page, connect_browser):
+    page.source.put(street_frame(0))
+    session = connect_browser(page.app).session
+    session.wait_drawn()
+    # A place in the order of the scores is another box in the next frame.
+    session.update(detection=1)
+    page.source.put(street_frame(1))
+    wait_for(lambda: session.view.index == 1)
+    assert session.state.detection is None
+    session.update(object_id=1003)
+    page.source.put(street_frame(2))
+    wait_for(lambda: session.view.index == 2)
+    assert session.state.object_id == 1003
+
+
 def test_whoever_makes_frames_never_waits_for_the_page(page, connect_browser):
     connect_browser(page.app)
     frame = street_frame(0)
