@@ -62,6 +62,7 @@ class EpisodeSource:
         self.sets: dict[str, DetectionSet] = {PERCEPTS: self._percept_set, TRACKS: self._track_set}
         self._ticks: list[Tick] = []
         self._percepts: list[Percept | None] = []
+        self._lidars: list[NDArray[np.float64]] = []
         self._sensed: dict[int, Frame] = {}
         self._ego_id, self._outcome, self._message = -1, RUNNING, ""
 
@@ -77,12 +78,15 @@ class EpisodeSource:
         newest = tick.percept if tick.percept is not None else before
         boxes, score = (Boxes.zeros(), np.zeros(0)) if newest is None else (newest.boxes, newest.score)
         self._ego_id = ego_id
+        self._lidars.append(_lidar(tick.ego) if sensed is None else sensed.agent(ego_id).sweep.world_from_lidar)
         self._percept_set.put(row, self._judged(row, tick, boxes, score))
         self._track_set.put(row, self._judged(row, tick, tick.tracks.boxes, tick.tracks.score))
         self._percepts.append(newest)
         if sensed is not None:
             self._sensed[row] = sensed
-            self._sensed.pop(row - KEPT, None)
+        # Few steps have sweeps, and not every so many: the oldest are known by their number.
+        for old in [known for known in self._sensed if known <= row - KEPT]:
+            del self._sensed[old]
         self._ticks.append(tick)  # last: whoever counts the steps finds all of them
 
     def place(self, scenario: Scenario, seed: int) -> None:
@@ -109,7 +113,7 @@ class EpisodeSource:
             raise DataError(complaint(self.name, "frame", expected, row))
         tick, sensed = self._ticks[row], self._sensed.get(row)
         actors = tick.actors
-        agents = (self._without_points(tick),) if sensed is None else sensed.agents
+        agents = (self._without_points(row),) if sensed is None else sensed.agents
         return Frame(
             index=row,
             time_s=actors.time_s,
@@ -122,10 +126,10 @@ class EpisodeSource:
             lane=actors.lane,
         )
 
-    def _without_points(self, tick: Tick) -> AgentFrame:
-        body = _body(tick.ego)
-        sweep = make_sweep(np.zeros((0, 3)), body @ pose_matrix([0.0, 0.0, _LIDAR_M]), tick.actors.time_s)
-        return AgentFrame(self._ego_id, "vehicle", body, tick.ego.speed_mps, sweep)
+    def _without_points(self, row: int) -> AgentFrame:
+        tick = self._ticks[row]
+        sweep = make_sweep(np.zeros((0, 3)), self._lidars[row], tick.actors.time_s)
+        return AgentFrame(self._ego_id, "vehicle", _body(tick.ego), tick.ego.speed_mps, sweep)
 
     def moment(self, row: int) -> EpisodeMoment:
         """Return what the ego saw, believed and planned at a step."""
@@ -174,15 +178,16 @@ class EpisodeSource:
 
     def _judged(self, row: int, tick: Tick, boxes: Boxes, score: NDArray[np.float64]) -> Any:
         """Table of a step: boxes and road users around the ego, in the frame of its LiDAR."""
-        lidar_from_world = invert(_body(tick.ego) @ pose_matrix([0.0, 0.0, _LIDAR_M]))
-        found, truth = boxes.transform(lidar_from_world), tick.actors.boxes.transform(lidar_from_world)
+        body_from_world, lidar_from_world = invert(_body(tick.ego)), invert(self._lidars[row])
+        found, truth = (every.transform(body_from_world).center[:, :2] for every in (boxes, tick.actors.boxes))
         # Helpers see the ego, which looks for others: its own box is no object, so a detection of it is no error.
-        own = (np.abs(found.center[:, :2]) <= 0.5 * tick.ego.box.size[0, :2]).all(axis=1)
-        near = (np.hypot(*found.center[:, :2].T) <= RANGE_M) & ~own
-        judged = (np.hypot(*truth.center[:, :2].T) <= RANGE_M) & (truth.object_id != self._ego_id)
+        own = (np.abs(found) <= 0.5 * tick.ego.box.size[0, :2]).all(axis=1)
+        near = (np.hypot(*found.T) <= RANGE_M) & ~own
+        judged = (np.hypot(*truth.T) <= RANGE_M) & (tick.actors.boxes.object_id != self._ego_id)
         # A score is a confidence of 0 to 1 in the log's resolution.
-        detections = Detections(found[near], np.clip(score[near], 0.0, 1.0).astype(np.float32))
-        return one_frame(row, row, self._ego_id, detections, truth[judged])
+        kept = np.clip(score[near], 0.0, 1.0).astype(np.float32)
+        detections = Detections(boxes[near].transform(lidar_from_world), kept)
+        return one_frame(row, row, self._ego_id, detections, tick.actors.boxes[judged].transform(lidar_from_world))
 
 
 def episode_source(log: EpisodeLog) -> EpisodeSource:
@@ -230,6 +235,11 @@ def _body(ego: EgoState) -> NDArray[np.float64]:
     """World pose of the centre of the ego's footprint."""
     foot = ego.box.center[0] - [0.0, 0.0, 0.5 * ego.box.size[0, 2]]
     return np.asarray(pose_matrix(foot, ego.box.yaw[0]), np.float64)
+
+
+def _lidar(ego: EgoState) -> NDArray[np.float64]:
+    """World pose of a LiDAR on the ego, where that of its sweeps is not handed over."""
+    return _body(ego) @ pose_matrix([0.0, 0.0, _LIDAR_M])
 
 
 def _links(percept: Percept | None, actors: Actors, ego: EgoState) -> Links:

@@ -8,14 +8,20 @@ import pytest
 
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.types import Percept
+from dsrc.review.errors.filters import FP
+from dsrc.review.errors.report import place_of, report
 from dsrc.review.model import ReviewModel
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.episodes import PERCEPTS, TRACKS, EpisodeSource, episode_source, open_episode, plan_of
 from dsrc.review.sources.opening import open_sources
+from dsrc.review.state import ReviewState
+from sensors.frame import AgentFrame, Frame
+from sensors.sweep import make_sweep
 from sim.boxes import concatenate
 from sim.catalog.load import load_scenario
 from sim.errors import DataError
-from tests.dsrc.closed_loop.logged import EGO_ID, SCENARIO
+from sim.geometry import pose_matrix
+from tests.dsrc.closed_loop.logged import EGO_ID, SCENARIO, Mover, ahead, percept_of, ticks_of
 from tests.dsrc.closed_loop.test_log import full_log
 from tests.dsrc.review.conftest import street_frame
 
@@ -115,6 +121,50 @@ def test_sweeps_that_are_handed_over_are_shown_in_the_latest_frames(log, monkeyp
         live.put(tick, EGO_ID, street_frame(0))
     points = [sum(len(agent.sweep) for agent in live.read(row).agents) > 0 for row in range(len(live))]
     assert len(live) > 3 and points == [False] * (len(live) - 3) + [True] * 3
+
+
+def tilted(tick) -> Frame:
+    """Empty sweep of an ego whose LiDAR stands before its middle, lower than most, and looks down."""
+    body = pose_matrix(tick.ego.box.center[0] * [1.0, 1.0, 0.0], tick.ego.box.yaw[0])
+    sweep = make_sweep(np.zeros((0, 3)), body @ pose_matrix([1.5, 0.0, 1.73], pitch=np.radians(10.0)), 0.0)
+    agent = AgentFrame(EGO_ID, "vehicle", body, tick.ego.speed_mps, sweep)
+    count = len(tick.actors.boxes)
+    return Frame(0, 0.0, (agent,), tick.actors.boxes, np.zeros((count, 2)), np.zeros((1, count), np.int32))
+
+
+def test_detections_are_drawn_where_they_are_however_the_sensor_is_mounted(monkeypatch):
+    monkeypatch.setattr("dsrc.review.sources.episodes.KEPT", 2)
+    movers = [Mover("ego", ahead(10.0)), Mover("car", ahead(10.0, x=25.0, y=-3.0))]
+    _, ticks = ticks_of(movers, 4, lambda actors: percept_of(actors, [1]))
+    source, aside = EpisodeSource("running"), np.array([0.0, 9.0, 0.0])
+    for tick in ticks:
+        beside = replace(tick.percept.boxes, center=tick.percept.boxes.center + aside)
+        source.put(replace(tick, percept=replace(tick.percept, boxes=beside)), EGO_ID, tilted(tick))
+    model = ReviewModel([source])
+    for row in range(4):  # the first two are without their sweeps by now
+        state = ReviewState(frame=row)
+        place = model.moment(state).percept.center
+        np.testing.assert_allclose(model.view(state).layers["detections/fp"].center, place, atol=1e-5)
+        errors = report(model, state).errors
+        (ghost,) = np.flatnonzero((errors.row == row) & (errors.kind == FP))
+        np.testing.assert_allclose(place_of(model, 0, errors, ghost), place[0], atol=1e-5)
+
+
+def test_a_detection_of_the_ego_is_known_by_its_body_and_not_by_its_sensor(log):
+    tick = log.ticks[0]
+    corner = replace(tick.ego.box, center=tick.ego.box.center - [1.8, 0.0, 0.0])
+    live = EpisodeSource("running")
+    live.put(replace(tick, percept=Percept(0.0, corner, np.ones(1), np.zeros((1, 2)))), EGO_ID, tilted(tick))
+    assert len(live.sets[PERCEPTS].run(Setup()).score) == 0
+
+
+def test_sweeps_of_few_steps_are_dropped_in_time(log, monkeypatch):
+    monkeypatch.setattr("dsrc.review.sources.episodes.KEPT", 4)
+    live = EpisodeSource("running")
+    for row, tick in enumerate(log.ticks):
+        live.put(tick, EGO_ID, street_frame(0) if row % 3 == 0 else None)
+    points = [sum(len(agent.sweep) for agent in live.read(row).agents) > 0 for row in range(len(live))]
+    assert len(live) == 8 and points == [False] * 6 + [True, False]
 
 
 def test_a_plan_follows_the_route_and_ends_where_the_ego_stands(log):
