@@ -97,7 +97,7 @@ def static_parts(
         return []
     try:
         mesh = _world(own["scenario"], int(own.get("seed", 0)))
-    except (UserError, ImportError, ValueError) as error:
+    except (UserError, ImportError, ValueError, TypeError, OverflowError) as error:
         raise DataError(f"roads and buildings are not drawn: {error}") from None
     return split_by_material(mesh, origin, places, radius_m)
 

@@ -180,12 +180,22 @@ def _parsed(control: Control, text: str) -> Any:
             return frozenset(map(int, items))
         if kind is bool:
             return {"0": False, "1": True}[text]
+        if control.field == "detection":
+            return _place(text)
         if kind is type(None):
             return int(text)
         return kind(text)
     except (ValueError, KeyError):
         expected = {bool: "0 or 1", float: "a number", frozenset: "whole numbers"}.get(kind, "a whole number")
+        expected += ", at least 0" if control.field == "detection" else ""
         raise SettingsError(complaint("link", control.link, expected, text)) from None
+
+
+def _place(text: str) -> int:
+    """Place in the order of the scores; ids may be negative, places not."""
+    if (place := int(text)) < 0:
+        raise ValueError
+    return place
 
 
 def _pose(text: str) -> CameraPose:

@@ -69,8 +69,13 @@ def _logs(folder: Path) -> list[Path]:
 
 
 def _is_log(path: Path) -> bool:
-    """Whether an npz says that it is an episode; a drive's traffic and world are npz too."""
-    return zipfile.is_zipfile(path) and "episode.npy" in zipfile.ZipFile(path).namelist()
+    """Whether an npz says that it is an episode; a drive's traffic and world are npz too, and a damaged one is none."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "episode.npy" in archive.namelist()
+    except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError):
+        # Its list may be of another version, or of names that are no text.
+        return False
 
 
 def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str]) -> None:

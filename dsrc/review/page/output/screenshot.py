@@ -102,7 +102,7 @@ def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str |
         chromium: path of the browser; default: the installed one.
 
     Raises:
-        SettingsError: no Chromium is installed.
+        SettingsError: no Chromium is installed, or it does not start.
     """
     from websockets.sync.client import connect
 
@@ -137,14 +137,14 @@ def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str |
 
 
 def _page_socket(browser: subprocess.Popen, profile: Path) -> str:
-    """DevTools address of the browser's one page."""
+    """DevTools address of the browser's one page; SettingsError where the browser ends or does not start."""
     import urllib.request
 
     note = profile / "DevToolsActivePort"
     end = time.monotonic() + 60.0
     while time.monotonic() < end:
         if browser.poll() is not None:
-            raise RuntimeError(f"the browser ended with code {browser.returncode}")
+            raise SettingsError(f"screenshot: the browser ended with code {browser.returncode}")
         lines = note.read_text().splitlines() if note.exists() else []
         if len(lines) >= 2:
             with urllib.request.urlopen(f"http://127.0.0.1:{lines[0]}/json/list", timeout=30.0) as answer:
@@ -152,7 +152,7 @@ def _page_socket(browser: subprocess.Popen, profile: Path) -> str:
             if pages:
                 return str(pages[0]["webSocketDebuggerUrl"])
         time.sleep(0.05)
-    raise TimeoutError("the browser did not start")
+    raise SettingsError("screenshot: the browser did not start")
 
 
 def screenshot(
@@ -175,7 +175,7 @@ def screenshot(
 
     Raises:
         DataError: the file is missing.
-        SettingsError: no Chromium is installed.
+        SettingsError: no Chromium is installed, or it does not start.
     """
     address = str(url_or_file)
     if not address.startswith(("http://", "https://")):

@@ -108,6 +108,7 @@ def test_drives_are_named_where_their_name_can_stand_in_an_address(two):
         ("errors=broken", "errors: expected all, missed, false, poor, found broken"),
         ("camera=top", "camera: expected free, chase, bev"),
         ("drive=2", "drive: expected street, other street"),
+        ("detection=-1", "detection: expected a whole number, at least 0, found -1"),
     ],
 )
 def test_a_wrong_part_is_told_and_the_rest_is_taken(two, query, complaint):

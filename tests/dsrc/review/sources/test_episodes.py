@@ -196,3 +196,14 @@ def test_the_traffic_and_the_world_of_a_drive_are_no_episodes(tmp_path):
         np.savez(tmp_path / f"{name}.npz", version=1)
     with pytest.raises(DataError, match="drive"):
         open_sources(tmp_path)
+
+
+def test_a_damaged_archive_is_no_episode(log, tmp_path):
+    path = log.save(tmp_path / "traffic.npz")
+    content = bytearray(path.read_bytes())
+    # The end still says that it is an archive; its list of contents is cut.
+    at = content.find(b"PK\x01\x02")
+    content[at : at + 4] = b"XXXX"
+    path.write_bytes(bytes(content))
+    with pytest.raises(DataError, match="drive"):
+        open_sources(tmp_path)

@@ -142,5 +142,8 @@ def test_pictures_leave_no_browser_behind(tmp_path, monkeypatch):
     fake = tmp_path / "chromium"
     fake.write_text("#!/bin/sh\nexit 3\n")
     fake.chmod(0o755)
-    with pytest.raises(RuntimeError, match="ended with code 3"), open_page("about:blank", chromium=str(fake)):
+    with (
+        pytest.raises(SettingsError, match="the browser ended with code 3"),
+        open_page("about:blank", chromium=str(fake)),
+    ):
         pass
