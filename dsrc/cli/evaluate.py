@@ -98,13 +98,13 @@ class Shares(Sharing, frozen=True, kw_only=True):
         """Detect with every team, write the shares and print them by agents and distances."""
         from rich.console import Console
 
-        from dsrc.evaluation.sharing.drives import provenance_of, share_drives, stored_drives
+        from dsrc.evaluation.sharing.drives import frames_looked_at, provenance_of, share_drives, stored_drives
         from dsrc.evaluation.sharing.report import share_table, write_shares
         from sim.files import check_apart
 
         check_apart(self.out, self.data)
         with progress(f"shares {self.data}") as report:
             rows = share_drives(self, self.pool, report)
-        write_shares(self.out, rows, provenance_of(self), stored_drives(self.data))
+        write_shares(self.out, rows, frames_looked_at(self), provenance_of(self), stored_drives(self.data))
         Console(highlight=False).print(share_table(rows))
         sys.stdout.write(f"{self.out}\n")

@@ -103,6 +103,12 @@ def _read(folder: Path, units: Iterable[WorkUnit]) -> Iterator[ShareRow]:
         yield from read_share_cell(folder, unit.jobs[0].settings.key)
 
 
+def frames_looked_at(config: Sharing) -> int:
+    """Number of frames under each condition of `share_drives`; those without any box have no row."""
+    readers = [open_drive(path) for path in list_drives(config.data)]
+    return sum(map(len, frame_positions(readers, config.limit)))
+
+
 def rows_csv(rows: Sequence[ShareRow]) -> str:
     """CSV of rows, a line each, with a header."""
     text = io.StringIO()

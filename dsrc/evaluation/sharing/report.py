@@ -104,8 +104,13 @@ def share_table(rows: Sequence[ShareRow]) -> Table:
     return table
 
 
-def share_bars(rows: Sequence[ShareRow]) -> Figure:
-    """Draw the shares per box and per frame: helpful ones upwards, harmful ones downwards, stacked by agent."""
+def share_bars(rows: Sequence[ShareRow], frames: int) -> Figure:
+    """Draw the shares per box and per frame: helpful ones upwards, harmful ones downwards, stacked by agent.
+
+    Args:
+        rows: shares.
+        frames: looked at under each condition, those without any box included.
+    """
     conditions = list(dict.fromkeys(row.condition for row in rows))
     with figure_style():
         figure, (true, false) = panels(WIDTH_IN, 3.2, columns=2, title="Who helped, who harmed")
@@ -113,7 +118,9 @@ def share_bars(rows: Sequence[ShareRow]) -> Figure:
             for side in (1, -1):
                 bottom = np.zeros(len(conditions))
                 for color, agent in zip(COLORS, AGENTS, strict=False):
-                    heights = np.array([_per_unit(rows, c, agent, is_true, side) for c in conditions])
+                    heights = np.array(
+                        [_per_unit(rows, c, agent, side, None if is_true else frames) for c in conditions]
+                    )
                     label = agent if side > 0 and is_true and any(row.agent == agent for row in rows) else None
                     axes.bar(range(len(conditions)), heights, 0.6, bottom=bottom, color=color, label=label)
                     bottom += heights
@@ -127,39 +134,39 @@ def share_bars(rows: Sequence[ShareRow]) -> Figure:
     return figure
 
 
-def _per_unit(rows: Sequence[ShareRow], condition: str, agent: str, is_true: bool, side: int) -> float:
-    """Return the sum of an agent's helpful (1) or harmful (-1) shares per true box, or per frame for false ones."""
-    here = [row for row in rows if row.condition == condition]
-    own = [row.share for row in here if row.agent == agent and (row.object_id != -1) == is_true]
-    frames = {(row.drive, row.frame) for row in here}
-    boxes = {(row.drive, row.frame, row.box) for row in here if row.object_id != -1}
-    return sum(share for share in own if share * side > 0) / max(len(boxes if is_true else frames), 1)
+def _per_unit(rows: Sequence[ShareRow], condition: str, agent: str, side: int, frames: int | None) -> float:
+    """Return the sum of an agent's helpful (1) or harmful (-1) shares per true box, or of false ones per frame."""
+    here = [row for row in rows if row.condition == condition and (row.object_id == -1) == (frames is not None)]
+    own = [row.share for row in here if row.agent == agent]
+    boxes = {(row.drive, row.frame, row.box) for row in here}
+    return sum(share for share in own if share * side > 0) / max(len(boxes) if frames is None else frames, 1)
 
 
 def write_shares(
-    out: Path, rows: Sequence[ShareRow], made_by: Mapping[str, Any], drives: Sequence[StoredDrive] = ()
+    out: Path, rows: Sequence[ShareRow], frames: int, made_by: Mapping[str, Any], drives: Sequence[StoredDrive] = ()
 ) -> None:
     """Write `shares.csv`, a line per agent and box, `shares.json` by frame and box, and `shares.png`.
 
     Args:
         out: folder.
         rows: see `dsrc.evaluation.sharing.drives.share_drives`.
+        frames: see `dsrc.evaluation.sharing.drives.frames_looked_at`.
         made_by: provenance.
         drives: that the rows are of, for the review page.
     """
-    frames: dict[tuple[str, str, int], dict[int, list[ShareRow]]] = {}
+    by_frame: dict[tuple[str, str, int], dict[int, list[ShareRow]]] = {}
     for row in rows:
-        frames.setdefault((row.drive, row.condition, row.frame), {}).setdefault(row.box, []).append(row)
+        by_frame.setdefault((row.drive, row.condition, row.frame), {}).setdefault(row.box, []).append(row)
     listed = [
         SharedFrame(drive, condition, frame, next(iter(boxes.values()))[0].ego_id, tuple(map(_shared, boxes.values())))
-        for (drive, condition, frame), boxes in frames.items()
+        for (drive, condition, frame), boxes in by_frame.items()
     ]
     parts = {"drives": drives, "summaries": [one._asdict() for one in summaries(rows)], "frames": listed}
     content = {"provenance": made_by, **msgspec.to_builtins(parts, str_keys=True)}
     text = json.dumps(content, indent=1, sort_keys=True, allow_nan=False)
     write_file(out / FILE, text + "\n")  # the manifest first: others of an interrupted run are ours, too
     write_file(out / "shares.csv", rows_csv(rows))
-    write_file(out / "shares.png", png_bytes(share_bars(rows), made_by))
+    write_file(out / "shares.png", png_bytes(share_bars(rows, frames), made_by))
 
 
 def _shared(rows: Sequence[ShareRow]) -> SharedBox:

@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +16,8 @@ from PIL import Image
 from dsrc.__main__ import main
 from dsrc.data.sample import Sample
 from dsrc.evaluation.sharing import drives
-from dsrc.evaluation.sharing.drives import share_drives
+from dsrc.evaluation.sharing.cells import ShareRow
+from dsrc.evaluation.sharing.drives import frames_looked_at, share_drives
 from dsrc.evaluation.sharing.report import share_bars, summaries
 from dsrc.evaluation.sharing.shares import Shares, shapley, share_sample
 from dsrc.ops.detections import Detections
@@ -139,6 +141,26 @@ def test_a_detection_that_overlaps_too_little_is_false() -> None:
         shares_of(lambda team: {}, agents=tuple(range(7)))
 
 
+def false_row(frame: int, share: float) -> ShareRow:
+    """Share of the ego in the one false box of a frame."""
+    place = dict.fromkeys(("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"), 1.0)
+    return ShareRow(
+        "drive", "clean", frame, 0, -1, **place, ego_id=1, agent_id=1, agent="ego", heard=True, distance_m=9.0,
+        points=0, share=share, team=share, without=share,
+    )  # fmt: skip
+
+
+def test_false_detections_are_shared_by_all_frames_that_were_looked_at() -> None:
+    heights = [bar.get_height() for bar in share_bars([false_row(3, 0.5)], frames=10).axes[1].patches]
+    assert max(heights) == pytest.approx(0.05)
+
+
+def test_frames_without_a_box_are_counted(world) -> None:
+    config = Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "none")
+    every = frames_looked_at(config)
+    assert every > 1 == frames_looked_at(msgspec.structs.replace(config, limit=1))
+
+
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
     root = tmp_path_factory.mktemp("shares")
@@ -179,7 +201,7 @@ def test_shares_are_the_same_again_and_limits_hold(world) -> None:
     listed = summaries(rows)
     assert sum(one.pairs for one in listed) == sum(row.object_id != -1 for row in rows)
     assert sum(one.share for one in listed) == pytest.approx(sum(row.share for row in rows if row.object_id != -1))
-    assert len(share_bars(rows).axes) == 2
+    assert len(share_bars(rows, frames_looked_at(config)).axes) == 2
     with pytest.raises(SettingsError, match="shares: severity: expected 1 to 5, found 9"):
         share_drives(Sharing(checkpoint=world / "net.pt", data=world / "test", out=world, severity=9))
 
