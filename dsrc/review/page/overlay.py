@@ -66,9 +66,15 @@ class CameraButton:
 def frame_texts(view: FrameView) -> dict[str, str]:
     """Texts of the legend that change with the frame, by id."""
     texts = {"time": f"frame {view.index} · {view.time_s:.1f} s"}
+    other = len(view.layers[OTHER_TRUTH])
+    if view.help is not None:
+        found, made = (sum(map(len, boxes)) for boxes in (view.help.found, view.help.made))
+        counted = {"found": found, "made": made, "harmed": len(view.help.harmed), "missed": len(view.help.missed)}
+        return texts | {name: str(count) for name, count in counted.items()} | {"other": str(other)}
+    if not view.labelled:
+        return {**texts, "detected": str(view.detected)}
     if view.counts is None:
-        evaluated = len(view.truth) - len(view.layers[OTHER_TRUTH])
-        return {**texts, "objects": str(evaluated), "other": str(len(view.layers[OTHER_TRUTH]))}
+        return {**texts, "objects": str(len(view.truth) - other), "other": str(other)}
     counts = view.counts
     share = [("precision", counts.precision), ("recall", counts.recall)]
     texts |= {"tp": str(counts.tp), "fp": str(counts.fp), "fn": str(counts.fn)}
@@ -123,18 +129,31 @@ def add_overlay(
 
 
 def _counts_legend(view: FrameView) -> str:
-    if view.counts is None:
-        return _row(palette.TRUTH, "box", "ground truth", '<b id="review-objects"></b>') + _row(
-            palette.OTHER, "box", "not evaluated", '<b id="review-other"></b>'
+    other = (palette.OTHER, "box", "not evaluated", "other")
+    if view.help is not None:
+        return _counts(
+            (palette.TRUTH, "box", "object, coloured by who helped most", "found"),
+            (palette.TRUTH, "box", "false detection, crossed, by who made it", "made"),
+            (palette.FP, "box", "red cross: an agent lowers the score", "harmed"),
+            (palette.FN, "box dash", "missed by all, dashed", "missed"),
+            other,
         )
-    rows = [
+    if not view.labelled:
+        return _counts((palette.TRUTH, "box", "detection, not judged", "detected"))
+    if view.counts is None:
+        return _counts((palette.TRUTH, "box", "ground truth", "objects"), other)
+    text = _counts(
         (palette.TP, "box", "true positive", "tp"),
         (palette.FP, "box", "false positive, crossed", "fp"),
         (palette.FN, "box dash", "false negative, dashed", "fn"),
-    ]
-    text = "".join(_row(rgb, kind, label, f'<b id="review-{name}"></b>') for rgb, kind, label, name in rows)
+    )
     shares = "".join(f'<li>{name}<b id="review-{name}"></b></li>' for name in ("precision", "recall"))
     return text + shares
+
+
+def _counts(*rows: tuple[Rgb, str, str, str]) -> str:
+    """Rows of a colour, a kind of mark, a label and the name of the count in `frame_texts`."""
+    return "".join(_row(rgb, kind, label, f'<b id="review-{name}"></b>') for rgb, kind, label, name in rows)
 
 
 def _row(rgb: Rgb, kind: str, label: str, end: str) -> str:

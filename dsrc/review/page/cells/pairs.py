@@ -126,7 +126,7 @@ def cells_of(model: ReviewModel, state: ReviewState, last_corruption: str = "") 
         first, second = state.methods[:2]
         return replace(state, methods=(first,)), replace(state, methods=(second,))
     if state.corruption != CLEAN:
-        return replace(state, corruption=CLEAN), state
+        return replace(state, corruption=CLEAN, parameters=()), state
     if len(methods) > 1:
         shown = model.method(state)
         other = next(name for name in methods if name != shown)

@@ -241,9 +241,10 @@ def _subtitle(model: ReviewModel, state: ReviewState) -> str:
         published = " as published" if state.family == "paper" else ""
         weather = f"{state.corruption.replace('_', ' ')}{published}, level {state.severity}"
         weather += "" if state.who == EVERYONE else f", {state.who} alone"
+    labelled = model.labelled(state.drive)
     if not model.has_detector:
-        return f"{weather} · ground truth"
-    return f"{weather} · score ≥ {state.threshold:g} · IoU ≥ {state.iou:g}"
+        return f"{weather} · ground truth" if labelled else weather
+    return f"{weather} · score ≥ {state.threshold:g}" + (f" · IoU ≥ {state.iou:g}" if labelled else "")
 
 
 def _button(name: str, key: str, pose: CameraPose) -> CameraButton:

@@ -46,6 +46,8 @@ def test_what_is_compared_is_methods_then_sweeps(model):
     assert [one.methods for one in cells_of(model, both)] == [("blind",), ("detector",)]
     foggy = replace(state, corruption="fog")
     assert [one.corruption for one in cells_of(model, foggy)] == ["clean", "fog"]
+    tuned = replace(foggy, parameters=(("extinction", 0.1),))
+    assert [one.parameters for one in cells_of(model, tuned)] == [(), tuned.parameters], "clean sweeps have none"
     del model.sources[0].sets["blind"]
     assert [one.corruption for one in cells_of(model, state, "rain")] == ["clean", "rain"]
 

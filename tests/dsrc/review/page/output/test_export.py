@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 
 from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.ops.detections import Detections
 from dsrc.review import palette
+from dsrc.review.model import ReviewModel
 from dsrc.review.page.output.export import export_html, export_states
 from dsrc.review.page.output.screenshot import STOP, find_chromium, open_page, screenshot
+from dsrc.review.sources.shares import SharedSource
 from dsrc.review.state import ReviewState
+from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
+from tests.dsrc.review.conftest import FakeDetector
+from tests.dsrc.review.shared import shared_street
 
 
 def recording(html: str) -> dict:
@@ -55,6 +61,43 @@ def test_the_legend_holds_the_counts_of_every_frame(page, model):
     assert data["frames"][2]["fn"] == str(counts.fn)
     assert data["frames"][2]["tp"] == str(counts.tp)
     assert len(data["cameras"]) == 3
+
+
+def without_labels(frame):
+    none = np.zeros(len(frame.truth), bool)
+    return replace(
+        frame, truth=frame.truth[none], velocity=frame.velocity[none], points_on=frame.points_on[:, none],
+        acceleration=frame.acceleration[none], signals=frame.signals[none], lane=(),
+        visible_fraction=frame.visible_fraction[:, none],
+    )  # fmt: skip
+
+
+class Finds:
+    """Detector that finds a box in each sample."""
+
+    settings = FakeDetector().settings
+
+    def detect(self, sample):
+        return Detections(Boxes.from_array([[12.0, 2.0, -1.0, 4.0, 2.0, 1.5, 0.3]]), np.array([0.9], np.float32))
+
+
+def test_detections_without_labels_are_called_so_and_counted(drive, tmp_path, monkeypatch):
+    read = type(drive).read
+    monkeypatch.setattr(type(drive), "read", lambda self, i: without_labels(read(self, i)))
+    html = export_states(ReviewModel([drive], Finds()), [ReviewState()], tmp_path / "page.html").read_text()
+    data = json.loads(re.search(r"__REVIEW__=(\{.*?\});", html)[1])
+    assert "detection, not judged" in html and data["frames"][0]["detected"] == "1"
+    assert not any(word in html for word in ("ground truth", "false positive", "IoU ≥"))
+
+
+def test_boxes_by_who_helped_are_explained_and_counted(drive, tmp_path):
+    model = ReviewModel([SharedSource(drive, shared_street())], FakeDetector())
+    html = export_states(model, [ReviewState()], tmp_path / "page.html").read_text()
+    counts = json.loads(re.search(r"__REVIEW__=(\{.*?\});", html)[1])["frames"][0]
+    assert "red cross: an agent lowers the score" in html and "false positive" not in html
+    assert [counts[name] for name in ("found", "made", "harmed", "missed")] == ["3", "1", "1", "1"]
+    judged = export_states(model, [ReviewState(boxes_by="verdict")], tmp_path / "page.html").read_text()
+    assert "false positive" in judged and "red cross" not in judged
 
 
 def test_what_colours_of_points_mean_is_explained_where_they_show_it(truth_model, tmp_path):
