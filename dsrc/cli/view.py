@@ -4,9 +4,13 @@ import sys
 import tempfile
 from pathlib import Path
 
+import msgspec
+
 from dsrc.cli.progress import progress
 from dsrc.options.fields import File, Output
 from dsrc.options.review import Review, ServeOptions
+
+_OF_CORRUPTION = ("severity", "family", "who")
 
 
 class View(ServeOptions, frozen=True, kw_only=True):
@@ -16,7 +20,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
         out: HTML page to write; default: serve the page.
         picture: PNG of the written page, or of the view of the link, drawn by Chromium; default: none.
         animation: GIF of the view of the link, drawn by Chromium; default: none.
-        link: what a picture shows, as a page's address has it after the question mark; default: the first frame.
+        link: what a picture shows beside what the options say, as a page's address has it after the question mark.
         size: width and height of a picture or animation, px.
         frames: frames of a written page from the first, or of an animation from the link's.
     """
@@ -56,7 +60,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
             sys.stdout.write(f"{draw(page, self.picture, self.size)}\n")
 
     def _check(self) -> None:
-        """Raise SettingsError for numbers out of their range and options that exclude each other."""
+        """Raise SettingsError for numbers out of their range, options that exclude each other or have no effect."""
         from sim.errors import SettingsError, complaint
 
         if not all(16 <= side <= 8192 for side in self.size):
@@ -65,29 +69,69 @@ class View(ServeOptions, frozen=True, kw_only=True):
             raise SettingsError(complaint("view", "frames", "at least 1", self.frames))
         if self.out is not None and self.animation is not None:
             raise SettingsError(complaint("view", "animation", "none beside --out", str(self.animation)))
+        self._refuse(self._unused())
+
+    def _unused(self) -> dict[str, str]:
+        """Options that do nothing here, by name, and what is expected of them."""
+        draws = self.picture is not None or self.animation is not None
+        unused: dict[str, str] = {}
+        if self.out is not None:
+            unused |= dict.fromkeys(("frame", "link", "host", "port"), "none beside --out")
+            if self.corruption == "clean":
+                unused |= dict.fromkeys(_OF_CORRUPTION, "--corruption beside it")
+        elif draws:
+            unused |= dict.fromkeys(("host", "port"), "none beside a picture or an animation")
+        else:
+            unused["link"] = "--picture or --animation beside it"
+        if not draws:
+            unused["size"] = "--picture or --animation beside it"
+        if self.out is None and self.animation is None:
+            unused["frames"] = "--out or --animation beside it"
+        return unused
+
+    def _refuse(self, unused: dict[str, str]) -> None:
+        """Raise SettingsError for the first of some options, by name and what is expected of them, that is given."""
+        from sim.errors import SettingsError, complaint
+
+        defaults = {field.name: field.default for field in msgspec.structs.fields(type(self))}
+        for name, expected in unused.items():
+            if (given := getattr(self, name)) != defaults[name]:
+                raise SettingsError(complaint("view", name, expected, str(given)))
 
     def _draw(self) -> None:
-        """Write the picture and the animation of the link's view, and print their paths."""
+        """Write the picture and the animation of the view of options and link, and print their paths."""
         from dsrc.review.model import open_model
+        from dsrc.review.page.app import first_state
         from dsrc.review.page.link import read_link
         from dsrc.review.page.output.export import export_pictures, write_animation, write_picture
-        from dsrc.review.state import ReviewState
+        from sensors.corruptions import parse_who, require_corruption, require_who
+        from sim.errors import SettingsError
         from sim.files import check_apart, check_output
 
+        require_corruption(self.corruption, self.severity, self.family)
+        require_who(self.corruption, parse_who(self.who))
         for path, kind in ((self.picture, "picture"), (self.animation, "animation")):
             if path is not None:
                 check_apart(path, self.data)
                 check_output(path, kind)
         model = open_model(self.data, self.checkpoint, self.drives)
-        state, _, _ = read_link(self.link, model, ReviewState())
+        start = first_state(model, self)
+        state, _, complaints = read_link(self.link, model, start)
+        if complaints:
+            raise SettingsError(complaints[0])
+        asked = ("frame", "corruption", *_OF_CORRUPTION)
+        others = [name for name in asked if getattr(state, name) != getattr(self, name)]
+        self._refuse(dict.fromkeys(others, "none beside a link that says otherwise"))
+        if state.corruption == "clean":
+            self._refuse(dict.fromkeys(_OF_CORRUPTION, "--corruption beside it"))
         if self.picture is not None:
-            (image,) = export_pictures(model, self.link, self.size)
+            (image,) = export_pictures(model, self.link, self.size, start=start)
             sys.stdout.write(f"{write_picture(image, self.picture)}\n")
         if self.animation is not None:
             rows = range(state.frame, min(state.frame + self.frames, model.frame_count(state.drive)))
             with progress(f"draw {self.animation}") as report:
                 images = []
-                for image in export_pictures(model, self.link, self.size, rows):
+                for image in export_pictures(model, self.link, self.size, rows, start):
                     images.append(image)
                     report(len(images), len(rows))
             pause_s = model.interval_s(state.drive) / state.speed

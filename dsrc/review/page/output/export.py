@@ -92,7 +92,11 @@ def export_html(options: PageOptions) -> Path:
 
 
 def export_pictures(
-    model: ReviewModel, link: str, size: tuple[int, int] = (1280, 720), frames: Sequence[int] | None = None
+    model: ReviewModel,
+    link: str,
+    size: tuple[int, int] = (1280, 720),
+    frames: Sequence[int] | None = None,
+    start: ReviewState | None = None,
 ) -> Iterator[NDArray[np.uint8]]:
     """Yield a (H, W, 3) picture of the scene without panels, drawn by Chromium, for each frame.
 
@@ -101,12 +105,13 @@ def export_pictures(
         link: query of the page's address, which says what is shown.
         size: width and height, px.
         frames: rows of the frames; None for that of the link alone.
+        start: what is shown where the link says nothing; None for the first frame as recorded.
 
     Raises:
         SettingsError: a part of the link is wrong, or no Chromium is installed.
         DataError: a frame or its detections are damaged.
     """
-    state, _, complaints = read_link(link, model, ReviewState())
+    state, _, complaints = read_link(link, model, start or ReviewState())
     if complaints:
         raise SettingsError(complaints[0])
     sky = np.repeat(backdrop(state.theme, size[1])[:, None], size[0], axis=1).astype(np.float64)

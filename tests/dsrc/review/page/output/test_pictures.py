@@ -7,6 +7,8 @@ from PIL import Image
 from dsrc.review import palette
 from dsrc.review.page.output.export import export_pictures, write_animation, write_picture
 from dsrc.review.page.output.screenshot import find_chromium
+from dsrc.review.page.server import stop_server
+from dsrc.review.state import ReviewState
 from sim.errors import DataError, SettingsError
 from sim.files import check_output
 
@@ -55,6 +57,20 @@ def test_a_wrong_link_is_told_before_a_browser_opens(model, monkeypatch):
     monkeypatch.setattr("dsrc.review.page.output.export.open_page", lambda *_: pytest.fail("a browser was opened"))
     with pytest.raises(SettingsError, match="link: frame: expected 0 to 11"):
         list(export_pictures(model, "frame=99"))
+
+
+def test_a_picture_begins_from_what_it_is_given_and_the_link_comes_on_top(model, monkeypatch):
+    class Opened(Exception):
+        """A page with a start would be opened."""
+
+    def app(_, server, state):
+        stop_server(server)
+        raise Opened(state)
+
+    monkeypatch.setattr("dsrc.review.page.output.export.ReviewApp", app)
+    with pytest.raises(Opened) as opened:
+        next(export_pictures(model, "iou=0.7", start=ReviewState(frame=5, corruption="fog")))
+    assert opened.value.args == (ReviewState(frame=5, corruption="fog", iou=0.7),)
 
 
 @pytest.mark.browser

@@ -1,0 +1,75 @@
+"""Pictures show what the options and the link say together, and an option that would do nothing is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.cli.view import View
+from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.review.page.link import read_link
+from sim.errors import SettingsError
+from tests.dsrc.review.conftest import street_frame
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data")
+    for name, count in (("a", 3), ("b", 2)):
+        for index in range(count):
+            write_frame(root / name, replace(street_frame(index), index=index))
+    return root
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
+    """What is drawn, in place of its drawing: states and rows."""
+    seen: list[tuple] = []
+
+    def pictures(model, link, size, frames=None, start=None):
+        state, _, _ = read_link(link, model, start)
+        seen.append((state, frames))
+        for _ in frames or [state.frame]:
+            yield np.zeros((size[1], size[0], 3), np.uint8)
+
+    monkeypatch.setattr("dsrc.review.page.output.export.export_pictures", pictures)
+    return seen
+
+
+def test_a_picture_shows_what_options_and_link_say(data, drawn, tmp_path):
+    out = {"picture": tmp_path / "p.png", "animation": tmp_path / "a.gif"}
+    View(data=data, frame=1, corruption="fog", severity=4, who="ego", link="iou=0.7", **out).run()
+    for state, _ in drawn:
+        assert (state.frame, state.corruption, state.severity, state.who, state.iou) == (1, "fog", 4, "ego", 0.7)
+    assert list(drawn[1][1]) == [1, 2], "an animation begins at the frame that was asked for"
+    View(data=data, severity=4, link="drive=b&frame=1&corruption=fog", picture=tmp_path / "p.png").run()
+    state, _ = drawn[-1]
+    assert (state.drive, state.frame, state.corruption, state.severity) == (1, 1, "fog", 4)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"out": "page.html", "frame": 1}, "frame: expected none beside --out, found 1"),
+        ({"out": "page.html", "link": "frame=1"}, "link: expected none beside --out, found frame=1"),
+        ({"out": "page.html", "port": 8080}, "port: expected none beside --out, found 8080"),
+        ({"out": "page.html", "size": (640, 480)}, "size: expected --picture or --animation beside it"),
+        ({"out": "page.html", "severity": 4}, "severity: expected --corruption beside it, found 4"),
+        ({"link": "frame=1"}, "link: expected --picture or --animation beside it, found frame=1"),
+        ({"frames": 7}, "frames: expected --out or --animation beside it, found 7"),
+        ({"picture": "p.png", "frames": 7}, "frames: expected --out or --animation beside it, found 7"),
+        ({"picture": "p.png", "host": "0.0.0.0"}, "host: expected none beside a picture or an animation"),
+        ({"picture": "p.png", "who": "ego"}, "who: expected --corruption beside it, found ego"),
+        ({"picture": "p.png", "frame": 2, "link": "frame=1"}, "frame: expected none beside a link that says otherwise"),
+        ({"picture": "p.png", "frame": 2, "link": "drive=b"}, "frame: expected none beside a link that says otherwise"),
+        ({"picture": "p.png", "frame": 3}, "frame: expected 0 to 2, found 3"),
+        ({"picture": "p.png", "corruption": "fog", "severity": 9}, "severity"),
+        ({"picture": "p.png", "link": "frame=9"}, "link: frame: expected 0 to 2, found 9"),
+    ],
+)
+def test_what_would_do_nothing_is_refused(data, drawn, tmp_path, options, told):
+    paths = {name: tmp_path / options[name] for name in ("out", "picture") if name in options}
+    with pytest.raises(SettingsError, match=told):
+        View(data=data, **{**options, **paths}).run()
+    assert not drawn and not list(tmp_path.iterdir())
