@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -84,7 +85,19 @@ def _read(path: str, _changed_ns: int) -> Any:
     return net
 
 
+_SHAPES = re.compile(
+    r"(grid|spider|rand|default|tls|turn-lanes|sidewalks|crossings|walkingareas|bikelanes|roundabouts|opposites|fringe"
+    r"|no-turnarounds)(\.[\w.-]+)?|junctions\.(?!join-output)[\w.-]+|random-(lanenumber|priority|type)|perturb-[xyz]"
+    r"|bidi-probability|lefthand|no-left-connections|rectangular-lane-cut"
+)
+"""Options of netgenerate that shape a network: others name files to read or to write, which a scenario must not."""
+
+
 def _generate(name: str, options: dict[str, Option], seed: int) -> Path:
+    for option in options:
+        if not _SHAPES.fullmatch(option):
+            expected = "options of netgenerate that shape a network, such as grid.number"
+            raise ScenarioError(complaint(name, "network.generate", expected, option))
     options = {**dict(sorted(options.items())), "seed": seed % 2**31, "no-warnings": True}  # an int of netgenerate
 
     def make(made: Path) -> None:

@@ -74,3 +74,14 @@ def test_roadside_units_stand_near_a_road_and_not_on_it(name: str, seed: int) ->
         gaps = [LineString([p[:2] for p in k.getShape()]).distance(place) - 0.5 * k.getWidth() for k in lanes]
         assert 1.5 < min(gaps) < 15.0
         assert 4.0 <= unit.xyz_m[2] <= 6.0
+
+
+@pytest.mark.parametrize(
+    "option", ["save-configuration", "message-log", "plain-output-prefix", "junctions.join-output"]
+)
+def test_a_scenario_cannot_have_files_written(tmp_path: Path, option: str) -> None:
+    (tmp_path / "precious").write_text("mine")
+    scenario = with_network(generate={**SQUARE, option: str(tmp_path / "precious")})
+    with pytest.raises(ScenarioError, match=rf"network.generate: expected options of netgenerate .* found {option}$"):
+        resolve_network(scenario, 1)
+    assert (tmp_path / "precious").read_text() == "mine"
