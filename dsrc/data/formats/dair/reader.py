@@ -27,10 +27,12 @@ from numpy.typing import NDArray
 from dsrc.data.formats.annotation import with_own_bodies
 from dsrc.data.formats.dair.tree import (
     LABEL_FOLDERS,
+    SIDES,
     TREE,
     BatchRecord,
     LabelSet,
     Pair,
+    SideLabel,
     SideRecord,
     Tree,
     calib_file,
@@ -41,9 +43,10 @@ from dsrc.data.formats.dair.tree import (
     read_transform,
 )
 from dsrc.data.formats.pcd import SENSOR_FULL_SCALE, read_pcd
+from dsrc.data.jsonio import read_json
 from dsrc.data.formats.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from sensors.deskew import check_motion, deskew
-from sensors.frame import AgentFrame, Frame, count_points
+from sensors.frame import AgentFrame, Frame
 from sensors.sweep import Motion, Sweep
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint, did_you_mean
@@ -191,7 +194,7 @@ class DairReader:
             agents=agents,
             truth=truth,
             velocity=tracked_velocity(now, *(self._neighbour(i + step) if tracked else None for step in (-1, 1))),
-            points_on=self._points_on(agents, truth),
+            points_on=self._points_on(pair, agents, truth),
         )
         return frame if self._own else with_own_bodies(frame)
 
@@ -208,6 +211,8 @@ class DairReader:
                 files += [file for _, file in self._calib(side, stem)]
                 cloud = cloud_file(self._tree.root, side, stem)
                 digest.update(f"{side}/{cloud.name}\0{cloud.stat().st_size}\0".encode())
+            if self._own:
+                files += [self._side_labels(side, pair) for side in SIDES]
             digest.update(f"{pair.offset.tolist()}\0".encode())
             for file in files:
                 digest.update(file.read_bytes())
@@ -283,12 +288,21 @@ class DairReader:
         ends = [read_transform(self._calib("vehicle-side", self._pairs[j].stems[0])[1][1]) for j in (near[0], near[-1])]
         return float(np.linalg.norm(ends[1][:3, 3] - ends[0][:3, 3]) / gap)
 
-    def _points_on(self, agents: tuple[AgentFrame, ...], truth: Boxes) -> NDArray[np.int32]:
+    def _points_on(self, pair: Pair, agents: tuple[AgentFrame, ...], truth: Boxes) -> NDArray[np.int32]:
         if self._own:
-            return np.stack([count_points(agent.sweep, truth.object_id) for agent in agents])
+            return np.stack([self._recorded_points(side, pair, truth) for side in SIDES])
         counts = np.stack([truth.contains(agent.sweep.world_points).sum(axis=1) for agent in agents]).astype(np.int32)
         place = np.stack([agent.sweep.world_from_lidar[:2, 3] for agent in agents])
         nearest = np.linalg.norm(truth.center[None, :, :2] - place[:, None], axis=2).argmin(axis=0)
         unseen = np.flatnonzero(counts.sum(axis=0) == 0)
         counts[nearest[unseen], unseen] = 1
         return counts
+
+    def _side_labels(self, side: str, pair: Pair) -> Path:
+        stem = pair.stems[SIDES.index(side)]
+        return self._tree.root / side / ("label/lidar" if side == SIDES[0] else "label/virtuallidar") / f"{stem}.json"
+
+    def _recorded_points(self, side: str, pair: Pair, truth: Boxes) -> NDArray[np.int32]:
+        """Return the points on each object as recorded: the sweeps may have been thinned, or tell no objects."""
+        counts = {label.track_id: label.points_on for label in read_json(self._side_labels(side, pair), list[SideLabel])}
+        return np.array([counts.get(int(one), 0) for one in truth.object_id], np.int32)

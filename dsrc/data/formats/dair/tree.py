@@ -16,10 +16,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from dsrc.data.jsonio import read_json
@@ -114,6 +115,13 @@ class Label(msgspec.Struct, frozen=True):
     type: str
     world_8_points: list[list[float]]
     track_id: str | int = ""
+
+
+class SideLabel(msgspec.Struct, frozen=True):
+    """Entry of a label of one side, in a tree of ours: an object that this side has points on, and their number."""
+
+    track_id: int
+    points_on: Annotated[int, Meta(ge=1, lt=1 << 31)] = 1
 
 
 class SideRecord(msgspec.Struct, frozen=True):

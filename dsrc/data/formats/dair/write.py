@@ -76,7 +76,8 @@ class DairWriter:
         stem = f"{number:06d}"
         vehicle, infrastructure = (frame.agents[row] for row in rows)
         virtual = levelled(infrastructure.sweep)
-        seen = (frame.points_on[rows] >= 1) & (
+        counts = frame.points_on[rows]
+        seen = (counts >= 1) & (
             frame.truth.object_id != np.array([[a.agent_id] for a in (vehicle, infrastructure)])
         )
         front = np.stack([_before(frame.truth, sweep) for sweep in (vehicle.sweep, virtual)]) & seen
@@ -93,9 +94,9 @@ class DairWriter:
                 **_transform(virtual.world_from_lidar),
                 "relative_error": _offset(),
             },
-            f"{_VEHICLE}/label/lidar": _side_labels(frame, seen[0], vehicle.sweep, hidden[0]),
-            f"{_VEHICLE}/label/lidar_backup": _side_labels(frame, front[0], vehicle.sweep, hidden[0]),
-            f"{_INFRASTRUCTURE}/label/virtuallidar": _side_labels(frame, seen[1], virtual, hidden[1]),
+            f"{_VEHICLE}/label/lidar": _side_labels(frame, seen[0], vehicle.sweep, hidden[0], counts[0]),
+            f"{_VEHICLE}/label/lidar_backup": _side_labels(frame, front[0], vehicle.sweep, hidden[0], counts[0]),
+            f"{_INFRASTRUCTURE}/label/virtuallidar": _side_labels(frame, seen[1], virtual, hidden[1], counts[1]),
             f"cooperative/{LABEL_FOLDERS['complemented']}": _world_labels(frame, seen.any(axis=0), hidden.min(axis=0)),
             f"cooperative/{LABEL_FOLDERS['original']}": _world_labels(frame, front.any(axis=0), hidden.min(axis=0)),
         }.items():
@@ -207,9 +208,10 @@ def _world_labels(frame: Frame, kept: NDArray[np.bool_], hidden: NDArray[np.int6
 
 
 def _side_labels(
-    frame: Frame, kept: NDArray[np.bool_], sweep: Sweep, hidden: NDArray[np.int64]
+    frame: Frame, kept: NDArray[np.bool_], sweep: Sweep, hidden: NDArray[np.int64], counts: NDArray[np.int32]
 ) -> list[dict[str, Any]]:
-    return _entries(frame.truth[kept].transform(invert(sweep.world_from_lidar)), hidden[kept])
+    entries = _entries(frame.truth[kept].transform(invert(sweep.world_from_lidar)), hidden[kept])
+    return [{**entry, "points_on": count} for entry, count in zip(entries, counts[kept].tolist(), strict=True)]
 
 
 def _entries(boxes: Boxes, hidden: NDArray[np.int64]) -> list[dict[str, Any]]:
