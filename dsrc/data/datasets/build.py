@@ -8,7 +8,10 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import monotonic
+
+import msgspec
 
 from dsrc.data.checksums import CHECKSUMS
 from dsrc.data.datasets.manifest import MANIFEST, VERSION, Manifest, ManifestEntry, read_manifest, write_manifest
@@ -116,6 +119,8 @@ def _check_out(out: Path, dataset: DatasetSpec, items: Sequence[DriveItem]) -> N
         hint = "; choose another folder"
         raise DataError(complaint(out / MANIFEST, "name", f"'{dataset.name}' as asked for now", found.name, hint))
     for item in items:
+        if item.recorded is not None and (out / item.path).resolve() == item.recorded.resolve():
+            raise SettingsError(complaint("dataset build", "out", "a folder apart from the recordings", str(out)))
         settings = read_settings(out / item.path)
         if settings is not None and item.spec.scenario.conflict is None:
             settings.pop("agents", None)
@@ -135,7 +140,7 @@ def _make_all(
         if progress is not None:
             progress(sum(frames), total)
 
-    others = _others(out, items)
+    earlier = _earlier(out, dataset, items)
     entries: dict[str, ManifestEntry] = {}
     failed: dict[str, str] = {}
     saved = monotonic()
@@ -146,38 +151,42 @@ def _make_all(
         else:
             entries[item.path] = result.value
         if monotonic() - saved > _SAVE_EVERY_S:
-            _save(out, dataset, items, others, entries, failed)
+            _save(out, dataset, items, earlier, entries, failed)
             saved = monotonic()
-    _save(out, dataset, items, others, entries, failed)
+    _save(out, dataset, items, earlier, entries, failed)
     return {item.path: failed[item.path] for item in items if item.path in failed}
 
 
-def _others(out: Path, items: Sequence[DriveItem]) -> list[ManifestEntry]:
-    """Return the manifest's entries of drives that this run leaves out, such as those of other splits."""
+def _earlier(out: Path, dataset: DatasetSpec, items: Sequence[DriveItem]) -> Manifest:
+    """Return the manifest as it is without the drives of this run: those of other splits stay in it."""
     found, asked = read_manifest(out), {item.path for item in items}
-    return [] if found is None else [entry for entry in found.items if entry.drive not in asked]
+    if found is None:
+        return Manifest(version=VERSION, name=dataset.name, description=dataset.description, drives=0, items=())
+    items_left = tuple(entry for entry in found.items if entry.drive not in asked)
+    failed_left = {drive: reason for drive, reason in found.failed.items() if drive not in asked}
+    return msgspec.structs.replace(found, items=items_left, failed=failed_left)
 
 
 def _save(
     out: Path,
     dataset: DatasetSpec,
     items: Sequence[DriveItem],
-    others: Sequence[ManifestEntry],
+    earlier: Manifest,
     entries: dict[str, ManifestEntry],
     failed: dict[str, str],
 ) -> None:
     order = list(dataset.split)
     kept = [entries[item.path] for item in items if item.path in entries]
-    listed = sorted([*others, *kept], key=lambda entry: (_place(order, entry.drive.split("/")[0]), entry.drive))
+    listed = sorted([*earlier.items, *kept], key=lambda entry: (_place(order, entry.drive.split("/")[0]), entry.drive))
     write_manifest(
         out,
         Manifest(
             version=VERSION,
             name=dataset.name,
             description=dataset.description,
-            drives=len(items) + len(others),
+            drives=max(earlier.drives, len(items) + len(earlier.items) + len(earlier.failed)),
             items=tuple(listed),
-            failed=dict(sorted(failed.items())),
+            failed=dict(sorted({**earlier.failed, **failed}.items())),
         ),
     )
 
@@ -199,13 +208,15 @@ def _record(work: _Work, report: Progress) -> None:
     spec, more = work.item.spec, {}
     if spec.scenario.conflict is not None:
         spec, more["proof"] = settle_encounter(spec)
-    for name in (TRAFFIC_LOG, WORLD):
-        (work.folder / name).unlink(missing_ok=True)
     work.folder.mkdir(parents=True, exist_ok=True)
-    with open_simulated(
-        spec.scenario, spec.seed, spec.frames, spec.interval_s, work.folder / TRAFFIC_LOG, more=more
-    ) as live:
-        _log.info("%s: agents %s", work.item.path, live.recording.agent_ids)
+    with TemporaryDirectory(prefix=".recording-", dir=work.folder) as name:
+        new = Path(name)  # the old recording stays until the new one is whole
+        with open_simulated(
+            spec.scenario, spec.seed, spec.frames, spec.interval_s, new / TRAFFIC_LOG, more=more
+        ) as live:
+            _log.info("%s: agents %s", work.item.path, live.recording.agent_ids)
+        for file in (new / TRAFFIC_LOG, new / WORLD):
+            file.replace(work.folder / file.name)
 
 
 def _entry(item: DriveItem, drive: Path) -> ManifestEntry:

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from dsrc.data.checksums import CHECKSUMS
-from dsrc.data.datasets.build import generate_dataset
+from dsrc.data.datasets import build
+from dsrc.data.datasets.build import generate_dataset, record_dataset
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
 from dsrc.data.datasets.spec import expand, find_split_file, read_dataset
 from dsrc.data.drive_folder import locked
@@ -160,6 +161,31 @@ def test_a_failed_drive_is_named_and_the_others_are_made(tmp_path: Path) -> None
     manifest = read_manifest(tmp_path / "out")
     assert manifest is not None and list(manifest.failed) == [f"train/quick_{k}" for k in (0, 1)]
     assert [entry.drive for entry in manifest.items] == ["test/quick_2"]
+    # Another split alone leaves what is known of the failed drives.
+    generate_dataset(tmp_path / "split.toml", tmp_path / "out", splits=("test",), pool=Pool(1), cards=False)
+    assert read_manifest(tmp_path / "out") == manifest
+
+
+def test_recordings_are_not_replaced_by_drives_nor_by_a_simulation_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = write(tmp_path, 'recorded = "recorded"\n' + SMALL)
+    record_dataset(source)
+    before = tree(tmp_path / "recorded")
+    assert len(before) == 6
+    with pytest.raises(SettingsError, match="out: expected a folder apart from the recordings"):
+        generate_dataset(source, tmp_path / "recorded", cards=False)
+    assert tree(tmp_path / "recorded") == before
+    record_dataset(source)
+    assert tree(tmp_path / "recorded") == before
+
+    def failing(*args: object, **named: object) -> None:
+        raise DataError("no simulation")
+
+    monkeypatch.setattr(build, "open_simulated", failing)
+    with pytest.raises(DataError, match="no simulation"):
+        record_dataset(source)
+    assert tree(tmp_path / "recorded") == before
 
 
 @pytest.mark.parametrize(
