@@ -17,6 +17,8 @@ from sim.reading import check_regular, parsing
 LARGEST_BYTES = 1 << 30
 """Largest size of an archive when unpacked: a city's static world takes a tenth of it."""
 
+LARGEST_EMPTY = 1 << 16
+"""Largest size of an empty array, bytes, with 1 for its axes of 0."""
 MOST_ARRAYS = 10_000
 """Most arrays of an archive."""
 
@@ -111,5 +113,7 @@ def _check_sizes(archive: zipfile.ZipFile) -> None:
             first = np.lib.format.read_magic(member) == (1, 0)
             read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
             shape, _, dtype = read(member)
-        if math.prod(shape) * max(dtype.itemsize, 1) > info.file_size:
+        # The other sizes of an empty array cost nothing in the file, but memory of whoever works with them.
+        most = max(info.file_size, LARGEST_EMPTY) if 0 in shape else info.file_size
+        if math.prod(max(n, 1) for n in shape) * max(dtype.itemsize, 1) > most:
             raise ValueError(f"{info.filename}: an array of {shape} in {info.file_size} bytes")

@@ -54,3 +54,12 @@ def test_a_single_array_is_no_archive(tmp_path: Path) -> None:
     np.save(tmp_path / "one.npy", np.zeros(3))
     with pytest.raises(DataError, match="not a zip file"):
         read_arrays(tmp_path / "one.npy", "log")
+
+
+def test_an_empty_array_that_stands_for_gigabytes_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "empty.npz", "w") as archive:
+        archive.writestr("planes.npy", header_of((0, 10**9)))
+    with pytest.raises(DataError, match=r"planes\.npy: an array of"):
+        read_arrays(tmp_path / "empty.npz", "world")
+    write_arrays(tmp_path / "small.npz", {"planes": np.zeros((0, 300), np.uint8)})
+    assert read_arrays(tmp_path / "small.npz", "world")["planes"].shape == (0, 300)

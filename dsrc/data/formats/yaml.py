@@ -50,12 +50,20 @@ def _flow(value: Plain) -> str:
         return _float(value)
     if isinstance(value, str):
         plain = _WORD.fullmatch(value) and value.lower() not in _RESERVED
-        return value if plain else json.dumps(value)
+        return value if plain else _quoted(value)
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_flow(item) for item in value) + "]"
     if isinstance(value, dict):
         return "{" + ", ".join(f"{_flow(key)}: {_flow(item)}" for key, item in value.items()) + "}"
     raise ValueError(f"cannot write {type(value).__name__} {value!r} as YAML")
+
+
+def _quoted(text: str) -> str:
+    """Return a text in double quotes with YAML's escapes: JSON's differ for what is beyond 16 bits, and for \\x7f."""
+    if text.isascii() and "\x7f" not in text:
+        return json.dumps(text)
+    whole = text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    return '"' + "".join(json.dumps(c)[1:-1] if "\x7f" != c < "\U00010000" else f"\\U{ord(c):08x}" for c in whole) + '"'
 
 
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -241,7 +249,7 @@ def _array(loader: Any, node: Any) -> Plain:
     if not isinstance(state, list) or len(state) != 5:
         raise _refused(node, "an array of numpy")
     _, shape, dtype, fortran, data = state
-    if not isinstance(shape, list) or not all(type(n) is int and n >= 0 for n in shape) or len(shape) > 8:
+    if not isinstance(shape, list) or not all(type(n) is int and 0 <= n <= MOST_VALUES for n in shape) or len(shape) > 8:
         raise _refused(node, "an array of numpy")
     value = _unpacked(node, dtype, data, tuple(shape[::-1] if fortran else shape))
     return np.array(value).T.tolist() if fortran else value
@@ -250,7 +258,7 @@ def _array(loader: Any, node: Any) -> Plain:
 def _unpacked(node: Any, dtype: object, data: object, shape: tuple[int, ...]) -> Plain:
     if not isinstance(dtype, np.dtype) or not isinstance(data, bytes):
         raise _refused(node, "numbers of numpy")
-    if len(data) != dtype.itemsize * math.prod(shape):
+    if math.prod(max(n, 1) for n in shape) > MOST_VALUES or len(data) != dtype.itemsize * math.prod(shape):
         raise _refused(node, f"{math.prod(shape)} numbers of numpy in {len(data)} bytes")
     return np.frombuffer(data, dtype).reshape(shape).tolist()
 

@@ -27,6 +27,27 @@ def test_every_yaml_reader_gets_back_what_was_written():
     assert yaml.load(text, yaml.SafeLoader) == VALUE == yaml.load(text, yaml.CSafeLoader)
 
 
+@given(st.dictionaries(st.text(max_size=100), st.text(), min_size=1))
+def test_any_text_is_read_back_by_every_yaml_reader(value: dict[str, str]):
+    text = emit(value)
+    assert yaml.load(text, yaml.SafeLoader) == value == yaml.load(text, yaml.CSafeLoader)
+
+
+def test_half_of_a_character_becomes_a_mark_that_can_be_read():
+    assert yaml.safe_load(emit({"name": "a\ud83db"})) == {"name": "a\ufffdb"}
+
+
+def test_an_empty_array_does_not_stand_for_more_values_than_a_file_may_have(tmp_path: Path):
+    text = (
+        "a: !!python/object/apply:numpy.core.multiarray._reconstruct\n"
+        "  args: [!!python/name:numpy.ndarray '', [0], !!binary Yg==]\n"
+        "  state: [1, [100000000, 0], !!python/object/apply:numpy.dtype [f8], false, !!binary '']\n"
+    )
+    assert parse_yaml(tmp_path / "a.yaml", text.replace("100000000", "3")) == {"a": [[], [], []]}
+    with pytest.raises(DataError, match="expected an array of numpy"):
+        parse_yaml(tmp_path / "a.yaml", text)
+
+
 def test_only_plain_finite_values_are_written():
     for bad in (float("nan"), float("inf"), object()):
         with pytest.raises(ValueError, match="YAML"):
