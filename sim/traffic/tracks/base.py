@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,15 +173,20 @@ def to_log(path: Path, recording: Recording, about: dict | None = None) -> Traff
     steps = math.floor((last - first) / STEP_S + 1e-6) + 1
     times = np.asarray(first + STEP_S * np.arange(steps), np.float64)
     sampled = [_sampled(path, one, times) for one in recording.tracks]
+    present: list[list[int]] = [[] for _ in times]
+    for row, track in enumerate(sampled):
+        for i in (track.first + np.flatnonzero(track.there)).tolist():
+            present[i].append(row)
     ground = recording.ground_m
     models = [choose_model(one.class_name, one.name, 0) for one in recording.tracks]
     log = TrafficLog(STEP_S, about)
     for step, time_s in enumerate(times):
-        rows = [row for row, (there, _, _, _) in enumerate(sampled) if there[step]]
-        center = np.array([sampled[row][1][step] for row in rows]).reshape(-1, 3)
+        rows = present[step]
+        at = [(sampled[row], step - sampled[row].first) for row in rows]
+        center = np.array([one.center[i] for one, i in at]).reshape(-1, 3)
         size = np.array([recording.tracks[row].size for row in rows]).reshape(-1, 3)
         center[:, 2] = np.where(np.isnan(center[:, 2]), ground + 0.5 * size[:, 2], center[:, 2])
-        velocity = np.array([sampled[row][3][step] for row in rows]).reshape(-1, 2, 2)
+        velocity = np.array([one.motion[i] for one, i in at]).reshape(-1, 2, 2)
         n = len(rows)
         log.append(
             Actors(
@@ -188,7 +194,7 @@ def to_log(path: Path, recording: Recording, about: dict | None = None) -> Traff
                 boxes=Boxes(
                     center=center,
                     size=size,
-                    yaw=np.array([sampled[row][2][step] for row in rows], np.float64),
+                    yaw=np.array([one.yaw[i] for one, i in at], np.float64),
                     label=np.array([CLASSES.index(recording.tracks[row].class_name) for row in rows], np.int64),
                     object_id=FIRST_ID + np.array(rows, np.int64),
                 ),
@@ -204,10 +210,20 @@ def to_log(path: Path, recording: Recording, about: dict | None = None) -> Traff
     return log
 
 
-def _sampled(
-    path: Path, one: Track, times: NDArray[np.float64]
-) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return a track at (S,) times: (S,) there, (S, 3) centres, (S,) yaw, (S, 2, 2) velocity and acceleration."""
+class _Sampled(NamedTuple):
+    """Track at S steps from the first: (S,) there, (S, 3) centres, (S,) yaw, (S, 2, 2) velocity and acceleration."""
+
+    first: int
+    there: NDArray[np.bool_]
+    center: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+    motion: NDArray[np.float64]
+
+
+def _sampled(path: Path, one: Track, times: NDArray[np.float64]) -> _Sampled:
+    """Return a track at the steps between its ends: most tracks are far shorter than their recording."""
+    first = int(np.searchsorted(times, one.time_s[0] - 1e-6))
+    times = times[first : int(np.searchsorted(times, one.time_s[-1] + 1e-6, side="right"))]
     there = (times >= one.time_s[0] - 1e-6) & (times <= one.time_s[-1] + 1e-6)
     for gap in np.flatnonzero(np.diff(one.time_s) > GAP_S + 1e-6):
         start, end = one.time_s[gap : gap + 2]
@@ -223,4 +239,4 @@ def _sampled(
         if len(run) > 1:
             motion[run, 0] = np.gradient(center[run, :2], STEP_S, axis=0)
             motion[run[1:], 1] = np.diff(motion[run, 0], axis=0) / STEP_S
-    return there, center, yaw, motion
+    return _Sampled(first, there, center, yaw, motion)
