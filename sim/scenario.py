@@ -115,7 +115,7 @@ class AgentRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             preset's, lifted clear of tall roofs.
         mount_pitch_deg: tilt of their sensors, positive looks down.
         within_m: vehicles are preferred that spend most of the drive within this distance of the ego, m.
-        named: names of the connected vehicles in the traffic, ego first; default: `vehicles` of them are drawn.
+        named: names of the connected vehicles in the traffic; default: `vehicles` of them are drawn.
         roadside: roadside units.
     """
 

@@ -1,11 +1,12 @@
 """Folder of a drive while it is being written: its lock, its protocol, its complete frames."""
 
+import math
 import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from dsrc.data.formats.opv2v.reader import PROTOCOL, frame_files
 from dsrc.data.formats.yaml import emit, read_yaml
@@ -70,8 +71,22 @@ def _opened(path: Path) -> TextIO:
 
 
 def write_protocol(drive: Path, protocol: dict) -> None:
-    """Write `data_protocol.yaml` atomically."""
-    write_file(drive / PROTOCOL, emit(protocol))
+    """Write `data_protocol.yaml` atomically; values of other tools that we write no YAML of, such as dates, become text."""
+    own = {key: value for key, value in protocol.items() if key == "testbed"}
+    write_file(drive / PROTOCOL, emit(_plain(protocol) | own))
+
+
+def _key(key: object) -> int | str:
+    return key if isinstance(key, int | str) else str(key)
+
+
+def _plain(value: object) -> Any:
+    if isinstance(value, dict):
+        return {_key(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    known = value is None or isinstance(value, bool | int | str) or (isinstance(value, float) and math.isfinite(value))
+    return value if known else str(value)
 
 
 def read_settings(drive: Path) -> dict | None:

@@ -80,6 +80,14 @@ def find_drives(root: Path) -> list[Path]:
     return found + opv2v.drives_below(root)
 
 
+def path_below(root: Path, drive: Path) -> Path:
+    """Return the path of a drive below the folder that `find_drives` found it in; `.` where the folder is the drive."""
+    address = dairv2x.locate(root)
+    if address is None:
+        return drive.relative_to(root)
+    return Path() if address.batch is not None else drive.relative_to(address.folder)
+
+
 def open_drive(path: Path, motion: Motion | None = None) -> Drive:
     """Open a drive by a path that `list_drives` gives.
 

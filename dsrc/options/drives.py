@@ -110,7 +110,7 @@ class Changes(msgspec.Struct, frozen=True, kw_only=True):
         roadside_lidar: preset of the roadside units' LiDARs; default: the recording's.
         roadside: keep the roadside units.
         vehicles: number of vehicles with a LiDAR; default: the recording's.
-        agent_id: ids of the vehicles with a LiDAR, ego first, in tracks those of their file; default: the recording's.
+        agent_id: ids of the vehicles with a LiDAR, in tracks those of their file; default: the recording's.
         mount: x y z in the body frame, m, and pitch, deg, of the vehicles' LiDARs; default: the recording's.
         frames: frames of each drive, from the first; default: all.
     """

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.drives import list_drives, open_drive
+from dsrc.data.drives import list_drives, open_drive, path_below
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.formats.opv2v.reader import own_settings
 from dsrc.data.jsonio import encode_json, read_json
@@ -122,8 +122,8 @@ def write_card(split: Path, out: Path | None = None, pool: Pool = SERIAL) -> Pat
     Raises:
         DataError: no drive is found, or one cannot be read.
     """
-    split = Path(split)
-    out = split.with_name(f"{split.resolve().name}.card") if out is None else Path(out)
+    split = Path(split).resolve()  # `.` and `..` have no name
+    out = split.with_name(f"{split.name}.card") if out is None else Path(out)
     with pool.open() as executor:
         return describe(split, out, executor)
 
@@ -173,7 +173,7 @@ def _describe(place: tuple[Path, Path], report: Progress) -> DriveCard:
     rows = np.unique(np.linspace(0, len(reader) - 1, min(SAMPLES, len(reader))).round().astype(int)).tolist()
     frames = [reader.read(row) for row in rows]
     return DriveCard(
-        drive=path.relative_to(split).as_posix() if path != split else path.name,
+        drive=path.name if (below := path_below(split, path)) == Path() else below.as_posix(),
         sha256=reader.digest(),
         format=reader.format,
         frames=len(reader),

@@ -4,6 +4,7 @@ A drive is a work item, written frame by frame, each file completely or not at a
 that holds something else is refused.
 """
 
+import re
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -108,8 +109,8 @@ def convert(options: ConvertOptions, pool: Pool = SERIAL, progress: Progress | N
         DataError: a drive cannot be read or lacks what the format needs, or the folder holds something else.
     """
     _check_options(options)
-    data, out = Path(options.data), Path(options.out)
-    if out.resolve().is_relative_to(data.resolve()) or data.resolve().is_relative_to(out.resolve()):
+    data, out = Path(options.data).resolve(), Path(options.out)  # `.` and `..` have no name
+    if out.resolve().is_relative_to(data) or data.is_relative_to(out.resolve()):
         raise SettingsError(complaint("convert", "out", f"a folder apart from {data}", str(out)))
     drives = open_drives(data)
     names = names_of([drive.drive for drive in drives])
@@ -189,7 +190,7 @@ def _check_options(options: ConvertOptions) -> None:
         raise SettingsError(complaint("convert", "to", "a format", to, did_you_mean(to, FORMATS)))
     if agent is not None and to in ("opv2v", "mcap"):
         raise SettingsError(complaint("convert", "agent_id", f"none with --to {to}, which holds all agents", agent))
-    if agent is not None and agent not in (_EGO, _ALL) and not agent.lstrip("-").isdecimal():
+    if agent is not None and agent not in (_EGO, _ALL) and not re.fullmatch(r"-?\d{1,10}", agent):
         raise SettingsError(complaint("convert", "agent_id", "ego, all or the id of an agent", agent))
     if agent == _ALL and to == "dair":
         raise SettingsError(complaint("convert", "agent_id", "ego or the id of a vehicle with --to dair", agent))

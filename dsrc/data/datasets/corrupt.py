@@ -15,7 +15,7 @@ from dsrc.data.clouds.files import is_scan
 from dsrc.data.datasets.corrupt_scans import corrupt_scans
 from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_settings
 from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
-from dsrc.data.drives import Drive, find_drives, open_drive
+from dsrc.data.drives import Drive, find_drives, open_drive, path_below
 from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles, own_settings, write_frame
 from dsrc.options.drives import CorruptOptions
@@ -69,7 +69,7 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
         return corrupt_scans(options, pool, progress)
     if options.sensor is not None:
         raise SettingsError(complaint("corrupt", "sensor", "none: drives know their sensors", options.sensor))
-    jobs = [CorruptionJob(drive, out / drive.relative_to(data), drive.name, options) for drive in drives]
+    jobs = [CorruptionJob(drive, out / path_below(data, drive), drive.name, options) for drive in drives]
     readers = [open_drive(job.source) for job in jobs]
     total, done = sum(len(reader) for reader in readers), 0
     report = progress or (lambda done, total: None)

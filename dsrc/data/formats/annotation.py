@@ -8,6 +8,7 @@ Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.
 """
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -80,7 +81,7 @@ def vehicles_of(path: Path, content: dict) -> dict[int, dict]:
     found = {}
     for key, entry in vehicles.items():
         # Tools that convert by way of JSON leave the ids as text.
-        number = int(key) if isinstance(key, str) and len(key) < 20 and key.lstrip("-").isdecimal() else key
+        number = int(key) if isinstance(key, str) and re.fullmatch(r"-?\d{1,19}", key, re.ASCII) else key
         if not isinstance(number, int) or isinstance(number, bool) or abs(number) >= ID_LIMIT:
             raise DataError(complaint(path, "vehicles", "whole numbers as ids", key))
         if not isinstance(entry, dict):

@@ -163,7 +163,10 @@ class DriveReader:
         if not self.drive.is_dir():
             siblings = [p.name for p in self.drive.parent.iterdir()] if self.drive.parent.is_dir() else []
             raise DataError(f"{self.drive}: no such folder{did_you_mean(self.drive.name, siblings)}")
-        found = [int(p.name) for p in self.drive.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name)]
+        names = sorted(p.name for p in self.drive.iterdir() if p.is_dir() and _AGENT.fullmatch(p.name))
+        if odd := [name for name in names if str(int(name)) != name]:
+            raise DataError(complaint(self.drive, "agent folders", "ids without leading zeros", odd[0]))
+        found = list(map(int, names))
         promised = own_settings(self.protocol).get("agents", {})
         if not isinstance(promised, dict) or not all(_AGENT.fullmatch(str(agent)) for agent in promised):
             raise DataError(complaint(self.drive / PROTOCOL, "testbed.agents", "a mapping of agent ids", promised))
@@ -178,7 +181,10 @@ class DriveReader:
         """Return the ego's timestamps, checked against the other agents and the protocol."""
         listing = {agent: {p.name for p in (self.drive / str(agent)).iterdir()} for agent in self.agents}
         names = (Path(n) for n in listing[self.agents[0]] if n.endswith(".yaml"))
-        stems = sorted(n.stem for n in names if _STEM.fullmatch(n.stem))
+        stems = sorted((n.stem for n in names if _STEM.fullmatch(n.stem)), key=lambda stem: (int(stem), stem))
+        if not stems:
+            ego = self.drive / str(self.agents[0])
+            raise DataError(complaint(ego, "timestamps", "files such as 000000.yaml and 000000.pcd", "none"))
         for agent in self.agents:
             for stem in stems:
                 for ending in ("yaml", "pcd"):

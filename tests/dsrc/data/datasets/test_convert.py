@@ -1,4 +1,5 @@
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from dsrc.data.datasets.convert import convert, names_of
 from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.drives import list_drives, open_drives
 from dsrc.data.executors import Pool
-from dsrc.data.formats.opv2v.reader import DriveReader, write_frame
+from dsrc.data.formats.opv2v.reader import PROTOCOL, DriveReader, write_frame
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.write import write_drive
 from sensors.deskew import deskew_frame
@@ -99,6 +100,7 @@ def test_a_folder_that_holds_something_else_is_refused(data: Path, tmp_path: Pat
         ({"to": "opv2v", "agent_id": "3"}, "agent_id: expected none with --to opv2v"),
         ({"to": "dair", "agent_id": "all"}, "agent_id: expected ego or the id of a vehicle"),
         ({"to": "kitti", "agent_id": "me"}, "agent_id: expected ego, all or the id of an agent, found me"),
+        ({"to": "kitti", "agent_id": "--5"}, "agent_id: expected ego, all or the id of an agent, found --5"),
         ({"to": "dair", "view": "around"}, "view: expected camera, or --to kitti"),
     ],
 )
@@ -161,6 +163,46 @@ def test_dair_to_dair_keeps_boxes_and_places(tmp_path: Path):
             for a, b in zip(one.agents, two.agents, strict=True):
                 assert np.allclose(a.sweep.world_points, b.sweep.world_points, atol=1e-5)
                 assert a.sweep.time_s == pytest.approx(b.sweep.time_s, abs=1e-6)
+
+
+def test_dair_keeps_the_points_on_objects_that_no_longer_are_in_the_sweeps(tmp_path: Path):
+    frame = toy_frame(0)
+    thin = frame.with_sweeps([agent.sweep[np.arange(0, len(agent.sweep), 80)] for agent in frame.agents])
+    write_frame(tmp_path / "thin" / "one", thin)
+    write_frame(tmp_path / "foreign" / "one", frame)
+    for path in (tmp_path / "foreign").rglob("*.yaml"):
+        path.write_text(path.read_text().partition("\n")[2])
+    for source in ("thin", "foreign"):
+        convert(tmp_path / source, tmp_path / f"{source}-dair", "dair")
+        before, after = (open_drives(tmp_path / name)[0].read(0) for name in (source, f"{source}-dair"))
+        rows = [before.agents.index(next(a for a in before.agents if a.agent_id == b.agent_id)) for b in after.agents]
+        kept = np.isin(before.truth.object_id, after.truth.object_id)
+        assert set(before.truth.object_id[(before.points_on[rows] > 0).any(axis=0)]) - {1000} <= set(
+            after.truth.object_id
+        )
+        counts = before.points_on[rows][:, kept]
+        own = before.truth.object_id[kept] == np.array([[a.agent_id] for a in after.agents])
+        assert np.array_equal(np.where(own, 0, counts), after.points_on) and (after.points_on > 0).any()
+
+
+@pytest.mark.parametrize("place", [".", "one/.."])
+def test_a_folder_without_a_name_of_its_own_is_read_by_its_real_one(
+    data: Path, tmp_path: Path, place: str, monkeypatch: pytest.MonkeyPatch
+):
+    whole = tree(convert(data / "train", tmp_path / "whole", "opv2v"))
+    monkeypatch.chdir(data / "train")
+    assert tree(convert(Path(place), tmp_path / "out", "opv2v")) == whole
+
+
+def test_a_protocol_of_another_tool_may_have_values_that_we_do_not_write(data: Path, tmp_path: Path):
+    shutil.rmtree(data / "validate")
+    for path in data.rglob("*.yaml"):
+        path.write_text(path.read_text().partition("\n")[2])
+    (data / "train" / "one" / PROTOCOL).write_text("day: 2021-08-22\nworld: {far: .inf, 2021-01-01: [1.5, yes]}\n")
+    convert(data, tmp_path / "out", "opv2v")
+    (drive,) = open_drives(tmp_path / "out")
+    assert drive.protocol["day"] == "2021-08-22"
+    assert drive.protocol["world"] == {"far": "inf", "2021-01-01": [1.5, True]}
 
 
 def test_splits_stay_splits(data: Path, tmp_path: Path):

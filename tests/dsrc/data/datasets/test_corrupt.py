@@ -12,7 +12,7 @@ import pytest
 
 from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.drive_folder import LOCK, locked, read_settings
-from dsrc.data.drives import list_drives
+from dsrc.data.drives import list_drives, open_drives
 from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.formats.opv2v.record import read_plan
@@ -141,6 +141,12 @@ def test_a_split_of_a_dair_tree_is_no_folder_and_can_be_corrupted(tmp_path: Path
     root = dair_tree.make(tmp_path)
     made = corrupt_dataset(root / "val", tmp_path / "out", "motion_blur")
     assert made == [tmp_path / "out" / drive.name for drive in list_drives(root / "val")]
+
+
+def test_a_batch_may_be_named_beside_the_tree_that_a_download_has(tmp_path: Path) -> None:
+    dair_tree.make(tmp_path / "download")
+    assert corrupt_dataset(tmp_path / "download" / "12", tmp_path / "out", "motion_blur") == [tmp_path / "out"]
+    assert len(open_drives(tmp_path / "out")) == 1
 
 
 def test_a_finished_run_is_left_alone_and_only_missing_frames_are_made(data: Path, tmp_path: Path) -> None:

@@ -273,6 +273,7 @@ def damage(path: Path, pattern: str, replacement: str) -> None:
         (r"angle: \[[^,]*,", "angle: [", "vehicles.1001.angle: expected 3 numbers"),
         (r"lidar_pose: .*", "lidar_pose: 3", "lidar_pose: expected 6 numbers, found 3"),
         (r"  1001:", "  truck:", "vehicles: expected whole numbers as ids, found truck"),
+        (r"  1001:", "  \"--5\":", "vehicles: expected whole numbers as ids, found --5"),
         (r"  1001:", "  99999999999999999999:", "vehicles: expected whole numbers as ids"),
         (r"ego_speed: .*", "ego_speed: 2001-99-99", "not a readable YAML file"),
         (r"ego_speed: .*", "ego_speed: !!python/object/apply:os.getcwd []", "expected plain values, found a tag"),
@@ -325,6 +326,26 @@ def test_a_record_with_an_impossible_number_gets_one_line(drive: Path, field: st
 def test_a_protocol_with_impossible_agents_is_named(drive: Path, agents: object):
     (drive / "data_protocol.yaml").write_text(yaml.safe_dump({"testbed": {"agents": agents}}))
     with pytest.raises(DataError, match=r"data_protocol.yaml: testbed.agents"):
+        DriveReader(drive)
+
+
+def test_frames_are_in_the_order_of_their_numbers(drive: Path):
+    strip(drive)
+    for old, new in (("000000", "2"), ("000001", "10")):
+        for path in drive.glob(f"*/{old}.*"):
+            path.rename(path.with_stem(new))
+    assert DriveReader(drive).frames == (2, 10)
+
+
+def test_an_ego_without_frames_and_an_id_with_zeros_before_it_are_named(drive: Path):
+    strip(drive)
+    (drive / "1002").rename(drive / "01002")
+    with pytest.raises(DataError, match=r"drive: agent folders: expected ids without leading zeros, found 01002"):
+        DriveReader(drive)
+    (drive / "01002").rename(drive / "1002")
+    for path in (drive / "1000").iterdir():
+        path.unlink()
+    with pytest.raises(DataError, match=r"drive/1000: timestamps: expected files such as 000000.yaml"):
         DriveReader(drive)
 
 
