@@ -37,7 +37,7 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     Attributes:
         shipped: path of a .net.xml(.gz) below `tools/` of the eclipse-sumo package.
-        generate: netgenerate arguments as a table of option -> value.
+        generate: netgenerate arguments that shape the network, as a table of option -> value.
         file: path of a .net.xml; relative ones are looked up beside the scenario file.
         wheel: path of a .net.xml or a map inside one of `sim.roads.wheels.WHEELS`.
         highway_env: id of an environment of highway-env, one of `sim.traffic.highway.roads.ENVIRONMENTS`; works
