@@ -192,7 +192,8 @@ class DrivableTraffic(Traffic, Protocol):
     def command(self, object_id: int, speed_mps: float | None) -> None:
         """Drive a vehicle at this speed from the next step on, as far as its `limits` of acceleration allow.
 
-        It keeps its route and its lane; keeping distance and giving way are up to the caller.
+        It keeps its route and its lane; keeping distance and giving way are up to the caller. A placed vehicle goes on
+        from where it is, or from the nearest place of its route if it is off the lanes.
 
         Args:
             object_id: a vehicle on the road.

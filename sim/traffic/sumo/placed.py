@@ -12,7 +12,8 @@ from sim.traffic.reactions import YieldShim
 # Bits of SUMO's speed mode, see `sim.traffic.sumo.traffic`: its own; harder brakes than the comfortable ones for who
 # yields to what SUMO does not see; no limits for a vehicle that is placed, or that a crash stops within a step.
 SUMO_SPEED_MODE, _YIELD_SPEED_MODE, FREE_SPEED_MODE = 31, 31 - 4, 0
-_EXACTLY_THERE = 2
+# Ways of SUMO to map a place to its lanes, and how far off them it may be.
+_ON_ITS_ROUTE, _EXACTLY_THERE, _ANYWHERE_M = 1, 2, 1e5
 
 
 class PlacedVehicles:
@@ -25,18 +26,39 @@ class PlacedVehicles:
     def __init__(self, shim: YieldShim) -> None:
         self._shim = shim
         self._poses: dict[str, tuple[float, float, float, float]] = {}
+        self._lane_changes: dict[str, int] = {}
         self._yielding: set[str] = set()
 
     def __contains__(self, name: str) -> bool:
         return name in self._poses
 
-    def put(self, name: str, front: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
+    @property
+    def yielding(self) -> bool:
+        """Whether drivers yield, also to a vehicle that is no longer there."""
+        return bool(self._yielding)
+
+    def put(self, sumo: Any, name: str, front: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
         """Place a vehicle with its front bumper at a (2,) position, m, a heading, rad, and a speed, m/s."""
+        if name not in self._poses:
+            self._lane_changes[name] = sumo.vehicle.getLaneChangeMode(name)
+            sumo.vehicle.setLaneChangeMode(name, 0)
+        sumo.vehicle.setSpeedMode(name, FREE_SPEED_MODE)
         self._poses[name] = (float(front[0]), float(front[1]), float(90.0 - np.degrees(yaw)) % 360.0, speed_mps)
 
+    def release(self, sumo: Any, name: str) -> None:
+        """Put a placed vehicle back on its route, with its lane changes of before; others stay as they are."""
+        if name not in self._poses:
+            return
+        sumo.vehicle.setLaneChangeMode(name, self._lane_changes.pop(name))
+        x, y, angle_deg, _ = self._poses.pop(name)
+        if not sumo.vehicle.getLaneID(name):
+            # SUMO would remove it in the next step.
+            sumo.vehicle.moveToXY(name, "", -1, x, y, angle_deg, _ON_ITS_ROUTE, _ANYWHERE_M)
+
     def remove(self, name: str) -> None:
-        """Forget a vehicle."""
+        """Forget a vehicle that has left."""
         self._poses.pop(name, None)
+        self._lane_changes.pop(name, None)
         self._yielding.discard(name)
 
     def move(self, sumo: Any) -> list[str]:
@@ -59,6 +81,8 @@ class PlacedVehicles:
     ) -> None:
         """Set the speeds of the drivers who yield in the next step, and give back those who do no longer.
 
+        A vehicle that a command or a crash took from its driver meanwhile is left as it is.
+
         Args:
             sumo: the libsumo module of the running simulation.
             actors: at the present.
@@ -71,7 +95,7 @@ class PlacedVehicles:
         unseen = [ids[name] for name in self._poses if name in ids]
         speeds = self._shim.speeds(actors, unseen, drivers, route, limits, step_s)
         slow = {actors.name[actors.row(driver)]: speed for driver, speed in speeds.items()}
-        for name in self._yielding - slow.keys():
+        for name in (self._yielding - slow.keys()) & {actors.name[actors.row(driver)] for driver in drivers}:
             sumo.vehicle.setSpeedMode(name, SUMO_SPEED_MODE)
             sumo.vehicle.setSpeed(name, -1.0)
         for name, speed in slow.items():

@@ -129,16 +129,22 @@ class SumoTraffic:
         self.close()
 
     def command(self, object_id: int, speed_mps: float | None) -> None:
-        """Drive a vehicle, see `DrivableTraffic.command`; it stops at red lights whatever the command."""
+        """Drive a vehicle, see `DrivableTraffic.command`; it stops at red lights whatever the command.
+
+        One that crashed stays where it is.
+        """
         check_command(speed_mps)
         name = self._vehicle(object_id)
+        if name in self._crashed:
+            return
         if speed_mps is None:
+            self._placed.release(self._sumo, name)
             self._sumo.vehicle.setSpeedMode(name, SUMO_SPEED_MODE)
             self._sumo.vehicle.setSpeed(name, -1.0)
             self._commanded.pop(name, None)
-            self._placed.remove(name)
             return
-        if name not in self._commanded:
+        if name not in self._commanded or name in self._placed:
+            self._placed.release(self._sumo, name)
             self._sumo.vehicle.setSpeedMode(name, _OWN_SPEED_MODE)
         self._commanded[name] = float(speed_mps)
 
@@ -147,11 +153,8 @@ class SumoTraffic:
         check_place(xy, yaw, speed_mps)
         name = self._vehicle(object_id)
         front = np.asarray(xy) + 0.5 * self._users[name].kind.size[0] * np.array([np.cos(yaw), np.sin(yaw)])
-        if name not in self._placed:
-            self._sumo.vehicle.setLaneChangeMode(name, 0)
-        self._placed.put(name, front, yaw, float(speed_mps))
+        self._placed.put(self._sumo, name, front, yaw, float(speed_mps))
         self._commanded[name] = float(speed_mps)
-        self._sumo.vehicle.setSpeedMode(name, FREE_SPEED_MODE)
 
     def crash(self, *object_ids: int) -> None:
         """Stop road users at once, as by a crash; they stay where they are, as obstacles. Parked cars stay anyway.
@@ -287,7 +290,7 @@ class SumoTraffic:
         placed = self._placed.move(self._sumo)
         for name in placed:
             self._users[name].trail = None  # its heading is the given one
-        if placed and self._actors is not None:
+        if (placed or self._placed.yielding) and self._actors is not None:
             drivers = self._undriven(self._actors)
             self._placed.slow_others(self._sumo, self._actors, drivers, self.route, self.limits, self.step_s)
         try:

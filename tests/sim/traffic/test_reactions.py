@@ -67,31 +67,32 @@ def test_what_stands_beside_the_way_or_far_off_slows_nobody() -> None:
 def crossing_body(attention: Attention) -> tuple[list[float], list[float]]:
     """A car at full speed in SUMO, and another placed across its lane 28 m ahead: speeds before and at the overlap."""
     with SumoTraffic(quick("four_way", 30.0), 1, attention) as traffic:
-        while True:
+        car, body, place, yaw = _crossing(traffic)
+        clear, through = [], []
+        for _ in range(50):
+            traffic.place(body, place, yaw, 0.0)
             now = traffic.step()
-            for row in np.flatnonzero((now.boxes.label == 0) & (np.hypot(*now.velocity.T) > 9.0)):
-                car = int(now.boxes.object_id[row])
-                lights = traffic.signals(car)
-                way = traffic.route(car, 28.0)
-                whole = np.linalg.norm(np.diff(way, axis=0), axis=1).sum() > 27.0
-                if whole and not now.lane[row].startswith(":") and not (lights and lights[0].distance_m < 60.0):
-                    return _meet(traffic, car, way)
-
-
-def _meet(traffic: SumoTraffic, car: int, way: np.ndarray) -> tuple[list[float], list[float]]:
-    now, (place, onward) = traffic.actors, (way[-1], way[-1] - way[-2])
-    yaw = float(np.arctan2(onward[1], onward[0])) + np.pi / 2
-    cars = [int(i) for i in now.boxes.object_id[now.boxes.label == 0] if int(i) != car]
-    body = max(cars, key=lambda i: np.hypot(*(now.boxes.center[now.row(i), :2] - place)))
-    clear, through = [], []
-    for _ in range(50):
-        traffic.place(body, place, yaw, 0.0)
-        now = traffic.step()
-        pair = {now.row(car), now.row(body)}
-        np.testing.assert_allclose(now.boxes.center[now.row(body), :2], place, atol=0.02)
-        met = any(set(rows) == pair for rows in overlapping_pairs(now.boxes).tolist())
-        (through if met else clear).append(float(np.hypot(*now.velocity[now.row(car)])))
+            pair = {now.row(car), now.row(body)}
+            np.testing.assert_allclose(now.boxes.center[now.row(body), :2], place, atol=0.02)
+            met = any(set(rows) == pair for rows in overlapping_pairs(now.boxes).tolist())
+            (through if met else clear).append(float(np.hypot(*now.velocity[now.row(car)])))
     return clear, through
+
+
+def _crossing(traffic: SumoTraffic) -> tuple[int, int, np.ndarray, float]:
+    """Return the id of a car at full speed, that of the farthest other one, and the place across its lane for that."""
+    while True:
+        now = traffic.step()
+        for row in np.flatnonzero((now.boxes.label == 0) & (np.hypot(*now.velocity.T) > 9.0)):
+            car = int(now.boxes.object_id[row])
+            lights = traffic.signals(car)
+            way = traffic.route(car, 28.0)
+            whole = np.linalg.norm(np.diff(way, axis=0), axis=1).sum() > 27.0
+            if whole and not now.lane[row].startswith(":") and not (lights and lights[0].distance_m < 60.0):
+                place, onward = way[-1], way[-1] - way[-2]
+                cars = [int(i) for i in now.boxes.object_id[now.boxes.label == 0] if int(i) != car]
+                body = max(cars, key=lambda i: np.hypot(*(now.boxes.center[now.row(i), :2] - place)))
+                return car, body, place, float(np.arctan2(onward[1], onward[0])) + np.pi / 2
 
 
 def test_sumo_drives_through_a_car_that_stands_across_its_lane() -> None:
@@ -104,6 +105,49 @@ def test_with_the_shim_the_car_stops_before_it() -> None:
     assert not through
     assert clear[0] > 9.0 and clear[-1] < 0.1
     assert np.diff(clear).min() / STEP > -8.5
+
+
+def test_who_yielded_drives_on_when_the_body_is_given_back() -> None:
+    with SumoTraffic(quick("four_way", 30.0), 1) as traffic:
+        car, body = _yielding(traffic)
+        slow = traffic.speed(car)
+        traffic.command(body, None)
+        later = [traffic.step() for _ in range(60)]
+        assert slow < 6.0
+        assert max(np.hypot(*now.velocity[now.row(car)]) for now in later) > slow + 3.0
+
+
+def test_who_yielded_and_crashes_stops_at_once_and_for_good() -> None:
+    with SumoTraffic(quick("four_way", 30.0), 1) as traffic:
+        car, body = _yielding(traffic)
+        assert traffic.speed(car) > 2.0
+        traffic.crash(car)
+        traffic.step()
+        place = traffic.actors.boxes.center[traffic.actors.row(car), :2]
+        traffic.command(body, None)
+        traffic.command(car, None)
+        for _ in range(30):
+            now = traffic.step()
+            assert traffic.speed(car) == 0.0
+        np.testing.assert_allclose(now.boxes.center[now.row(car), :2], place, atol=1e-9)
+
+
+def test_who_yielded_and_is_commanded_obeys() -> None:
+    with SumoTraffic(quick("four_way", 30.0), 1) as traffic:
+        car, _ = _yielding(traffic)
+        assert traffic.speed(car) > 4.0
+        traffic.command(car, 2.0)
+        traffic.step()
+        assert traffic.speed(car) < 4.0
+
+
+def _yielding(traffic: SumoTraffic) -> tuple[int, int]:
+    """Place a body across the lane of a car; return the ids of both as soon as the car has braked for it."""
+    car, body, place, yaw = _crossing(traffic)
+    while traffic.speed(car) > 5.0:
+        traffic.place(body, place, yaw, 0.0)
+        traffic.step()
+    return car, body
 
 
 def test_a_crashed_pair_stands_and_is_an_obstacle() -> None:

@@ -253,6 +253,36 @@ def test_a_commanded_vehicle_stops_at_the_line_of_a_red_light_within_its_limits(
     assert found[-1] < 0.1 and libsumo.vehicle.getNextTLS(target[1])[0][2] < 1.0
 
 
+@pytest.mark.parametrize("aside_m", [0.0, 30.0, 240.0])
+def test_a_placed_vehicle_drives_on_along_its_lane_when_it_is_commanded(traffic: SumoTraffic, aside_m: float) -> None:
+    car, actors = fastest_car(traffic.actors), traffic.actors
+    yaw = float(actors.boxes.yaw[actors.row(car)])
+    place = actors.boxes.center[actors.row(car), :2] + aside_m * np.array([-np.sin(yaw), np.cos(yaw)])
+    traffic.place(car, place, yaw, 5.0)
+    assert (traffic.step().lane[traffic.actors.row(car)] == "") == (aside_m > 0.0)
+    traffic.command(car, 5.0)
+    driven = [traffic.step() for _ in range(20)][5:]
+    assert all(now.lane[now.row(car)] for now in driven)
+    moved = np.diff([now.boxes.center[now.row(car), :2] for now in driven], axis=0)
+    # After a jump back to its lane its body has to turn behind its front.
+    assert (np.hypot(*moved.T) > 0.25).all() and traffic.speed(car) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("speed_mps", [5.0, None])
+def test_a_vehicle_that_was_placed_changes_lanes_as_before(traffic: SumoTraffic, speed_mps: float | None) -> None:
+    import libsumo
+
+    car, actors = fastest_car(traffic.actors), traffic.actors
+    name = actors.name[actors.row(car)]
+    before = libsumo.vehicle.getLaneChangeMode(name)
+    for _ in range(2):
+        traffic.place(car, actors.boxes.center[actors.row(car), :2], float(actors.boxes.yaw[actors.row(car)]), 5.0)
+        traffic.step()
+    assert libsumo.vehicle.getLaneChangeMode(name) == 0
+    traffic.command(car, speed_mps)
+    assert libsumo.vehicle.getLaneChangeMode(name) == before > 0
+
+
 def test_the_route_ahead_starts_at_the_vehicle_and_is_where_it_drives(traffic: SumoTraffic) -> None:
     actors = traffic.actors
     driving = actors.boxes.object_id[actors.boxes.is_vehicle].tolist()
