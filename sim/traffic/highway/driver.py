@@ -22,6 +22,8 @@ _TIGHTEST = 0.22
 _AHEAD_S = 0.7
 _BETWEEN_M, _CHANGE_M = 0.8, 16.0
 _PULL_OUT_M = 9.0
+_KEEPS_M = 1.0
+"""Distance by which another lane has to be nearer than those of the route: at junctions lanes begin together."""
 
 
 class EnvironmentVehicle(IDMVehicle):
@@ -40,6 +42,7 @@ class Driver(IDMVehicle):
         speed_factor: desired speed as a share of the limit.
         planned_mps2: acceleration to apply next, m/s2.
         commanded: speed commanded from outside, m/s; None without a command.
+        off_lanes: whether it was placed off the lanes and has not come back.
         path_ahead: (K, 2) points of the path ahead in the world and (K,) their distances along it, m.
     """
 
@@ -68,6 +71,7 @@ class Driver(IDMVehicle):
         self.goal: int | None = None
         self.planned_mps2 = 0.0
         self.commanded: float | None = None
+        self.off_lanes = False
         self.path_ahead: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._slip = 0.0
         super().__init__(
@@ -177,6 +181,41 @@ class Driver(IDMVehicle):
                 self._route_ahead = self.roads.route(self.lane_number, None) or []
             self._head_for(self._route_ahead.pop(0))
 
+    def put(self, xy: NDArray[np.float64], yaw: float, speed_mps: float) -> None:
+        """Stand at a (2,) place in the world, with a heading and a speed, and head for the lane there."""
+        self.position, self.heading, self.speed = to_world(xy), -yaw, speed_mps
+        self.on_state_update()
+        lane = self.lane_below()
+        number = None if lane is None else self.roads.number(lane.index)
+        self.off_lanes = lane is None
+        # Against its direction a lane is no way to go on.
+        if lane is not None and number is not None and lane.turn_from(xy, yaw) < 0.5 * np.pi:
+            if number in self._route_ahead:
+                self._route_ahead = self._route_ahead[self._route_ahead.index(number) + 1 :]
+                self._head_for(number)
+            elif number != self.lane_number:
+                self.change_to(number)
+        self.follow_road()
+
+    def lane_below(self) -> RoadLane | None:
+        """Return the lane on which it is, of several the one that fits its heading and route; None off the lanes."""
+        xy, own = to_world(self.position), (self.lane_number, *self._route_ahead)
+        best, least = None, np.inf
+        for number, lane in enumerate((*self.roads.lanes, *self.roads.unused)):
+            away_m = lane.away_from(xy)
+            misfit = away_m + lane.turn_from(xy, -self.heading) - _KEEPS_M * (number in own)
+            if away_m <= 0.5 * lane.width and misfit < least:
+                best, least = lane, misfit
+        return best
+
+    def change_to(self, number: int) -> None:
+        """Head for a lane beside its route and plan the route anew."""
+        self._head_for(number)
+        if not self.send_to(self.goal):
+            # The new lane has another exit.
+            ends = [n for n in self.roads.exits if self.roads.route(number, n) is not None]
+            self.send_to(ends[0] if ends else None)
+
     def _change_lane(self) -> None:
         before = self.target_lane_index
         lane = self.roads.lanes[self.lane_number]
@@ -187,11 +226,7 @@ class Driver(IDMVehicle):
         if number is None or tuple(before) == tuple(self.target_lane_index):
             self.target_lane_index = before
             return
-        self._head_for(number)
-        if not self.send_to(self.goal):
-            # The new lane has another exit.
-            ends = [n for n in self.roads.exits if self.roads.route(number, n) is not None]
-            self.send_to(ends[0] if ends else None)
+        self.change_to(number)
 
     def _head_for(self, number: int) -> None:
         self.lane_number = number

@@ -13,9 +13,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from sim.errors import ScenarioError, did_you_mean
+from sim.geometry import wrap_angle
 
 LaneIndex = tuple[str, str, int]
 
@@ -82,6 +84,7 @@ class RoadLane:
         borders: line style of its left and right border: "none", "dashed" or "solid".
         priority: the higher one has right of way.
         after: numbers of its successors.
+        middle: its centre line as a shape, with the ways from its end to its successors.
         through_junction: whether it crosses other lanes.
     """
 
@@ -97,6 +100,7 @@ class RoadLane:
     borders: tuple[str, str]
     priority: int
     after: tuple[int, ...]
+    middle: shapely.Geometry
     through_junction: bool
 
     @property
@@ -109,6 +113,15 @@ class RoadLane:
         row = int(((self.line - xy) ** 2).sum(axis=1).argmin())
         forward = np.array([np.cos(self.heading[row]), np.sin(self.heading[row])])
         return float(self.along[row] + (xy - self.line[row]) @ forward)
+
+    def away_from(self, xy: NDArray[np.float64]) -> float:
+        """Return the distance of a (2,) world position from the centre line, m."""
+        return float(self.middle.distance(shapely.Point(xy)))
+
+    def turn_from(self, xy: NDArray[np.float64], yaw: float) -> float:
+        """Return the angle between the lane at a (2,) world position and a heading in the world, rad, in [0, pi]."""
+        row = int(((self.line - xy) ** 2).sum(axis=1).argmin())
+        return abs(float(wrap_angle(self.heading[row] - yaw)))
 
     @property
     def edge(self) -> str:
@@ -197,6 +210,7 @@ def read_roads(environment: str) -> LaneNetwork:
     found = every[:used]
     samples = [_samples(lane, min(float(lane.length), known.longest_m)) for _, lane in every]
     ends = [(line[0], line[-1], heading[0], heading[-1]) for line, _, heading in samples]
+    after = [_after(number, found, ends) if number < used else () for number in range(len(every))]
     lanes = tuple(
         RoadLane(
             index=tuple(index),
@@ -210,7 +224,8 @@ def read_roads(environment: str) -> LaneNetwork:
             limit=float(lane.speed_limit or 20.0),
             borders=(_LINES[int(lane.line_types[0])], _LINES[int(lane.line_types[1])]),
             priority=_priority(known.first, lane),
-            after=_after(number, found, ends) if number < used else (),
+            after=after[number],
+            middle=shapely.MultiLineString([line, *((line[-1], ends[other][0]) for other in after[number])]),
             through_junction=number < used and _crosses(number, samples[:used]),
         )
         for number, ((index, lane), (line, along, heading)) in enumerate(zip(every, samples, strict=True))

@@ -167,10 +167,11 @@ class HighwayTraffic:
                 driver.step(self.step_s / parts)
         for driver in drivers:
             if driver.number in self._placed:
-                x, y, yaw, driver.speed = self._placed[driver.number].tolist()
-                driver.position, driver.heading = to_world(np.array([x, y])), -yaw
-                self._placed[driver.number][3] = 0.0  # it stands until it is placed again
-                driver.follow_road()
+                pose = self._placed[driver.number]
+                driver.put(pose[:2], float(pose[2]), float(pose[3]))
+                pose[3] = 0.0  # it stands until it is placed again
+            elif driver.off_lanes:
+                driver.off_lanes = driver.lane_below() is None
         self._time_s = round(self._time_s + self.step_s, 6)
         self._road.vehicles = [driver for driver in drivers if not driver.has_left]
         self._arrivals()
@@ -290,7 +291,13 @@ class HighwayTraffic:
         return velocity, acceleration
 
     def _lane(self, driver: Driver) -> str:
-        """Return the name of the lane below a vehicle: its target lane, or the one it is still leaving."""
+        """Return the name of the lane below a vehicle: its target lane, or the one it is still leaving.
+
+        A placed one may be on any other lane, or off the lanes: "".
+        """
+        if driver.off_lanes or driver.number in self._placed:
+            below = driver.lane_below()
+            return "" if below is None else below.name
         nearest = self._roads.number(driver.lane_index)
         heading_for = self._roads.lanes[driver.lane_number]
         if nearest is not None and self._roads.lanes[nearest].edge == heading_for.edge:

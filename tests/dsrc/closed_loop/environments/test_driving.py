@@ -226,6 +226,20 @@ def test_an_ego_that_steers_off_the_road_has_left_it_or_hit_something(scenario: 
     env.close()
 
 
+@pytest.mark.parametrize("scenario", ["four_way", "highway_env_intersection"])
+def test_an_ego_that_drives_off_at_right_angles_has_left_the_lanes(scenario: str) -> None:
+    loop = ClosedLoop(scenario, Blind())
+    box = loop.start(1).ego.box
+    (x, y), yaw = box.center[0, :2], float(box.yaw[0])
+    for step in range(1, 20):
+        aside = np.array([-np.sin(yaw), np.cos(yaw)]) * -0.8 * step
+        loop.advance_to((x + aside[0], y + aside[1], yaw - 0.5 * np.pi), 8.0)
+        if loop.outcome is not None:
+            break
+    assert loop.outcome is Outcome.LEFT
+    loop.close()
+
+
 def test_a_steered_ego_is_where_its_bicycle_model_is() -> None:
     env = DrivingEnv(scenario="four_way", **ENVIRONMENTS["dsrc/Free-v0"])
     env.reset(seed=1)

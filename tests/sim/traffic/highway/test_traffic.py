@@ -255,6 +255,56 @@ def test_a_commanded_vehicle_stops_within_its_brakes_and_goes_on() -> None:
             traffic.speed(7)
 
 
+def test_a_placed_vehicle_is_on_the_lane_where_it_is_or_off_the_lanes() -> None:
+    with HighwayTraffic(soon("merge"), 1) as traffic:
+        car = int(traffic.actors.boxes.object_id[traffic.actors.lane.index("a-b_1")])
+        for xy, yaw, lane in (
+            ((60.0, 0.5), 0.0, "a-b_1"),
+            ((62.0, -3.0), 0.0, "a-b_0"),
+            ((62.0, -14.0), 0.0, "j-k_0"),
+            ((64.0, -14.0), np.pi, "j-k_0"),
+            ((64.0, 2.5), 0.0, ""),
+            ((64.0, 100.0), 0.0, ""),
+        ):
+            traffic.place(car, np.array(xy), yaw, 20.0)
+            actors = traffic.step()
+            assert actors.lane[actors.row(car)] == lane
+            if lane:
+                onward = {"a-b_1": 0.0, "a-b_0": -4.0, "j-k_0": -14.5}[lane]
+                assert traffic.route(car, 50.0)[-1] == pytest.approx((xy[0] + 50.0, onward), abs=5.0)
+        traffic.command(car, 10.0)
+        assert traffic.step().lane[traffic.actors.row(car)] == ""
+        traffic.place(car, np.array((64.0, -4.0)), 0.0, 10.0)
+        traffic.step()
+        traffic.command(car, None)
+        assert traffic.step().lane[traffic.actors.row(car)] == "a-b_0"
+
+
+def test_where_overtakers_drive_is_a_lane() -> None:
+    with HighwayTraffic(soon("two_way"), 1) as traffic:
+        car = int(traffic.actors.boxes.object_id[traffic.actors.lane.index("a-b_0")])
+        traffic.place(car, np.array((300.0, 0.0)), 0.0, 20.0)
+        assert traffic.step().lane[traffic.actors.row(car)] == "a-b_1"
+        assert traffic.route(car, 50.0)[-1] == pytest.approx((350.0, -4.0), abs=5.0)
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_a_vehicle_that_is_placed_along_its_way_keeps_its_lanes_and_its_way(name: str) -> None:
+    with HighwayTraffic(soon(name), 3) as traffic:
+        ways = [traffic.actors] + [traffic.step() for _ in range(STEPS)]
+    stayed = set.intersection(*(set(actors.boxes.object_id.tolist()) for actors in ways))
+    for car in sorted(stayed)[:3]:
+        poses = [(a.boxes.center[a.row(car), :2], float(a.boxes.yaw[a.row(car)])) for a in ways]
+        with HighwayTraffic(soon(name), 3) as traffic:
+            for step, pose in enumerate(poses[1:], start=1):
+                assert np.hypot(*(traffic.route(car, 30.0) - pose[0]).T).min() < 2.0
+                traffic.place(car, *pose, 10.0)
+                lane = traffic.step().lane[traffic.actors.row(car)]
+                # Where lanes meet or a lane change begins the two differ for a moment.
+                near = ways[max(step - 10, 0) : step + 11]
+                assert lane in {actors.lane[actors.row(car)] for actors in near}
+
+
 def test_a_closed_simulation_takes_no_step() -> None:
     traffic = HighwayTraffic(soon("racetrack"), 1)
     traffic.close()
