@@ -105,8 +105,9 @@ class Junction:
 
     def stops(self, drivers: Sequence[Driver]) -> Array:
         """Return (N,) distances from front bumpers to the stop lines of waiting drivers, inf for the others."""
-        self._forget(drivers)
-        asking = sorted((entry for d in drivers if (entry := self._asks(d)) is not None), key=lambda entry: entry[:3])
+        here = [driver for driver in drivers if not driver.off_lanes]
+        self._forget(here)
+        asking = sorted((entry for d in here if (entry := self._asks(d)) is not None), key=lambda entry: entry[:3])
         first_of_lane: set[int] = set()
         claimed: list[int] = []
         stops = np.full(len(drivers), np.inf)
@@ -115,7 +116,7 @@ class Junction:
             taken = [*self._granted.values(), *claimed]
             is_first = driver.lane_number not in first_of_lane
             first_of_lane.add(driver.lane_number)
-            if is_first and not any((lane, other) in self._meets for other in taken) and self._has_room(lane, drivers):
+            if is_first and not any((lane, other) in self._meets for other in taken) and self._has_room(lane, here):
                 self._granted[number] = lane
                 continue
             stops[rows[number]] = max(away_m - 1.0, 0.05)
@@ -141,14 +142,22 @@ class Junction:
         return not any(d.lane_number == after and d.speed < 2.0 and d.along < 12.0 for d in drivers)
 
     def _forget(self, drivers: Sequence[Driver]) -> None:
-        here = {driver.number: driver for driver in drivers}
-        self._granted = {n: lane for n, lane in self._granted.items() if n in here and not _is_past(here[n], lane)}
+        granted, self._granted = self._granted, {}
+        for driver in drivers:
+            if driver.number in granted:
+                now = driver.lane_number
+                # Who was placed on another lane through the junction takes that one.
+                lane = now if self._roads.lanes[now].through_junction else granted[driver.number]
+                if not _is_past(driver, lane):
+                    self._granted[driver.number] = lane
 
 
 def _is_past(driver: Driver, lane: int) -> bool:
-    """Return whether the whole vehicle of a driver has left a junction lane."""
+    """Return whether the whole vehicle of a driver has left a junction lane, or no longer comes to it."""
     now, inside = driver.roads.lanes[driver.lane_number], driver.roads.lanes[lane]
-    return now.index[0] == inside.index[1] and driver.along > 0.5 * driver.LENGTH + 0.5
+    if now.index[0] == inside.index[1]:
+        return driver.along > 0.5 * driver.LENGTH + 0.5
+    return lane not in driver.lanes_ahead(_LOOK_M)
 
 
 def decide(drivers: Sequence[Driver], step_s: float, junction: Junction) -> None:
@@ -237,7 +246,8 @@ def _stops(drivers: Sequence[Driver], paths: Sequence[PathAhead]) -> Array:
         return stops  # see `Junction`
     for i in range(len(drivers)):
         for j in range(i + 1, len(drivers)):
-            if np.abs(paths[i].points[0] - paths[j].points[0]).max() > 2.0 * _LOOK_M:
+            far = np.abs(paths[i].points[0] - paths[j].points[0]).max() > 2.0 * _LOOK_M
+            if far or drivers[i].off_lanes or drivers[j].off_lanes:
                 continue
             who, stop_m = _gives_way(drivers[i], paths[i], drivers[j], paths[j])
             if who:
@@ -312,7 +322,7 @@ def _has_neighbour(driver: Driver, drivers: Sequence[Driver]) -> bool:
         return False
     beside = driver.roads.number((*driver.target_lane_index[:2], driver.target_lane_index[2] - 1))
     at = driver.along
-    return any(d.lane_number == beside and -14.0 < d.along - at < 9.0 for d in drivers)
+    return any(d.lane_number == beside and not d.off_lanes and -14.0 < d.along - at < 9.0 for d in drivers)
 
 
 def _last(rows: NDArray[np.int64]) -> int:

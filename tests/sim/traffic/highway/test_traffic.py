@@ -305,6 +305,25 @@ def test_a_vehicle_that_is_placed_along_its_way_keeps_its_lanes_and_its_way(name
                 assert lane in {actors.lane[actors.row(car)] for actors in near}
 
 
+def test_who_merges_makes_room_for_a_placed_vehicle_where_it_is_and_not_where_it_was() -> None:
+    """All but the merging car are placed in a field, and one of them beside it."""
+    braked = []
+    for beside in (False, True):
+        with HighwayTraffic(soon("merge"), 1) as traffic:
+            actors = traffic.step()
+            row = actors.lane.index("b-c_0")
+            merging, x = int(actors.boxes.object_id[row]), actors.boxes.center[row, 0]
+            speed, others = traffic.speed(merging), [i for i in actors.boxes.object_id.tolist() if i != merging]
+            for number, other in enumerate(others):
+                traffic.place(other, np.array((x, 100.0 + 10.0 * number)), 0.0, 0.0)
+            for step in range(8):
+                if beside:
+                    traffic.place(others[0], np.array((x + 2.0 * step, -4.0)), 0.0, 20.0)
+                traffic.step()
+            braked.append(speed - traffic.speed(merging))
+    assert braked[0] < 0.2 and braked[1] > 1.0
+
+
 def test_a_closed_simulation_takes_no_step() -> None:
     traffic = HighwayTraffic(soon("racetrack"), 1)
     traffic.close()
