@@ -53,7 +53,8 @@ def reduced(maps: Sequence[Tensor], confidence: Tensor | None, settings: ModelSe
         confidence: (N, h, w) of their own detections, any size that tiles divide; None when all tiles are sent.
         settings: of the detector.
     """
-    coarse = [rounded(part, settings.bits) for part in maps]
+    # A cell that is not sent stays empty: 0 is none of the steps of 8 bits where numbers are of both signs.
+    coarse = [rounded(part, settings.bits) * (part != 0).any(1, keepdim=True) for part in maps]
     if confidence is None:
         return coarse
     chosen = best_tiles(confidence, tiles(settings), tiles_sent(settings))

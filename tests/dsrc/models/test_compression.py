@@ -5,7 +5,7 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.models.channel import payload_of
-from dsrc.models.compression import best_tiles, rounded, tiles, tiles_sent
+from dsrc.models.compression import best_tiles, reduced, rounded, tiles, tiles_sent
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.training.recipes import debug
@@ -46,6 +46,13 @@ def test_as_many_tiles_arrive_as_were_promised(fusion):
         assert 0 < there.sum() <= tiles_sent(detector.settings)
         kept = part[1] != 0
         torch.testing.assert_close(part[1][kept], full[1][kept])
+
+
+def test_what_is_not_sent_stays_empty_in_few_bits():
+    maps = [torch.randn(2, 4, 8, 16)]
+    maps[0][:, :, :, 5:] = 0.0
+    (sent,) = reduced(maps, None, replace(debug().model, fusion="attention", bits=8))
+    assert (sent[..., 5:] == 0.0).all() and (sent[..., :5] - maps[0][..., :5]).abs().max() < 0.03
 
 
 def test_the_tiles_that_arrive_are_those_of_which_the_sender_is_surest():
