@@ -77,8 +77,10 @@ class ScriptedTraffic:
         self._hit = self._ego.actor.path.at(float(actors[0].place(HIT_S)))[0][:2]
         for back in (2, 1):
             for mover in (*self._movers, *self._ghosts):
-                place, _, _ = mover.actor.path.at(float(mover.actor.place(-back * self.step_s)))
-                mover.history.append(place[:2])
+                at_m = float(mover.actor.place(-back * self.step_s))
+                place, heading, _ = mover.actor.path.at(at_m)
+                before = min(at_m, 0.0)  # it came straight to where its path begins
+                mover.history.append(place[:2] + before * np.array([np.cos(heading), np.sin(heading)]))
         self._actors = self._read(self._movers)
 
     @property

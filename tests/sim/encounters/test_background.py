@@ -1,6 +1,7 @@
 """Background traffic: more vehicles, off the conflict, that touch nobody and stop for an ego that stops."""
 
 import msgspec
+import numpy as np
 import pytest
 
 from sim.collisions import overlapping_pairs
@@ -55,3 +56,13 @@ def test_without_the_setting_the_settings_of_a_drive_have_none() -> None:
     plain = EncounterSpec(kind="ima_building")
     assert "traffic" not in msgspec.to_builtins(plain)
     assert names("ima_building") == names("ima_building", traffic="none") == []
+
+
+@pytest.mark.parametrize("kind", ["cut_in_merge", "eebl_chain", "ima_queue"])
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_who_drives_when_it_begins_has_driven_before(kind: str, seed: int) -> None:
+    with ScriptedTraffic(encounter(kind, traffic="dense"), seed) as traffic:
+        first, second = traffic.actors, traffic.step()
+    assert np.abs(first.acceleration).max() < 12.0
+    row = [second.row(int(one)) for one in first.boxes.object_id]
+    np.testing.assert_allclose(first.velocity, second.velocity[row], atol=1.2)
