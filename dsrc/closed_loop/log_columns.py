@@ -169,6 +169,7 @@ def _percept_columns(percepts: Sequence[Percept | None]) -> dict[str, NDArray]:
         ).reshape(-1, 5),
         "link/arrived": np.packbits(arrived),
         "link/held": np.array([one.held for one in links], bool),
+        "link/offered": np.array([-1 if one.offered is None else one.offered for one in links], np.int64),
     }
 
 

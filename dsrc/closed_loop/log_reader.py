@@ -210,8 +210,11 @@ def _links(reader: ColumnReader) -> list[Link]:
     if (len(ids) and not 0 <= packets.min() <= packets.max() <= room) or (total := int(packets.sum())) > room:
         raise reader.wrong("link/ids", f"at most {room} packets", "others")
     arrived = reader.bits("link/arrived", total)
-    # Logs of earlier versions do not tell who was held back.
+    # Logs of earlier versions do not tell who was held back, nor what it would have sent.
     held = reader.array("link/held", "b1", (len(ids),)) if "link/held" in reader.columns else np.zeros(len(ids), bool)
+    offered = np.full(len(ids), -1)
+    if "link/offered" in reader.columns:
+        offered = reader.array("link/offered", "i8", (len(ids),))
     ends = np.concatenate([[0], np.cumsum(packets)])
     reader.index("link/ids", len(Obstruction), ids[:, 5])
     return [
@@ -229,6 +232,7 @@ def _links(reader: ColumnReader) -> list[Link]:
             probability=number[3],
             load=number[4],
             held=bool(held[i]),
+            offered=None if offered[i] < 0 else int(offered[i]),
         )
         for i, (row, number) in enumerate(zip(ids.tolist(), numbers, strict=True))
     ]

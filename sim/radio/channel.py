@@ -48,6 +48,7 @@ class Link:
         probability: reception probability of a packet, without collisions.
         load: channel busy ratio.
         held: whether the sender sends nothing now: its turn comes later, since the channel is full.
+        offered: size of the message that the sender has now; None for that of this one.
     """
 
     sender: int
@@ -63,11 +64,14 @@ class Link:
     probability: float
     load: float
     held: bool = False
+    offered: int | None = None
 
     @property
     def bytes_now(self) -> int:
         """Bytes that the sender puts on air now."""
-        return 0 if self.held else self.bytes
+        if self.held:
+            return 0
+        return self.bytes if self.offered is None else self.offered
 
     @property
     def received(self) -> bool:
@@ -180,7 +184,7 @@ class Channel:
             first = first or link
             age_s = (now - instant.index) * self.interval_s
             if link.received and link.delay_s <= age_s + 1e-9:
-                return dataclasses.replace(link, age_s=age_s, held=first.held)
+                return dataclasses.replace(link, age_s=age_s, held=first.held, offered=first.bytes)
         if first is None:
             raise KeyError(sender)
         return dataclasses.replace(first, sent=-1, age_s=math.nan, delay_s=math.nan)

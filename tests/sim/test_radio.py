@@ -11,6 +11,7 @@ from sim.errors import DataError, SettingsError
 from sim.radio import (
     PRESETS,
     Channel,
+    ChannelSpec,
     Obstruction,
     RadioSnapshot,
     airtime_s,
@@ -249,6 +250,13 @@ def test_instants_are_made_only_as_far_back_as_is_looked():
     instants = Made(at(i, [(0, 0), (20, 0)]) for i in range(5, -1, -1))
     assert Channel(PRESETS["ideal"], 1, 0.1).newest(instants, 1, 0).sent == 5
     assert instants.asked == (0,)
+
+
+def test_what_is_on_air_now_is_the_size_of_the_present_message():
+    late = Channel(ChannelSpec(name="late", medium="fixed", delay_s=0.1), 1, 0.1)
+    places = [(0.0, 0.0), (20.0, 0.0)]
+    link = late.newest([at(1, places, 5_000), at(0, places, 1_000)], 1, 0)
+    assert (link.sent, link.bytes, link.bytes_now) == (0, 1_000, 5_000)
 
 
 def test_who_waits_for_its_turn_puts_nothing_on_air():

@@ -63,7 +63,7 @@ def full_log(rng: np.random.Generator | None = None) -> EpisodeLog:
             -1, EGO_ID, step, 0.1, 0.05, 60_000, 11, rng.random(11) < 0.5, 31.4159, Obstruction.BUILDING, 0.9, 0.2
         )
         lost = replace(link, sender=1002, sent=-1, age_s=math.nan, delay_s=math.nan, arrived=np.zeros(11, bool))
-        lost = replace(lost, held=True)
+        lost = replace(lost, held=True, offered=70_000)
         seen = Percept(tick.actors.time_s - 0.1, boxes_of(rng, n), rng.random(n), velocity, (link, lost)[: step % 3])
         ids = sorted(rng.choice(20, n, replace=False).tolist())
         tracks = Tracks(
@@ -211,7 +211,7 @@ def test_damaged_logs_are_told_in_one_line(tmp_path: Path) -> None:
         with pytest.raises(DataError) as caught:
             EpisodeLog.load(tmp_path / name)
         assert name in str(caught.value) and "\n" not in str(caught.value), name
-    for name in sorted(set(columns) - {"link/held"}):
+    for name in sorted(set(columns) - {"link/held", "link/offered"}):
         np.savez(tmp_path / "less.npz", **{key: value for key, value in columns.items() if key != name})
         with pytest.raises(DataError, match=r"less\.npz"):
             EpisodeLog.load(tmp_path / "less.npz")
