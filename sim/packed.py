@@ -15,8 +15,7 @@ from sim.files import replacing
 from sim.reading import check_regular, parsing
 
 LARGEST_BYTES = 1 << 30
-"""Largest size of an archive when unpacked: a city's static world takes a tenth of it."""
-
+"""Largest size of an archive unpacked, byte planes as whole integers: a city's static world takes a third of it."""
 LARGEST_EMPTY = 1 << 16
 """Largest size of an empty array, bytes, with 1 for its axes of 0."""
 MOST_ARRAYS = 10_000
@@ -108,6 +107,7 @@ def _check_sizes(archive: zipfile.ZipFile) -> None:
         raise ValueError(f"more than {LARGEST_BYTES} bytes when unpacked")
     if len(infos) > MOST_ARRAYS:
         raise ValueError(f"more than {MOST_ARRAYS} arrays")
+    unpacked_bytes = 0
     for info in infos:
         with archive.open(info) as member:
             first = np.lib.format.read_magic(member) == (1, 0)
@@ -117,3 +117,7 @@ def _check_sizes(archive: zipfile.ZipFile) -> None:
         most = max(info.file_size, LARGEST_EMPTY) if 0 in shape else info.file_size
         if math.prod(max(n, 1) for n in shape) * max(dtype.itemsize, 1) > most:
             raise ValueError(f"{info.filename}: an array of {shape} in {info.file_size} bytes")
+        if len(shape) == 2 and dtype == np.uint8:
+            unpacked_bytes += 8 * shape[1]  # byte planes: few bytes in the file, eight each when in use
+    if unpacked_bytes > LARGEST_BYTES:
+        raise ValueError(f"more than {LARGEST_BYTES} bytes when unpacked")

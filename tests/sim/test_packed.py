@@ -63,3 +63,14 @@ def test_an_empty_array_that_stands_for_gigabytes_is_refused(tmp_path: Path) -> 
         read_arrays(tmp_path / "empty.npz", "world")
     write_arrays(tmp_path / "small.npz", {"planes": np.zeros((0, 300), np.uint8)})
     assert read_arrays(tmp_path / "small.npz", "world")["planes"].shape == (0, 300)
+
+
+def test_planes_that_unpack_to_more_than_an_archive_may_hold_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_arrays(tmp_path / "a.npz", {"x": np.zeros((1, 1000), np.uint8), "y": np.zeros((1, 1000), np.uint8)})
+    monkeypatch.setattr(packed_files, "LARGEST_BYTES", 16_000)
+    assert read_arrays(tmp_path / "a.npz", "world")["x"].shape == (1, 1000)
+    monkeypatch.setattr(packed_files, "LARGEST_BYTES", 15_999)
+    with pytest.raises(DataError, match="more than 15999 bytes when unpacked"):
+        read_arrays(tmp_path / "a.npz", "world")
