@@ -41,8 +41,10 @@ _MANIFESTS: dict[str, bytes] = {}
 
 _DEPTH = 4
 """Levels of folders between a manifest and its files: those of DAIR-V2X's."""
-_HASH = re.compile(r"[0-9a-f]{16,64}")
+_HASH = re.compile(r"[0-9a-f]{32}")
 """Name of a cached result: the hash of what it depends on."""
+_CACHES = ("cells", "episodes", "encounters", "worlds")
+"""Folders of cached results: elsewhere others have names like these, as nuScenes has."""
 
 _overwrite: ContextVar[bool] = ContextVar("overwrite", default=False)
 
@@ -141,7 +143,7 @@ def _is_signed(path: Path, kind: str | None = None) -> bool:
 
 
 def _is_cached(path: Path) -> bool:
-    return _HASH.fullmatch(path.stem) is not None
+    return path.parent.name in _CACHES and _HASH.fullmatch(path.stem) is not None
 
 
 def _folders_above(path: Path) -> list[Path]:

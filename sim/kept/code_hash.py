@@ -16,6 +16,8 @@ from sim.files import file_sha256
 _REPOSITORY = Path(__file__).resolve().parents[2]
 _PACKAGES = ("sim", "sensors", "dsrc")
 """Ours; where they are installed, their folder holds everybody's."""
+_BEHIND = {"sim.roads.tools": "eclipse-sumo", "trimesh": "mapbox_earcut"}
+"""Packages behind modules that call them without an import: programs and roads of SUMO, and triangles of surfaces."""
 _EXTENSIONS = ("dsrc.corruptions", "dsrc.fusions", "dsrc.sensors")
 """Entry point groups of packages whose code ours can call."""
 
@@ -36,6 +38,7 @@ def package_versions(entry: str, root: Path = _REPOSITORY) -> dict[str, str]:
     imported = {name.partition(".")[0] for name in _all_imports(found)} - set(sys.stdlib_module_names)
     others = imported - set(_PACKAGES)
     names = {distribution for name in others for distribution in known.get(name, ())}
+    names |= {_BEHIND[name] for name in [*found, *others] if name in _BEHIND}
     names |= {point.dist.name for group in _EXTENSIONS for point in entry_points(group=group) if point.dist}
     return {name: version(name) for name in sorted(names)}
 

@@ -84,6 +84,16 @@ def test_another_programs_file_is_not_replaced(tmp_path: Path):
     assert sorted(tmp_path.glob(".*")) == []
 
 
+def test_the_name_of_a_cached_result_counts_in_a_cache_only(tmp_path: Path):
+    for name in ("1690000000000000.csv", f"{'0a' * 16}.npz"):
+        (tmp_path / name).write_bytes(b"mine")
+        with pytest.raises(OutputError, match="found another file"):
+            write_file(tmp_path / name, "new")
+    (tmp_path / "cells").mkdir()
+    (tmp_path / "cells" / f"{'0a' * 16}.npz").write_bytes(b"damaged")
+    write_file(tmp_path / "cells" / f"{'0a' * 16}.npz", "new")
+
+
 def test_a_file_of_another_kind_is_not_replaced_even_if_it_is_ours(tmp_path: Path):
     detector = b"PK\x03\x04 archive/data.pkl dsrc-detector-1"
     (tmp_path / "settings.json").write_text('{"recipe": 1}')
