@@ -59,6 +59,13 @@ def generic_models_for(class_name: str) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=1024)
+def require_model(model: str) -> None:
+    """Raise SettingsError for a model that is none of `MODELS` or `generic_models_for`."""
+    known = [name for models in (MODELS, _GENERIC) for names in models.values() for name in names]
+    if model not in known:
+        raise SettingsError(f"unknown model '{model}'{did_you_mean(model, known)}")
+
+
 def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trimesh":
     """Return the mesh of a model scaled to a size; shared, so do not modify it.
 
@@ -72,9 +79,7 @@ def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trim
     Raises:
         SettingsError: the model is unknown or the size is not positive.
     """
-    known = [name for models in (MODELS, _GENERIC) for names in models.values() for name in names]
-    if model not in known:
-        raise SettingsError(f"unknown model '{model}'{did_you_mean(model, known)}")
+    require_model(model)
     if len(size_lwh) != 3 or not all(0.0 < value < 100.0 for value in size_lwh):
         raise SettingsError(f"size of {model}: expected three lengths in (0, 100) m, found {tuple(size_lwh)}")
     from sim.mesh.solids import fit, to_mesh

@@ -119,4 +119,4 @@ def with_encounter(scenario: Scenario, seed: int) -> Scenario:
     return msgspec.structs.replace(scenario, agents=agents, network=network)
 
 
-__all__ = ["ENCOUNTERS", "Instance", "encounter_of", "with_encounter", "network_file"]
+__all__ = ["ENCOUNTERS", "Encounter", "encounter_of", "with_encounter", "network_file"]

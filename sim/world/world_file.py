@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from sim.bodies.choice import body_mesh
+from sim.bodies.choice import body_mesh, require_model
 from sim.errors import DataError, complaint
 from sim.mesh.materials import MATERIALS, material_index
 from sim.mesh.solids import MeshPart, fit, to_mesh
@@ -46,6 +46,7 @@ class World:
         shape, _, paint = model.partition(":")
         if shape not in self.shapes:
             return body_mesh(model, size_lwh)
+        require_model(model)
         part = self.shapes[shape]
         painted = part.material == material_index(_any_paint())
         material = np.where(painted, np.uint8(material_index(f"paint_{paint}")), part.material)

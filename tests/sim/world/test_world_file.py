@@ -9,7 +9,7 @@ import pytest
 
 from sim.bodies.choice import body_mesh, models_for
 from sim.catalog.load import load_scenario
-from sim.errors import DataError
+from sim.errors import DataError, SettingsError
 from sim.world.build import build_world
 from sim.world.world_file import load_world, save_world, shapes_of
 
@@ -37,6 +37,9 @@ def test_the_bodies_of_sumo_are_kept_and_painted_as_their_models_say(files):
         assert np.abs(ours.vertices - theirs.vertices).max() < 1e-4
         assert np.array_equal(ours.face_attributes["material"], theirs.face_attributes["material"])
         assert ours.extents == pytest.approx((4.2, 1.8, 1.5))
+    for unknown in ("car-normal-citrus:green", "car-normal-citrus"):
+        with pytest.raises(SettingsError, match=f"unknown model '{unknown}'"):
+            kept.body_mesh(unknown, (4.2, 1.8, 1.5))
     assert np.array_equal(kept.body_mesh("bus:red", (12, 2.5, 3)).vertices, body_mesh("bus:red", (12, 2.5, 3)).vertices)
 
 
