@@ -58,7 +58,6 @@ def generic_models_for(class_name: str) -> tuple[str, ...]:
     return _GENERIC.get(class_name) or models_for(class_name)
 
 
-@lru_cache(maxsize=1024)
 def require_model(model: str) -> None:
     """Raise SettingsError for a model that is none of `MODELS` or `generic_models_for`."""
     known = [name for models in (MODELS, _GENERIC) for names in models.values() for name in names]
@@ -66,6 +65,7 @@ def require_model(model: str) -> None:
         raise SettingsError(f"unknown model '{model}'{did_you_mean(model, known)}")
 
 
+@lru_cache(maxsize=1024)
 def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trimesh":
     """Return the mesh of a model scaled to a size; shared, so do not modify it.
 
