@@ -9,8 +9,8 @@ import msgspec
 
 from dsrc.options.drives import CorruptOptions
 from sensors.corruptions import DEFAULT_SEVERITY, Family, drive_seed, settings_of
-from sim.settings import convert
 from sim.errors import SettingsError, complaint, did_you_mean, one_line
+from sim.settings import convert
 
 
 @dataclass(frozen=True, slots=True)

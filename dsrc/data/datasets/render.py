@@ -19,10 +19,10 @@ from dsrc.data.formats.opv2v.reader import PROTOCOL
 from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec, make_drive
 from dsrc.options.drives import Changes
-from sim.settings import convert
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import check_apart, file_sha256
 from sim.scenario import Scenario
+from sim.settings import convert
 from sim.traffic.log import TrafficLog
 from sim.traffic.tracks.open import READERS
 

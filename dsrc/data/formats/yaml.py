@@ -249,7 +249,11 @@ def _array(loader: Any, node: Any) -> Plain:
     if not isinstance(state, list) or len(state) != 5:
         raise _refused(node, "an array of numpy")
     _, shape, dtype, fortran, data = state
-    if not isinstance(shape, list) or not all(type(n) is int and 0 <= n <= MOST_VALUES for n in shape) or len(shape) > 8:
+    if (
+        not isinstance(shape, list)
+        or not all(type(n) is int and 0 <= n <= MOST_VALUES for n in shape)
+        or len(shape) > 8
+    ):
         raise _refused(node, "an array of numpy")
     value = _unpacked(node, dtype, data, tuple(shape[::-1] if fortran else shape))
     return np.array(value).T.tolist() if fortran else value

@@ -43,8 +43,8 @@ from dsrc.data.formats.dair.tree import (
     read_transform,
 )
 from dsrc.data.formats.pcd import SENSOR_FULL_SCALE, read_pcd
-from dsrc.data.jsonio import read_json
 from dsrc.data.formats.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
+from dsrc.data.jsonio import read_json
 from sensors.deskew import check_motion, deskew
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import Motion, Sweep
@@ -304,5 +304,7 @@ class DairReader:
 
     def _recorded_points(self, side: str, pair: Pair, truth: Boxes) -> NDArray[np.int32]:
         """Return the points on each object as recorded: the sweeps may have been thinned, or tell no objects."""
-        counts = {label.track_id: label.points_on for label in read_json(self._side_labels(side, pair), list[SideLabel])}
+        counts = {
+            label.track_id: label.points_on for label in read_json(self._side_labels(side, pair), list[SideLabel])
+        }
         return np.array([counts.get(int(one), 0) for one in truth.object_id], np.int32)

@@ -77,9 +77,7 @@ class DairWriter:
         vehicle, infrastructure = (frame.agents[row] for row in rows)
         virtual = levelled(infrastructure.sweep)
         counts = frame.points_on[rows]
-        seen = (counts >= 1) & (
-            frame.truth.object_id != np.array([[a.agent_id] for a in (vehicle, infrastructure)])
-        )
+        seen = (counts >= 1) & (frame.truth.object_id != np.array([[a.agent_id] for a in (vehicle, infrastructure)]))
         front = np.stack([_before(frame.truth, sweep) for sweep in (vehicle.sweep, virtual)]) & seen
         hidden = occlusion(frame.visible_fraction[rows])
         content: dict[str, bytes] = {

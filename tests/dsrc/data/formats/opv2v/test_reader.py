@@ -273,7 +273,7 @@ def damage(path: Path, pattern: str, replacement: str) -> None:
         (r"angle: \[[^,]*,", "angle: [", "vehicles.1001.angle: expected 3 numbers"),
         (r"lidar_pose: .*", "lidar_pose: 3", "lidar_pose: expected 6 numbers, found 3"),
         (r"  1001:", "  truck:", "vehicles: expected whole numbers as ids, found truck"),
-        (r"  1001:", "  \"--5\":", "vehicles: expected whole numbers as ids, found --5"),
+        (r"  1001:", '  "--5":', "vehicles: expected whole numbers as ids, found --5"),
         (r"  1001:", "  99999999999999999999:", "vehicles: expected whole numbers as ids"),
         (r"ego_speed: .*", "ego_speed: 2001-99-99", "not a readable YAML file"),
         (r"ego_speed: .*", "ego_speed: !!python/object/apply:os.getcwd []", "expected plain values, found a tag"),
