@@ -71,7 +71,7 @@ def _opened(path: Path) -> TextIO:
 
 
 def write_protocol(drive: Path, protocol: dict) -> None:
-    """Write `data_protocol.yaml` atomically; what other tools have in it and we do not write, such as dates, is text."""
+    """Write `data_protocol.yaml` atomically; other tools' values that we do not write, such as dates, become text."""
     own = {key: value for key, value in protocol.items() if key == "testbed"}
     write_file(drive / PROTOCOL, emit(_plain(protocol) | own))
 

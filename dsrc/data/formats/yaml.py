@@ -59,7 +59,7 @@ def _flow(value: Plain) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Return a text in double quotes with YAML's escapes: JSON's differ for what is beyond 16 bits, and for \\x7f."""
+    """Return a text in double quotes with YAML's escapes, not JSON's, beyond 16 bits and for the sign of deletion."""
     if text.isascii() and "\x7f" not in text:
         return json.dumps(text)
     whole = text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
