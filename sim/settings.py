@@ -17,6 +17,7 @@ LARGEST_BYTES = 1 << 24
 T = TypeVar("T")
 Settings = TypeVar("Settings", bound=msgspec.Struct)
 _PLACE = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<field>.*)`)?$", re.DOTALL)
+_FIELD_FIRST = re.compile(r"[\w.\[\]]+: ")
 _ABSENT = re.compile(r"Object missing required field `(?P<name>.*)`")
 
 
@@ -112,7 +113,9 @@ def _explain(wrong: msgspec.ValidationError, raw: object, kind: Any, where: Path
     if what.startswith("Expected "):
         expected = what.removeprefix("Expected ").split(", got")[0].replace("`", "")
         return complaint(where, shown, expected, _found(raw, keys))
-    return f"{where}: {one_line(shown, 200)}: {one_line(what, 200)}"
+    # A struct's own check begins with the name of its field.
+    between = "." if _FIELD_FIRST.match(what) else ": "
+    return f"{where}: {one_line(f'{field}{between}{what}' if field else what, 400)}"
 
 
 def _found(raw: object, keys: Iterable[str]) -> object:

@@ -15,6 +15,8 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if self.kind == "snow" and self.share > 0.9:
             raise ValueError("snow has a share of at most 0.9")
+        if self.kind == "snow" and self.share < 0.1:
+            raise ValueError("share: expected at least 0.1 of snow")
 
 
 class Whole(msgspec.Struct, frozen=True):
@@ -40,6 +42,7 @@ def test_right_values_are_converted() -> None:
         ({"name": "a", "named": {"x": {"share": -1}}}, "named.x.share: expected float >= 0.0, found -1"),
         ({"name": "a", "named": {"x": {"kind": "hail"}}}, "named.x.kind: expected one of fog, snow, found hail"),
         ({"name": "a", "parts": [{"kind": "snow", "share": 1.0}]}, "parts[0]: snow has a share of at most 0.9"),
+        ({"name": "a", "named": {"x": {"kind": "snow", "share": 0.0}}}, "named.x.share: expected at least 0.1 of snow"),
         ([], "top level: expected object, found []"),
     ],
 )

@@ -182,7 +182,7 @@ def test_a_name_belongs_to_one_fusion(registered: None) -> None:
 def test_settings_name_the_nearest_fusion() -> None:
     with pytest.raises(ValueError, match=r"^fusion: unknown 'maxx'; did you mean 'max'\?$"):
         replace(debug().model, fusion="maxx")
-    with pytest.raises(SettingsError, match=r"^--set: model: fusion: unknown 'atention'; did you mean 'attention'\?"):
+    with pytest.raises(SettingsError, match=r"^--set: model.fusion: unknown 'atention'; did you mean 'attention'\?"):
         override(debug(), ["fusion=atention"])
     with pytest.raises(SettingsError, match=r"^--set: model.fusion: expected str, found 3"):
         override(debug(), ["fusion=3"])
