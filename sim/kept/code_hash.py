@@ -38,7 +38,9 @@ def package_versions(entry: str, root: Path = _REPOSITORY) -> dict[str, str]:
     imported = {name.partition(".")[0] for name in _all_imports(found)} - set(sys.stdlib_module_names)
     others = imported - set(_PACKAGES)
     names = {distribution for name in others for distribution in known.get(name, ())}
-    names |= {_BEHIND[name] for name in [*found, *others] if name in _BEHIND}
+    # A machine that replays recorded traffic has no SUMO.
+    installed = {distribution for several in known.values() for distribution in several}
+    names |= {_BEHIND[name] for name in [*found, *others] if name in _BEHIND} & installed
     names |= {point.dist.name for group in _EXTENSIONS for point in entry_points(group=group) if point.dist}
     return {name: version(name) for name in sorted(names)}
 

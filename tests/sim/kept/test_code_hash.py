@@ -1,6 +1,7 @@
 """The hash of a cell's code covers every module and table that decides its numbers, and no other."""
 
 import shutil
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -100,3 +101,12 @@ def test_versions_of_packages_that_compute_are_listed():
     assert not {"rich", "tyro", "matplotlib", "viser"} & set(package_versions(CELLS))
     # Nothing imports these: one is called as a program, the other by trimesh.
     assert {"eclipse-sumo", "mapbox_earcut"} <= set(package_versions("sim.world.build"))
+
+
+def test_cells_are_computed_where_sumo_is_not_installed(monkeypatch: pytest.MonkeyPatch):
+    known = {
+        name: several for name, several in packages_distributions().items() if name not in ("sumo", "mapbox_earcut")
+    }
+    monkeypatch.setattr("sim.kept.code_hash.packages_distributions", lambda: known)
+    found = package_versions.__wrapped__(CELLS)
+    assert "numpy" in found and not {"eclipse-sumo", "mapbox_earcut"} & set(found)
