@@ -46,7 +46,7 @@ from dsrc.data.formats.pcd import SENSOR_FULL_SCALE, read_pcd
 from dsrc.data.formats.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from dsrc.data.jsonio import read_json
 from sensors.deskew import check_motion, deskew
-from sensors.frame import AgentFrame, Frame
+from sensors.frame import AgentFrame, Frame, count_points
 from sensors.sweep import Motion, Sweep
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint, did_you_mean
@@ -290,7 +290,9 @@ class DairReader:
 
     def _points_on(self, pair: Pair, agents: tuple[AgentFrame, ...], truth: Boxes) -> NDArray[np.int32]:
         if self._own:
-            return np.stack([self._recorded_points(side, pair, truth) for side in SIDES])
+            known = [count_points(agent.sweep, truth.object_id) for agent in agents]
+            # Trees of earlier versions list the objects without a number.
+            return np.maximum(known, [self._recorded_points(side, pair, truth) for side in SIDES])
         counts = np.stack([truth.contains(agent.sweep.world_points).sum(axis=1) for agent in agents]).astype(np.int32)
         place = np.stack([agent.sweep.world_from_lidar[:2, 3] for agent in agents])
         nearest = np.linalg.norm(truth.center[None, :, :2] - place[:, None], axis=2).argmin(axis=0)
