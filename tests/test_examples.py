@@ -12,8 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
+import torch
 
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.tracking.tracker import Tracker
@@ -26,6 +28,8 @@ from dsrc.evaluation.cache import CellSettings, write_cell
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.evaluation.stored import StoredDrive, StoredIndex, StoredRun, write_index
+from dsrc.models.detector import Detector
+from dsrc.models.storage.checkpoint import save_detector
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from sensors.corruptions import CORRUPTIONS
@@ -37,7 +41,7 @@ from tests.commands import run_script
 from tests.dsrc.closed_loop.logged import Mover, ahead, episode, ticks_of
 from tests.dsrc.data.toy import SETTINGS, ToySource
 from tests.dsrc.evaluation.fakes import GRID, PointCounter
-from tests.dsrc.evaluation.small import write_detector, write_drives
+from tests.dsrc.evaluation.small import make_detector, write_detector, write_drives
 from tests.paths import ROOT
 
 SCRIPTS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != "look.py")
@@ -505,6 +509,29 @@ def test_a_method_is_ahead_where_its_boxes_count_and_the_other_s_do_not(tmp_path
     assert cells[1][2:] == ["+0.0 / +0.0", "+0.0 / +0.0", "**-100.0** / **-100.0**", "+0.0 / +0.0"]
 
 
+def test_a_head_that_always_says_one_direction_is_right_where_the_other_guess_is_wrong(tmp_path: Path) -> None:
+    """Its other heads say the same everywhere, too: no cell holds a vehicle, whatever the points."""
+    for split in ("train", "validation", "test"):
+        write_drives(tmp_path / "data" / split)
+    detector = Detector(msgspec.structs.replace(make_detector("attfuse").settings, direction=True))
+    for head, says in ((detector.direction_head, 1.0), (detector.cls_head, -30.0)):
+        torch.nn.init.zeros_(head.weight)
+        torch.nn.init.constant_(head.bias, says)
+    save_detector(tmp_path / "headed.pt", detector, {})
+    other = write_detector(tmp_path / "other.pt", "attfuse")
+    script, files = ROOT / "examples/feature_maps.py", (str(tmp_path / "headed.pt"), f"without={other}")
+    printed = run(script, "--data", str(tmp_path / "data"), "--checkpoint", *files, "--frames", "4", "--tested", "4")
+    rows = [line.strip("| ").split(" | ") for line in printed.splitlines()]
+    shares = {row[1]: list(map(int, row[2:])) for row in rows[2:6]}
+    assert {row[0] for row in rows[2:6]} == {"headed"}
+    assert [a + b for a, b in zip(*list(shares.values())[:2], strict=True)] == [100, 100]
+    assert all(0 <= share <= 100 for two in shares.values() for share in two)
+    frames, below, share, boxes, inside, least, without = rows[8][1:]
+    assert (frames, below, share, boxes, least, without) == ("4", "4", "100.00", inside, "-30", "-30")
+    assert int(boxes) > 0
+    assert rows[9][0] == "without" and rows[9][4] == boxes and rows[9][5] == "0"
+
+
 def test_false_tracks_and_late_ones_are_counted(tmp_path: Path) -> None:
     """A car that is found from 1 s on, and a box 20 m beside it in each of the 45 percepts, where nobody is."""
 
@@ -599,6 +626,8 @@ def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatc
             ("docs/results/dsrc-sim-small/kept", "--docs", "docs/lidar.md"),
             "docs/lidar.md: zoo: expected the lines <!-- begin zoo -->",
         ),
+        ("feature_maps.py", ("--data", "nowhere", "--checkpoint", "x.pt"), "x.pt: "),
+        ("feature_maps.py", ("--data", "x", "--checkpoint", "x.pt", "--frames", "2"), "--frames: expected at least 3"),
         ("score_thresholds.py", ("nowhere",), "nowhere: results: expected a folder, found no such folder"),
         ("score_thresholds.py", ("nowhere", "--scores", "2"), "--scores: expected numbers from 0 to 1, found 2"),
         ("score_thresholds.py", ("nowhere", "--scores", "nan"), "--scores: expected numbers from 0 to 1, found nan"),
