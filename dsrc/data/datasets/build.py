@@ -5,6 +5,7 @@ any number of workers, any executor and any number of interruptions.
 """
 
 import logging
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ from dsrc.options.fields import takes_fields
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
 
+_NEW = ".recording-"
+"""How the folder of a recording that is being made begins."""
 _PATIENCE_S = 10.0
 """Time to wait for the lock of a drive: workers of a killed process end a moment after it."""
 _SAVE_EVERY_S = 2.0
@@ -208,15 +211,17 @@ def _record(work: _Work, report: Progress) -> None:
     spec, more = work.item.spec, {}
     if spec.scenario.conflict is not None:
         spec, more["proof"] = settle_encounter(spec)
-    work.folder.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=".recording-", dir=work.folder) as name:
-        new = Path(name)  # the old recording stays until the new one is whole
-        with open_simulated(
-            spec.scenario, spec.seed, spec.frames, spec.interval_s, new / TRAFFIC_LOG, more=more
-        ) as live:
-            _log.info("%s: agents %s", work.item.path, live.recording.agent_ids)
-        for file in (new / TRAFFIC_LOG, new / WORLD):
-            file.replace(work.folder / file.name)
+    with locked(work.folder, _PATIENCE_S, "recording"):
+        for left in work.folder.glob(f"{_NEW}*"):  # by a process that was killed
+            shutil.rmtree(left)
+        with TemporaryDirectory(prefix=_NEW, dir=work.folder) as name:
+            new = Path(name)  # the old recording stays until the new one is whole
+            with open_simulated(
+                spec.scenario, spec.seed, spec.frames, spec.interval_s, new / TRAFFIC_LOG, more=more
+            ) as live:
+                _log.info("%s: agents %s", work.item.path, live.recording.agent_ids)
+            for file in (new / TRAFFIC_LOG, new / WORLD):
+                file.replace(work.folder / file.name)
 
 
 def _entry(item: DriveItem, drive: Path) -> ManifestEntry:

@@ -176,8 +176,11 @@ def test_recordings_are_not_replaced_by_drives_nor_by_a_simulation_that_fails(
     with pytest.raises(SettingsError, match="out: expected a folder apart from the recordings"):
         generate_dataset(source, tmp_path / "recorded", cards=False)
     assert tree(tmp_path / "recorded") == before
+    killed = next(path for path in (tmp_path / "recorded").rglob("*.npz")).parent / ".recording-killed"
+    killed.mkdir()
+    (killed / "traffic.npz").write_bytes(b"half")
     record_dataset(source)
-    assert tree(tmp_path / "recorded") == before
+    assert tree(tmp_path / "recorded") == before and not killed.exists()
 
     def failing(*args: object, **named: object) -> None:
         raise DataError("no simulation")
