@@ -30,7 +30,7 @@ from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.storage.checkpoint import load_detector
 from dsrc.training.augment import augment, source_grid
-from dsrc.training.recipes import Augmentation, small
+from dsrc.training.recipes import Augmentation
 from dsrc.training.samples import SampleStore
 from sim.errors import UserError
 
@@ -123,7 +123,7 @@ def directions(detector: Detector, data: Path, frames: int, tested: int) -> Iter
     settings = detector.settings
     drives = [drive.drive for drive in open_drives(data / "train")]
     grid = source_grid(settings.grid, Augmentation())
-    store = SampleStore(drives, grid, small().comm_range_m, settings.max_agents)
+    store = SampleStore(drives, grid, settings.comm_range_m, settings.max_agents)
     rng = np.random.default_rng(0)
     chosen = [store.frames[i] for i in rng.permutation(len(store.frames))[:frames]]
     egos = [int(rng.choice(store.egos(frame))) for frame in chosen]

@@ -95,7 +95,7 @@ def teacher_gate(teacher: Path, data: Path, recipe: Recipe, frames: int = 140, b
 def hidden_scores(teacher: Detector, drives: Sequence[Path], recipe: Recipe, frames: int) -> list[float]:
     """Return a teacher's scores at the positive anchors of boxes without a point of the ego."""
     users = recipe.model.users
-    store = SampleStore(drives, recipe.model.grid, recipe.comm_range_m, recipe.model.max_agents, users=users)
+    store = SampleStore(drives, recipe.model.grid, recipe.model.comm_range_m, recipe.model.max_agents, users=users)
     refs = [store.frames[i] for i in np.linspace(0, len(store.frames) - 1, frames).round().astype(int)]
     scores: list[float] = []
     for ref in refs:

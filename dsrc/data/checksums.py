@@ -1,7 +1,9 @@
 """Checksums of a drive: `SHA256SUMS` beside its protocol, in the format of `sha256sum --check`."""
 
+import contextlib
+import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sim.errors import DataError, complaint
@@ -9,6 +11,7 @@ from sim.files import file_sha256, write_file
 from sim.reading import read_text
 
 CHECKSUMS = "SHA256SUMS"
+_BLOCK = 4096
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
 
 
@@ -47,6 +50,38 @@ def faulty_files(folder: Path) -> Iterator[tuple[Path, str]]:
             yield folder / name, f"changed since {CHECKSUMS} was written"
     for name in sorted(present.keys() - sums.keys()):
         yield folder / name, f"not listed in {CHECKSUMS}"
+
+
+def marks_of_change(folder: Path, files: Sequence[Path]) -> Iterator[tuple[Path, bytes]]:
+    """Yield a mark for each of the files that may have other content than their names and sizes tell.
+
+    Of a folder with checksums these are the files that have changed since they were written, and the mark is their
+    SHA-256 now. Files older than the checksums have not changed; where newer ones have not either, as in a copy, the
+    checksums get the present time, so that they are read once. Without checksums it is each file, and the mark is its
+    first and last 4 KiB: what moves or dims all points is in them.
+    """
+    listed = folder / CHECKSUMS
+    try:
+        since = listed.stat().st_mtime_ns
+        newer = [path for path in files if path.stat().st_mtime_ns > since]
+        sums = read_checksums(folder) if newer else {}
+    except (OSError, DataError):
+        yield from ((path, ends_of(path)) for path in files)
+        return
+    now = {path: file_sha256(path) for path in newer}
+    changed = {path: found for path, found in now.items() if found != sums.get(path.relative_to(folder).as_posix())}
+    yield from ((path, found.encode()) for path, found in changed.items())
+    if newer and not changed:
+        with contextlib.suppress(OSError):  # of a drive that may only be read
+            os.utime(listed)
+
+
+def ends_of(path: Path) -> bytes:
+    """Return the first and the last 4 KiB of a file."""
+    with path.open("rb") as file:
+        start = file.read(_BLOCK)
+        file.seek(max(path.stat().st_size - _BLOCK, 0))
+        return start + file.read(_BLOCK)
 
 
 def _files(folder: Path) -> list[Path]:

@@ -48,7 +48,7 @@ class Drive(Protocol):
         ...
 
     def digest(self) -> str:
-        """Return a SHA-256 of annotations and of all clouds' names and sizes; quick, for provenance."""
+        """Return a SHA-256 of annotations and of all clouds' names, sizes and changes; quick, for provenance."""
         ...
 
 

@@ -72,6 +72,8 @@ JudgedBy = Literal["grid", "opencood"]
 those inside `OPENCOOD_RANGE_M` whatever the detector's range, the ego's own too where a collaborator has a point on
 it."""
 
+COMM_RANGE_M = 70.0
+"""Communication range of OPV2V's benchmarks, m."""
 OPENCOOD_RANGE_M: Range = (-140.0, -40.0, -3.0, 140.0, 40.0, 1.0)
 """Range in which OpenCOOD's evaluation counts boxes, in the ego LiDAR's frame, m."""
 
@@ -86,7 +88,7 @@ def make_sample(
     ego_id: int | None,
     grid: GridSpec,
     *,
-    comm_range_m: float = 70.0,
+    comm_range_m: float = COMM_RANGE_M,
     max_agents: int = 5,
     cooperative: bool = True,
     key: str = "",
@@ -95,6 +97,7 @@ def make_sample(
     truth_range_m: Range | None = None,
     users: Users = "vehicles",
     ahead_m: float = 0.0,
+    recorded: Frame | None = None,
 ) -> Sample:
     """Make the sample of one ego in a frame; `sample_for` makes that of a detector.
 
@@ -111,11 +114,13 @@ def make_sample(
         truth_range_m: range of the ground truth, where it is not the grid's.
         users: road users of the ground truth.
         ahead_m: shift of the sample's frame, and so of the grid, along the ego's heading, m.
+        recorded: the frame before it was corrupted, whose places decide which agents are in range; the frame's own
+            where it is left out.
 
     Raises:
         DataError: the frame lacks the ego.
     """
-    rows = _participants(frame, ego_id, comm_range_m, max_agents, team_by)
+    rows = _participants(recorded or frame, ego_id, comm_range_m, max_agents, team_by)
     ego = frame.agents[rows[0]]
     shift = np.eye(4)
     shift[0, 3] = -ahead_m
@@ -141,7 +146,14 @@ def make_sample(
 
 
 def sample_for(
-    settings: Any, frame: Frame, ego_id: int | None, *, cooperative: bool = True, key: str = "", ahead_m: float = 0.0
+    settings: Any,
+    frame: Frame,
+    ego_id: int | None,
+    *,
+    cooperative: bool = True,
+    key: str = "",
+    ahead_m: float = 0.0,
+    recorded: Frame | None = None,
 ) -> Sample:
     """Make the sample that a detector is run and judged on.
 
@@ -152,6 +164,7 @@ def sample_for(
         cooperative: include the collaborators' clouds.
         key: name of the sample.
         ahead_m: shift of the sample's frame.
+        recorded: the frame before it was corrupted.
 
     Raises:
         DataError: the frame lacks the ego.
@@ -160,6 +173,7 @@ def sample_for(
         frame,
         ego_id,
         settings.grid,
+        comm_range_m=getattr(settings, "comm_range_m", COMM_RANGE_M),
         max_agents=getattr(settings, "max_agents", 5),
         cooperative=cooperative,
         key=key,
@@ -168,6 +182,7 @@ def sample_for(
         truth_range_m=judged_range(settings),
         users=getattr(settings, "users", "vehicles"),
         ahead_m=ahead_m,
+        recorded=recorded,
     )
 
 

@@ -11,6 +11,7 @@ from sensors import corruptions as registry
 from sensors.corruptions import CLEAN, Family
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
+from sim.kept.code_hash import own_code_hash
 from sim.radio import ChannelSpec
 
 ALL = "all"
@@ -79,7 +80,12 @@ def condition_settings(condition: Condition) -> dict[str, Any]:
         return listed
     if condition.who != registry.EVERYONE:
         listed["who"] = condition.who
-    settings = registry.CORRUPTIONS[condition.kind].settings_of(condition.family).severity(condition.severity)
+    corruption = registry.CORRUPTIONS[condition.kind]
+    paper = condition.family == "paper"
+    model = corruption.paper_apply or corruption.paper_in_frame if paper else corruption.apply or corruption.in_frame
+    if code := own_code_hash(model):
+        listed["code"] = code
+    settings = corruption.settings_of(condition.family).severity(condition.severity)
     return {**listed, "settings": msgspec.to_builtins(settings)}
 
 

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
-from dsrc.data.sample import JudgedBy, Sample, SampleDetector, TeamBy, inside, judged_range, sample_for
+from dsrc.data.sample import COMM_RANGE_M, JudgedBy, Sample, SampleDetector, TeamBy, inside, judged_range, sample_for
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
 from dsrc.models.channel import Receiver
+from dsrc.ops.anchors import Users
 from dsrc.ops.grid import GridSpec
 from sensors import corruptions as registry
 from sensors.corruptions import CLEAN, drive_seed
@@ -105,10 +106,11 @@ def evaluate_drive(
         for condition, methods in work.items():
             past = FrameHistory(recorded.at, i, partial(corrupted, condition=condition, seed=own_seed))
             samples: dict[_SampleKey, Sample] = {}
+            frames = past[0], recorded[0]
             left = points_left(recorded[0], past[0])
             for method in methods:
-                sample, record = _sample(past[0], method, samples, name), records[condition, method.name]
-                whole = _sample(past[0], replace(method, agents=None), samples, name)
+                sample, record = _sample(frames, method, samples, name), records[condition, method.name]
+                whole = _sample(frames, replace(method, agents=None), samples, name)
                 if method.name in receivers:
                     grid = method.detector.settings.grid
                     sample, links = receivers[method.name].receive(past, i, sample, grid)
@@ -241,17 +243,21 @@ class _SampleKey(NamedTuple):
     """What a sample depends on, besides the frame."""
 
     grid: GridSpec
+    users: Users
+    comm_range_m: float
     max_agents: int
     team_by: TeamBy
     judged_by: JudgedBy
     agents: int | None
 
 
-def _sample(frame: Frame, method: Method, samples: dict[_SampleKey, Sample], drive: str) -> Sample:
-    """Input of a method; methods with the same grid, agents and judge share it."""
+def _sample(frames: tuple[Frame, Frame], method: Method, samples: dict[_SampleKey, Sample], drive: str) -> Sample:
+    """Input of a method, of the corrupted and the recorded frame; methods with the same key share it."""
     settings = method.detector.settings
     key = _SampleKey(
         settings.grid,
+        getattr(settings, "users", "vehicles"),
+        getattr(settings, "comm_range_m", COMM_RANGE_M),
         getattr(settings, "max_agents", 5),
         getattr(settings, "team_by", "range"),
         getattr(settings, "judged_by", "grid"),
@@ -259,10 +265,10 @@ def _sample(frame: Frame, method: Method, samples: dict[_SampleKey, Sample], dri
     )
     if key not in samples:
         if method.agents is None:
-            sample = sample_for(settings, frame, None)
+            sample = sample_for(settings, frames[0], None, recorded=frames[1])
             samples[key] = replace(sample, key=f"{drive}/{sample.key}")
         else:
-            whole = _sample(frame, replace(method, agents=None), samples, drive)
+            whole = _sample(frames, replace(method, agents=None), samples, drive)
             samples[key] = first_agents(whole, method.agents)
     return samples[key]
 

@@ -24,11 +24,12 @@ from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, 
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
 from dsrc.evaluation.metrics.intervals import RankedDetections
 from dsrc.evaluation.results import Row, make_row
+from dsrc.models.fusion import FUSIONS
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import read_meta
 from sim.errors import SettingsError, UserError, complaint
 from sim.files import file_sha256
-from sim.kept.code_hash import code_hash, package_versions
+from sim.kept.code_hash import code_hash, versions_with
 
 Device = Literal["cpu", "cuda"]
 
@@ -187,7 +188,7 @@ def _check_judged_alike(plan: Benchmark, trained: Mapping[str, Sequence[TrainedD
     for pair in plan.differences:
         found, wanted = trained[pair.method][0], trained[pair.baseline][0]
         ranges = judged_range(found.settings), judged_range(wanted.settings)
-        fields = ("users", "max_agents", "team_by", "judged_by")
+        fields = ("users", "comm_range_m", "max_agents", "team_by", "judged_by")
         pairs = [(name, getattr(found.settings, name), getattr(wanted.settings, name)) for name in fields]
         for name, own, other in (("range", *ranges), *pairs):
             if own != other:
@@ -252,7 +253,7 @@ class _CellPlanner:
                     agents=agents,
                     device=self.device,
                     engine=self.engine,
-                    versions=package_versions(make_cells.__module__),
+                    versions=versions_with(make_cells.__module__, FUSIONS[one.settings.fusion]),
                     code=code_hash(make_cells.__module__),
                     condition=condition,
                     channel=listed,

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from dsrc.data.sample import JudgedBy, TeamBy
+from dsrc.data.sample import COMM_RANGE_M, JudgedBy, TeamBy
 from dsrc.ops.anchors import Users
 from dsrc.ops.grid import GridSpec
 from sim.errors import did_you_mean
@@ -71,6 +71,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         score_prior: confidence of an untrained head, None for PyTorch's initialisation.
         reconstruction_channels: widths of the reconstruction head, per vertical bin and after reduction.
         reconstruction_cell_z_m: height of a reconstruction voxel; the released code's is the whole range.
+        comm_range_m: communication range of the ego, between LiDARs in the plane, m: agents beyond it take no part.
         max_agents: number of agents that are fused, the ego included.
         team_by: order of the rules of range and number by which agents take part; `folders` is OpenCOOD's.
         judged_by: boxes that count in an evaluation, see `dsrc.data.sample.JudgedBy`; with `opencood` detections and
@@ -118,6 +119,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     score_prior: Annotated[float, Meta(gt=0, lt=1)] | None = 0.01
     reconstruction_channels: tuple[Count, Count] = (128, 32)
     reconstruction_cell_z_m: Annotated[float, Meta(gt=0)] = 0.4
+    comm_range_m: Annotated[float, Meta(ge=0)] = COMM_RANGE_M
     max_agents: Count = 5
     team_by: TeamBy = "range"
     judged_by: JudgedBy = "grid"

@@ -121,7 +121,7 @@ class DetectionData(pl.LightningDataModule):
         """
         super().__init__()
         self.recipe, self.settings = recipe, settings
-        agents = (recipe.comm_range_m, recipe.model.max_agents, recipe.labels.ego_box, recipe.model.team_by)
+        agents = (recipe.model.comm_range_m, recipe.model.max_agents, recipe.labels.ego_box, recipe.model.team_by)
         users = recipe.model.users
         wide = SampleStore(drives, source_grid(recipe.model.grid, recipe.augmentation), *agents, users=users)
         frames, held_out = wide.frames, wide.frames

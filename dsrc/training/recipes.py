@@ -1,7 +1,7 @@
 """Recipes: settings of a training, and the presets and methods of the comparison."""
 
-from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -87,7 +87,6 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             from a fifth of the peak up and to a fiftieth down, on a cosine that began to fall with the training.
         warmup: share of the steps in which the rate rises.
         clip: largest gradient norm; 0 does not clip.
-        comm_range_m: communication range of the ego, m.
         validate_every: epochs between validations; the last epoch always has one.
         validation_share: without a validation set, this last part of each drive is held out; with 0, the metrics are
             those on training frames, and called so.
@@ -119,7 +118,6 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     schedule: Literal["one_cycle", "cosine", "released"] = "one_cycle"
     warmup: Annotated[float, Meta(ge=0, le=1)] = 0.1
     clip: NotNegative = 10.0
-    comm_range_m: NotNegative = 70.0
     validate_every: Count = 2
     validation_share: Annotated[float, Meta(ge=0, lt=1)] = 0.1
     validation_frames: Count = 40
@@ -297,6 +295,14 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
     "dsrc-paper": dsrc_paper,
     "dsrc-code": dsrc_code,
 }
+
+
+def of_today(recipe: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a recorded recipe as of this version: the communication range was no setting of the model before."""
+    if "comm_range_m" not in recipe:
+        return dict(recipe)
+    others = {name: value for name, value in recipe.items() if name != "comm_range_m"}
+    return {**others, "model": {"comm_range_m": recipe["comm_range_m"], **recipe["model"]}}
 
 
 def override(recipe: Recipe, overrides: Sequence[str]) -> Recipe:

@@ -11,7 +11,7 @@ import msgspec
 import torch
 
 from dsrc.data.provenance import commit, versions
-from dsrc.training.recipes import PARTS
+from dsrc.training.recipes import PARTS, of_today
 from sim.errors import CheckpointError, DataError, SettingsError, complaint
 from sim.files import write_file
 from sim.reading import read_bytes
@@ -99,7 +99,10 @@ class RunFolder:
     def _check_same_run(self, record: Mapping[str, Any]) -> None:
         """Compare the recorded run with the requested one."""
         if not self.settings.exists():
-            return
+            hint = "; choose another folder or remove this one"
+            raise SettingsError(
+                complaint(self.settings, "file", "the settings of the run in this folder", "none", hint)
+            )
         try:
             content = read_bytes(self.settings, "settings of a training", SettingsError)
             before, now = _decisive(msgspec.json.decode(content)), _decisive(record)
@@ -121,7 +124,7 @@ def validations_decide(keep: str, patience: int | None) -> str | None:
 def _decisive(record: Mapping[str, Any]) -> dict[str, object]:
     """Return the entries of a record that decide the weights, by name."""
     plain = msgspec.json.decode(msgspec.json.encode(record))
-    recipe = plain["settings"]["recipe"]
+    recipe = of_today(plain["settings"]["recipe"])
     parts = {f"{part}.{name}": value for part in PARTS for name, value in recipe.get(part, {}).items()}
     decide = validations_decide(recipe.get("keep", "last"), recipe.get("patience"))
     chosen = {"validation": sorted((plain["validation"] or {}).values())} if decide else {}

@@ -12,7 +12,7 @@ from dsrc.data.provenance import hashes, versions
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.training.datamodule import DetectionData
-from dsrc.training.recipes import Recipe, Stage
+from dsrc.training.recipes import Recipe, Stage, of_today
 from dsrc.training.run_folder import DETECTOR, RESULT, SETTINGS
 from dsrc.training.validation import best_device, frames_named, validate
 from sim.errors import CheckpointError, DataError, complaint
@@ -114,8 +114,8 @@ def verify(
     """
     record, result = _read(run / SETTINGS, _Record), _read(run / RESULT, _Result)
     try:
-        recipe = msgspec.convert(record.settings.recipe, Recipe)
-    except msgspec.ValidationError as error:
+        recipe = msgspec.convert(of_today(record.settings.recipe), Recipe)
+    except (msgspec.ValidationError, KeyError, TypeError) as error:
         raise DataError(complaint(run / SETTINGS, "recipe", "one of this version", str(error))) from None
     settings = recipe.settings(record.settings.stage)
     detector = load_detector(run / DETECTOR, best_device())

@@ -5,11 +5,14 @@ Imports are read from the source, also those inside functions: nothing is import
 
 import ast
 import hashlib
+import inspect
 import sys
+import uuid
 from collections.abc import Iterator
 from functools import cache
 from importlib.metadata import entry_points, packages_distributions, version
 from pathlib import Path
+from typing import Any
 
 from sim.files import file_sha256
 
@@ -43,6 +46,38 @@ def package_versions(entry: str, root: Path = _REPOSITORY) -> dict[str, str]:
     names |= {_BEHIND[name] for name in [*found, *others] if name in _BEHIND} & installed
     names |= {point.dist.name for group in _EXTENSIONS for point in entry_points(group=group) if point.dist}
     return {name: version(name) for name in sorted(names)}
+
+
+@cache
+def own_code_hash(thing: Any) -> str:
+    """SHA-256 of the source behind a function or class that a user has registered; "" for one of ours.
+
+    It is that of all modules of its package, or of its file, or of itself in a notebook. Where there is no source it
+    is of this process alone, so that nothing is served from before.
+    """
+    module = sys.modules.get(getattr(thing, "__module__", ""))
+    package = sys.modules.get("" if module is None else module.__name__.partition(".")[0])
+    if package is not None and package.__name__ in _PACKAGES:
+        return ""
+    folders, file = getattr(package, "__path__", ()), getattr(module, "__file__", None)
+    files = sorted(path for folder in folders for path in Path(folder).rglob("*.py"))
+    if not files and file and Path(file).is_file():
+        files = [Path(file)]
+    total = hashlib.sha256()
+    for path in files:
+        total.update(f"{path.name} {file_sha256(path)}\n".encode())
+    if not files:
+        try:
+            total.update(inspect.getsource(thing).encode())
+        except (OSError, TypeError):
+            total.update(uuid.uuid4().bytes)
+    return total.hexdigest()
+
+
+def versions_with(entry: str, *things: Any) -> dict[str, str]:
+    """`package_versions` of a module, and the `own_code_hash` of functions and classes that a user has registered."""
+    own = {f"{thing.__module__}.{thing.__qualname__}": own_code_hash(thing) for thing in things}
+    return {**package_versions(entry), **{name: code for name, code in own.items() if code}}
 
 
 def code_files(entry: str, root: Path = _REPOSITORY) -> list[Path]:

@@ -113,7 +113,7 @@ def make_share_cells(unit: WorkUnit, progress: Progress) -> None:
         with one_thread():
             for done, i in enumerate(unit.positions, 1):
                 past = FrameHistory(read, i, partial(corrupted, condition=unit.condition, seed=seed))
-                whole = sample_for(detector.settings, past[0], None)
+                whole = sample_for(detector.settings, past[0], None, recorded=read(i))
                 whole = replace(whole, key=f"{name}/{whole.key}")
                 heard = receiver.receive(past, i, whole, detector.settings.grid)[0] if receiver else whole
                 found = share_sample(detector, heard, job.settings.iou, whole.agent_ids)

@@ -20,11 +20,13 @@ from dsrc.evaluation.runner import check_device, compute
 from dsrc.evaluation.sharing.cells import ShareRow, ShareSettings, has_share_cell, make_share_cells, read_share_cell
 from dsrc.evaluation.sharing.shares import MOST_AGENTS, check_iou
 from dsrc.evaluation.stored import StoredDrive
+from dsrc.models.fusion import FUSIONS, Fusion
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Sharing
 from sensors.corruptions import parse_who
+from sim.errors import DataError, complaint
 from sim.files import file_sha256
-from sim.kept.code_hash import code_hash, package_versions
+from sim.kept.code_hash import code_hash, versions_with
 from sim.radio import get_channel
 
 CHUNK = 10
@@ -50,12 +52,15 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
     parse_who(config.who)
     kinds = corruption_kinds(config.corruptions, config.family, "shares")
     conditions = [Condition(), *(Condition(kind, config.severity, config.family, config.who) for kind in kinds)]
-    load_student(config.checkpoint, config.device, config.engine)  # a wrong one before anything is written
+    detector = load_student(config.checkpoint, config.device, config.engine)  # a wrong one before anything is written
     readers = [open_drive(path) for path in list_drives(config.data)]
+    names = [reader.drive.name for reader in readers]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise DataError(complaint(config.data, "drives", "drives of different names", f"two called '{twice[0]}'"))
     folder = config.out / "cells"
     with locked(config.out, what="folder of shares"):
         by_drive = [
-            list(_units(folder, reader, positions, conditions, config))
+            list(_units(folder, reader, positions, conditions, config, FUSIONS[detector.settings.fusion]))
             for reader, positions in zip(readers, frame_positions(readers, config.limit), strict=True)
         ]
         units = [unit for own in by_drive for unit in own]
@@ -70,7 +75,12 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
 
 
 def _units(
-    folder: Path, reader: Drive, positions: Sequence[int], conditions: Sequence[Condition], config: Sharing
+    folder: Path,
+    reader: Drive,
+    positions: Sequence[int],
+    conditions: Sequence[Condition],
+    config: Sharing,
+    fusion: type[Fusion],
 ) -> Iterator[WorkUnit]:
     """Yield the work in a drive, a cell each."""
     channel = None if config.channel is None else get_channel(config.channel)
@@ -88,7 +98,7 @@ def _units(
                 agents=MOST_AGENTS,
                 device=config.device,
                 engine=config.engine,
-                versions=package_versions(make_share_cells.__module__),
+                versions=versions_with(make_share_cells.__module__, fusion),
                 code=code_hash(make_share_cells.__module__),
                 condition=condition_settings(condition),
                 channel=None if channel is None else channel_settings(channel),

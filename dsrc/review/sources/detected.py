@@ -48,9 +48,9 @@ class ComputedSet(MemorySet):
             if known is not None:
                 return known
             settings = self.detector.settings
-            everyone = sample = sample_for(settings, corrupted, setup.ego_id)
+            everyone = sample = sample_for(settings, corrupted, setup.ego_id, recorded=clean)
             if not setup.cooperative:
-                sample = sample_for(settings, corrupted, setup.ego_id, cooperative=False)
+                sample = sample_for(settings, corrupted, setup.ego_id, cooperative=False, recorded=clean)
             found = self.detector.detect(sample)
             ego_id, objects = sample.agent_ids[0], sample.boxes.object_id
             share = clean.visible_fraction[[agent.agent_id for agent in clean.agents].index(ego_id)]

@@ -80,6 +80,39 @@ def test_judged_by_opencood_a_method_has_the_truth_that_opencood_has(tmp_path):
     assert rows[0].metrics["ap_opencood_bev_70"] == 1.0
 
 
+def test_each_method_is_judged_on_its_own_road_users_and_team_whoever_runs_beside_it(drives):
+    def found(*settings):
+        methods = [Method(str(k), PointCounter(need=0)) for k in range(len(settings))]
+        for method, more in zip(methods, settings, strict=True):
+            method.detector.settings = SimpleNamespace(grid=GRID, **more)
+        detect_all(methods, drives, ("clean",))
+        return [[(s.agent_ids, s.boxes.object_id.tolist()) for s in m.detector.seen] for m in methods]
+
+    cases = [{"users": "vehicles"}, {"users": "vulnerable"}, {"comm_range_m": 27.0}, {"comm_range_m": 35.0}]
+    alone = [found(case)[0] for case in cases]
+    assert len({str(one) for one in alone}) == 3 and alone[0] == alone[3]  # the second car is 30 m away
+    assert found(*cases) == alone and found(*reversed(cases)) == alone[::-1]
+
+
+def test_a_helper_whose_pose_is_wrong_stays_in_range_and_what_it_sees_in_the_truth(drives, monkeypatch):
+    def moved(frame, kind, severity, seed, family="physical", who="all"):
+        """Report the third agent, the roadside unit 21 m away, to be 10 m further off."""
+        sweep = frame.agents[2].sweep
+        pose = sweep.world_from_lidar.copy()
+        pose[:2, 3] *= 1.5
+        return frame.with_sweeps([*(a.sweep for a in frame.agents[:2]), replace(sweep, world_from_lidar=pose)])
+
+    monkeypatch.setattr("sensors.corruptions.corrupt_frame", moved)
+    detector = PointCounter(need=0)
+    detector.settings = SimpleNamespace(grid=GRID, comm_range_m=25.0)
+    detect_all([Method("a", detector)], drives, ("fog",))
+    clean, wrong = detector.seen[::2], detector.seen[1::2]
+    assert {sample.agent_ids for sample in detector.seen} == {(1000, -1)}
+    for one, other in zip(clean, wrong, strict=True):
+        assert one.boxes.object_id.tolist() == other.boxes.object_id.tolist()
+        assert np.abs(one.ego_from_agent[1] - other.ego_from_agent[1]).max() > 5.0
+
+
 def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives):
     frame = toy_frame(0)
     whole = make_sample(frame, None, GRID)

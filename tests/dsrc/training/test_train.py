@@ -21,7 +21,7 @@ from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detect
 from dsrc.training.recipes import METHODS, Augmentation, debug, dsrc_code, of_method, override
 from dsrc.training.train import train, train_stages
 from sim.errors import CheckpointError, DataError, SettingsError
-from sim.files import file_sha256
+from sim.files import file_sha256, overwriting
 from tests.dsrc.training.drive import write_drive
 from tests.dsrc.training.runs import Power, tiny
 
@@ -143,6 +143,16 @@ def test_a_run_is_resumed_with_what_it_was_started_with_or_not_at_all(data: Path
     train(replace(recipe, workers=0, alarm_after=9), data, tmp_path, "plain")
     with pytest.raises(SettingsError, match=r"half: expected False as asked for now, found True"):
         train(replace(recipe, half=False), data, tmp_path, "plain")
+    record = json.loads(written)
+    record["settings"]["recipe"]["comm_range_m"] = record["settings"]["recipe"]["model"].pop("comm_range_m")
+    (tmp_path / "settings.json").write_text(json.dumps(record))  # as versions before wrote it
+    train(recipe, data, tmp_path, "plain")
+    nearer = replace(recipe, model=replace(recipe.model, comm_range_m=30.0))
+    with pytest.raises(SettingsError, match=r"model.comm_range_m: expected 30.0 as asked for now, found 70.0"):
+        train(nearer, data, tmp_path, "plain")
+    (tmp_path / "settings.json").unlink()
+    with overwriting(), pytest.raises(SettingsError, match=r"settings.json: file: expected the settings of the run in"):
+        train(recipe, data, tmp_path, "plain")
 
 
 def test_a_run_that_is_begun_anew_and_cut_off_is_not_continued_from_the_former_one(data: Path, tmp_path: Path) -> None:

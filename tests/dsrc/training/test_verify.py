@@ -102,6 +102,14 @@ def test_other_settings_data_and_versions_are_named(run: Path, tmp_path: Path) -
     assert set(differing(run, data=other)) >= {"recipe learning_rate", "version torch", "data made_up"}
 
 
+def test_a_run_of_a_version_before_agrees(run: Path) -> None:
+    """The communication range was a setting of the recipe, and none of the detector's."""
+    settings = json.loads((run / "settings.json").read_text())["settings"]
+    settings["recipe"]["comm_range_m"] = settings["recipe"]["model"].pop("comm_range_m")
+    change(run / "settings.json", settings=settings)
+    assert set(differing(run)) == {"recipe comm_range_m", "recipe model"}
+
+
 def test_a_run_whose_folders_were_not_recorded_agrees_with_the_given_ones(run: Path) -> None:
     record = json.loads((run / "settings.json").read_text())
     folders = record.pop("folders")

@@ -1,12 +1,14 @@
 """The hash of a cell's code covers every module and table that decides its numbers, and no other."""
 
+import importlib
 import shutil
+import sys
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 
-from sim.kept.code_hash import code_files, code_hash, package_versions
+from sim.kept.code_hash import code_files, code_hash, own_code_hash, package_versions, versions_with
 from tests.paths import ROOT
 
 CELLS = "dsrc.evaluation.cells"
@@ -94,6 +96,26 @@ def test_imports_inside_functions_count_and_those_of_type_checkers_do_not(tmp_pa
     }
     assert found == names and len(names) == len(wanted)
     assert set(package_versions.__wrapped__(CELLS, tmp_path)) == {"numpy"}
+
+
+def test_the_code_of_a_user_counts_and_ours_is_counted_already(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "haze_alone.py").write_text("def haze():\n    return 1\n")
+    (tmp_path / "haze_whole").mkdir()
+    (tmp_path / "haze_whole/__init__.py").write_text("from haze_whole.parts import haze\n")
+    (tmp_path / "haze_whole/parts.py").write_text("def haze():\n    return 1\n")
+    for name, file in (("haze_alone", "haze_alone.py"), ("haze_whole", "haze_whole/__init__.py")):
+        haze = importlib.import_module(name).haze
+        before = own_code_hash.__wrapped__(haze)
+        assert before and own_code_hash.__wrapped__(haze) == before
+        assert before in versions_with(CELLS, haze, code_hash.__wrapped__).values()
+        (tmp_path / file).write_text((tmp_path / file).read_text() + "# other\n")
+        assert own_code_hash.__wrapped__(haze) != before
+        monkeypatch.delitem(sys.modules, name)
+    assert own_code_hash(code_files) == ""
+    here: dict = {"__name__": "nowhere"}
+    exec("def haze(): pass", here)
+    assert own_code_hash.__wrapped__(here["haze"]) != own_code_hash.__wrapped__(here["haze"])  # no source: never served
 
 
 def test_versions_of_packages_that_compute_are_listed():

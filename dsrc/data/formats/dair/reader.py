@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.checksums import ends_of
 from dsrc.data.formats.annotation import with_own_bodies
 from dsrc.data.formats.dair.tree import (
     LABEL_FOLDERS,
@@ -203,14 +204,14 @@ class DairReader:
         return {}
 
     def digest(self) -> str:
-        """Return the SHA-256 of the labels, the poses and the names and sizes of the clouds."""
+        """Return the SHA-256 of the labels, the poses and the names, sizes, starts and ends of the clouds."""
         digest = hashlib.sha256()
         for pair in self._pairs:
             files = [self._label_file(pair)]
             for side, stem in zip(("vehicle-side", "infrastructure-side"), pair.stems, strict=True):
                 files += [file for _, file in self._calib(side, stem)]
                 cloud = cloud_file(self._tree.root, side, stem)
-                digest.update(f"{side}/{cloud.name}\0{cloud.stat().st_size}\0".encode())
+                digest.update(f"{side}/{cloud.name}\0{cloud.stat().st_size}\0".encode() + ends_of(cloud))
             if self._own:
                 files += [self._side_labels(side, pair) for side in SIDES]
             digest.update(f"{pair.offset.tolist()}\0".encode())

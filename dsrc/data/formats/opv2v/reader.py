@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.checksums import marks_of_change
 from dsrc.data.formats.annotation import Annotation, with_own_bodies
 from dsrc.data.formats.opv2v.record import Record, encode_agent, read_agent, read_plan
 from dsrc.data.formats.pcd import encode_pcd, read_pcd
@@ -150,13 +151,19 @@ class DriveReader:
         return {agent: read_plan(self.drive / str(agent) / f"{self._stems[i]}.yaml") for agent in self.agents}
 
     def digest(self) -> str:
-        """Return the SHA-256 of the annotations and of all files' names and sizes; quick, for provenance."""
+        """Return the SHA-256 of the annotations, of all files' names and sizes, and of marks of changed clouds.
+
+        It is quick, see `dsrc.data.checksums.marks_of_change`.
+        """
         digest = hashlib.sha256()
-        for path in sorted(p for p in self.drive.rglob("*") if p.suffix in (".yaml", ".pcd") and p.is_file()):
+        files = sorted(p for p in self.drive.rglob("*") if p.suffix in (".yaml", ".pcd") and p.is_file())
+        for path in files:
             name = f"{self.drive.name}/{path.relative_to(self.drive).as_posix()}"
             digest.update(f"{name}\0{path.stat().st_size}\0".encode())
             if path.suffix == ".yaml":
                 digest.update(path.read_bytes())
+        for path, mark in marks_of_change(self.drive, [path for path in files if path.suffix == ".pcd"]):
+            digest.update(path.relative_to(self.drive).as_posix().encode() + b"\0" + mark)
         return digest.hexdigest()
 
     def _agents(self) -> list[int]:

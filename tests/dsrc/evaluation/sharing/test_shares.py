@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -23,7 +24,7 @@ from dsrc.evaluation.sharing.shares import Shares, shapley, share_sample
 from dsrc.ops.detections import Detections
 from dsrc.options.detection import Sharing
 from sim.boxes import Boxes
-from sim.errors import SettingsError
+from sim.errors import DataError, SettingsError
 from tests.dsrc.evaluation.fakes import GRID
 from tests.dsrc.evaluation.small import write_detector, write_drives
 
@@ -202,6 +203,10 @@ def test_shares_are_the_same_again_and_limits_hold(world) -> None:
     assert sum(one.pairs for one in listed) == sum(row.object_id != -1 for row in rows)
     assert sum(one.share for one in listed) == pytest.approx(sum(row.share for row in rows if row.object_id != -1))
     assert len(share_bars(rows, frames_looked_at(config)).axes) == 2
+    for place in ("a", "b"):
+        shutil.copytree(next((world / "test").iterdir()), world / "twice" / place / "one")
+    with pytest.raises(DataError, match="drives: expected drives of different names, found two called 'one'"):
+        share_drives(Sharing(checkpoint=world / "net.pt", data=world / "twice", out=world / "none"))
     with pytest.raises(SettingsError, match="shares: severity: expected 1 to 5, found 9"):
         share_drives(Sharing(checkpoint=world / "net.pt", data=world / "test", out=world, severity=9))
 

@@ -1,5 +1,6 @@
 import json
 import math
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from dsrc.data.checksums import write_checksums
 from dsrc.data.drive_folder import write_protocol
 from dsrc.data.drives import list_drives
 from dsrc.data.formats.annotation import upright_boxes
@@ -257,6 +259,31 @@ def test_the_hash_sees_an_edited_annotation_and_no_location(drive: Path, tmp_pat
     path = drive / "1000" / "000001.yaml"
     path.write_text(path.read_text().replace("ego_speed: 26", "ego_speed: 27"))
     assert DriveReader(drive).digest() != before
+
+
+def test_the_hash_sees_clouds_that_were_changed_in_place(drive: Path):
+    def dim(path: Path) -> bytes:
+        before = path.read_bytes()
+        path.write_bytes(before[:-40] + bytes(40))
+        return before
+
+    cloud = drive / "1000" / "000001.pcd"
+    foreign = DriveReader(drive).digest()
+    before = dim(cloud)
+    assert DriveReader(drive).digest() != foreign
+    cloud.write_bytes(before)
+    assert DriveReader(drive).digest() == foreign
+
+    listed = write_checksums(drive)
+    own = DriveReader(drive).digest()
+    os.utime(listed, (1e9, 1e9))  # as in a copy whose clouds are newer, which is read once
+    assert DriveReader(drive).digest() == own and listed.stat().st_mtime > 1.5e9
+    dim(cloud)
+    os.utime(listed, (1e9, 1e9))
+    assert DriveReader(drive).digest() != own and listed.stat().st_mtime == 1e9
+    listed.write_text("damaged\n")
+    os.utime(listed, (1e9, 1e9))
+    assert DriveReader(drive).digest() not in (own, foreign)
 
 
 def damage(path: Path, pattern: str, replacement: str) -> None:
