@@ -221,7 +221,7 @@ class ClosedLoop:
             acceleration_mps2: in place of the driver's decision, m/s2; the vehicle's limits bound it.
 
         Raises:
-            ValueError: the acceleration is not finite.
+            ValueError: the acceleration, or that of the driver, is not finite.
             TrafficError: the episode has not begun or has ended.
         """
         last = self._running()
@@ -230,6 +230,8 @@ class ClosedLoop:
                 raise ValueError(f"acceleration_mps2 must be finite, got {acceleration_mps2}")
             self.ticks[-1] = last = replace(last, decision=Decision(acceleration_mps2))
         limits = last.ego.limits
+        if not math.isfinite(last.decision.acceleration_mps2):
+            raise ValueError(f"driver: expected a finite acceleration, found {last.decision.acceleration_mps2}")
         wanted = min(max(last.decision.acceleration_mps2, -limits.deceleration_mps2), limits.acceleration_mps2)
         self.traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + wanted * self.traffic.step_s))
         return self._move()
@@ -357,7 +359,7 @@ class ClosedLoop:
         held = bool(lights) and lights[0].state != "green" and lights[0].distance_m < _AT_LIGHT_M
         self._stood_s = self._stood_s + traffic.step_s if still and self._moved and not held else 0.0
         if self._stood_s >= self.settings.stuck_s - 1e-6:
-            return Outcome.STUCK
+            return self._checked(Outcome.STUCK)
         if tick.actors.time_s - self.start_s >= self.settings.duration_s - 1e-6:
             return self._checked(Outcome.TIMEOUT)
         return None

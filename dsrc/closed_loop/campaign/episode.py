@@ -34,6 +34,7 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         scenario: name or path of the scenario.
         content: settings of the scenario.
+        files: SHA-256 of the scenario's own files by what they are: `file` of the network, `polygons`, `trips`.
         perception: name in tables.
         uses: `truth`, `sight`, `ego`, `team`, `late`, `model` or `module:Class`.
         checkpoint: detector file or error model; "" for the shipped one, or without one.
@@ -52,6 +53,7 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
 
     scenario: str
     content: dict[str, Any]
+    files: dict[str, str]
     perception: str
     uses: str
     checkpoint: str
@@ -209,6 +211,7 @@ def _perception(job: EpisodeJob) -> Perception:
     return _opened(
         job.uses,
         job.checkpoint,
+        job.detector,
         condition["kind"],
         condition["severity"],
         condition["family"],
@@ -224,6 +227,7 @@ def _perception(job: EpisodeJob) -> Perception:
 def _opened(
     uses: str,
     checkpoint: str,
+    _detector: str,  # another file under the same name is opened anew
     corruption: str,
     severity: int,
     family: str,

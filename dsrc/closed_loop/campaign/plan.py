@@ -41,7 +41,7 @@ from dsrc.closed_loop.perception.open import (
     WITHOUT_SENSOR,
     open_perception,
     parse_perception,
-    source_of,
+    source_hash,
 )
 from dsrc.evaluation.conditions import PAPER_TABLE, Condition, channel_settings, condition_settings, corruption_kinds
 from dsrc.options.detection import Engine
@@ -156,7 +156,11 @@ def read_campaign(path: Path) -> Campaign:
             where = f"perceptions.{one.name}.checkpoint"
             raise SettingsError(complaint(path, where, f"none beside '{one.kind}'", one.checkpoint))
         perceptions.append(replace(one, uses=kind, checkpoint=found(file or one.checkpoint)))
-    plan = replace(plan, perceptions=tuple(perceptions))
+    files = [name.partition(".toml") for name in plan.scenarios]
+    scenarios = tuple(found(name + ending) + variant if ending else name for name, ending, variant in files)
+    radios = [name.partition(":") for name in plan.channels]
+    channels = tuple(name + colon + found(file) for name, colon, file in radios)
+    plan = replace(plan, perceptions=tuple(perceptions), scenarios=scenarios, channels=channels)
     check(plan, str(path))
     given = read_tables(path, SettingsError)
     for field, expected in _without_effect(plan):
@@ -313,7 +317,8 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
     radios = {name: channel_settings(get_channel(name)) for name in plan.channels}
     found = []
     for scenario in plan.scenarios:
-        content = msgspec.to_builtins(load_scenario(scenario))
+        loaded = load_scenario(scenario)
+        content, files = msgspec.to_builtins(loaded), _files_of(loaded)
         for seed in dict.fromkeys([*_listed(plan.clean_seeds), *_listed(plan.seeds)]):
             for one in plan.perceptions:
                 for condition, channel in _cells(plan, one, seed, helped[one.name]):
@@ -321,6 +326,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
                         EpisodeJob(
                             scenario=scenario,
                             content=content,
+                            files=files,
                             perception=one.name,
                             uses=one.kind,
                             checkpoint=one.checkpoint,
@@ -340,6 +346,13 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
     return found
 
 
+def _files_of(scenario: Scenario) -> dict[str, str]:
+    """Return the SHA-256 of a scenario's own files, by what they are; those of packages have their versions."""
+    named = {"file": scenario.network.file, "polygons": scenario.network.polygons, "trips": scenario.demand.trips}
+    paths = {name: Path(text) for name, text in named.items() if text}
+    return {name: file_sha256(path) for name, path in paths.items() if path.is_absolute() and path.is_file()}
+
+
 def controls_of(plan: Campaign) -> Campaign | None:
     """Return the campaign of the controls of all encounters with the truth; None without an encounter."""
     shipped = [name for name in plan.scenarios if name.partition(":")[0] in ENCOUNTERS]
@@ -352,13 +365,14 @@ def controls_of(plan: Campaign) -> Campaign | None:
         perceptions=(PerceptionSpec(name="truth"),),
         corruptions=(CLEAN,),
         channels=(IDEAL,),
+        clean_seeds=_driven(plan),
         controls=False,
     )
 
 
 def careful_of(plan: Campaign) -> Campaign:
     """Return the campaign of the reference driver of UN R157: the truth on all seeds that a plan drives, clean."""
-    seeds = tuple(dict.fromkeys(job.seed for job in episodes_of(plan)))
+    seeds = _driven(plan)
     return replace(
         plan,
         perceptions=(PerceptionSpec(name="truth"),),
@@ -369,6 +383,11 @@ def careful_of(plan: Campaign) -> Campaign:
         driver="careful",
         controls=False,
     )
+
+
+def _driven(plan: Campaign) -> tuple[int, ...]:
+    """Return the seeds that a plan drives."""
+    return tuple(dict.fromkeys(job.seed for job in episodes_of(plan)))
 
 
 def _listed(seeds: int | tuple[int, ...]) -> tuple[int, ...]:
@@ -403,4 +422,4 @@ def detector_hash(kind: str, checkpoint: str) -> str:
     """
     if kind in WITHOUT_SENSOR:
         return ""
-    return file_sha256(source_of(kind) or Path(checkpoint or SHIPPED_DETECTOR))
+    return source_hash(kind) if ":" in kind else file_sha256(Path(checkpoint or SHIPPED_DETECTOR))

@@ -76,10 +76,19 @@ def search(plan: Campaign, quantity: Quantity, progress: Callable[[int, int], No
     step_s = plan.loop.detect_every_s
     values, tolerance = {
         "severity": ([0.0, *map(float, SEVERITIES)], 1.0),
-        "delay_s": ([*np.arange(0.0, LONGEST_DELAY_S + 1e-9, 2.0 * step_s).tolist()], step_s),
+        "delay_s": (_delays(step_s), step_s),
         "loss": (np.linspace(0.0, 1.0, 5).tolist(), _LOSS_TOLERANCE),
     }[quantity]
     return Search(plan, quantity, critical_value(fine, values, tolerance), dict(sorted(outcomes.items())))
+
+
+def _delays(step_s: float) -> list[float]:
+    """Return the delays to try: every second interval of detections, and the last one up to the longest delay."""
+    last = int(LONGEST_DELAY_S / step_s + 1e-9)
+    if last < 1:
+        expected = f"at most {LONGEST_DELAY_S:g} s, for a critical delay up to that"
+        raise SettingsError(complaint("drive", "detect_every_s", expected, f"{step_s:g}"))
+    return [number * step_s for number in dict.fromkeys([*range(0, last, 2), last])]
 
 
 def search_table(found: Search) -> Table:

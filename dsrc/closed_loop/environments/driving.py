@@ -68,16 +68,24 @@ class DrivingEnv(AbstractEnv):
     Args:
         config: changes of `default_config`; `scenario` and `perception` may be objects.
         render_mode: `human` or `rgb_array`: the road with the ego and its tracks.
+        action: that of the id, where `config` has none.
         settings: single settings in place of a `config`, such as `scenario="four_way"`.
     """
 
     viewer: LoopViewer | None
 
-    def __init__(self, config: dict | None = None, render_mode: str | None = None, **settings: Any) -> None:
+    def __init__(
+        self,
+        config: dict | None = None,
+        render_mode: str | None = None,
+        action: dict[str, Any] | None = None,
+        **settings: Any,
+    ) -> None:
         self._loop: ClosedLoop | None = None
         self._origin: Origin | None = None
+        self._since = 0  # tick at which the last action began
         self._ready = False  # highway-env resets while it is constructed; a simulation starts with the first reset
-        super().__init__({**(config or {}), **settings}, render_mode)
+        super().__init__({**({} if action is None else {"action": action}), **(config or {}), **settings}, render_mode)
         self._ready = True
 
     @classmethod
@@ -194,6 +202,7 @@ class DrivingEnv(AbstractEnv):
         episode = int(self.np_random.integers(2**31)) if self._seed is None else self._seed
         self.config["simulation_frequency"] = self._steps * self.config["policy_frequency"]
         tick = self.loop.start(episode)
+        self._since = 0
         network = network_of(self.loop.scenario, episode)
         at_junction = self.config["origin"] == "junction"
         self._origin = junction_ahead(self.loop.scenario, episode, tick.ego.route) if at_junction else None
@@ -209,6 +218,7 @@ class DrivingEnv(AbstractEnv):
     def _simulate(self, action: Any = None) -> None:
         if action is not None and not np.isfinite(action).all():
             raise ValueError(f"action must be finite, got {action}")
+        self._since = len(self.loop.ticks) - 1
         for number in range(self._steps):
             if self.loop.outcome is not None:
                 return
@@ -225,6 +235,9 @@ class DrivingEnv(AbstractEnv):
         if not getattr(self.action_type, "lateral", False):
             self.loop.advance(float(ego.action["acceleration"]))
             return
+        limits = self.loop.tick.ego.limits
+        wanted = float(ego.action["acceleration"])
+        ego.action["acceleration"] = min(max(wanted, -limits.deceleration_mps2), limits.acceleration_mps2)
         ego.step(self.loop.scenario.step_s)
         ego.speed = max(float(ego.speed), 0.0)  # brakes stop a vehicle; highway-env's drive it backwards
         x, y = to_plane(ego.position)
@@ -253,7 +266,7 @@ class DrivingEnv(AbstractEnv):
             self.road.vehicles.append(other)
 
     def _rewards(self, action: Any) -> dict[str, float]:
-        ticks = self.loop.ticks[-self._steps - 1 :]
+        ticks = self.loop.ticks[self._since :]
         duration = self.config["duration"]
         seconds = self.loop.scenario.step_s * max(len(ticks) - 1, 1)
         limit = max(ticks[-1].ego.limits.speed_mps, 1e-3)

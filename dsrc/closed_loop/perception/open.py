@@ -1,8 +1,10 @@
 """Perceptions by name: truth, detectors by checkpoint, and classes of one's own."""
 
+import hashlib
 import inspect
 import os
 import sys
+import uuid
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,6 +17,7 @@ from dsrc.data.sample import SampleDetector
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Family, Who, parse_who
 from sim.boxes import CLASSES, VEHICLES
 from sim.errors import SettingsError, complaint, did_you_mean
+from sim.files import file_sha256
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
 
 SHIPPED_DETECTOR = Path(__file__).parents[2] / "checkpoints" / "small-dsrc.pt"
@@ -31,6 +34,9 @@ MODELLED = "model"
 """Errors of a detector, drawn from a model of them; no sweep is cast."""
 
 _NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE)
+_NO_SOURCE = uuid.uuid4().hex
+_IMPORTED: dict[str, str] = {}
+"""`source_hash` of imported modules of one's own: Python keeps what it has imported, whatever becomes of the file."""
 _FORMER = {"dsrc": TOGETHER}
 """Names of earlier versions, which logs and plans still have."""
 _IDEAL = PRESETS[IDEAL]
@@ -161,6 +167,22 @@ def source_of(text: str) -> Path | None:
     return Path(found.origin) if found is not None and found.has_location and found.origin else None
 
 
+def source_hash(text: str) -> str:
+    """Return the SHA-256 of the source of `module:Class`: of its file, or of all modules of its package.
+
+    Without a source it is of this process alone, so that nothing is served from before.
+    """
+    path, name = source_of(text), text.partition(":")[0].partition(".")[0]
+    if path is None:
+        return _NO_SOURCE
+    package = find_spec(name)
+    folders = (package.submodule_search_locations or ()) if package is not None else ()
+    files = sorted(file for folder in folders for file in Path(folder).rglob("*.py"))
+    if not files:
+        return file_sha256(path)
+    return hashlib.sha256("".join(f"{file.name} {file_sha256(file)}\n" for file in files).encode()).hexdigest()
+
+
 def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
     """Raise SettingsError for a setting of something that a perception has not."""
     for field, is_given in given.items():
@@ -198,9 +220,13 @@ def _own(text: str) -> Any:
         SettingsError: the module or the class does not load, or has neither `perceive` nor `detect`.
     """
     module, _, name = text.partition(":")
-    _find_modules_here()
+    source, known = source_hash(text), module in sys.modules
+    if known and _IMPORTED.setdefault(module, source) != source:
+        expected = "the module as it was imported, or a new process"
+        raise SettingsError(complaint("perception", text, expected, "another, which was changed since"))
     try:
         found = getattr(import_module(module), name)
+        _IMPORTED[module] = source
         made = found() if inspect.isclass(found) or inspect.isfunction(found) else found
     except Exception as error:  # code of one's own can fail in any way
         cause = f"{type(error).__name__}: {' '.join(str(error).split())}"

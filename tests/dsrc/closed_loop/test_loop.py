@@ -1,5 +1,6 @@
 """The closed loop: encounters are met, survived by those who perceive, and a perception that fails is an outcome."""
 
+import math
 import os
 import subprocess
 import sys
@@ -171,6 +172,21 @@ def test_none_is_no_percept() -> None:
 
 def test_an_ego_that_stands_is_stuck_and_no_success() -> None:
     assert drive("ima_building:no_conflict", Blind(), BrakeAt(2.0)).outcome is Outcome.STUCK
+
+
+def test_an_ego_that_stands_before_its_encounter_has_not_met_it() -> None:
+    assert drive("ima_building", Blind(), BrakeAt(1.0)).outcome is Outcome.DESYNCHRONISED
+
+
+def test_a_driver_without_a_number_is_an_error_and_no_braking() -> None:
+    class Broken(BrakeAt):
+        """Divides by nothing after a second."""
+
+        def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
+            return Decision(math.nan if ego.time_s > 1.0 else 0.0)
+
+    with pytest.raises(ValueError, match="driver: expected a finite acceleration, found nan"):
+        drive("ima_building:no_conflict", Blind(), Broken(0.0))
 
 
 def test_an_ego_that_was_late_for_its_encounter_says_so() -> None:

@@ -70,6 +70,36 @@ def test_a_detector_is_known_by_its_content(tmp_path: Path, monkeypatch: pytest.
     assert key("eyes_of_a_file:Eyes") != before
 
 
+def test_a_package_of_ones_own_is_known_by_all_its_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    package = tmp_path / "eyes_of_a_package"
+    package.mkdir()
+    (package / "__init__.py").write_text("from eyes_of_a_package.lids import Eyes")
+    (package / "lids.py").write_text("class Eyes: ...")
+    plan = campaign_of(DriveOptions(what="ima_building", perception=("eyes_of_a_package:Eyes",)))
+    (before,) = map(key_of, episodes_of(plan))
+    (package / "lids.py").write_text("class Eyes: detect = print")
+    (after,) = map(key_of, episodes_of(plan))
+    assert before != after
+
+
+def test_a_scenario_is_known_by_the_content_of_its_files(tmp_path: Path) -> None:
+    text = 'name = "mine"\ndescription = "mine"\n[network]\nfile = "mine.net.xml"\n[agents]\nvehicles = 1\n'
+    (tmp_path / "mine.toml").write_text(text)
+    (tmp_path / "plan.toml").write_text(
+        'scenarios = ["mine.toml"]\nchannels = ["trace:mine.csv"]\n[[perceptions]]\nname = "team"\n'
+    )
+    (tmp_path / "mine.csv").write_text("time_s,delay_s,loss\n0,0.1,0\n")
+    keys = []
+    for speed in (13.89, 5.0):
+        (tmp_path / "mine.net.xml").write_text(f"<net><!-- {speed} --></net>")
+        plan = read_campaign(tmp_path / "plan.toml")  # both lie beside it, and not in the current folder
+        assert plan.scenarios == (str(tmp_path / "mine.toml"),)
+        assert plan.channels == (f"trace:{tmp_path / 'mine.csv'}",)
+        keys.append([key_of(job) for job in episodes_of(plan)])
+    assert not set(keys[0]) & set(keys[1])
+
+
 def test_a_file_in_a_plan_is_the_checkpoint(tmp_path: Path) -> None:
     (tmp_path / "one.pt").write_bytes(b"weights")
     plan = tmp_path / "plan.toml"
@@ -99,6 +129,8 @@ def test_controls_are_those_of_the_encounters() -> None:
     found = controls_of(replace(PLAN, scenarios=("ima_building", "four_way")))
     assert found is not None and found.scenarios == ("ima_building:no_occluder", "ima_building:no_conflict")
     assert controls_of(replace(PLAN, scenarios=("four_way",))) is None
+    later = controls_of(replace(PLAN, corruptions=("fog",), seeds=(7, 8)))
+    assert later is not None and {job.seed for job in episodes_of(later)} == {0, 1, 7, 8}
     busy = controls_of(replace(PLAN, scenarios=("ima_building:dense", "lta_truck:no_occluder")))
     assert busy is not None and busy.scenarios == ("ima_building:dense:no_occluder", "ima_building:dense:no_conflict")
 

@@ -50,9 +50,17 @@ def test_the_delay_at_which_an_encounter_becomes_a_crash_is_found(monkeypatch: p
     assert search_text(found).startswith("ima_building, team, seed 0, delay s: worse from ")
 
 
+def test_delays_go_to_the_longest_whatever_the_interval() -> None:
+    for interval_s, last in ((0.1, 1.0), (0.2, 1.0), (0.3, 0.9), (0.4, 0.8), (0.6, 0.6)):
+        delays = searching._delays(interval_s)
+        assert delays[0] == 0.0 and delays[-1] == pytest.approx(last)
+        assert 0.0 < np.diff(delays).min() and np.diff(delays).max() <= 2.0 * interval_s + 1e-9
+
+
 @pytest.mark.parametrize(
     ("change", "quantity", "told"),
     [
+        ({"perception": ("team",), "detect_every_s": 1.5}, "delay_s", "detect_every_s: expected at most 1 s"),
         ({"perception": ("truth",)}, "loss", "detector with helpers"),
         ({"perception": ("ego",)}, "delay_s", "detector with helpers"),
         ({"perception": ("team",)}, "severity", "corruption"),

@@ -59,6 +59,36 @@ def test_an_id_is_known_to_make_by_its_module() -> None:
     assert found.stdout.split() == ["dsrc/Rail-v0"]
 
 
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_a_configuration_changes_the_action_of_an_id_only_where_it_has_one(name: str) -> None:
+    of_id, configured = gym.make(name, scenario=SCENARIO), gym.make(name, config={"scenario": SCENARIO})
+    assert of_id.action_space == configured.action_space
+    assert configured.unwrapped.config["scenario"] == SCENARIO
+    steered = {"type": "ContinuousAction", "lateral": True}
+    for settings in ({"config": {"action": steered}}, {"action": steered}):
+        assert gym.make(name, **settings).action_space.shape == (2,)
+
+
+@pytest.mark.parametrize("scenario", ["four_way", SCENARIO])
+def test_slower_is_slower_in_town_down_to_a_stop(scenario: str) -> None:
+    env = gym.make("dsrc/Meta-v0", scenario=scenario, perception=Blind(), policy_frequency=5).unwrapped
+    env.reset(seed=1)
+    speeds = [env.loop.tick.ego.speed_mps]
+    slower = {name: number for number, name in env.action_type.actions.items()}["SLOWER"]
+    while env.loop.outcome is None and len(speeds) < 60:
+        env.step(slower)
+        speeds.append(env.loop.tick.ego.speed_mps)
+    assert speeds[0] > 4.0 and (np.diff(speeds) < 0.05).all() and speeds[-1] < 0.1
+    env.close()
+
+
+def test_a_return_is_at_most_1_where_an_episode_ends_within_an_action() -> None:
+    env = DrivingEnv(scenario=SCENARIO, policy_frequency=1)
+    taken = drive(env, np.array([1.0], np.float32))
+    assert taken[-1][4]["outcome"] == Outcome.ARRIVED.value
+    assert 0.5 < sum(step[1] for step in taken) <= 1.0
+
+
 def test_the_entry_point_registers_the_ids() -> None:
     (point,) = entry_points(group="gymnasium.envs", name="__root__").select(module="dsrc.closed_loop.environments")
     point.load()()
@@ -146,7 +176,7 @@ def test_the_truth_is_observed_where_it_is() -> None:
     ids=lambda observation: observation["type"],
 )
 def test_observations_of_highway_env_are_there(observation: dict) -> None:
-    action = ENVIRONMENTS["dsrc/Meta-v0"]["action"]
+    action = ENVIRONMENTS["dsrc/Meta-v0"]
     env = DrivingEnv(scenario="four_way", observation=observation, action=action, policy_frequency=5)
     observed, _ = env.reset(seed=1)
     assert env.observation_space.contains(observed)
@@ -194,7 +224,7 @@ def test_environments_of_encounters_run_side_by_side_in_one_process_those_of_sum
     ("name", "action"), [("dsrc/Rail-v0", [np.nan]), ("dsrc/Free-v0", [0.0, np.nan]), ("dsrc/Free-v0", [np.inf, 0.0])]
 )
 def test_an_action_that_is_not_finite_is_refused(name: str, action: list[float]) -> None:
-    env = DrivingEnv(scenario=SCENARIO, **ENVIRONMENTS[name])
+    env = DrivingEnv(scenario=SCENARIO, action=ENVIRONMENTS[name])
     env.reset(seed=1)
     with pytest.raises(ValueError, match="action must be finite"):
         env.step(np.array(action, np.float32))
@@ -211,7 +241,7 @@ def test_a_wrong_setting_is_named() -> None:
 
 
 def free(scenario: str, action: list[float], steps: int = 150) -> DrivingEnv:
-    env = DrivingEnv(scenario=scenario, perception=Blind(), **ENVIRONMENTS["dsrc/Free-v0"])
+    env = DrivingEnv(scenario=scenario, perception=Blind(), action=ENVIRONMENTS["dsrc/Free-v0"])
     env.reset(seed=3)
     for _ in range(steps):
         if any(env.step(np.array(action, np.float32))[2:4]):
@@ -241,7 +271,7 @@ def test_an_ego_that_drives_off_at_right_angles_has_left_the_lanes(scenario: str
 
 
 def test_a_steered_ego_is_where_its_bicycle_model_is() -> None:
-    env = DrivingEnv(scenario="four_way", **ENVIRONMENTS["dsrc/Free-v0"])
+    env = DrivingEnv(scenario="four_way", action=ENVIRONMENTS["dsrc/Free-v0"])
     env.reset(seed=1)
     for _ in range(5):
         before = env.vehicle.position.copy()
@@ -254,9 +284,20 @@ def test_a_steered_ego_is_where_its_bicycle_model_is() -> None:
     env.close()
 
 
+def test_a_steered_ego_gains_no_more_speed_than_its_engine_gives() -> None:
+    env = free(SCENARIO, [-1.0, 0.0], 5)
+    gains = []
+    for _ in range(10):
+        before = env.loop.tick.ego
+        env.step(np.array([1.0, 0.0], np.float32))
+        gains.append((env.loop.tick.ego.speed_mps - before.speed_mps) / env.loop.scenario.step_s)
+    assert max(gains) == pytest.approx(before.limits.acceleration_mps2, abs=0.05)
+    env.close()
+
+
 @pytest.mark.parametrize("scenario", ["four_way", "ima_building:no_conflict"])
 def test_brakes_stop_a_steered_ego_and_never_drive_it_back(scenario: str) -> None:
-    env = DrivingEnv(scenario=scenario, perception=Blind(), **ENVIRONMENTS["dsrc/Free-v0"])
+    env = DrivingEnv(scenario=scenario, perception=Blind(), action=ENVIRONMENTS["dsrc/Free-v0"])
     env.reset(seed=0)
     speeds, progress = [env.loop.tick.ego.speed_mps], [0.0]
     while env.loop.outcome is None and len(speeds) < 60:

@@ -59,7 +59,7 @@ def test_features_that_need_more_are_left_to_highway_env() -> None:
 
 @pytest.mark.parametrize("scenario", ["four_way", "ima_building", "ped_dartout"])
 def test_an_ego_comes_to_the_junction_like_that_of_intersection_v0(scenario: str) -> None:
-    action = ENVIRONMENTS["dsrc/Meta-v0"]["action"]
+    action = ENVIRONMENTS["dsrc/Meta-v0"]
     env = DrivingEnv(scenario=scenario, observation=INTERSECTION, action=action, origin="junction")
     observed, _ = env.reset(seed=4)
     _, x, y, vx, vy, cos, sin = observed[0]

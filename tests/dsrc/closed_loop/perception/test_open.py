@@ -134,6 +134,17 @@ def test_classes_of_ones_own(own: None) -> None:
     assert open_perception("my_eyes:Everyone").classes == CLASSES
 
 
+def test_a_class_that_was_changed_since_its_import_needs_a_new_process(own: None) -> None:
+    open_perception("my_eyes:Own")
+    file = Path("my_eyes.py")
+    before = file.read_text()
+    file.write_text(before + "# other\n")
+    with pytest.raises(SettingsError, match="my_eyes:Own: expected the module as it was imported, or a new process"):
+        open_perception("my_eyes:Own")
+    file.write_text(before)
+    open_perception("my_eyes:Own")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
