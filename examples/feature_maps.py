@@ -60,7 +60,7 @@ def main() -> None:
             if detector.direction_head is not None
             for row in directions(detector, options.data, options.frames, options.tested)
         ]
-        head = ["network", "direction by", "right, training frames, %", "right, validation frames, %"]
+        head = ["network", "direction by", "right at anchors of training frames, %", "of validation frames, %"]
         put_table(options.docs, "feature_maps/directions", head, rows)
         drives = open_drives(options.data / "test")
         rows = [[name, *surest(detector, drives, options.tested)] for name, detector in detectors.items()]
@@ -123,7 +123,8 @@ def directions(detector: Detector, data: Path, frames: int, tested: int) -> Iter
     settings = detector.settings
     drives = [drive.drive for drive in open_drives(data / "train")]
     grid = source_grid(settings.grid, Augmentation())
-    store = SampleStore(drives, grid, settings.comm_range_m, settings.max_agents)
+    who = {"team_by": settings.team_by, "users": settings.users}
+    store = SampleStore(drives, grid, settings.comm_range_m, settings.max_agents, **who)
     rng = np.random.default_rng(0)
     chosen = [store.frames[i] for i in rng.permutation(len(store.frames))[:frames]]
     egos = [int(rng.choice(store.egos(frame))) for frame in chosen]

@@ -1,7 +1,7 @@
 """Checksums of a drive: `SHA256SUMS` beside its protocol, in the format of `sha256sum --check`."""
 
 import contextlib
-import os
+import hashlib
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,6 +9,7 @@ from pathlib import Path
 from sim.errors import DataError, complaint
 from sim.files import file_sha256, write_file
 from sim.reading import read_text
+from sim.roads.cache import cache_folder
 
 CHECKSUMS = "SHA256SUMS"
 _BLOCK = 4096
@@ -56,24 +57,34 @@ def marks_of_change(folder: Path, files: Sequence[Path]) -> Iterator[tuple[Path,
     """Yield a mark for each of the files that may have other content than their names and sizes tell.
 
     Of a folder with checksums these are the files that have changed since they were written, and the mark is their
-    SHA-256 now. Files older than the checksums have not changed; where newer ones have not either, as in a copy, the
-    checksums get the present time, so that they are read once. Without checksums it is each file, and the mark is its
-    first and last 4 KiB: what moves or dims all points is in them.
+    SHA-256 now. Only files that were written or moved after the checksums are read; where none of them has changed, as
+    in a copy, the cache folder keeps that, so that they are read once. Without checksums it is each file, and the mark
+    is its first and last 4 KiB: what moves or dims all points is in them.
     """
     listed = folder / CHECKSUMS
     try:
         since = listed.stat().st_mtime_ns
-        newer = [path for path in files if path.stat().st_mtime_ns > since]
-        sums = read_checksums(folder) if newer else {}
+        times = {path: path.stat() for path in files}
+        newer = [path for path, time in times.items() if max(time.st_mtime_ns, time.st_ctime_ns) > since]
+        if not newer:
+            return
+        sums = read_checksums(folder)
     except (OSError, DataError):
         yield from ((path, ends_of(path)) for path in files)
+        return
+    seen = [(str(path), times[path].st_size, times[path].st_mtime_ns, times[path].st_ctime_ns) for path in newer]
+    known = (
+        cache_folder() / "unchanged" / hashlib.sha256(repr((str(folder.resolve()), since, seen)).encode()).hexdigest()
+    )
+    if known.exists():
         return
     now = {path: file_sha256(path) for path in newer}
     changed = {path: found for path, found in now.items() if found != sums.get(path.relative_to(folder).as_posix())}
     yield from ((path, found.encode()) for path, found in changed.items())
-    if newer and not changed:
-        with contextlib.suppress(OSError):  # of a drive that may only be read
-            os.utime(listed)
+    if not changed:
+        with contextlib.suppress(OSError):  # of a cache that cannot be written
+            known.parent.mkdir(parents=True, exist_ok=True)
+            known.touch()
 
 
 def ends_of(path: Path) -> bytes:

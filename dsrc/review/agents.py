@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.sample import COMM_RANGE_M
 from dsrc.evaluation.sharing.stored import SharedFrame
 from dsrc.review.labs.lost import lost_rows
 from dsrc.review.palette import FATE_NAMES, agent_color
@@ -21,8 +22,6 @@ HARM = 0.05
 """Score that an agent takes from a box to count as harm: every message moves scores a little."""
 _SAME_M = 0.05
 """Distance at which two detections are one: shares are stored in millimetres, and computed on one thread."""
-COMM_RANGE_M = 70.0
-"""Communication range, m; the default of `make_sample`."""
 
 
 def agent_view(

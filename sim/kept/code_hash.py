@@ -9,7 +9,7 @@ import inspect
 import sys
 import uuid
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import entry_points, packages_distributions, version
 from pathlib import Path
 from typing import Any
@@ -55,15 +55,18 @@ def own_code_hash(thing: Any) -> str:
     It is that of all modules of its package, or of its file, or of itself in a notebook. Where there is no source it
     is of this process alone, so that nothing is served from before.
     """
+    total = hashlib.sha256()
+    while isinstance(thing, partial):
+        total.update(f"{thing.args} {thing.keywords}\n".encode())
+        thing = thing.func
     module = sys.modules.get(getattr(thing, "__module__", ""))
     package = sys.modules.get("" if module is None else module.__name__.partition(".")[0])
     if package is not None and package.__name__ in _PACKAGES:
         return ""
     folders, file = getattr(package, "__path__", ()), getattr(module, "__file__", None)
-    files = sorted(path for folder in folders for path in Path(folder).rglob("*.py"))
+    files = [path for folder in folders for path in python_files(Path(folder))]
     if not files and file and Path(file).is_file():
         files = [Path(file)]
-    total = hashlib.sha256()
     for path in files:
         total.update(f"{path.name} {file_sha256(path)}\n".encode())
     if not files:
@@ -72,6 +75,15 @@ def own_code_hash(thing: Any) -> str:
         except (OSError, TypeError):
             total.update(uuid.uuid4().bytes)
     return total.hexdigest()
+
+
+def python_files(folder: Path) -> list[Path]:
+    """Return the Python files at any depth of a folder, sorted, without those in hidden folders."""
+    return sorted(
+        path
+        for path in folder.rglob("*.py")
+        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    )
 
 
 def versions_with(entry: str, *things: Any) -> dict[str, str]:

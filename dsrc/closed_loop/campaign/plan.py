@@ -157,7 +157,10 @@ def read_campaign(path: Path) -> Campaign:
             raise SettingsError(complaint(path, where, f"none beside '{one.kind}'", one.checkpoint))
         perceptions.append(replace(one, uses=kind, checkpoint=found(file or one.checkpoint)))
     files = [name.partition(".toml") for name in plan.scenarios]
-    scenarios = tuple(found(name + ending) + variant if ending else name for name, ending, variant in files)
+    scenarios = tuple(
+        found(name + ending) + variant if ending or (path.parent / name / "scenario.toml").is_file() else name
+        for name, ending, variant in files
+    )
     radios = [name.partition(":") for name in plan.channels]
     channels = tuple(name + colon + found(file) for name, colon, file in radios)
     plan = replace(plan, perceptions=tuple(perceptions), scenarios=scenarios, channels=channels)

@@ -6,6 +6,7 @@ import os
 import sys
 import uuid
 from importlib import import_module
+from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
@@ -18,6 +19,7 @@ from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Family, Who, 
 from sim.boxes import CLASSES, VEHICLES
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
+from sim.kept.code_hash import python_files
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
 
 SHIPPED_DETECTOR = Path(__file__).parents[2] / "checkpoints" / "small-dsrc.pt"
@@ -35,8 +37,9 @@ MODELLED = "model"
 
 _NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE)
 _NO_SOURCE = uuid.uuid4().hex
-_IMPORTED: dict[str, str] = {}
-"""`source_hash` of imported modules of one's own: Python keeps what it has imported, whatever becomes of the file."""
+_IMPORTED: dict[str, tuple[ModuleSpec | None, str]] = {}
+"""Spec and `source_hash` of imported modules of one's own: Python keeps what it has imported, whatever becomes of the
+file, until it is loaded again, which gives it another spec."""
 _FORMER = {"dsrc": TOGETHER}
 """Names of earlier versions, which logs and plans still have."""
 _IDEAL = PRESETS[IDEAL]
@@ -177,7 +180,7 @@ def source_hash(text: str) -> str:
         return _NO_SOURCE
     package = find_spec(name)
     folders = (package.submodule_search_locations or ()) if package is not None else ()
-    files = sorted(file for folder in folders for file in Path(folder).rglob("*.py"))
+    files = [file for folder in folders for file in python_files(Path(folder))]
     if not files:
         return file_sha256(path)
     return hashlib.sha256("".join(f"{file.name} {file_sha256(file)}\n" for file in files).encode()).hexdigest()
@@ -220,13 +223,14 @@ def _own(text: str) -> Any:
         SettingsError: the module or the class does not load, or has neither `perceive` nor `detect`.
     """
     module, _, name = text.partition(":")
-    source, known = source_hash(text), module in sys.modules
-    if known and _IMPORTED.setdefault(module, source) != source:
+    source, known = source_hash(text), sys.modules.get(module)
+    if known is not None and known.__spec__ is _IMPORTED.get(module, (None, ""))[0] and source != _IMPORTED[module][1]:
         expected = "the module as it was imported, or a new process"
         raise SettingsError(complaint("perception", text, expected, "another, which was changed since"))
     try:
         found = getattr(import_module(module), name)
-        _IMPORTED[module] = source
+        if sys.modules[module].__spec__ is not _IMPORTED.get(module, (None, ""))[0]:
+            _IMPORTED[module] = sys.modules[module].__spec__, source
         made = found() if inspect.isclass(found) or inspect.isfunction(found) else found
     except Exception as error:  # code of one's own can fail in any way
         cause = f"{type(error).__name__}: {' '.join(str(error).split())}"

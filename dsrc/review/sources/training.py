@@ -12,7 +12,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.sources.drives import DriveSource
-from dsrc.training.recipes import Recipe, Stage
+from dsrc.training.recipes import Recipe, Stage, of_today
 from dsrc.training.run_folder import RunFolder
 from sim.errors import CheckpointError, DataError, complaint
 
@@ -21,7 +21,7 @@ NEWEST = "newest weights"
 
 
 class _Settings(msgspec.Struct):
-    recipe: Recipe
+    recipe: dict[str, Any]
     stage: Stage
 
 
@@ -45,7 +45,8 @@ def open_training(run: Path, data: Path | None = None) -> list[DriveSource]:
     folder = RunFolder(run)
     try:
         record = msgspec.json.decode(folder.settings.read_bytes(), type=_Record)
-    except msgspec.DecodeError as error:
+        recipe = msgspec.convert(of_today(record.settings.recipe), Recipe)
+    except (msgspec.DecodeError, KeyError, TypeError) as error:
         raise DataError(complaint(folder.settings, "file", "the settings of a training", str(error))) from None
     if not record.validation:
         hint = "; dsrc view takes its detector.pt by --checkpoint beside any drives"
@@ -56,22 +57,22 @@ def open_training(run: Path, data: Path | None = None) -> list[DriveSource]:
     if missing:
         hint = "; give the folder of its drives by --drives"
         raise DataError(complaint(place, "drives", missing[0], "none", hint))
-    detector = _newest(folder, record.settings)
+    detector = _newest(folder, recipe, record.settings.stage)
     sources = [DriveSource(open_drive(found[name])) for name in sorted(record.validation)]
     for source in sources:
         source.sets[NEWEST] = ComputedSet(NEWEST, detector)
     return sources
 
 
-def _newest(folder: RunFolder, settings: _Settings) -> SampleDetector:
+def _newest(folder: RunFolder, recipe: Recipe, stage: Stage) -> SampleDetector:
     """Detector of a finished training, else the best validated weights, else those of the last checkpoint."""
     for path in (folder.detector, folder.best):
         if path.is_file():
             return load_student(path)
-    model = settings.recipe.settings(settings.stage)
+    model = recipe.settings(stage)
     if model.role != "student":
         hint = "; a teacher reads clouds that are made with ground truth"
-        raise CheckpointError(complaint(folder.settings, "stage", "a student", settings.stage, hint))
+        raise CheckpointError(complaint(folder.settings, "stage", "a student", stage, hint))
     if not folder.last.is_file():
         raise CheckpointError(complaint(folder.last, "file", "a first checkpoint", "none so far"))
     detector = Detector(model)

@@ -3,6 +3,7 @@
 import importlib
 import shutil
 import sys
+from functools import partial
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -113,6 +114,8 @@ def test_the_code_of_a_user_counts_and_ours_is_counted_already(tmp_path: Path, m
         assert own_code_hash.__wrapped__(haze) != before
         monkeypatch.delitem(sys.modules, name)
     assert own_code_hash(code_files) == ""
+    assert own_code_hash.__wrapped__(partial(code_files, root=tmp_path)) == ""
+    assert own_code_hash.__wrapped__(partial(haze, k=1)) != own_code_hash.__wrapped__(partial(haze, k=2)) != before
     here: dict = {"__name__": "nowhere"}
     exec("def haze(): pass", here)
     assert own_code_hash.__wrapped__(here["haze"]) != own_code_hash.__wrapped__(here["haze"])  # no source: never served

@@ -1,5 +1,7 @@
 """Perceptions by name, by file and of one's own."""
 
+import importlib
+import sys
 from dataclasses import replace as copied
 from pathlib import Path
 
@@ -141,8 +143,11 @@ def test_a_class_that_was_changed_since_its_import_needs_a_new_process(own: None
     file.write_text(before + "# other\n")
     with pytest.raises(SettingsError, match="my_eyes:Own: expected the module as it was imported, or a new process"):
         open_perception("my_eyes:Own")
-    file.write_text(before)
+    importlib.reload(sys.modules["my_eyes"])
     open_perception("my_eyes:Own")
+    file.write_text(before)
+    with pytest.raises(SettingsError, match="my_eyes:Own: expected the module as it was imported"):
+        open_perception("my_eyes:Own")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """A training opens as its validation drives, with the newest weights that it has."""
 
+import json
 from dataclasses import replace
 
 import msgspec
@@ -61,6 +62,20 @@ def test_the_best_validated_weights_and_then_the_result_come_first(run):
     save_detector(run / "checkpoints" / "best.pt", DETECTOR)
     (source, _) = open_sources(run)
     assert source.sets[NEWEST].detector.settings == DETECTOR.settings
+
+
+def test_a_training_of_a_version_before_opens(run):
+    """The communication range was a setting of the recipe, and none of the model's."""
+    record = json.loads((run / "settings.json").read_text())
+    recipe = record["settings"]["recipe"]
+    recipe["comm_range_m"] = recipe["model"].pop("comm_range_m")
+    (run / "settings.json").write_text(json.dumps(record))
+    write_checkpoint(run)
+    assert open_sources(run)
+    del record["settings"]["recipe"]["model"]
+    (run / "settings.json").write_text(json.dumps(record))
+    with pytest.raises(DataError, match=r"settings.json: file: expected the settings of a training"):
+        open_sources(run)
 
 
 def test_drives_that_were_moved_are_found_in_the_folder_that_is_given(run, tmp_path):
