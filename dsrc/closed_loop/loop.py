@@ -232,7 +232,7 @@ class ClosedLoop:
         limits = last.ego.limits
         if not math.isfinite(last.decision.acceleration_mps2):
             raise ValueError(f"driver: expected a finite acceleration, found {last.decision.acceleration_mps2}")
-        wanted = min(max(last.decision.acceleration_mps2, -limits.deceleration_mps2), limits.acceleration_mps2)
+        wanted = limits.bounded(last.decision.acceleration_mps2)
         self.traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + wanted * self.traffic.step_s))
         return self._move()
 

@@ -8,7 +8,7 @@ import hashlib
 import inspect
 import sys
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache, partial
 from importlib.metadata import entry_points, packages_distributions, version
 from pathlib import Path
@@ -63,21 +63,26 @@ def own_code_hash(thing: Any) -> str:
     package = sys.modules.get("" if module is None else module.__name__.partition(".")[0])
     if package is not None and package.__name__ in _PACKAGES:
         return ""
-    folders, file = getattr(package, "__path__", ()), getattr(module, "__file__", None)
-    files = [path for folder in folders for path in python_files(Path(folder))]
-    if not files and file and Path(file).is_file():
-        files = [Path(file)]
-    for path in files:
-        total.update(f"{path.name} {file_sha256(path)}\n".encode())
-    if not files:
+    file = getattr(module, "__file__", None)
+    code = sources_hash(getattr(package, "__path__", ()), None if file is None else Path(file))
+    if not code:
         try:
-            total.update(inspect.getsource(thing).encode())
+            code = inspect.getsource(thing)
         except (OSError, TypeError):
-            total.update(uuid.uuid4().bytes)
+            code = uuid.uuid4().hex
+    total.update(code.encode())
     return total.hexdigest()
 
 
-def python_files(folder: Path) -> list[Path]:
+def sources_hash(folders: Iterable[str], file: Path | None) -> str:
+    """SHA-256 of the modules of a package, by its folders, else of a module's file; "" where neither is there."""
+    files = [path for folder in folders for path in _python_files(Path(folder))]
+    if files:
+        return hashlib.sha256("".join(f"{path.name} {file_sha256(path)}\n" for path in files).encode()).hexdigest()
+    return file_sha256(file) if file is not None and file.is_file() else ""
+
+
+def _python_files(folder: Path) -> list[Path]:
     """Return the Python files at any depth of a folder, sorted, without those in hidden folders."""
     return sorted(
         path

@@ -168,6 +168,10 @@ class Limits:
     acceleration_mps2: float
     deceleration_mps2: float
 
+    def bounded(self, wanted_mps2: float) -> float:
+        """Return the acceleration nearest to a wanted one that the vehicle is capable of, m/s2."""
+        return min(max(wanted_mps2, -self.deceleration_mps2), self.acceleration_mps2)
+
 
 @dataclass(frozen=True, slots=True)
 class TrafficLight:

@@ -83,7 +83,7 @@ def search(plan: Campaign, quantity: Quantity, progress: Callable[[int, int], No
 
 
 def _delays(step_s: float) -> list[float]:
-    """Return the delays to try: every second interval of detections, and the last one up to the longest delay."""
+    """Return the delays to try, s: every second interval of detections, and the longest whole number of them."""
     last = int(LONGEST_DELAY_S / step_s + 1e-9)
     if last < 1:
         expected = f"at most {LONGEST_DELAY_S:g} s, for a critical delay up to that"

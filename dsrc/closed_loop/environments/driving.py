@@ -68,7 +68,7 @@ class DrivingEnv(AbstractEnv):
     Args:
         config: changes of `default_config`; `scenario` and `perception` may be objects.
         render_mode: `human` or `rgb_array`: the road with the ego and its tracks.
-        action: that of the id, where `config` has none.
+        action: highway-env's settings of the action, where `config` has none; each id has its own.
         settings: single settings in place of a `config`, such as `scenario="four_way"`.
     """
 
@@ -235,9 +235,7 @@ class DrivingEnv(AbstractEnv):
         if not getattr(self.action_type, "lateral", False):
             self.loop.advance(float(ego.action["acceleration"]))
             return
-        limits = self.loop.tick.ego.limits
-        wanted = float(ego.action["acceleration"])
-        ego.action["acceleration"] = min(max(wanted, -limits.deceleration_mps2), limits.acceleration_mps2)
+        ego.action["acceleration"] = self.loop.tick.ego.limits.bounded(float(ego.action["acceleration"]))
         ego.step(self.loop.scenario.step_s)
         ego.speed = max(float(ego.speed), 0.0)  # brakes stop a vehicle; highway-env's drive it backwards
         x, y = to_plane(ego.position)

@@ -1,6 +1,5 @@
 """Perceptions by name: truth, detectors by checkpoint, and classes of one's own."""
 
-import hashlib
 import inspect
 import os
 import sys
@@ -18,8 +17,7 @@ from dsrc.data.sample import SampleDetector
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Family, Who, parse_who
 from sim.boxes import CLASSES, VEHICLES
 from sim.errors import SettingsError, complaint, did_you_mean
-from sim.files import file_sha256
-from sim.kept.code_hash import python_files
+from sim.kept.code_hash import sources_hash
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
 
 SHIPPED_DETECTOR = Path(__file__).parents[2] / "checkpoints" / "small-dsrc.pt"
@@ -171,19 +169,15 @@ def source_of(text: str) -> Path | None:
 
 
 def source_hash(text: str) -> str:
-    """Return the SHA-256 of the source of `module:Class`: of its file, or of all modules of its package.
+    """Return the SHA-256 of the source of `module:Class`: of all modules of its package, or of its file.
 
-    Without a source it is of this process alone, so that nothing is served from before.
+    Without a source it is of this class in this process, so that no episode of another one is served for it.
     """
-    path, name = source_of(text), text.partition(":")[0].partition(".")[0]
+    path, (module, _, name) = source_of(text), text.partition(":")
     if path is None:
-        return _NO_SOURCE
-    package = find_spec(name)
-    folders = (package.submodule_search_locations or ()) if package is not None else ()
-    files = [file for folder in folders for file in python_files(Path(folder))]
-    if not files:
-        return file_sha256(path)
-    return hashlib.sha256("".join(f"{file.name} {file_sha256(file)}\n" for file in files).encode()).hexdigest()
+        return f"{_NO_SOURCE}-{id(getattr(sys.modules.get(module), name, None))}"
+    package = find_spec(module.partition(".")[0])
+    return sources_hash((package and package.submodule_search_locations) or (), path)
 
 
 def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
@@ -224,13 +218,16 @@ def _own(text: str) -> Any:
     """
     module, _, name = text.partition(":")
     source, known = source_hash(text), sys.modules.get(module)
-    if known is not None and known.__spec__ is _IMPORTED.get(module, (None, ""))[0] and source != _IMPORTED[module][1]:
-        expected = "the module as it was imported, or a new process"
-        raise SettingsError(complaint("perception", text, expected, "another, which was changed since"))
+    if known is not None and module in _IMPORTED:
+        spec, before = _IMPORTED[module]
+        if known.__spec__ is not None and known.__spec__ is spec and source != before:
+            expected = "the module as it was imported, or a new process"
+            raise SettingsError(complaint("perception", text, expected, "another, which was changed since"))
     try:
         found = getattr(import_module(module), name)
-        if sys.modules[module].__spec__ is not _IMPORTED.get(module, (None, ""))[0]:
-            _IMPORTED[module] = sys.modules[module].__spec__, source
+        spec = sys.modules[module].__spec__
+        if module not in _IMPORTED or _IMPORTED[module][0] is not spec:
+            _IMPORTED[module] = spec, source
         made = found() if inspect.isclass(found) or inspect.isfunction(found) else found
     except Exception as error:  # code of one's own can fail in any way
         cause = f"{type(error).__name__}: {' '.join(str(error).split())}"

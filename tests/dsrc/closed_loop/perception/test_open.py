@@ -4,6 +4,7 @@ import importlib
 import sys
 from dataclasses import replace as copied
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from msgspec.structs import replace
 
 from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.detector import DetectorPerception
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, open_perception, parse_perception
+from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, open_perception, parse_perception, source_hash
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.models.fusion.late import join_detections
 from sim.boxes import CLASSES, VEHICLES
@@ -134,6 +135,19 @@ def test_classes_of_ones_own(own: None) -> None:
     assert perception.detector.settings.grid.range_m[3] == 51.2
     assert perception.classes == VEHICLES and perception.detector.name == "Blind"
     assert open_perception("my_eyes:Everyone").classes == CLASSES
+
+
+def test_a_class_of_a_notebook_opens_and_a_new_one_of_its_name_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    notebook = ModuleType("a_notebook")  # without a spec and without a file, as `__main__` there
+    monkeypatch.setitem(sys.modules, "a_notebook", notebook)
+    hashes = set()
+    for _ in range(2):
+        exec(OWN, notebook.__dict__)
+        for _ in range(2):
+            assert type(open_perception("a_notebook:Own")).__name__ == "Own"
+            hashes.add(source_hash("a_notebook:Own"))
+        notebook.Former = notebook.Own
+    assert len(hashes) == 2
 
 
 def test_a_class_that_was_changed_since_its_import_needs_a_new_process(own: None) -> None:
