@@ -60,7 +60,8 @@ def command(training: Training, options: argparse.Namespace, known: dict[str, Tr
         steps = options.trial or round(training.steps * options.lengthen)
         epochs = max(steps // EPOCH, 1)
         settings.append(f"epoch_frames={steps // epochs * batch}")
-    settings += ["validate_every=1", f"validation_frames={min(140, 8 * options.trial or 140)}"]
+    frames = min(options.validation_frames, 8 * options.trial or options.validation_frames)
+    settings += ["validate_every=1", f"validation_frames={frames}"]
     line = [sys.executable, "-m", "dsrc", "model", "train", options.recipe, "--method", training.method]
     line += ["--stage", training.stage, "--seed", str(training.seed), "--epochs", str(epochs)]
     drives = drives_of(training, data)
@@ -123,6 +124,9 @@ def main() -> None:
         default=2,
         help="trainings at a time; they share the cores, unless OMP_NUM_THREADS is set; default: 2",
     )
+    parser.add_argument(
+        "--validation-frames", type=int, default=140, metavar="FRAMES", help="of each validation; default: %(default)s"
+    )
     parser.add_argument("--workers", type=int, default=0, help="processes per training that prepare batches")
     parser.add_argument(
         "--bfloat16",
@@ -133,9 +137,9 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, help="second folder that gets finished trainings, and has earlier ones")
     parser.add_argument("--dry-run", action="store_true", help="print the commands")
     options = parser.parse_args()
-    for name, least in (("seeds", 2), ("jobs", 1), ("workers", 0), ("trial", 0)):
+    for name, least in (("seeds", 2), ("jobs", 1), ("validation_frames", 1), ("workers", 0), ("trial", 0)):
         if getattr(options, name) < least:
-            parser.error(f"--{name}: expected at least {least}, found {getattr(options, name)}")
+            parser.error(f"--{name.replace('_', '-')}: expected at least {least}, found {getattr(options, name)}")
     if options.lengthen <= 0:
         parser.error(f"--lengthen: expected more than 0, found {options.lengthen}")
     planned = campaign(options.seeds, factor(options.out))

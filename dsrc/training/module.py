@@ -1,6 +1,7 @@
 """Lightning module of a training: step, validation and alarms."""
 
 import math
+from collections.abc import Callable
 from itertools import zip_longest
 from typing import Any
 
@@ -55,6 +56,13 @@ class DetectionModule(pl.LightningModule):
             teacher.train()
         self._results: list[list[FrameResult]] = []
         self._zeros_in_a_row = 0
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> "DetectionModule":
+        """Move the weights, the teacher's too: PyTorch moves only submodules."""
+        for teacher in self._teacher:
+            teacher._apply(fn, recurse)
+        super()._apply(fn, recurse)
+        return self
 
     def forward(self, batch: Batch) -> Output:
         """Run the network on its clouds: a teacher's own, or the sensors'."""

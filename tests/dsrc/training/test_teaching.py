@@ -137,3 +137,12 @@ def test_the_distillation_fades_in_the_last_steps(step: int, share: float) -> No
     module = DetectionModule(recipe, Detector(recipe.settings("student")))
     module._trainer = Trainer()
     assert module._distillation_factor() == pytest.approx(share)
+
+
+def test_a_teacher_moves_with_the_student(teacher_file: Path) -> None:
+    recipe = of_method(tiny(), "dsrc")
+    teacher = load_teacher(teacher_file, recipe.settings("student"))
+    module = DetectionModule(recipe, Detector(recipe.settings("student")), teacher).to("meta")
+    assert {weight.device.type for weight in teacher.parameters()} == {"meta"}
+    assert not any(weight.requires_grad for weight in teacher.parameters())
+    assert not {id(weight) for weight in module.parameters()} & {id(weight) for weight in teacher.parameters()}
