@@ -159,7 +159,13 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     if options.kept:
         restore(options.kept, options.out)
-    failure = Campaign(options).run()
+    runner = Campaign(options)
+    try:
+        failure = runner.run()
+    except KeyboardInterrupt:
+        runner.stop()
+        print("campaign: interrupted; the same command continues it", file=sys.stderr)
+        sys.exit(130)
     table = record(campaign(max(options.seeds, SEEDS), factor(options.out)), options.out)
     write_file(options.out / "trainings.csv", table, edited=True)
     if failure:
@@ -225,6 +231,13 @@ class Campaign:
                     names += [f"gate {name} failed, see {self.out}/{gates.FILE}; --past {name}" for name in closed]
                     return "; ".join(names)
                 time.sleep(1.0)
+
+    def stop(self) -> None:
+        """End the running trainings; each resumes at its last finished epoch."""
+        for process in self.running.values():
+            process.terminate()
+        for process in self.running.values():
+            process.wait()
 
     def _start(self, training: Training, by_name: dict[str, Training]) -> None:
         with (self.out / f"{training.name}.log").open("ab") as log:

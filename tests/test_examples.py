@@ -276,11 +276,40 @@ def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path)
     ]
 
 
+def test_an_interrupted_campaign_says_so_and_ends_its_trainings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import campaign
+
+    for part in ("train", "validation"):
+        (tmp_path / "data" / part).mkdir(parents=True)
+    endless = [sys.executable, "-c", "import time; time.sleep(600)"]
+    monkeypatch.setattr(campaign, "command", lambda *_: endless)
+    waits = iter((None, KeyboardInterrupt()))
+
+    def sleep(_seconds: float) -> None:
+        if reason := next(waits):
+            raise reason
+
+    monkeypatch.setattr(campaign.time, "sleep", sleep)
+    started: list[subprocess.Popen] = []
+    begin = campaign.subprocess.Popen
+    monkeypatch.setattr(campaign.subprocess, "Popen", lambda *a, **k: started.append(begin(*a, **k)) or started[-1])
+    arguments = ["campaign.py", "--data", str(tmp_path / "data"), "--out", str(tmp_path / "runs"), "--only", "first"]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit, match="130"):
+        campaign.main()
+    assert capsys.readouterr().err.splitlines()[-1] == "campaign: interrupted; the same command continues it"
+    assert [process.poll() for process in started] == [-15]
+
+
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
         (("--only", "telepathy"), "--only: expected some of first, .* found telepathy"),
         (("--jobs", "0"), "--jobs: expected at least 1, found 0"),
+        (("--validation-frames", "0"), "--validation-frames: expected at least 1, found 0"),
         (("--trial", "-3"), "--trial: expected at least 0, found -3"),
         (
             (),
