@@ -233,7 +233,8 @@ class Campaign:
                 time.sleep(1.0)
 
     def stop(self) -> None:
-        """End the running trainings; each resumes at its last finished epoch."""
+        """End the running trainings, each resumes at its last finished epoch; keep those that have ended by themselves."""
+        self._reap()
         for process in self.running.values():
             process.terminate()
         for process in self.running.values():
