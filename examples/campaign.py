@@ -233,7 +233,7 @@ class Campaign:
                 time.sleep(1.0)
 
     def stop(self) -> None:
-        """End the running trainings, each resumes at its last finished epoch; keep those that have ended by themselves."""
+        """End the running trainings; each resumes at its last finished epoch, and one that has ended is kept."""
         self._reap()
         for process in self.running.values():
             process.terminate()
