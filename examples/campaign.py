@@ -60,7 +60,7 @@ def command(training: Training, options: argparse.Namespace, known: dict[str, Tr
         steps = options.trial or round(training.steps * options.lengthen)
         epochs = max(steps // EPOCH, 1)
         settings.append(f"epoch_frames={steps // epochs * batch}")
-    frames = min(options.validation_frames, 8 * options.trial or options.validation_frames)
+    frames = min(options.validation_frames, 8 * options.trial) if options.trial else options.validation_frames
     settings += ["validate_every=1", f"validation_frames={frames}"]
     line = [sys.executable, "-m", "dsrc", "model", "train", options.recipe, "--method", training.method]
     line += ["--stage", training.stage, "--seed", str(training.seed), "--epochs", str(epochs)]

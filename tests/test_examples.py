@@ -276,6 +276,12 @@ def test_the_campaign_leaves_what_is_done_and_writes_how_it_went(tmp_path: Path)
     ]
 
 
+def test_the_campaign_validates_on_as_many_frames_as_it_is_told() -> None:
+    for told, trial, frames in ((), (), 140), (("--validation-frames", "24"), (), 24), ((), ("--trial", "2"), 16):
+        arguments = ("--data", "data", "--out", "runs", "--only", "first", "--dry-run", *told, *trial)
+        assert f"validation_frames={frames}" in run(ROOT / "examples/campaign.py", *arguments).split()
+
+
 def test_an_interrupted_campaign_says_so_and_ends_its_trainings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from itertools import zip_longest
-from typing import Any
+from typing import Any, Self
 
 import lightning.pytorch as pl
 import torch
@@ -57,7 +57,7 @@ class DetectionModule(pl.LightningModule):
         self._results: list[list[FrameResult]] = []
         self._zeros_in_a_row = 0
 
-    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> "DetectionModule":
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
         """Move the weights, the teacher's too: PyTorch moves only submodules."""
         for teacher in self._teacher:
             teacher._apply(fn, recurse)
