@@ -87,7 +87,7 @@ def eebl_chain(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     van_l, lead_l, ego_l = TYPES[van].size[0], 4.5, 4.5
     # Bumper to bumper; the van is `van_headway_s` behind the car that brakes.
     to_lead = speed * (headway + p["van_headway_s"]) + van_l
-    brake_s = HIT_S - _closing_s(to_lead, speed, brakes)
+    brake_s = HIT_S - closing_s(to_lead, speed, brakes)
     swerve_s = brake_s + p["swerve_s"]
     west = -speed * HIT_S - 40.0
     east = speed * AFTER_S + to_lead + 100.0
@@ -124,7 +124,7 @@ def eebl_chain(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     return Layout(_straight(west - 20.0, east + 40.0, speed), actors, reach_m=110.0)
 
 
-def _closing_s(gap_m: float, speed: float, brakes: float) -> float:
+def closing_s(gap_m: float, speed: float, brakes: float) -> float:
     """Return the time for a follower at constant speed to close the gap to a braking leader, s."""
     if 0.5 * speed**2 / brakes >= gap_m:
         return math.sqrt(2.0 * gap_m / brakes)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -178,3 +179,17 @@ def test_a_recording_holds_fractions_in_the_order_of_its_agents_unless_switched_
     assert np.isnan(
         record(traffic, world, scenario, 1, 1, body_mesh=box_body, visibility=False).frame(0).visible_fraction
     ).all()
+
+
+def test_what_is_nearer_than_a_beam_measures_has_no_fraction():
+    near_and_far = scene_of(None, cars([[6.0, 0, 0], [-12.0, 0, 0]]))
+    blind = msgspec.structs.replace(FINE, range_min_m=9.0)
+    seen = fractions(near_and_far, sensor_at(spec=blind))
+    assert np.isnan(seen[0]) and seen[1] == 1.0
+
+
+@pytest.mark.parametrize(("behind_m", "seen"), [(0.01, 1.0), (0.06, 0.0)])
+def test_a_body_that_touches_the_static_world_is_not_hidden_by_it(behind_m, seen):
+    """A panel 1 m wide, straight ahead, behind the front of a wall at 10 m: tyres touch the road by 2 cm at most."""
+    panel = cars([[10.005 + behind_m, 0.0, np.pi / 2]], size=(1.0, 0.01, 1.0))
+    assert fractions(scene_of(box((0.5, 40.0, 10.0), (10.25, 0.0, 5.0)), panel)).tolist() == [seen]

@@ -10,6 +10,7 @@ import shapely
 from sim.catalog.load import list_scenarios, load_scenario
 from sim.collisions import overlapping_pairs
 from sim.encounters import ENCOUNTERS, encounter_of, network_file, with_encounter
+from sim.encounters.following import closing_s
 from sim.encounters.lane_paths import lane_paths_of
 from sim.encounters.paths import PathBuilder, ReferencePath, SpeedProfile
 from sim.errors import ScenarioError
@@ -244,3 +245,13 @@ def test_the_distance_of_a_speed_profile_is_the_integral_of_its_speed() -> None:
     np.testing.assert_allclose(pace.at([0.0, 2.0, 3.0, 4.0, 9.0]), [10.0, 10.0, 7.0, 4.0, 4.0])
     np.testing.assert_allclose(pace.distance([-1.0, 0.0, 2.0, 4.0, 5.0]), [-10.0, 0.0, 20.0, 34.0, 38.0])
     assert SpeedProfile.steady(3.0).distance(4.0) == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize(("gap_m", "brakes_mps2"), [(60.0, 6.0), (20.0, 4.0), (9.0, 8.0)])
+def test_the_crash_of_the_chain_comes_when_the_gap_to_the_braking_car_is_used_up(gap_m, brakes_mps2) -> None:
+    """A follower at constant speed and a leader that brakes to a standstill, step by step."""
+    speed, step_s = 16.0, 1e-4
+    time_s = np.arange(0.0, 30.0, step_s)
+    braked_s = np.minimum(time_s, speed / brakes_mps2)
+    left_m = gap_m + speed * braked_s - 0.5 * brakes_mps2 * braked_s**2 - speed * time_s
+    assert closing_s(gap_m, speed, brakes_mps2) == pytest.approx(time_s[left_m <= 0.0][0], abs=2 * step_s)

@@ -18,6 +18,7 @@ from sim.roads.tools import sumo_home
 from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit
 from sim.world.build import MARGIN_M, build_world
 from sim.world.roads.streets import read_streets
+from sim.world.roads.surfaces import pavement
 from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand
 
 SOLID = ("brick", "plaster", "concrete", "roof", "glass", "metal", "dark_metal", "hedge", "bark", "leaves", "kerb")
@@ -208,6 +209,19 @@ def test_towns_have_houses_kerbs_and_trees(worlds):
         mesh, _ = worlds(name)
         found = set(names(mesh, np.arange(len(mesh.faces))))
         assert {"roof", "kerb", "pavement", "leaves", "bark", "signal_lamp", "glass"} <= found
+
+
+def test_no_pavement_runs_along_a_motorway(worlds):
+    _, streets = worlds("highway")
+    roads = [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal]
+    fast = [lane for lane in roads if lane.speed > 25.0 and lane.index == 0]
+    beside = shapely.union_all(
+        [shapely.LineString(lane.line).offset_curve(-0.5 * lane.width - 1.0).buffer(0.5) for lane in fast]
+    )
+    slow = shapely.union_all([shapely.LineString(lane.line).buffer(12.0) for lane in roads if lane.speed < 25.0])
+    verge = (beside - slow - streets.road.buffer(0.1)) & shapely.box(*streets.area)
+    assert verge.area > 100.0
+    assert pavement(streets).intersection(verge).area == 0.0
 
 
 def test_names_of_materials_are_unique_and_reflectivities_physical():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dsrc.closed_loop.driving.planner import PlanningDriver
+from dsrc.closed_loop.driving.planner import PlannerSettings, PlanningDriver
+from dsrc.closed_loop.driving.prediction import PredictionSettings
 from tests.dsrc.closed_loop.driving.world import CAR, Other, ego_at, run, tracks_of
 
 
@@ -154,3 +155,13 @@ def test_without_a_route_ahead_it_still_decides() -> None:
     short = type(ego)(**{**{f: getattr(ego, f) for f in ego.__slots__}, "route": np.zeros((2, 2))})
     decision = PlanningDriver().decide(short, tracks_of([Other(30.0, 0.0)], 0.0))
     assert np.isfinite(decision.acceleration_mps2)
+
+
+@pytest.mark.parametrize("needed_mps2", [8.0, 10.0, 12.0, 14.0])
+def test_no_plan_ends_faster_than_the_ego_can_brake_after_it(needed_mps2: float) -> None:
+    """A driver who foresees one second stops all the same where braking from now on is enough."""
+    speed = 20.0
+    short = PlannerSettings(prediction=PredictionSettings(horizon_s=1.0))
+    stopped = run(PlanningDriver(short), [Other(speed**2 / needed_mps2 + CAR[0], 0.0)], speed=speed, limit=speed)
+    assert not stopped.hit
+    assert stopped.speed[-1] < 0.1

@@ -7,6 +7,7 @@ import pytest
 
 from dsrc.evaluation.metrics.ap import (
     FrameResult,
+    Pairs,
     average_precision,
     envelope,
     evaluate,
@@ -240,3 +241,8 @@ def test_one_object_or_none_gives_the_same_matches_whoever_chooses(seed):
     ours, theirs = match_frames(frames), match_frames(frames, by="truth")
     for key, matched in ours.matched.items():
         assert ((matched >= 0).sum(), (theirs.matched[key] >= 0).sum()) == ((matched >= 0).sum(),) * 2
+
+
+def test_an_overlap_of_exactly_the_threshold_is_a_hit():
+    pairs = Pairs(np.array([0, 1]), np.array([0, 1]), np.array([0.5, np.nextafter(0.5, 0.0)]))
+    assert pairs.matched(0.5, detections=2).tolist() == [0, -1]

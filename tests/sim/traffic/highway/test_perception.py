@@ -7,7 +7,7 @@ import pytest
 from highway_env.road.road import Road
 
 from sim.traffic.highway.driver import Driver
-from sim.traffic.highway.perception import Junction
+from sim.traffic.highway.perception import Junction, decide
 from sim.traffic.highway.roads import read_roads
 from sim.vehicle_types import types_of
 
@@ -52,3 +52,20 @@ def test_who_is_placed_off_the_lanes_holds_up_nobody() -> None:
     assert np.isinf(junction.stops([first, second])).tolist() == [True, False]
     first.put(np.array([60.0, 60.0]), 0.0, 0.0)
     assert np.isinf(junction.stops([first, second])).all()
+
+
+@pytest.mark.parametrize(("speed", "committed"), [(6.0, False), (10.0, True)])
+def test_who_can_stop_before_a_roundabout_only_by_more_than_5_mps2_goes_first(speed: float, committed: bool) -> None:
+    """9 m before the circle 6 m/s need 2 m/s2 and 10 m/s need 5.6; the car in the circle comes at 6 m/s."""
+    roads = read_roads("roundabout-v0")
+    lanes = {lane.name: number for number, lane in enumerate(roads.lanes)}
+    cars = []
+    for number, (lane, along, mps) in enumerate((("ses-se_0", 6.0, speed), ("sx-se_0", 8.0, 6.0))):
+        road = Road(network=roads.network, np_random=np.random.default_rng(0))
+        cars.append(Driver(road, roads, lanes[lane], along, types_of("car")[0], number, 1.0))
+        cars[-1].speed = mps
+        assert cars[-1].send_to(lanes["nxs-nxr_0"])
+    decide(cars, 0.1, Junction(roads))
+    entering, circling = (car.planned_mps2 for car in cars)
+    assert entering > (-3.0 if committed else -np.inf)
+    assert (circling < -2.0) == committed
