@@ -3,16 +3,16 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from dsrc.cli import options
-from dsrc.cli.main import COMMANDS, command_class, run
+from dsrc.cli.main import run
 from dsrc.cli.progress import progress
 from dsrc.options import detection, fields
 from dsrc.options.drives import DriveOptions
+from tests.command_line import FROZEN, RENEW, command_line, commands
 from tests.commands import dsrc
 
 HEAVY = {"torch", "libsumo", "trimesh", "viser", "matplotlib", "scipy", "gymnasium", "embreex", "shapely", "numpy"}
@@ -24,16 +24,6 @@ def assert_one_line(result: subprocess.CompletedProcess[str], *words: str) -> No
     lines = result.stderr.strip().splitlines()
     assert len(lines) == 1, result.stderr
     assert all(word in lines[0] for word in words), lines[0]
-
-
-def commands() -> Iterator[tuple[tuple[str, ...], type]]:
-    """Yield the words of every command and the class of its options."""
-    for name, found in COMMANDS.items():
-        if isinstance(found, str):
-            yield (name,), command_class(found)
-        else:
-            for part, place in found.items():
-                yield (name, part), command_class(place)
 
 
 def help_text(capsys: pytest.CaptureFixture[str], *args: str) -> str:
@@ -66,6 +56,10 @@ def test_help_lists_every_command_and_every_option_with_its_default(capsys: pyte
         for name, _, _, line in options.fields_of(command):
             assert line.strip(), f"{words}: {name} has no help"
     assert "build" in help_text(capsys, "dataset", "--help")
+
+
+def test_the_command_line_is_the_frozen_one() -> None:
+    assert command_line() == FROZEN.read_text(), f"options or their help have changed; if they should: {RENEW}"
 
 
 def test_one_name_stands_for_one_thing() -> None:

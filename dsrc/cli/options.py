@@ -18,7 +18,7 @@ from tyro.conf import arg
 
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, File, Folder, Scenario, Severity, choice  # noqa: F401
 
-_METAVARS = {int: "INT", float: "FLOAT", str: "STR", Path: "PATH"}
+_METAVARS = {bool: "", int: "INT", float: "FLOAT", str: "STR", Path: "PATH"}
 _ENTRY = re.compile(r"^ {4}(\w+): ", re.MULTILINE)
 _DEFAULT = re.compile(r"[;.] default: (.*)\.$", re.DOTALL)
 
@@ -81,7 +81,7 @@ def _flat(struct: type[msgspec.Struct]) -> type:
     for name, kind, default, text in fields_of(struct):
         said = _DEFAULT.search(text)
         text = text[: said.start()] + "." if said else text
-        settings: dict[str, Any] = {"help": text, "metavar": _metavar(kind)}
+        settings: dict[str, Any] = {"help": text, "metavar": metavar(kind) or None}
         if said and default in (None, "", ()):
             settings["help_behavior_hint"] = f"(default: {said[1]})"
         settings = {key: value for key, value in settings.items() if value is not None}
@@ -90,23 +90,19 @@ def _flat(struct: type[msgspec.Struct]) -> type:
     return make_dataclass(struct.__name__, specs, kw_only=True, frozen=True)
 
 
-def _metavar(kind: Any) -> str | None:
-    """Return the metavar of an option that may be None or has one of its own, None where tyro's is right."""
+def metavar(kind: Any) -> str:
+    """Return the word that stands for a value of a type, empty for a switch."""
+    parts = get_args(kind)
     if get_origin(kind) in (Union, types.UnionType):
-        inner = next(part for part in get_args(kind) if part is not type(None))
-        return _metavar(inner) or _plain(inner)
+        return "|".join(metavar(part) for part in parts if part is not type(None))
     if get_origin(kind) is Annotated:
-        own = [getattr(part, "metavar", None) for part in get_args(kind)[1:]]
-        return next((metavar for metavar in own if metavar), None) or _metavar(get_args(kind)[0])
-    return None
-
-
-def _plain(kind: Any) -> str:
+        own = [one for one in (getattr(part, "metavar", None) for part in parts[1:]) if one]
+        return own[0] if own else metavar(parts[0])
     if get_origin(kind) is Literal:
-        return f"{{{','.join(map(str, get_args(kind)))}}}"
+        return f"{{{','.join(map(str, parts))}}}"
     if get_origin(kind) is tuple:
-        parts = [_metavar(part) or _plain(part) for part in get_args(kind) if part is not Ellipsis]
-        return f"{parts[0]} [{parts[0]} ...]" if Ellipsis in get_args(kind) else " ".join(parts)
+        words = [metavar(part) for part in parts if part is not Ellipsis]
+        return f"{words[0]} [{words[0]} ...]" if Ellipsis in parts else " ".join(words)
     return _METAVARS[kind]
 
 
