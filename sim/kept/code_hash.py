@@ -1,6 +1,7 @@
 """Hash of the code that decides a result: a module, all that it imports at any depth, and the data beside these.
 
-Imports are read from the source, also those inside functions: nothing is imported, nothing is listed by hand.
+Imports are read from the source, also those inside functions: nothing is imported, nothing is listed by hand. Of a
+source what it computes counts, not its comments and docstrings, see `sim.kept.source_hash`.
 """
 
 import ast
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from sim.files import file_sha256
+from sim.kept.source_hash import source_file_hash
 
 _REPOSITORY = Path(__file__).resolve().parents[2]
 _PACKAGES = ("sim", "sensors", "dsrc")
@@ -27,10 +29,10 @@ _EXTENSIONS = ("dsrc.corruptions", "dsrc.fusions", "dsrc.sensors")
 
 @cache
 def code_hash(entry: str, root: Path = _REPOSITORY) -> str:
-    """SHA-256 of the `code_files` of a module, their paths included, in a tree."""
+    """SHA-256 of what the `code_files` of a module compute, their paths included, in a tree."""
     total = hashlib.sha256()
     for path in code_files(entry, root):
-        total.update(f"{path.relative_to(root).as_posix()} {file_sha256(path)}\n".encode())
+        total.update(f"{path.relative_to(root).as_posix()} {_hash_of(path)}\n".encode())
     return total.hexdigest()
 
 
@@ -78,8 +80,18 @@ def sources_hash(folders: Iterable[str], file: Path | None) -> str:
     """SHA-256 of the modules of a package, by its folders, else of a module's file; "" where neither is there."""
     files = [path for folder in folders for path in _python_files(Path(folder))]
     if files:
-        return hashlib.sha256("".join(f"{path.name} {file_sha256(path)}\n" for path in files).encode()).hexdigest()
-    return file_sha256(file) if file is not None and file.is_file() else ""
+        return hashlib.sha256("".join(f"{path.name} {_hash_of(path)}\n" for path in files).encode()).hexdigest()
+    return _hash_of(file) if file is not None and file.is_file() else ""
+
+
+def _hash_of(path: Path) -> str:
+    """Hash of what a source computes, or of the bytes of any other file."""
+    if path.suffix != ".py":
+        return file_sha256(path)
+    try:
+        return source_file_hash(path)
+    except (SyntaxError, ValueError, RecursionError):  # a template in a user's package
+        return file_sha256(path)
 
 
 def _python_files(folder: Path) -> list[Path]:

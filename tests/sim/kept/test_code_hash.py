@@ -27,7 +27,7 @@ def edited(tree: Path, name: str) -> str:
     """Return the hash of a tree with one line more in a file, which is put back."""
     path = tree / name
     before = path.read_bytes()
-    path.write_bytes(before + b"\n# a line more\n")
+    path.write_bytes(before + b"\nA_LINE_MORE = 1\n")
     try:
         return code_hash.__wrapped__(CELLS, tree)
     finally:
@@ -110,7 +110,7 @@ def test_the_code_of_a_user_counts_and_ours_is_counted_already(tmp_path: Path, m
         before = own_code_hash.__wrapped__(haze)
         assert before and own_code_hash.__wrapped__(haze) == before
         assert before in versions_with(CELLS, haze, code_hash.__wrapped__).values()
-        (tmp_path / file).write_text((tmp_path / file).read_text() + "# other\n")
+        (tmp_path / file).write_text((tmp_path / file).read_text() + "OTHER = 1\n")
         assert own_code_hash.__wrapped__(haze) != before
         monkeypatch.delitem(sys.modules, name)
     assert own_code_hash(code_files) == ""
