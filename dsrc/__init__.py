@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
     from dsrc.closed_loop.metrics.episode import episode_metrics
     from dsrc.closed_loop.perception.open import open_perception
-    from dsrc.closed_loop.replay import look_again
+    from dsrc.closed_loop.replay import replay
     from dsrc.closed_loop.report.report import write_report
     from dsrc.closed_loop.report.terminal import summary_table
     from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tracks
@@ -65,7 +65,7 @@ _MODULES = {
     "dsrc.closed_loop.perception.open": ("open_perception",),
     "dsrc.closed_loop.report.report": ("write_report",),
     "dsrc.closed_loop.report.terminal": ("summary_table",),
-    "dsrc.closed_loop.replay": ("look_again",),
+    "dsrc.closed_loop.replay": ("replay",),
     "dsrc.closed_loop.types": ("Decision", "EgoState", "Outcome", "Percept", "Tracks"),
     "dsrc.data.clouds.corrupt": ("corrupt",),
     "dsrc.data.clouds.transform": ("CorruptTransform",),
@@ -102,6 +102,8 @@ _MODULES = {
     "sim.scenario": ("Scenario",),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
+_RENAMED = {"look_again": "replay"}
+"""New names by deprecated ones."""
 
 __all__ = [
     # scenarios and their frames
@@ -155,7 +157,7 @@ __all__ = [
     "Outcome",
     "EpisodeLog",
     "episode_metrics",
-    "look_again",
+    "replay",
     "drive",
     "summary_table",
     "write_report",
@@ -182,6 +184,11 @@ def __getattr__(name: str) -> Any:
         from sim.machine import installed_versions  # as slow to import as all else here
 
         return next(iter(installed_versions(("dsrc-testbed", "dsrc-sensors")).values()))
+    if name in _RENAMED:
+        from sim.errors import warn_deprecated
+
+        warn_deprecated(f"dsrc.{name}", f"dsrc.{_RENAMED[name]}")
+        return getattr(import_module(__name__), _RENAMED[name])
     if name not in _HOME:
         raise AttributeError(f"module 'dsrc' has no attribute '{name}'")
     try:

@@ -6,8 +6,12 @@ stack trace. A message names the file, the field, what was expected, what was fo
 
 import difflib
 import reprlib
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
+
+GOES = "2027-06-01"
+"""Date of the release without the names that are deprecated now."""
 
 
 class UserError(Exception):
@@ -86,3 +90,15 @@ class _Short(reprlib.Repr):
 
 
 _SHORT = _Short()
+
+
+def warn_deprecated(old: str, new: str, goes: str = GOES, level: int = 3) -> None:
+    """Warn that a name is deprecated.
+
+    Args:
+        old: as the user wrote it: `dsrc.drive`, `--who`, `limit` in a TOML.
+        new: what to write instead.
+        goes: date of the release without it.
+        level: frames of the stack up to the user's line.
+    """
+    warnings.warn(f"{old} is deprecated and goes on {goes}; use {new}", FutureWarning, stacklevel=level)

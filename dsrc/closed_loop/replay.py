@@ -16,7 +16,7 @@ from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Decision, Driver, Outcome, Perception, Tick
 
 
-def look_again(log: EpisodeLog, perception: Perception, name: str, driver: Driver | None = None) -> EpisodeLog:
+def replay(log: EpisodeLog, perception: Perception, name: str, driver: Driver | None = None) -> EpisodeLog:
     """Return the log of an episode with the percepts, tracks and decisions of another perception.
 
     Args:

@@ -30,7 +30,7 @@ from dsrc.closed_loop.campaign.plan import (
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.episode import EpisodeMetrics
 from dsrc.closed_loop.perception.open import open_perception, parse_perception
-from dsrc.closed_loop.replay import look_again
+from dsrc.closed_loop.replay import replay
 from dsrc.closed_loop.types import Outcome
 from dsrc.data.drive_folder import locked
 from dsrc.data.executors import SERIAL, Pool, Progress
@@ -345,7 +345,7 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
         **used,
     )
     driver = options.driver or settings.driver
-    again = look_again(former, perception, uses, DRIVERS[driver]())
+    again = replay(former, perception, uses, DRIVERS[driver]())
     if options.perception or options.checkpoint:
         asked_for = parse_perception(uses)
         used["detector"] = detector_hash(asked_for.kind, asked_for.file or str(options.checkpoint or ""))

@@ -14,7 +14,7 @@ from dsrc.closed_loop.driving.lanes import NetworkLanes
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.truth import TruthPerception
-from dsrc.closed_loop.replay import look_again
+from dsrc.closed_loop.replay import replay
 from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Outcome, Percept, Tracks
 from sensors.recording.encounter_check import LATENCY_S, find_encounter
 from sim.boxes import Boxes
@@ -232,8 +232,8 @@ def test_another_process_with_other_threads_writes_the_same_log(tmp_path: Path) 
 
 def test_a_replay_shows_the_same_and_other_eyes_see_something_else(tmp_path) -> None:
     log = drive("ima_building").log(perception="truth")
-    again = look_again(EpisodeLog.load(log.save(tmp_path / "log.npz")), TruthPerception(), "truth")
-    blind = look_again(log, Blind(), "nothing")
+    again = replay(EpisodeLog.load(log.save(tmp_path / "log.npz")), TruthPerception(), "truth")
+    blind = replay(log, Blind(), "nothing")
     assert len(again) == len(blind) == len(log)
     for tick, one, none in zip(log.ticks, again.ticks, blind.ticks, strict=True):
         assert np.array_equal(tick.actors.boxes.array, one.actors.boxes.array)
