@@ -1,13 +1,14 @@
 """Hash of the code that decides a result: a module, all that it imports at any depth, and the data beside these.
 
-Imports are read from the source, also those inside functions: nothing is imported, nothing is listed by hand. Of a
-source what it computes counts, not its comments and docstrings, see `sim.kept.source_hash`.
+Imports are read from the source, also those inside functions: nothing is imported, nothing is listed by hand. A source
+counts as its `source_hash`, a data file as its bytes.
 """
 
 import ast
 import hashlib
 import inspect
 import sys
+import textwrap
 import uuid
 from collections.abc import Iterable, Iterator
 from functools import cache, partial
@@ -16,23 +17,24 @@ from pathlib import Path
 from typing import Any
 
 from sim.files import file_sha256
-from sim.kept.source_hash import source_file_hash
+from sim.kept.source_hash import for_type_checkers, source_hash, tree_hash
 
 _REPOSITORY = Path(__file__).resolve().parents[2]
 _PACKAGES = ("sim", "sensors", "dsrc")
 """Ours; where they are installed, their folder holds everybody's."""
 _BEHIND = {"sim.roads.tools": "eclipse-sumo", "trimesh": "mapbox_earcut"}
 """Packages behind modules that call them without an import: programs and roads of SUMO, and triangles of surfaces."""
+_IMPORTS = (ast.Import, ast.ImportFrom, ast.Call)
 _EXTENSIONS = ("dsrc.corruptions", "dsrc.fusions", "dsrc.sensors")
 """Entry point groups of packages whose code ours can call."""
 
 
 @cache
 def code_hash(entry: str, root: Path = _REPOSITORY) -> str:
-    """SHA-256 of what the `code_files` of a module compute, their paths included, in a tree."""
+    """SHA-256 of the `code_files` of a module, their paths included, in a tree."""
     total = hashlib.sha256()
     for path in code_files(entry, root):
-        total.update(f"{path.relative_to(root).as_posix()} {_hash_of(path)}\n".encode())
+        total.update(f"{path.relative_to(root).as_posix()} {_code_sha256(path)}\n".encode())
     return total.hexdigest()
 
 
@@ -69,7 +71,7 @@ def own_code_hash(thing: Any) -> str:
     code = sources_hash(getattr(package, "__path__", ()), None if file is None else Path(file))
     if not code:
         try:
-            code = inspect.getsource(thing)
+            code = source_hash(textwrap.dedent(inspect.getsource(thing)).encode())
         except (OSError, TypeError):
             code = uuid.uuid4().hex
     total.update(code.encode())
@@ -80,18 +82,22 @@ def sources_hash(folders: Iterable[str], file: Path | None) -> str:
     """SHA-256 of the modules of a package, by its folders, else of a module's file; "" where neither is there."""
     files = [path for folder in folders for path in _python_files(Path(folder))]
     if files:
-        return hashlib.sha256("".join(f"{path.name} {_hash_of(path)}\n" for path in files).encode()).hexdigest()
-    return _hash_of(file) if file is not None and file.is_file() else ""
+        return hashlib.sha256("".join(f"{path.name} {_code_sha256(path)}\n" for path in files).encode()).hexdigest()
+    return _code_sha256(file) if file is not None and file.is_file() else ""
 
 
-def _hash_of(path: Path) -> str:
-    """Hash of what a source computes, or of the bytes of any other file."""
-    if path.suffix != ".py":
-        return file_sha256(path)
+def _code_sha256(path: Path) -> str:
+    return _parsed(path.read_bytes())[0] if path.suffix == ".py" else file_sha256(path)
+
+
+@cache
+def _parsed(source: bytes) -> tuple[str, tuple[ast.AST, ...]]:
+    """Return the hash of a source, and its nodes that import; none of one that is no Python."""
     try:
-        return source_file_hash(path)
-    except (SyntaxError, ValueError, RecursionError):  # a template in a user's package
-        return file_sha256(path)
+        tree = ast.parse(source)
+    except (SyntaxError, ValueError):
+        return source_hash(source), ()
+    return tree_hash(tree), tuple(node for node in _run(tree, b"import_module" in source) if isinstance(node, _IMPORTS))
 
 
 def _python_files(folder: Path) -> list[Path]:
@@ -153,13 +159,11 @@ def _source(root: Path, name: str) -> Path | None:
     return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
 
 
-@cache
 def _imports(path: Path, name: str) -> tuple[str, ...]:
     """Return the names that a module imports: modules, and names that may be modules of a package."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    source = path.read_bytes()
     found: list[str] = []
-    for node in _run(ast.parse(source), b"import_module" in source):
+    for node in _parsed(path.read_bytes())[1]:
         if isinstance(node, ast.Import):
             found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -181,7 +185,7 @@ def _run(tree: ast.AST, expressions: bool) -> Iterator[ast.AST]:
     waiting = [tree]
     while waiting:
         for node in ast.iter_child_nodes(waiting.pop()):
-            if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            if for_type_checkers(node):
                 continue
             yield node
             if expressions or not isinstance(node, ast.expr):
