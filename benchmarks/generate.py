@@ -23,10 +23,10 @@ import tyro
 from benchmarks.quiet import others_s
 from benchmarks.street import BENCHMARK_LIDAR
 from dsrc.data.checksums import write_checksums
-from dsrc.data.executors import ProcessExecutor, Progress
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, SimulatedDrive, open_simulated
 from dsrc.data.write import DriveSpec
+from dsrc.runs.executors import ProcessExecutor, Progress
 from sensors.presets import register_sensor
 from sim.catalog.load import load_scenario
 from sim.scenario import Scenario

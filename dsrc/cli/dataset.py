@@ -5,9 +5,9 @@ import sys
 import msgspec
 
 from dsrc.cli.progress import progress
-from dsrc.data.executors import Pool
 from dsrc.options.drives import BuildOptions, Changes, ConvertOptions, CorruptOptions, GenerateOptions
 from dsrc.options.fields import Data, Folder, Output, Splits
+from dsrc.runs.executors import Pool
 
 
 class Generate(GenerateOptions, frozen=True):

@@ -54,12 +54,12 @@ def run_demo(out: Path, quick: bool = False) -> None:
     from dsrc.closed_loop.campaign.run import drive
     from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
     from dsrc.closed_loop.report.terminal import summary_table
-    from dsrc.data.executors import Pool
     from dsrc.data.write import generate
     from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
     from dsrc.review.page.output.export import export_html
     from dsrc.review.page.output.screenshot import find_chromium
+    from dsrc.runs.executors import Pool
     from sim.files import check_folder
 
     check_folder(out)

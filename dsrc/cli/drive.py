@@ -7,9 +7,9 @@ from typing import Literal
 import msgspec
 
 from dsrc.cli.progress import progress
-from dsrc.data.executors import SERIAL, Pool
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import File, Folder, Output
+from dsrc.runs.executors import SERIAL, Pool
 
 
 class Drive(DriveOptions, frozen=True, kw_only=True):
@@ -98,7 +98,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from dsrc.closed_loop.campaign.run import estimate_s, read_results, reused, run_campaign
         from dsrc.closed_loop.report.report import check_publication, publish_report, write_report
         from dsrc.closed_loop.report.terminal import summary_table
-        from dsrc.data.drive_folder import locked
+        from dsrc.runs.lock import locked
 
         plan, known = campaign_of(self), read_results(self.reuse)
         if self.out is not None:

@@ -4,9 +4,9 @@ import sys
 from pathlib import Path
 
 from dsrc.cli.progress import progress
-from dsrc.data.executors import SERIAL, Pool
 from dsrc.options.detection import BenchmarkOptions, Device, Engine, Evaluation, Sharing
 from dsrc.options.fields import File, Folder, Output
+from dsrc.runs.executors import SERIAL, Pool
 
 
 class Evaluate(Evaluation, frozen=True, kw_only=True):

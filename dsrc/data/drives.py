@@ -7,6 +7,7 @@
 | DAIR-V2X-C  | a batch of pairs of a vehicle's and a roadside's frames | TREE/BATCH, see `dair.reader`   |
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -107,3 +108,12 @@ def open_drive(path: Path, motion: Motion | None = None) -> Drive:
 def open_drives(root: Path | str, motion: Motion | None = None) -> list[Drive]:
     """Open all drives at or below a folder; see `list_drives` and `open_drive`."""
     return [open_drive(path, motion) for path in list_drives(Path(root))]
+
+
+def drive_hashes(drives: Sequence[Path]) -> dict[str, str]:
+    """Return the hash of each drive by its name, or by its folder's too where drives share a name."""
+    names = [drive.name for drive in drives]
+    return {
+        drive.name if names.count(drive.name) == 1 else f"{drive.parent.name}/{drive.name}": open_drive(drive).digest()
+        for drive in drives
+    }

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.checksums import CHECKSUMS, write_checksums
-from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
-from dsrc.data.executors import Progress
+from dsrc.data.drive_folder import check_same, is_complete, read_settings, write_protocol
 from dsrc.data.formats.opv2v.reader import agent_table, write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
 from dsrc.options.drives import DriveOptions, GenerateOptions
 from dsrc.options.fields import takes_fields
+from dsrc.runs.executors import Progress
+from dsrc.runs.lock import locked
 from sensors.deskew import check_motion
 from sensors.frame import Frame
 from sensors.presets import scenario_lidars

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.conditions import corruption_kinds
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
@@ -19,6 +18,7 @@ from dsrc.evaluation.results import CLEAN, Row, summary_rows
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, run_plan
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Evaluation
+from dsrc.runs.executors import SERIAL, Pool, Progress
 from sim.errors import SettingsError, complaint
 from sim.files import write_file
 from sim.radio import IDEAL

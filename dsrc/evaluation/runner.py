@@ -12,9 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
-from dsrc.data.drive_folder import locked
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.executors import SERIAL, Pool, Progress, Task
 from dsrc.data.sample import judged_range
 from dsrc.evaluation.cache import CellSettings, has_cell, read_cell
 from dsrc.evaluation.cells import CellJob, WorkUnit, load_adjusted, make_cells
@@ -27,6 +25,8 @@ from dsrc.evaluation.results import Row, make_row
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import read_meta
+from dsrc.runs.executors import SERIAL, Pool, Progress, Task
+from dsrc.runs.lock import locked
 from sim.errors import SettingsError, UserError, complaint
 from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, versions_with

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from dsrc.data.provenance import hashes
+from dsrc.data.drives import drive_hashes
 from dsrc.data.sample import Sample, judged_range
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.settings import ModelSettings
@@ -137,8 +137,8 @@ class DetectionData(pl.LightningDataModule):
         self.training = TrainingSet(wide, frames, recipe, seed)
         self.validation = ValidationSet(exact, _evenly(held_out or exact.frames, recipe.validation_frames))
         # Else validation frames are training frames, and whoever shows their metrics says so.
-        trained_on = set(hashes(drives).values())
-        of_others = validation_drives is not None and trained_on.isdisjoint(hashes(validation_drives).values())
+        trained_on = set(drive_hashes(drives).values())
+        of_others = validation_drives is not None and trained_on.isdisjoint(drive_hashes(validation_drives).values())
         self.validates_on_unseen = of_others or (validation_drives is None and len(frames) < len(wide.frames))
 
     def train_dataloader(self) -> DataLoader:

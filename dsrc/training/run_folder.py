@@ -10,7 +10,7 @@ from typing import Any, Literal
 import msgspec
 import torch
 
-from dsrc.data.provenance import commit, versions
+from dsrc.runs.provenance import commit, versions
 from dsrc.training.recipes import PARTS, of_today
 from sim.errors import CheckpointError, DataError, SettingsError, complaint
 from sim.files import write_file

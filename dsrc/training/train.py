@@ -19,13 +19,13 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
 from msgspec.structs import replace
 
-from dsrc.data.drive_folder import locked
-from dsrc.data.drives import list_drives
-from dsrc.data.provenance import hashes, provenance
+from dsrc.data.drives import drive_hashes, list_drives
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.options.detection import TrainOptions
 from dsrc.options.fields import takes_fields
+from dsrc.runs.lock import locked
+from dsrc.runs.provenance import provenance
 from dsrc.training.averaging import WeightSelection
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.initialise import initialise_from, load_teacher
@@ -167,8 +167,8 @@ def train(
         detector = Detector(settings)
         module = DetectionModule(recipe, detector, taught_by, seed, validates_on_unseen=loaders.validates_on_unseen)
     record = {
-        **provenance({"recipe": msgspec.to_builtins(recipe), "stage": stage}, seed, drives),
-        "validation": None if validation is None else hashes(validation),
+        **provenance({"recipe": msgspec.to_builtins(recipe), "stage": stage}, seed, drive_hashes(drives)),
+        "validation": None if validation is None else drive_hashes(validation),
         "teacher": None if teacher is None or taught_by is None else file_sha256(teacher),
         "init": None if init is None else initialise_from(init, module.detector),
         "devices": processes.count,

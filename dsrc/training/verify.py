@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from dsrc.data.drives import list_drives
-from dsrc.data.provenance import hashes, versions
+from dsrc.data.drives import drive_hashes, list_drives
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.storage.checkpoint import load_detector, read_meta
+from dsrc.runs.provenance import versions
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.recipes import Recipe, Stage, of_today
 from dsrc.training.run_folder import DETECTOR, RESULT, SETTINGS
@@ -133,8 +133,8 @@ def verify(
         *_fields("teacher", _known(sha256=record.teacher), _known(sha256=meta.teacher)),
         *_fields("start", record.init or {}, meta.init or {}),
         *([] if meta.epoch is None else [_same("epoch", result.epoch, meta.epoch)]),
-        *_fields("data", record.data, hashes(drives)),
-        *_fields("validation data", record.validation or {}, hashes(held or [])),
+        *_fields("data", record.data, drive_hashes(drives)),
+        *_fields("validation data", record.validation or {}, drive_hashes(held or [])),
         *_fields("version", record.versions, versions()),
     ]
     batches = loaders.validation_batches()

@@ -32,10 +32,10 @@ from dsrc.closed_loop.metrics.episode import EpisodeMetrics
 from dsrc.closed_loop.perception.open import open_perception, parse_perception
 from dsrc.closed_loop.replay import replay
 from dsrc.closed_loop.types import Outcome
-from dsrc.data.drive_folder import locked
-from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields
+from dsrc.runs.executors import SERIAL, Pool, Progress
+from dsrc.runs.lock import locked
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY
 from sim.errors import DataError, SettingsError, UserError, complaint
 from sim.files import write_file

@@ -17,12 +17,13 @@ import msgspec
 from dsrc.data.checksums import CHECKSUMS
 from dsrc.data.datasets.manifest import MANIFEST, VERSION, Manifest, ManifestEntry, read_manifest, write_manifest
 from dsrc.data.datasets.spec import DatasetSpec, DriveItem, expand, find_split_file, read_dataset
-from dsrc.data.drive_folder import check_same, locked, read_settings
-from dsrc.data.executors import SERIAL, Executor, Pool, Progress
+from dsrc.data.drive_folder import check_same, read_settings
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
 from dsrc.data.write import make_drive, settle_encounter
 from dsrc.options.drives import BuildOptions
 from dsrc.options.fields import takes_fields
+from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
+from dsrc.runs.lock import locked
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import list_drives, open_drive, path_below
-from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.formats.opv2v.reader import own_settings
 from dsrc.data.jsonio import encode_json, read_json
+from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY, Frame
 from sim.boxes import CLASSES
 from sim.catalog.attribution import attributions

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from dsrc.data.checksums import CHECKSUMS, faulty_files
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.opv2v.reader import own_settings
 from dsrc.data.formats.opv2v.record import read_agent
 from dsrc.data.formats.pcd import read_pcd
+from dsrc.runs.executors import SERIAL, Pool, Progress
 from sensors.frame import AgentFrame, Frame, count_points
 from sim.errors import DataError
 from sim.files import file_sha256

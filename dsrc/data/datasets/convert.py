@@ -14,9 +14,8 @@ from typing import Literal, Protocol, get_args
 import msgspec
 
 from dsrc.data.checksums import CHECKSUMS, write_checksums
-from dsrc.data.drive_folder import LOCK, is_complete, locked, write_protocol
+from dsrc.data.drive_folder import is_complete, write_protocol
 from dsrc.data.drives import Drive, open_drive, open_drives
-from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.dair.write import DairWriter
 from dsrc.data.formats.kitti import KittiWriter, LabelView
 from dsrc.data.formats.mcap import McapFile
@@ -30,6 +29,8 @@ from dsrc.data.formats.opv2v.reader import (
 from dsrc.data.jsonio import encode_json, read_json
 from dsrc.options.drives import ConvertOptions
 from dsrc.options.fields import takes_fields
+from dsrc.runs.executors import SERIAL, Pool, Progress
+from dsrc.runs.lock import LOCK, locked
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean

@@ -14,12 +14,13 @@ from pathlib import Path
 from dsrc.data.clouds.files import is_scan
 from dsrc.data.datasets.corrupt_scans import corrupt_scans
 from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_settings
-from dsrc.data.drive_folder import check_same, is_complete, locked, read_settings, write_protocol
+from dsrc.data.drive_folder import check_same, is_complete, read_settings, write_protocol
 from dsrc.data.drives import Drive, find_drives, open_drive, path_below
-from dsrc.data.executors import SERIAL, Executor, Pool, Progress
 from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles, own_settings, write_frame
 from dsrc.options.drives import CorruptOptions
 from dsrc.options.fields import takes_fields
+from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
+from dsrc.runs.lock import locked
 from sensors.corruptions import (
     CLEAN,
     CORRUPTIONS,

@@ -29,10 +29,11 @@ from dsrc.data.clouds.files import (
     vehicles_among,
 )
 from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_settings
-from dsrc.data.drive_folder import check_same, locked
-from dsrc.data.executors import Pool, Progress
+from dsrc.data.drive_folder import check_same
 from dsrc.data.jsonio import read_json
 from dsrc.options.drives import CorruptOptions
+from dsrc.runs.executors import Pool, Progress
+from dsrc.runs.lock import locked
 from sensors.corruptions import CORRUPTIONS, EVERYONE
 from sensors.presets import get_lidar
 from sim.errors import DataError, SettingsError, complaint

@@ -14,11 +14,11 @@ import msgspec
 from dsrc.data.datasets.spec import log_settings, with_sensors
 from dsrc.data.datasets.tracks import record_tracks
 from dsrc.data.drive_folder import read_settings
-from dsrc.data.executors import SERIAL, Pool, Progress
 from dsrc.data.formats.opv2v.reader import PROTOCOL
 from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec, make_drive
 from dsrc.options.drives import Changes
+from dsrc.runs.executors import SERIAL, Pool, Progress
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import check_apart, file_sha256
 from sim.scenario import Scenario

@@ -13,7 +13,6 @@ from typing import Any
 import msgspec
 from matplotlib.figure import Figure
 
-from dsrc.data.provenance import commit, versions
 from dsrc.data.sample import judged_range
 from dsrc.evaluation.figures.bars import corruption_bars, difference_map, mean_bars, table_heatmap
 from dsrc.evaluation.figures.curves import table_lines
@@ -37,6 +36,7 @@ from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.evaluation.stored import StoredDrive, StoredIndex, StoredRun, write_index
 from dsrc.evaluation.table import ResultTable, Stat
+from dsrc.runs.provenance import commit, versions
 from sensors.corruptions import Family
 from sim.files import write_file
 

@@ -9,10 +9,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dsrc.data.drives import list_drives
-from dsrc.data.executors import Progress
+from dsrc.data.drives import drive_hashes, list_drives
 from dsrc.data.formats.kitti_labels import label_folder
-from dsrc.data.provenance import provenance
 from dsrc.evaluation.metrics.ap import (
     THRESHOLDS,
     Matches,
@@ -30,6 +28,8 @@ from dsrc.evaluation.scoring.read import read_detections
 from dsrc.evaluation.scoring.truth import read_truth
 from dsrc.ops.detections import Detections
 from dsrc.options.detection import Scoring
+from dsrc.runs.executors import Progress
+from dsrc.runs.provenance import provenance
 from sim.boxes import Boxes
 from sim.errors import DataError, complaint
 
@@ -179,4 +179,4 @@ def provenance_of(options: Scoring) -> dict[str, Any]:
     tree = options.truth
     drives = list_drives(tree) if tree is not None and label_folder(tree) is None else []
     settings = {name: getattr(options, name) for name in Scoring.__struct_fields__}
-    return provenance(msgspec.to_builtins(settings, enc_hook=str), 0, drives)
+    return provenance(msgspec.to_builtins(settings, enc_hook=str), 0, drive_hashes(drives))

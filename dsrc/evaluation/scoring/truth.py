@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from dsrc.data.drives import Drive, find_drives, open_drive
-from dsrc.data.executors import Progress
 from dsrc.data.formats import kitti_labels
 from dsrc.evaluation.scoring.frames import FrameKey, Truth
+from dsrc.runs.executors import Progress
 from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, complaint

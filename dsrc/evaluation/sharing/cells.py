@@ -12,7 +12,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from dsrc.data.executors import Progress
 from dsrc.data.jsonio import encode_json, read_json
 from dsrc.data.sample import Sample, sample_for
 from dsrc.evaluation.cache import CellSettings
@@ -21,6 +20,7 @@ from dsrc.evaluation.detect import FrameHistory, corrupted, interval_of
 from dsrc.evaluation.sharing.shares import Shares, share_sample
 from dsrc.models.channel import Receiver
 from dsrc.models.threads import one_thread
+from dsrc.runs.executors import Progress
 from sensors.corruptions import drive_seed
 from sim.errors import DataError
 from sim.files import write_file

@@ -9,10 +9,7 @@ from typing import Any
 
 import msgspec
 
-from dsrc.data.drive_folder import locked
-from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.executors import SERIAL, Pool, Progress
-from dsrc.data.provenance import provenance
+from dsrc.data.drives import Drive, drive_hashes, list_drives, open_drive
 from dsrc.evaluation.cells import CellJob, WorkUnit
 from dsrc.evaluation.conditions import Condition, channel_settings, check_numbers, condition_settings, corruption_kinds
 from dsrc.evaluation.detect import frame_positions
@@ -23,6 +20,9 @@ from dsrc.evaluation.stored import StoredDrive
 from dsrc.models.fusion import FUSIONS, Fusion
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Sharing
+from dsrc.runs.executors import SERIAL, Pool, Progress
+from dsrc.runs.lock import locked
+from dsrc.runs.provenance import provenance
 from sensors.corruptions import parse_who
 from sim.errors import DataError, complaint
 from sim.files import file_sha256
@@ -142,4 +142,4 @@ def provenance_of(config: Sharing) -> dict[str, Any]:
     settings = msgspec.to_builtins(fields, enc_hook=str)
     settings["data"], settings["checkpoint"] = config.data.name, config.checkpoint.name
     settings["sha256"] = file_sha256(config.checkpoint)
-    return provenance(settings, config.seed, list_drives(config.data))
+    return provenance(settings, config.seed, drive_hashes(list_drives(config.data)))

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from dsrc.data.drives import list_drives, open_drive, open_drives
+from dsrc.data.drives import drive_hashes, list_drives, open_drive, open_drives
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.provenance import hashes
 from sim.errors import DataError
 from tests.dsrc.data import dair_tree
 from tests.dsrc.data.loaders import x_to_world
@@ -142,7 +141,7 @@ def test_formats_beside_each_other_are_all_found(tmp_path: Path):
     assert set(found) == {root / "3", root / "12", tmp_path / "opv2v" / "2021_08_22_21_41_24", tmp_path / "ours"}
     assert {reader.format for reader in open_drives(tmp_path)} == {"OPV2V", "DAIR-V2X-C"}
     assert all(len(reader.read(0).truth) >= 2 for reader in open_drives(tmp_path))
-    names = hashes(found)
+    names = drive_hashes(found)
     assert set(names) == {"3", "12", "2021_08_22_21_41_24", "ours"} and len(set(names.values())) == 4
 
 

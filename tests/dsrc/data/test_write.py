@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.data.drive_folder import LOCK, locked
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.write import write_drive
+from dsrc.runs.lock import LOCK, locked
 from sensors.deskew import deskew_frame
 from sim.errors import DataError, OutputError
 from sim.files import overwriting

@@ -9,7 +9,6 @@ import pytest
 from msgspec.structs import replace
 
 from dsrc.data.drives import list_drives
-from dsrc.data.executors import Pool
 from dsrc.evaluation import cells, runner
 from dsrc.evaluation.cache import CellSettings, read_cell
 from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
@@ -19,6 +18,7 @@ from dsrc.evaluation.report.report import write_report
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_student, save_detector
+from dsrc.runs.executors import Pool
 from sim.errors import CheckpointError, DataError, SettingsError
 from sim.radio import PRESETS
 from tests.dsrc.evaluation.fakes import detect_all

@@ -91,7 +91,7 @@ def test_a_finished_training_is_left_as_it_is(data: Path, tmp_path: Path, monkey
     path = train(recipe, data, tmp_path, "plain")
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
     monkeypatch.setattr("dsrc.training.run_folder.versions", lambda: {"torch": "later"})
-    monkeypatch.setattr("dsrc.data.provenance.versions", lambda: {"torch": "later"})
+    monkeypatch.setattr("dsrc.runs.provenance.versions", lambda: {"torch": "later"})
     assert train(replace(recipe, validate_every=1, validation_frames=1), data, tmp_path, "plain") == path
     changed = [file.name for file in tmp_path.rglob("*") if file.is_file() and file.read_bytes() != before[file]]
     assert changed == ["environment.json"]

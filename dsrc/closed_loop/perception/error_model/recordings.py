@@ -12,8 +12,8 @@ from dsrc.closed_loop.perception.error_model.percepts import (
     observed_episode,
     observed_table,
 )
-from dsrc.data.executors import Progress
 from dsrc.evaluation.stored import has_index, read_index, read_run
+from dsrc.runs.executors import Progress
 from sensors.corruptions import CLEAN
 from sim.errors import DataError, complaint, did_you_mean
 

@@ -28,8 +28,8 @@ from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.closed_loop.report.report import markdown, write_report
 from dsrc.closed_loop.report.terminal import comparison_table, summary_table
-from dsrc.data.executors import Pool
 from dsrc.options.driving import DriveOptions
+from dsrc.runs.executors import Pool
 from sim.errors import DataError, SettingsError
 from sim.files import file_sha256
 from tests.dsrc.closed_loop.campaign.blind import EYES, PLAN
@@ -316,7 +316,7 @@ def test_a_detector_s_episode_repeats_from_its_log(tmp_path: Path) -> None:
 
 
 def test_two_campaigns_cannot_write_into_one_folder(tmp_path: Path) -> None:
-    from dsrc.data.drive_folder import locked
+    from dsrc.runs.lock import locked
 
     with locked(tmp_path, what="campaign"), pytest.raises(DataError):
         run_campaign(PLAN, tmp_path)

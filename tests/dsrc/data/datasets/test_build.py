@@ -16,8 +16,8 @@ from dsrc.data.datasets import build
 from dsrc.data.datasets.build import generate_dataset, record_dataset
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
 from dsrc.data.datasets.spec import expand, find_split_file, read_dataset
-from dsrc.data.drive_folder import locked
-from dsrc.data.executors import Pool
+from dsrc.runs.executors import Pool
+from dsrc.runs.lock import locked
 from sim.catalog.load import ROOT as SCENARIOS
 from sim.errors import DataError, ScenarioError, SettingsError, UserError
 from sim.files import file_sha256

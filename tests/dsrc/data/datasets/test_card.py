@@ -9,9 +9,9 @@ import pytest
 
 from dsrc.data.datasets import card
 from dsrc.data.datasets.card import DISTANCE_M, write_card
-from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.write import write_drive
+from dsrc.runs.executors import Pool
 from sim.boxes import CLASSES
 from sim.catalog.attribution import BODIES, OPENSTREETMAP
 from sim.catalog.load import load_scenario

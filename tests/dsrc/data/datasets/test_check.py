@@ -9,9 +9,9 @@ import pytest
 from dsrc.data.checksums import CHECKSUMS, write_checksums
 from dsrc.data.datasets.check import check_dataset
 from dsrc.data.datasets.manifest import VERSION, Manifest, ManifestEntry, write_manifest
-from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.record import Record
 from dsrc.data.write import write_drive
+from dsrc.runs.executors import Pool
 from sim.files import file_sha256
 from tests.dsrc.data.goldens import unpack_opv2v_mini
 from tests.dsrc.data.toy import SETTINGS, ToySource

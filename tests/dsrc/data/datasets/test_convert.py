@@ -9,10 +9,10 @@ from dsrc.data.datasets import convert as module
 from dsrc.data.datasets.convert import convert, names_of
 from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.drives import list_drives, open_drives
-from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import PROTOCOL, DriveReader, write_frame
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.write import write_drive
+from dsrc.runs.executors import Pool
 from sensors.deskew import deskew_frame
 from sim.errors import DataError, SettingsError
 from tests.dsrc.data import dair_tree, goldens

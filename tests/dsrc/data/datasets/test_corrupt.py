@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from dsrc.data.datasets.corrupt import corrupt_dataset
-from dsrc.data.drive_folder import LOCK, locked, read_settings
+from dsrc.data.drive_folder import read_settings
 from dsrc.data.drives import list_drives, open_drives
-from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.formats.opv2v.record import read_plan
 from dsrc.data.write import write_drive
+from dsrc.runs.executors import Pool
+from dsrc.runs.lock import LOCK, locked
 from sensors.corruptions import corrupt_frame, drive_seed
 from sim.errors import DataError, SettingsError
 from tests.dsrc.data import dair_tree
@@ -250,7 +251,7 @@ def test_a_killed_run_resumes_to_the_same_bytes_and_leaves_no_worker(tmp_path: P
     corrupt_dataset(tmp_path / "data", tmp_path / "whole", "beam_missing")
     code = (
         "import sys; from pathlib import Path; from dsrc.data.datasets.corrupt import corrupt_dataset;"
-        "from dsrc.data.executors import Pool;"
+        "from dsrc.runs.executors import Pool;"
         "corrupt_dataset(Path(sys.argv[1]), Path(sys.argv[2]), 'beam_missing', pool=Pool(int(sys.argv[3])))"
     )
     out = tmp_path / "killed"

@@ -10,9 +10,9 @@ from dsrc.cli.main import run
 from dsrc.data.clouds.files import read_scan
 from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.datasets.corrupt_scans import MANIFEST, frame_number
-from dsrc.data.executors import Pool
 from dsrc.data.formats.kitti import encode_labels
 from dsrc.data.formats.pcd import encode_table, read_table
+from dsrc.runs.executors import Pool
 from sensors.corruptions import drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from dsrc.data.datasets.render import render
-from dsrc.data.executors import Pool
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.write import DriveSpec, make_drive
 from dsrc.options.drives import Changes
+from dsrc.runs.executors import Pool
 from sim.catalog.load import load_scenario
 from sim.errors import DataError, ScenarioError, SettingsError
 from sim.scenario import Scenario

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.data.executors import EXECUTORS, Pool, ProcessExecutor, Progress, SerialExecutor
+from dsrc.runs.executors import EXECUTORS, Pool, ProcessExecutor, Progress, SerialExecutor
 from sim.errors import DataError, SettingsError
 
 

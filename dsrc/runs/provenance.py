@@ -2,7 +2,7 @@
 
 import platform
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,13 @@ PACKAGES = (
 """Packages whose version can change a number."""
 
 
-def provenance(settings: Mapping[str, Any], seed: int, data: Sequence[Path] = ()) -> dict[str, Any]:
+def provenance(settings: Mapping[str, Any], seed: int, data: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Return the provenance of a run; equal runs give equal values.
 
     Args:
         settings: of the run, JSON types only.
         seed: the root seed.
-        data: drives, recorded by their hashes.
+        data: hashes of drives by name; None where the settings hold them.
     """
     return {
         "settings": dict(settings),
@@ -39,18 +39,7 @@ def provenance(settings: Mapping[str, Any], seed: int, data: Sequence[Path] = ()
         "python": platform.python_version(),
         "platform": platform.platform(),
         "commit": commit(),
-        "data": hashes(data),
-    }
-
-
-def hashes(drives: Sequence[Path]) -> dict[str, str]:
-    """Return the hash of each drive by its name, or by its folder's too where drives share a name."""
-    from dsrc.data.drives import open_drive
-
-    names = [drive.name for drive in drives]
-    return {
-        drive.name if names.count(drive.name) == 1 else f"{drive.parent.name}/{drive.name}": open_drive(drive).digest()
-        for drive in drives
+        **({} if data is None else {"data": dict(data)}),
     }
 
 

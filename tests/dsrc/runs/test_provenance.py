@@ -2,14 +2,15 @@ import json
 import shutil
 import subprocess
 
-from dsrc.data.provenance import commit, provenance
+from dsrc.data.drives import drive_hashes
+from dsrc.runs.provenance import commit, provenance
 from sim.files import file_sha256
 from tests.dsrc.evaluation.fakes import write_drives
 
 
 def test_it_names_settings_seed_versions_and_data(tmp_path):
     drives = write_drives(tmp_path / "a", drives=2, frames=1)
-    made_by = provenance({"severity": 3}, 7, drives)
+    made_by = provenance({"severity": 3}, 7, drive_hashes(drives))
     assert made_by["settings"] == {"severity": 3}
     assert made_by["seed"] == 7
     assert {"numpy", "torch", "powerboxes"} <= set(made_by["versions"])
@@ -21,15 +22,15 @@ def test_the_hash_is_of_the_content_not_of_the_place(tmp_path):
     (drive,) = write_drives(tmp_path / "a", drives=1, frames=1)
     copy = tmp_path / "b" / "drive_0"
     shutil.copytree(drive, copy)
-    assert provenance({}, 0, [drive])["data"] == provenance({}, 0, [copy])["data"]
+    assert drive_hashes([drive]) == drive_hashes([copy])
     notes = next(copy.rglob("*.yaml"))
     notes.write_text(notes.read_text().replace("7.25", "7.26"))
-    assert provenance({}, 0, [drive])["data"] != provenance({}, 0, [copy])["data"]
+    assert drive_hashes([drive]) != drive_hashes([copy])
 
 
 def test_drives_of_one_name_each_have_their_hash(tmp_path):
     drives = [*write_drives(tmp_path / "a", drives=1, frames=1), *write_drives(tmp_path / "b", drives=2, frames=2)]
-    assert set(provenance({}, 0, drives)["data"]) == {"a/drive_0", "b/drive_0", "drive_1"}
+    assert set(drive_hashes(drives)) == {"a/drive_0", "b/drive_0", "drive_1"}
 
 
 def test_the_commit_is_known_in_a_repository_only(tmp_path):
