@@ -23,6 +23,7 @@ from dsrc.data.write import make_drive, settle_encounter
 from dsrc.options.drives import BuildOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
+from dsrc.runs.jobs import results_of, run_jobs
 from dsrc.runs.lock import locked
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
@@ -36,10 +37,18 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class _Work:
+class BuildJob:
+    """Drive of a dataset to make.
+
+    Attributes:
+        item: the drive.
+        folder: of the new drive.
+        threads: see `sensors.scan.lidar.scan_all`.
+    """
+
     item: DriveItem
     folder: Path
-    threads: int | None
+    threads: int | None = None
 
 
 @takes_fields(BuildOptions)
@@ -87,15 +96,7 @@ def record_dataset(source: Path | str, pool: Pool = SERIAL, progress: Progress |
         raise SettingsError(complaint(path, "recorded", "a folder beside the file", "nothing"))
     folder = path.parent / dataset.recorded
     items = expand(DatasetSpec(name=dataset.name, split=dataset.split), path)
-    work = [_Work(item, folder / item.split / item.name, None) for item in items]
-    done = 0
-    with pool.open(len(work)) as executor:
-        for result in executor.run(_record, work):
-            if result.error is not None:
-                raise result.error
-            done += 1
-            if progress is not None:
-                progress(done, len(work))
+    run_jobs(_record, [BuildJob(item, folder / item.split / item.name) for item in items], pool, progress)
     return folder
 
 
@@ -135,20 +136,13 @@ def _make_all(
     out: Path, dataset: DatasetSpec, items: Sequence[DriveItem], executor: Executor, progress: Progress | None
 ) -> dict[str, str]:
     """Generate the drives, keep the manifest up to date and return the reason of each failed drive."""
-    work = [_Work(item, out / item.path, executor.threads) for item in items]
-    total, frames = sum(item.spec.frames for item in items), [0] * len(items)
-
-    def report(row: int, done: int, wanted: int) -> None:
-        # Ray counts a drive as one step.
-        frames[row] = items[row].spec.frames * done // wanted
-        if progress is not None:
-            progress(sum(frames), total)
-
+    jobs = [BuildJob(item, out / item.path, executor.threads) for item in items]
+    frames = [item.spec.frames for item in items]
     earlier = _earlier(out, dataset, items)
     entries: dict[str, ManifestEntry] = {}
     failed: dict[str, str] = {}
     saved = monotonic()
-    for result in executor.run(_make, work, report):
+    for result in results_of(_make, jobs, executor, progress, frames):
         item = items[result.row]
         if result.error is not None:
             failed[item.path] = str(result.error)
@@ -199,30 +193,30 @@ def _place(order: Sequence[str], split: str) -> int:
     return order.index(split) if split in order else len(order)
 
 
-def _make(work: _Work, report: Progress) -> ManifestEntry:
+def _make(job: BuildJob, report: Progress) -> ManifestEntry:
     """Generate one drive and return its entry; a task."""
-    item = work.item
+    item = job.item
     more = {} if item.proof is None else {"proof": item.proof}
-    make_drive(item.spec, work.folder, report, item.recorded, work.threads, more, _PATIENCE_S)
-    return _entry(item, work.folder)
+    make_drive(item.spec, job.folder, report, item.recorded, job.threads, more, _PATIENCE_S)
+    return _entry(item, job.folder)
 
 
-def _record(work: _Work, report: Progress) -> None:
+def _record(job: BuildJob, report: Progress) -> None:
     """Record one drive and check that its agents stay for all of it; a task."""
-    spec, more = work.item.spec, {}
+    spec, more = job.item.spec, {}
     if spec.scenario.conflict is not None:
         spec, more["proof"] = settle_encounter(spec)
-    with locked(work.folder, _PATIENCE_S, "recording"):
-        for left in work.folder.glob(f"{_NEW}*"):  # by a process that was killed
+    with locked(job.folder, _PATIENCE_S, "recording"):
+        for left in job.folder.glob(f"{_NEW}*"):  # by a process that was killed
             shutil.rmtree(left)
-        with TemporaryDirectory(prefix=_NEW, dir=work.folder) as name:
+        with TemporaryDirectory(prefix=_NEW, dir=job.folder) as name:
             new = Path(name)  # the old recording stays until the new one is whole
             with open_simulated(
                 spec.scenario, spec.seed, spec.frames, spec.interval_s, new / TRAFFIC_LOG, more=more
             ) as live:
-                _log.info("%s: agents %s", work.item.path, live.recording.agent_ids)
+                _log.info("%s: agents %s", job.item.path, live.recording.agent_ids)
             for file in (new / TRAFFIC_LOG, new / WORLD):
-                file.replace(work.folder / file.name)
+                file.replace(job.folder / file.name)
 
 
 def _entry(item: DriveItem, drive: Path) -> ManifestEntry:

@@ -30,6 +30,7 @@ from dsrc.data.jsonio import encode_json, read_json
 from dsrc.options.drives import ConvertOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
+from dsrc.runs.jobs import run_jobs
 from dsrc.runs.lock import LOCK, locked
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame
@@ -84,7 +85,16 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class _Work:
+class ConvertJob:
+    """Drive to write in another format.
+
+    Attributes:
+        out: folder of the conversion.
+        mark: settings of the conversion.
+        source: the drive.
+        anew: write also the frames that are there.
+    """
+
     out: Path
     mark: Conversion
     source: Source
@@ -128,40 +138,30 @@ def convert(options: ConvertOptions, pool: Pool = SERIAL, progress: Progress | N
     for row, (name, drive) in enumerate(zip(names, drives, strict=True)):
         sources.append(Source(drive.drive.resolve(), row, name, drive.frames, drive.agents, first))
         first += len(drive) * writer.views(sources[-1])
-    total, done = sum(map(len, drives)), [0] * len(drives)
-
-    def report(row: int, part: int, wanted: int) -> None:
-        done[row] = len(drives[row]) * part // max(wanted, 1)
-        if progress is not None:
-            progress(sum(done), total)
-
+    frames = list(map(len, drives))
     _check_folder(out, wanted)
     with locked(out):
         state = _check_folder(out, wanted)
         if state != "finished":
             write_file(out / CONVERSION, encode_json(wanted))
-            with pool.open(len(sources)) as executor:
-                for result in executor.run(
-                    _convert, [_Work(out.resolve(), wanted, s, state == "lacking") for s in sources], report
-                ):
-                    if result.error is not None:
-                        raise result.error
+            jobs = [ConvertJob(out.resolve(), wanted, source, state == "lacking") for source in sources]
+            run_jobs(_convert, jobs, pool, progress, frames)
             writer.finish(sources)
             remove_leftovers(out)
             ended = msgspec.structs.replace(wanted, finished=True, files=_files(out))
             write_file(out / CONVERSION, encode_json(ended))
     if progress is not None:
-        progress(total, total)
+        progress(sum(frames), sum(frames))
     return out
 
 
-def _convert(work: _Work, progress: Progress) -> None:
+def _convert(job: ConvertJob, progress: Progress) -> None:
     """Write one drive; a task."""
-    writer, drive = _WRITERS[work.mark.to](work.out, work.mark), open_drive(work.source.path)
+    writer, drive = _WRITERS[job.mark.to](job.out, job.mark), open_drive(job.source.path)
     for i in range(len(drive)):
         progress(i, len(drive))
-        if work.anew or not writer.done(work.source, i):
-            writer.write(work.source, i, drive, drive.read(i))
+        if job.anew or not writer.done(job.source, i):
+            writer.write(job.source, i, drive, drive.read(i))
     progress(len(drive), len(drive))
 
 

@@ -6,7 +6,6 @@ frames are skipped. The protocol of a corrupted drive is that of its source with
 drive that another version began is not resumed.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +19,7 @@ from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles
 from dsrc.options.drives import CorruptOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
+from dsrc.runs.jobs import run_jobs
 from dsrc.runs.lock import locked
 from sensors.corruptions import (
     CLEAN,
@@ -72,18 +72,27 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
         raise SettingsError(complaint("corrupt", "sensor", "none: drives know their sensors", options.sensor))
     jobs = [CorruptionJob(drive, out / path_below(data, drive), drive.name, options) for drive in drives]
     readers = [open_drive(job.source) for job in jobs]
-    total, done = sum(len(reader) for reader in readers), 0
-    report = progress or (lambda done, total: None)
+    total, done = sum(map(len, readers)), 0
     with pool.open(max(map(len, readers))) as executor:
         for job, reader in zip(jobs, readers, strict=True):
-            for count in _corrupt_drive(job, reader, executor):
-                done += count
-                report(done, total)
+            _corrupt_drive(job, reader, executor, progress, done, total)
+            done += len(reader)
     return [job.out for job in jobs]
 
 
-def _corrupt_drive(job: CorruptionJob, reader: Drive, executor: Executor) -> Iterator[int]:
-    """Write the missing frames of a drive; yields numbers of frames that are done."""
+def _corrupt_drive(
+    job: CorruptionJob, reader: Drive, executor: Executor, progress: Progress | None, done: int, total: int
+) -> None:
+    """Write the missing frames of a drive.
+
+    Args:
+        job: the drive.
+        reader: of its source.
+        executor: workers.
+        progress: called with frames done and frames in all.
+        done: frames of the drives before.
+        total: frames of all drives.
+    """
     protocol = _protocol(job, reader)
     with locked(job.out):
         found = read_settings(job.out)
@@ -93,20 +102,17 @@ def _corrupt_drive(job: CorruptionJob, reader: Drive, executor: Executor) -> Ite
             missing = [i for i, index in enumerate(reader.frames) if not is_complete(job.out, reader.agents, index)]
         else:
             missing = list(range(len(reader)))
-        yield len(reader) - len(missing)
         if missing and found is None:
             # The first frame has the sensors of the protocol; without a protocol a folder has no complete frame.
             frame = corrupted(job, reader, missing[0])
             protocol["testbed"]["agents"] = agent_table(frame)
             write_protocol(job.out, protocol)
             _write(job, reader, frame)
-            yield 1
             missing = missing[1:]
         chunks = [missing[k : k + executor.chunk] for k in range(0, len(missing), executor.chunk)]
-        for result in executor.run(_corrupt_frames, [(job, chunk) for chunk in chunks]):
-            if result.error is not None:
-                raise result.error
-            yield len(chunks[result.row])
+        done += len(reader) - len(missing)
+        items = [(job, chunk) for chunk in chunks]
+        run_jobs(_corrupt_frames, items, executor, progress, list(map(len, chunks)), done, total)
         remove_leftovers(job.out)
 
 

@@ -33,6 +33,7 @@ from dsrc.data.drive_folder import check_same
 from dsrc.data.jsonio import read_json
 from dsrc.options.drives import CorruptOptions
 from dsrc.runs.executors import Pool, Progress
+from dsrc.runs.jobs import run_jobs
 from dsrc.runs.lock import locked
 from sensors.corruptions import CORRUPTIONS, EVERYONE
 from sensors.presets import get_lidar
@@ -85,7 +86,6 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
         _write(_corrupted(_job(data, out, options)))
         return [out]
     jobs = [_job(path, out / path.relative_to(data), options) for path in scans_below(data)]
-    report = progress or (lambda done, total: None)
     manifest = {**corruption_entry(options, code_hash(__name__)), "sensor": options.sensor}
     with locked(out, what="folder of scans"):
         if (out / MANIFEST).exists():
@@ -96,15 +96,8 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
             first, missing = _corrupted(jobs[0]), jobs[1:]
             write_file(out / MANIFEST, msgspec.json.format(msgspec.json.encode({"corruption": manifest})) + b"\n")
             _write(first)
-        done = len(jobs) - len(missing)
-        report(done, len(jobs))
         chunks = [missing[k : k + _CHUNK] for k in range(0, len(missing), _CHUNK)]
-        with pool.open(max(1, len(chunks))) as executor:
-            for result in executor.run(_corrupt_chunk, chunks):
-                if result.error is not None:
-                    raise result.error
-                done += len(chunks[result.row])
-                report(done, len(jobs))
+        run_jobs(_corrupt_chunk, chunks, pool, progress, list(map(len, chunks)), len(jobs) - len(missing))
         remove_leftovers(out)
     return [job.out for job in jobs]
 

@@ -19,6 +19,7 @@ from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec, make_drive
 from dsrc.options.drives import Changes
 from dsrc.runs.executors import SERIAL, Pool, Progress
+from dsrc.runs.jobs import run_jobs
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import check_apart, file_sha256
 from sim.scenario import Scenario
@@ -28,8 +29,16 @@ from sim.traffic.tracks.open import READERS
 
 
 @dataclass(frozen=True, slots=True)
-class _Work:
-    """Drive to render: settings, new folder, folder of its traffic log, further entries of its protocol."""
+class RenderJob:
+    """Drive to render.
+
+    Attributes:
+        spec: settings of the drive.
+        folder: of the new drive.
+        recorded: folder of its traffic log.
+        more: further entries of its protocol.
+        threads: see `sensors.scan.lidar.scan_all`.
+    """
 
     spec: DriveSpec
     folder: Path
@@ -66,7 +75,7 @@ def render(
             return render(log, out, changes, pool, progress)
     logs = find_logs(source)
     specs = [spec_of(log, changes) for log in logs]
-    work, made = [], []
+    jobs, made = [], []
     for log, spec in zip(logs, specs, strict=True):
         name = log.parent.resolve().name
         folder = Path(out) / (name if len(logs) == 1 else log.parent.relative_to(source))
@@ -76,27 +85,18 @@ def render(
             "rendered": {"sha256": file_sha256(log)},
             **({"proof": about["proof"]} if "proof" in about else {}),
         }
-        work.append(
-            _Work(spec, folder.resolve(), log.parent.resolve(), more)
-        )  # workers may have another current folder
+        # Workers may have another current folder.
+        jobs.append(RenderJob(spec, folder.resolve(), log.parent.resolve(), more))
         made.append(folder)
-    frames = [0] * len(work)
-
-    def report(row: int, done: int, wanted: int) -> None:
-        frames[row] = specs[row].frames * done // wanted
-        if progress is not None:
-            progress(sum(frames), sum(spec.frames for spec in specs))
-
-    with pool.open(len(work)) as executor:
-        for result in executor.run(_render, [replace(one, threads=executor.threads) for one in work], report):
-            if result.error is not None:
-                raise result.error
+    with pool.open(len(jobs)) as executor:
+        own = [replace(job, threads=executor.threads) for job in jobs]
+        run_jobs(_render, own, executor, progress, [spec.frames for spec in specs])
     return made
 
 
-def _render(work: _Work, progress: Progress) -> None:
+def _render(job: RenderJob, progress: Progress) -> None:
     """Write one drive; a task."""
-    make_drive(work.spec, work.folder, progress, work.recorded, work.threads, work.more)
+    make_drive(job.spec, job.folder, progress, job.recorded, job.threads, job.more)
 
 
 def find_logs(source: Path) -> list[Path]:
