@@ -5,18 +5,15 @@ It is made of the structs that the help is made of, one line an option.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
-from tyro.conf import Positional
 
 from dsrc.cli import options
 from dsrc.cli.main import COMMANDS, command_class
 
 FROZEN = Path(__file__).parent / "fixtures" / "command_line.txt"
 RENEW = "python -m tests.command_line"
-
-_POSITIONAL = get_args(Positional[int])[1]
 
 
 def commands() -> Iterator[tuple[tuple[str, ...], type]]:
@@ -42,10 +39,7 @@ def _lines(words: tuple[str, ...], command: type[msgspec.Struct]) -> Iterator[st
 
 
 def _option(name: str, kind: Any) -> str:
-    if _POSITIONAL in get_args(kind):
-        return options.metavar(kind)
-    option = f"--{name.replace('_', '-')}"
-    return f"{option}, --no-{option[2:]}" if kind is bool else f"{option} {options.metavar(kind)}"
+    return f"{', '.join(options.option_words(name, kind))} {options.metavar(kind)}".strip()
 
 
 def _said(default: Any) -> str:

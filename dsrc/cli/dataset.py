@@ -15,6 +15,10 @@ class Generate(GenerateOptions, frozen=True):
 
     The same seed writes the same bytes; an interrupted drive resumes. `dsrc dataset build` makes many drives.
 
+    Examples:
+        dsrc generate braunschweig --out data/train --seed 1
+        dsrc generate ima_building --out data/encounters --seed 3 --view
+
     Attributes:
         view: show the frames in the browser as they come, and go on showing them until interrupted.
     """
@@ -53,6 +57,10 @@ class Corrupt(CorruptOptions, frozen=True):
     """Write drives, or scans of other data sets, again under weather or with failing sensors.
 
     The bytes are the same for any number of workers; an interrupted run resumes.
+
+    Examples:
+        dsrc corrupt data/test --corruption fog --severity 4 --out data/test_fog
+        dsrc corrupt velodyne --corruption snow --sensor hdl-64e-s2 --out velodyne_snow
     """
 
     pool: Pool = Pool()
@@ -73,6 +81,10 @@ class Build(BuildOptions, frozen=True):
     """Generate a dataset from a TOML of splits, with checksums and data cards.
 
     The bytes are the same for any number of workers; an interrupted build resumes.
+
+    Examples:
+        dsrc dataset build dsrc-sim --out data/dsrc-sim
+        dsrc dataset build dsrc-sim --splits test --out data/dsrc-sim
     """
 
     pool: Pool = Pool()
@@ -89,6 +101,9 @@ class Build(BuildOptions, frozen=True):
 
 class Record(msgspec.Struct, frozen=True, kw_only=True):
     """Simulate a dataset's traffic anew and keep logs and worlds in the folder `recorded` of its TOML.
+
+    Examples:
+        dsrc dataset record my_splits/splits.toml
 
     Attributes:
         dataset: shipped dataset, or path of a TOML of splits.
@@ -110,6 +125,10 @@ class Render(msgspec.Struct, frozen=True, kw_only=True):
     """Render drives anew from their traffic logs, or tracks that others recorded: any sensors, agents or mountings.
 
     An interrupted run resumes.
+
+    Examples:
+        dsrc dataset render data/test --lidar vlp-16 --out data/test_vlp
+        dsrc dataset render tracks.csv --vehicles 2 --out data/tracks
 
     Attributes:
         data: a drive, a folder of drives, or a traffic log; or tracks as .csv, .npz or CommonRoad .xml.
@@ -134,6 +153,9 @@ class Render(msgspec.Struct, frozen=True, kw_only=True):
 class Check(msgspec.Struct, frozen=True, kw_only=True):
     """List the faults of a dataset folder, file by file; exit code 2 if there is one.
 
+    Examples:
+        dsrc dataset check data/test
+
     Attributes:
         data: a drive, or a folder of drives or splits, in any supported format.
     """
@@ -157,6 +179,9 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 class Card(msgspec.Struct, frozen=True, kw_only=True):
     """Write a data card: counts, histograms and pictures of a split.
 
+    Examples:
+        dsrc dataset card data/test --out data/test.card
+
     Attributes:
         data: a drive, or a folder of drives, in any supported format.
         out: folder of the card; default: DATA.card.
@@ -175,7 +200,12 @@ class Card(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Convert(ConvertOptions, frozen=True):
-    """Convert drives to OPV2V, DAIR-V2X-C, KITTI or MCAP; an interrupted run resumes."""
+    """Convert drives to OPV2V, DAIR-V2X-C, KITTI or MCAP; an interrupted run resumes.
+
+    Examples:
+        dsrc dataset convert data/test --to dair --out data/test_dair
+        dsrc dataset convert data/test --to kitti --agent-id all --out data/test_kitti
+    """
 
     pool: Pool = Pool()
     output: Output = Output()

@@ -25,6 +25,9 @@ class Demo(msgspec.Struct, frozen=True, kw_only=True):
 
     About two minutes on two cores; an interrupted demo resumes.
 
+    Examples:
+        dsrc demo --quick
+
     Attributes:
         out: folder of everything that the demo writes.
         quick: a few frames only.

@@ -19,6 +19,11 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     writes results.csv, tables, plots and a log of every episode. The log of an episode in place of a scenario shows
     the same traffic to another perception. A critical value is where the outcome of one episode flips.
 
+    Examples:
+        dsrc drive lta_truck --perception truth sight ego team --seed 0 1 2
+        dsrc drive ima_queue --perception team --corruption fog --severity 4 --out runs/fog
+        dsrc drive lta_truck --perception team --critical loss
+
     Attributes:
         out: folder of results and logs; default: results are printed only.
         reuse: results.csv, controls.csv or careful.csv of earlier runs: an episode that is in them, with the same

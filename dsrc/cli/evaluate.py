@@ -1,16 +1,21 @@
-"""Commands `dsrc evaluate` and `dsrc benchmark`: average precision, clean and corrupted."""
+"""Commands `dsrc evaluate`, `benchmark`, `shares` and `score`: what is found, clean and corrupted, and by whom."""
 
 import sys
 from pathlib import Path
 
 from dsrc.cli.progress import progress
-from dsrc.options.detection import BenchmarkOptions, Device, Engine, Evaluation, Sharing
+from dsrc.options.detection import BenchmarkOptions, Device, Engine, Evaluation, Scoring, Sharing
 from dsrc.options.fields import File, Folder, Output
 from dsrc.runs.executors import SERIAL, Pool
 
 
 class Evaluate(Evaluation, frozen=True, kw_only=True):
-    """Evaluate detectors on drives, clean and corrupted: table, CSV, JSON and plots."""
+    """Evaluate detectors on drives, clean and corrupted: table, CSV, JSON and plots.
+
+    Examples:
+        dsrc evaluate data/test --checkpoint detector.pt --out results
+        dsrc evaluate data/test --checkpoint DSRC=a.pt late=b.pt --corruption fog snow --channel its-g5-27 --out results
+    """
 
     pool: Pool = Pool()
     output: Output = Output()
@@ -34,6 +39,10 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
     """Compare methods x corruptions x severities x datasets x channels, as in the paper's tables.
 
     An interrupted benchmark resumes; a new method costs only its own evaluations.
+
+    Examples:
+        dsrc benchmark benchmark.toml --out runs/benchmark
+        dsrc benchmark --checkpoint DSRC=a.pt late=b.pt --data data/test --agents 1 2 3 --out runs/benchmark
 
     Attributes:
         out: folder for results, tables, plots and cached evaluations.
@@ -89,7 +98,11 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
 
 
 class Shares(Sharing, frozen=True, kw_only=True):
-    """Tell which agents helped: the share of each in what is found, and in what is made up."""
+    """Tell which agents helped: the share of each in what is found, and in what is made up.
+
+    Examples:
+        dsrc shares data/test --checkpoint detector.pt --corruption fog --out shares
+    """
 
     pool: Pool = Pool()
     output: Output = Output()
@@ -108,3 +121,37 @@ class Shares(Sharing, frozen=True, kw_only=True):
         write_shares(self.out, rows, frames_looked_at(self), provenance_of(self), stored_drives(self.data))
         Console(highlight=False).print(share_table(rows))
         sys.stdout.write(f"{self.out}\n")
+
+
+class Score(Scoring, frozen=True, kw_only=True):
+    """Score boxes of any detector under published protocols of average precision.
+
+    Examples:
+        dsrc score results
+        dsrc score boxes.json --truth data/test --protocol opencood --out scores
+
+    Attributes:
+        out: folder for scores.csv, scores.json, scores.md and scores.png; default: none.
+    """
+
+    out: Folder | None = None
+    output: Output = Output()
+
+    def run(self) -> None:
+        """Score, print the table and write it."""
+        from rich.console import Console
+
+        from dsrc.evaluation.metrics.protocols import get_protocols
+        from dsrc.evaluation.scoring.report import score_table, write_scores
+        from dsrc.evaluation.scoring.score import provenance_of, score
+        from sim.files import check_folder
+
+        get_protocols(self.protocol)  # before the files are read
+        if self.out is not None:
+            check_folder(self.out)
+        with progress(f"score {self.detections}") as report:
+            found = score(self.detections, self.truth, self.protocol, corruption=self.corruption, progress=report)
+        Console(highlight=False).print(score_table(found))
+        if self.out is not None:
+            write_scores(self.out, found, provenance_of(self))
+            sys.stdout.write(f"{self.out}\n")

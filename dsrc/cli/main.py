@@ -6,6 +6,7 @@ from difflib import get_close_matches
 from importlib import import_module
 
 COMMANDS: Mapping[str, str | Mapping[str, str]] = {
+    "list": "list.List",
     "scenario": {"list": "scenario.List", "show": "scenario.Show", "import": "scenario.Import"},
     "generate": "dataset.Generate",
     "corrupt": "dataset.Corrupt",
@@ -23,15 +24,16 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
         "import": "model.Import",
         "join": "model.Join",
         "export": "model.Export",
-        "fit": "fit.Fit",
+        "fit": "model.Fit",
     },
     "evaluate": "evaluate.Evaluate",
     "benchmark": "evaluate.Benchmark",
     "shares": "evaluate.Shares",
-    "score": "score.Score",
+    "score": "evaluate.Score",
     "view": "view.View",
     "drive": "drive.Drive",
     "demo": "demo.Demo",
+    "completion": "completion.Completion",
 }
 """Commands, or groups of commands, by name: module of this package and class of the options."""
 
@@ -46,10 +48,12 @@ def run(args: Sequence[str] | None = None) -> None:
         UserError: the command cannot do what is asked for.
     """
     words = list(sys.argv[1:] if args is None else args)
+    if words[:1] == ["help"]:
+        words = [*words[1:], "--help"]
     prog = "dsrc"
     level: Mapping[str, str | Mapping[str, str]] = COMMANDS
     while True:
-        word = words.pop(0) if words else ""
+        word = words.pop(0) if words else "--help"
         if word in ("-h", "--help"):
             sys.stdout.write(_overview(prog, level))
             raise SystemExit(0)
@@ -104,5 +108,5 @@ def _unknown(prog: str, level: Mapping[str, object], word: str) -> int:
     """Write a line about a command that does not exist; returns the exit code."""
     near = get_close_matches(word, level, 1)
     hint = f"; did you mean '{near[0]}'?" if near else ""
-    sys.stderr.write(f"{prog}: command: expected one of {', '.join(level)}, found {word or 'nothing'}{hint}\n")
+    sys.stderr.write(f"{prog}: command: expected one of {', '.join(level)}, found {word}{hint}\n")
     return 2

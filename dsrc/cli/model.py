@@ -1,11 +1,11 @@
-"""Commands `dsrc model`: train, verify, import and export detectors."""
+"""Commands `dsrc model`: train, verify, import, join and export detectors, and fit models of their errors."""
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from dsrc.cli.progress import log_lines, progress
 from dsrc.options.detection import TrainOptions
@@ -16,7 +16,13 @@ if TYPE_CHECKING:
 
 
 class Train(TrainOptions, frozen=True):
-    """Train a detector; an interrupted training resumes."""
+    """Train a detector; an interrupted training resumes.
+
+    Examples:
+        dsrc model train small --data data/train --out runs/small
+        dsrc model train small --method v2x-vit --data data/train --out runs/v2x-vit
+        dsrc model train small --stage plain --set fusion=max --data data/train --out runs/plain
+    """
 
     output: Output = Output()
 
@@ -39,6 +45,9 @@ class Verify(msgspec.Struct, frozen=True, kw_only=True):
     """Evaluate a trained detector again and compare it with its run folder; exit code 1 if they differ.
 
     Compared are hashes, settings, versions and average precision.
+
+    Examples:
+        dsrc model verify runs/small
 
     Attributes:
         training: run folder of a finished training, or of one with several stages.
@@ -66,6 +75,10 @@ class Verify(msgspec.Struct, frozen=True, kw_only=True):
 
 class Import(msgspec.Struct, frozen=True, kw_only=True):
     """Import a published state dict (net_epoch....pth) as a detector file, and print what it is.
+
+    Examples:
+        dsrc model import net_epoch40.pth --out detector.pt
+        dsrc model import net_epoch40.pth --family opencood --method v2x-vit --out detector.pt
 
     Attributes:
         file: checkpoint; only tensors are read, no code is run.
@@ -154,6 +167,9 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
 class Join(msgspec.Struct, frozen=True, kw_only=True):
     """Join detectors of different road users into one file, for `dsrc drive`.
 
+    Examples:
+        dsrc model join vehicles.pt vulnerable.pt --out both.pt
+
     Attributes:
         vehicles: detector file of vehicles, whose grid holds the other's.
         vulnerable: detector file of pedestrians and two-wheelers, trained with `--set users=vulnerable`.
@@ -178,6 +194,9 @@ class Join(msgspec.Struct, frozen=True, kw_only=True):
 class Export(msgspec.Struct, frozen=True, kw_only=True):
     """Export a detector to ONNX; its inputs are the points of one sample, sorted into pillars.
 
+    Examples:
+        dsrc model export detector.pt --agents 3 --out detector.onnx
+
     Attributes:
         checkpoint: detector file.
         out: ONNX file.
@@ -199,3 +218,40 @@ class Export(msgspec.Struct, frozen=True, kw_only=True):
         agents = export_onnx(load_detector(self.checkpoint), self.out, self.agents)
         lines = [f"{name}: {meaning}" for name, meaning in (INPUTS | OUTPUTS).items()]
         sys.stdout.write("\n".join([*lines, f"agents: {agents}", str(self.out)]) + "\n")
+
+
+class Fit(msgspec.Struct, frozen=True, kw_only=True):
+    """Fit the errors of a perception to its recordings; dsrc drive --perception MODEL.json drives with them.
+
+    Misses, ghosts and box errors by range, sight, corruption and channel, with persistence in time.
+
+    Examples:
+        dsrc model fit runs/real --perception team --out team.json
+
+    Attributes:
+        data: log of an episode, folder of logs or of a campaign; or results of dsrc evaluate or dsrc benchmark.
+        out: JSON of the model.
+        perception: perception of the episodes, or method of the results; default: the only one.
+        seed: seeds of the episodes that are used; default: all.
+    """
+
+    data: Positional[Annotated[Path, arg(metavar="RECORDINGS")]]
+    out: File
+    perception: str | None = None
+    seed: tuple[int, ...] = ()
+    output: Output = Output()
+
+    def run(self) -> None:
+        """Fit, write the model and print its path."""
+        from dsrc.closed_loop.perception.error_model.model import write_model
+        from dsrc.closed_loop.perception.error_model.recordings import fit_model
+        from sim.errors import SettingsError, complaint
+        from sim.files import check_output
+
+        if self.out.suffix != ".json":
+            raise SettingsError(complaint("model fit", "out", "a file that ends with .json", str(self.out)))
+        check_output(self.out)
+        with progress(f"fit {self.data}") as report:
+            model = fit_model(self.data, self.perception, seeds=self.seed, progress=report)
+        write_model(self.out, model)
+        sys.stdout.write(f"{self.out}\n")

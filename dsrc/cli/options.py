@@ -1,8 +1,8 @@
 """Command line of a struct: its fields and docstring become options and help.
 
 A field is an option, its line under `Attributes:` the help text, a field that is a struct itself (`Pool`) adds its
-options. A line that ends with `; default: WORDS` says what None, "" or () stand for. `msgspec.field(name=...)` gives an
-option another name than the field's.
+options. The lines under `Examples:` end the description. A line that ends with `; default: WORDS` says what None, "" or
+() stand for. `msgspec.field(name=...)` gives an option another name than the field's.
 """
 
 import re
@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, File, Folder, Scenario, Severity, choice  # noqa: F401
 
 _METAVARS = {bool: "", int: "INT", float: "FLOAT", str: "STR", Path: "PATH"}
+_POSITIONAL = get_args(Positional[int])[1]
 _ENTRY = re.compile(r"^ {4}(\w+): ", re.MULTILINE)
 _DEFAULT = re.compile(r"[;.] default: (.*)\.$", re.DOTALL)
 
@@ -38,15 +39,31 @@ def summary(command: type) -> str:
 
 def describe(command: type) -> str:
     """Return a command's help above its options."""
-    return _parts(command)[0]
+    text, examples, _ = _parts(command)
+    return "\n  ".join([f"{text}\n\nexamples:", *examples]) if examples else text
 
 
-def _parts(struct: type) -> tuple[str, dict[str, str]]:
-    """Return the text of a docstring before `Attributes:` and the line of each attribute."""
+def examples_of(command: type) -> list[str]:
+    """Return the command lines under `Examples:`."""
+    return _parts(command)[1]
+
+
+def option_words(name: str, kind: Any) -> list[str]:
+    """Return an option as it is typed, with its opposite where it is a switch; empty for a positional argument."""
+    if _POSITIONAL in get_args(kind):
+        return []
+    word = name.replace("_", "-")
+    return [f"--{word}", f"--no-{word}"] if kind is bool else [f"--{word}"]
+
+
+def _parts(struct: type) -> tuple[str, list[str], dict[str, str]]:
+    """Return the text of a docstring, its examples and the line of each attribute."""
     text, _, listed = cleandoc(struct.__doc__ or "").partition("Attributes:\n")
+    text, _, examples = text.partition("Examples:\n")
     pieces = _ENTRY.split(listed)
     lines = {name: " ".join(body.split()) for name, body in zip(pieces[1::2], pieces[2::2], strict=True)}
-    return re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()), lines
+    shown = [line.strip() for line in examples.strip().splitlines()]
+    return re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()), shown, lines
 
 
 def fields_of(
@@ -55,7 +72,7 @@ def fields_of(
     """Yield name, type, default and help of every option of a struct, those of structs in it too."""
     texts: dict[str, str] = {}
     for base in reversed(struct.__mro__):
-        texts |= _parts(base)[1]
+        texts |= _parts(base)[2]
     hints = get_type_hints(struct, include_extras=True)
     for one in msgspec.structs.fields(struct):
         default = _default(one) if defaults is None else getattr(defaults, one.name)

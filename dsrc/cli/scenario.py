@@ -6,31 +6,27 @@ from pathlib import Path
 import msgspec
 from tyro.conf import Positional
 
+from dsrc.cli.list import print_names
 from dsrc.options.fields import File, Folder, Scenario
 
 
 class List(msgspec.Struct, frozen=True):
-    """List the shipped scenarios and datasets."""
+    """List the scenarios and data sets; `dsrc list scenarios` is the same.
+
+    Examples:
+        dsrc scenario list
+    """
 
     def run(self) -> None:
         """Print one line for each."""
-        from dsrc.data.datasets.spec import list_datasets
-        from sim.catalog.load import list_scenarios, load_scenario
-
-        known = {name: load_scenario(name) for name in list_scenarios()}
-        groups = {
-            "Places": {name: one.description for name, one in known.items() if one.conflict is None},
-            "Encounters": {name: one.description for name, one in known.items() if one.conflict is not None},
-            "Datasets": list_datasets(),
-        }
-        for title, members in groups.items():
-            sys.stdout.write(f"{title}:\n")
-            for name, description in members.items():
-                sys.stdout.write(f"  {name:30s} {description}\n")
+        print_names("scenarios")
 
 
 class Show(msgspec.Struct, frozen=True):
     """Print a scenario's settings as JSON, defaults and the attributions of its sources included.
+
+    Examples:
+        dsrc scenario show four_way
 
     Attributes:
         scenario: shipped scenario, or path of a scenario.toml.
@@ -60,6 +56,10 @@ class Import(msgspec.Struct, frozen=True):
 
     The roads, and from OpenStreetMap the houses, trees, lamps, hedges, fences and walls, become a folder that
     `dsrc generate` takes.
+
+    Examples:
+        dsrc scenario import my_town.osm.pbf
+        dsrc scenario import crossing.xodr --name crossing --out scenarios/crossing
 
     Attributes:
         map: .net.xml, .net.xml.gz, .osm, .osm.gz, .osm.bz2, .osm.pbf or .xodr.

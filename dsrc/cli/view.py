@@ -16,6 +16,11 @@ _OF_CORRUPTION = ("severity", "family", "who")
 class View(ServeOptions, frozen=True, kw_only=True):
     """Review drives in the browser, or write one self-contained HTML page.
 
+    Examples:
+        dsrc view data/test --checkpoint detector.pt
+        dsrc view results
+        dsrc view data/test --out page.html
+
     Attributes:
         out: HTML page to write; default: serve the page.
         picture: PNG of the written page, or of the view of the link, drawn by Chromium; default: none.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dsrc.__main__ import main
-from dsrc.cli.score import Score as Command
+from dsrc.cli.evaluate import Score as Command
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.kitti import encode_labels
 from dsrc.data.formats.opv2v.reader import write_frame
