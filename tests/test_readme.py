@@ -16,7 +16,27 @@ from sensors.deskew import deskew
 from sim.boxes import Boxes
 from tests.paths import ROOT
 
-SIMULATED, DRIVEN, SCANNED = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+
+def blocks_of(page: str) -> list[str]:
+    """Return the blocks of Python on a page."""
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
+
+
+(BEGIN,), (SIMULATED, DRIVEN, SCANNED) = blocks_of("README.md"), blocks_of("docs/python.md")
+
+
+def test_the_readme_s_python_prints_without_a_demo_before(capsys: pytest.CaptureFixture[str], monkeypatch) -> None:
+    monkeypatch.chdir(ROOT)
+    exec(BEGIN, {})
+    first, clear, snow, sight, truth = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"5 agents, \d+ LiDAR points, \d+ true boxes", first)
+    found = [int(re.findall(r": (\d+) detections", line)[0]) for line in (clear, snow)]
+    assert found[0] > found[1] > 0
+    assert (sight, truth) == ("left turn by sight: crashed", "left turn by truth: arrived")
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
 
 
 def test_the_example_of_a_drive_detects_in_fog(tmp_path, monkeypatch):
@@ -74,12 +94,12 @@ PAGES += [ROOT / "docs/results/small/README.md"]
 
 
 def commands_of(page: Path) -> Iterator[list[str]]:
-    """Yield the words of every whole command on a page: those in blocks of code and in the README's table."""
+    """Yield the words of every whole command on a page: those in blocks of code and in tables."""
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
     blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     for found in re.findall(r"(?:^|do |^\| `)dsrc ([^\n`;]*)", "\n".join(blocks), re.MULTILINE):
         yield shlex.split(re.sub(r"\$\w+", "1", found), comments=True)
-    yield from map(shlex.split, re.findall(r"^\| `dsrc ([^`]*)`", text, re.MULTILINE))
+    yield from map(shlex.split, re.findall(r"^\|(?: [^|`]+ \|)? `dsrc ([^`]*)`", text, re.MULTILINE))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())

@@ -232,14 +232,3 @@ def test_the_gates_that_are_told_are_those_of_the_record() -> None:
         f"DSRC gains {third['gain_50']:.1f} at 0.5, at least {third['lower_50']:.1f} by that interval, "
         f"but at 0.7 {third['gain_70']:.1f}, at least {third['lower_70']:.1f}." in text
     )
-
-
-def test_the_gain_in_the_readme_is_that_of_the_twins() -> None:
-    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    with (TWINS / "dsrc-sim/differences_paper.csv").open(encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["condition"] == "mean_corrupted"]
-    gains = " / ".join(f"{100 * float(row['difference']):.1f}" for row in rows)
-    bounds = [[f"{100 * float(row[f'by_drive_{end}']):.1f}" for end in ("low", "high")] for row in rows]
-    assert f"ahead of its plain student by {gains} points in the mean of the six corruptions as published" in text
-    assert f"(95 % by drive: {' and '.join(' to '.join(pair) for pair in bounds)};" in text
-    assert all(row["resolved"] == "True" for row in rows)

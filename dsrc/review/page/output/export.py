@@ -166,11 +166,12 @@ def write_animation(images: Iterable[NDArray[np.uint8]], out: Path, interval_s: 
     """
     from PIL import Image
 
-    first, *others = [Image.fromarray(image) for image in images]
+    arrays = list(images)
     # One palette for all: with one for each the colours of what stands still flicker. By coverage: a median cut spends
     # its colours on the many pixels of the ground, and those of boxes are 40 of 255 off.
-    colors = first.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=2)
-    frames = [one.quantize(palette=colors, dither=Image.Dither.NONE) for one in (first, *others)]
+    sample = Image.fromarray(np.vstack([arrays[0], arrays[len(arrays) // 2], arrays[-1]]))
+    colors = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=2)
+    frames = [Image.fromarray(one).quantize(palette=colors, dither=Image.Dither.NONE) for one in arrays]
     content = io.BytesIO()
     pause_ms = max(round(1e3 * interval_s), 20)
     frames[0].save(
