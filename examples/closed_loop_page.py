@@ -13,7 +13,7 @@ from pathlib import Path
 from dsrc.closed_loop.campaign.plan import read_campaign
 from dsrc.closed_loop.campaign.run import CampaignResult, read_results
 from dsrc.closed_loop.report.report import publish_report, write_report
-from dsrc.evaluation.report.document import slug
+from dsrc.tables.document import slug
 
 PAGE = Path(__file__).parents[1] / "docs/closed_loop.md"
 

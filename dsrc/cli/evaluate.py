@@ -36,7 +36,7 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
 
 
 class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
-    """Compare methods x corruptions x severities x datasets x channels, as in the paper's tables.
+    """Compare methods x corruptions x severities x datasets x channels.
 
     An interrupted benchmark resumes; a new method costs only its own evaluations.
 
@@ -63,32 +63,25 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
     output: Output = Output()
 
     def run(self) -> None:
-        """Evaluate what is missing, write tables and plots and print Table 1."""
+        """Evaluate what is missing, write tables and plots and print the first table."""
         from rich.console import Console
 
         from dsrc.evaluation.config import available, plan_of
         from dsrc.evaluation.report.dataset_results import DatasetResults
-        from dsrc.evaluation.report.document import publish
-        from dsrc.evaluation.report.paper_tables import table_1
-        from dsrc.evaluation.report.pictures import check_pictures, write_pictures
         from dsrc.evaluation.report.report import RESULTS, write_report
+        from dsrc.evaluation.report.tables import table_1
         from dsrc.evaluation.runner import run_plan
+        from dsrc.tables.document import publish
         from sim.files import write_file
 
         plan = plan_of(self)
         plan, absent = available(plan) if self.partial else (plan, [])
-        check_pictures(plan)
         with progress(f"benchmark {plan.name}") as report:
             outcome = run_plan(plan, self.out, self.pool, self.device, report, self.engine)
-        sections = [*write_report(outcome, self.out), *write_pictures(outcome, self.out)]
+        sections = write_report(outcome, self.out)
         write_file(self.out / "tables.md", "\n".join(section.markdown(Path()) for section in sections))
-        console = Console(highlight=False)
         for dataset in plan.datasets:
-            sheet = table_1(DatasetResults.of(outcome, dataset.name))
-            console.print(sheet.terminal(len(sheet.columns) - 2, console.width))  # bytes and times are in the files
-        for section in sections:
-            if not section.picture and "left out: " in section.text:
-                sys.stdout.write(f"{section.text.strip()}\n")
+            Console(highlight=False).print(table_1(DatasetResults.of(outcome, dataset.name)))
         if absent:
             sys.stdout.write(f"Missing detector files, left out: {', '.join(absent)}.\n")
         if self.docs is not None:
@@ -142,7 +135,7 @@ class Score(Scoring, frozen=True, kw_only=True):
         from rich.console import Console
 
         from dsrc.evaluation.metrics.protocols import get_protocols
-        from dsrc.evaluation.scoring.report import score_table, write_scores
+        from dsrc.evaluation.scoring.report import score_tables, write_scores
         from dsrc.evaluation.scoring.score import provenance_of, score
         from sim.files import check_folder
 
@@ -151,7 +144,7 @@ class Score(Scoring, frozen=True, kw_only=True):
             check_folder(self.out)
         with progress(f"score {self.detections}") as report:
             found = score(self.detections, self.truth, self.protocol, corruption=self.corruption, progress=report)
-        Console(highlight=False).print(score_table(found))
+        Console(highlight=False).print(*score_tables(found), sep="\n")
         if self.out is not None:
             write_scores(self.out, found, provenance_of(self))
             sys.stdout.write(f"{self.out}\n")

@@ -139,23 +139,6 @@ class ParameterSweeps(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     loss: tuple[Annotated[float, Meta(ge=0.0, le=1.0)], ...] = ()
 
 
-class PictureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Pictures of single frames of the first dataset, Figures 6 and 8.
-
-    Attributes:
-        teacher: detector file of DSRC's teacher, for the feature maps; "" for none.
-        methods: methods of the drawn detections; empty: the first three and the last.
-        percentiles: of frames by the number of true boxes with points from helpers alone, a frame each, see
-            `dsrc.evaluation.report.pictures.frames.frames_at`.
-        corruption: of the frames.
-    """
-
-    teacher: str = ""
-    methods: tuple[str, ...] = ()
-    percentiles: Annotated[tuple[Annotated[int, Meta(ge=0, le=100)], ...], Meta(min_length=1)] = (25, 50, 75)
-    corruption: str = "clean"
-
-
 class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of a benchmark.
 
@@ -173,7 +156,7 @@ class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         differences: pairs of methods to compare.
         notes: footnotes, marked in their order.
         sweeps: parameter sweeps.
-        pictures: of single frames.
+        pictures: settings of `studies/dsrc_paper`, which reads them; nothing here does.
     """
 
     methods: Annotated[tuple[MethodSpec, ...], Meta(min_length=1)]
@@ -189,12 +172,7 @@ class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     differences: tuple[DifferenceSpec, ...] = ()
     notes: tuple[Footnote, ...] = ()
     sweeps: ParameterSweeps = ParameterSweeps()
-    pictures: PictureSpec = PictureSpec()
-
-    @property
-    def family(self) -> Family:
-        """First family, that of pictures of single frames."""
-        return self.families[0]
+    pictures: dict[str, object] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,8 +230,7 @@ def read_benchmark(path: Path) -> Benchmark:
 
     methods = tuple(replace(m, detectors=tuple(map(found, m.detectors))) for m in plan.methods)
     datasets = tuple(replace(d, drives=tuple(map(found, d.drives))) for d in plan.datasets)
-    teacher = plan.pictures.teacher and found(plan.pictures.teacher)
-    plan = replace(plan, methods=methods, datasets=datasets, pictures=replace(plan.pictures, teacher=teacher))
+    plan = replace(plan, methods=methods, datasets=datasets)
     check(plan, str(path))
     return plan
 
@@ -341,7 +318,6 @@ def check(plan: Benchmark, where: str) -> None:
             raise SettingsError(complaint(where, field, "names that are not empty", "''"))
     for field, wanted in (
         ("sweeps.methods", plan.sweeps.methods),
-        ("pictures.methods", plan.pictures.methods),
         ("differences.method", tuple(pair.method for pair in plan.differences)),
         ("differences.baseline", tuple(pair.baseline for pair in plan.differences)),
         ("notes.methods", tuple(name for note in plan.notes for name in note.methods)),
@@ -371,9 +347,9 @@ def check(plan: Benchmark, where: str) -> None:
     except SettingsError as error:
         raise SettingsError(f"{where}: {error}") from None
     for family in plan.families:
-        corruption_kinds((*plan.corruptions, plan.pictures.corruption), family, where)
+        corruption_kinds(plan.corruptions, family, where)
         try:
-            for kind in corruption_kinds((*plan.corruptions, plan.pictures.corruption), family, where):
+            for kind in corruption_kinds(plan.corruptions, family, where):
                 require_who(kind, parse_who(plan.who))
         except SettingsError as error:
             raise SettingsError(f"{where}: {error}") from None
@@ -399,14 +375,10 @@ def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
     sweeps = replace(plan.sweeps, methods=tuple(name for name in plan.sweeps.methods if name in names))
     if plan.sweeps.methods and not sweeps.methods:
         sweeps = ParameterSweeps()
-    pictures = replace(plan.pictures, methods=tuple(name for name in plan.pictures.methods if name in names))
-    if pictures.teacher and not Path(pictures.teacher).is_file():
-        absent.append(pictures.teacher)
-        pictures = replace(pictures, teacher="")
     differences = tuple(pair for pair in plan.differences if pair.method in names and pair.baseline in names)
     shown = ((note, tuple(name for name in note.methods if name in names)) for note in plan.notes)
     notes = tuple(replace(note, methods=kept) for note, kept in shown if kept)
-    plan = replace(plan, methods=methods, differences=differences, notes=notes, sweeps=sweeps, pictures=pictures)
+    plan = replace(plan, methods=methods, differences=differences, notes=notes, sweeps=sweeps)
     return plan, absent
 
 

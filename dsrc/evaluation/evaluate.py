@@ -11,7 +11,6 @@ from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.figures.bars import corruption_bars
 from dsrc.evaluation.figures.curves import precision_recall_curves
 from dsrc.evaluation.figures.points import robustness_scatter
-from dsrc.evaluation.figures.style import png_bytes
 from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.report.report import provenance_of, stored_index, write_results
 from dsrc.evaluation.results import CLEAN, Row, summary_rows
@@ -19,8 +18,8 @@ from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector,
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Evaluation
 from dsrc.runs.executors import SERIAL, Pool, Progress
+from dsrc.tables.figure import write_figure
 from sim.errors import SettingsError, complaint
-from sim.files import write_file
 from sim.radio import IDEAL
 
 EGO_ALONE = "ego alone"
@@ -64,7 +63,7 @@ def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress 
     else:
         (config.out / "mce_map.png").unlink(missing_ok=True)  # of an evaluation here before
     for name, figure in figures.items():
-        write_file(config.out / f"{name}.png", png_bytes(figure, made_by))
+        write_figure(config.out / f"{name}.png", figure, made_by)
     return rows
 
 

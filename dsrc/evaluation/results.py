@@ -1,5 +1,6 @@
 """Rows of results: one method under one condition, or a summary over all conditions."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -115,6 +116,11 @@ def conditions_of(rows: Sequence[Row]) -> list[str]:
 def find_row(rows: Sequence[Row], method: str, condition: str) -> Row | None:
     """Row of a method under a condition; None if missing."""
     return next((row for row in rows if row.method == method and row.condition == condition), None)
+
+
+def metric_of(row: Row | None, name: str) -> float:
+    """Metric of a row, NaN where either is missing."""
+    return math.nan if row is None else row.metrics.get(name, math.nan)
 
 
 def condition_title(condition: str) -> str:

@@ -11,7 +11,8 @@ import lightning.pytorch as pl
 import msgspec
 
 from dsrc.evaluation.figures.curves import training_curves
-from dsrc.evaluation.figures.style import png_bytes
+from dsrc.tables.figure import write_figure
+from dsrc.tables.files import csv_text
 from dsrc.training.validation import is_metric
 from sim.files import write_file
 from sim.reading import parsing, read_text
@@ -64,18 +65,10 @@ class MetricsFile(pl.Callback):
         if not trainer.is_global_zero:
             return
         self._rows.append({name: str(value) for name, value in values.items()})
-        self._write()
+        write_file(self.path, csv_text(self._rows))
         if _validated(trainer):
-            write_file(self.picture, png_bytes(training_curves(self._rows, _title(self.path.parent))))
+            write_figure(self.picture, training_curves(self._rows, _title(self.path.parent)))
         LOG.info("%s", ", ".join(f"{name} {value}" for name, value in self._rows[-1].items()))
-
-    def _write(self) -> None:
-        names = list(dict.fromkeys(name for row in self._rows for name in row))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, names, restval="")
-        writer.writeheader()
-        writer.writerows(self._rows)
-        write_file(self.path, text.getvalue())
 
 
 class ValidationSchedule(pl.Callback):

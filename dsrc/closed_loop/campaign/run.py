@@ -36,6 +36,7 @@ from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
+from dsrc.tables.files import csv_text
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY
 from sim.errors import DataError, SettingsError, UserError, complaint
 from sim.files import write_file
@@ -139,14 +140,11 @@ def results_csv(results: Iterable[EpisodeResult]) -> str:
     """Return results as CSV, a line per episode and a column per metric."""
     results = list(results)
     metrics = sorted({name for result in results for name in result.metrics})
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*_COLUMNS, *metrics])
+    rows = []
     for result in results:
-        values = [result.metrics.get(name) for name in metrics]
-        listed = ["" if value is None else f"{value:.6g}" for value in values]
-        writer.writerow([*(getattr(result, name) for name in _COLUMNS), *listed])
-    return text.getvalue()
+        known = {name: f"{value:.6g}" for name, value in result.metrics.items() if value is not None}
+        rows.append({**{name: getattr(result, name) for name in _COLUMNS}, **known})
+    return csv_text(rows, [*_COLUMNS, *metrics])
 
 
 def read_results(paths: Iterable[Path]) -> dict[str, EpisodeResult]:

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from msgspec.structs import replace
-from rich.table import Table
 
 from dsrc.closed_loop.campaign.critical import CriticalValue, critical_value
 from dsrc.closed_loop.campaign.episode import DRIVERS
@@ -15,6 +14,7 @@ from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec
 from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR, open_perception
 from dsrc.closed_loop.types import Outcome, Perception
+from dsrc.tables.table import Column, Table, TableRow
 from sensors.corruptions import CLEAN, SEVERITIES
 from sim.errors import SettingsError, complaint
 from sim.radio import get_channel
@@ -92,13 +92,9 @@ def _delays(step_s: float) -> list[float]:
 
 
 def search_table(found: Search) -> Table:
-    """Return the outcome of every value tried, for a terminal."""
-    table = Table()
-    table.add_column(_TITLES[found.quantity], justify="right")
-    table.add_column("outcome")
-    for value, outcome in found.outcomes.items():
-        table.add_row(f"{value:.3g}", outcome.value)
-    return table
+    """Table of the outcome of every value tried."""
+    rows = tuple(TableRow(f"{value:.3g}", (outcome.value,)) for value, outcome in found.outcomes.items())
+    return Table("search", "", _TITLES[found.quantity], (Column("outcome", align="left"),), rows)
 
 
 def search_text(found: Search) -> str:

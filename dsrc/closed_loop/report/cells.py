@@ -7,10 +7,11 @@ from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.metrics.comparison import collided, counted, metric
 from dsrc.closed_loop.metrics.statistics import Estimate, mean, rate
 from dsrc.closed_loop.types import Outcome
+from dsrc.tables.table import Column
 from sensors.corruptions import CLEAN
 
-COLUMNS = ("episodes", "crashed", "at fault", "stuck", "lost", "failed", "score", "progress")
-"""Headings of `condition_cells`."""
+COLUMNS = tuple(map(Column, ("episodes", "crashed", "at fault", "stuck", "lost", "failed", "score", "progress")))
+"""Columns of `condition_cells`."""
 
 
 def groups(results: Sequence[EpisodeResult]) -> list[tuple[str, str, list[EpisodeResult]]]:
@@ -60,13 +61,3 @@ def score(found: Estimate) -> str:
 def percent(value: float) -> str:
     """Return a share, %; "" if it is unknown."""
     return "" if value != value else f"{100 * value:.0f} %"
-
-
-def row(*cells: str) -> str:
-    """Return a line of a Markdown table."""
-    return "| " + " | ".join(cells) + " |"
-
-
-def rule(columns: int) -> str:
-    """Return the line below the headings of a Markdown table."""
-    return "|" + "---|" * columns

@@ -13,16 +13,13 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from dsrc.closed_loop.metrics.comparison import Result, Value, collided, counted, metric
 from dsrc.closed_loop.metrics.statistics import Estimate, mean, paired_rates, rate
-from dsrc.evaluation.figures.style import Style, figure_style, panels, styles_of
 from dsrc.evaluation.results import condition_title
+from dsrc.tables.figure import WIDTH_IN, Style, add_legend, draw_cell, figure_style, panels, styles_of
 from sensors.corruptions import CLEAN
 
-_WIDTH_IN = 9.0
-_INK = "#22272E"
 _CMAP = "RdBu_r"
 
 
@@ -45,7 +42,7 @@ def collision_and_score(
     perceptions, kinds = _perceptions(results), _kinds(results)
     styles = styles or styles_of(perceptions)
     with figure_style():
-        figure, parts = panels(_WIDTH_IN, 5.4, rows=2, title=title)
+        figure, parts = panels(WIDTH_IN, 5.4, rows=2, title=title)
         for axes, (label, value, estimate) in zip(parts, _SHOWN, strict=True):
             for i, name in enumerate(perceptions):
                 found = [estimate(_values(results, value, perception=name, corruption=kind)) for kind in kinds]
@@ -53,11 +50,11 @@ def collision_and_score(
                 _points(axes, [k + shift for k in range(len(kinds))], found, styles[name], name, line=False)
             for k in range(1, len(kinds)):
                 axes.axvline(k - 0.5, color="#E3E6EA", linewidth=0.8)
-            axes.set_xticks(range(len(kinds)), [_wrapped(condition_title(kind)) for kind in kinds])
+            axes.set_xticks(range(len(kinds)), [condition_title(kind).replace(" ", "\n", 1) for kind in kinds])
             axes.tick_params(axis="x", length=0)
             axes.grid(visible=False, axis="x")
             axes.set(xlim=(-0.5, max(len(kinds), 1) - 0.5), ylim=(-3, 103), yticks=range(0, 101, 20), ylabel=label)
-        _legend(figure, parts[0])
+        add_legend(figure, parts[0], below=True)
     return figure
 
 
@@ -69,7 +66,7 @@ def rate_over_severity(results: Sequence[Result], styles: Mapping[str, Style] | 
     columns = min(max(len(kinds), 1), 3)
     rows = max(math.ceil(len(kinds) / columns), 1)
     with figure_style():
-        figure, parts = panels(_WIDTH_IN, 0.9 + 2.3 * rows, rows=rows, columns=columns, title=title)
+        figure, parts = panels(WIDTH_IN, 0.9 + 2.3 * rows, rows=rows, columns=columns, title=title)
         for axes, kind in zip(parts, kinds, strict=False):
             severities = sorted({one.severity for one in results if one.corruption == kind})
             for i, name in enumerate(perceptions):
@@ -90,7 +87,7 @@ def rate_over_severity(results: Sequence[Result], styles: Mapping[str, Style] | 
             parts[row * columns].set_ylabel("collision rate, %")
         for axes in parts[max(len(kinds) - columns, 0) : len(kinds)]:
             axes.set_xlabel("severity")
-        _legend(figure, parts[0])
+        add_legend(figure, parts[0], below=True)
     return figure
 
 
@@ -114,7 +111,7 @@ def deadly_corruptions(results: Sequence[Result], perceptions: Sequence[str] = (
     scale = Normalize(-100.0, 100.0)
     with figure_style():
         height = 0.9 + rows * (1.3 + 0.26 * len(lines))
-        figure, parts = panels(_WIDTH_IN, height, rows=rows, columns=columns, title=title)
+        figure, parts = panels(WIDTH_IN, height, rows=rows, columns=columns, title=title)
         for place, (axes, name) in enumerate(zip(parts, names, strict=False)):
             for y, scenario in enumerate(lines):
                 for x, kind in enumerate(kinds):
@@ -122,7 +119,11 @@ def deadly_corruptions(results: Sequence[Result], perceptions: Sequence[str] = (
                     found = _harm(
                         _chosen(results, corruption=kind, **where), _chosen(results, corruption=CLEAN, **where)
                     )
-                    _cell(axes, x, y + 0.25 * (scenario == "all"), 100 * found[0], scale, bold=found[1] < 0.05)
+                    points = 100 * found[0]
+                    unknown = math.isnan(points)
+                    color = (1.0, 1.0, 1.0) if unknown else mpl.colormaps[_CMAP](float(scale(points)))[:3]
+                    text = "-" if unknown else f"{points:+.0f}" if round(points) else "0"
+                    draw_cell(axes, x, y + 0.25 * (scenario == "all"), color, text, bold=found[1] < 0.05)
             axes.set(xlim=(-0.5, max(len(kinds), 1) - 0.5), ylim=(len(lines) - 0.25, -0.5))
             axes.set_title(name)
             axes.set_xticks(range(len(kinds)), [condition_title(k) for k in kinds], rotation=40, ha="right",
@@ -169,7 +170,7 @@ def cost_of_channel(
     styles = styles or styles_of(perceptions)
     columns = max(len(quantities), 1)
     with figure_style():
-        figure, parts = panels(_WIDTH_IN, 5.2, rows=2, columns=columns, title=title)
+        figure, parts = panels(WIDTH_IN, 5.2, rows=2, columns=columns, title=title)
         for column, (label, quantity) in enumerate(quantities.items()):
             places = sorted({x for one in results if not math.isnan(x := quantity(one))})
             width = (places[-1] - places[0]) if len(places) > 1 else 1.0
@@ -183,7 +184,7 @@ def cost_of_channel(
                 axes.set(ylim=(-3, 103), yticks=range(0, 101, 20), ylabel="" if column else name_of_y)
                 axes.set_xlabel(label if row else "")
                 axes.set_xticks(places if len(places) <= 8 else places[:: math.ceil(len(places) / 8)])
-        _legend(figure, parts[0])
+        add_legend(figure, parts[0], below=True)
     return figure
 
 
@@ -200,16 +201,6 @@ def _points(
     bars = np.nan_to_num(np.abs(np.stack([y - ends[:, 0], ends[:, 1] - y])))
     drawn = style.line() if line else style.point()
     axes.errorbar(x, y, yerr=bars, capsize=2.0, elinewidth=1.0, label=name, **{**drawn, "markersize": 5.0})
-
-
-def _cell(axes: Axes, x: float, y: float, points: float, scale: Normalize, *, bold: bool) -> None:
-    """Draw a difference on its colour, in black or white, whichever is legible; an unknown one on white."""
-    unknown = math.isnan(points)
-    color = (1.0, 1.0, 1.0) if unknown else mpl.colormaps[_CMAP](float(scale(points)))[:3]
-    axes.add_patch(Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=color, linewidth=0))
-    ink = "white" if np.dot(color, (0.299, 0.587, 0.114)) < 0.5 else _INK
-    text = "-" if unknown else f"{points:+.0f}" if round(points) else "0"
-    axes.text(x, y, text, ha="center", va="center", fontsize=7.5, color=ink, fontweight="bold" if bold else "normal")
 
 
 def _perceptions(results: Sequence[Result]) -> list[str]:
@@ -233,13 +224,3 @@ def _chosen(results: Sequence[Result], **wanted: object) -> list[Result]:
 
 def _values(results: Sequence[Result], value: Value, **wanted: object) -> list[float]:
     return [value(one) for one in counted(_chosen(results, **wanted))]
-
-
-def _wrapped(title: str) -> str:
-    return title.replace(" ", "\n", 1)
-
-
-def _legend(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(handles), 5))

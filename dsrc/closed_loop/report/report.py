@@ -1,6 +1,7 @@
 """Report of a campaign: report.md with its tables, plots, and the sections of a document with them."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from dsrc.closed_loop.campaign.plan import Campaign
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.metrics.comparison import Result
 from dsrc.closed_loop.report.tables import NAMES, parts_of, tables
-from dsrc.evaluation.report.document import Section, check_document, publish
+from dsrc.tables.document import Section, check_document, publish
 from sensors.corruptions import CLEAN
 from sim.files import write_file
 from sim.radio import get_channel
@@ -28,12 +29,12 @@ _PICTURES = {
 
 def write_report(result: CampaignResult, out: Path) -> list[Path]:
     """Write report.md and its plots into the folder of a campaign; return the paths, and that of its results."""
-    from dsrc.evaluation.figures.style import png_bytes
+    from dsrc.tables.figure import write_figure
 
     pictures, plots = [], _plots(result)
     for name, plot in plots.items():
         path = out / f"{name}.png"
-        write_file(path, png_bytes(plot()))
+        write_figure(path, plot())
         pictures.append(path)
     for name in _PICTURES.keys() - plots.keys():
         (out / f"{name}.png").unlink(missing_ok=True)  # of a run before
@@ -57,7 +58,7 @@ def publish_report(result: CampaignResult, out: Path, document: Path) -> Path:
     Args:
         result: of the campaign.
         out: its folder, with the report.
-        document: Markdown, see `dsrc.evaluation.report.document.publish`; sections are named like the tables and plots.
+        document: Markdown, see `dsrc.tables.document.publish`; sections are named like the tables and plots.
 
     Returns:
         The folder of the files beside the document.
@@ -93,7 +94,7 @@ def _seeds(listed: Sequence[int]) -> str:
 
 def sections(result: CampaignResult) -> list[Section]:
     """Return the tables and plots of a campaign as sections of a document, in the order of the report."""
-    found = [Section(name, f"{text}\n", about=title) for name, (title, text) in tables(result).items()]
+    found = [Section(name, replace(one, title="").markdown(), about=one.title) for name, one in tables(result).items()]
     plots = [Section(name, picture=f"{name}.png", about=_PICTURES[name]) for name in _plots(result)]
     first = sum(section.name in ("conditions", "apart") for section in found)
     return [*found[:first], *plots, *found[first:]]

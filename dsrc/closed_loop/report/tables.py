@@ -1,6 +1,7 @@
-"""Tables of a campaign in Markdown, a section each."""
+"""Tables of a campaign, a section of its report each."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
@@ -22,24 +23,25 @@ from dsrc.closed_loop.metrics.comparison import (
 )
 from dsrc.closed_loop.metrics.statistics import PairedRates, paired_rates, rate
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR
-from dsrc.closed_loop.report.cells import COLUMNS, condition, condition_cells, groups, percent, row, rule, share
+from dsrc.closed_loop.report.cells import COLUMNS, condition, condition_cells, groups, percent, share
 from dsrc.closed_loop.types import Outcome
+from dsrc.tables.table import Column, Strong, Table, TableRow
 from sensors.corruptions import CLEAN
 
-NAMES = (
-    "conditions",
-    "apart",
-    "crashed",
-    "arrived",
-    "scenarios",
-    "differences",
-    "arrivals",
-    "robustness",
-    "causes",
-    "hardest",
-    "controls",
-)
-"""Names of the tables."""
+NAMES = {
+    "conditions": "All scenarios",
+    "apart": "Without a class",
+    "crashed": "Crashed",
+    "arrived": "Arrived",
+    "scenarios": "By scenario, clean",
+    "differences": "Paired crashes",
+    "arrivals": "Paired arrivals",
+    "robustness": "Closed-loop corruption error",
+    "causes": "What came late",
+    "hardest": "Hardest crashes",
+    "controls": "Controls",
+}
+"""Titles of the tables by name."""
 _OF_ONE_CHANNEL = ("crashed", "arrived", "scenarios", "arrivals", "robustness", "causes")
 ALL_CORRUPTIONS = "all corruptions"
 """Title of the episodes under several corruptions together."""
@@ -55,30 +57,45 @@ _PAIRED = (
 )
 
 
-def tables(result: CampaignResult) -> dict[str, tuple[str, str]]:
-    """Return the title and the Markdown of each table that a campaign has results for, by name."""
+def tables(result: CampaignResult) -> dict[str, Table]:
+    """Tables that a campaign has results for, by name."""
     common, apart = parts_of(result)
     first = result.plan.channels[0]
     of_first = [[one for one in part if one.channel == first] for part in (common, apart)]
-    found = {
-        "conditions": ("All scenarios", _all_scenarios(result, common)),
-        "apart": (_kinds(apart).capitalize(), _apart(result, apart)),
-        "crashed": ("Crashed", _crashed(of_first[0])),
-        "arrived": ("Arrived", _arrived(of_first[0])),
-        "scenarios": ("By scenario, clean", _scenarios(of_first)),
-        "differences": ("Paired crashes", _differences(result.plan, common)),
-        "arrivals": ("Paired arrivals", _arrivals(result.plan, of_first[0])),
-        "robustness": ("Closed-loop corruption error", _robustness(result.plan, of_first[0])),
-        "causes": ("What came late", _causes(of_first[0])),
-        "hardest": ("Hardest crashes", _worst(result)),
-        "controls": ("Controls", _controls(result)),
-    }
+    found = [
+        _all_scenarios(result, common),
+        _apart(result, apart),
+        _crashed(of_first[0]),
+        _arrived(of_first[0]),
+        _scenarios(of_first),
+        _differences(result.plan, common),
+        _arrivals(result.plan, of_first[0]),
+        _robustness(result.plan, of_first[0]),
+        _causes(of_first[0]),
+        _worst(result),
+        _controls(result),
+    ]
     through = f" Through the channel `{first}`." if len(result.plan.channels) > 1 else ""
     return {
-        name: (title, text + (through if name in _OF_ONE_CHANNEL else ""))
-        for name, (title, text) in found.items()
-        if text
+        one.name: replace(one, note=one.note + through) if one.name in _OF_ONE_CHANNEL else one
+        for one in found
+        if one.rows or one.note
     }
+
+
+def _table(name: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note: str, left: int = 1) -> Table:
+    """Table of a campaign; without rows it is empty.
+
+    Args:
+        name: one of `NAMES`.
+        heads: of the columns.
+        rows: a text per column.
+        note: below the table.
+        left: number of columns of words.
+    """
+    listed = tuple(TableRow(first, tuple(cells)) for first, *cells in rows)
+    columns = [Column(head, align="left" if place < left else "right") for place, head in enumerate(heads)]
+    return Table(name, NAMES[name], heads[0], tuple(columns[1:]), listed, note if listed else "")
 
 
 def parts_of(result: CampaignResult) -> tuple[list[EpisodeResult], list[EpisodeResult]]:
@@ -91,9 +108,7 @@ def parts_of(result: CampaignResult) -> tuple[list[EpisodeResult], list[EpisodeR
     return [one for one in result.results if (one.scenario, one.seed) not in unknown], apart
 
 
-def _all_scenarios(result: CampaignResult, common: Sequence[EpisodeResult]) -> str:
-    if not common:
-        return ""
+def _all_scenarios(result: CampaignResult, common: Sequence[EpisodeResult]) -> Table:
     text = (
         "Crashed: share of the episodes that met their encounter, with its Wilson interval of 95 %. At fault: crashes "
         "in which the ego neither stood nor was hit from behind. Lost: episodes that never met their encounter, not "
@@ -101,83 +116,81 @@ def _all_scenarios(result: CampaignResult, common: Sequence[EpisodeResult]) -> s
         "a bootstrap interval. Progress: share of the reference distance."
     )
     if result.careful:
+        own = [collided(one) for one in counted(result.careful)]
         text += (
             " Avoidable: share of the crashes that the careful driver of UN R157 avoids on the same seeds when it "
-            "knows the truth, with its Wilson interval."
+            f"knows the truth, with its Wilson interval. That driver itself crashes in {sum(own):.0f} of {len(own)} "
+            "episodes."
         )
-        own = [collided(one) for one in counted(result.careful)]
-        text += f" That driver itself crashes in {sum(own):.0f} of {len(own)} episodes."
-    return f"{_conditions(result, common)}\n\n{text}"
+    return _conditions("conditions", result, common, text)
 
 
-def _kinds(apart: Sequence[EpisodeResult]) -> str:
-    return " and ".join("buses" if kind == "bus" else f"{kind}s" for kind in sorted({one.road_user for one in apart}))
-
-
-def _apart(result: CampaignResult, apart: Sequence[EpisodeResult]) -> str:
-    """Return the table of the episodes that a perception has no class for."""
-    if not apart:
-        return ""
+def _apart(result: CampaignResult, apart: Sequence[EpisodeResult]) -> Table:
+    """Table of the episodes that a perception has no class for."""
+    users = sorted({one.road_user for one in apart})
+    kinds = " and ".join("buses" if kind == "bus" else f"{kind}s" for kind in users)
     text = (
-        f"Encounters with {_kinds(apart)}, which some perceptions have no class for: no part of the other tables, but "
+        f"Encounters with {kinds}, which some perceptions have no class for: no part of the other tables, but "
         "for those by scenario and of the hardest crashes. No class: episodes in which the perception is blind for the "
         "conflict actor for that reason."
     )
-    return f"{_conditions(result, apart, blind=True)}\n\n{text}"
+    return replace(_conditions("apart", result, apart, text, blind=True), title=kinds.capitalize())
 
 
-def _crashed(results: Sequence[EpisodeResult]) -> str:
+def _crashed(results: Sequence[EpisodeResult]) -> Table:
     def cell(title: str, met: Sequence[Result]) -> str:
         found = rate([collided(one) for one in met])
         return percent(found.value) if title == ALL_CORRUPTIONS else share(found)
 
-    table = _by_condition(results, cell)
+    table = _by_condition("crashed", results, cell)
     text = "Share of the episodes that met their encounter, with its Wilson interval of 95 %."
-    if ALL_CORRUPTIONS in table:
+    if any(column.title == ALL_CORRUPTIONS for column in table.columns):
         text += f" Without one, {ALL_CORRUPTIONS}: episodes of one encounter and seed are alike."
-    return table and f"{table}\n\n{text}"
+    return replace(table, note=text if table.rows else "")
 
 
-def _arrived(results: Sequence[EpisodeResult]) -> str:
-    table = _by_condition(results, lambda _, met: f"{sum(arrived(one) for one in met):.0f} of {len(met)}", failed=True)
-    return table and f"{table}\n\nOf the episodes that met their encounter."
+def _arrived(results: Sequence[EpisodeResult]) -> Table:
+    def cell(_: str, met: Sequence[Result]) -> str:
+        return f"{sum(arrived(one) for one in met):.0f} of {len(met)}"
+
+    return _by_condition("arrived", results, cell, "Of the episodes that met their encounter.", failed=True)
 
 
 def _by_condition(
-    results: Sequence[EpisodeResult], cell: Callable[[str, Sequence[Result]], str], failed: bool = False
-) -> str:
-    """Return a table with a line per perception and a column per condition."""
+    name: str,
+    results: Sequence[EpisodeResult],
+    cell: Callable[[str, Sequence[Result]], str],
+    note: str = "",
+    failed: bool = False,
+) -> Table:
+    """Table with a row per perception and a column per condition."""
     by_perception = {
         name: _conditions_of([one for one in results if one.perception == name])
         for name in dict.fromkeys(one.perception for one in results)
     }
     titles = list(dict.fromkeys(title for groups_of in by_perception.values() for title in groups_of))
-    lines = [
-        row(name, *(cell(title, counted(own[title], failed)) if title in own else "" for title in titles))
+    rows = [
+        (name, *(cell(title, counted(own[title], failed)) if title in own else "" for title in titles))
         for name, own in by_perception.items()
     ]
-    return "\n".join([row("perception", *titles), rule(len(titles) + 1), *lines]) if lines else ""
+    return _table(name, ["perception", *titles], rows, note)
 
 
-def _unknown(group: Sequence[EpisodeResult]) -> str:
-    """Return the number of episodes with a road user that the perception has no class for."""
-    return str(sum(not one.detectable for one in group))
-
-
-def _conditions(result: CampaignResult, results: Sequence[EpisodeResult], blind: bool = False) -> str:
-    """Return a table with a line per perception and condition."""
+def _conditions(
+    name: str, result: CampaignResult, results: Sequence[EpisodeResult], note: str, blind: bool = False
+) -> Table:
+    """Table with a row per perception and condition."""
     more = (["avoidable"] if result.careful else []) + (["no class"] if blind else [])
-    headings = ("perception", "condition", *COLUMNS, *more)
-    lines = [row(*headings), rule(len(headings))]
+    rows = []
     for perception, title, group in groups(results):
         avoided = [share(rate(avoidable(group, result.careful)))] if result.careful else []
-        unknown = [_unknown(group)] if blind else []
-        lines.append(row(perception, title, *condition_cells(group), *avoided, *unknown))
-    return "\n".join(lines)
+        unknown = [str(sum(not one.detectable for one in group))] if blind else []
+        rows.append((perception, title, *condition_cells(group), *avoided, *unknown))
+    return _table(name, ["perception", "condition", *(column.title for column in COLUMNS), *more], rows, note, left=2)
 
 
-def _scenarios(parts: Sequence[Sequence[EpisodeResult]]) -> str:
-    """Return the clean collision rates by scenario and perception, marked where it has no class.
+def _scenarios(parts: Sequence[Sequence[EpisodeResult]]) -> Table:
+    """Table of the clean collision rates by scenario and perception, marked where it has no class.
 
     Args:
         parts: of one channel, the episodes for all perceptions and those that are apart.
@@ -190,14 +203,11 @@ def _scenarios(parts: Sequence[Sequence[EpisodeResult]]) -> str:
         for scenario in dict.fromkeys(one.scenario for one in clean):
             group = [one for one in clean if one.scenario == scenario]
             title = f"{scenario} ({group[0].road_user})" if part else scenario
-            rows.append(row(title, *(_crashes([one for one in group if one.perception == name]) for name in names)))
-    if not rows:
-        return ""
-    lines = [row("scenario", *names), rule(len(names) + 1), *rows]
+            rows.append((title, *(_crashes([one for one in group if one.perception == name]) for name in names)))
     text = "Crashes, clean, of the episodes that met their encounter, with the Wilson interval of 95 %." + (
         " *: no class for the road user." if apart else ""
     )
-    return "\n".join([*lines, "", text])
+    return _table("scenarios", ["scenario", *names], rows, text)
 
 
 def _crashes(group: Sequence[EpisodeResult]) -> str:
@@ -210,17 +220,12 @@ def _crashes(group: Sequence[EpisodeResult]) -> str:
     return text if all(one.detectable for one in group) else f"{text} *"
 
 
-def _differences(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
-    """Return what each perception gains over `ego`, the detector without helpers, over paired episodes."""
+def _differences(plan: Campaign, results: Sequence[EpisodeResult]) -> Table:
+    """Table of what each perception gains over `ego`, the detector without helpers, over paired episodes."""
     alone = _alone(plan)
-    if alone is None or not any(one.perception != alone for one in results):
-        return ""
-    lines = [
-        row("perception", "condition", "pairs", f"crashes less those of {alone}", "p", "harm rate", "gain per MB"),
-        rule(7),
-    ]
     base = [one for one in results if one.perception == alone]
-    for name in dict.fromkeys(one.perception for one in results if one.perception != alone):
+    rows = []
+    for name in dict.fromkeys(one.perception for one in results if alone is not None and one.perception != alone):
         for title, group in _conditions_of([one for one in results if one.perception == name]).items():
             matched = pairs(group, base, any_channel=True)
             if not matched:
@@ -234,12 +239,13 @@ def _differences(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
                 percent(harm_rate(together, single)),
                 "" if gain != gain else f"{gain:.3f}",
             )
-            lines.append(row(name, title, str(len(matched)), *numbers))
-    return "\n".join([*lines, "", f"In brackets the interval of 95 %. {_PAIRED}"])
+            rows.append((name, title, str(len(matched)), *numbers))
+    heads = ["perception", "condition", "pairs", f"crashes less those of {alone}", "p", "harm rate", "gain per MB"]
+    return _table("differences", heads, rows, f"In brackets the interval of 95 %. {_PAIRED}", left=2)
 
 
-def _arrivals(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
-    """Return the differences of arrivals between all perceptions with a sensor, a line per pair."""
+def _arrivals(plan: Campaign, results: Sequence[EpisodeResult]) -> Table:
+    """Table of the differences of arrivals between all perceptions with a sensor, a row per pair."""
     names = [one.name for one in plan.perceptions if one.kind not in WITHOUT_SENSOR]
     own = {name: _conditions_of([one for one in results if one.perception == name]) for name in names}
     order = list(dict.fromkeys(title for conditions in own.values() for title in conditions))
@@ -251,14 +257,12 @@ def _arrivals(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
             title: _arrivals_cell(_paired(of_both, arrived)) for title, of_both in matched.items() if of_both
         }
     titles = [title for title in order if any(title in cells for cells in found.values())]
-    lines = [row(pair, *(cells.get(title, "") for title in titles)) for pair, cells in found.items() if cells]
-    if not lines:
-        return ""
+    rows = [(pair, *(cells.get(title, "") for title in titles)) for pair, cells in found.items() if cells]
     text = (
         "Arrivals, percentage points, of the pairs in which both met the encounter; in brackets the episodes in which "
         f"only the first, and only the second, arrives. Bold: p < {_SMALL_P:g}. {_PAIRED}"
     )
-    return "\n".join([row("", *titles), rule(len(titles) + 1), *lines, "", text])
+    return _table("arrivals", ["", *titles], rows, text)
 
 
 def _p_value(value: float) -> str:
@@ -267,7 +271,7 @@ def _p_value(value: float) -> str:
 
 def _arrivals_cell(found: PairedRates) -> str:
     text = f"{100 * found.difference.value:+.0f} ({found.only_first}, {found.only_second})"
-    return f"**{text}**" if found.p_value < _SMALL_P else text
+    return Strong(text) if found.p_value < _SMALL_P else text
 
 
 def _conditions_of(results: Sequence[EpisodeResult]) -> dict[str, list[EpisodeResult]]:
@@ -288,28 +292,26 @@ def _alone(plan: Campaign) -> str | None:
     return next((one.name for one in plan.perceptions if one.kind == ALONE), None)
 
 
-def _robustness(plan: Campaign, results: Sequence[EpisodeResult]) -> str:
-    """Return corruption errors of every perception relative to `ego`, the form of mCE."""
+def _robustness(plan: Campaign, results: Sequence[EpisodeResult]) -> Table:
+    """Table of corruption errors of every perception relative to `ego`, the form of mCE."""
     alone = _alone(plan)
-    kinds = list(dict.fromkeys(one.corruption for one in results if one.corruption != CLEAN))
-    if alone is None or not kinds:
-        return ""
-    base = [one for one in results if one.perception == alone and one.corruption != CLEAN]
-    lines = [row("perception", "mCE", *kinds), rule(len(kinds) + 2)]
-    for one in plan.perceptions:
-        own = [r for r in results if r.perception == one.name and r.corruption != CLEAN]
-        if own:
+    corrupted = [one for one in results if one.corruption != CLEAN and alone is not None]
+    kinds = list(dict.fromkeys(one.corruption for one in corrupted))
+    base = [one for one in corrupted if one.perception == alone]
+    rows = []
+    for spec in plan.perceptions:
+        if own := [one for one in corrupted if one.perception == spec.name]:
             errors = corruption_errors(own, base)
             values = [mean_corruption_error(errors), *(errors.get(kind, float("nan")) for kind in kinds)]
-            lines.append(row(one.name, *("" if value != value else f"{value:.2f}" for value in values)))
+            rows.append((spec.name, *("" if value != value else f"{value:.2f}" for value in values)))
     text = f"Collision rate under a corruption over that of {alone}; 1 is as bad."
-    return "\n".join([*lines, "", text])
+    return _table("robustness", ["perception", "mCE", *kinds], rows, text)
 
 
-def _causes(results: Sequence[EpisodeResult]) -> str:
-    """Return what came late in the crashes of encounters: the sight of the conflict actor, its track, or neither."""
+def _causes(results: Sequence[EpisodeResult]) -> Table:
+    """Table of what came late in the crashes of encounters: the sight of the conflict actor, its track, or neither."""
     kinds = ("not seen", "seen late", "tracked late", "in time")
-    lines = []
+    rows = []
     for perception in dict.fromkeys(one.perception for one in results):
         conditions = _conditions_of([one for one in results if one.perception == perception])
         wanted = (CLEAN, ALL_CORRUPTIONS) if ALL_CORRUPTIONS in conditions else conditions
@@ -317,16 +319,13 @@ def _causes(results: Sequence[EpisodeResult]) -> str:
             crashed = [one for one in conditions.get(title, ()) if one.outcome == Outcome.CRASHED.value]
             found = [_late(one) for one in crashed if one.road_user]
             if found:
-                lines.append(row(perception, title, str(len(found)), *(str(found.count(kind)) for kind in kinds)))
-    if not lines:
-        return ""
-    heads = ("perception", "condition", "crashes", *kinds)
+                rows.append((perception, title, str(len(found)), *(str(found.count(kind)) for kind in kinds)))
     text = (
         "Crashes in encounters, whoever the ego crashed with, by what came late first. Not seen: no percept had a box "
         f"of the conflict actor. Seen late: the first box came less than {_SEEN_S:g} s before the crash. Tracked late: "
         f"its track was confirmed more than {_TRACKED_S:g} s after that, or never. In time: neither."
     )
-    return "\n".join([row(*heads), rule(len(heads)), *lines, "", text])
+    return _table("causes", ["perception", "condition", "crashes", *kinds], rows, text, left=2)
 
 
 def _late(one: EpisodeResult) -> str:
@@ -339,26 +338,26 @@ def _late(one: EpisodeResult) -> str:
     return "in time" if round(tracked_s - seen_s, 6) <= _TRACKED_S else "tracked late"
 
 
-def _worst(result: CampaignResult) -> str:
+def _worst(result: CampaignResult) -> Table:
     crashed = [one for one in result.results if one.outcome == Outcome.CRASHED.value and one.detectable]
     failed = [one for one in result.results if one.outcome == Outcome.PERCEPTION_FAILED.value]
-    if not crashed and not failed:
-        return ""
-    worst = sorted(crashed, key=lambda one: -metric(one, "delta_v_mps"))[:_WORST]
-    lines = [row("scenario", "seed", "perception", "condition", "closing m/s", "delta-v m/s", "log"), rule(7)]
-    for one in worst:
-        closing, change = metric(one, "impact_mps"), metric(one, "delta_v_mps")
-        numbers = f"{closing:.1f}", f"{change:.1f}"
-        lines.append(
-            row(one.scenario, str(one.seed), one.perception, condition(one), *numbers, f"episodes/{one.key}.npz")
+    columns = [Column("seed"), Column("perception", align="left"), Column("condition", align="left")]
+    columns += [Column("closing m/s", digits=1), Column("delta-v m/s", digits=1), Column("log", align="left")]
+    rows = tuple(
+        TableRow(
+            one.scenario,
+            (
+                *(one.seed, one.perception, condition(one), metric(one, "impact_mps"), metric(one, "delta_v_mps")),
+                f"episodes/{one.key}.npz",
+            ),
         )
-    text = "\n".join(lines)
-    if failed:
-        first = failed[0]
-        text += f"\n\nPerceptions failed in {len(failed)} episodes, first: {first.message}"
-    return text
+        for one in sorted(crashed, key=lambda one: -metric(one, "delta_v_mps"))[:_WORST]
+    )
+    note = f"Perceptions failed in {len(failed)} episodes, first: {failed[0].message}" if failed else ""
+    return Table("hardest", NAMES["hardest"], "scenario", tuple(columns), rows, note)
 
 
-def _controls(result: CampaignResult) -> str:
+def _controls(result: CampaignResult) -> Table:
     fine = sum(one.outcome == Outcome.ARRIVED.value for one in result.controls)
-    return f"{fine} of {len(result.controls)} arrived with the truth." if result.controls else ""
+    note = f"{fine} of {len(result.controls)} arrived with the truth." if result.controls else ""
+    return Table("controls", NAMES["controls"], "", (), (), note)

@@ -1,49 +1,41 @@
 """Tables of campaigns for a terminal."""
 
-from rich.box import SIMPLE
-from rich.table import Table
-from rich.text import Text
+from dataclasses import replace
 
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.open import parse_perception
 from dsrc.closed_loop.report.cells import COLUMNS, condition_cells, groups
 from dsrc.closed_loop.types import Outcome
+from dsrc.tables.table import Cell, Column, Table, TableRow
 from sensors.corruptions import CLEAN
 from sim.radio import IDEAL
 
 
 def summary_table(result: CampaignResult) -> Table:
-    """Return the table of a campaign for a terminal: a line per perception and condition, by scenario.
+    """Table of a campaign for a terminal: a row per perception and condition, by scenario.
 
     A star marks perceptions that have no class for a conflict actor. Perceptions that failed are below the table.
     """
-    several, blind = len(result.plan.scenarios) > 1, not all(one.detectable for one in result.results)
+    blind = not all(one.detectable for one in result.results)
     notes = ["*: no class for the road user"] if blind else []
     for name in dict.fromkeys(one.perception for one in result.results):
         driven = [one for one in result.results if one.perception == name]
         failed = [one.message for one in driven if one.outcome == Outcome.PERCEPTION_FAILED.value]
         if failed:
             notes.append(f"{name}: perception failed in {len(failed)} of {len(driven)} episodes: {failed[0]}")
-    caption = Text("\n".join(notes)) if notes else None
-    table = Table(title=result.plan.name, caption=caption, box=SIMPLE, padding=0)
-    # Names of perceptions and conditions may wrap where the terminal is narrow, the rest may not.
-    scenarios = [one.scenario for one in result.results] if several else []
-    table.add_column("perception", min_width=max(map(len, scenarios), default=None))
-    table.add_column("condition")
-    shown = [place for place, heading in enumerate(COLUMNS) if heading != "failed"]
-    for place in shown:
-        table.add_column(COLUMNS[place], justify="right", no_wrap=True)
-    for scenario in dict.fromkeys(one.scenario for one in result.results):
-        if several:
-            table.add_section()
-            table.add_row(f"[bold]{scenario}[/]")
+    columns = [Column("perception", align="left"), Column("condition", align="left")]
+    columns += [replace(column, terminal=column.title != "failed") for column in COLUMNS]
+    rows = []
+    scenarios = list(dict.fromkeys(one.scenario for one in result.results))
+    for scenario in scenarios:
         for perception, condition, group in groups([r for r in result.results if r.scenario == scenario]):
-            cells = condition_cells(group)
-            values = [cells[place].partition(" [")[0] for place in shown]
+            values = [cell.partition(" [")[0] for cell in condition_cells(group)]
             name = perception if all(one.detectable for one in group) else f"{perception} *"
-            table.add_row(name, condition, *values)
-    return table
+            rows.append(TableRow(scenario, (name, condition, *values)))
+    caption = "\n".join(notes)
+    title = result.plan.name if len(scenarios) > 1 else ""
+    return Table("summary", title, "scenario", tuple(columns), tuple(rows), caption=caption, grouped=True)
 
 
 def _eyes(log: EpisodeLog, with_driver: bool) -> str:
@@ -57,27 +49,19 @@ def _eyes(log: EpisodeLog, with_driver: bool) -> str:
 
 
 def comparison_table(former: EpisodeLog, again: EpisodeLog) -> Table:
-    """Return a table of two looks at the same traffic, a line per second."""
+    """Table of two looks at the same traffic, a row per second."""
     names = tuple(_eyes(log, former.settings.driver != again.settings.driver) for log in (former, again))
     failed = again.outcome is Outcome.PERCEPTION_FAILED
-    table = Table(
-        title=f"{former.settings.scenario.name}, seed {former.settings.seed}: the same traffic to two eyes",
-        caption=Text(f"{names[1]}: perception failed: {again.message}") if failed else None,
-    )
-    for heading in ("time s", *(f"{what}, {name}" for name in names for what in ("tracks", "m/s²", "because"))):
-        table.add_column(heading, justify="right")
+    heads = [f"{what}, {name}" for name in names for what in ("tracks", "m/s²", "because")]
     every = max(1, round(1.0 / former.settings.scenario.step_s))
     start = former.ticks[0].actors.time_s
-    for row in range(0, min(len(former), len(again)), every):
-        both = former.ticks[row], again.ticks[row]
-        cells = [
-            text
-            for tick in both
-            for text in (
-                str(len(tick.tracks)),
-                f"{tick.decision.acceleration_mps2:+.1f}",
-                tick.decision.reason,
-            )
-        ]
-        table.add_row(f"{both[0].actors.time_s - start:.1f}", *cells)
-    return table
+    rows = []
+    for number in range(0, min(len(former), len(again)), every):
+        both = former.ticks[number], again.ticks[number]
+        cells: list[Cell] = []
+        for tick in both:
+            cells += [len(tick.tracks), f"{tick.decision.acceleration_mps2:+.1f}", tick.decision.reason]
+        rows.append(TableRow(f"{both[0].actors.time_s - start:.1f}", tuple(cells)))
+    title = f"{former.settings.scenario.name}, seed {former.settings.seed}: the same traffic to two eyes"
+    caption = f"{names[1]}: perception failed: {again.message}" if failed else ""
+    return Table("comparison", title, "time s", tuple(map(Column, heads)), tuple(rows), caption=caption)

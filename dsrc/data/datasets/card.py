@@ -18,11 +18,12 @@ from dsrc.data.drives import list_drives, open_drive, path_below
 from dsrc.data.formats.opv2v.reader import own_settings
 from dsrc.data.jsonio import encode_json, read_json
 from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
+from dsrc.tables.table import Column, Table, TableRow
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY, Frame
 from sim.boxes import CLASSES
 from sim.catalog.attribution import attributions
 from sim.errors import DataError
-from sim.files import check_apart, check_folder, replacing, write_file
+from sim.files import check_apart, check_folder, write_file
 from sim.machine import installed_versions
 from sim.scenario import Scenario
 
@@ -293,14 +294,10 @@ def _markdown(card: Card, pictures: Sequence[tuple[str, str]]) -> str:
         f"Of the boxes within 100 m of the ego {seen['ego'] / total:.0%} have points of the ego,"
         f" {seen['helper only'] / total:.0%} of a helper only, {seen['nobody'] / total:.0%} of nobody.",
         "",
-        "| drive | format | frames | seconds | agents | LiDARs | points per sweep | made by |",
-        "|---|---|---|---|---|---|---|---|",
-        *(_row(drive) for drive in card.drives),
-        "",
+        _drive_table(card).markdown(),
         f"Boxes by class and distance to the ego, in {sum(len(drive.sampled) for drive in card.drives)} frames:",
         "",
-        *_box_table(card),
-        "",
+        _box_table(card).markdown(),
         "![Points by distance, boxes by distance, visible fraction](histograms.png)",
         "",
         *(f"![{title}]({file})" for file, title in pictures),
@@ -334,87 +331,75 @@ def _spread(points: NDArray[Any]) -> str:
     return f"{middle} ({low} to {high} in nine of ten)"
 
 
-def _row(drive: DriveCard) -> str:
-    lidars = ", ".join(sorted({agent["lidar"] for agent in drive.agents.values()}))
-    kinds = [agent["kind"] for agent in drive.agents.values()]
-    agents = f"{kinds.count('vehicle')} + {kinds.count('roadside')} roadside"
-    made = ", ".join(f"{key} {value}" for key, value in drive.settings.items() if isinstance(value, str | int | float))
-    cells = (
-        drive.drive,
-        drive.format,
-        drive.frames,
-        f"{drive.seconds:g}",
-        agents,
-        lidars,
-        _spread(np.array(drive.points)),
-    )
-    return "| " + " | ".join(map(str, (*cells, made or "unknown"))) + " |"
+def _drive_table(card: Card) -> Table:
+    columns = [Column("format", align="left"), Column("frames"), Column("seconds")]
+    columns += [Column(head, align="left") for head in ("agents", "LiDARs", "points per sweep", "made by")]
+    rows = []
+    for drive in card.drives:
+        lidars = ", ".join(sorted({agent["lidar"] for agent in drive.agents.values()}))
+        kinds = [agent["kind"] for agent in drive.agents.values()]
+        agents = f"{kinds.count('vehicle')} + {kinds.count('roadside')} roadside"
+        made = (f"{key} {value}" for key, value in drive.settings.items() if isinstance(value, str | int | float))
+        counts = drive.format, drive.frames, f"{drive.seconds:g}"
+        words = agents, lidars, _spread(np.array(drive.points)), ", ".join(made) or "unknown"
+        rows.append(TableRow(drive.drive, (*counts, *words)))
+    return Table("drives", "", "drive", tuple(columns), tuple(rows))
 
 
-def _box_table(card: Card) -> list[str]:
+def _box_table(card: Card) -> Table:
     low = DISTANCE_M.astype(int).tolist()
     heads = [f"{a} to {b} m" for a, b in pairwise(low)] + [f"over {low[-1]} m"]
-    lines = ["| class | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
-    for name in CLASSES:
-        counts = np.sum([drive.boxes[name] for drive in card.drives], axis=0)
-        lines.append(f"| {name} | " + " | ".join(map(str, counts.tolist())) + " |")
-    return lines
+    counts = {name: np.sum([drive.boxes[name] for drive in card.drives], axis=0) for name in CLASSES}
+    rows = tuple(TableRow(name, tuple(of_class.tolist())) for name, of_class in counts.items())
+    return Table("boxes", "", "class", tuple(map(Column, heads)), rows)
 
 
 def _draw(out: Path, card: Card) -> None:
-    figure, (points, boxes, shares) = _figure(13.0, 3.6, 3)
-    middle = 0.5 * (RANGE_M[1:] + RANGE_M[:-1])
-    points.bar(middle, np.sum([drive.range for drive in card.drives], axis=0), width=4.5, color="#3b6ea5")
-    points.set(xlabel="distance from the sensor, m", ylabel="points", yscale="symlog")
-    base = np.zeros(len(DISTANCE_M))
-    for name in CLASSES:
-        counts = np.sum([drive.boxes[name] for drive in card.drives], axis=0)
-        boxes.bar(np.arange(len(base)), counts, bottom=base, label=name)
-        base = base + counts
-    boxes.set_xticks(np.arange(len(base)), [*(f"{low:.0f}" for low in DISTANCE_M)])
-    boxes.set(xlabel="distance to the ego, m, from", ylabel="boxes")
-    boxes.legend(fontsize=7)
-    shares.bar(
-        0.5 * (SHARE[1:] + SHARE[:-1]), np.sum([d.visible for d in card.drives], axis=0), width=0.09, color="#3b6ea5"
-    )
-    shares.set(xlabel="visible fraction, best agent", ylabel="boxes")
-    _save(figure, out / "histograms.png")
+    from dsrc.tables.figure import COLORS, figure_style, panels, write_figure
+
+    with figure_style():
+        figure, (points, boxes, shares) = panels(13.0, 3.6, columns=3)
+        middle = 0.5 * (RANGE_M[1:] + RANGE_M[:-1])
+        points.bar(middle, np.sum([drive.range for drive in card.drives], axis=0), width=4.5, color=COLORS[0])
+        points.set(xlabel="distance from the sensor, m", ylabel="points", yscale="symlog")
+        base = np.zeros(len(DISTANCE_M))
+        for name in CLASSES:
+            counts = np.sum([drive.boxes[name] for drive in card.drives], axis=0)
+            boxes.bar(np.arange(len(base)), counts, bottom=base, label=name)
+            base = base + counts
+        boxes.set_xticks(np.arange(len(base)), [*(f"{low:.0f}" for low in DISTANCE_M)])
+        boxes.set(xlabel="distance to the ego, m, from", ylabel="boxes")
+        boxes.legend(fontsize=7)
+        visible = np.sum([drive.visible for drive in card.drives], axis=0)
+        shares.bar(0.5 * (SHARE[1:] + SHARE[:-1]), visible, width=0.09, color=COLORS[0])
+        shares.set(xlabel="visible fraction, best agent", ylabel="boxes")
+    write_figure(out / "histograms.png", figure, {"sha256": card.sha256}, dpi=110)
 
 
 def _draw_frame(path: Path, frame: Frame, title: str) -> None:
     """Draw a frame in bird's eye view: points in the colour of their agent, boxes black where an agent has points."""
-    figure, axes = _figure(7.0, 7.4, 1)
+    from dsrc.tables.figure import COLORS, figure_style, panels, write_figure
+
     ego = frame.agents[0].world_from_body[:2, 3]
-    colours = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b")
-    for number, agent in enumerate(frame.agents):
-        xy = agent.sweep.world_points[:, :2] - ego
-        xy = xy[np.max(np.abs(xy), axis=1) < _VIEW_M][::3]
-        colour = colours[number % len(colours)]
-        axes.plot(*xy.T, ",", color=colour, alpha=0.5, rasterized=True)
-        place = agent.world_from_body[:2, 3] - ego
-        marker = {"marker": "^" if agent.kind == "vehicle" else "s", "linestyle": "", "markeredgecolor": "black"}
-        name = f"{'ego' if number == 0 else agent.kind} {agent.agent_id}"
-        axes.plot(*place, color=colour, zorder=3, label=name, **marker)
-    seen = frame.points_on.sum(axis=0) > 0
-    for points, corners in zip(seen, frame.truth.corners()[:, :4, :2] - ego, strict=True):
-        if float(np.abs(corners).max()) < _VIEW_M:
-            axes.fill(*corners.T, fill=False, color=_SEEN if points else _UNSEEN, linewidth=0.8)
-    for colour, meaning in ((_SEEN, "box with points of an agent"), (_UNSEEN, "box without")):
-        axes.plot([], [], color=colour, linewidth=0.8, label=meaning)
-    figure.legend(loc="outside lower center", ncols=4, fontsize=8)
-    axes.set(xlim=(-_VIEW_M, _VIEW_M), ylim=(-_VIEW_M, _VIEW_M), aspect="equal", title=title, xlabel="m", ylabel="m")
-    _save(figure, path)
-
-
-def _figure(width: float, height: float, columns: int) -> tuple[Any, Any]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.subplots(1, columns)
-
-
-def _save(figure: Any, path: Path) -> None:
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": "dsrc"})
+    with figure_style():
+        figure, (axes,) = panels(7.0, 7.4)
+        for number, agent in enumerate(frame.agents):
+            xy = agent.sweep.world_points[:, :2] - ego
+            xy = xy[np.max(np.abs(xy), axis=1) < _VIEW_M][::3]
+            color = COLORS[number % len(COLORS)]
+            axes.plot(*xy.T, ",", color=color, alpha=0.5, rasterized=True)
+            place = agent.world_from_body[:2, 3] - ego
+            name = f"{'ego' if number == 0 else agent.kind} {agent.agent_id}"
+            marker = "^" if agent.kind == "vehicle" else "s"
+            axes.plot(*place, marker, color=color, markeredgecolor="black", zorder=3, label=name)
+        seen = frame.points_on.sum(axis=0) > 0
+        for points, corners in zip(seen, frame.truth.corners()[:, :4, :2] - ego, strict=True):
+            if float(np.abs(corners).max()) < _VIEW_M:
+                axes.fill(*corners.T, fill=False, color=_SEEN if points else _UNSEEN, linewidth=0.8)
+        for color, meaning in ((_SEEN, "box with points of an agent"), (_UNSEEN, "box without")):
+            axes.plot([], [], color=color, linewidth=0.8, label=meaning)
+        figure.legend(loc="outside lower center", ncols=4, fontsize=8)
+        limits = (-_VIEW_M, _VIEW_M)
+        axes.set(xlim=limits, ylim=limits, aspect="equal", title=title, xlabel="m", ylabel="m")
+        axes.grid(visible=False)
+    write_figure(path, figure, {"frame": title}, dpi=110)

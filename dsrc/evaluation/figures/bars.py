@@ -10,24 +10,31 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from dsrc.evaluation.figures.style import (
+from dsrc.evaluation.metrics.ap import metric_name
+from dsrc.evaluation.metrics.intervals import IOUS, Difference
+from dsrc.evaluation.results import (
+    MCE,
+    MEAN_CORRUPTED,
+    Row,
+    condition_title,
+    conditions_of,
+    find_row,
+    methods_of,
+    metric_of,
+)
+from dsrc.tables.figure import (
     INK,
-    SHADES,
     WIDTH_IN,
     Style,
     add_legend,
+    draw_cell,
     figure_style,
-    metric_of,
     panels,
     styles_of,
 )
-from dsrc.evaluation.metrics.ap import metric_name
-from dsrc.evaluation.metrics.intervals import IOUS, Difference
-from dsrc.evaluation.results import MCE, MEAN_CORRUPTED, Row, condition_title, conditions_of, find_row, methods_of
-from dsrc.evaluation.table import ResultTable, Stat
+from dsrc.tables.table import Stat, Table
 
 _MOST_BARS = 6
 _GAINS, _STRONG = "RdBu", 10.0
@@ -51,29 +58,14 @@ def corruption_bars(rows: Sequence[Row], styles: Mapping[str, Style] | None = No
         figure, parts = panels(WIDTH_IN, 5.2, rows=2, title=title)
         for axes, iou, of_methods in zip(parts, IOUS, values, strict=True):
             series = {method: [Stat(value) for value in line] for method, line in zip(methods, of_methods, strict=True)}
-            _grouped(axes, titles, series, [styles[m].bar() for m in methods])
+            draw_groups(axes, titles, series, [styles[m].bar() for m in methods])
             axes.set_title(f"IoU {iou}")
             axes.set_ylabel("average precision, %")
         add_legend(figure, parts[0], below=True)
     return figure
 
 
-def mean_bars(rows: Sequence[Row], title: str = "") -> Figure:
-    """Draw AP under each condition as the mean over all methods, as the paper's Figure 4."""
-    methods, conditions = methods_of(rows), conditions_of(rows)
-    with figure_style():
-        figure, (axes,) = panels(WIDTH_IN, 3.4, title=title)
-        series = {}
-        for iou in IOUS:
-            found = [[metric_of(find_row(rows, m, c), metric_name("bev", iou)) for m in methods] for c in conditions]
-            series[f"IoU {iou}"] = [Stat(sum(values) / max(len(values), 1)) for values in found]
-        _grouped(axes, [condition_title(c) for c in conditions], series, SHADES[::2])
-        axes.set_ylabel(f"AP, %, mean of {len(methods)} methods")
-        add_legend(figure, axes, below=True)
-    return figure
-
-
-def _grouped(
+def draw_groups(
     axes: Axes, groups: Sequence[str], series: Mapping[str, Sequence[Stat]], fills: Sequence[Mapping[str, Any]]
 ) -> None:
     """Draw a bar of each series in each group, in percent, with its number above it and its spread where known."""
@@ -98,16 +90,16 @@ _CMAP = "cividis"
 """Colour map of even steps of lightness, for any colour vision and in grey."""
 
 
-def table_heatmap(sheet: ResultTable) -> Figure:
+def table_heatmap(sheet: Table) -> Figure:
     """Draw a table's columns of AP as a heat map with numbers, a panel per IoU; the best of a column is bold.
 
     A column where less is better, such as mCE, has numbers alone: the colours are those of AP.
     """
     shown = [i for i, column in enumerate(sheet.columns) if column.better and len(column.parts) == len(IOUS)]
-    values = [[[line.cells[i][part].mean for i in shown] for line in sheet.lines] for part in range(len(IOUS))]
+    values = [[[row.stat(i, part).mean for i in shown] for row in sheet.rows] for part in range(len(IOUS))]
     columns = [sheet.columns[i] for i in shown]
     losses = [column.better == "low" for column in columns]
-    return _map(sheet.title, [line.title for line in sheet.lines], [column.title for column in columns], values, losses)
+    return _map(sheet.title, [row.title for row in sheet.rows], [column.title for column in columns], values, losses)
 
 
 def _map(
@@ -133,7 +125,7 @@ def _map(
                 best = f"{column[ranks.argmax()]:.1f}" if len(column) else ""
                 for y, (value, text) in enumerate(zip(column, texts, strict=True)):
                     color = _WHITE if text == "-" or less else mpl.colormaps[_CMAP](float(scale(value)))[:3]
-                    _cell(axes, x, y, color, text, bold=text == best and len(lines) > 1)
+                    draw_cell(axes, x, y, color, text, bold=text == best and len(lines) > 1)
             _frame(axes, places, columns, lines, named=axes is parts[0])
             axes.set_title(f"IoU {iou}")
         bar = figure.colorbar(ScalarMappable(scale, _CMAP), ax=parts, fraction=0.02, pad=0.01)
@@ -161,7 +153,7 @@ def difference_map(differences: Sequence[Difference], title: str = "") -> Figure
                 value = 100 * one.value.mean
                 gain = -value if one.condition == MCE else value
                 color = mpl.colormaps[_GAINS](float(scale(gain)))[:3] if one.resolved else _WHITE
-                _cell(axes, x, y, color, "-" if math.isnan(value) else f"{value:+.1f}", bold=one.resolved)
+                draw_cell(axes, x, y, color, "-" if math.isnan(value) else f"{value:+.1f}", bold=one.resolved)
             _frame(axes, places, list(map(condition_title, conditions)), lines, named=True)
             axes.set_title(f"IoU {iou}, points; coloured: both intervals exclude 0; blue: better")
     return figure
@@ -179,11 +171,3 @@ def _frame(
     axes.tick_params(length=0)
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
-
-
-def _cell(axes: Axes, x: float, y: float, color: tuple[float, float, float], text: str, *, bold: bool) -> None:
-    """Draw a number on a colour, in black or white, whichever is legible."""
-    axes.add_patch(Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=color, linewidth=0))
-    ink = "white" if np.dot(color, (0.299, 0.587, 0.114)) < 0.5 else "black"
-    weight = "bold" if bold else "normal"
-    axes.text(x, y, text, ha="center", va="center", fontsize=7.5, color=ink, fontweight=weight)

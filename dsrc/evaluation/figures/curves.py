@@ -7,16 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from dsrc.evaluation.figures.style import NAME_IN, WIDTH_IN, Style, add_legend, figure_style, panels, styles_of
 from dsrc.evaluation.metrics.ap import envelope
 from dsrc.evaluation.metrics.intervals import IOUS
 from dsrc.evaluation.results import CLEAN, Row, condition_title, find_row, methods_of
-from dsrc.evaluation.table import ResultTable
+from dsrc.tables.figure import NAME_IN, WIDTH_IN, Style, add_legend, figure_style, panels, styles_of
+from dsrc.tables.table import Table
 
 
-def table_lines(
-    sheet: ResultTable, label: str, places: Sequence[float], styles: Mapping[str, Style] | None = None
-) -> Figure:
+def table_lines(sheet: Table, label: str, places: Sequence[float], styles: Mapping[str, Style] | None = None) -> Figure:
     """Draw the first columns of a table over their places, a curve per line with its name at its end, a panel per IoU.
 
     Args:
@@ -26,13 +24,13 @@ def table_lines(
         styles: of the lines.
     """
     columns = len(places)
-    styles = styles or styles_of([line.label for line in sheet.lines])
+    styles = styles or styles_of([line.label for line in sheet.rows])
     ticks = [column.title.replace(", ", "\n").replace(" + ", "\n+ ") for column in sheet.columns[:columns]]
     with figure_style():
-        figure, parts = panels(WIDTH_IN, max(4.0, 1.5 + NAME_IN * len(sheet.lines)), columns=2, title=sheet.title)
+        figure, parts = panels(WIDTH_IN, max(4.0, 1.5 + NAME_IN * len(sheet.rows)), columns=2, title=sheet.title)
         for part, (axes, iou) in enumerate(zip(parts, IOUS, strict=True)):
-            for line in sheet.lines:
-                stats = [cell[part] for cell in line.cells[:columns]]
+            for line in sheet.rows:
+                stats = [line.stat(i, part) for i in range(columns)]
                 spreads = [100 * s.spread for s in stats]
                 axes.errorbar(
                     places, [100 * s.mean for s in stats],
@@ -42,7 +40,7 @@ def table_lines(
             axes.set_xticks(places, ticks)
             axes.set_title(f"IoU {iou}")
             axes.set_xlabel(label)
-            ends = {line.label: 100 * line.cells[columns - 1][part].mean for line in sheet.lines}
+            ends = {line.label: 100 * line.stat(columns - 1, part).mean for line in sheet.rows}
             _name_ends(axes, places[-1], ends, styles)
         parts[0].set_ylabel("average precision, %")
     return figure

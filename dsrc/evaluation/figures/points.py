@@ -6,21 +6,19 @@ from collections.abc import Mapping, Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dsrc.evaluation.figures.style import (
+from dsrc.evaluation.metrics.ap import metric_name
+from dsrc.evaluation.metrics.intervals import IOUS, Difference
+from dsrc.evaluation.results import MCE, MEAN_AP, Row, condition_title, find_row, methods_of, metric_of
+from dsrc.tables.figure import (
     INK,
     SHADES,
     WIDTH_IN,
     Style,
     add_legend,
     figure_style,
-    metric_of,
     panels,
     styles_of,
 )
-from dsrc.evaluation.metrics.ap import metric_name
-from dsrc.evaluation.metrics.intervals import IOUS, Difference
-from dsrc.evaluation.results import MCE, MEAN_AP, Row, condition_title, find_row, methods_of
-from dsrc.evaluation.table import ResultTable
 
 
 def difference_dots(differences: Sequence[Difference], title: str = "") -> Figure:
@@ -59,36 +57,6 @@ def _interval(axes: Axes, y: float, one: Difference, *, named: bool) -> None:
         )
     face = INK if one.resolved else "white"
     axes.plot([100 * one.value.mean], [y], "o", color=INK, markersize=5, markerfacecolor=face, markeredgewidth=1.2)
-
-
-def table_dots(sheet: ResultTable) -> Figure:
-    """Draw the columns of a table of AP as points with their spreads, a line each, a panel per IoU.
-
-    The axis holds the points and not 0: lines differ by less than a bar could show.
-    """
-    with figure_style():
-        figure, parts = panels(WIDTH_IN, 1.7 + 0.34 * len(sheet.lines), columns=len(IOUS), title=sheet.title)
-        for part, (axes, iou) in enumerate(zip(parts, IOUS, strict=True)):
-            for k, (column, fill, marker) in enumerate(zip(sheet.columns, SHADES, "osD", strict=False)):
-                stats = [line.cells[k][part] for line in sheet.lines]
-                means, spreads = [100 * s.mean for s in stats], [100 * s.spread for s in stats]
-                axes.errorbar(
-                    means, range(len(stats)), xerr=None if all(map(math.isnan, spreads)) else spreads,
-                    fmt=marker, color=fill["facecolor"], markersize=6.5, label=column.title,
-                    ecolor=INK, elinewidth=0.9, capsize=2.5,
-                )  # fmt: skip
-                for y, mean in enumerate(means):
-                    if not math.isnan(mean):
-                        axes.text(mean, y - 0.17, f"{mean:.1f}", ha="center", va="bottom", fontsize=7)
-            names = [line.title if iou == IOUS[0] else "" for line in sheet.lines]
-            axes.set_yticks(range(len(sheet.lines)), names)
-            axes.set(ylim=(len(sheet.lines) - 0.5, -0.7))
-            axes.margins(x=0.1)
-            axes.grid(visible=False, axis="x")
-            axes.set_title(f"IoU {iou}")
-            axes.set_xlabel("average precision, %")
-        add_legend(figure, parts[0], below=True)
-    return figure
 
 
 def traffic_scatter(

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from dsrc.evaluation.metrics.ap import Matches
-from dsrc.evaluation.table import Stat
+from dsrc.tables.table import Stat
 
 RESAMPLES = 1000
 _CHUNK = 64  # resamples whose arrays stay in a core's cache

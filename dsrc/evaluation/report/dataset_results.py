@@ -1,8 +1,4 @@
-"""Results of one dataset, selected from those of a benchmark.
-
-A method is identified by its settings: its fusion, and the parts of DSRC (SDD, PCP, REC) that trained it. So a table
-finds its methods under any name, and lists the missing ones.
-"""
+"""Results of one dataset, selected from all results of a benchmark."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,25 +6,16 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
-from msgspec.structs import replace
-
 from dsrc.evaluation.config import Case, Footnote
-from dsrc.evaluation.figures.style import Style, styles_of
 from dsrc.evaluation.results import CLEAN, Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
-from dsrc.evaluation.table import Stat
 from dsrc.models.settings import ModelSettings
+from dsrc.tables.table import Stat
 from sensors.corruptions import EVERYONE, Family
 from sim.radio import IDEAL
 
 PAPER_SEVERITY = 3
 NAMES = ("ap_bev_50", "ap_bev_70")
-PLAIN, WHOLE = (False, False, False), (True, True, True)
-_STYLED = (
-    "attention", "none", "late", "max", "v2vnet", "v2xvit", "cobevt", "where2comm", "coalign", "ermvp", "mrcnet",
-    "early", "max_map",
-)  # fmt: skip
-"""Fusions in the order of their styles, those of the paper first: there are fewer colours than fusions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,25 +140,6 @@ class DatasetResults:
             for name in names
         )
 
-    def variant(self, like: ModelSettings, parts: tuple[bool, bool, bool]) -> str | None:
-        """First method that differs from `like` in (SDD, PCP, REC) alone."""
-        sdd, pcp, rec = parts
-        wanted = replace(like, sdd=sdd, pcp=pcp, rec=rec)
-        return next((name for name, settings in self.settings.items() if settings == wanted), None)
-
-    def whole(self, fusion: str) -> str | None:
-        """First method of a fusion with all parts of DSRC."""
-        return self._first(fusion, WHOLE)
-
-    def plain(self, fusion: str) -> str | None:
-        """First method of a fusion without parts of DSRC; preferably one that equals `whole` otherwise."""
-        whole = self.whole(fusion)
-        alike = None if whole is None else self.variant(self.settings[whole], PLAIN)
-        return alike or self._first(fusion, PLAIN)
-
-    def _first(self, fusion: str, parts: tuple[bool, bool, bool]) -> str | None:
-        return next((n for n, s in self.settings.items() if s.fusion == fusion and parts_of(s) == parts), None)
-
 
 def _is_clean(entry: CaseResult) -> bool:
     return entry.case.condition.kind == CLEAN
@@ -188,40 +156,3 @@ def _place(case: Case) -> tuple[object, ...]:
         *(case.method, condition.kind, condition.severity, case.channel, case.agents),
         *(case.pose_error, case.delay_s, case.loss),
     )
-
-
-def parts_of(settings: ModelSettings) -> tuple[bool, bool, bool]:
-    """Parts (SDD, PCP, REC) that trained a detector."""
-    return settings.sdd, settings.pcp, settings.rec
-
-
-def compared_methods(results: DatasetResults) -> list[str]:
-    """Methods of Table 1: all but DSRC with only some of its parts, which Table 2 has."""
-    return [name for name, settings in results.settings.items() if parts_of(settings) in (PLAIN, WHOLE)]
-
-
-def trained_methods(results: DatasetResults) -> list[str]:
-    """Methods of Table 1 without variants in use, which have another's weights and almost its place in a figure."""
-    return [name for name in compared_methods(results) if not results.trained[name][0].use]
-
-
-def method_styles(results: DatasetResults) -> dict[str, Style]:
-    """Styles of all methods: DSRC and every plain fusion have the same in all benchmarks, whatever else is there."""
-    plain = [results.plain(fusion) or fusion for fusion in _STYLED]
-    return styles_of([results.whole("attention") or "DSRC", *plain, *results.trained])
-
-
-def averaged_methods(results: DatasetResults) -> list[str]:
-    """Methods averaged in Figure 4: neither with changed settings nor, as in Tables 3 and 4, DSRC around them.
-
-    Of methods that differ in their training alone, such as its clouds or a head for directions, the first.
-    """
-    alike = {name: replace(settings, direction=False) for name, settings in results.settings.items()}
-    first = {settings: name for name, settings in reversed(alike.items())}
-    return [
-        name
-        for name in trained_methods(results)
-        if results.trained[name][0].agents is None
-        and first[alike[name]] == name
-        and (parts_of(results.settings[name]) == PLAIN or results.settings[name].fusion == "attention")
-    ]

@@ -1,7 +1,5 @@
 """Differences between pairs of methods, with intervals by frame and by drive."""
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,17 +19,16 @@ from dsrc.evaluation.metrics.intervals import (
     resampled_ap,
 )
 from dsrc.evaluation.report.dataset_results import DatasetResults
-from dsrc.evaluation.report.notes import sample_note
+from dsrc.evaluation.report.tables import sample_note
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_CORRUPTED, condition_title
-from dsrc.evaluation.table import Stat, markdown_table
+from dsrc.tables.files import csv_text
+from dsrc.tables.table import Column, Stat, Strong, Table, TableRow
 
 SEED = 0
 """Seed of the resamples: the same rows have the same intervals."""
 
 _Metrics = dict[str, NDArray[np.float64]]
 """(S, T, R) AP, or mCE, of each training at each IoU threshold in each resample, by condition."""
-
-_HEADS = ("Difference", "Condition", *(f"{t}{iou}" for iou in IOUS for t in ("AP@", "by frame, ", "by drive, ")))
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +53,13 @@ class DifferenceTable:
 
     def markdown(self) -> str:
         """Markdown: title, table with intervals that exclude 0 in bold, resolved differences, footnotes and note."""
-        rows = [list(_HEADS), ["---", "---", *("---:" for _ in _HEADS[2:])]]
-        for start in range(0, len(self.differences), len(IOUS)):
-            group = self.differences[start : start + len(IOUS)]
-            cells = [text for one in group for text in _texts(one)]
-            rows.append([self._pair(group[0]), _titled(group[0].condition), *cells])
-        parts = [f"**{self.title}**", markdown_table(rows), self.claims(), *self.footnotes, self.note]
-        return "\n\n".join(parts) + "\n"
+        columns = [Column("Condition", align="left")]
+        columns += [Column(f"{text}{iou}") for iou in IOUS for text in ("AP@", "by frame, ", "by drive, ")]
+        rows = [
+            TableRow(self._pair(group[0]), (_titled(group[0].condition), *(t for one in group for t in _texts(one))))
+            for group in _groups(self.differences, len(IOUS))
+        ]
+        return self._table(columns, rows, (self.claims(), *self.footnotes), self.note).markdown()
 
     def summary(self) -> str:
         """Markdown: title, a line per pair with its clean frames, mean of the corruptions and mCE, and a note.
@@ -70,22 +67,17 @@ class DifferenceTable:
         Intervals are those by drive; bold is what both intervals resolve.
         """
         shown = [one for one in self.differences if one.condition in (CLEAN, MEAN_CORRUPTED, MCE)]
-        columns = list(dict.fromkeys((one.condition, one.iou) for one in shown))
-        rows = [["Difference", *(f"{_titled(condition)}, {iou:g}" for condition, iou in columns)]]
-        rows.append(["---", *("---:" for _ in columns)])
-        for start in range(0, len(shown), len(columns)):
-            group = shown[start : start + len(columns)]
-            rows.append([self._pair(group[0]), *map(_by_drive, group)])
-        return "\n\n".join([f"**{self.title}**", markdown_table(rows), *self.footnotes, self.summary_note]) + "\n"
+        heads = dict.fromkeys(f"{_titled(one.condition)}, {one.iou:g}" for one in shown)
+        rows = [TableRow(self._pair(group[0]), tuple(map(_by_drive, group))) for group in _groups(shown, len(heads))]
+        return self._table([*map(Column, heads)], rows, self.footnotes, self.summary_note).markdown()
+
+    def _table(self, columns: Sequence[Column], rows: Sequence[TableRow], below: tuple[str, ...], note: str) -> Table:
+        head = "Difference"
+        return Table("differences", self.title, head, tuple(columns), tuple(rows), note, footnotes=below)
 
     def csv(self) -> str:
         """CSV with a line per difference, unscaled; unknown numbers are empty."""
-        text = io.StringIO()
-        listed = [one.listed() for one in self.differences]
-        writer = csv.DictWriter(text, list(listed[0]) if listed else [], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(listed)
-        return text.getvalue()
+        return csv_text([one.listed() for one in self.differences])
 
     def claims(self) -> str:
         """Sentence that lists the differences resolved by both intervals."""
@@ -231,20 +223,25 @@ def _signed(value: float) -> str:
     return "-" if math.isnan(value) else f"{100 * value:+.1f}"
 
 
+def _groups(differences: Sequence[Difference], size: int) -> list[Sequence[Difference]]:
+    return [differences[start : start + size] for start in range(0, len(differences), size or 1)]
+
+
 def _texts(one: Difference) -> tuple[str, str, str]:
     """Texts of a difference and its intervals."""
     spread = "" if math.isnan(one.value.spread) else f" ± {100 * one.value.spread:.1f}"
     value = f"{_signed(one.value.mean)}{spread}"
-    return f"**{value}**" if one.resolved else value, _bounds(one.by_frame), _bounds(one.by_drive)
+    return Strong(value) if one.resolved else value, _bounds(one.by_frame), _bounds(one.by_drive)
 
 
 def _by_drive(one: Difference) -> str:
     """Text of a difference with its interval by drive."""
     bounds = "" if math.isnan(one.by_drive.low) else f" {one.by_drive.points}"
-    return f"**{_signed(one.value.mean)}{bounds}**" if one.resolved else f"{_signed(one.value.mean)}{bounds}"
+    text = f"{_signed(one.value.mean)}{bounds}"
+    return Strong(text) if one.resolved else text
 
 
 def _bounds(interval: Interval) -> str:
     if math.isnan(interval.low):
         return "-"
-    return f"**{interval.points}**" if interval.excludes_zero else interval.points
+    return Strong(interval.points) if interval.excludes_zero else interval.points

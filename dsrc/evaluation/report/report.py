@@ -1,42 +1,31 @@
 """Report of a benchmark: result files, tables and plots, and the sections of a document with them."""
 
-import csv
-import io
 import json
 import logging
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
-from matplotlib.figure import Figure
 
 from dsrc.data.sample import judged_range
-from dsrc.evaluation.figures.bars import corruption_bars, difference_map, mean_bars, table_heatmap
+from dsrc.evaluation.figures.bars import difference_map, table_heatmap
 from dsrc.evaluation.figures.curves import table_lines
-from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, table_dots, traffic_scatter
-from dsrc.evaluation.figures.style import Style, png_bytes
+from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, traffic_scatter
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
-from dsrc.evaluation.report.dataset_results import (
-    NAMES,
-    DatasetResults,
-    averaged_methods,
-    compared_methods,
-    method_styles,
-    trained_methods,
-)
+from dsrc.evaluation.report.dataset_results import NAMES, DatasetResults
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
-from dsrc.evaluation.report.document import Section, slug
-from dsrc.evaluation.report.paper_tables import corruption_tables
-from dsrc.evaluation.report.published import published_tables
-from dsrc.evaluation.report.sweep_tables import axes_of, clean_tables
+from dsrc.evaluation.report.tables import axes_of, severity_table, sweep_table, table_1, visibility_table
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.evaluation.stored import StoredDrive, StoredIndex, StoredRun, write_index
-from dsrc.evaluation.table import ResultTable, Stat
 from dsrc.runs.provenance import commit, versions
+from dsrc.tables.document import Section, SectionWriter, slug
+from dsrc.tables.figure import styles_of
+from dsrc.tables.files import Scalar, csv_text, json_text
+from dsrc.tables.table import Stat
 from sensors.corruptions import Family
 from sim.files import write_file
 
@@ -91,11 +80,10 @@ def write_results(
         names = ", ".join(f"{method} on {dataset}" for method, dataset in sorted(gone))
         LOG.warning("%s: replaces the results of %s", out / "results.csv", names)
     listed = [_listed(entry, trained) for entry, trained in entries]
-    content = {"provenance": made_by, "rows": listed, "differences": differences}
-    text = json.dumps(content, indent=1, sort_keys=True, allow_nan=False)
-    write_file(out / "results.json", text + "\n")
-    write_file(out / "results.csv", _csv(listed, made_by))
-    write_file(out / "timings.csv", _timings([entry for entry, _ in entries]))
+    write_file(out / "results.json", json_text({"provenance": made_by, "rows": listed, "differences": differences}))
+    rows = [{**{name: row[name] for name in row if name != "metrics"}, **row["metrics"]} for row in listed]
+    write_file(out / "results.csv", csv_text(rows, made_by=made_by))
+    write_file(out / "timings.csv", csv_text(list(_timings(entries))))
 
 
 def _methods_of(path: Path) -> set[tuple[str, str]]:
@@ -177,7 +165,7 @@ def provenance_of(result: BenchmarkResult) -> dict[str, Any]:
     }
     settings["datasets"] = result.drives
     settings["engine"] = result.engine
-    settings["pictures"]["teacher"] = Path(plan.pictures.teacher).name
+    del settings["pictures"]  # decide nothing here
     return {
         "settings": settings,
         "seed": plan.seed,
@@ -199,32 +187,16 @@ def _listed(entry: CaseResult, one: TrainedDetector) -> dict[str, Any]:
     return {**fields, **condition, **sample_note, **numbers, "metrics": metrics}
 
 
-def _csv(listed: list[dict[str, Any]], made_by: Mapping[str, Any]) -> str:
-    """CSV with a line per row; the first line is a comment (#) with the provenance as JSON."""
-    text = io.StringIO()
-    text.write(f"# {json.dumps(made_by, sort_keys=True, allow_nan=False)}\n")
-    metrics = list(dict.fromkeys(name for row in listed for name in row["metrics"]))
-    fields = [name for name in listed[0] if name != "metrics"]
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*fields, *metrics])
-    for row in listed:
-        values = [row[name] for name in fields] + [row["metrics"].get(name) for name in metrics]
-        writer.writerow(
-            ["" if value is None else repr(value) if isinstance(value, float) else value for value in values]
-        )
-    return text.getvalue()
-
-
-def _timings(entries: list[CaseResult]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*_CASE, "condition", "severity", *_SWEPT, "frames", "median_seconds_per_frame"])
-    for entry in entries:
-        case, seconds = entry.case, entry.row.seconds_per_frame
-        if seconds is not None:
-            place = [getattr(case, name) for name in _CASE] + [case.condition.kind, case.condition.severity]
-            writer.writerow([*place, *(getattr(case, name) for name in _SWEPT), entry.row.frames, f"{seconds:.6f}"])
-    return text.getvalue()
+def _timings(entries: Sequence[tuple[CaseResult, TrainedDetector]]) -> Iterator[dict[str, Scalar]]:
+    for entry, _ in entries:
+        case, row = entry.case, entry.row
+        if row.seconds_per_frame is not None:
+            yield {
+                **{name: getattr(case, name) for name in _CASE},
+                **{"condition": case.condition.kind, "severity": case.condition.severity},
+                **{name: getattr(case, name) for name in _SWEPT},
+                **{"frames": row.frames, "median_seconds_per_frame": f"{row.seconds_per_frame:.6f}"},
+            }
 
 
 def _dataset(
@@ -238,106 +210,47 @@ def _dataset(
 
     Names of the second family of corruptions end in the family; those of clean frames exist once.
     """
-    plan, writer = result.plan, _Writer(folder, made_by)
+    plan, writer = result.plan, SectionWriter(folder, made_by)
     views = {family: DatasetResults.of(result, dataset, family) for family in plan.families}
     first = views[plan.families[0]]
-    styles = method_styles(first)
+    styles = styles_of(list(first.trained))
+    # Variants in use have another's weights and almost its place in a figure.
+    trained = [name for name, several in first.trained.items() if not several[0].use]
     for family, results in views.items():
         suffix = "" if results is first else f"_{family}"
-        for sheet in corruption_tables(results, plan.severities):
-            writer.sheet(sheet, None if isinstance(sheet, str) else _figure_of(sheet, results, result, styles), suffix)
+        sheet = table_1(results)
+        writer.table(sheet, table_heatmap(sheet), suffix)
+        writer.table(table_1(results, opencood=True), suffix=suffix)
+        if len(plan.severities) > 1 and results.kinds():
+            sheet = severity_table(results, sorted(plan.severities))
+            places = [0, *sorted(plan.severities)]
+            writer.table(sheet, table_lines(sheet, "severity, 0 for clean", places, styles), suffix)
         if family in tables:
-            table = tables[family]
-            files = {".md": table.markdown(), ".csv": table.csv()}
-            name = f"differences{suffix}"
-            if len(plan.differences) > 1:
-                figure = difference_map(table.differences, table.title)
-                writer.section(name, table.summary(), files, figure, table.title, whole=f"{name}.md")
-            else:
-                figure = difference_dots(table.differences, table.title)
-                writer.section(name, table.markdown(), files, figure, table.title)
+            _write_differences(writer, tables[family], f"differences{suffix}", one_pair=len(plan.differences) == 1)
         if results.kinds():
-            four = f"Figure 4. Mean of all methods under each corruption, {results.titled}"
-            five = f"Figure 5. mCE against mean AP, {results.titled}"
-            means, rows = mean_rows(results, averaged_methods(results)), mean_rows(results, trained_methods(results))
-            writer.section(f"figure_4{suffix}", figure=mean_bars(means, title=four), about=four)
-            writer.section(f"figure_5{suffix}", figure=robustness_scatter(rows, styles=styles, title=five), about=five)
-    for sheet in clean_tables(first, axes_of(result)):
-        writer.sheet(sheet, None if isinstance(sheet, str) else _figure_of(sheet, first, result, styles))
+            title = f"mCE against mean AP, {results.titled}"
+            writer.figure(f"figure_5{suffix}", robustness_scatter(mean_rows(results, trained), styles, title), title)
+    if (sheet_of_sight := visibility_table(first)) is not None:
+        writer.table(sheet_of_sight, table_heatmap(sheet_of_sight))
+    for axis in axes_of(result):
+        sheet = sweep_table(first, axis)
+        writer.table(sheet, table_lines(sheet, axis.label, axis.places, styles) if sheet.rows else None)
     about = f"AP in clean frames against the bytes that are sent, {dataset}"
-    writer.section("traffic", figure=traffic_scatter(_traffic(first), styles, about), about=about)
+    writer.figure("traffic", traffic_scatter(_traffic(first), styles, about), about)
     return writer.sections
 
 
-class _Writer:
-    """Writer of tables and plots into a folder; keeps their sections.
-
-    Args:
-        folder: for the files.
-        made_by: provenance, for the plots.
-    """
-
-    def __init__(self, folder: Path, made_by: Mapping[str, Any]) -> None:
-        self.sections: list[Section] = []
-        self._folder, self._made_by, self._published = folder, made_by, published_tables()
-
-    def sheet(self, sheet: ResultTable | str, figure: Figure | None, suffix: str = "") -> None:
-        """Write a table and its section; a text says why a table is left out.
-
-        Below that of the first family, whose sections have no suffix, is the published table.
-        """
-        if isinstance(sheet, str):
-            name = sheet.split(" is ")[0].lower().replace(" ", "_")
-            self.section(f"{name}{suffix}", f"{sheet}\n")
-            return
-        published = None if suffix else self._published.get(sheet.name)
-        beside = f"\n{published.markdown()}" if published else ""
-        files = {".md": sheet.markdown(), ".csv": sheet.csv()}
-        self.section(f"{sheet.name}{suffix}", f"{sheet.markdown()}{beside}", files, figure, sheet.title)
-
-    def section(
-        self,
-        name: str,
-        text: str = "",
-        files: Mapping[str, str] | None = None,
-        figure: Figure | None = None,
-        about: str = "",
-        whole: str = "",
-    ) -> None:
-        """Write the files of a section, by suffix, and its plot."""
-        tables = {f"{name}{ending}": content for ending, content in (files or {}).items()}
-        for file, content in tables.items():
-            write_file(self._folder / file, content)
-        picture = "" if figure is None else f"{name}.png"
-        if figure is not None:
-            write_file(self._folder / picture, png_bytes(figure, self._made_by))
-        self.sections.append(Section(name, text, picture, about if picture else "", tuple(tables), whole))
+def _write_differences(writer: SectionWriter, table: DifferenceTable, name: str, *, one_pair: bool) -> None:
+    """Write the differences of a family; of several pairs the document gets the summary and a link to the table."""
+    files = {f"{name}.md": table.markdown(), f"{name}.csv": table.csv()}
+    if one_pair:
+        writer.section(name, table.markdown(), files, difference_dots(table.differences, table.title), table.title)
+    else:
+        figure = difference_map(table.differences, table.title)
+        writer.section(name, table.summary(), files, figure, table.title, whole=f"{name}.md")
 
 
-def _figure_of(
-    sheet: ResultTable, results: DatasetResults, result: BenchmarkResult, styles: Mapping[str, Style]
-) -> Figure | None:
-    """Plot of a table; None for one without lines or without a plot."""
-    if not sheet.lines:
-        return None
-    for axis in axes_of(result):
-        if axis.name == sheet.name:
-            return table_lines(sheet, axis.label, axis.places, styles)
-    if sheet.name == "severity":
-        return table_lines(sheet, "severity, 0 for clean", [0, *sorted(result.plan.severities)], styles)
-    if sheet.name in ("table_1", "visibility"):
-        return table_heatmap(sheet)
-    if sheet.name == "table_2":
-        return table_dots(sheet)
-    if sheet.name in ("table_3", "table_4"):
-        fusions = ("max", "attention") if sheet.name == "table_3" else ("none",)
-        pairs = [(results.plain(fusion), results.whole(fusion)) for fusion in fusions]
-        methods = [name for pair in pairs if None not in pair for name in pair if name]
-        return corruption_bars(mean_rows(results, methods), styles=styles, title=sheet.title)
-    return None
-
-
-def mean_rows(results: DatasetResults, methods: list[str]) -> list[Row]:
+def mean_rows(results: DatasetResults, methods: Sequence[str]) -> list[Row]:
     """Rows of the mean over a method's trainings: one per condition, and summaries where frames are corrupted."""
     rows = []
     for method in methods:
@@ -356,7 +269,7 @@ def mean_rows(results: DatasetResults, methods: list[str]) -> list[Row]:
 def _traffic(results: DatasetResults) -> dict[str, tuple[float, float, float]]:
     """KB per frame and AP at IoU 0.5 and 0.7 in clean frames, by method."""
     points = {}
-    for method in compared_methods(results):
+    for method in results.trained:
         rows = results.rows(method)
         sent = sum(row.bytes_per_frame or 0.0 for row in rows) / len(rows)
         low, high = results.ap(rows)

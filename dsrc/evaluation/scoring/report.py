@@ -1,25 +1,20 @@
 """Scores as a table, CSV, JSON, Markdown and a figure, with the card of the protocol beside each number."""
 
-import csv
-import io
-import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
-from rich.console import Group
-from rich.table import Table
-from rich.text import Text
 
-from dsrc.evaluation.figures.style import COLORS, figure_style, panels, png_bytes
 from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, metric_name
 from dsrc.evaluation.scoring.score import Score
-from dsrc.evaluation.table import markdown_table
+from dsrc.tables.figure import COLORS, figure_style, panels, write_figure
+from dsrc.tables.files import Scalar, csv_text, json_text
+from dsrc.tables.table import Cell, Column, Stat, Table, TableRow
 from sim.files import write_file
 
 _MOST_COLUMNS = 3
@@ -29,28 +24,37 @@ _SHIFT = {"bev": -0.13, "3d": 0.13}
 """Distance of markers from the line of their protocol, rows: equal numbers stay visible."""
 
 
-def score_table(scores: Sequence[Score]) -> Group:
-    """Tables of average precision for the terminal, %, one for each set, and the card of each protocol below them."""
-    tables = [_table(name, [one for one in scores if one.name == name]) for name in _names(scores)]
+def score_tables(scores: Sequence[Score]) -> list[Table]:
+    """Tables of average precision for a terminal, %, one for each set; the last explains the protocols."""
+    names = _names(scores)
     cards = {one.protocol.name: one.protocol.card for one in scores}
-    lines = [Text.assemble((name, "bold"), f": {card}") for name, card in cards.items()]
-    return Group(*tables, *lines, *map(Text, _notes(scores)))
+    about = "\n".join([*(f"{name}: {card}" for name, card in cards.items()), *_notes(scores)])
+    tables = [score_table([o for o in scores if o.name == name], f"Average precision of {name}, %") for name in names]
+    return [*tables[:-1], replace(tables[-1], caption=about)]
 
 
-def _table(name: str, scores: Sequence[Score]) -> Table:
-    title = Text(f"Average precision of {name}, %")
-    table = Table(
-        title=title, title_justify="left", header_style="bold", pad_edge=False, box=SIMPLE_HEAD, padding=(0, 0)
-    )
-    table.add_column("protocol", no_wrap=True)
-    for space, threshold in _METRICS:
-        head = _TITLES[space] if threshold == THRESHOLDS[0] else ""
-        table.add_column(f"{head}\n{threshold}", justify="right", no_wrap=True)
-    for head in ("true\nboxes", "found"):
-        table.add_column(head, justify="right", no_wrap=True)
+def score_table(
+    scores: Sequence[Score], title: str = "Average precision, %, of the same boxes under each protocol"
+) -> Table:
+    """Table of average precision, %: what each protocol gives and counts, and where it is published.
+
+    Args:
+        scores: see `dsrc.evaluation.scoring.score.score`.
+        title: one line.
+    """
+    several = len(_names(scores)) > 1
+    columns = [Column("protocol", align="left")] if several else []
+    columns += [Column(f"{_TITLES[space]} {threshold}", ("",), scale=100.0, digits=1) for space, threshold in _METRICS]
+    columns += [Column("true boxes"), Column("found")]
+    columns += [Column(head, align="left", terminal=False) for head in ("counted", "source")]
+    rows = []
     for one in scores:
-        table.add_row(one.protocol.name, *_texts(one), str(one.truth), str(one.detections))
-    return table
+        cells: list[Cell] = [one.protocol.name] if several else []
+        cells += [(Stat(_value(one, *metric)),) for metric in _METRICS]
+        cells += [one.truth, one.detections, one.protocol.card, one.protocol.source]
+        rows.append(TableRow(one.name if several else one.protocol.name, tuple(cells)))
+    head, note = "detections" if several else "protocol", "\n\n".join(_notes(scores))
+    return Table("scores", title, head, tuple(columns), tuple(rows), note)
 
 
 def write_scores(out: Path, scores: Sequence[Score], made_by: Mapping[str, Any]) -> None:
@@ -62,31 +66,10 @@ def write_scores(out: Path, scores: Sequence[Score], made_by: Mapping[str, Any])
         made_by: provenance.
     """
     rows = [_listed(one) for one in scores]
-    content = json.dumps({"provenance": made_by, "rows": rows}, indent=1, sort_keys=True, allow_nan=False)
-    write_file(out / "scores.json", content + "\n")
-    text = io.StringIO()
-    text.write(f"# {json.dumps(made_by, sort_keys=True, allow_nan=False)}\n")
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_file(out / "scores.csv", text.getvalue())
-    write_file(out / "scores.md", score_markdown(scores))
-    write_file(out / "scores.png", png_bytes(score_figure(scores), made_by))
-
-
-def score_markdown(scores: Sequence[Score]) -> str:
-    """Markdown: a table with what each protocol counts and where it is published."""
-    heads = [f"{_TITLES[space]} {threshold}" for space, threshold in _METRICS]
-    names = _names(scores)
-    rows = [["detections", "protocol", *heads, "true boxes", "found", "counted", "source"]]
-    rows.append(["---", "---", *["---:"] * (len(heads) + 2), "---", "---"])
-    for one in scores:
-        about = [str(one.truth), str(one.detections), one.protocol.card, one.protocol.source]
-        rows.append([one.name, one.protocol.name, *_texts(one), *about])
-    if len(names) == 1:
-        rows = [row[1:] for row in rows]
-    title = "**Average precision, %, of the same boxes under each protocol**"
-    return "\n\n".join([title, markdown_table(rows), *_notes(scores)]) + "\n"
+    write_file(out / "scores.json", json_text({"provenance": made_by, "rows": rows}))
+    write_file(out / "scores.csv", csv_text(rows, made_by=made_by))
+    write_file(out / "scores.md", score_table(scores).markdown())
+    write_figure(out / "scores.png", score_figure(scores), made_by)
 
 
 def score_figure(scores: Sequence[Score]) -> Figure:
@@ -130,13 +113,7 @@ def _notes(scores: Sequence[Score]) -> list[str]:
     return list(dict.fromkeys(f"{one.name}: {one.note}." for one in scores if one.note))
 
 
-def _texts(one: Score) -> list[str]:
-    """Average precisions in percent, "-" for those that the protocol does not have or that are unknown."""
-    values = [_value(one, *metric) for metric in _METRICS]
-    return ["-" if math.isnan(value) else f"{100 * value:.1f}" for value in values]
-
-
-def _listed(one: Score) -> dict[str, Any]:
+def _listed(one: Score) -> dict[str, Scalar]:
     """Fields of a score, JSON types."""
     values = {metric_name(*metric): _value(one, *metric) for metric in _METRICS}
     numbers = {name: None if math.isnan(value) else value for name, value in values.items()}

@@ -1,9 +1,6 @@
 """Shares of agents in the detections of drives, `dsrc shares`: clean and corrupted, through a radio channel."""
 
-import csv
-import io
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any
 
@@ -117,15 +114,6 @@ def frames_looked_at(config: Sharing) -> int:
     """Number of frames under each condition of `share_drives`; those without any box have no row."""
     readers = [open_drive(path) for path in list_drives(config.data)]
     return sum(map(len, frame_positions(readers, config.limit)))
-
-
-def rows_csv(rows: Sequence[ShareRow]) -> str:
-    """CSV of rows, a line each, with a header."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([field.name for field in fields(ShareRow)])
-    writer.writerows(astuple(row) for row in rows)
-    return text.getvalue()
 
 
 def stored_drives(data: Path) -> tuple[StoredDrive, ...]:

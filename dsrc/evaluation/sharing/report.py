@@ -1,22 +1,21 @@
 """Table, plot and files of the shares of agents in detections."""
 
-import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from dsrc.evaluation.figures.style import COLORS, INK, WIDTH_IN, figure_style, panels, png_bytes
 from dsrc.evaluation.results import condition_title
 from dsrc.evaluation.sharing.cells import ShareRow
-from dsrc.evaluation.sharing.drives import rows_csv
 from dsrc.evaluation.sharing.stored import FILE, SharedBox, SharedFrame
 from dsrc.evaluation.stored import StoredDrive
+from dsrc.tables.figure import COLORS, INK, WIDTH_IN, figure_style, panels, write_figure
+from dsrc.tables.files import csv_text, json_text
+from dsrc.tables.table import Column, Table, TableRow
 from sim.files import write_file
 
 AGENTS = ("ego", "vehicle", "roadside")
@@ -82,26 +81,17 @@ def summaries(rows: Sequence[ShareRow]) -> list[Summary]:
 
 def share_table(rows: Sequence[ShareRow]) -> Table:
     """Table of shares by condition, kind of agent and distance."""
-    table = Table(
-        title="Who helped", title_justify="left", header_style="bold", pad_edge=False, box=SIMPLE_HEAD, padding=(0, 1)
-    )
-    for header in ("condition", "agent", "distance, m"):
-        table.add_column(header, no_wrap=True)
-    for header in ("true\nboxes", "mean\nshare", "found\nby it", "missed\nby it", "false\nby it"):
-        table.add_column(header, justify="right", no_wrap=True)
-    listed = summaries(rows)
-    for i, one in enumerate(listed):
-        before, after = (listed[j].condition if 0 <= j < len(listed) else "" for j in (i - 1, i + 1))
+    columns = [Column("agent", align="left"), Column("distance", unit="m", align="left")]
+    columns += [Column("true boxes"), Column("mean share")]
+    columns += [Column(title) for title in ("found by it", "missed by it", "false by it")]
+    lines = []
+    for one in summaries(rows):
         mean = "-" if not one.pairs else f"{one.share / one.pairs:+.3f}"
-        counts = ("",) * 3 if one.agent == "ego" else (one.needed, one.prevented, one.made)
-        first = condition_title(one.condition) if one.condition != before else ""
+        counts = (None,) * 3 if one.agent == "ego" else (one.needed, one.prevented, one.made)
         place = f"from {one.low_m:g}" if one.high_m is None else f"{one.low_m:g} to {one.high_m:g}"
-        table.add_row(
-            first, one.agent, place, str(one.pairs), mean, *map(str, counts), end_section=one.condition != after
-        )
-    table.caption = "Shares of a box sum to the score with which the whole team finds it, 0 if it does not."
-    table.caption_justify = "left"
-    return table
+        lines.append(TableRow(condition_title(one.condition), (one.agent, place, one.pairs, mean, *counts)))
+    caption = "Shares of a box sum to the score with which the whole team finds it, 0 if it does not."
+    return Table("shares", "Who helped", "condition", tuple(columns), tuple(lines), caption=caption, grouped=True)
 
 
 def share_bars(rows: Sequence[ShareRow], frames: int) -> Figure:
@@ -163,10 +153,10 @@ def write_shares(
     ]
     parts = {"drives": drives, "summaries": [one._asdict() for one in summaries(rows)], "frames": listed}
     content = {"provenance": made_by, **msgspec.to_builtins(parts, str_keys=True)}
-    text = json.dumps(content, indent=1, sort_keys=True, allow_nan=False)
-    write_file(out / FILE, text + "\n")  # the manifest first: others of an interrupted run are ours, too
-    write_file(out / "shares.csv", rows_csv(rows))
-    write_file(out / "shares.png", png_bytes(share_bars(rows, frames), made_by))
+    write_file(out / FILE, json_text(content))  # the manifest first: others of an interrupted run are ours, too
+    names = [field.name for field in fields(ShareRow)]
+    write_file(out / "shares.csv", csv_text([asdict(row) for row in rows], names))
+    write_figure(out / "shares.png", share_bars(rows, frames), made_by)
 
 
 def _shared(rows: Sequence[ShareRow]) -> SharedBox:

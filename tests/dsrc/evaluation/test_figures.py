@@ -6,14 +6,15 @@ import pytest
 from matplotlib.colors import to_hex
 from PIL import Image
 
-from dsrc.evaluation.figures.bars import corruption_bars, mean_bars, table_heatmap
+from dsrc.evaluation.figures.bars import corruption_bars, table_heatmap
 from dsrc.evaluation.figures.curves import apart, precision_recall_curves, table_lines, training_curves
-from dsrc.evaluation.figures.points import robustness_scatter, table_dots, traffic_scatter
-from dsrc.evaluation.figures.style import COLORS, png_bytes, styles_of
+from dsrc.evaluation.figures.points import robustness_scatter, traffic_scatter
 from dsrc.evaluation.metrics.ap import FrameResult, evaluate
+from dsrc.evaluation.report.tables import ap_column
 from dsrc.evaluation.results import Row, make_row, summary_rows
-from dsrc.evaluation.table import Column, ResultTable, Stat, TableRow
 from dsrc.ops.detections import Detections
+from dsrc.tables.figure import COLORS, png_bytes, styles_of
+from dsrc.tables.table import Column, Stat, Table, TableRow
 from sim.boxes import Boxes
 
 
@@ -29,7 +30,7 @@ def some_rows(methods=("dsrc", "plain", "ego alone")):
 def some_sheet(labels=("dsrc", "plain", "ego alone"), columns=("clean", "fog", "snow")):
     values = [[(Stat(0.9 - 0.1 * c - 0.05 * m), Stat(0.7 - 0.1 * c)) for c in range(len(columns))] for m in range(9)]
     lines = tuple(TableRow(label, tuple(cells)) for label, cells in zip(labels, values, strict=False))
-    return ResultTable("x", "A title", "", "Method", tuple(map(Column, columns)), lines)
+    return Table("x", "A title", "Method", tuple(map(ap_column, columns)), lines)
 
 
 def test_a_bar_per_method_condition_and_iou():
@@ -70,9 +71,7 @@ def test_a_map_holds_every_number_with_the_best_in_bold():
     assert [t.get_text() for t in first.texts if t.get_fontweight() == "bold"] == ["90.0", "80.0", "70.0"]
     assert len(second.texts) == 9 and first.get_title(loc="left") == "IoU 0.5"
     assert [t.get_text() for t in first.get_yticklabels()] == ["dsrc", "plain", "ego alone"]
-    lacking = ResultTable(
-        "x", "", "", "", (Column("clean"), Column("ms", ("",))), (TableRow("a", ((Stat(np.nan),) * 2, ())),)
-    )
+    lacking = Table("x", "", "", (ap_column("clean"), Column("ms", ("",))), (TableRow("a", ((Stat(np.nan),) * 2, ())),))
     assert [t.get_text() for t in table_heatmap(lacking).axes[0].texts] == ["-"]
     # Bars of many methods could not be told apart: they are numbers too.
     many = corruption_bars(some_rows(tuple("abcdefghij"))).axes[0]
@@ -80,9 +79,9 @@ def test_a_map_holds_every_number_with_the_best_in_bold():
 
 
 def test_the_best_of_a_column_where_less_is_better_is_its_lowest_number_without_a_colour():
-    columns = (Column("clean"), Column("mCE", better="low"), Column("mAP"))
+    columns = (ap_column("clean"), ap_column("mCE", better="low"), ap_column("mAP"))
     lines = [TableRow(name, ((Stat(ap),) * 2, (Stat(lost),) * 2, (Stat(ap),) * 2)) for name, ap, lost in CLEAN_AND_LOST]
-    axes = table_heatmap(ResultTable("x", "", "", "Method", columns, tuple(lines))).axes[0]
+    axes = table_heatmap(Table("x", "", "Method", columns, tuple(lines))).axes[0]
     assert [t.get_text() for t in axes.texts if t.get_fontweight() == "bold"] == ["90.0", "20.0", "90.0"]
     colors = [to_hex(patch.get_facecolor()) for patch in axes.patches]
     assert [color == "#ffffff" for color in colors] == [False] * 3 + [True] * 3 + [False] * 3
@@ -90,23 +89,6 @@ def test_the_best_of_a_column_where_less_is_better_is_its_lowest_number_without_
 
 
 CLEAN_AND_LOST = (("a", 0.9, 0.3), ("b", 0.8, 0.2), ("c", 0.7, 0.4))
-
-
-def test_points_of_a_sheet_stand_on_its_lines_and_fill_the_axis():
-    sheet = some_sheet(("none", "SDD", "SDD + PCP"))
-    figure = table_dots(sheet)
-    assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == ["none", "SDD", "SDD + PCP"]
-    for axes in figure.axes:
-        assert [container.get_label() for container in axes.containers] == ["clean", "fog", "snow"]
-        low, high = axes.get_xlim()
-        assert low > 40 and high < 100
-    np.testing.assert_allclose(figure.axes[0].containers[1].lines[0].get_xydata(), [[80, 0], [75, 1], [70, 2]])
-
-
-def test_groups_of_bars_are_conditions():
-    (axes,) = mean_bars(some_rows()).axes
-    assert [bar.get_height() for bar in axes.containers[0]] == pytest.approx([85, 75, 65])
-    assert len({round(t.get_position()[0], 3) for t in axes.texts}) == len(axes.texts) == 6
 
 
 def test_names_at_the_ends_of_lines_keep_their_distance_and_their_order():
@@ -184,7 +166,7 @@ def test_curves_are_drawn_where_their_values_are_and_one_training_has_no_spread(
         TableRow("one", tuple((Stat(0.5), Stat(0.4)) for _ in range(3))),
         TableRow("three", tuple((Stat(0.6, 0.1), Stat(0.3, 0.1)) for _ in range(3))),
     )
-    sheet = ResultTable("loss", "Loss", "", "Method", tuple(map(Column, ("0", "0.1", "0.5"))), lines)
+    sheet = Table("loss", "Loss", "Method", tuple(map(ap_column, ("0", "0.1", "0.5"))), lines)
     for axes in table_lines(sheet, "share", [0, 0.1, 0.5]).axes:
         assert list(axes.get_xticks()) == [0, 0.1, 0.5]
         one, three = axes.containers

@@ -162,7 +162,7 @@ def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
     text = markdown(result)
     assert all(path.stat().st_size > 0 for path in paths)
     assert "| nothing | clean | 2 | 100 %" in text and "Hardest crashes" in text
-    assert summary_table(result).row_count == 2
+    assert len(summary_table(result).rows) == 2
     # Who perceives nothing has no percept of the actor that it crashes with.
     assert "| nothing | clean | 2 | 2 | 0 | 0 | 0 |" in text.partition("## What came late")[2]
 
@@ -185,8 +185,8 @@ def test_encounters_of_a_class_that_a_perception_has_not_are_kept_apart(tmp_path
     assert next(line for line in lines if line.startswith("| vehicles only")).endswith("| 1 |")
     (scenario,) = (line for line in lines if line.startswith("| ped_dartout (pedestrian)"))
     assert scenario.count("*") == 1
-    names = [str(name) for name in summary_table(result).columns[0].cells]
-    assert names[1:4] == ["truth", "nothing", "vehicles only"] and names[5:] == ["truth", "nothing", "vehicles only *"]
+    names = [str(row.cells[0]) for row in summary_table(result).rows]
+    assert names == ["truth", "nothing", "vehicles only", "truth", "nothing", "vehicles only *"]
 
 
 def test_a_narrow_terminal_shows_every_number(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_a_second_look_says_what_it_looked_with(driven: Path, tmp_path: Path) ->
     settings = again.settings
     assert (settings.perception, settings.corruption, settings.severity) == ("ego", "fog", 3)
     assert settings.detector and settings.driver == "careful"
-    heads = [str(column.header) for column in comparison_table(former, again).columns]
+    heads = [column.head for column in comparison_table(former, again).columns]
     assert "tracks, truth, planning" in heads and "tracks, ego in fog 3, careful" in heads
 
 
@@ -275,7 +275,7 @@ def test_a_perception_that_fails_at_once_is_a_row_and_its_message_is_shown(tmp_p
     assert runner.estimate_s(plan, tmp_path, Pool())[0] == 1
     result = run_campaign(plan, tmp_path)
     assert [one.outcome for one in result.results] == ["perception failed"]
-    assert "broken: perception failed in 1 of 1 episodes: " in str(summary_table(result).caption)
+    assert "broken: perception failed in 1 of 1 episodes: " in summary_table(result).caption
 
 
 def test_an_agent_that_does_not_exist_ends_the_campaign(tmp_path: Path) -> None:

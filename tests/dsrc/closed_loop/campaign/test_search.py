@@ -46,7 +46,7 @@ def test_the_delay_at_which_an_encounter_becomes_a_crash_is_found(monkeypatch: p
     assert found.outcomes[0.0] is Outcome.ARRIVED and found.outcomes[0.8] is Outcome.CRASHED
     (flip,) = found.value.flips
     assert flip.fails and flip.above - flip.below <= 0.2 + 1e-9
-    assert search_table(found).row_count == len(found.outcomes)
+    assert len(search_table(found).rows) == len(found.outcomes)
     assert search_text(found).startswith("ima_building, team, seed 0, delay s: worse from ")
 
 

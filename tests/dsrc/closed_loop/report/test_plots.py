@@ -12,7 +12,7 @@ from dsrc.closed_loop.report.plots import (
     deadly_corruptions,
     rate_over_severity,
 )
-from dsrc.evaluation.figures.style import png_bytes
+from dsrc.tables.figure import png_bytes
 
 
 @dataclass(frozen=True)

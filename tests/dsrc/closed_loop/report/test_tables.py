@@ -14,10 +14,10 @@ def tables_of(*results: EpisodeResult) -> dict[str, list[list[str]]]:
     return {
         name: [
             [cell.strip() for cell in line.strip("|").split("|")]
-            for line in text.splitlines()
-            if line.startswith("|") and not line.startswith("|---")
+            for line in table.markdown().splitlines()
+            if line.startswith("|") and not line.startswith("| ---")
         ]
-        for name, (_, text) in found.items()
+        for name, table in found.items()
     }
 
 

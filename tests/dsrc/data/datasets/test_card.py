@@ -77,7 +77,9 @@ def test_the_same_drives_give_the_same_card_and_others_another(split: Path) -> N
 
 def test_a_picture_has_a_legend_of_agents_and_boxes(split: Path, tmp_path: Path, monkeypatch) -> None:
     legends = []
-    monkeypatch.setattr(card, "_save", lambda figure, path: legends.append(figure.legends))
+    monkeypatch.setattr(
+        "dsrc.tables.figure.write_figure", lambda path, figure, *_, **__: legends.append(figure.legends)
+    )
     card._draw_frame(tmp_path / "x.png", DriveReader(split / "toy_3").read(2), "toy")
     names = [text.get_text() for legend in legends[0] for text in legend.get_texts()]
     assert names == ["ego 1000", "vehicle 1002", "roadside -1", "box with points of an agent", "box without"]

@@ -16,7 +16,7 @@ from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
 from dsrc.evaluation.scoring.frames import FrameKey
-from dsrc.evaluation.scoring.report import score_markdown, score_table
+from dsrc.evaluation.scoring.report import score_table, score_tables
 from dsrc.evaluation.scoring.score import score
 from dsrc.evaluation.scoring.truth import read_truth
 from dsrc.ops.detections import Detections
@@ -194,9 +194,11 @@ def test_the_command_refuses_in_one_line(world, capsys, tmp_path: Path) -> None:
 def test_several_sets_share_a_table() -> None:
     _, frames = golden_frames()
     found = score([f.detections for f in frames], [f.truth for f in frames], "opencood")
-    text = score_markdown([*found, replace(found[0], name="other", note="half of it")])
+    several = [*found, replace(found[0], name="other", note="half of it")]
+    text = score_table(several).markdown()
     assert "| other | opencood |" in text and text.rstrip().endswith("other: half of it.")
-    assert len(score_table(found).renderables) == 2
+    first, last = score_tables(several)
+    assert not first.caption and last.caption.startswith("opencood: ") and last.caption.endswith("other: half of it.")
 
 
 def test_boxes_of_another_data_set_are_doubted(world) -> None:

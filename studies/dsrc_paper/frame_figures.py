@@ -11,9 +11,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from dsrc.evaluation.figures.style import figure_style, panels
 from dsrc.evaluation.metrics.matching import match
-from dsrc.evaluation.report.pictures.drawing import (
+from dsrc.models.inputs.labels import cells_in_boxes
+from dsrc.ops.detections import Detections
+from dsrc.ops.grid import GridSpec
+from dsrc.ops.iou import bev_iou
+from dsrc.tables.figure import figure_style, panels
+from sim.boxes import Boxes
+from studies.dsrc_paper.drawing import (
     AGENT,
     FOUND,
     GRID_M,
@@ -28,13 +33,8 @@ from dsrc.evaluation.report.pictures.drawing import (
     draw_truth,
     show_range,
 )
-from dsrc.evaluation.report.pictures.evidence import EvidenceFunction
-from dsrc.evaluation.report.pictures.frames import DrawnFrame, only_helpers_see
-from dsrc.models.inputs.labels import cells_in_boxes
-from dsrc.ops.detections import Detections
-from dsrc.ops.grid import GridSpec
-from dsrc.ops.iou import bev_iou
-from sim.boxes import Boxes
+from studies.dsrc_paper.evidence import EvidenceFunction
+from studies.dsrc_paper.frames import DrawnFrame, only_helpers_see
 
 HIT_IOU = 0.5
 TOP = 0.99

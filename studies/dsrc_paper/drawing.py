@@ -9,10 +9,10 @@ from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
 from dsrc.data.sample import Sample
-from dsrc.evaluation.figures.style import COLORS
-from dsrc.evaluation.report.pictures.frames import only_helpers_see
 from dsrc.ops.grid import GridSpec
+from dsrc.tables.figure import COLORS
 from sim.boxes import Boxes
+from studies.dsrc_paper.frames import only_helpers_see
 
 TRUTH, HELPED, FOUND, AGENT, POINT = COLORS[0], COLORS[2], COLORS[1], "#000000", "#7B848E"
 """Blue, green and orange, distinct with any colour vision; in grey the filling marks true boxes."""

@@ -6,8 +6,9 @@ clean and corrupted frames.
 """
 
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
+from dsrc.evaluation.report.tables import ap_column
 from dsrc.evaluation.results import condition_title
-from dsrc.evaluation.table import Column, ResultTable, Stat, TableRow
+from dsrc.tables.table import Stat, Table, TableRow
 from sensors.corruptions import PAPER_SIX
 
 _TABLE_1 = """
@@ -46,20 +47,20 @@ _TWICE = "F-Cooper has the same numbers under fog and crosstalk, and under beam 
 _CONDITIONS = tuple(condition_title(kind).capitalize() for kind in ("clean", *PAPER_SIX))
 
 
-def published_tables() -> dict[str, ResultTable]:
+def published_tables() -> dict[str, Table]:
     """The paper's tables, by the names of ours."""
     corrupted = (
-        *(Column(t, digits=2) for t in _CONDITIONS),
-        Column("mCE", better="low", digits=2),
-        Column("mAP", digits=2),
+        *(ap_column(t, digits=2) for t in _CONDITIONS),
+        ap_column("mCE", better="low", digits=2),
+        ap_column("mAP", digits=2),
     )
     one = tuple(TableRow(name, (*cells, *_summaries(cells))) for name, cells in _read(_TABLE_1).items())
     two = tuple(TableRow(name, tuple(cells)) for name, cells in _read(_TABLE_2).items())
     titles = {1: "Clean and corrupted frames", 2: "Parts of DSRC", 3: "DSRC around the maximum", 4: "A single vehicle"}
     named = {number: f"The paper's Table {number}, OPV2V. {title}" for number, title in titles.items()}
     return {
-        "table_1": ResultTable("table_1", named[1], f"{_NOTE} {_TWICE}", "Method", corrupted, one),
-        "table_2": ResultTable("table_2", named[2], _NOTE, "Parts", (Column("Mean with clean", digits=2),), two),
+        "table_1": Table("table_1", named[1], "Method", corrupted, one, f"{_NOTE} {_TWICE}"),
+        "table_2": Table("table_2", named[2], "Parts", (ap_column("Mean with clean", digits=2),), two, _NOTE),
         "table_3": _transposed("table_3", named[3], _TABLE_3),
         "table_4": _transposed("table_4", named[4], _TABLE_4),
     }
@@ -83,13 +84,12 @@ def _summaries(cells: list[tuple[Stat, ...]]) -> tuple[tuple[Stat, ...], tuple[S
     return errors, means
 
 
-def _transposed(name: str, title: str, text: str) -> ResultTable:
+def _transposed(name: str, title: str, text: str) -> Table:
     """Table with conditions as lines and methods as columns."""
     methods = {label: [*cells, *_summaries(cells)] for label, cells in _read(text).items()}
     lines = tuple(
         TableRow(label, tuple(cells[row] for cells in methods.values()))
         for row, label in enumerate((*_CONDITIONS, "mCE", "mAP"))
     )
-    return ResultTable(
-        name, title, _NOTE, "Condition", tuple(Column(label, better="", digits=2) for label in methods), lines
-    )
+    columns = tuple(ap_column(label, better="", digits=2) for label in methods)
+    return Table(name, title, "Condition", columns, lines, _NOTE)

@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.data.datasets.drive_table import GRID, count, main, replace_block, table
 from dsrc.data.drives import open_drive
 from dsrc.data.write import write_drive
 from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import small
-from sim.errors import DataError
+from studies.dsrc_paper.drive_table import GRID, count, main, table
 from tests.dsrc.data.toy import PLACES, SETTINGS, ToySource, truth_at
 
 
@@ -64,15 +63,6 @@ def test_a_table_goes_between_its_markers_and_nowhere_else(split: Path, tmp_path
     assert "old" not in first and "| `toy_3` |" in first
     main([str(split), "--docs", str(document), "--name", "toy"])
     assert document.read_text() == first
-
-
-@pytest.mark.parametrize("text", ["", "<!-- begin toy/drives -->", "<!-- end toy/drives --><!-- begin toy/drives -->"])
-def test_a_document_without_markers_is_left_as_it_is(text: str, tmp_path: Path) -> None:
-    document = tmp_path / "page.md"
-    document.write_text(text)
-    with pytest.raises(DataError, match=r"page\.md: toy/drives: expected the lines .*, found"):
-        replace_block(document, "toy/drives", "table")
-    assert document.read_text() == text
 
 
 def test_a_mistake_is_one_line_and_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,17 +1,17 @@
 import pytest
 
-from dsrc.evaluation.report.published import published_tables
+from studies.dsrc_paper.published import published_tables
 
 
 def test_the_papers_tables_agree_with_each_other():
     sheets = published_tables()
-    one = {line.label: line.cells for line in sheets["table_1"].lines}
+    one = {line.label: line.cells for line in sheets["table_1"].rows}
     assert len(one) == 10 and all(len(cells) == 9 for cells in one.values())
     # Its Table 2 ends with the mean of its Table 1's last line; its Tables 3 and 4 begin with lines of its Table 1.
-    last = sheets["table_2"].lines[-1].cells[0]
+    last = sheets["table_2"].rows[-1].cells[0]
     assert [stat.mean for stat in one["DSRC"][-1]] == pytest.approx([stat.mean for stat in last], abs=1e-4)
     for name, method in (("table_3", "F-Cooper"), ("table_4", "No Collaboration")):
-        assert [line.cells[0] for line in sheets[name].lines] == list(one[method])
+        assert [line.cells[0] for line in sheets[name].rows] == list(one[method])
     # As printed, two digits.
     assert "| DSRC | **92.58** / **88.45** |" in sheets["table_1"].markdown()
     assert "| SDD + PCP | 84.83 / 75.99 |" in sheets["table_2"].markdown()

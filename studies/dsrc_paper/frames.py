@@ -3,8 +3,11 @@
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, list_drives, open_drive
@@ -16,9 +19,42 @@ from dsrc.evaluation.report.dataset_results import PAPER_SEVERITY
 from dsrc.ops.grid import GridSpec
 from sensors.corruptions import CLEAN, drive_seed
 from sim.boxes import Boxes
+from sim.errors import SettingsError, complaint
 from sim.geometry import invert
+from sim.settings import convert
 
 _COUNTED_FRAMES = 24
+
+
+class PictureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Pictures of single frames of the first dataset, Figures 6 and 8.
+
+    Attributes:
+        teacher: detector file of DSRC's teacher, for the feature maps; "" for none.
+        methods: methods of the drawn detections; empty: the first three and the last.
+        percentiles: of frames by the number of true boxes with points from helpers alone, a frame each, see
+            `frames_at`.
+        corruption: of the frames.
+    """
+
+    teacher: str = ""
+    methods: tuple[str, ...] = ()
+    percentiles: Annotated[tuple[Annotated[int, Meta(ge=0, le=100)], ...], Meta(min_length=1)] = (25, 50, 75)
+    corruption: str = "clean"
+
+
+def pictures_of(plan: Benchmark) -> PictureSpec:
+    """Settings of a benchmark's pictures.
+
+    Raises:
+        SettingsError: a setting is unknown or invalid.
+    """
+    spec = convert(plan.pictures, PictureSpec, plan.name, SettingsError, field="pictures")
+    names = [method.name for method in plan.methods]
+    for name in spec.methods:
+        if name not in names:
+            raise SettingsError(complaint(plan.name, "pictures.methods", f"one of {', '.join(names)}", name))
+    return spec
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +111,7 @@ def frames_at(plan: Benchmark, grid: GridSpec) -> list[tuple[int, Drive, int]]:
     ranked.sort()
     ranked = [one for one in ranked if one[0]] or ranked
     chosen = []
-    for percentile in plan.pictures.percentiles:
+    for percentile in pictures_of(plan).percentiles:
         *_, row, position = ranked[max(1, math.ceil(percentile * len(ranked) / 100)) - 1]
         chosen.append((percentile, readers[row], position))
     return chosen
@@ -87,8 +123,8 @@ def read_drawn_frames(plan: Benchmark, grid: GridSpec) -> list[DrawnFrame]:
     Raises:
         DataError: the dataset has no frame.
     """
-    kind = plan.pictures.corruption
-    condition = Condition(kind, 0 if kind == CLEAN else PAPER_SEVERITY, plan.family, plan.who)
+    kind = pictures_of(plan).corruption
+    condition = Condition(kind, 0 if kind == CLEAN else PAPER_SEVERITY, plan.families[0], plan.who)
     chosen = []
     for percentile, reader, position in frames_at(plan, grid):
         name = reader.drive.name

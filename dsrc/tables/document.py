@@ -1,13 +1,18 @@
-"""Documents with results: sections between markers, and their files in a folder beside the document."""
+"""Document with results: sections between markers, and their files in a folder beside the document."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from dsrc.tables.table import Table
 from sim.errors import DataError, complaint
 from sim.files import check_output, overwriting, write_file
 from sim.reading import read_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +54,55 @@ class Section:
         return f"{self.text}{whole}{picture}"
 
 
+class SectionWriter:
+    """Writer of tables and figures into a folder; keeps their sections.
+
+    Args:
+        folder: for the files.
+        made_by: provenance, for the figures.
+    """
+
+    def __init__(self, folder: Path, made_by: Mapping[str, object]) -> None:
+        self.sections: list[Section] = []
+        self._folder, self._made_by = folder, made_by
+
+    def table(self, table: Table, figure: "Figure | None" = None, suffix: str = "", below: str = "") -> None:
+        """Write a table as Markdown and CSV, and its figure.
+
+        Args:
+            table: its name begins the names of the files.
+            figure: of the table.
+            suffix: of the name.
+            below: Markdown that the section has below the table.
+        """
+        name, text = f"{table.name}{suffix}", table.markdown()
+        files = {f"{name}.md": text, f"{name}.csv": table.csv()}
+        self.section(name, f"{text}{below}", files, figure, table.title)
+
+    def figure(self, name: str, figure: "Figure", about: str) -> None:
+        """Write a figure alone, with its caption."""
+        self.section(name, figure=figure, about=about)
+
+    def section(
+        self,
+        name: str,
+        text: str = "",
+        files: Mapping[str, str] | None = None,
+        figure: "Figure | None" = None,
+        about: str = "",
+        whole: str = "",
+    ) -> None:
+        """Write the files of a section, by name, and its figure; see `Section`."""
+        from dsrc.tables.figure import write_figure
+
+        for file, content in (files or {}).items():
+            write_file(self._folder / file, content)
+        picture = "" if figure is None else f"{name}.png"
+        if figure is not None:
+            write_figure(self._folder / picture, figure, self._made_by)
+        self.sections.append(Section(name, text, picture, about if picture else "", tuple(files or ()), whole))
+
+
 def slug(name: str) -> str:
     """Name in paths: lower case, words joined by hyphens."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "dataset"
@@ -84,26 +138,37 @@ def publish(
     """
     folder = document.parent / document.stem / slug(name)
     text = _text_of(document)
-    begins = {section.name: _begin(name, section.name) for section in sections}
+    begins = {section.name: _begin(f"{slug(name)}/{section.name}") for section in sections}
     if f"<!-- begin {slug(name)}/" in text:
         sections = [section for section in sections if begins[section.name] in text]
     for section in sections:
         title = f"## {section.about}\n\n" if section.about and not section.picture else ""
-        place = f"{begins[section.name]}\n{_end(name, section.name)}"
+        place = f"{begins[section.name]}\n{_end(f'{slug(name)}/{section.name}')}"
         if begins[section.name] not in text:
             text = f"{text.rstrip()}\n\n{title}{place}\n"
-        text = _filled(document, text, name, section.name, section.markdown(folder.relative_to(document.parent)))
+        content = section.markdown(folder.relative_to(document.parent))
+        text = _filled(document, text, f"{slug(name)}/{section.name}", content)
     for one in absent:
-        if _begin(name, one) in text:
-            text = _filled(document, text, name, one, "Nothing.\n")
+        if _begin(f"{slug(name)}/{one}") in text:
+            text = _filled(document, text, f"{slug(name)}/{one}", "Nothing.\n")
     for file in (*results, *(path for section in sections for path in section.files)):
         write_file(folder / file, (out / file).read_bytes())
-    # An editor on Windows may have ended the lines by two characters; `_text_of` reads them as one.
-    before = document.read_bytes() if document.exists() else b""
-    if 2 * before.count(b"\r\n") > before.count(b"\n"):
-        text = text.replace("\n", "\r\n")
-    write_file(document, text, edited=True)
+    _write(document, text)
     return folder
+
+
+def replace_block(document: Path, place: str, content: str) -> None:
+    """Write a text between the lines `<!-- begin PLACE -->` and `<!-- end PLACE -->` of a document.
+
+    Raises:
+        DataError: there is no such document, it is no text, or it lacks one of the lines.
+    """
+    if not document.is_file():
+        raise DataError(f"{document}: no such file")
+    text = _text_of(document)
+    if _begin(place) not in text:
+        raise DataError(complaint(document, place, f"the lines {_begin(place)} and {_end(place)}", "none"))
+    _write(document, _filled(document, text, place, content))
 
 
 def check_document(document: Path, name: str, names: Sequence[str]) -> None:
@@ -125,9 +190,10 @@ def check_document(document: Path, name: str, names: Sequence[str]) -> None:
         check_output(document)
     text = _text_of(document)
     for one in re.findall(rf"<!-- begin {re.escape(slug(name))}/(\S+) -->", text):
+        place = f"{slug(name)}/{one}"
         if one not in names:
-            raise DataError(complaint(document, _begin(name, one), f"one of {', '.join(names)}", one))
-        _filled(document, text, name, one, "")
+            raise DataError(complaint(document, _begin(place), f"one of {', '.join(names)}", one))
+        _filled(document, text, place, "")
 
 
 def _text_of(document: Path) -> str:
@@ -136,9 +202,9 @@ def _text_of(document: Path) -> str:
     return f"# {document.stem.capitalize()}\n"
 
 
-def _filled(document: Path, text: str, name: str, section: str, content: str) -> str:
-    """Return a text with other content in the place of a section that it has."""
-    begin, end = _begin(name, section), _end(name, section)
+def _filled(document: Path, text: str, place: str, content: str) -> str:
+    """Text with other content in a place that it has."""
+    begin, end = _begin(place), _end(place)
     before, _, rest = text.partition(begin)
     _, ended, after = rest.partition(end)
     if not ended:
@@ -146,9 +212,17 @@ def _filled(document: Path, text: str, name: str, section: str, content: str) ->
     return f"{before}{begin}\n{content}\n{end}{after}"
 
 
-def _begin(name: str, section: str) -> str:
-    return f"<!-- begin {slug(name)}/{section} -->"
+def _write(document: Path, text: str) -> None:
+    # An editor on Windows may have ended the lines by two characters; `_text_of` reads them as one.
+    before = document.read_bytes() if document.exists() else b""
+    if 2 * before.count(b"\r\n") > before.count(b"\n"):
+        text = text.replace("\n", "\r\n")
+    write_file(document, text, edited=True)
 
 
-def _end(name: str, section: str) -> str:
-    return f"<!-- end {slug(name)}/{section} -->"
+def _begin(place: str) -> str:
+    return f"<!-- begin {place} -->"
+
+
+def _end(place: str) -> str:
+    return f"<!-- end {place} -->"

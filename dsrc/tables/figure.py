@@ -1,4 +1,4 @@
-"""Style of figures of results, their panels, legend and file.
+"""Figure of a report: style, panels, legend, and the PNG with its provenance.
 
 A method has one style in all figures of a result. Markers and names at the lines distinguish methods in grey too; bars
 are in the order of their legend.
@@ -6,17 +6,18 @@ are in the order of their legend.
 
 import io
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
-from dsrc.evaluation.results import Row
+from sim.files import write_file
 
 COLORS = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#6B6B6B",
@@ -123,9 +124,13 @@ def add_legend(figure: Figure, axes: Axes, *, below: bool = False) -> None:
         figure.legend(handles, labels, loc="outside right upper")
 
 
-def metric_of(row: Row | None, name: str) -> float:
-    """Metric of a row, NaN where either is missing."""
-    return math.nan if row is None else row.metrics.get(name, math.nan)
+def draw_cell(axes: Axes, x: float, y: float, color: Sequence[float], text: str, *, bold: bool) -> None:
+    """Draw a cell of a heat map: a number on a colour, in black or white, whichever is legible."""
+    axes.add_patch(Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=color, linewidth=0))
+    red, green, blue = color[:3]
+    ink = "white" if 0.299 * red + 0.587 * green + 0.114 * blue < 0.5 else INK
+    weight = "bold" if bold else "normal"
+    axes.text(x, y, text, ha="center", va="center", fontsize=7.5, color=ink, fontweight=weight)
 
 
 def png_bytes(figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int = 150) -> bytes:
@@ -135,3 +140,8 @@ def png_bytes(figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int
     with figure_style():
         figure.savefig(buffer, format="png", dpi=dpi, metadata={"Description": description})
     return buffer.getvalue()
+
+
+def write_figure(path: Path, figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int = 150) -> None:
+    """Write the PNG of a figure, see `png_bytes`; an interrupted one leaves what was there."""
+    write_file(path, png_bytes(figure, made_by, dpi))

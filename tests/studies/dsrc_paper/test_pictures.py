@@ -14,15 +14,8 @@ from matplotlib.colors import to_hex
 from msgspec.structs import replace
 from PIL import Image
 
-from dsrc.__main__ import main
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.evaluation.config import PictureSpec
-from dsrc.evaluation.figures.style import png_bytes
-from dsrc.evaluation.report.pictures import check_pictures, write_pictures
-from dsrc.evaluation.report.pictures.drawing import AGENT, FOUND, HELPED, TRUTH, project
-from dsrc.evaluation.report.pictures.evidence import firing_channels, vehicle_evidence
-from dsrc.evaluation.report.pictures.figures import detection_figure, feature_figure, match_counts
-from dsrc.evaluation.report.pictures.frames import frames_at, only_helpers_see, read_drawn_frames, spread_samples
+from dsrc.evaluation.report.report import provenance_of
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate
@@ -31,8 +24,15 @@ from dsrc.models.inputs.trained_frame import as_trained
 from dsrc.models.storage.checkpoint import save_detector, with_fusion
 from dsrc.ops.detections import Detections
 from dsrc.ops.iou import bev_iou
+from dsrc.tables.document import SectionWriter
+from dsrc.tables.figure import png_bytes
 from sim.boxes import Boxes
 from sim.errors import UserError
+from studies.dsrc_paper.drawing import AGENT, FOUND, HELPED, TRUTH, project
+from studies.dsrc_paper.evidence import firing_channels, vehicle_evidence
+from studies.dsrc_paper.frame_figures import detection_figure, feature_figure, match_counts
+from studies.dsrc_paper.frames import frames_at, only_helpers_see, read_drawn_frames, spread_samples
+from studies.dsrc_paper.pictures import check_pictures, write_pictures
 from tests.dsrc.evaluation.small import POINTS, make_detector, make_plan, write_drives
 from tests.dsrc.training.drive import frame
 
@@ -90,7 +90,7 @@ def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path):
     for name, cars in fewer.items():
         for index, count in enumerate(cars):
             write_frame(tmp_path / "test" / name, hidden_from_the_ego(frame(index, **POINTS), count))
-    plan = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=PictureSpec(percentiles=(0, 20, 40, 60, 80, 81, 100)))
+    plan = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=dict(percentiles=(0, 20, 40, 60, 80, 81, 100)))
     places = [(reader.drive.name, position) for _, reader, position in frames_at(plan, GRID)]
     # In order: none lost in the first of a and the second of b, one in two frames of a, two in the first of b.
     assert places == [("a", 0), ("a", 0), ("b", 1), ("a", 1), ("a", 2), ("b", 0), ("b", 0)]
@@ -105,7 +105,7 @@ def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path):
 def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_other(tmp_path):
     for index in range(2):
         write_frame(tmp_path / "test" / "alone", frame(index, **POINTS).of_agents([0]))
-    everywhere = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=PictureSpec(percentiles=(0, 50, 100)))
+    everywhere = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=dict(percentiles=(0, 50, 100)))
     assert [position for _, _, position in frames_at(everywhere, GRID)] == [0, 0, 1]
     assert not any(only_helpers_see(one.sample).any() for one in read_drawn_frames(everywhere, GRID))
     write_frame(tmp_path / "test" / "together", frame(0, **POINTS))
@@ -113,10 +113,10 @@ def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_
 
 
 def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan):
-    (first, *_, last) = frames_at(replace(plan, limit=2, pictures=PictureSpec(percentiles=(1, 100))), GRID)
+    (first, *_, last) = frames_at(replace(plan, limit=2, pictures=dict(percentiles=(1, 100))), GRID)
     assert {(reader.drive.name, position) for _, reader, position in (first, last)} == {("drive_0", 0), ("drive_1", 2)}
     clean, foggy = (
-        read_drawn_frames(replace(plan, pictures=PictureSpec(corruption=kind)), GRID)[0] for kind in ("clean", "fog")
+        read_drawn_frames(replace(plan, pictures=dict(corruption=kind)), GRID)[0] for kind in ("clean", "fog")
     )
     assert foggy.title == clean.title.replace("clean", "fog")
     assert foggy.sample.clouds[0].shape != clean.sample.clouds[0].shape
@@ -125,25 +125,18 @@ def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan)
 
 
 def test_pictures_that_cannot_be_drawn_are_reported_before_the_work(plan, teacher, tmp_path):
-    check_pictures(replace(plan, pictures=PictureSpec(teacher=teacher)))
+    check_pictures(replace(plan, pictures=dict(teacher=teacher)))
     student = plan.methods[0].detectors[0]
     for pictures, words in (
-        (PictureSpec(teacher="none.pt"), "none.pt: no such"),
-        (PictureSpec(teacher=student), "settings.role: expected teacher"),
+        (dict(teacher="none.pt"), "none.pt: no such"),
+        (dict(teacher=student), "settings.role: expected teacher"),
         (
-            PictureSpec(teacher=teacher_of("v2vnet", tmp_path)),
+            dict(teacher=teacher_of("v2vnet", tmp_path)),
             "v2vnet.pt: detector: fusion: expected .* found 'attention'",
         ),
     ):
         with pytest.raises(UserError, match=words):
             check_pictures(replace(plan, pictures=pictures))
-    (tmp_path / "b.toml").write_text(
-        f'[[methods]]\nname = "a"\ndetectors = ["{student}"]\n[[datasets]]\nname = "d"\n'
-        f'drives = ["{plan.datasets[0].drives[0]}"]\n[pictures]\nteacher = "none.pt"\n'
-    )
-    with pytest.raises(SystemExit, match="2"):
-        main(["benchmark", str(tmp_path / "b.toml"), "--out", str(tmp_path / "out")])
-    assert not (tmp_path / "out").exists()
 
 
 def test_what_lies_where_a_camera_looks_is_in_the_middle_and_higher_is_up():
@@ -314,10 +307,12 @@ def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames):
 
 
 def test_figures_6_and_8_are_written_with_what_made_them(plan, teacher, tmp_path):
-    drawn = replace(plan, corruptions=("clean",), limit=2, pictures=PictureSpec(teacher=teacher, percentiles=(50,)))
+    drawn = replace(plan, corruptions=("clean",), limit=2, pictures=dict(teacher=teacher, percentiles=(50,)))
     result = run_plan(drawn, tmp_path)
-    figure_6, channels, figure_8 = sections = write_pictures(result, tmp_path)
-    assert [block.name for block in sections] == [f"made-up/{name}" for name in ("figure_6", "channels", "figure_8")]
+    writer = SectionWriter(tmp_path, provenance_of(result))
+    write_pictures(result, writer)
+    figure_6, channels, figure_8 = writer.sections
+    assert [block.name for block in writer.sections] == ["figure_6", "channels", "figure_8"]
     for block in (figure_6, figure_8):
         with Image.open(tmp_path / block.picture) as image:
             assert json.loads(image.text["Description"])["settings"]["datasets"] == result.drives
@@ -331,5 +326,6 @@ def test_figures_6_and_8_are_written_with_what_made_them(plan, teacher, tmp_path
     assert "| teacher |" in channels.text
     assert all((tmp_path / table).is_file() for table in channels.tables)
     alone = make_plan(Path(plan.datasets[0].drives[0]).parent, {"late": [("late", 0)]}, corruptions=("clean",), limit=1)
-    text = write_pictures(run_plan(alone, tmp_path / "alone"), tmp_path / "alone")[0].text
-    assert text == "Figure 6 is left out: it needs a plain method with attention (attfuse).\n"
+    writer = SectionWriter(tmp_path / "alone", {})
+    write_pictures(run_plan(alone, tmp_path / "alone"), writer)
+    assert writer.sections[0].text == "Figure 6 is left out: it needs a plain method with attention (attfuse).\n"

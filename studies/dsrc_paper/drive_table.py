@@ -1,6 +1,6 @@
 """Table of the drives of a split: frames, agents and ground truth as an evaluation counts them.
 
-    python -m dsrc.data.datasets.drive_table data/dsrc-sim/test --docs docs/datasets.md --name dsrc-sim
+    python -m studies.dsrc_paper.drive_table data/dsrc-sim/test --docs docs/datasets.md --name dsrc-sim
 
 writes the table between `<!-- begin NAME/drives -->` and `<!-- end NAME/drives -->`; without `--docs` it is printed.
 """
@@ -16,10 +16,9 @@ import numpy as np
 from dsrc.data.drives import Drive, open_drives
 from dsrc.data.sample import make_sample
 from dsrc.ops.grid import GridSpec
-from sim.errors import DataError, UserError, complaint
-from sim.files import write_file
-
-_HEAD = ("drive", "frames", "agents", "boxes", "boxes per frame", "without a point from the ego", "path of the ego, m")
+from dsrc.tables.document import replace_block
+from dsrc.tables.table import Column, Table, TableRow
+from sim.errors import UserError
 
 GRID = GridSpec(range_m=(-51.2, -25.6, -3.0, 51.2, 25.6, 2.6))
 """Range of the recipe `small`, in which boxes are counted."""
@@ -77,12 +76,15 @@ def count(drive: Drive, grid: GridSpec) -> DriveRow:
 
 def table(rows: Sequence[DriveRow]) -> str:
     """Return the rows as a Markdown table with a row of sums."""
-    lines = [_HEAD, ("---", *("---:",) * (len(_HEAD) - 1))]
+    columns = [Column(head) for head in ("frames", "agents", "boxes", "boxes per frame")]
+    columns += [Column("without a point from the ego"), Column("path of the ego", unit="m")]
+    lines = []
     for row in rows:
         agents = f"{row.vehicles} + {row.roadside} roadside" if row.roadside else f"{row.vehicles}"
-        lines.append((f"`{row.drive}`", f"{row.frames}", agents, *_boxes([row]), f"{row.path_m:.0f}"))
-    lines.append((f"{len(rows)} drives", f"{sum(row.frames for row in rows):,}", "", *_boxes(rows), ""))
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        lines.append(TableRow(f"`{row.drive}`", (row.frames, agents, *_boxes([row]), row.path_m)))
+    frames = f"{sum(row.frames for row in rows):,}"
+    lines.append(TableRow(f"{len(rows)} drives", (frames, "", *_boxes(rows), "")))
+    return Table("drives", "", "drive", tuple(columns), tuple(lines)).markdown().rstrip()
 
 
 def _boxes(rows: Sequence[DriveRow]) -> tuple[str, str, str]:
@@ -90,27 +92,10 @@ def _boxes(rows: Sequence[DriveRow]) -> tuple[str, str, str]:
     return f"{boxes:,}", f"{boxes / frames:.1f}", f"{unseen:,} ({unseen / max(boxes, 1):.0%})"
 
 
-def replace_block(document: Path, name: str, content: str) -> None:
-    """Replace the block between two markers of a document.
-
-    Raises:
-        DataError: the document lacks the markers.
-    """
-    begin, end = (f"<!-- {word} {name} -->" for word in ("begin", "end"))
-    if not document.is_file():
-        raise DataError(f"{document}: no such file")
-    text = document.read_text(encoding="utf-8")
-    before, begun, rest = text.partition(begin)
-    _, ended, after = rest.partition(end)
-    if not (begun and ended):
-        raise DataError(complaint(document, name, f"the lines {begin} and {end}", "at most one of them"))
-    write_file(document, f"{before}{begin}\n{content}\n{end}{after}", edited=True)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command of the module's first lines; a user's mistake is one line and exit code 2."""
     parser = argparse.ArgumentParser(
-        prog="python -m dsrc.data.datasets.drive_table", description=(__doc__ or "").split("\n")[0]
+        prog="python -m studies.dsrc_paper.drive_table", description=(__doc__ or "").split("\n")[0]
     )
     parser.add_argument("folder", type=Path, help="drives, in any supported format")
     parser.add_argument("--docs", type=Path, help="document to write the table into; default: print it")

@@ -12,19 +12,13 @@ from msgspec.structs import replace
 
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark, Case, DatasetSpec, Footnote, MethodSpec, ParameterSweeps, cases_of
-from dsrc.evaluation.report.dataset_results import (
-    DatasetResults,
-    averaged_methods,
-    compared_methods,
-    method_styles,
-)
-from dsrc.evaluation.report.document import publish
-from dsrc.evaluation.report.paper_tables import corruption_tables, mean_corrupted, table_1, table_2, table_3, table_4
+from dsrc.evaluation.report.dataset_results import DatasetResults
 from dsrc.evaluation.report.report import RESULTS, write_report
-from dsrc.evaluation.report.sweep_tables import axes_of, clean_tables, sweep_table
+from dsrc.evaluation.report.tables import axes_of, severity_table, sweep_table, table_1
 from dsrc.evaluation.results import Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
-from dsrc.evaluation.table import ResultTable, Stat
+from dsrc.tables.document import publish
+from dsrc.tables.table import Stat, Table
 from dsrc.training.recipes import METHODS, debug, of_method
 
 # Table 1 of the paper, OPV2V, AP at IoU 0.5 and 0.7 in percent: clean and the six.
@@ -78,14 +72,15 @@ def view_of(methods: dict[str, int], **settings: object) -> DatasetResults:
     return DatasetResults.of(outcome_of(methods, **settings), "made up")
 
 
-def tables_of(result: BenchmarkResult, dataset: str) -> list[ResultTable | str]:
+def tables_of(result: BenchmarkResult, dataset: str) -> dict[str, Table]:
     results = DatasetResults.of(result, dataset)
-    return [*corruption_tables(results, result.plan.severities), *clean_tables(results, axes_of(result))]
+    sheets = [table_1(results), table_1(results, opencood=True), severity_table(results, result.plan.severities)]
+    return {sheet.name: sheet for sheet in [*sheets, *(sweep_table(results, axis) for axis in axes_of(result))]}
 
 
 def test_table_1_has_the_papers_mce_and_mean_of_the_papers_numbers():
     sheet = table_1(view_of({"v2vnet": 1, "dsrc": 1}))
-    v2vnet, dsrc = sheet.lines
+    v2vnet, dsrc = sheet.rows
     assert [column.title for column in sheet.columns][:4] == ["Clean", "Beam missing", "Motion blur", "Fog"]
     assert [cell[0].mean for cell in dsrc.cells[:7]] == pytest.approx([x / 100 for x in PAPER["dsrc"][0]])
     # mCE as recomputed from the paper's Table 1 (0.5 / 0.7), and the mean that its Table 2 prints.
@@ -101,13 +96,13 @@ def test_table_1_has_the_papers_mce_and_mean_of_the_papers_numbers():
 
 def test_several_trainings_are_a_mean_and_a_spread():
     sheet = table_1(view_of({"dsrc": 3, "v2vnet": 1}))
-    clean = sheet.lines[0].cells[0][0]
+    clean = sheet.rows[0].cells[0][0]
     assert clean.mean == pytest.approx(0.9258 - 0.01) and clean.spread == pytest.approx(0.01)
     each = [
         statistics.mean(1 - (x / 100 - 0.01 * k) / (0.9258 - 0.01 * k) for x in PAPER["dsrc"][0][1:]) for k in range(3)
     ]
-    assert sheet.lines[0].cells[7][0] == pytest.approx((statistics.mean(each), statistics.stdev(each)))
-    assert math.isnan(sheet.lines[1].cells[0][0].spread)
+    assert sheet.rows[0].cells[7][0] == pytest.approx((statistics.mean(each), statistics.stdev(each)))
+    assert math.isnan(sheet.rows[1].cells[0][0].spread)
     assert "| dsrc | 91.6 ± 1.0 / **87.4 ± 1.0** |" in sheet.markdown()
     assert "± is the standard deviation between trainings" in sheet.note
     first = next(csv.DictReader(io.StringIO(sheet.csv())))
@@ -118,47 +113,8 @@ def test_several_trainings_are_a_mean_and_a_spread():
 
 def test_the_other_order_has_its_own_table():
     sheet = table_1(view_of({"dsrc": 1}), opencood=True)
-    assert sheet.lines[0].cells[0][0].mean == pytest.approx(0.8258)
+    assert sheet.rows[0].cells[0][0].mean == pytest.approx(0.8258)
     assert sheet.name == "table_1_opencood" and "inside each frame" in sheet.note
-
-
-def test_table_2_goes_from_none_to_all_parts_and_says_which_are_missing():
-    results = view_of({"attfuse": 1, "sdd only": 1, "no rec": 1, "dsrc": 1})
-    sheet = table_2(results)
-    assert [line.label for line in sheet.lines] == ["none", "SDD", "SDD + PCP", "SDD + PCP + REC"]
-    assert "Left out, for want of a method: PCP." in sheet.note
-    corrupted, whole = sheet.lines[-1].cells[1:]
-    assert 100 * corrupted[0].mean == pytest.approx(84.37, abs=0.01)
-    assert 100 * whole[0].mean == pytest.approx(85.54, abs=0.01)
-    assert mean_corrupted(0.9, {"fog": 0.5, "snow": 0.3}) == 0.4
-    # Half a DSRC is no method of Table 1.
-    assert [line.label for line in table_1(results).lines] == ["attfuse", "dsrc"]
-    assert table_2(view_of({"attfuse": 1})) == (
-        "Table 2 is left out: it needs a method with attention, SDD, PCP and REC (dsrc)."
-    )
-    assert "'dsrc' with other parts: none, SDD, PCP, SDD + PCP" in table_2(view_of({"dsrc": 1}))
-
-
-def test_tables_3_and_4_find_their_pairs_by_what_methods_are():
-    results = view_of({"dsrc": 1, "f-cooper": 1, "dsrc-max": 1, "attfuse": 1, "no-collaboration": 1, "dsrc-alone": 1})
-    three, four = table_3(results), table_4(results)
-    titles = [column.title for column in three.columns]
-    assert titles == ["Maximum", "Maximum + DSRC", "Attention", "Attention + DSRC"]
-    clean = three.lines[0]
-    assert clean.label == "Clean" and [cell[0].mean for cell in clean.cells] == pytest.approx(
-        [0.9229, 0.9229, 0.9229, 0.9258]
-    )
-    assert [line.label for line in three.lines][-2:] == ["mCE", "mAP"]
-    assert [column.title for column in four.columns] == ["No collaboration", "No collaboration + DSRC"]
-    assert "for want of methods: f-cooper, dsrc-max" in table_3(view_of({"dsrc": 1, "attfuse": 1})).note
-    assert table_4(view_of({"dsrc": 1})) == "Table 4 is left out: it needs no-collaboration, dsrc-alone."
-
-
-def test_a_plain_method_of_other_sizes_is_not_taken_for_the_base():
-    result = outcome_of({"attfuse": 1, "dsrc": 1})
-    wider = replace(settings_of("attfuse"), shrink_channels=128)
-    result.trained["attfuse"][0] = TrainedDetector(Path("x.pt"), "x", wider, 0, {})
-    assert "none" in table_2(DatasetResults.of(result, "made up"))
 
 
 def test_curves_hold_what_is_varied_in_ascending_order():
@@ -166,11 +122,11 @@ def test_curves_hold_what_is_varied_in_ascending_order():
     agents, errors = axes_of(result)
     results = DatasetResults.of(result, "made up")
     assert [column.title for column in sweep_table(results, agents).columns] == ["1", "2", "3"]
-    line = sweep_table(results, agents).lines[0]
+    line = sweep_table(results, agents).rows[0]
     assert [cell[0].mean for cell in line.cells] == pytest.approx([0.9258 - 0.005 - 0.01 * (5 - n) for n in (1, 2, 3)])
     assert agents.places == [1, 2, 3] and errors.places == [0, 0.2, 0.4]
     assert [text for text, _ in errors.values] == ["0", "0.2", "0.4"]
-    line = sweep_table(results, errors).lines[0]
+    line = sweep_table(results, errors).rows[0]
     assert [cell[0].mean for cell in line.cells] == pytest.approx([0.9208, 0.9008, 0.8808])
 
 
@@ -197,12 +153,12 @@ def test_every_table_says_what_its_numbers_come_from():
     for name, several in result.trained.items():
         result.trained[name] = [changed(one, recipe="debug") for one in several]
     x0, y0, _, x1, y1, _ = settings_of("dsrc").grid.range_m
-    sheets = {sheet.name: sheet for sheet in tables_of(result, "made up") if not isinstance(sheet, str)}
-    assert {"table_1", "table_2", "table_3", "agents", "channels", "severity"} <= set(sheets)
+    sheets = tables_of(result, "made up")
+    assert {"table_1", "agents", "channels", "severity"} <= set(sheets)
     for sheet in sheets.values():
         assert "10 frames with 40 boxes" in sheet.note
         assert f"debug, x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m" in sheet.note
-        assert "0, 1, 2 (dsrc); 0 (the others)" in sheet.note or sheet.name == "table_2"
+        assert "0, 1, 2 (dsrc); 0 (the others)" in sheet.note
     for name in ("table_1", "channels"):
         assert "That of where2comm is an upper bound" in sheets[name].note
         assert "That of late is of the objects of the ground truth" in sheets[name].note
@@ -210,28 +166,6 @@ def test_every_table_says_what_its_numbers_come_from():
     results = DatasetResults.of(result, "made up")
     result.trained["late"] = [changed(one, recipe="", seed=None) for one in result.trained["late"]]
     assert "not known (late)" in table_1(results).note
-
-
-def test_figure_4_is_the_mean_of_methods_that_are_different():
-    result = outcome_of({"late": 1, "f-cooper": 1, "dsrc": 1, "dsrc-max": 1, "dsrc-alone": 1, "v2vnet": 1})
-    result.trained["dsrc, its clouds thinned"] = result.trained["dsrc"]
-    only = result.trained["dsrc"][0]
-    headed = replace(only.settings, direction=True)
-    result.trained["dsrc, a head for directions"] = [changed(only, settings=headed)]
-    result.trained["late"][0] = changed(result.trained["late"][0], use={"bits": 8})
-    results = DatasetResults.of(result, "made up")
-    assert averaged_methods(results) == ["f-cooper", "dsrc", "v2vnet"]
-    assert len(compared_methods(results)) == 8
-
-
-def test_a_method_has_one_style_in_all_benchmarks():
-    methods = {"late": 1, "where2comm": 1, "v2vnet": 1, "attfuse": 1, "dsrc": 1, "dsrc-alone": 1}
-    styles = method_styles(view_of(methods))
-    assert len(set(styles.values())) == len(styles) and set(methods) <= set(styles)
-    several = (["attfuse", "dsrc"], ["dsrc", "late"], ["v2vnet", "where2comm", "attfuse"], ["late"])
-    for few in several:
-        alone = method_styles(view_of(dict.fromkeys(few, 1)))
-        assert {name: alone[name] for name in few} == {name: styles[name] for name in few}
 
 
 def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
@@ -242,15 +176,11 @@ def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
     )
     methods = {"late": 1, "attfuse": 1, "no rec": 1, "dsrc": 1, "f-cooper": 1, "dsrc-max": 1}
     result = outcome_of(methods, notes=notes, severities=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)))
-    sheets = {sheet.name: sheet for sheet in tables_of(result, "made up") if not isinstance(sheet, str)}
+    sheets = tables_of(result, "made up")
     for name in ("table_1", "table_1_opencood", "severity", "agents"):
         text = sheets[name].markdown()
         assert "| dsrc †. | " in text and "| late ‡ | " in text and "| attfuse | " in text
         assert "\n\n† To be made anew.\n\n‡ Early, too.\n\n. Twice.\n\n" in text
-    two, three = sheets["table_2"], sheets["table_3"]
-    assert [line.title for line in two.lines] == ["none", "SDD + PCP †", "SDD + PCP + REC †."]
-    assert two.footnotes == three.footnotes == ("† To be made anew.", ". Twice.")
-    assert [c.title for c in three.columns] == ["Maximum", "Maximum + DSRC", "Attention", "Attention + DSRC †."]
     # Keys of CSV and of figures stay the methods' names.
     assert [row["Method"] for row in csv.DictReader(io.StringIO(sheets["table_1"].csv()))][-3] == "dsrc"
     assert write_report(result, tmp_path)
@@ -258,7 +188,7 @@ def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
 
 def test_a_start_has_a_column_where_a_method_says_so():
     result = outcome_of({"v2vnet": 1, "dsrc": 1})
-    assert not table_1(DatasetResults.of(result, "made up")).words
+    assert table_1(DatasetResults.of(result, "made up")).columns[0].title == "Clean"
     first, second = result.plan.methods
     plan = replace(result.plan, methods=(replace(first, start="own, maximum"), second))
     sheet = table_1(DatasetResults.of(changed(result, plan=plan), "made up"))
@@ -283,7 +213,7 @@ def test_each_family_of_corruptions_has_its_own_table_1():
         for family in ("physical", "paper")
     )
     assert [column.title for column in physical.columns] == [column.title for column in paper.columns]
-    for ours, theirs in zip(physical.lines, paper.lines, strict=True):
+    for ours, theirs in zip(physical.rows, paper.rows, strict=True):
         assert ours.cells[0] == theirs.cells[0]  # clean frames are nobody's corruption
         assert theirs.cells[1][0].mean == pytest.approx(ours.cells[1][0].mean / 2)
         assert theirs.cells[3][0].mean > ours.cells[3][0].mean
@@ -298,10 +228,10 @@ def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
     out, document = tmp_path / "out", tmp_path / "docs" / "results.md"
     sections = write_report(result, out)
     names = {path.name for path in (out / "made-up").iterdir()}
-    for table in ("table_1", "table_2", "table_3", "table_4", "agents", "severity"):
+    for table in ("table_1", "agents", "severity"):
         assert {f"{table}.md", f"{table}.csv", f"{table}.png"} <= names
-    assert {"figure_4.png", "figure_5.png", "traffic.png"} <= names
-    assert len([sheet for sheet in tables_of(result, "made up") if isinstance(sheet, str)]) == 1  # visibility
+    assert {"figure_5.png", "traffic.png"} <= names
+    assert "visibility.md" not in names  # unknown
     document.parent.mkdir()
     (out / "made-up" / "stale.csv").write_text("of a run before")
     begin, end = (f"<!-- {word} small/made-up/table_1 -->" for word in ("begin", "end"))
@@ -322,7 +252,7 @@ def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
     publish(sections, out, tmp_path / "all.md", "Small", RESULTS)
     assert all(f"<!-- begin small/{block.name} -->" in (tmp_path / "all.md").read_text() for block in sections)
     written = {name for block in sections for name in block.files} | RESULT_FILES
-    assert "made-up/figure_4.png" in written and files_below(tmp_path / "all/small") == written
+    assert "made-up/figure_5.png" in written and files_below(tmp_path / "all/small") == written
 
 
 RESULT_FILES = {"results.json", "results.csv", "timings.csv"}
@@ -330,14 +260,6 @@ RESULT_FILES = {"results.json", "results.csv", "timings.csv"}
 
 def files_below(folder: Path) -> set[str]:
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-
-
-def test_parts_of_dsrc_alone_are_reported_too(tmp_path):
-    result = outcome_of({"dsrc": 1})
-    parts = replace(settings_of("dsrc"), pcp=False, rec=False)
-    result.trained["dsrc"] = [changed(one, settings=parts) for one in result.trained["dsrc"]]
-    assert compared_methods(DatasetResults.of(result, "made up")) == []
-    assert write_report(result, tmp_path)
 
 
 def test_results_may_lie_in_the_documents_own_folder(tmp_path):

@@ -7,9 +7,9 @@ import torch
 from numpy.typing import NDArray
 
 from dsrc.data.sample import Sample
-from dsrc.evaluation.table import Column, ResultTable, Stat, TableRow
 from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import collate
+from dsrc.tables.table import Column, Table, TableRow
 
 EvidenceFunction = Callable[[Sample], NDArray[np.float32]]
 """Function from a sample to a network's (h, w) evidence, see `vehicle_evidence`."""
@@ -47,18 +47,18 @@ def firing_channels(detector: Detector, samples: Iterable[Sample]) -> NDArray[np
     return fired
 
 
-def channel_table(networks: Mapping[str, Detector], samples: Sequence[Sample], dataset: str) -> ResultTable:
+def channel_table(networks: Mapping[str, Detector], samples: Sequence[Sample], dataset: str) -> Table:
     """Table of the channels after the shrink convolutions of each network, and of those that never fire."""
-    columns = tuple(Column(title, ("",), better="", scale=1, digits=0) for title in ("Channels", "Never fire"))
+    columns = tuple(map(Column, ("Channels", "Never fire")))
     lines = []
     for name, network in networks.items():
         fired = firing_channels(network, samples)
-        lines.append(TableRow(name, ((Stat(len(fired)),), (Stat(int((~fired).sum())),))))
+        lines.append(TableRow(name, (len(fired), int((~fired).sum()))))
     note = (
         "Channels after the shrink convolutions, fused, and those that are above 0 in no cell of "
         f"{len(samples)} clean frames, evenly spread over the drives. The first training of each."
     )
-    return ResultTable("channels", f"Channels that never fire, {dataset}", note, "Network", columns, tuple(lines))
+    return Table("channels", f"Channels that never fire, {dataset}", "Network", columns, tuple(lines), note)
 
 
 def _output(detector: Detector, sample: Sample) -> Output:
