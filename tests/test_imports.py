@@ -56,6 +56,8 @@ def imported() -> dict[str, dict[str, set[str]]]:
             if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
                 whole = [f"{node.module}.{alias.name}" for alias in node.names]
                 names = [child if child in MODULES else node.module for child in whole]
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+                names = named(node.args[0])
             for each in names:
                 if each.split(".")[0] in ROOMS:
                     ours.add(each)
@@ -63,6 +65,15 @@ def imported() -> dict[str, dict[str, set[str]]]:
                     others.add(each.split(".")[0])
         found[name] = {"ours": ours, "others": others}
     return found
+
+
+def named(module: ast.expr) -> list[str]:
+    """Return the module that `import_module` is given as text; all modules that an f-string may name."""
+    if isinstance(module, ast.Constant):
+        return [str(module.value)]
+    if isinstance(module, ast.JoinedStr) and isinstance(module.values[0], ast.Constant):
+        return [name for name in MODULES if name.startswith(str(module.values[0].value))]
+    return []
 
 
 def circle(edges: dict[str, set[str]]) -> list[str]:
@@ -95,6 +106,11 @@ def test_dsrc_sensors_holds_what_its_modules_import() -> None:
     for name, found in imported().items():
         if name != "dsrc" and place[name].startswith(held):  # dsrc itself imports by name, when asked
             assert {other for other in found["ours"] if not place[other].startswith(held)} == set(), name
+
+
+def test_an_import_by_text_is_an_import() -> None:
+    assert "dsrc.cli.view" in imported()["dsrc.cli.main"]["ours"]
+    assert named(ast.parse("'dsrc.models'", mode="eval").body) == ["dsrc.models"]
 
 
 def test_files_import_each_other_without_circles() -> None:

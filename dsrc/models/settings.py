@@ -1,8 +1,8 @@
 """Settings of a detector: shape and meaning of its weights."""
 
 from collections.abc import Mapping
-from importlib import import_module
-from typing import Annotated, Any, Literal
+from types import MappingProxyType
+from typing import Annotated, ClassVar, Literal, Protocol
 
 import msgspec
 from msgspec import Meta
@@ -16,6 +16,12 @@ Backbone = Literal["res2net", "resnet", "plain"]
 Count = Annotated[int, Meta(ge=1)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Size = Annotated[float, Meta(gt=0)]
+
+
+class FusionKind(Protocol):
+    """What settings know of a class of `dsrc.models.fusion`: whether it fuses stages of the backbone or one map."""
+
+    place: ClassVar[Literal["stages", "map"]]
 
 
 class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -82,6 +88,9 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             code, None keeps all.
     """
 
+    fusions: ClassVar[Mapping[str, type[FusionKind]]] = MappingProxyType({})
+    """Classes by name, handed in by `dsrc.models.fusion`, whose methods read these settings."""
+
     grid: GridSpec = GridSpec()
     users: Users = "vehicles"
     role: Literal["student", "teacher"] = "student"
@@ -128,9 +137,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_extent_m: Annotated[float, Meta(gt=0)] | None = None
 
     def __post_init__(self) -> None:
-        fusions = _fusions()
-        if self.fusion not in fusions:
-            raise ValueError(f"fusion: unknown '{self.fusion}'{did_you_mean(str(self.fusion), fusions)}")
+        if self.fusion not in self.fusions:
+            raise ValueError(f"fusion: unknown '{self.fusion}'{did_you_mean(str(self.fusion), self.fusions)}")
         if self.grid.width % 8 or self.grid.height % 8:
             raise ValueError(f"grid: expected multiples of 8 cells, found {self.grid.width} x {self.grid.height}")
         if self.left_handed and self.grid.range_m[1] != -self.grid.range_m[4]:
@@ -171,7 +179,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             # Teachers and reconstructions are at half the grid's resolution.
             found = f"{self.shrink_stride} with sdd {self.sdd}, pcp {self.pcp}, rec {self.rec}"
             raise ValueError(f"shrink_stride: expected no teacher and no reconstruction, found {found}")
-        if not self.shrink_channels and (self.shrink_stride == 2 or fusions[self.fusion].place == "map" or self.rec):
+        of_map = self.fusions[self.fusion].place == "map"
+        if not self.shrink_channels and (self.shrink_stride == 2 or of_map or self.rec):
             raise ValueError(f"shrink_channels: expected more than 0 with fusion {self.fusion}, found 0")
         one_width = self.fusion in ("cobevt", "ermvp") or (self.fusion == "v2xvit" and self.attention_channels is None)
         if self.shrink_channels % 16 and one_width:
@@ -228,9 +237,3 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def reconstruction_bins(self) -> int:
         """Vertical bins of the reconstruction: ten of 0.4 m over [-3, 1] m."""
         return round((self.grid.range_m[5] - self.grid.range_m[2]) / 0.4)
-
-
-def _fusions() -> Mapping[str, Any]:
-    """Return the fusion classes by name; their package, which imports this module, is imported when first needed."""
-    fusions: Mapping[str, Any] = import_module("dsrc.models.fusion").FUSIONS
-    return fusions

@@ -15,6 +15,7 @@ from dsrc.models.fusion.none import NoFusion
 from dsrc.models.fusion.v2vnet import V2VNet
 from dsrc.models.fusion.v2xvit import V2XViT
 from dsrc.models.fusion.where2comm import Where2comm
+from dsrc.models.settings import ModelSettings
 from sim.catalog.registry import Registry, import_path
 from sim.errors import SettingsError
 
@@ -48,6 +49,7 @@ FUSIONS: Registry[type[Fusion]] = Registry(
     key=import_path,
 )
 """Fusion classes by name, built in and registered."""
+ModelSettings.fusions = FUSIONS
 
 
 def register_fusion(name: str, fusion: type[Fusion]) -> None:
