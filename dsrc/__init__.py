@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dsrc.data.clouds.transform import CorruptTransform
     from dsrc.data.drives import Drive, open_drive, open_drives
     from dsrc.data.frames import simulate_frames
-    from dsrc.data.sample import Sample, make_sample
+    from dsrc.data.sample import Sample, SampleRequest, make_sample
     from dsrc.data.write import generate
     from dsrc.evaluation.evaluate import evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
@@ -71,7 +71,7 @@ _MODULES = {
     "dsrc.data.clouds.transform": ("CorruptTransform",),
     "dsrc.data.drives": ("Drive", "open_drive", "open_drives"),
     "dsrc.data.frames": ("simulate_frames",),
-    "dsrc.data.sample": ("Sample", "make_sample"),
+    "dsrc.data.sample": ("Sample", "SampleRequest", "make_sample"),
     "dsrc.data.write": ("generate",),
     "dsrc.evaluation.evaluate": ("evaluate_drives",),
     "dsrc.evaluation.report.ap_table": ("result_table",),
@@ -140,6 +140,7 @@ __all__ = [
     "detect",
     "Detections",
     "Sample",
+    "SampleRequest",
     "make_sample",
     "Evaluation",
     "evaluate_drives",

@@ -24,7 +24,7 @@ from torch import nn
 from torch.nn import functional
 
 from dsrc.data.drives import Drive, open_drives
-from dsrc.data.sample import Sample, sample_for
+from dsrc.data.sample import Sample, make_sample
 from dsrc.evaluation.detect import frame_positions
 from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import Batch, collate
@@ -123,8 +123,7 @@ def directions(detector: Detector, data: Path, frames: int, tested: int) -> Iter
     settings = detector.settings
     drives = [drive.drive for drive in open_drives(data / "train")]
     grid = source_grid(settings.grid, Augmentation())
-    who = {"team_by": settings.team_by, "users": settings.users}
-    store = SampleStore(drives, grid, settings.comm_range_m, settings.max_agents, **who)
+    store = SampleStore(drives, replace(settings.request, grid=grid, keep_ego_box=False, truth_range_m=None))
     rng = np.random.default_rng(0)
     chosen = [store.frames[i] for i in rng.permutation(len(store.frames))[:frames]]
     egos = [int(rng.choice(store.egos(frame))) for frame in chosen]
@@ -168,7 +167,7 @@ def samples_of(detector: Detector, drives: Sequence[Drive], count: int) -> Itera
     """Yield samples of drives, evenly spread."""
     for drive, positions in zip(drives, frame_positions(drives, count), strict=True):
         for position in positions:
-            yield sample_for(detector.settings, drive.read(position), None)
+            yield make_sample(drive.read(position), None, detector.settings.request)
 
 
 def surest(detector: Detector, drives: Sequence[Drive], count: int) -> list[str]:

@@ -94,8 +94,7 @@ def teacher_gate(teacher: Path, data: Path, recipe: Recipe, frames: int = 140, b
 
 def hidden_scores(teacher: Detector, drives: Sequence[Path], recipe: Recipe, frames: int) -> list[float]:
     """Return a teacher's scores at the positive anchors of boxes without a point of the ego."""
-    users = recipe.model.users
-    store = SampleStore(drives, recipe.model.grid, recipe.model.comm_range_m, recipe.model.max_agents, users=users)
+    store = SampleStore(drives, recipe.model.request)
     refs = [store.frames[i] for i in np.linspace(0, len(store.frames) - 1, frames).round().astype(int)]
     scores: list[float] = []
     for ref in refs:
@@ -104,8 +103,10 @@ def hidden_scores(teacher: Detector, drives: Sequence[Path], recipe: Recipe, fra
         hidden = sample.boxes[np.setdiff1d(np.arange(len(sample.boxes)), seen)]
         if not len(hidden):
             continue
-        fits = ANCHORS[users].takes[hidden.label]
-        positive = assign_targets(hidden.array, teacher.anchors, ANCHORS[users].positive_iou, fits=fits).positive
+        fits = ANCHORS[recipe.model.users].takes[hidden.label]
+        positive = assign_targets(
+            hidden.array, teacher.anchors, ANCHORS[recipe.model.users].positive_iou, fits=fits
+        ).positive
         with torch.no_grad():
             output = as_teacher(teacher, collate([sample], recipe.settings("student"), training=True))
         scores += torch.sigmoid(output.cls[0].permute(1, 2, 0))[torch.as_tensor(np.asarray(positive))].tolist()

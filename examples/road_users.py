@@ -20,7 +20,7 @@ import torch
 from look import put_table
 
 from dsrc.data.drives import open_drives
-from dsrc.data.sample import inside_range, sample_for
+from dsrc.data.sample import inside_range, make_sample
 from dsrc.evaluation.detect import frame_positions
 from dsrc.evaluation.metrics.matching import match
 from dsrc.models.detector import Detector
@@ -99,7 +99,7 @@ class Pair(NamedTuple):
 
 def pairs(detector: Detector, frame: Frame) -> Iterator[Pair]:
     """Yield every true box of a frame with the box matched to it, and the boxes that have none."""
-    sample = sample_for(detector.settings, frame, None)
+    sample = make_sample(frame, None, detector.settings.request)
     found = detector.detect(sample)
     found = found[inside_range(found.boxes, detector.settings.grid)]
     away = np.linalg.norm(found.boxes.center[:, None, :2] - sample.boxes.center[None, :, :2], axis=2)

@@ -22,7 +22,7 @@ from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Outcome, Percept
 from dsrc.data.datasets.convert import Format, convert
 from dsrc.data.drives import open_drive
-from dsrc.data.sample import Sample
+from dsrc.data.sample import Sample, SampleRequest
 from dsrc.data.write import write_drive
 from dsrc.evaluation.cache import CellSettings, write_cell
 from dsrc.evaluation.conditions import Condition
@@ -622,7 +622,7 @@ def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatc
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
     import road_users
 
-    settings = SimpleNamespace(users="vulnerable", grid=GridSpec(range_m=(-25.6, -12.8, -3.0, 25.6, 12.8, 1.0)))
+    settings = SampleRequest(GridSpec(range_m=(-25.6, -12.8, -3.0, 25.6, 12.8, 1.0)), users="vulnerable")
     people = Boxes.from_array(
         [(x, 2.0, -1.0, 0.5, 0.5, 1.7, 0.0) for x in (8.0, 12.0, -9.0)],
         [CLASSES.index(name) for name in ("pedestrian", "motorcycle", "pedestrian")],
@@ -630,7 +630,7 @@ def test_who_is_found_as_what_is_counted_by_class(monkeypatch: pytest.MonkeyPatc
     boxes = Boxes.from_array([(x, y, -1, 1.8, 0.6, 1.7, yaw) for x, y in ((8.9, 2), (12, 2), (12.5, 2), (12, 4))])
     boxes = replace(boxes, label=np.full(4, CLASSES.index("bicycle")))
     sample = SimpleNamespace(boxes=people)
-    monkeypatch.setattr(road_users, "sample_for", lambda settings, frame, ego: sample)
+    monkeypatch.setattr(road_users, "make_sample", lambda frame, ego, request: sample)
     detector = SimpleNamespace(
         settings=settings, detect=lambda _: Detections(boxes, np.array([0.9, 0.5, 0.4, 0.3], np.float32))
     )

@@ -1,6 +1,6 @@
 """Sample: one instant seen by one ego and its collaborators, in the ego LiDAR's frame or one ahead of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -12,7 +12,7 @@ from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from sensors.frame import Frame
 from sim.boxes import Boxes
-from sim.errors import DataError, complaint
+from sim.errors import DataError, complaint, warn_deprecated
 from sim.geometry import invert, transform_points
 
 
@@ -48,19 +48,6 @@ class Sample:
     corrupted: tuple[NDArray[np.float32], ...] = ()
 
 
-class SampleDetector(Protocol):
-    """Detector of boxes in a sample, such as `dsrc.models.detector.Detector`."""
-
-    @property
-    def settings(self) -> Any:
-        """Settings with `grid`, and those of `users`, `max_agents`, `team_by`, `judged_by` that are not the default."""
-        ...
-
-    def detect(self, sample: Sample) -> Detections:
-        """Return detections in the sample's frame."""
-        ...
-
-
 Range = tuple[float, float, float, float, float, float]
 
 TeamBy = Literal["range", "folders"]
@@ -83,51 +70,105 @@ _OWN_BODY_HIGH = np.array([2.95, 1.1], np.float32)
 _OWN_BODY_MARGIN_M = 0.1
 
 
+@dataclass(frozen=True, slots=True)
+class SampleRequest:
+    """Rules by which samples are made: who takes part and what counts as the truth. A detector's settings give them.
+
+    Attributes:
+        grid: range to which clouds are cropped.
+        comm_range_m: communication range of the ego, between LiDARs in the plane, m.
+        max_agents: limit on the agents, the ego included, in the order of the folders.
+        users: road users of the ground truth.
+        team_by: order of the rules of range and number.
+        keep_ego_box: the ego's own box counts where a collaborator has a point on it, as in OpenCOOD.
+        truth_range_m: range of the ground truth; None is the grid's.
+    """
+
+    grid: GridSpec
+    comm_range_m: float = COMM_RANGE_M
+    max_agents: int = 5
+    users: Users = "vehicles"
+    team_by: TeamBy = "range"
+    keep_ego_box: bool = False
+    truth_range_m: Range | None = None
+
+    @property
+    def judged_m(self) -> Range:
+        """Range in which boxes count, true or detected, in the ego LiDAR's frame, m."""
+        return self.truth_range_m or self.grid.range_m
+
+    @property
+    def request(self) -> "SampleRequest":
+        """Itself: a detector without further settings has these."""
+        return self
+
+
+class DetectorSettings(Protocol):
+    """Settings of a detector, as far as samples depend on them: `ModelSettings`, or a `SampleRequest`."""
+
+    @property
+    def grid(self) -> GridSpec:
+        """Bird's-eye grid of the detector."""
+        ...
+
+    @property
+    def request(self) -> SampleRequest:
+        """Rules by which its samples are made, and in whose range its detections count."""
+        ...
+
+
+class SampleDetector(Protocol):
+    """Detector of boxes in a sample, such as `dsrc.models.detector.Detector`."""
+
+    @property
+    def settings(self) -> DetectorSettings:
+        """Settings; a `SampleRequest` is enough."""
+        ...
+
+    def detect(self, sample: Sample) -> Detections:
+        """Return detections in the sample's frame."""
+        ...
+
+
 def make_sample(
     frame: Frame,
     ego_id: int | None,
-    grid: GridSpec,
+    request: SampleRequest | GridSpec,
     *,
-    comm_range_m: float = COMM_RANGE_M,
-    max_agents: int = 5,
     cooperative: bool = True,
     key: str = "",
-    keep_ego_box: bool = False,
-    team_by: TeamBy = "range",
-    truth_range_m: Range | None = None,
-    users: Users = "vehicles",
     ahead_m: float = 0.0,
     recorded: Frame | None = None,
+    **rules: Any,
 ) -> Sample:
-    """Make the sample of one ego in a frame; `sample_for` makes that of a detector.
+    """Make the sample of one ego in a frame.
 
     Args:
-        frame: the frame.
+        frame: one instant of all agents.
         ego_id: the ego; None takes the first vehicle in the order of the folders (else the first agent).
-        grid: range of clouds and boxes.
-        comm_range_m: communication range, between LiDARs in the plane, m.
-        max_agents: limit on the agents, the ego included, in the order of the folders.
+        request: rules, `detector.settings.request` for a detector's; a grid stands for the defaults with it.
         cooperative: include the collaborators' clouds. The ground truth is the same either way.
-        key: name of the sample.
-        keep_ego_box: keep the ego's own box where a collaborator has a point on it, as OpenCOOD does.
-        team_by: order of the rules of range and number.
-        truth_range_m: range of the ground truth, where it is not the grid's.
-        users: road users of the ground truth.
+        key: name of the sample; empty for one of ego and frame.
         ahead_m: shift of the sample's frame, and so of the grid, along the ego's heading, m.
         recorded: the frame before it was corrupted, whose places decide which agents are in range; the frame's own
             where it is left out.
+        rules: fields of the request, deprecated: they go on 2027-06-01.
 
     Raises:
         DataError: the frame lacks the ego.
     """
-    rows = _participants(recorded or frame, ego_id, comm_range_m, max_agents, team_by)
+    asked = request if isinstance(request, SampleRequest) else SampleRequest(request)
+    if rules:
+        warn_deprecated(", ".join(rules), "dsrc.SampleRequest")
+        asked = replace(asked, **rules)
+    rows = _participants(recorded or frame, ego_id, asked)
     ego = frame.agents[rows[0]]
     shift = np.eye(4)
     shift[0, 3] = -ahead_m
     ego_from_world = shift @ invert(ego.sweep.world_from_lidar)
     truth = frame.truth.transform(ego_from_world)
-    eligible = users_in(truth, users) & inside(truth, truth_range_m or grid.range_m)
-    if not keep_ego_box:
+    eligible = users_in(truth, asked.users) & inside(truth, asked.judged_m)
+    if not asked.keep_ego_box:
         eligible &= truth.object_id != ego.agent_id
     seen = frame.points_on[rows] >= 1
     ids = np.array([frame.agents[row].agent_id for row in rows])
@@ -138,61 +179,14 @@ def make_sample(
     return Sample(
         key=key or f"{ego.agent_id}/{frame.index:06d}",
         agent_ids=tuple(frame.agents[row].agent_id for row in active),
-        clouds=tuple(cloud_of(frame, row, pose, grid) for row, pose in zip(active, poses, strict=True)),
+        clouds=tuple(cloud_of(frame, row, pose, asked.grid) for row, pose in zip(active, poses, strict=True)),
         ego_from_agent=poses,
         boxes=truth[annotated.any(axis=0)],
         agent_boxes=tuple(truth[annotated[i]] for i in range(len(active))),
     )
 
 
-def sample_for(
-    settings: Any,
-    frame: Frame,
-    ego_id: int | None,
-    *,
-    cooperative: bool = True,
-    key: str = "",
-    ahead_m: float = 0.0,
-    recorded: Frame | None = None,
-) -> Sample:
-    """Make the sample that a detector is run and judged on.
-
-    Args:
-        settings: those of a `SampleDetector`.
-        frame: as `make_sample`, like all that follow.
-        ego_id: the ego.
-        cooperative: include the collaborators' clouds.
-        key: name of the sample.
-        ahead_m: shift of the sample's frame.
-        recorded: the frame before it was corrupted.
-
-    Raises:
-        DataError: the frame lacks the ego.
-    """
-    return make_sample(
-        frame,
-        ego_id,
-        settings.grid,
-        comm_range_m=getattr(settings, "comm_range_m", COMM_RANGE_M),
-        max_agents=getattr(settings, "max_agents", 5),
-        cooperative=cooperative,
-        key=key,
-        keep_ego_box=getattr(settings, "judged_by", "grid") == "opencood",
-        team_by=getattr(settings, "team_by", "range"),
-        truth_range_m=judged_range(settings),
-        users=getattr(settings, "users", "vehicles"),
-        ahead_m=ahead_m,
-        recorded=recorded,
-    )
-
-
-def judged_range(settings: Any) -> Range:
-    """Return the range in which boxes count for a detector of these settings, in the ego LiDAR's frame, m."""
-    grid_m: Range = settings.grid.range_m
-    return OPENCOOD_RANGE_M if getattr(settings, "judged_by", "grid") == "opencood" else grid_m
-
-
-def _participants(frame: Frame, ego_id: int | None, comm_range_m: float, max_agents: int, team_by: TeamBy) -> list[int]:
+def _participants(frame: Frame, ego_id: int | None, request: SampleRequest) -> list[int]:
     """Return rows of `frame.agents`: the ego, then the others that take part."""
     if ego_id is None:
         vehicles = [row for row, agent in enumerate(frame.agents) if agent.kind == "vehicle"]
@@ -207,9 +201,9 @@ def _participants(frame: Frame, ego_id: int | None, comm_range_m: float, max_age
     place = np.array([agent.sweep.world_from_lidar[:2, 3] for agent in frame.agents])
     distance = np.linalg.norm(place - place[ego_row], axis=1)
     rows = [ego_row, *(row for row in range(len(frame.agents)) if row != ego_row)]
-    if team_by == "folders":
-        rows = rows[:max_agents]
-    return [row for row in rows if distance[row] <= comm_range_m][:max_agents]
+    if request.team_by == "folders":
+        rows = rows[: request.max_agents]
+    return [row for row in rows if distance[row] <= request.comm_range_m][: request.max_agents]
 
 
 def users_in(boxes: Boxes, users: Users) -> NDArray[np.bool_]:

@@ -5,19 +5,17 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
-from dsrc.data.sample import COMM_RANGE_M, JudgedBy, Sample, SampleDetector, TeamBy, inside, judged_range, sample_for
+from dsrc.data.sample import Sample, SampleDetector, SampleRequest, inside, make_sample
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
 from dsrc.models.channel import Receiver
-from dsrc.ops.anchors import Users
-from dsrc.ops.grid import GridSpec
 from sensors import corruptions as registry
 from sensors.corruptions import CLEAN, drive_seed
 from sensors.frame import Frame
@@ -118,7 +116,7 @@ def evaluate_drive(
                 start = time.perf_counter()
                 found = method.detector.detect(sample)
                 record.seconds.append(time.perf_counter() - start)
-                counted = found[inside(found.boxes, judged_range(method.detector.settings))]
+                counted = found[inside(found.boxes, method.detector.settings.request.judged_m)]
                 points = points_table(recorded[0], left, whole.agent_ids, sample.boxes.object_id)
                 share = _ego_share(recorded[0], sample)
                 ego_id, index = sample.agent_ids[0], recorded[0].index
@@ -239,33 +237,17 @@ def frame_positions(readers: Sequence[Drive], limit: int | None) -> list[list[in
     return [[i for drive, i in places if drive == k] for k in range(len(readers))]
 
 
-class _SampleKey(NamedTuple):
-    """What a sample depends on, besides the frame."""
-
-    grid: GridSpec
-    users: Users
-    comm_range_m: float
-    max_agents: int
-    team_by: TeamBy
-    judged_by: JudgedBy
-    agents: int | None
+_SampleKey = tuple[SampleRequest, int | None]
+"""What a sample depends on besides the frame: request and limit on the agents."""
 
 
 def _sample(frames: tuple[Frame, Frame], method: Method, samples: dict[_SampleKey, Sample], drive: str) -> Sample:
     """Input of a method, of the corrupted and the recorded frame; methods with the same key share it."""
-    settings = method.detector.settings
-    key = _SampleKey(
-        settings.grid,
-        getattr(settings, "users", "vehicles"),
-        getattr(settings, "comm_range_m", COMM_RANGE_M),
-        getattr(settings, "max_agents", 5),
-        getattr(settings, "team_by", "range"),
-        getattr(settings, "judged_by", "grid"),
-        method.agents,
-    )
+    request = method.detector.settings.request
+    key = request, method.agents
     if key not in samples:
         if method.agents is None:
-            sample = sample_for(settings, frames[0], None, recorded=frames[1])
+            sample = make_sample(frames[0], None, request, recorded=frames[1])
             samples[key] = replace(sample, key=f"{drive}/{sample.key}")
         else:
             whole = _sample(frames, replace(method, agents=None), samples, drive)

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.sample import judged_range
 from dsrc.evaluation.cache import CellSettings, has_cell, read_cell
 from dsrc.evaluation.cells import CellJob, WorkUnit, load_adjusted, make_cells
 from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
@@ -187,7 +186,7 @@ def _check_judged_alike(plan: Benchmark, trained: Mapping[str, Sequence[TrainedD
     """Check that both methods of a difference are judged on the same boxes."""
     for pair in plan.differences:
         found, wanted = trained[pair.method][0], trained[pair.baseline][0]
-        ranges = judged_range(found.settings), judged_range(wanted.settings)
+        ranges = found.settings.request.judged_m, wanted.settings.request.judged_m
         fields = ("users", "comm_range_m", "max_agents", "team_by", "judged_by")
         pairs = [(name, getattr(found.settings, name), getattr(wanted.settings, name)) for name in fields]
         for name, own, other in (("range", *ranges), *pairs):

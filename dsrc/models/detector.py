@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dsrc.data.sample import Sample, judged_range, sample_for
+from dsrc.data.sample import Sample, make_sample
 from dsrc.models.compression import as_large, reduced
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.fusion.late import join_detections
@@ -177,7 +177,7 @@ class Detector(nn.Module):
         post = PostSettings(
             settings.score_threshold,
             settings.nms_iou,
-            range_m=judged_range(settings),
+            range_m=settings.request.judged_m,
             max_extent_m=settings.max_extent_m,
         )
         cls, reg = output.cls.detach().float().cpu().numpy(), output.reg.detach().float().cpu().numpy()
@@ -232,4 +232,4 @@ def detect(detector: Detector, frame: Frame, ego_id: int | None = None, *, coope
     Raises:
         DataError: the frame has no agent of this id.
     """
-    return detector.detect(sample_for(detector.settings, frame, ego_id, cooperative=cooperative))
+    return detector.detect(make_sample(frame, ego_id, detector.settings.request, cooperative=cooperative))

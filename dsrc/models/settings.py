@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Protocol
 import msgspec
 from msgspec import Meta
 
-from dsrc.data.sample import COMM_RANGE_M, JudgedBy, TeamBy
+from dsrc.data.sample import COMM_RANGE_M, OPENCOOD_RANGE_M, JudgedBy, SampleRequest, TeamBy
 from dsrc.ops.anchors import Users
 from dsrc.ops.grid import GridSpec
 from sim.errors import did_you_mean
@@ -189,6 +189,13 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(f"grid: expected an even number of 0.4 m layers, found {self.reconstruction_bins}")
         if self.rec and self.reconstruction_cell_z_m < 0.4:
             raise ValueError(f"reconstruction_cell_z_m: expected at least 0.4, found {self.reconstruction_cell_z_m:g}")
+
+    @property
+    def request(self) -> SampleRequest:
+        """Rules by which samples are made for the detector, and in whose range its detections count."""
+        opencood = self.judged_by == "opencood"
+        range_m = OPENCOOD_RANGE_M if opencood else None
+        return SampleRequest(self.grid, self.comm_range_m, self.max_agents, self.users, self.team_by, opencood, range_m)
 
     @property
     def backbone_name(self) -> Backbone:

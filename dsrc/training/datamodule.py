@@ -1,6 +1,7 @@
 """Data module of a training: frames, egos, augmentation and their order."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import lightning.pytorch as pl
@@ -9,7 +10,7 @@ import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from dsrc.data.drives import drive_hashes
-from dsrc.data.sample import Sample, judged_range
+from dsrc.data.sample import Sample
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.settings import ModelSettings
 from dsrc.training.augment import augment, source_grid
@@ -121,17 +122,16 @@ class DetectionData(pl.LightningDataModule):
         """
         super().__init__()
         self.recipe, self.settings = recipe, settings
-        agents = (recipe.model.comm_range_m, recipe.model.max_agents, recipe.labels.ego_box, recipe.model.team_by)
-        users = recipe.model.users
-        wide = SampleStore(drives, source_grid(recipe.model.grid, recipe.augmentation), *agents, users=users)
+        request = recipe.model.request
+        exactly = replace(request, keep_ego_box=request.keep_ego_box or recipe.labels.ego_box)
+        grid = source_grid(recipe.model.grid, recipe.augmentation)
+        whole = replace(request, grid=grid, keep_ego_box=recipe.labels.ego_box, truth_range_m=None)
+        wide = SampleStore(drives, whole)
         frames, held_out = wide.frames, wide.frames
         if validation_drives is None and recipe.validation_share > 0:
             held = {f for f in wide.frames if _is_held_out(f, len(wide.drives[f.drive]), recipe.validation_share)}
             frames, held_out = [f for f in wide.frames if f not in held], [f for f in wide.frames if f in held]
-        judged_m, with_ego = judged_range(recipe.model), recipe.model.judged_by == "opencood" or recipe.labels.ego_box
-        exact = SampleStore(
-            validation_drives or drives, recipe.model.grid, *agents[:2], with_ego, agents[3], judged_m, users
-        )
+        exact = SampleStore(validation_drives or drives, exactly)
         if validation_drives is not None:
             held_out = exact.frames
         self.training = TrainingSet(wide, frames, recipe, seed)

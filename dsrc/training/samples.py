@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dsrc.data.drives import open_drive
-from dsrc.data.sample import Range, Sample, TeamBy, make_sample
-from dsrc.ops.anchors import Users
-from dsrc.ops.grid import GridSpec
+from dsrc.data.sample import Sample, SampleRequest, make_sample
 from sensors.corruptions import corrupt_frame
 from sensors.frame import Frame
 from sim.errors import DataError, complaint
@@ -36,36 +34,14 @@ class SampleStore:
         frames: all frames, drive by drive.
     """
 
-    def __init__(
-        self,
-        drives: Sequence[Path],
-        grid: GridSpec,
-        comm_range_m: float,
-        max_agents: int,
-        keep_ego_box: bool = False,
-        team_by: TeamBy = "range",
-        truth_range_m: Range | None = None,
-        users: Users = "vehicles",
-    ) -> None:
+    def __init__(self, drives: Sequence[Path], request: SampleRequest) -> None:
         """Open the drives.
-
-        Args:
-            drives: their folders.
-            grid: range to which the samples are cropped.
-            comm_range_m: communication range of the ego, m.
-            max_agents: maximum number of agents per sample.
-            keep_ego_box: count the ego's own body as an object where a collaborator has seen it.
-            team_by: order of the rules of range and number by which agents take part.
-            truth_range_m: range of the ground truth, where it is not the grid's.
-            users: road users of the ground truth.
 
         Raises:
             DataError: the drives have no frames.
         """
         self.drives = [open_drive(drive) for drive in drives]
-        self.grid, self.comm_range_m, self.max_agents = grid, comm_range_m, max_agents
-        self.keep_ego_box, self.team_by, self.truth_range_m = keep_ego_box, team_by, truth_range_m
-        self.users: Users = users
+        self.request = request
         self.frames = [FrameRef(d, i) for d, reader in enumerate(self.drives) for i in range(len(reader))]
         if not self.frames:
             raise DataError(complaint(drives[0] if drives else "data", "frames", "at least one", 0))
@@ -91,15 +67,5 @@ class SampleStore:
 
     def _sample(self, frame: Frame, ref: FrameRef, ego_id: int) -> Sample:
         reader = self.drives[ref.drive]
-        return make_sample(
-            frame,
-            ego_id,
-            self.grid,
-            comm_range_m=self.comm_range_m,
-            max_agents=self.max_agents,
-            keep_ego_box=self.keep_ego_box,
-            team_by=self.team_by,
-            truth_range_m=self.truth_range_m,
-            users=self.users,
-            key=f"{reader.drive.name}/{ego_id}/{reader.frames[ref.position]:06d}",
-        )
+        key = f"{reader.drive.name}/{ego_id}/{reader.frames[ref.position]:06d}"
+        return make_sample(frame, ego_id, self.request, key=key)

@@ -8,7 +8,7 @@ import numpy as np
 
 from dsrc.closed_loop.perception.senses import Faults, Senses
 from dsrc.closed_loop.types import Percept
-from dsrc.data.sample import Sample, SampleDetector, sample_for
+from dsrc.data.sample import Sample, SampleDetector, make_sample
 from dsrc.models.channel import Receiver
 from dsrc.models.threads import one_thread
 from dsrc.ops.detections import Detections
@@ -86,12 +86,12 @@ class DetectorPerception:
 
     def sample(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> tuple[Sample, tuple[Link, ...]]:
         """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""
-        frame, settings = self.senses.frame(before, now, claims), self.detector.settings
+        frame, request = self.senses.frame(before, now, claims), self.detector.settings.request
         speed_mps = float(np.linalg.norm(now.velocity[now.row(self._ego_id)]))
-        ahead_m = _shift_m(speed_mps, self.look_ahead_s, settings.grid.range_m[3])
-        sample = sample_for(settings, frame, self._ego_id, cooperative=self.cooperative, ahead_m=ahead_m)
+        ahead_m = _shift_m(speed_mps, self.look_ahead_s, request.grid.range_m[3])
+        sample = make_sample(frame, self._ego_id, request, cooperative=self.cooperative, ahead_m=ahead_m)
         self._past.appendleft(frame)
-        sample, links = self._receiver.receive(self._past, self.senses.index, sample, settings.grid)
+        sample, links = self._receiver.receive(self._past, self.senses.index, sample, request.grid)
         none = (Boxes.zeros(),) * len(sample.agent_ids)
         return replace(sample, boxes=Boxes.zeros(), agent_boxes=none), links
 

@@ -4,6 +4,7 @@ import inspect
 import os
 import sys
 import uuid
+from dataclasses import fields
 from importlib import import_module
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
@@ -13,10 +14,10 @@ from typing import Any, Literal, NamedTuple, cast
 from dsrc.closed_loop.perception.senses import Faults
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.types import Perception
-from dsrc.data.sample import SampleDetector
+from dsrc.data.sample import DetectorSettings, SampleDetector, SampleRequest
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Family, Who, parse_who
 from sim.boxes import CLASSES, VEHICLES
-from sim.errors import SettingsError, complaint, did_you_mean
+from sim.errors import SettingsError, complaint, did_you_mean, warn_deprecated
 from sim.kept.code_hash import sources_hash
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
 
@@ -241,7 +242,7 @@ def _own(text: str) -> Any:
     if not hasattr(made, "detect"):
         found = f"a {type(made).__name__} without them"
         raise SettingsError(complaint("perception", text, "a class with reset and perceive, or with detect", found))
-    return made if hasattr(made, "settings") else _WithGrid(made)
+    return made if hasattr(made, "settings") and hasattr(made.settings, "request") else _WithRequest(made)
 
 
 def _find_modules_here() -> None:
@@ -249,16 +250,19 @@ def _find_modules_here() -> None:
         sys.path.insert(0, os.getcwd())  # a console script's path begins with its own folder
 
 
-class _WithGrid:
-    """Detector with the grid of the shipped detector.
-
-    Args:
-        detector: has `detect` alone.
-    """
+class _WithRequest:
+    """Detector with the request that its settings say, or with the shipped detector's where it has `detect` alone."""
 
     def __init__(self, detector: Any) -> None:
-        from dsrc.models.storage.checkpoint import load_detector
+        if hasattr(detector, "settings"):
+            warn_deprecated("detector.settings without request", "dsrc.SampleRequest")
+            given: dict[str, Any] = {
+                field.name: getattr(detector.settings, field.name, field.default) for field in fields(SampleRequest)
+            }
+            self.settings: DetectorSettings = SampleRequest(**given)
+        else:
+            from dsrc.models.storage.checkpoint import load_detector
 
-        self.settings = load_detector(SHIPPED_DETECTOR).settings
+            self.settings = load_detector(SHIPPED_DETECTOR).settings
         self.name, self.detect = type(detector).__name__, detector.detect
         self.classes = getattr(detector, "classes", VEHICLES)

@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 
-from dsrc.data.sample import judged_range
 from dsrc.evaluation.figures.bars import difference_map, table_heatmap
 from dsrc.evaluation.figures.curves import table_lines
 from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, traffic_scatter
@@ -127,7 +126,7 @@ def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, Tr
             channel=case.channel,
             swept=", ".join(f"{name} {getattr(case, name):g}" for name in _SWEPT[1:] if getattr(case, name)),
             detector=one.sha256,
-            range_m=judged_range(one.settings),
+            range_m=one.settings.request.judged_m,
             agents=min(limit for limit in limits if limit is not None),
             cells=tuple(map(tuple, cells)),
         )

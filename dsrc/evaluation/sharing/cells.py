@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from dsrc.data.jsonio import encode_json, read_json
-from dsrc.data.sample import Sample, sample_for
+from dsrc.data.sample import Sample, make_sample
 from dsrc.evaluation.cache import CellSettings
 from dsrc.evaluation.cells import WorkUnit, detector_of, drive_of
 from dsrc.evaluation.detect import FrameHistory, corrupted, interval_of
@@ -113,7 +113,7 @@ def make_share_cells(unit: WorkUnit, progress: Progress) -> None:
         with one_thread():
             for done, i in enumerate(unit.positions, 1):
                 past = FrameHistory(read, i, partial(corrupted, condition=unit.condition, seed=seed))
-                whole = sample_for(detector.settings, past[0], None, recorded=read(i))
+                whole = make_sample(past[0], None, detector.settings.request, recorded=read(i))
                 whole = replace(whole, key=f"{name}/{whole.key}")
                 heard = receiver.receive(past, i, whole, detector.settings.grid)[0] if receiver else whole
                 found = share_sample(detector, heard, job.settings.iou, whole.agent_ids)

@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from dsrc.data.sample import SampleDetector, inside, judged_range, sample_for
+from dsrc.data.sample import SampleDetector, inside, make_sample
 from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, one_frame, points_left, points_table
 from dsrc.review.labs.parameters import TunedCondition, tuned_settings
@@ -47,10 +47,10 @@ class ComputedSet(MemorySet):
             known = self.get(row, setup)
             if known is not None:
                 return known
-            settings = self.detector.settings
-            everyone = sample = sample_for(settings, corrupted, setup.ego_id, recorded=clean)
+            request = self.detector.settings.request
+            everyone = sample = make_sample(corrupted, setup.ego_id, request, recorded=clean)
             if not setup.cooperative:
-                sample = sample_for(settings, corrupted, setup.ego_id, cooperative=False, recorded=clean)
+                sample = make_sample(corrupted, setup.ego_id, request, cooperative=False, recorded=clean)
             found = self.detector.detect(sample)
             ego_id, objects = sample.agent_ids[0], sample.boxes.object_id
             share = clean.visible_fraction[[agent.agent_id for agent in clean.agents].index(ego_id)]
@@ -58,7 +58,7 @@ class ComputedSet(MemorySet):
                 row,
                 clean.index,
                 ego_id,
-                found[inside(found.boxes, judged_range(settings))],
+                found[inside(found.boxes, request.judged_m)],
                 sample.boxes,
                 points_table(clean, points_left(clean, corrupted), everyone.agent_ids, objects),
                 share[np.searchsorted(clean.truth.object_id, objects)],

@@ -7,7 +7,7 @@ from msgspec.structs import replace as changed
 
 from dsrc.data.drives import list_drives
 from dsrc.data.formats.opv2v.reader import DriveReader
-from dsrc.data.sample import inside_range, make_sample, sample_for
+from dsrc.data.sample import SampleRequest, inside_range, make_sample
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
 from sensors.frame import count_points
@@ -25,7 +25,7 @@ def test_the_golden_tree_gives_the_references_samples(tmp_path: Path):
     ranges = {"train": GridSpec(), "test": GridSpec((-140.0, -40.0, -3.0, 140.0, 40.0, 1.0))}
     for mode, grid in ranges.items():
         for k, frame in enumerate(frames):
-            sample = make_sample(frame, None, grid, keep_ego_box=True)
+            sample = make_sample(frame, None, SampleRequest(grid, keep_ego_box=True))
             assert sample.boxes.object_id.tolist() == expected[f"{mode}/{k}/object_ids"].tolist()
             want = goldens.ours(expected[f"{mode}/{k}/object_bbx_center"])
             # Ours are upright in the world before they are upright in the ego's frame: second order in the tilt.
@@ -60,17 +60,19 @@ def test_the_ego_is_the_first_vehicle_and_comes_first():
 
 def test_agents_out_of_range_or_over_the_limit_do_not_take_part():
     frame = toy_frame(0)
-    assert make_sample(frame, None, GRID, comm_range_m=25.0).agent_ids == (1000, -1)
-    assert make_sample(frame, None, GRID, comm_range_m=0.0).agent_ids == (1000,)
-    assert make_sample(frame, None, GRID, max_agents=2).agent_ids == (1000, 1002)
+    assert make_sample(frame, None, SampleRequest(GRID, comm_range_m=25.0)).agent_ids == (1000, -1)
+    assert make_sample(frame, None, SampleRequest(GRID, comm_range_m=0.0)).agent_ids == (1000,)
+    assert make_sample(frame, None, SampleRequest(GRID, max_agents=2)).agent_ids == (1000, 1002)
 
 
 def test_by_folders_an_agent_out_of_range_takes_the_place_of_one_in_range():
     frame = toy_frame(0)  # the second folder's agent is 30 m away, the third's 25 m
-    assert make_sample(frame, None, GRID, comm_range_m=25.0, max_agents=2).agent_ids == (1000, -1)
-    assert make_sample(frame, None, GRID, comm_range_m=25.0, max_agents=2, team_by="folders").agent_ids == (1000,)
-    assert make_sample(frame, None, GRID, comm_range_m=25.0, team_by="folders").agent_ids == (1000, -1)
-    assert make_sample(frame, -1, GRID, max_agents=2, team_by="folders").agent_ids == (-1, 1000)
+    assert make_sample(frame, None, SampleRequest(GRID, comm_range_m=25.0, max_agents=2)).agent_ids == (1000, -1)
+    assert make_sample(
+        frame, None, SampleRequest(GRID, comm_range_m=25.0, max_agents=2, team_by="folders")
+    ).agent_ids == (1000,)
+    assert make_sample(frame, None, SampleRequest(GRID, comm_range_m=25.0, team_by="folders")).agent_ids == (1000, -1)
+    assert make_sample(frame, -1, SampleRequest(GRID, max_agents=2, team_by="folders")).agent_ids == (-1, 1000)
 
 
 def test_opencood_judges_by_its_own_range_whatever_the_detectors(tmp_path: Path):
@@ -79,7 +81,8 @@ def test_opencood_judges_by_its_own_range_whatever_the_detectors(tmp_path: Path)
     small = ModelSettings(grid=GridSpec((-51.2, -25.6, -3.0, 51.2, 25.6, 1.0)), judged_by="opencood")
     beyond = 0
     for k, frame in enumerate(frames):
-        sample, own = sample_for(small, frame, None), sample_for(changed(small, judged_by="grid"), frame, None)
+        sample = make_sample(frame, None, small.request)
+        own = make_sample(frame, None, changed(small, judged_by="grid").request)
         assert sample.boxes.object_id.tolist() == expected[f"test/{k}/object_ids"].tolist()
         assert set(own.boxes.object_id.tolist()) <= set(sample.boxes.object_id.tolist())
         assert [len(cloud) for cloud in sample.clouds] == [len(cloud) for cloud in own.clouds]
@@ -89,14 +92,11 @@ def test_opencood_judges_by_its_own_range_whatever_the_detectors(tmp_path: Path)
 
 def test_a_sample_is_made_as_the_settings_of_its_detector_say():
     frame = toy_frame(0)
-
-    class Foreign:
-        grid = GRID
-
-    assert sample_for(Foreign(), frame, None).agent_ids == make_sample(frame, None, GRID).agent_ids
+    with pytest.warns(FutureWarning, match="SampleRequest"):
+        assert make_sample(frame, None, GRID, max_agents=1).agent_ids == (1000,)
     two = ModelSettings(grid=GridSpec((-140.8, -40.0, -6.0, 140.8, 40.0, 2.8)), rec=False, max_agents=2)
-    assert sample_for(two, frame, 1002).agent_ids == (1002, 1000)
-    assert sample_for(two, frame, None, cooperative=False).agent_ids == (1000,)
+    assert make_sample(frame, 1002, two.request).agent_ids == (1002, 1000)
+    assert make_sample(frame, None, two.request, cooperative=False).agent_ids == (1000,)
 
 
 def test_clouds_of_all_agents_lie_on_the_same_objects():
@@ -113,12 +113,14 @@ def test_boxes_are_vehicles_with_a_point_of_any_agent_without_the_ego():
     sample = make_sample(toy_frame(0), None, GRID)
     assert sample.boxes.object_id.tolist() == [1001, 1002, 1004]
     assert [b.object_id.tolist() for b in sample.agent_boxes] == [[1001, 1002, 1004], [1001], [1001, 1002, 1004]]
-    kept = make_sample(toy_frame(0), None, GRID, keep_ego_box=True)
+    kept = make_sample(toy_frame(0), None, SampleRequest(GRID, keep_ego_box=True))
     assert kept.boxes.object_id.tolist() == [1000, 1001, 1002, 1004]
 
 
 def test_vulnerable_road_users_are_another_ground_truth_of_the_same_clouds():
-    vehicles, others = (make_sample(toy_frame(0), None, GRID, users=users) for users in ("vehicles", "vulnerable"))
+    vehicles, others = (
+        make_sample(toy_frame(0), None, SampleRequest(GRID, users=users)) for users in ("vehicles", "vulnerable")
+    )
     assert others.boxes.object_id.tolist() == [1003]  # a pedestrian
     assert all((one == other).all() for one, other in zip(vehicles.clouds, others.clouds, strict=True))
 

@@ -14,7 +14,7 @@ from dsrc.data.checksums import faulty_files
 from dsrc.data.datasets.spec import log_settings
 from dsrc.data.formats.opv2v.reader import DriveReader
 from dsrc.data.formats.yaml import read_yaml
-from dsrc.data.sample import make_sample
+from dsrc.data.sample import SampleRequest, make_sample
 from dsrc.data.write import generate
 from dsrc.ops.grid import GridSpec
 from sensors.recording.record import record
@@ -60,7 +60,7 @@ def test_a_drive_is_named_by_scenario_and_seed_and_complete(drive: Path):
 
 
 def test_a_generated_frame_makes_a_sample(drive: Path):
-    sample = make_sample(DriveReader(drive).read(0), None, GridSpec(), comm_range_m=200.0)
+    sample = make_sample(DriveReader(drive).read(0), None, SampleRequest(GridSpec(), comm_range_m=200.0))
     assert len(sample.clouds) == 3 and all(len(c) for c in sample.clouds)
 
 

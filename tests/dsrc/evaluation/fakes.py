@@ -1,11 +1,10 @@
 """Fakes: a detector that reads the truth, a corruption by a number, and a drive from formulas."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.data.sample import SampleRequest
 from dsrc.evaluation.conditions import Condition, corruption_kinds
 from dsrc.evaluation.detect import evaluate_drive, frame_positions, join_results
 from dsrc.evaluation.metrics.ap import evaluate_matches
@@ -21,7 +20,7 @@ class PointCounter:
     """Detects exactly the true boxes that hold enough points of the clouds that it is given."""
 
     def __init__(self, need=3, offset=0.0, grid=GRID):
-        self.settings = SimpleNamespace(grid=grid)
+        self.settings = SampleRequest(grid)
         self.need, self.offset = need, offset
         self.seen = []
 

@@ -1,13 +1,12 @@
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.sample import make_sample
+from dsrc.data.sample import OPENCOOD_RANGE_M, SampleRequest, make_sample
 from dsrc.evaluation.conditions import Condition, corruption_kinds
 from dsrc.evaluation.detect import Method, corrupted, first_agents, frame_positions, warn_of_slow_drives
 from dsrc.evaluation.results import find_row
@@ -72,7 +71,7 @@ def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives):
 def test_judged_by_opencood_a_method_has_the_truth_that_opencood_has(tmp_path):
     mini, expected = goldens.unpack_opv2v_mini(tmp_path), goldens.load("opv2v_mini_expected")
     theirs, inside = PointCounter(need=0), PointCounter(need=0)
-    theirs.settings = SimpleNamespace(grid=GRID, judged_by="opencood", team_by="folders")
+    theirs.settings = SampleRequest(GRID, team_by="folders", keep_ego_box=True, truth_range_m=OPENCOOD_RANGE_M)
     rows = detect_all([Method("theirs", theirs), Method("ours", inside)], list_drives(mini))
     ids = [expected[f"test/{k}/object_ids"].tolist() for k in range(rows[0].frames)]
     assert [sample.boxes.object_id.tolist() for sample in theirs.seen] == ids
@@ -84,7 +83,7 @@ def test_each_method_is_judged_on_its_own_road_users_and_team_whoever_runs_besid
     def found(*settings):
         methods = [Method(str(k), PointCounter(need=0)) for k in range(len(settings))]
         for method, more in zip(methods, settings, strict=True):
-            method.detector.settings = SimpleNamespace(grid=GRID, **more)
+            method.detector.settings = SampleRequest(GRID, **more)
         detect_all(methods, drives, ("clean",))
         return [[(s.agent_ids, s.boxes.object_id.tolist()) for s in m.detector.seen] for m in methods]
 
@@ -104,7 +103,7 @@ def test_a_helper_whose_pose_is_wrong_stays_in_range_and_what_it_sees_in_the_tru
 
     monkeypatch.setattr("sensors.corruptions.corrupt_frame", moved)
     detector = PointCounter(need=0)
-    detector.settings = SimpleNamespace(grid=GRID, comm_range_m=25.0)
+    detector.settings = SampleRequest(GRID, comm_range_m=25.0)
     detect_all([Method("a", detector)], drives, ("fog",))
     clean, wrong = detector.seen[::2], detector.seen[1::2]
     assert {sample.agent_ids for sample in detector.seen} == {(1000, -1)}

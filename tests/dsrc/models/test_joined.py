@@ -8,7 +8,7 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.__main__ import main
-from dsrc.data.sample import sample_for
+from dsrc.data.sample import make_sample
 from dsrc.models.detector import Detector
 from dsrc.models.joined import JoinedDetectors, tiles_of
 from dsrc.models.storage.checkpoint import load_joined, load_student, save_detector
@@ -31,7 +31,7 @@ def detectors() -> tuple[Detector, Detector]:
 def test_joined_detectors_find_what_each_finds_best_first() -> None:
     first, second = detectors()
     joined = JoinedDetectors((first, second))
-    sample = sample_for(joined.settings, toy_frame(0), None)
+    sample = make_sample(toy_frame(0), None, joined.settings.request)
     parts, found = (first.detect(sample), second.detect(sample)), joined.detect(sample)
     assert min(len(part) for part in parts) > 0 and len(found) == sum(len(part) for part in parts)
     assert (np.diff(found.score) <= 0).all()
@@ -63,7 +63,7 @@ def test_a_file_of_joined_detectors_finds_what_they_find(tmp_path: Path) -> None
     joined, out = JoinedDetectors(detectors()), tmp_path / "both.pt"
     main(["model", "join", *map(str, files), "--out", str(out)])
     read = load_joined(out, engine="plain")
-    sample = sample_for(joined.settings, toy_frame(0), None)
+    sample = make_sample(toy_frame(0), None, joined.settings.request)
     found, expected = read.detect(sample), joined.detect(sample)
     np.testing.assert_array_equal(found.boxes.array, expected.boxes.array)
     assert load_joined(out, fusion="late").settings.fusion == "late"

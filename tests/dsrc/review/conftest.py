@@ -3,12 +3,11 @@
 import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from dsrc.data.sample import Sample
+from dsrc.data.sample import Sample, SampleRequest
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from dsrc.review.model import ReviewModel
@@ -109,7 +108,7 @@ class FakeDrive:
 class FakeDetector:
     """Finds all but the last object of a sample, and one ghost with a low score."""
 
-    settings: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(grid=GridSpec()))
+    settings: SampleRequest = field(default_factory=lambda: SampleRequest(GridSpec()))
     samples: list[Sample] = field(default_factory=list)
 
     def detect(self, sample: Sample) -> Detections:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.data.sample import Sample, make_sample
+from dsrc.data.sample import Sample, SampleRequest, make_sample
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.inputs.labels import LabelSettings, cells_in_boxes
@@ -150,7 +150,7 @@ def test_a_preset_trains_its_teacher_and_its_student_and_resumes_exactly(preset,
 def test_a_full_network_takes_a_step(preset) -> None:
     recipe = preset()
     module = DetectionModule(recipe, *(Detector(recipe.settings(stage)) for stage in ("student", "teacher"))).train()
-    sample = make_sample(frame(0), 1000, recipe.model.grid, keep_ego_box=recipe.labels.ego_box)
+    sample = make_sample(frame(0), 1000, SampleRequest(recipe.model.grid, keep_ego_box=recipe.labels.ego_box))
     moving = recipe.distill.teacher_norms == "moving"
     losses = module.losses(collate([sample], recipe.model, True, recipe.labels, objects=moving))
     sum(losses.values()).backward()

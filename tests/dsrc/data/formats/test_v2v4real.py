@@ -9,7 +9,7 @@ import yaml
 from dsrc.data.drives import open_drives
 from dsrc.data.formats.pcd import encode_table
 from dsrc.data.formats.yaml import read_yaml
-from dsrc.data.sample import make_sample
+from dsrc.data.sample import SampleRequest, make_sample
 from dsrc.ops.grid import GridSpec
 from sim.boxes import CLASSES
 from sim.errors import DataError
@@ -102,7 +102,9 @@ def test_ids_follow_an_object_and_are_nobodys_own(drive: Path):
     ids = [reader.read(i).truth.object_id.tolist() for i in range(3)]
     assert ids[0] == ids[1] == ids[2] and len(set(ids[0])) == 3
     assert not set(ids[0]) & set(reader.agents)
-    sample = make_sample(reader.read(0), 0, GridSpec((-100, -100, -10, 100, 100, 10)), comm_range_m=100.0)
+    sample = make_sample(
+        reader.read(0), 0, SampleRequest(GridSpec((-100, -100, -10, 100, 100, 10)), comm_range_m=100.0)
+    )
     assert len(sample.boxes) == 2  # the car and the truck; people are no vehicles
 
 
@@ -118,9 +120,9 @@ def test_an_agents_own_car_has_its_id(drive: Path):
     frame = open_drives(drive)[0].read(0)
     assert frame.truth.object_id[0] == 1 and len(frame.truth) == 4
     assert np.allclose(frame.truth.center[0, :2], lidar(1, 0)[:2, 3])
-    grid = GridSpec((-100, -100, -10, 100, 100, 10))
-    assert len(make_sample(frame, 0, grid, comm_range_m=100.0).boxes) == 3  # the other car is one for the first
-    assert len(make_sample(frame, 1, grid, comm_range_m=100.0).boxes) == 2  # and none for itself
+    wide = SampleRequest(GridSpec((-100, -100, -10, 100, 100, 10)), comm_range_m=100.0)
+    assert len(make_sample(frame, 0, wide).boxes) == 3  # the other car is one for the first
+    assert len(make_sample(frame, 1, wide).boxes) == 2  # and none for itself
 
 
 def test_velocities_are_differences_of_places(drive: Path):

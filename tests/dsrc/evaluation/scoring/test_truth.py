@@ -9,7 +9,7 @@ import pytest
 from dsrc.data.datasets.convert import convert
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.sample import OPENCOOD_RANGE_M, make_sample
+from dsrc.data.sample import OPENCOOD_RANGE_M, SampleRequest, make_sample
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
 from dsrc.evaluation.scoring.frames import FrameKey, Truth, select
 from dsrc.evaluation.scoring.truth import read_truth, truth_of_frame
@@ -35,7 +35,7 @@ def test_opencoods_protocol_takes_the_boxes_that_opencood_judges(tmp_path: Path,
         for i in range(len(reader)):
             frame = reader.read(i)
             settings = {"keep_ego_box": keep_ego, "team_by": "folders", "truth_range_m": OPENCOOD_RANGE_M}
-            sample = make_sample(frame, None, GRID, **settings)
+            sample = make_sample(frame, None, SampleRequest(GRID, **settings))
             found = ids_in("opencood" if keep_ego else "opencood-no-ego", truth_of_frame(frame))
             assert found == set(sample.boxes.object_id.tolist()) and found
 

@@ -4,7 +4,6 @@ import csv
 import json
 import shutil
 from dataclasses import replace
-from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -15,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from dsrc.__main__ import main
-from dsrc.data.sample import Sample
+from dsrc.data.sample import Sample, SampleRequest
 from dsrc.evaluation.sharing import drives
 from dsrc.evaluation.sharing.cells import ShareRow
 from dsrc.evaluation.sharing.drives import frames_looked_at, share_drives
@@ -68,7 +67,7 @@ def boxes_at(*places: float) -> Boxes:
 class Says:
     """Detector of what a function of the team says: places along x and scores."""
 
-    settings = SimpleNamespace(grid=GRID)
+    settings = SampleRequest(GRID)
 
     def __init__(self, says):
         self.says = says

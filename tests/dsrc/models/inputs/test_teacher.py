@@ -5,7 +5,7 @@ import pytest
 
 from dsrc.data.drives import list_drives
 from dsrc.data.formats.opv2v.reader import DriveReader
-from dsrc.data.sample import Sample, make_sample
+from dsrc.data.sample import Sample, SampleRequest, make_sample
 from dsrc.models.inputs.teacher import teacher_clouds
 from dsrc.ops.grid import GridSpec
 from sim.boxes import Boxes
@@ -42,7 +42,9 @@ def test_the_golden_trees_teacher_clouds_have_the_references_sizes(tmp_path: Pat
     for drive in list_drives(goldens.unpack_opv2v_mini(tmp_path)):
         reader = DriveReader(drive)
         for i in range(len(reader)):
-            made = teacher_clouds(make_sample(reader.read(i), None, GridSpec(), keep_ego_box=True), "hull")
+            made = teacher_clouds(
+                make_sample(reader.read(i), None, SampleRequest(GridSpec(), keep_ego_box=True)), "hull"
+            )
             sizes = [len(c) for c in (*made.clouds, *made.object_clouds)]
             assert sizes == expected[f"train/{k}/n_points_paint"].tolist()
             k += 1

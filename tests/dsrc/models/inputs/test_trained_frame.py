@@ -10,7 +10,7 @@ from msgspec.structs import replace as changed
 
 from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.sample import Sample, make_sample
+from dsrc.data.sample import Sample, SampleRequest, make_sample
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.inputs.batch import collate
@@ -51,7 +51,9 @@ def mirror_image(sample: Sample) -> Sample:
 def test_the_pillars_of_a_tree_are_the_references(tmp_path: Path) -> None:
     mini = goldens.unpack_opv2v_mini(tmp_path)
     settings = ModelSettings(sdd=False, pcp=False, rec=False, **LEFT)
-    sample = make_sample(open_drive(list_drives(mini)[0]).read(0), None, settings.grid, keep_ego_box=True)
+    sample = make_sample(
+        open_drive(list_drives(mini)[0]).read(0), None, SampleRequest(settings.grid, keep_ego_box=True)
+    )
     pillars = collate([sample], settings, training=False).student
     with np.load(FIXTURES / "opv2v_mini_pillars.npz") as expected:
         for agent in range(3):
@@ -90,7 +92,7 @@ def test_an_imported_network_finds_the_references_boxes_in_a_tree(tmp_path: Path
     detector.settings = changed(detector.settings, intensity_steps=None)
     clouds = [arrays[f"points/{i}"] for i in range(3)]
     drive = open_drive(written_tree(tmp_path, clouds))
-    sample = make_sample(drive.read(0), None, grid, comm_range_m=1.0)
+    sample = make_sample(drive.read(0), None, SampleRequest(grid, comm_range_m=1.0))
     assert [len(cloud) for cloud in sample.clouds] == [
         int(((c[:, :3] > grid.range_m[:3]) & (c[:, :3] < grid.range_m[3:])).all(1).sum()) for c in clouds
     ]

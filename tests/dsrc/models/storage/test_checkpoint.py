@@ -6,7 +6,7 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.data.sample import make_sample
+from dsrc.data.sample import SampleRequest, make_sample
 from dsrc.models.detector import Detector, Output
 from dsrc.models.inputs.batch import collate
 from dsrc.models.storage.checkpoint import load_detector, load_student, read_meta, save_detector, with_fusion
@@ -125,7 +125,9 @@ def test_settings_that_make_no_network_are_refused(tmp_path: Path, change: dict,
 
 def output_of(teacher: Detector, agents: int) -> Output:
     """Return what a teacher makes of the first agents of a frame with three."""
-    sample = make_sample(frame(0, ground=300, per_car=60), None, teacher.settings.grid, max_agents=agents)
+    sample = make_sample(
+        frame(0, ground=300, per_car=60), None, SampleRequest(teacher.settings.grid, max_agents=agents)
+    )
     batch = collate([sample], teacher.settings, training=False)
     assert batch.teacher is not None
     with torch.inference_mode():

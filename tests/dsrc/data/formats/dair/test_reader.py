@@ -11,7 +11,7 @@ from dsrc.data.drives import list_drives, open_drive, open_drives
 from dsrc.data.formats.dair.reader import DairReader
 from dsrc.data.formats.levelling import occlusion
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.sample import make_sample
+from dsrc.data.sample import SampleRequest, make_sample
 from dsrc.ops.grid import GridSpec
 from sensors.sweep import POINT_FIELDS
 from sim.boxes import CLASSES
@@ -90,7 +90,7 @@ def test_a_labelled_object_has_at_least_one_point(root: Path):
     frame = open_drive(root / "12").read(0)
     # It is nearer to the infrastructure than to the vehicle.
     assert frame.points_on[:, 3].tolist() == [0, 1]
-    sample = make_sample(frame, None, GridSpec((-200, -200, -20, 200, 200, 20)), comm_range_m=200.0)
+    sample = make_sample(frame, None, SampleRequest(GridSpec((-200, -200, -20, 200, 200, 20)), comm_range_m=200.0))
     assert 4 in sample.boxes.object_id
 
 
@@ -105,7 +105,7 @@ def test_the_vehicle_itself_is_known_by_where_its_lidar_stands(root: Path):
     assert frame.truth.object_id.tolist() == [0, 1, 2, 3]
     assert np.allclose(frame.truth.array[0], own, atol=1e-6)
     assert (frame.points_on[:, 1:] == 60).all()
-    sample = make_sample(frame, 0, GridSpec((-200, -200, -20, 200, 200, 20)), comm_range_m=200.0)
+    sample = make_sample(frame, 0, SampleRequest(GridSpec((-200, -200, -20, 200, 200, 20)), comm_range_m=200.0))
     assert sample.boxes.object_id.tolist() == [1, 2, 3]
 
 
