@@ -1,7 +1,7 @@
 """Sweep: points of one rotation of one LiDAR."""
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, Self, get_args
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from sensors.motion import Path
 from sensors.spec import LidarSpec
 from sim.errors import DataError, complaint
 from sim.geometry import invert, transform_points
+from sim.rows import Rows
 
 Motion = Literal["middle", "start", "end", "raw"]
 """Compensation of the sensor's own motion: all points in the sensor frame at the middle, start or end of the sweep, or
@@ -32,7 +33,7 @@ KEPT, ATTENUATED, MOVED, SCATTERED = range(4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sweep:
+class Sweep(Rows):
     """One rotation of one LiDAR; P points in the sensor frame at `time_s` (x forward, y left, z up).
 
     Raw points (see `motion`) are in the sensor frame at `time_s + time_offset` instead, each in its own.
@@ -55,6 +56,8 @@ class Sweep:
         motion: compensation of the sensor's motion; `sensors.deskew` changes it.
         lost: number of surface points that corruptions removed from the whole sweep; selecting points keeps it.
     """
+
+    SHARED: ClassVar = ("world_from_lidar", "time_s", "spec", "path", "motion", "lost")
 
     points: NDArray[np.float32]
     intensity: NDArray[np.float32]
@@ -80,21 +83,6 @@ class Sweep:
         for name in POINT_FIELDS[1:]:
             if getattr(self, name).shape != (n,):
                 raise ValueError(f"Sweep.{name} must have shape ({n},), got {getattr(self, name).shape}")
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Self:
-        """Select points by a mask, indices or a slice."""
-        if isinstance(rows, slice):
-            return replace(self, **{name: getattr(self, name)[rows] for name in POINT_FIELDS})
-        rows = np.asarray(rows)
-        if rows.dtype == bool:
-            if rows.shape != (len(self),):
-                raise IndexError(f"a mask for {len(self)} points must have shape ({len(self)},), got {rows.shape}")
-            # One search for all columns: a mask for each takes eight times as long.
-            rows = np.flatnonzero(rows)
-        return replace(self, **{name: getattr(self, name).take(rows, axis=0) for name in POINT_FIELDS})
 
     @property
     def range(self) -> NDArray[np.float32]:
@@ -214,11 +202,3 @@ def make_sweep(
         spec=spec,
         **filled,
     )
-
-
-def concatenate(sweep: Sweep, *others: Sweep) -> Sweep:
-    """Append the points of other sweeps of the same sensor, instant and motion; `lost` is the first one's."""
-    columns: dict[str, Any] = {
-        name: np.concatenate([getattr(s, name) for s in (sweep, *others)]) for name in POINT_FIELDS
-    }
-    return replace(sweep, **columns)

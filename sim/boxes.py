@@ -1,5 +1,6 @@
 """Upright boxes: corners, transforms, points in boxes and bird's-eye polygons."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim.geometry import pose_matrix, transform_points, wrap_angle
+from sim.rows import Rows, stacked
 
 CLASSES = ("car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian")
 """Class names by label index."""
@@ -24,7 +26,7 @@ _CORNER_SIGNS = np.array(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Boxes:
+class Boxes(Rows):
     """N upright boxes in one frame; the variable that holds them names the frame.
 
     Attributes:
@@ -65,13 +67,6 @@ class Boxes:
     def zeros(cls) -> Self:
         """Empty boxes."""
         return cls.from_array(np.zeros((0, 7)))
-
-    def __len__(self) -> int:
-        return len(self.center)
-
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Self:
-        """Select boxes by a mask, indices or a slice."""
-        return type(self)(self.center[rows], self.size[rows], self.yaw[rows], self.label[rows], self.object_id[rows])
 
     @property
     def array(self) -> NDArray[np.float64]:
@@ -133,14 +128,6 @@ class Boxes:
         return inside
 
 
-def concatenate(parts: list[Boxes]) -> Boxes:
+def concatenate(parts: Sequence[Boxes]) -> Boxes:
     """Stack boxes that share a frame."""
-    if not parts:
-        return Boxes.zeros()
-    return Boxes(
-        np.concatenate([p.center for p in parts]),
-        np.concatenate([p.size for p in parts]),
-        np.concatenate([p.yaw for p in parts]),
-        np.concatenate([p.label for p in parts]),
-        np.concatenate([p.object_id for p in parts]),
-    )
+    return stacked(*parts) if parts else Boxes.zeros()

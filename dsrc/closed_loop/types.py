@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sim.boxes import Boxes
 from sim.contact import Contact
 from sim.radio import Link
+from sim.rows import Rows
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, Limits, TrafficLight
 
@@ -34,7 +35,7 @@ class Percept:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracks:
+class Tracks(Rows):
     """Confirmed tracks at the present, world frame, rows sorted by track number.
 
     Attributes:
@@ -47,6 +48,8 @@ class Tracks:
         unseen_s: (N,) time since the last detection, s.
     """
 
+    SHARED: ClassVar = ("time_s",)
+
     time_s: float
     boxes: Boxes
     velocity: NDArray[np.float64]
@@ -54,9 +57,6 @@ class Tracks:
     position_sd: NDArray[np.float64]
     score: NDArray[np.float64]
     unseen_s: NDArray[np.float64]
-
-    def __len__(self) -> int:
-        return len(self.boxes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.boxes import Boxes
+from sim.rows import Rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detections:
+class Detections(Rows):
     """Detections of one frame, best first, in the ego LiDAR's coordinates unless named otherwise.
 
     Attributes:
@@ -29,10 +30,3 @@ class Detections:
     def zeros(cls) -> Self:
         """Return empty detections."""
         return cls(Boxes.zeros(), np.zeros(0, np.float32))
-
-    def __len__(self) -> int:
-        return len(self.boxes)
-
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Self:
-        """Select detections by a mask, indices or a slice."""
-        return type(self)(self.boxes[rows], self.score[rows])

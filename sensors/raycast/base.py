@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from sensors.optics.beams import Beams
 from sensors.optics.noise import SweepNoise
 from sensors.optics.reflectance import Optics
 from sensors.spec import LidarSpec
+from sim.rows import Rows
 
 
 class EngineUnavailable(Exception):
@@ -36,7 +37,7 @@ class Solid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bodies:
+class Bodies(Rows):
     """The N moving actors of one instant: ids, sizes, solids and paths.
 
     Attributes:
@@ -47,14 +48,13 @@ class Bodies:
         span_s: first and last instant of the sweeps, s.
     """
 
+    SHARED: ClassVar = ("span_s",)
+
     object_id: NDArray[np.int64]
     size: NDArray[np.float64]
     solids: tuple[Solid, ...]
     path: Path
     span_s: tuple[float, float]
-
-    def __len__(self) -> int:
-        return len(self.object_id)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,13 +1,14 @@
 """Traffic protocols, and the table of actors that every backend yields."""
 
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, Self
+from typing import ClassVar, Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.boxes import Boxes
 from sim.geometry import pose_matrix
+from sim.rows import Rows, stacked
 
 SIGNALS = {"right indicator": 1, "left indicator": 2, "hazard lights": 4, "brake light": 8}
 """Vehicle lights by name: bits of `Actors.signals`. SUMO sets others, which are not used."""
@@ -25,7 +26,7 @@ def lit(signals: int) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Actors:
+class Actors(Rows):
     """Road users at one instant, world frame, rows sorted by object id.
 
     Attributes:
@@ -41,6 +42,8 @@ class Actors:
         lane: (N,) ids of lanes in the road network, "" off the lanes.
     """
 
+    SHARED: ClassVar = ("time_s",)
+
     time_s: float
     boxes: Boxes
     pitch: NDArray[np.float64]
@@ -50,9 +53,6 @@ class Actors:
     name: tuple[str, ...]
     signals: NDArray[np.int32]
     lane: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.boxes)
 
     def world_from_body(self) -> NDArray[np.float64]:
         """Return (N, 4, 4) poses of the footprint centres at road level."""
@@ -73,24 +73,7 @@ class Actors:
 
     def joined(self, later: "Actors") -> "Actors":
         """Return these actors and later ones, whose ids are all higher, at the time of the later ones."""
-        ours, theirs = self.boxes, later.boxes
-        return Actors(
-            time_s=later.time_s,
-            boxes=Boxes(
-                center=np.concatenate([ours.center, theirs.center]),
-                size=np.concatenate([ours.size, theirs.size]),
-                yaw=np.concatenate([ours.yaw, theirs.yaw]),
-                label=np.concatenate([ours.label, theirs.label]),
-                object_id=np.concatenate([ours.object_id, theirs.object_id]),
-            ),
-            pitch=np.concatenate([self.pitch, later.pitch]),
-            velocity=np.concatenate([self.velocity, later.velocity]),
-            acceleration=np.concatenate([self.acceleration, later.acceleration]),
-            model=self.model + later.model,
-            name=self.name + later.name,
-            signals=np.concatenate([self.signals, later.signals]),
-            lane=self.lane + later.lane,
-        )
+        return replace(stacked(self, later), time_s=later.time_s)
 
     def rounded(self) -> Self:
         """Return the actors rounded to the recorded resolution (`POSITION_M` etc.); idempotent.

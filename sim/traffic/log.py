@@ -5,7 +5,6 @@ position at constant speed, a velocity from the positions, an acceleration from 
 and compress to a few bytes per actor and step.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -81,7 +80,7 @@ class TrafficLog:
         kept = np.unique(np.concatenate([np.zeros(0, np.int64), *inside]))
         log = type(self)(self.step_s, self.about)
         for actors in self._entries:
-            log.append(_rows_of(actors, np.flatnonzero(np.isin(actors.boxes.object_id, kept))))
+            log.append(actors[np.isin(actors.boxes.object_id, kept)])
         return log
 
     def save(self, path: Path | str) -> Path:
@@ -160,20 +159,6 @@ class TrafficLog:
 
 def _stack(parts: list[NDArray], shape: tuple[int, ...]) -> NDArray:
     return np.concatenate([np.zeros((0, *shape), parts[0].dtype if parts else np.int64), *parts])
-
-
-def _rows_of(actors: Actors, rows: NDArray[np.int64]) -> Actors:
-    return replace(
-        actors,
-        boxes=actors.boxes[rows],
-        pitch=actors.pitch[rows],
-        velocity=actors.velocity[rows],
-        acceleration=actors.acceleration[rows],
-        model=tuple(actors.model[row] for row in rows),
-        name=tuple(actors.name[row] for row in rows),
-        signals=actors.signals[rows],
-        lane=tuple(actors.lane[row] for row in rows),
-    )
 
 
 def _folded(rows: dict[str, NDArray[np.int64]], length: NDArray[np.int64], step_s: float) -> dict[str, NDArray]:

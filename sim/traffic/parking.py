@@ -1,7 +1,7 @@
 """Parked cars in bays at the kerb, seeded."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import shapely
@@ -9,6 +9,7 @@ import shapely
 from sim.geometry import Array, wrap_angle
 from sim.roads.kerbside import houses_of
 from sim.roads.networks import resolve_polygons
+from sim.rows import Rows
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
 from sim.vehicle_types import TYPES, VehicleType
@@ -29,7 +30,7 @@ _UNIT_CLEAR_M = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ParkedCars:
+class ParkedCars(Rows):
     """P parked cars beside lanes.
 
     Attributes:
@@ -39,13 +40,12 @@ class ParkedCars:
         bays: polygons of all bays, empty ones included.
     """
 
+    SHARED: ClassVar = ("bays",)
+
     base: Array
     yaw: Array
     kind: tuple[VehicleType, ...]
     bays: shapely.Geometry
-
-    def __len__(self) -> int:
-        return len(self.kind)
 
 
 def parked_cars(scenario: Scenario, net: Any, seed: int) -> ParkedCars:

@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensors.sweep import ADDED, POINT_FIELDS, STATIC, concatenate, make_sweep
+from sensors.sweep import ADDED, POINT_FIELDS, STATIC, make_sweep
 from sim.geometry import pose_matrix
+from sim.rows import stacked
 
 
 def test_columns_left_out_have_defaults():
@@ -33,9 +34,9 @@ def test_selection_selects_every_column():
 
 def test_concatenation_with_no_points_changes_nothing():
     sweep = make_sweep(np.ones((2, 3)), intensity=np.array([0.1, 0.2]))
-    joined = concatenate(sweep, make_sweep(np.zeros((0, 3))))
+    joined = stacked(sweep, make_sweep(np.zeros((0, 3))))
     assert len(joined) == 2
-    added = concatenate(sweep, make_sweep(np.zeros((1, 3)), object_id=np.array([ADDED])))
+    added = stacked(sweep, make_sweep(np.zeros((1, 3)), object_id=np.array([ADDED])))
     assert added.object_id.tolist() == [STATIC, STATIC, ADDED]
 
 
@@ -43,7 +44,7 @@ def test_lost_points_are_of_the_whole_sweep():
     assert make_sweep(np.ones((2, 3))).lost == 0
     sweep = replace(make_sweep(np.ones((4, 3))), lost=7)
     assert sweep[:2].lost == sweep[np.array([3])].lost == 7
-    assert concatenate(sweep[:2], sweep[2:]).lost == 7
+    assert stacked(sweep[:2], sweep[2:]).lost == 7
 
 
 def test_world_points_use_the_pose_in_double_precision():

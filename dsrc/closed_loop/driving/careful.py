@@ -14,7 +14,7 @@ import math
 import msgspec
 import numpy as np
 
-from dsrc.closed_loop.driving.planner import PlannerSettings, PlanningDriver, selected
+from dsrc.closed_loop.driving.planner import PlannerSettings, PlanningDriver
 from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Tracks
 
 G_MPS2 = 9.80665
@@ -69,7 +69,7 @@ class CarefulDriver:
         first = now if self._begun else -math.inf
         self._begun, self._since = True, {number: self._since.get(number, first) for number in numbers}
         known = np.array([now - self._since[number] >= s.perception_s - 1e-6 for number in numbers], bool)
-        plan = self._planner.decide(ego, selected(tracks, known))
+        plan = self._planner.decide(ego, tracks[known])
         risky = plan.acceleration_mps2 < -s.routine_mps2 and plan.reason not in ("free", "signal")
         if not risky:
             self._routine_mps2 = min(max(-plan.acceleration_mps2, 0.0), s.routine_mps2)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from dsrc.closed_loop.driving.path import STEP_M, Path
 from dsrc.closed_loop.driving.prediction import Prediction
 from sim.geometry import Array
+from sim.rows import Rows
 
 _COARSE = 8
 _SLOW_MPS = 0.5
@@ -37,7 +38,7 @@ class ClearanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Occupancy:
+class Occupancy(Rows):
     """Intervals of the ego's stations, m, in which it would touch a hypothesis: R hypotheses at T instants.
 
     An interval is open, and (inf, -inf) where nothing is blocked. The physical ones have the least clearance, the
@@ -62,9 +63,6 @@ class Occupancy:
     still: NDArray[np.bool_]
     row: NDArray[np.int64]
     likely: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        return len(self.row)
 
 
 def occupancy_of(path: Path, size: Array, prediction: Prediction, settings: ClearanceSettings) -> Occupancy:

@@ -107,7 +107,7 @@ class PlanningDriver:
         horizon_s, length_m = s.prediction.horizon_s, float(ego.box.size[0, 0])
         reach_m = length_m + _BEYOND_M + ego.speed_mps * horizon_s + 0.5 * s.following.acceleration_mps2 * horizon_s**2
         path = path_of(ego.route, float(ego.box.yaw[0]), s.lateral_mps2, reach_m)
-        tracks = selected(tracks, _relevant(ego, path, tracks, horizon_s))
+        tracks = tracks[_relevant(ego, path, tracks, horizon_s)]
         prediction = predict(tracks, self._accelerations(tracks), self._lanes or RouteLanes(path), s.prediction)
         occupancy = occupancy_of(path, ego.box.size[0, :2], prediction, s.clearance)
         line_m = self._stop_line(ego)
@@ -181,7 +181,7 @@ class PlanningDriver:
             return plain
         # Whom the ego stands beside, closer than it would pass, it may leave.
         leaves = (occupancy.near[:, 0, 0] < 0.0) & (occupancy.near[:, 1, 0] < 0.5 * ego.box.size[0, 0])
-        certain = _rows(occupancy, occupancy.likely & ~leaves)
+        certain = occupancy[occupancy.likely & ~leaves]
         near = _hits(plans, certain.near)
         near |= _ends_unsafe(plans, certain, s.end_mps2 + 2.0)
         wide = _hits(plans, np.where(_inside_now(certain)[:, None, None], certain.near, certain.wide))
@@ -224,7 +224,7 @@ class PlanningDriver:
     def _late(self, ego: EgoState, first: Array, occupancy: Occupancy, time_s: Array, top: float) -> NDArray[np.bool_]:
         """Return which first accelerations leave time to brake for unlikely hypotheses; all, where none does."""
         s = self.settings
-        doubtful = _rows(occupancy, ~occupancy.likely)
+        doubtful = occupancy[~occupancy.likely]
         if len(doubtful) == 0:
             return np.ones(len(first), bool)
         plans = profiles_of(ego.speed_mps, top, first, np.full(len(first), -s.late_mps2), s.late_s, time_s)
@@ -287,21 +287,6 @@ def _relevant(ego: EgoState, path: Path, tracks: Tracks, horizon_s: float) -> ND
     return keep
 
 
-def selected(tracks: Tracks, keep: NDArray[np.bool_]) -> Tracks:
-    """Return the tracks of an (N,) mask."""
-    if keep.all():
-        return tracks
-    return Tracks(
-        tracks.time_s,
-        tracks.boxes[keep],
-        tracks.velocity[keep],
-        tracks.yaw_rate[keep],
-        tracks.position_sd[keep],
-        tracks.score[keep],
-        tracks.unseen_s[keep],
-    )
-
-
 def _leaders(occupancy: Occupancy, time_s: Array, settings: PlannerSettings) -> list[tuple[float, float, int]]:
     """Return gap, m, speed along the path, m/s, and row of those who are on the path ahead or come onto it along it."""
     found = []
@@ -337,22 +322,6 @@ def _with_line(occupancy: Occupancy, line_m: float, steps: int) -> Occupancy:
         still=np.concatenate([occupancy.still, none == 0.0]),
         row=np.append(occupancy.row, -1),
         likely=np.append(occupancy.likely, True),
-    )
-
-
-def _rows(occupancy: Occupancy, keep: NDArray[np.bool_]) -> Occupancy:
-    o = occupancy
-    if keep.all():
-        return o
-    return Occupancy(
-        near=o.near[keep],
-        wide=o.wide[keep],
-        now=o.now[keep],
-        along_mps=o.along_mps[keep],
-        aligned=o.aligned[keep],
-        still=o.still[keep],
-        row=o.row[keep],
-        likely=o.likely[keep],
     )
 
 

@@ -5,6 +5,7 @@ Tracking*, FUSION 2008 (constant turn rate and velocity, CTRV).
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import msgspec
 import numpy as np
@@ -14,6 +15,7 @@ from dsrc.closed_loop.driving.lanes import LANE_STEP_M
 from dsrc.closed_loop.types import LaneMap, Tracks
 from sim.boxes import CLASSES
 from sim.geometry import Array
+from sim.rows import Rows
 
 _PEDESTRIAN = CLASSES.index("pedestrian")
 _CHOICE_S = 1.6
@@ -59,7 +61,7 @@ class PredictionSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
+class Prediction(Rows):
     """Predicted boxes of tracks: H hypotheses, one or more of each track, at T instants.
 
     Attributes:
@@ -74,6 +76,8 @@ class Prediction:
         likely: (H,) the likeliest hypothesis of its track.
     """
 
+    SHARED: ClassVar = ("time_s",)
+
     time_s: Array
     xy: Array
     yaw: Array
@@ -83,9 +87,6 @@ class Prediction:
     still: NDArray[np.bool_]
     row: NDArray[np.int64]
     likely: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        return len(self.row)
 
 
 def predict(

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.geometry import Array
+from sim.rows import Rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Profiles:
+class Profiles(Rows):
     """Speed profiles: P profiles at T instants.
 
     Attributes:
@@ -22,9 +23,6 @@ class Profiles:
     then_mps2: Array
     along_m: Array
     speed_mps: Array
-
-    def __len__(self) -> int:
-        return len(self.first_mps2)
 
 
 def profiles_of(

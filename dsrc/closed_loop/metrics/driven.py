@@ -1,17 +1,19 @@
 """Motion that an ego drove, and the other road users around it, as a log has them."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.closed_loop.log import EpisodeLog
 from sim.boxes import Boxes, concatenate
+from sim.rows import Rows
 from sim.traffic.base import Actors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class Motion(Rows):
     """Ground truth of the ego over T steps before its first contact.
 
     A crash changes speeds at once; what it does to them is no driving.
@@ -24,6 +26,8 @@ class Motion:
         actors: T tables of all road users.
         ego_id: object id of the ego.
     """
+
+    SHARED: ClassVar = ("ego_id",)
 
     boxes: Boxes
     time_s: NDArray[np.float64]
@@ -50,9 +54,6 @@ class Motion:
             actors=tuple(actors),
             ego_id=ego_id,
         )
-
-    def __len__(self) -> int:
-        return len(self.time_s)
 
     @property
     def speed_mps(self) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """Rows of the tracker: the boxes of a percept, and the tracks."""
 
-from dataclasses import dataclass, fields
-from typing import Self
+from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from dsrc.closed_loop.tracking.filter import YAW, Parameters, State, rotated
 from dsrc.closed_loop.types import Percept
 from sim.boxes import CLASSES, VEHICLES
+from sim.rows import Rows
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 _TWO_WHEELERS = ("motorcycle", "bicycle")
 KIND = np.array([0 if name in VEHICLES else 1 if name in _TWO_WHEELERS else 2 for name in CLASSES])
@@ -22,7 +23,7 @@ pedestrian and a bicycle from percept to percept, but a vehicle is neither."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class Measured(Rows):
     """Boxes of a percept in an order of their own values, best score first.
 
     Attributes:
@@ -35,9 +36,11 @@ class Measured:
         variance: (N, 2, 2) of the centres, m2.
     """
 
+    SHARED: ClassVar = ("time_s",)
+
     time_s: float
     box: Array
-    label: Rows
+    label: Integers
     score: Array
     velocity: Array
     reported: NDArray[np.bool_]
@@ -70,14 +73,9 @@ class Measured:
         variance = rotated(box[:, 6], along, across)
         return cls(percept.time_s, box, label, score[order], velocity[order], reported, variance)
 
-    def rows(self, rows: Rows) -> Self:
-        """Return some boxes."""
-        columns = (getattr(self, field.name)[rows] for field in fields(self)[1:])
-        return type(self)(self.time_s, *columns)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bank:
+class Bank(Rows):
     """Tracks at one instant, in order of birth.
 
     Attributes:
@@ -97,43 +95,30 @@ class Bank:
         number: (N,) number of the track, -1 while it is tentative.
     """
 
+    SHARED: ClassVar = ("time_s",)
+
     time_s: float
     state: State
     z: Array
     sizes: Array
-    counts: Rows
+    counts: Integers
     votes: Array
     push: Array
     facing: Array
     score: Array
     evidence: Array
-    needed: Rows
+    needed: Integers
     seen_s: Array
-    birth: Rows
-    number: Rows
-
-    def rows(self, rows: Rows | NDArray[np.bool_]) -> "Bank":
-        """Return some tracks."""
-        columns = (getattr(self, field.name)[rows] for field in fields(self)[2:])
-        return Bank(self.time_s, self.state.rows(rows), *columns)
-
-    def joined(self, later: "Bank") -> "Bank":
-        """Return these tracks and later ones."""
-        state = State(
-            np.concatenate([self.state.mean, later.state.mean]),
-            np.concatenate([self.state.covariance, later.state.covariance]),
-        )
-        names = [field.name for field in fields(self)[2:]]
-        columns = (np.concatenate([getattr(self, name), getattr(later, name)]) for name in names)
-        return Bank(self.time_s, state, *columns)
+    birth: Integers
+    number: Integers
 
     @property
-    def label(self) -> Rows:
+    def label(self) -> Integers:
         """(N,) class of most votes, of those that a detection had."""
         return np.where(self.counts > 0, self.votes, -1.0).argmax(axis=1)
 
     @property
-    def hits(self) -> Rows:
+    def hits(self) -> Integers:
         """(N,) number of detections."""
         return self.counts.sum(axis=1)
 

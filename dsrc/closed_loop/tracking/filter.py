@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from sim.geometry import wrap_angle
+from sim.rows import Rows
 
 Array = NDArray[np.float64]
 
@@ -48,7 +49,7 @@ class Parameters(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class State(Rows):
     """Estimates of N road users, world frame.
 
     Attributes:
@@ -58,10 +59,6 @@ class State:
 
     mean: Array
     covariance: Array
-
-    def rows(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "State":
-        """Return the estimates of some rows."""
-        return State(self.mean[rows], self.covariance[rows])
 
     def replaced(self, rows: NDArray[np.integer], other: "State") -> "State":
         """Return the estimates with some rows from another state."""

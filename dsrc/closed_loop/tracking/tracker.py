@@ -33,9 +33,10 @@ from dsrc.closed_loop.tracking.settings import Motion, TrackerSettings
 from dsrc.closed_loop.types import Percept, Tracks
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import wrap_angle
+from sim.rows import stacked
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 _SLOTS = 1 << 20
 """More than twice the boxes of any percept: number of a percept and row of a box make one number."""
@@ -130,7 +131,7 @@ class Tracker:
         tracks, found, bank = self._associated(bank, measured)
         if step.may_start:
             tracks, found, bank = self._with_crossing(bank, measured, tracks, found, step.serial)
-        bank = self._matched(bank, tracks, measured.rows(found))
+        bank = self._matched(bank, tracks, measured[found])
 
         unseen = np.ones(len(bank.z), bool)
         unseen[tracks] = False
@@ -143,10 +144,10 @@ class Tracker:
         # The box that refutes a track may be another road user's first.
         fresh = (measured.score >= settings.start_score) & step.may_start
         fresh[found[~ended[tracks]]] = False
-        bank = bank.rows(~ended)
+        bank = bank[~ended]
 
         if fresh.any():
-            bank = bank.joined(self._start(measured.rows(np.flatnonzero(fresh)), step.serial, measured.time_s))
+            bank = stacked(bank, self._start(measured[np.flatnonzero(fresh)], step.serial, measured.time_s))
         return self._merged(self._numbered(bank))
 
     def _predicted(self, bank: Bank, time_s: float) -> tuple[Bank, float]:
@@ -155,7 +156,7 @@ class Tracker:
         since_s = time_s - bank.time_s if np.isfinite(bank.time_s) else 0.0
         bank = replace(bank, time_s=time_s)
         if (forgotten := time_s - bank.seen_s > settings.forget_s).any():
-            bank = bank.rows(~forgotten)
+            bank = bank[~forgotten]
         # White residuals have a running mean near 0, of a known deviation: one that pushes on brakes or accelerates.
         white = (settings.push_gain / (2.0 - settings.push_gain)) ** 0.5
         p = Parameters.of(self._table[bank.label])
@@ -167,9 +168,9 @@ class Tracker:
         """Return the boxes without those that overlap a better one of their group; owners' reports always differ."""
         both = measured.reported[:, None] & measured.reported[None, :]
         same = self._in_one_place(measured, measured, ~both & ~np.eye(len(both), dtype=bool))
-        return measured.rows(originals(same)) if same.any() else measured
+        return measured[originals(same)] if same.any() else measured
 
-    def _associated(self, bank: Bank, measured: Measured) -> tuple[Rows, Rows, Bank]:
+    def _associated(self, bank: Bank, measured: Measured) -> tuple[Integers, Integers, Bank]:
         """Return rows of tracks, rows of their boxes, and tracks whose estimate was too certain for theirs, widened."""
         settings = self.settings
         mean, covariance = bank.state.mean, bank.state.covariance
@@ -196,8 +197,8 @@ class Tracker:
         return tracks, found, bank
 
     def _with_crossing(
-        self, bank: Bank, measured: Measured, tracks: Rows, found: Rows, serial: int
-    ) -> tuple[Rows, Rows, Bank]:
+        self, bank: Bank, measured: Measured, tracks: Integers, found: Integers, serial: int
+    ) -> tuple[Integers, Integers, Bank]:
         """Return the pairs of `_associated` and those of new tracks: of road users that their first box lay across.
 
         A detector may know a place and not the heading, so that a road user moves sideways from its first box to its
@@ -210,7 +211,7 @@ class Tracker:
         rest = np.setdiff1d(np.arange(len(measured.score)), found)
         if not (len(once) and len(rest)):
             return tracks, found, bank
-        first, second, gate = bank.rows(once), measured.rows(rest), self.settings.gate**2
+        first, second, gate = bank[once], measured[rest], self.settings.gate**2
         state = lying_across(first.state)
         offset = second.box[None, :, :2] - state.mean[:, None, :2]
         distance = squared_distances(offset, state.covariance[:, None, :2, :2] + second.variance[None])
@@ -218,18 +219,18 @@ class Tracker:
         rows, theirs = assigned(distance, alike & (distance <= gate), gate)
         place = np.arange(len(rows))
         crossing = replace(
-            replace(first, state=state).rows(rows),
+            replace(first, state=state)[rows],
             birth=serial * _SLOTS + _SLOTS // 2 + place,
             needed=np.full(len(rows), 3),
             number=np.full(len(rows), -1),
         )
-        return np.append(tracks, len(bank.z) + place), np.append(found, rest[theirs]), bank.joined(crossing)
+        return np.append(tracks, len(bank.z) + place), np.append(found, rest[theirs]), stacked(bank, crossing)
 
-    def _matched(self, bank: Bank, tracks: Rows, measured: Measured) -> Bank:
+    def _matched(self, bank: Bank, tracks: Integers, measured: Measured) -> Bank:
         """Return the tracks after the boxes (K) of some of them (K)."""
         settings, reported = self.settings, measured.reported
         table = self._table[bank.label[tracks]]
-        p, state = Parameters.of(table), bank.state.rows(tracks)
+        p, state = Parameters.of(table), bank.state[tracks]
 
         offset, variance = measured.box[:, :2] - state.mean[:, :2], measured.variance
         ahead = np.column_stack([np.cos(state.mean[:, YAW]), np.sin(state.mean[:, YAW])])
@@ -254,12 +255,12 @@ class Tracker:
         state = with_pose(state, measured.box[:, :2], variance, residual, yaw_rad)
 
         if (known := np.flatnonzero(reported)).size:
-            told = with_velocity(state.rows(known), measured.velocity[known], settings.reported_velocity_mps)
+            told = with_velocity(state[known], measured.velocity[known], settings.reported_velocity_mps)
             state = state.replaced(known, told)
         if (rolling := np.flatnonzero(np.isfinite(p.slip_mps) & ~reported)).size:
-            state = state.replaced(rolling, without_slip(state.rows(rolling), Parameters.of(table[rolling])))
+            state = state.replaced(rolling, without_slip(state[rolling], Parameters.of(table[rolling])))
         if (free := np.flatnonzero(~reported)).size:
-            state = state.replaced(free, facing_forward(state.rows(free), settings.direction_mps))
+            state = state.replaced(free, facing_forward(state[free], settings.direction_mps))
 
         # A box that overlaps the track beyond the gate is of it as well, and counts as one at the gate.
         expected = bank.state.covariance[tracks, :2, :2] + variance
@@ -367,7 +368,7 @@ class Tracker:
         if seen.all():
             return bank
         lost, found = np.flatnonzero(~seen), np.flatnonzero(seen)
-        same = self._in_one_place(bank.rows(lost), bank.rows(found), np.ones((len(lost), len(found)), bool))
+        same = self._in_one_place(bank[lost], bank[found], np.ones((len(lost), len(found)), bool))
         if not same.any():
             return bank
         source, keep = np.arange(len(seen)), np.ones(len(seen), bool)
@@ -378,7 +379,7 @@ class Tracker:
                 source[old], keep[new] = new, False
             else:
                 keep[old] = False
-        taken = bank.rows(source)
+        taken = bank[source]
         known = taken.counts > 0
         merged = replace(
             taken,
@@ -390,12 +391,12 @@ class Tracker:
             birth=bank.birth,
             number=bank.number,
         )
-        return merged.rows(keep)
+        return merged[keep]
 
     def _tracks(self, time_s: float) -> Tracks:
         """Return the confirmed tracks at the present."""
         order = np.argsort(self._bank.number, kind="stable")
-        confirmed = self._bank.rows(order[self._bank.number[order] >= 0])
+        confirmed = self._bank[order[self._bank.number[order] >= 0]]
         bank, _ = self._predicted(confirmed, max(time_s, confirmed.time_s))
         box, mean, covariance = bank.box, bank.state.mean, bank.state.covariance
         xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]

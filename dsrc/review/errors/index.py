@@ -1,8 +1,8 @@
 """ErrorIndex: every error of a run in columns, the worst first, and the frames with the most of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from dsrc.review.errors.filters import ANY, FN, FP, KINDS, POOR, ErrorFilter
 from dsrc.review.errors.judged import UNKNOWN, JudgedRun
 from dsrc.review.matching import Counts
 from dsrc.review.sources.base import Setup, condition_title
+from sim.rows import Rows
 
 POOR_IOU = 0.7
 """IoU below which a true positive is poor."""
@@ -20,7 +21,7 @@ _CLEAR_POINTS = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ErrorTable:
+class ErrorTable(Rows):
     """E errors of a run, a row each.
 
     Attributes:
@@ -44,6 +45,8 @@ class ErrorTable:
         setups: of their detections.
     """
 
+    SHARED: ClassVar = ("methods", "conditions", "setups")
+
     kind: NDArray[np.uint8]
     method: NDArray[np.int64]
     row: NDArray[np.int64]
@@ -63,14 +66,6 @@ class ErrorTable:
     conditions: tuple[str, ...]
     setups: tuple[Setup, ...]
 
-    def __len__(self) -> int:
-        return len(self.kind)
-
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.integer] | slice) -> "ErrorTable":
-        """Select errors by a mask, indices or a slice."""
-        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in _COLUMNS}
-        return ErrorTable(**columns, methods=self.methods, conditions=self.conditions, setups=self.setups)
-
     def worst_first(self) -> "ErrorTable":
         """Errors by falling loss; equal ones by frame, kind and distance."""
         return self[np.lexsort((self.distance_m, self.kind, self.row, -self.loss))]
@@ -84,9 +79,6 @@ class ErrorTable:
         where = f"frame {self.frame[row]}, {self.distance_m[row]:.0f} m"
         method = self.method[row]
         return f"{KINDS[self.kind[row]]}, {where}, {self.methods[method]}, {self.conditions[method]}"
-
-
-_COLUMNS = tuple(f.name for f in fields(ErrorTable))[:-3]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

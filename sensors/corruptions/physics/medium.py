@@ -35,13 +35,13 @@ from sensors.sweep import (
     SCATTERED,
     UNKNOWN_MATERIAL,
     Sweep,
-    concatenate,
     make_sweep,
     moved,
     path_at,
     path_of,
 )
 from sim.geometry import invert
+from sim.rows import stacked
 
 _MOST_RETURNS = 2
 """Most returns of one beam: more mean that the columns of a file are unknown."""
@@ -166,7 +166,7 @@ def report(
         return seen if len(kept) == count else seen[kept]
     added = _added(rays, echo, answered)
     order = np.argsort(rays.beam[np.concatenate([kept, answered])], kind="stable")
-    return concatenate(seen, added)[np.concatenate([kept, count + np.arange(len(added))])[order]]
+    return stacked(seen, added)[np.concatenate([kept, count + np.arange(len(added))])[order]]
 
 
 def _seen(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dsrc.review.labs.lost import lost_rows
-from sensors.sweep import ADDED, MOVED, SCATTERED, concatenate, make_sweep
+from sensors.sweep import ADDED, MOVED, SCATTERED, make_sweep
+from sim.rows import stacked
 
 
 def sweep(rng, columns=True):
@@ -41,7 +42,7 @@ def test_a_false_return_does_not_stand_for_the_one_that_it_replaces():
         before[:50], points=before.points[:50] * np.float32(0.5), object_id=np.full(50, ADDED, np.int32),
         fate=np.full(50, SCATTERED, np.uint8),
     )  # fmt: skip
-    np.testing.assert_array_equal(lost_rows(before, concatenate(before[50:], false)), np.arange(50))
+    np.testing.assert_array_equal(lost_rows(before, stacked(before[50:], false)), np.arange(50))
 
 
 def test_zeros_of_either_sign_are_one_place():
