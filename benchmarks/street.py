@@ -16,11 +16,11 @@ from sensors.motion import Path, actor_paths
 from sensors.scan.lidar import Sensor
 from sensors.spec import LidarSpec
 from sim.bodies.choice import MODELS, body_mesh
+from sim.bodies.vehicle_types import TYPES
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import pose_matrix, transform_points
 from sim.mesh.solids import MeshPart, box, join, mesh_part, move, to_mesh, tube
 from sim.traffic.base import Actors
-from sim.vehicle_types import TYPES
 from sim.world.furniture.kerbside import lamp_post
 
 SIDE_M = 400.0

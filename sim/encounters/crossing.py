@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from sim.bodies.vehicle_types import TYPES
 from sim.encounters.draw import (
     AFTER_S,
     CARS,
@@ -22,7 +23,6 @@ from sim.encounters.networks import LANE_M, Arm, LaneSpec, junction
 from sim.encounters.paths import PathBuilder, SpeedProfile
 from sim.encounters.types import HIT_S, EncounterType, Layout, Parameter, ScriptedActor, actor, standing
 from sim.scenario import RoadsideUnit
-from sim.vehicle_types import TYPES
 
 _HALF = 0.5 * LANE_M
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from sim.bodies.vehicle_types import TYPES
 from sim.encounters.draw import AFTER_S, CARS, EAST, JITTER, band, block, pick
 from sim.encounters.networks import LANE_M, Edge, LaneSpec, Node, PlainNetwork
 from sim.encounters.paths import PathBuilder, ReferencePath, SpeedProfile
@@ -21,7 +22,6 @@ from sim.encounters.types import (
 )
 from sim.geometry import Array
 from sim.scenario import RoadsideUnit
-from sim.vehicle_types import TYPES
 
 _HALF = 0.5 * LANE_M
 _LEFT = 2

@@ -5,12 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.bodies.vehicle_types import TYPES
 from sim.encounters.draw import CARS, pick
 from sim.encounters.lane_paths import LanePath, meeting
 from sim.encounters.paths import ReferencePath, SpeedProfile
 from sim.encounters.turning import LEFT, slowing
 from sim.encounters.types import HIT_S, Layout, ScriptedActor, actor, standing
-from sim.vehicle_types import TYPES
 
 LTA_ROLES = ("ego", "conflict", "truck")
 RUNNER_ROLES = ("ego", "conflict", "mate", "opposite")

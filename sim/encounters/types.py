@@ -8,11 +8,11 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from sim.bodies.vehicle_types import TYPES, VehicleType
 from sim.encounters.lane_paths import LanePath
 from sim.encounters.networks import PlainNetwork
 from sim.encounters.paths import ReferencePath, SpeedProfile
 from sim.scenario import Area, RoadsideUnit
-from sim.vehicle_types import TYPES, VehicleType
 
 Role = Literal["ego", "conflict", "occluder", "helper", "jam", "other"]
 """Roles of actors; a `jam` queues behind the conflict actor and disappears with it."""
@@ -43,7 +43,7 @@ class ScriptedActor:
     Attributes:
         name: unique name; `ego` and `conflict` are reserved.
         roles: its roles.
-        type_name: one of `sim.vehicle_types.TYPES`.
+        type_name: one of `sim.bodies.vehicle_types.TYPES`.
         path: path of the centre of its footprint.
         start_m: distance along its path at time 0, m; negative before it appears.
         pace: its speed over time.

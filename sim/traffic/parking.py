@@ -6,13 +6,13 @@ from typing import Any, ClassVar
 import numpy as np
 import shapely
 
+from sim.bodies.vehicle_types import TYPES, VehicleType
 from sim.geometry import Array, wrap_angle
 from sim.roads.kerbside import houses_of
 from sim.roads.networks import resolve_polygons
 from sim.rows import Rows
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
-from sim.vehicle_types import TYPES, VehicleType
 
 NEAR_M = 120.0
 """Margin around `network.area_m` within which cars are parked, m."""

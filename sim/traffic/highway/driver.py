@@ -13,8 +13,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from sim.bodies.vehicle_types import VehicleType
 from sim.traffic.highway.roads import LaneIndex, LaneNetwork, RoadLane, to_world
-from sim.vehicle_types import VehicleType
 
 _SIDE_MPS2 = 4.0
 _TIGHTEST = 0.22

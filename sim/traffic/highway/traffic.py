@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.bodies.choice import generic_models_for
+from sim.bodies.vehicle_types import VehicleType, types_of
 from sim.boxes import Boxes
 from sim.errors import ScenarioError, TrafficError, complaint
 from sim.geometry import wrap_angle
@@ -15,7 +16,6 @@ from sim.traffic.base import SIGNALS, Actors, Limits, TrafficLight, check_comman
 from sim.traffic.highway.driver import Driver
 from sim.traffic.highway.perception import AHEAD_M, Junction, decide, free_speed, path_ahead
 from sim.traffic.highway.roads import LaneNetwork, read_roads, to_world
-from sim.vehicle_types import VehicleType, types_of
 
 FIRST_ID = 1000
 """Object id of the first vehicle."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sim.bodies.vehicle_types import TYPES, VehicleType, types_of
 from sim.errors import ScenarioError, complaint
 from sim.files import write_file
 from sim.reading import LARGEST_BYTES, parsing, read_bytes
@@ -16,7 +17,6 @@ from sim.roads.networks import resolve_trips
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
 from sim.traffic.sumo.routes import Routes, candidate_routes, walkable_edges
-from sim.vehicle_types import TYPES, VehicleType, types_of
 
 AFTER_S = 1800.0
 """Duration of trips after the nominal end, s, for runs that continue."""
@@ -62,7 +62,7 @@ def _vehicles(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: flo
 
 
 def _recorded(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
-    """Yield the recorded trips from a seeded start time on, in vehicles of `sim.vehicle_types`."""
+    """Yield the recorded trips from a seeded start time on, in vehicles of `sim.bodies.vehicle_types`."""
     demand = scenario.demand
     labels = sorted(name for name, weight in demand.type_mix.items() if weight > 0)
     weights = np.array([demand.type_mix[name] for name in labels])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.bodies.choice import choose_model
+from sim.bodies.vehicle_types import TYPES, VehicleType
 from sim.boxes import Boxes
 from sim.errors import TrafficError
 from sim.geometry import center_from_sumo
@@ -23,7 +24,6 @@ from sim.traffic.sumo.input import check_signals, signals_xml, sumo_options
 from sim.traffic.sumo.lane_path import lane_path
 from sim.traffic.sumo.placed import FREE_SPEED_MODE, SUMO_SPEED_MODE, PlacedVehicles
 from sim.traffic.sumo.red_light import red_light_speed
-from sim.vehicle_types import TYPES, VehicleType
 
 FIRST_ID = 1000
 """Object id of the first road user that appears."""

@@ -7,9 +7,9 @@ from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.postprocess import PostSettings, decode_detections
 from dsrc.ops.targets import assign_targets
+from sim.bodies.vehicle_types import TYPES
 from sim.boxes import CLASSES, Boxes
 from sim.errors import SettingsError
-from sim.vehicle_types import TYPES
 from tests.paths import GOLDENS
 
 GOLDEN = GOLDENS / "models" / "anchors.npz"

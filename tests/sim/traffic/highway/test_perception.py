@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from highway_env.road.road import Road
 
+from sim.bodies.vehicle_types import types_of
 from sim.traffic.highway.driver import Driver
 from sim.traffic.highway.perception import Junction, decide
 from sim.traffic.highway.roads import read_roads
-from sim.vehicle_types import types_of
 
 ROADS = read_roads("intersection-v0")
 NUMBER = {lane.name: number for number, lane in enumerate(ROADS.lanes)}

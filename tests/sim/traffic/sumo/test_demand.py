@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from sim.bodies.choice import choose_model
+from sim.bodies.vehicle_types import TYPES, types_of
 from sim.boxes import CLASSES
 from sim.catalog.load import load_scenario
 from sim.errors import ScenarioError
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario
 from sim.traffic.sumo.demand import write_demand
-from sim.vehicle_types import TYPES, types_of
 
 
 def demand(scenario: Scenario, seed: int, folder: Path) -> ET.Element:
