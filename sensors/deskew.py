@@ -42,7 +42,6 @@ def deskew(sweep: Sweep, to: Motion) -> Sweep:
 
     Args:
         sweep: any sweep, compensated or raw.
-        to: the motion wanted.
 
     Raises:
         DataError: path, firing times or, for start and end, the sensor are unknown.

@@ -113,7 +113,6 @@ def first_contact(before: Actors, now: Actors, ego_id: int) -> Contact | None:
     lane is left out, since an encounter's crossing paths share lanes.
 
     Args:
-        before: actors one step ago.
         now: actors now; who was not there before is taken where it is now.
         ego_id: object id of the ego, in both.
 
@@ -179,8 +178,6 @@ def world_contact(before: Actors, now: Actors, ego_id: int, world: SolidWorld) -
     The world does not yield: the ego loses its velocity along its heading, or across it when it is touched at a side.
 
     Args:
-        before: actors one step ago.
-        now: actors now.
         ego_id: object id of the ego, in both.
         world: solid parts of the world.
 

@@ -97,7 +97,6 @@ def warn_deprecated(old: str, new: str, goes: str = GOES, level: int = 3) -> Non
 
     Args:
         old: as the user wrote it: `dsrc.drive`, `--who`, `limit` in a TOML.
-        new: what to write instead.
         goes: date of the release without it.
         level: frames of the stack up to the user's line.
     """

@@ -73,7 +73,6 @@ def check_output(path: Path, kind: str | None = None) -> None:
     """Check before the work that a file may be written.
 
     Args:
-        path: of the file.
         kind: of what will be written, one of `_KINDS`; None for any.
 
     Raises:
@@ -179,7 +178,6 @@ def replacing(path: Path, *, edited: bool = False) -> Iterator[Path]:
     mode of a file that is replaced is kept.
 
     Args:
-        path: of the file.
         edited: the new content is the old one with changes, or the file is one of a cache: whoever wrote it.
 
     Raises:

@@ -45,7 +45,6 @@ def differences(values: NDArray[np.int64], length: NDArray[np.int64], keep: bool
     """Return the differences of (N,) integers within each run; its first is 0, or the value itself with `keep`.
 
     Args:
-        values: run after run.
         length: of each run, at least 1; their sum is N.
         keep: keep the first value of each run, as `sums` needs it.
     """
@@ -73,10 +72,6 @@ def write_arrays(path: Path, arrays: dict[str, NDArray]) -> None:
 
 def read_arrays(path: Path, what: str) -> dict[str, NDArray]:
     """Read the arrays of a .npz.
-
-    Args:
-        path: of the file.
-        what: expected content, for messages.
 
     Raises:
         DataError: the file is missing, damaged or larger than `LARGEST_BYTES` in memory.

@@ -22,8 +22,6 @@ def check_regular(path: Path, what: str, error: type[UserError] = DataError, mos
     """Check before the opening that a file is a regular one of bounded size: a pipe would wait for ever.
 
     Args:
-        path: of the file.
-        what: expected content, for messages.
         error: class of error to raise.
         most: largest size, bytes.
 

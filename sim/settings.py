@@ -25,7 +25,6 @@ def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Setti
     """Read a TOML file into a struct.
 
     Args:
-        path: of the file.
         kind: struct class; its tables are structs, tuples or dicts of structs.
         error: class of error to raise.
 
@@ -64,7 +63,6 @@ def convert(
 
     Args:
         raw: values of the types that TOML and JSON have.
-        kind: type to make.
         where: file or command that they are of, for the message.
         error: class of error to raise.
         field: that the values are of, where they are not all of `where`.

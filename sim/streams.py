@@ -69,7 +69,6 @@ def random_generator(seed: int, stream: Stream, *keys: int | str) -> np.random.G
 
     Args:
         seed: root seed, >= 0.
-        stream: purpose of the draws.
         keys: see `Stream`; integers are taken modulo 2^32, strings by their CRC-32.
     """
     return np.random.default_rng(_sequence(seed, stream, *keys))

@@ -93,7 +93,6 @@ def open_drive(path: Path, motion: Motion | None = None) -> Drive:
     """Open a drive by a path that `list_drives` gives.
 
     Args:
-        path: of the drive.
         motion: compensation of the sensors' motion in the frames; None for that of the files.
 
     Raises:

@@ -23,10 +23,8 @@ def simulate_frames(
 
     Args:
         scenario: a scenario, its name or its path.
-        frames: number of frames.
         seed: of everything random; None for the scenario's.
         interval_s: time between frames, s.
-        visibility: measure visible fractions.
 
     Raises:
         ScenarioError: the scenario is unknown or not valid, or has too few vehicles for its agents.

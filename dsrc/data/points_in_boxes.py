@@ -19,7 +19,6 @@ def points_in_boxes(
     """Return the pairs of a point and a box around it, faces included, equal to `Boxes.contains`.
 
     Args:
-        boxes: N boxes.
         points: (P, 3 or more) x, y, z, m.
         boxes_from_points: (4, 4) from the points' frame to the boxes'; None for one frame.
         margin: grow every face outwards by this, m.

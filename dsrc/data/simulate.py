@@ -85,12 +85,8 @@ def open_simulated(
     alone, so that a resumed drive, a copied one and one of another sensor see the same.
 
     Args:
-        scenario: the scenario.
-        seed: of everything random.
-        frames: number of frames.
         interval_s: time between frames, s.
         log: path of the traffic log; the world is beside it.
-        visibility: measure visible fractions.
         recorded: a folder whose traffic log, and world if there is one, are copied instead.
         threads: see `sensors.scan.lidar.scan_all`.
         more: further entries of a new log's settings.

@@ -116,7 +116,6 @@ def generate(options: GenerateOptions, progress: Progress | None = None, watch: 
 
     Args:
         options: scenario, folder, frames and more, see `GenerateOptions`; or these as arguments.
-        progress: called after every frame.
         watch: called with every frame that is written.
 
     Returns:
@@ -149,8 +148,6 @@ def make_drive(
 
     Args:
         spec: specification; for an encounter the first draw that the rays prove is taken.
-        drive: its folder.
-        progress: called after every frame.
         recorded: a folder with the drive's traffic log and world, see `open_simulated`.
         threads: see `sensors.scan.lidar.scan_all`.
         more: further entries of the protocol's settings; with a `proof` the encounter is taken as it is.
@@ -205,7 +202,6 @@ def write_drive(
     """Write the missing frames of a drive from any source.
 
     Args:
-        drive: its folder.
         settings: of the drive, plain values; must hold `frames`, `interval_s`, `seed`, `connected_vehicles` and
             `motion`.
         open_source: opens the frames; not called for a finished drive.

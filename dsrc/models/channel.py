@@ -38,7 +38,6 @@ class Receiver:
     """Receiver of an ego over a drive.
 
     Args:
-        spec: settings of the channel.
         seed: seed of the drive's channel.
         interval_s: time between frames, s.
         settings: settings of the detector, which decide the messages, see `payload_of`.
@@ -179,7 +178,6 @@ def payload_of(settings: Any, spec: ChannelSpec) -> Payload:
 
     Args:
         settings: `ModelSettings` of the detector; without a `fusion` it reads clouds, of 16 bytes a point.
-        spec: settings of the channel.
     """
     fusion = getattr(settings, "fusion", "")
     if fusion == "late":

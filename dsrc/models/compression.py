@@ -34,9 +34,7 @@ def message_bytes(settings: ModelSettings, values: int, channels: int) -> int:
     """Return the size of an agent's message, bytes.
 
     Args:
-        settings: settings of the detector.
         values: numbers in its whole maps.
-        channels: channels of all maps.
     """
     rows, columns = tiles(settings)
     sent = values * settings.bits / 8 / settings.compress * tiles_sent(settings) / (rows * columns)
@@ -51,7 +49,6 @@ def reduced(maps: Sequence[Tensor], confidence: Tensor | None, settings: ModelSe
     Args:
         maps: (N, C, H, W) each.
         confidence: (N, h, w) of their own detections, any size that tiles divide; None when all tiles are sent.
-        settings: of the detector.
     """
     # A cell that is not sent stays empty: 0 is none of the steps of 8 bits where numbers are of both signs.
     coarse = [rounded(part, settings.bits) * (part != 0).any(1, keepdim=True) for part in maps]

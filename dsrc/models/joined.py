@@ -60,8 +60,6 @@ def tiles_of(lost: NDArray[np.bool_], whole: GridSpec, grid: GridSpec) -> NDArra
 
     Args:
         lost: tiles of the whole; (0, 0) for none, which is returned.
-        whole: its grid.
-        grid: the other, within it.
     """
     if not lost.size or grid == whole:
         return lost

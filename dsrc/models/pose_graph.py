@@ -102,7 +102,6 @@ def aligned(sample: Sample, detections: Sequence[Detections], grid: GridSpec) ->
     """Correct the poses of a sample's first agents, those with detections.
 
     Args:
-        sample: sample with believed poses.
         detections: detections in each agent's cloud alone, in the ego's frame.
         grid: range that moved clouds are cropped to; points outside it by the believed poses are lost.
     """

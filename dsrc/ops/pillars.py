@@ -50,8 +50,6 @@ def voxelise(
         points: (P, D) float32, D >= 3, xyz first, m.
         range_m: (6,) x_min, y_min, z_min, x_max, y_max, z_max, m.
         cell_xyz: (3,) sides of a voxel, m.
-        max_points: cap per voxel.
-        max_voxels: cap on voxels.
 
     Raises:
         ValueError: points are not (P, 3 or more).

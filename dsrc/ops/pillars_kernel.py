@@ -16,8 +16,6 @@ def sort_voxels(points: Any, low: Any, size: Any, shape: Any, max_points: Any, m
         low: (3,) float32 lower corner of the range.
         size: (3,) float32 sides of a voxel.
         shape: (3,) int64 voxels along x, y and z.
-        max_points: cap per voxel.
-        max_voxels: cap on voxels.
 
     Returns:
         (K,) int64 rows of the kept points, voxel by voxel; (V,) int64 flat cells of the voxels in z, y, x order and

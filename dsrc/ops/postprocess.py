@@ -45,7 +45,6 @@ def decode_detections(
         cls_logits: (2, H, W) logits per anchor, numpy or torch.
         regression: (14, H, W) deltas, 7 per anchor.
         anchors: (H, W, 2, 7).
-        settings: thresholds and filters.
         label: (2,) classes of boxes by anchor; None for cars.
     """
     boxes, scores = candidates(cls_logits, regression, anchors, settings.score_threshold, label)

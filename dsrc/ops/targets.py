@@ -50,7 +50,6 @@ def assign_targets(
         boxes: (n, 7) x, y, z, l, w, h, yaw in the anchors' frame.
         anchors: (H, W, 2, 7) of `anchor_grid`.
         positive_iou: least overlap of a positive anchor, or (2,) of each of a cell.
-        legacy_iou: reproduce the released labels.
         negative_iou: overlap from which an anchor that is not positive is `ignored`.
         fits: (n, 2) whether a box may have each anchor of a cell; all may when left out.
 

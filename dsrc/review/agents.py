@@ -35,10 +35,7 @@ def agent_view(
     """View of an agent.
 
     Args:
-        frame: as shown.
         row: of the agent in the frame.
-        state: of the page.
-        ego_id: agent that detects.
         review_from_world: (4, 4).
         recorded: the frame before the corruption, to show what that removed; left out: nothing is.
     """
@@ -118,7 +115,6 @@ def with_shares(
     """Details of an object or a detection with the agents' shares in it, where these are known.
 
     Args:
-        details: the details.
         shared: shares in the frame.
         titles: displayed names by agent, in the order of the frame.
         place: (3,) centre of a detection in the ego LiDAR's frame, m; None for an object.

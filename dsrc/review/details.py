@@ -22,7 +22,6 @@ def object_details(frame: Frame, object_id: int | None, ego_id: int, titles: Seq
     Args:
         frame: the frame, its sweeps corrupted or not.
         object_id: the object, or None.
-        ego_id: the agent that detects.
         titles: names of the agents, in the order of the frame.
     """
     found = np.flatnonzero(frame.truth.object_id == object_id)
@@ -54,9 +53,7 @@ def verdict_on(object_id: int, truth: Boxes, matches: RankedMatches, threshold: 
     """Verdict on an object, and score and IoU of its detection, NaN without one.
 
     Args:
-        object_id: the object.
         truth: the M evaluated objects, in the order of the matches.
-        matches: of the frame.
         threshold: least score of a detection.
     """
     rows = np.flatnonzero(truth.object_id == object_id)
@@ -85,9 +82,6 @@ def detection_details(
         frame: the frame, its sweeps corrupted or not.
         rank: place of the detection in the order of the scores.
         detections: of the frame, in the ego LiDAR's frame.
-        truth: the evaluated objects.
-        matches: of the frame.
-        ego_id: the agent that detects.
         titles: names of the agents, in the order of the frame.
         labelled: whether the drive has ground truth.
     """

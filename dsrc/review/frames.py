@@ -31,11 +31,7 @@ _ROUTE_STEP = 20
 
 
 class LatestUsed(Generic[T]):
-    """Cache that drops what was used longest ago; threads may share it, and may then make a value twice.
-
-    Args:
-        kept: number of values.
-    """
+    """Cache that drops what was used longest ago; threads may share it, and may then make a value twice."""
 
     def __init__(self, kept: int) -> None:
         self._kept = kept
@@ -67,7 +63,6 @@ class FrameStore:
         source: the source.
 
     Args:
-        source: the source.
         kept: number of frames as recorded, and of corrupted ones.
     """
 
@@ -84,8 +79,6 @@ class FrameStore:
         """Return a frame under a condition.
 
         Args:
-            row: of the frame.
-            condition: of the sweeps.
             ego_id: agent that detects; None for the first vehicle.
 
         Raises:

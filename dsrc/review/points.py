@@ -72,7 +72,6 @@ def point_colors(
     """(P, 3) uint8 colours of the points.
 
     Args:
-        sweep: the points.
         color_by: quantity shown by the colour.
         agent_rgb: the agent's colour.
         height_of: (4,) third row of body_from_lidar: sensors may be tilted.

@@ -116,9 +116,7 @@ def with_changes(state: ReviewState, methods: Callable[[int], Collection[str]], 
     nothing is broken or fixed without another run.
 
     Args:
-        state: before.
         methods: function from a drive to the names of its sets of detections.
-        changes: fields and their values.
     """
 
     def differ(*names: str) -> bool:

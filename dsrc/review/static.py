@@ -87,7 +87,6 @@ def static_parts(
         protocol: content of the drive's `data_protocol.yaml`, {} without one.
         origin: (3,) world position of the review frame's origin, m.
         places: (N, 2) world positions whose surroundings are drawn, m.
-        radius_m: radius of the surroundings.
 
     Raises:
         DataError: the world cannot be rebuilt: its network, SUMO or a file of it is missing.

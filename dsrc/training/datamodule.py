@@ -114,9 +114,7 @@ class DetectionData(pl.LightningDataModule):
         """Open the drives.
 
         Args:
-            recipe: batch size, augmentation, hold-out.
             settings: settings of the trained network.
-            drives: training drives.
             validation_drives: validation drives; None holds out the end of each training drive.
             seed: seed of order and augmentation.
         """

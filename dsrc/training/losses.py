@@ -146,7 +146,6 @@ def distillation_losses(
         foreground: (N, H, W) bool cells with a point on one of the agent's objects.
         positive: (B, h, w, 2) bool positive anchors.
         agents: number of agents of each row of the fused maps.
-        settings: weights and forms.
     """
     if settings.form == "released":
         return _released_losses(student, teacher, foreground, agents, settings)

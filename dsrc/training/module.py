@@ -40,7 +40,6 @@ class DetectionModule(pl.LightningModule):
         """Set up the networks.
 
         Args:
-            recipe: rates, weights and alarms.
             detector: trained network; its settings choose the losses.
             teacher: frozen teacher of a detector that distils.
             seed: seed of draws within the network: dropout, and the cells that Where2comm sends.

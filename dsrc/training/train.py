@@ -127,9 +127,6 @@ def train(
     foreground, are averaged by device and not by cell.
 
     Args:
-        recipe: settings of the training.
-        data: folder of drives.
-        out: run folder.
         stage: `teacher` reads clouds made with ground truth; `student` is the recipe's model; `plain` is the student
             without distillation and reconstruction.
         teacher: detector file of a teacher, for a student that distils.
@@ -141,7 +138,6 @@ def train(
         init: detector file to start from: weights that match by name and shape are taken, and counted in the record.
         devices: GPUs, or processes without a GPU, that train together on this machine; `torchrun` brings its own
             number.
-        callbacks: further Lightning callbacks.
 
     Returns:
         The detector file.

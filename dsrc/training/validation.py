@@ -56,7 +56,6 @@ def metrics_of(results: Sequence[FrameResult], unseen: bool) -> dict[str, float]
     NaN without ground truth, or without headings.
 
     Args:
-        results: of the frames.
         unseen: the frames are not trained on.
     """
     curves = evaluate(results, thresholds=THRESHOLDS).curves

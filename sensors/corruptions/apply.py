@@ -31,11 +31,8 @@ def corrupt(sweep: Sweep, kind: str, severity: int, rng: np.random.Generator, fa
     """Return the sweep under a corruption, its lost points counted in `Sweep.lost`.
 
     Args:
-        sweep: as measured.
         kind: key of `CORRUPTIONS`, or `clean`.
         severity: 1 to 5; 3 is the paper's.
-        rng: the only randomness.
-        family: of the settings.
 
     Raises:
         SettingsError: an unknown kind, severity or family, or a kind that acts on frames: see `corrupt_frame`.
@@ -66,11 +63,9 @@ def corrupt_frame(
     """Corrupt the sweeps of the agents of a frame; ground truth and its point counts stay.
 
     Args:
-        frame: as recorded.
         kind: key of `CORRUPTIONS`, or `clean`.
         severity: 1 to 5.
         seed: of the drive; frames may be corrupted in any order.
-        family: of the settings.
         ego_id: agent without errors of pose and clock, and the ego of `who`; None for the first vehicle in the order
             of the folders, else the first agent.
         who: agents whose sweeps are corrupted.

@@ -39,8 +39,6 @@ def corrupt(sweep: Sweep, settings: BeamMissing, rng: np.random.Generator) -> Sw
 
     Args:
         sweep: any sweep; of an unknown sensor only rings with points count.
-        settings: of the corruption.
-        rng: draws the dead rings.
 
     Raises:
         DataError: rings are missing and cannot be estimated, or are not those of the sensor.

@@ -53,8 +53,6 @@ def check_corruption(corruption: str | Apply, *, family: Family = "physical", se
 
     Args:
         corruption: registered kind, or a function `corruption(sweep, severity, rng) -> Sweep`.
-        family: of a registered kind.
-        seed: of all draws.
 
     Raises:
         SettingsError: rules are broken, one line for each; or the kind is unknown.

@@ -54,9 +54,6 @@ def in_frame(frame: Frame, row: int, settings: ClockOffset, rng: np.random.Gener
     """Return the delayed sweep of the agent in a row of the frame, under its current timestamp.
 
     Args:
-        frame: as recorded.
-        row: of the agent.
-        settings: of the corruption.
         rng: of the agent, restarted for every frame of a drive.
     """
     late_s = 1e-3 * settings.late_ms * rng.uniform(1.0 - _SPREAD, 1.0 + _SPREAD)

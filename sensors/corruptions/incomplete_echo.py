@@ -57,9 +57,6 @@ def corrupt(
     """Remove the weakest returns on vehicles; the others are unchanged, in order.
 
     Args:
-        sweep: any sweep.
-        settings: of the corruption.
-        rng: draws the speckle.
         on_vehicle: (P,) mask of points on vehicles; default: objects without a person's materials.
     """
     if on_vehicle is None:

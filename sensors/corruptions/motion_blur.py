@@ -103,8 +103,6 @@ def corrupt(
     """Displace points by uncompensated motion, vibration and moving objects.
 
     Args:
-        sweep: any sweep.
-        settings: of the corruption.
         rng: draws the vibration; the same, only weaker, at a lower severity.
         velocities: of sensor and objects, from the frame.
 

@@ -66,9 +66,6 @@ def in_frame(frame: Frame, row: int, settings: PoseError, rng: np.random.Generat
     """Return the sweep of the agent in a row of the frame with its erroneous pose.
 
     Args:
-        frame: as recorded.
-        row: of the agent.
-        settings: of the corruption.
         rng: of the agent, restarted for every frame of a drive.
     """
     agent = frame.agents[row]

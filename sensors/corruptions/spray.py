@@ -113,8 +113,6 @@ def corrupt(frame: Frame, row: int, spray: Spray, rng: np.random.Generator) -> S
 
     Args:
         frame: gives the vehicles' boxes and velocities.
-        row: of the agent.
-        spray: of the road.
         rng: in the same state for all agents and frames of a drive, which share the patches.
     """
     agent = frame.agents[row]
@@ -169,9 +167,6 @@ def _add_plume(
     """Add depth and echoes of one plume to L rays, nearer plumes first.
 
     Args:
-        plume: the plume.
-        patches: of the drive.
-        world_rays: all rays.
         jitter: (L,) uniform in [0, 1): sample position within a step.
         depth: (L,) optical depth so far, added to.
         strongest: (L,) power of the strongest echo so far, updated.
@@ -274,9 +269,7 @@ def _rays_toward(plume: Plume, start: NDArray[np.float32], world_rays: _WorldRay
     """Return the few rays, in their order, whose azimuth leads to a plume.
 
     Args:
-        plume: the plume.
         start: (2,) origin of all rays in its frame, m.
-        world_rays: all rays.
     """
     everything = np.arange(len(world_rays.reach))
     if len(everything) == 0:
@@ -307,9 +300,6 @@ def _sample_depth(
     """Return (N, K) optical depth of each step and (N, K) its sampled range, m.
 
     Args:
-        plume: the plume.
-        patches: of the drive.
-        world_rays: all rays.
         segment: N of them.
         jitter: (N,) sample position within a step, as a share of it.
         steps: K.

@@ -119,8 +119,6 @@ def _under_film(ground: Sweep, found: Ground, brightness: NDArray[np.float64], w
     """Return (G,) reflectivity of ground under water, relative to dry ground.
 
     Args:
-        ground: the G points.
-        found: their incidence.
         brightness: (G,) returned light of dry ground, relative to a white surface at normal incidence.
         water_mm: height of the water, mm.
     """

@@ -153,7 +153,6 @@ class Engine(Protocol):
         """Cast N single rays against one solid.
 
         Args:
-            solid: triangles.
             origins: (N, 3) m, relative to `solid.origin`.
             directions: (N, 3) unit vectors; zero or NaN directions miss.
             reach: (N,) farthest distance, m; not changed.

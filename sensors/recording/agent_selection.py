@@ -28,7 +28,6 @@ def choose_agents(drive: Sequence[Actors], scenario: Scenario, rng: np.random.Ge
     Args:
         drive: the actors at each frame, at least one.
         scenario: gives the rule, the area and the name for messages.
-        rng: random numbers.
 
     Raises:
         ScenarioError: too few vehicles stay for the whole drive, or a named one leaves.
@@ -59,7 +58,6 @@ def nearest_agents(actors: Actors, scenario: Scenario, ego_id: int) -> list[int]
     Args:
         actors: at the start of the drive.
         scenario: gives the rule and the area.
-        ego_id: one of the actors.
     """
     rule = scenario.agents
     ids = actors.boxes.object_id
@@ -113,7 +111,6 @@ def _partners(
 
     Args:
         xy: (T, V, 2) m.
-        count: partners per vehicle.
         within_m: distance that counts as near.
         rng: draws among partners whose shares agree to a tenth, not always the nearest, which see what the ego sees.
     """

@@ -117,10 +117,6 @@ def with_proven_encounter(scenario: Scenario, seed: int) -> Scenario:
 def find_encounter(scenario: Scenario, seed: int) -> ProvenEncounter:
     """Return the first draw of a seed whose proof holds, with the control of the same draw.
 
-    Args:
-        scenario: has a conflict.
-        seed: of the draws.
-
     Raises:
         ScenarioError: no proof holds among `conflict.draws` draws, or a value is out of its range.
     """
@@ -204,7 +200,6 @@ def prove_encounter(scenario: Scenario, seed: int, *, hurry: bool = False) -> Pr
 
     Args:
         scenario: has a conflict; its control and its draw are used unchanged.
-        seed: of the drive.
         hurry: stop at the first failed condition; later results stay None.
     """
     scenario = with_encounter(scenario, seed)

@@ -79,10 +79,8 @@ def record(
         world: static world in the world frame, None for an empty one.
         scenario: rule of the agents, area and roadside units.
         seed: of the choice of agents and of the sensors' noise.
-        frames: number of frames.
         interval_s: time between frames, a multiple of the traffic's step.
         body_mesh: meshes of actors; left out: those of `sim.bodies.choice`.
-        visibility: measure visible fractions.
         threads: see `sensors.scan.lidar.scan_all`.
 
     Raises:

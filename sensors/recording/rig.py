@@ -51,11 +51,7 @@ class Rig:
         """Mount the LiDARs and place the roadside units on the ground.
 
         Args:
-            scenario: rule of the agents.
-            scene: static world.
-            seed: of noise and drop-off.
             vehicle_spec: LiDAR of the vehicles; left out: the scenario's.
-            visibility: measure visible fractions.
             threads: see `sensors.scan.lidar.scan_all`.
 
         Raises:
@@ -93,7 +89,6 @@ class Rig:
         Args:
             index: number of the frame; it selects the random numbers.
             agents: ids of vehicles in `now` and of roadside units.
-            now: actors at the instant.
             before: actors `margin` steps earlier; left out: extrapolated.
             after: actors `margin` steps later; left out, as in a live simulation: extrapolated at constant velocity.
             only_for: false actors by the agent whose LiDAR alone measures them; they are no ground truth.

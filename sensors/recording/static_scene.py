@@ -15,10 +15,6 @@ _KEPT = 4
 def static_scene(scenario: Scenario, seed: int) -> RayScene:
     """Return the scene of a scenario's world without bodies; equal scenarios and seeds share one.
 
-    Args:
-        scenario: of the world.
-        seed: of its generated parts.
-
     Raises:
         ScenarioError: see `sim.world.build.build_world`.
     """
@@ -27,10 +23,6 @@ def static_scene(scenario: Scenario, seed: int) -> RayScene:
 
 def solid_world(scenario: Scenario, seed: int) -> SolidWorld:
     """Return the solid parts of a scenario's world; equal scenarios and seeds share one.
-
-    Args:
-        scenario: of the world.
-        seed: of its generated parts.
 
     Raises:
         ScenarioError: see `sim.world.build.build_world`.

@@ -53,7 +53,6 @@ def scan_all(
 
     Args:
         scene: static world and the bodies around the sensors' times.
-        sensors: LiDARs.
         wetness: of the surfaces, 0 dry to 1 covered by a film of water.
         threads: at most; left out: one per core. The number changes no byte.
 
@@ -87,11 +86,9 @@ def scan(
 
     Args:
         scene: static world and the bodies around `time_s`.
-        spec: the sensor.
         world_from_lidar_start: (4, 4) pose half a rotation before `time_s`.
         world_from_lidar_end: (4, 4) pose half a rotation after.
         time_s: reference time, s.
-        rng: noise and drop-off.
         exclude_id: object that carries the sensor, hidden.
         world_from_lidar: (4, 4) pose at `time_s`; half-way between start and end when left out.
         wetness: see `scan_all`.

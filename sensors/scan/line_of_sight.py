@@ -56,7 +56,6 @@ def seen_share(
     An object never hides itself.
 
     Args:
-        scene: static world.
         boxes: N road users, world frame.
         places: (A, 3) of the LiDARs, world frame, m.
         carrier_ids: object ids of what carries them, which does not block its own view; any other for none.

@@ -125,7 +125,6 @@ class Shutter:
         Args:
             poses: (N, 3, 4) at borders.
             row: (c,) row in `poses` of the border before each column; that of the border after it is the next.
-            columns: which.
         """
         table = np.ascontiguousarray(poses.transpose(1, 2, 0), dtype=np.float32)
         start, change = table.take(row, axis=2), np.diff(table).take(row, axis=2)

@@ -23,7 +23,6 @@ def sumo_car(name: str, paint: str) -> MeshPart:
 
     Args:
         name: file name below `data/3D` of SUMO, without its ending.
-        paint: material of the bodywork.
 
     Raises:
         ScenarioError: the file is missing or cannot be read.

@@ -52,9 +52,6 @@ def with_background(layout: Layout, level: TrafficLevel, net: Any, rng: np.rando
     where such a lane ends at a junction. A vehicle that would touch another, or does not fit on the road, is left out.
 
     Args:
-        layout: without background traffic.
-        level: density.
-        net: `sumolib.net.Net` of its roads.
         rng: generator of vehicles and headways.
     """
     if level == "none":

@@ -33,7 +33,6 @@ def lane_paths_of(name: str, net: Any, given: Mapping[str, Sequence[str]]) -> di
 
     Args:
         name: of the scenario, for messages.
-        net: `sumolib.net.Net`.
         given: role -> ids of two lanes, the second reached from the first.
 
     Raises:

@@ -102,7 +102,6 @@ def write_roads(name: str, roads: PlainNetwork) -> Path:
 
     Args:
         name: name of the scenario, prefix of the file name.
-        roads: nodes and edges.
 
     Raises:
         ScenarioError: netconvert fails.

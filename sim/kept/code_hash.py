@@ -131,7 +131,6 @@ def imported_modules(entry: str, root: Path) -> dict[str, Path]:
     The `__init__` of a package counts too, but for those of the outermost packages, which no module inside imports.
 
     Args:
-        entry: name of the module.
         root: folder of the packages; modules elsewhere are left out.
     """
     found: dict[str, Path] = {}
@@ -179,7 +178,6 @@ def _run(tree: ast.AST, expressions: bool) -> Iterator[ast.AST]:
     """Yield the nodes of a tree without those for type checkers alone.
 
     Args:
-        tree: of a module.
         expressions: yield those inside expressions too, where no statement can be.
     """
     waiting = [tree]

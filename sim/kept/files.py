@@ -21,11 +21,8 @@ def kept_file(kind: str, ending: str, module: str, scenario: Scenario, seed: int
     """Return the path of what a module computes for a scenario and a seed.
 
     Args:
-        kind: subfolder of the cache.
         ending: suffix of the file name.
         module: its source and imports are hashed.
-        scenario: decides the result.
-        seed: decides the result.
         more: decides it too, as values of JSON.
     """
     files = [resolve_network(scenario, seed), resolve_polygons(scenario)] if names_network(scenario) else []

@@ -42,8 +42,6 @@ def _read(node: ast.AST, words: list[str], in_class: bool, decorated: bool) -> N
     Empty fields are left out and others named, so that a field that a later Python adds changes nothing.
 
     Args:
-        node: the node.
-        words: of the tree.
         in_class: it lies in the body of a class, not in that of a function.
         decorated: it is the signature of a decorated function.
     """

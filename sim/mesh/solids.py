@@ -103,8 +103,6 @@ def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], material:
         start: (3,) centre of the first cap, m.
         end: (3,) centre of the last cap, m.
         radii: at the start and at the end, m.
-        material: of all faces.
-        sides: number of side faces.
     """
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     axis = (end - start) / np.linalg.norm(end - start)
@@ -178,9 +176,7 @@ def slab(shape: shapely.Geometry, height: Height, top_m: float, wall: str, top: 
 
     Args:
         shape: outline in the world, m.
-        height: of the road.
         top_m: of the upper face above the road.
-        wall: material of the sides.
         top: material of the upper face.
         depth_m: how far the sides reach below the road.
     """

@@ -17,7 +17,6 @@ def path_loss_db(distance_m: ArrayLike, sight: Obstruction, environment: str = "
 
     Args:
         distance_m: between the antennas, m; at least 1 m.
-        sight: obstruction between them.
         environment: `urban` or `highway`, for a free line of sight.
     """
     log_d = np.log10(np.maximum(np.asarray(distance_m, np.float64), 1.0))

@@ -102,8 +102,6 @@ class Channel:
     """Radio channel over a drive.
 
     Args:
-        spec: settings.
-        seed: root seed.
         interval_s: time between instants, s.
 
     Raises:
@@ -123,7 +121,6 @@ class Channel:
         Args:
             instant: instant of sending.
             sender: id of an agent at that instant.
-            receiver: id of another.
         """
         rows = instant.agent_ids.index(sender), instant.agent_ids.index(receiver)
         place = instant.antenna[list(rows)]
@@ -173,7 +170,6 @@ class Channel:
         Args:
             instants: now, then earlier ones, newest first; those beyond `MAX_AGE` are ignored.
             sender: id of an agent now.
-            receiver: id of another.
         """
         now = instants[0].index
         first = None

@@ -21,7 +21,6 @@ def cached(kind: str, name: str, ending: str, key: object, make: Callable[[Path]
     """Return a cached file or folder, made once per key; safe with other processes.
 
     Args:
-        kind: subfolder of the cache.
         name: prefix of the file name.
         ending: suffix of the file name.
         key: everything that the content depends on; the version of eclipse-sumo is added.

@@ -98,7 +98,6 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
 
     Args:
         source: a SUMO network, an OpenStreetMap extract or an OpenDRIVE file.
-        folder: output folder.
 
     Raises:
         ScenarioError: the file is missing, of an unknown format, or refused by netconvert.

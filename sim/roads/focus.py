@@ -37,11 +37,7 @@ class JunctionArea:
 
 
 def densest_junction(net: Any) -> JunctionArea | None:
-    """Return the junction with the most car lanes around it, signalised ones preferred; None without car lanes.
-
-    Args:
-        net: `sumolib.net.Net`.
-    """
+    """Return the junction with the most car lanes around it, signalised ones preferred; None without car lanes."""
     edges = [edge for edge in net.getEdges(withInternal=False) if edge.allows(_CAR)]
     if not edges:
         return None

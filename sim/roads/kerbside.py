@@ -29,7 +29,6 @@ def with_room_to_park(text: str, houses: list[shapely.Geometry]) -> str:
     Ends of footways stay, so that crossings still meet them; no footway moves into a house or another street.
 
     Args:
-        text: of the network.
         houses: outlines of buildings, m.
     """
     streets: dict[str, list[dict[str, str]]] = {}

@@ -26,7 +26,6 @@ def resolve_network(scenario: Scenario, seed: int) -> Path:
     """Return the .net.xml(.gz) file of a scenario, made in the cache if missing.
 
     Args:
-        scenario: names the network.
         seed: of netgenerate's random options; real networks do not depend on it.
 
     Raises:

@@ -35,9 +35,6 @@ def run_tool(name: str, options: Mapping[str, Option], made: Path, what: str) ->
     """Run netconvert, netgenerate or polyconvert.
 
     Args:
-        name: of the program.
-        options: long option -> value.
-        made: expected output file.
         what: begins the error message, such as the file to convert.
 
     Raises:

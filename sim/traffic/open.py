@@ -8,7 +8,6 @@ def open_traffic(scenario: Scenario, seed: int) -> DrivableTraffic:
     """Start the traffic of a scenario: the script of an encounter, highway-env on its roads, else SUMO.
 
     Args:
-        scenario: scenario to simulate.
         seed: root seed; equal seeds give equal actors in every process.
 
     Raises:

@@ -56,8 +56,6 @@ def parked_cars(scenario: Scenario, net: Any, seed: int) -> ParkedCars:
 
     Args:
         scenario: gives the rate, the area and the roadside units.
-        net: `sumolib.net.Net`.
-        seed: root seed.
     """
     share = scenario.demand.parked_per_km * BAY_M[0] / 1000.0
     rng = random_generator(seed, Stream.PARKED_CARS)

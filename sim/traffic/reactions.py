@@ -31,9 +31,6 @@ class YieldShim:
     SUMO often misses an ego off its route's lanes, across them, or at an angle inside a junction: cars drive through
     it. A driver whose way of the next 2.5 s meets such a body brakes after a reaction time, as hard as it takes to stop
     before it and as its vehicle can, and drives on half a second after it has gone.
-
-    Args:
-        attention: of all drivers.
     """
 
     def __init__(self, attention: Attention = "attentive") -> None:
@@ -53,7 +50,6 @@ class YieldShim:
         """Return the highest speeds of the drivers who brake in the next step, by object id, m/s.
 
         Args:
-            actors: at the present.
             unseen: ids of the bodies that the simulation does not see.
             drivers: ids of the vehicles that may brake.
             route: see `DrivableTraffic.route`.

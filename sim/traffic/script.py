@@ -46,7 +46,6 @@ class ScriptedTraffic:
     it brakes for nothing before a crash. A crash makes everybody brake; crashed actors stop at once and stay.
 
     Args:
-        scenario: scenario with an encounter.
         seed: root seed; equal seeds give equal actors in every process.
 
     Raises:

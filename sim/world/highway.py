@@ -30,7 +30,6 @@ def highway_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
     """Build the static world along the roads of an environment, without SUMO.
 
     Args:
-        scenario: names the environment.
         seed: root seed of houses and trees.
 
     Returns:

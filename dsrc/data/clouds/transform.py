@@ -74,7 +74,6 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
                 or `gt_bboxes_3d` (mmdetection3d) are used by kinds that need objects, and labels per point stay in
                 step.
             index: number or name of the sample; None for that of the dictionary, or else the points themselves.
-            rng: draws instead.
 
         Raises:
             DataError: see `dsrc.corrupt`.

@@ -57,7 +57,6 @@ def generate_dataset(options: BuildOptions, pool: Pool = SERIAL, progress: Progr
 
     Args:
         options: split file, folder, splits and cards, see `BuildOptions`; or these as arguments.
-        pool: workers.
         progress: called with (frames done, frames in all).
 
     Returns:

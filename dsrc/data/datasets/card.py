@@ -115,7 +115,6 @@ def write_card(split: Path, out: Path | None = None, pool: Pool = SERIAL) -> Pat
     Args:
         split: the folder, in any supported format.
         out: folder of the card; None for `SPLIT.card` beside it.
-        pool: workers.
 
     Returns:
         The Markdown file.

@@ -50,7 +50,6 @@ def check_dataset(root: Path, pool: Pool = SERIAL, progress: Progress | None = N
 
     Args:
         root: a drive, a folder of drives or of splits, in any supported format.
-        pool: workers.
         progress: called with (drives done, drives in all).
 
     Raises:

@@ -109,7 +109,6 @@ def convert(options: ConvertOptions, pool: Pool = SERIAL, progress: Progress | N
 
     Args:
         options: drives, folder, format and what is written, see `ConvertOptions`; or these as arguments.
-        pool: workers.
         progress: called with (frames done, frames in all).
 
     Returns:

@@ -86,12 +86,8 @@ def _corrupt_drive(
     """Write the missing frames of a drive.
 
     Args:
-        job: the drive.
-        reader: of its source.
-        executor: workers.
         progress: called with frames done and frames in all.
         done: frames of the drives before.
-        total: frames of all drives.
     """
     protocol = _protocol(job, reader)
     with locked(job.out):

@@ -64,7 +64,6 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
 
     Args:
         options: scans, file or folder of the corrupted ones, corruption and seed.
-        pool: workers.
         progress: called with (scans done, scans in all).
 
     Returns:

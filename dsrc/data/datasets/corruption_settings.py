@@ -39,7 +39,6 @@ def corruption_entry(options: CorruptOptions, code: str) -> dict[str, Any]:
     """Return the entry of a corruption among the settings of what it has made, of plain values.
 
     Args:
-        options: of the run.
         code: hash of the code that corrupts.
     """
     family, settings = run_settings(options)

@@ -57,7 +57,6 @@ def render(
             `dsrc.data.datasets.tracks`.
         out: folder of the new drives, which keep their names.
         changes: differences from the recording.
-        pool: workers.
         progress: called with (frames done, frames in all).
 
     Returns:

@@ -149,7 +149,6 @@ def expand(dataset: DatasetSpec, path: Path) -> list[DriveItem]:
     """Return the drives of a dataset, in the order of its file.
 
     Args:
-        dataset: content of the file.
         path: of the file, for files beside it and for messages.
 
     Raises:

@@ -179,7 +179,6 @@ def check_box(path: Path, field: str, center: Sequence[float], size: Sequence[fl
     """Check that a box can be one of the world.
 
     Args:
-        path: of its file.
         field: its name in the file.
         center: its centre, m.
         size: its edges, m.

@@ -124,7 +124,6 @@ def scan(words: Any, end: Any, place: Any, values: Any, bits: Any, done: Any, te
         done: number of values already read.
         tens: (23,) float64 powers of ten.
         high: (161,) uint64 upper halves of the 128 bits of 10^-80 to 10^80.
-        low: the lower halves.
 
     Returns:
         The next byte and the number of values: all of them, or the byte begins a word for a slower reader or has

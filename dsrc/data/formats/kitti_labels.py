@@ -69,7 +69,6 @@ def read_labels(path: Path, camera_from_lidar: NDArray[np.float64], scored: bool
     """Read the vehicles of a label file.
 
     Args:
-        path: of the file.
         camera_from_lidar: (4, 4) from the LiDAR's frame to the rectified camera's.
         scored: lines end with a confidence.
 

@@ -106,7 +106,6 @@ class Fusion(nn.Module):
 
         Args:
             maps: (N, C, H, W) each, as of `send`.
-            layout: agents of the rows.
             network: the detector, for a method that runs parts of it again.
 
         Returns:

@@ -45,13 +45,8 @@ class CoBEVT(Fusion):
         """Make the blocks.
 
         Args:
-            channels: channels of the maps.
-            agents: maximum number of agents.
-            depth: number of blocks.
-            heads: heads of each attention.
             window: side of a window, cells.
             hidden: width of the feed-forward layers; None is that of the maps.
-            dropout: dropout in training.
             released: pad the agents as OpenCOOD does.
         """
         super().__init__()

@@ -65,15 +65,9 @@ class ERMVP(Fusion):
         """Make the sampler and the blocks.
 
         Args:
-            channels: channels of the maps.
-            agents: maximum number of agents.
-            depth: number of blocks.
-            heads: heads of each attention.
             window: side of a window, cells.
             hidden: width of the feed-forward layers; None is that of the maps.
-            dropout: dropout in training.
             sampled: share of the cells that are sent.
-            merged: clusters per sampled cell.
             released: fuse whole maps as the published code does.
         """
         super().__init__()

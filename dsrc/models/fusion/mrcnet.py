@@ -39,7 +39,6 @@ class MRCNetStyle(Fusion):
         """Make the layers.
 
         Args:
-            channels: channels of the scales.
             width: D, channels of all scales while they are fused.
         """
         super().__init__()

@@ -41,8 +41,6 @@ class V2VNet(Fusion):
         """Make a graph network.
 
         Args:
-            channels: channels of the maps.
-            rounds: rounds of messages.
             released: masks as OpenCOOD's.
             agg: aggregation of messages, mean or max.
             gated: messages enter a GRU, else they are added.

@@ -50,12 +50,9 @@ class V2XViT(Fusion):
         """Make the blocks.
 
         Args:
-            channels: channels of the maps.
-            depth: number of blocks.
             heads: heads of the attention over agents.
             windows: side and heads of each size of windows.
             hidden: width of the feed-forward layers; None is that of the maps.
-            dropout: dropout in training.
             widths: heads times channels of a head, of the attention over agents and of each size of windows; None is
                 that of the maps.
         """

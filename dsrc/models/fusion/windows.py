@@ -37,11 +37,8 @@ class AgentWindows(nn.Module):
     """Multi-head window attention over all agents' cells, with a learned bias per relative place and agent.
 
     Args:
-        channels: channels of the map.
-        heads: number of heads.
         agents: L, number of agents that a bias is learned for.
         window: side of a window, cells.
-        dropout: dropout of the result.
     """
 
     def __init__(self, channels: int, heads: int, agents: int, window: int, dropout: float) -> None:

@@ -44,7 +44,6 @@ def teacher_clouds(
     """Build the teacher's clouds.
 
     Args:
-        sample: sample of the student.
         inside: points of a box. With `hull` an agent without objects gets its whole cloud as object cloud, the released
             code's mistake; with `rotated` its object cloud is empty.
         dense: take the points on objects from all agents; else from the agent alone.

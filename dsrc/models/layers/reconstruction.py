@@ -99,9 +99,7 @@ def reconstruction_losses(
     is printed with that weight on the whole sum, which balances nothing.) The offset loss is Equation 8.
 
     Args:
-        head: the reconstruction head.
         fused: (B, C, h, w) fused feature of the student.
-        scene: the target.
         window: share of the feature's height and width that is reconstructed, at a random place.
     """
     fused, scene = windowed(fused, scene, window)

@@ -27,7 +27,6 @@ def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None
     """Write a detector file atomically.
 
     Args:
-        path: the file.
         detector: detector whose weights and settings are stored.
         meta: provenance of the weights; values that are not plain are stored as text.
         half: store floats in half precision: half the size, and differences far below those of two trainings.
@@ -95,8 +94,6 @@ def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Dete
     """Read a student for inference, optimised by `dsrc.models.storage.deploy`.
 
     Args:
-        path: the file.
-        device: device of its tensors.
         engine: key of `ENGINES`.
 
     Raises:
@@ -110,8 +107,6 @@ def load_joined(path: Path, device: str = "cpu", engine: str = "fused", fusion: 
     """Read the students of a detector file, one or several that are joined; arguments and errors as `load_student`.
 
     Args:
-        path: the file.
-        device: device of the tensors.
         engine: key of `ENGINES`.
         fusion: fusion method in place of theirs, see `with_fusion`; "" for theirs.
 

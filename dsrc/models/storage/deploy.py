@@ -35,7 +35,6 @@ def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Dete
     """Copy a detector for inference: the same output, faster.
 
     Args:
-        detector: plain detector.
         precision: precision of matrix products and maps. `torch.bfloat16` keeps 8 bits of the numbers and is nearly
             three times as fast again on CPUs with matrix units for it (AMX); boxes then move by a centimetre, scores by
             0.005.

@@ -77,7 +77,6 @@ def import_opencood(path: Path, origin: Origin | None = None) -> Detector:
 
     Args:
         path: `net_epoch....pth` of a PointPillar model.
-        origin: its training.
 
     Raises:
         CheckpointError: the file is missing, damaged, of another network, or of one that is not reproduced exactly;

@@ -34,7 +34,6 @@ def filled(path: Path, settings: ModelSettings, state: Mapping[str, tuple[str, T
 
     Args:
         path: of the file, for messages.
-        settings: of the detector.
         state: published name and tensor, by the detector's names, in the order of the file.
 
     Raises:

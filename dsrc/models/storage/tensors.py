@@ -22,8 +22,6 @@ def read_tensors(path: Path, what: str, hint: str = "") -> Any:
     """Return the content of a file of `torch.save`: tensors and plain values alone.
 
     Args:
-        path: of the file.
-        what: expected content, for messages.
         hint: end of the message about a file that cannot be read.
 
     Raises:

@@ -59,8 +59,6 @@ def changes(
     """Changes from one run to another: another condition, or another method.
 
     Args:
-        before: first run.
-        after: second run.
         threshold: least score of a detection in both.
         iou: least bird's-eye IoU of a true positive.
         only: objects of the second run to look at; None for all.

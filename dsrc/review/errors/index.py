@@ -228,7 +228,6 @@ def worst_frames(errors: ErrorTable, rows: NDArray[np.int64]) -> FrameRanking:
     """Frames by falling loss.
 
     Args:
-        errors: of a run.
         rows: (F,) frames of the run in its source, ascending; those without errors are at the end.
     """
     place = np.searchsorted(rows, errors.row)
@@ -244,7 +243,6 @@ def next_error(errors: ErrorTable, row: int, after: int = -1, step: int = 1, kin
 
     Args:
         errors: in the order of the frames, see `ErrorTable.in_order`.
-        row: frame in its source.
         after: the selected error, a row of `errors`; -1 for none: then those of the frame itself come first.
         step: 1 for the next, -1 for the one before.
         kinds: kinds of errors; empty for all.

@@ -44,11 +44,6 @@ class JudgedRun:
         nearest: (D,) int64 row of the true box that each detection overlaps most, -1 without overlap.
         nearest_iou: (D,) float64 bird's-eye IoU with it.
         best_iou: (N,) float64 largest IoU of each true box with any detection.
-
-    Args:
-        method: name of the set.
-        setup: of the detections.
-        table: detections and true boxes.
     """
 
     def __init__(self, method: str, setup: Setup, table: DetectionTable) -> None:

@@ -95,7 +95,6 @@ class Judgements(Recordings):
         """What changes from one state to another of the same drive: a corruption, a method, cooperation.
 
         Args:
-            before: first state.
             after: second state, whose threshold and IoU count.
             only: objects to look at; None for all.
 

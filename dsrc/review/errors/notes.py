@@ -84,9 +84,6 @@ class NoteBook:
         """Write the note on an error, in place of an earlier one, and return it; without text and tags it is removed.
 
         Args:
-            key: of the error.
-            text: of the note.
-            tags: of the note.
             former: key of the error in earlier files, "" for none; its note is replaced too.
             seen: note that the writer changes: what others have changed since stays; None for whatever is there.
 
@@ -162,8 +159,6 @@ def error_key(drive: str, errors: ErrorTable, row: int) -> str:
 
     Args:
         drive: name of the source, another one for each source of a page.
-        errors: of the run.
-        row: of the error.
     """
     alone = "" if errors.setups[errors.method[row]].cooperative else " alone"
     return _key(drive, errors, row, f"ego {errors.ego_id[row]}{alone}")
@@ -190,7 +185,6 @@ def errors_csv(drive: str, errors: ErrorTable, notes: NoteBook | None = None) ->
 
     Args:
         drive: name of the source, as in the keys of the notes.
-        errors: of the run.
         notes: on them; None for none.
     """
     seers = {value: name for name, value in SEERS.items()}

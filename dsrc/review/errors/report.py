@@ -234,11 +234,7 @@ _FIELDS = (
 
 
 class Reports:
-    """Reports of a page, the latest kept; one thread at a time.
-
-    Args:
-        model: of the page.
-    """
+    """Reports of a page, the latest kept; one thread at a time."""
 
     def __init__(self, model: Runs) -> None:
         self._model = model
@@ -248,7 +244,6 @@ class Reports:
         """Return the report of a state; raises as `report`.
 
         Args:
-            state: of the page.
             patience_s: age up to which a report may lack frames that became known since.
         """
         key = tuple(getattr(state, name) for name in _FIELDS)

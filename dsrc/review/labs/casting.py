@@ -28,9 +28,6 @@ _WORLDS_KEPT = 2
 class DriveWorld:
     """Static world and traffic of a simulated drive; threads may share it.
 
-    Args:
-        folder: of the drive.
-
     Raises:
         DataError: a file is missing, as in drives of real sensors, or damaged.
     """
@@ -59,8 +56,6 @@ class DriveWorld:
         Args:
             index: of the frame, which draws the sensor's noise.
             time_s: of the frame, s.
-            spec: the sensor.
-            placement: on its carrier.
             carrier: id of a road user, with which the sensor moves; or (4, 4) world_from_body of something that stands.
 
         Raises:

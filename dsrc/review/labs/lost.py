@@ -13,7 +13,6 @@ def lost_rows(recorded: Sweep, corrupted: Sweep) -> NDArray[np.intp]:
     columns it is taken for the nearest point that is missing.
 
     Args:
-        recorded: sweep as recorded.
         corrupted: the same under a corruption.
     """
     after = corrupted[corrupted.object_id != ADDED]

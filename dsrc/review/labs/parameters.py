@@ -142,14 +142,7 @@ def tuned_settings(condition: TunedCondition) -> Any:
 
 
 def changed(changes: Changes, name: str, value: Value, known: Sequence[Parameter]) -> Changes:
-    """Changes with one more, in the order of the parameters; one with the severity's own value is dropped.
-
-    Args:
-        changes: so far.
-        name: of a parameter.
-        value: its new value.
-        known: parameters of the corruption.
-    """
+    """Changes with one more, in the order of the parameters; one with the severity's own value is dropped."""
     values = {**dict(changes), name: value}
     return tuple((one.name, values[one.name]) for one in known if values.get(one.name, one.value) != one.value)
 
@@ -159,7 +152,6 @@ def parse_change(text: str, known: Sequence[Parameter], where: str) -> tuple[str
 
     Args:
         text: as above.
-        known: parameters of the corruption.
         where: begins the message of an error.
 
     Raises:

@@ -153,7 +153,6 @@ class LivePage:
 
         Args:
             source: of the frames, none so far.
-            host: address to listen on.
             port: of the page; None for a free one.
 
         Raises:

@@ -73,9 +73,6 @@ class AddressBar:
 
     Attributes:
         link: query that it shows.
-
-    Args:
-        client: the browser.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:

@@ -107,7 +107,6 @@ class BrowserCamera:
         """Take the camera of a browser.
 
         Args:
-            client: the browser.
             start: first pose, in the scene; None for that of the state.
         """
         self.scene_from_review = np.eye(4)

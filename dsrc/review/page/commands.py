@@ -41,7 +41,6 @@ def go_to_error(page: Page, step: int, listed: Listed | None = None) -> None:
     Another search of the page takes its place; it ends where the page shows something else, or is closed.
 
     Args:
-        page: of the browser.
         step: 1 for the next, -1 for the one before.
         listed: kind of error; None for those that are listed.
     """

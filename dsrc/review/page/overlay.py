@@ -88,13 +88,10 @@ def add_overlay(
     """Put the overlay into an exported page.
 
     Args:
-        html: the page.
         title: its heading, and the document's.
-        subtitle: one line below it.
         views: `frame_texts` of every frame.
         first: the first frame, for the agents and their colours.
         interval_s: time between frames of the player, s.
-        cameras: the buttons.
     """
     data = {
         "frames": views,

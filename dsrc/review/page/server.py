@@ -132,7 +132,6 @@ def same_origin(headers: Headers, host: str) -> bool:
     tells both in the headers.
 
     Args:
-        headers: of the request.
         host: address that the server listens on.
     """
     name, origin = headers.get("Host", ""), headers.get("Origin")

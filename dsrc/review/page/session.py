@@ -86,10 +86,7 @@ class Session:
 
         Args:
             model: drives, detector and caches, shared by all browsers.
-            using_model: lock of the model.
             worker: detects over whole runs in the background, for all browsers.
-            client: the browser.
-            state: of the start.
             pose: camera of the start, in the scene; None for that of the state.
             notice: text above the controls at the start.
             place_world: function from the row of a drive, called after its first frame, to why its world is not drawn.

@@ -27,8 +27,6 @@ class Stage:
         """Draw nothing yet.
 
         Args:
-            client: the browser.
-            drives: number of drives.
             on_click: called with the object or detection that is clicked.
         """
         self._client, self._on_click = client, on_click
@@ -54,8 +52,6 @@ class Stage:
         """Draw a frame in place of the last one.
 
         Args:
-            view: the frame.
-            drive: row of its drive.
             scene_from_review: function to the (4, 4) pose of the review frame, called once the frame is drawn.
         """
         if self.writer.root != root_of(drive):

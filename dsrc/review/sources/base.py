@@ -194,7 +194,6 @@ def has_labels(read: Callable[[int], Frame], count: int) -> bool:
 
     Args:
         read: function from a row to its frame.
-        count: number of frames.
     """
     for row in sorted({0, count // 2, count - 1} & set(range(count))):
         with contextlib.suppress(UserError):

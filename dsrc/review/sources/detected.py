@@ -36,9 +36,7 @@ class ComputedSet(MemorySet):
 
         Args:
             row: of the frame in its source.
-            clean: frame as recorded.
             corrupted: the same under the setup's condition.
-            setup: of the detection.
 
         Raises:
             DataError: the frame lacks the ego.
@@ -80,9 +78,6 @@ def corrupted_frame(frame: Frame, condition: Condition, seed: int, drive: str, e
     """Frame under a condition, as `dsrc evaluate` makes it; agents that are named and absent are left out.
 
     Args:
-        frame: as recorded.
-        condition: of the sweeps.
-        seed: of the corruptions.
         drive: name of the drive, which its seed depends on.
         ego_id: agent that detects; None for the first vehicle.
 

@@ -20,10 +20,6 @@ class DriveSource:
         seed: of the corruptions.
         sets: sets of detections by name.
 
-    Args:
-        drive: the drive.
-        seed: of the corruptions.
-
     Raises:
         DataError: the drive has no frame.
     """

@@ -46,9 +46,6 @@ class EpisodeSource:
         labelled: True.
         sets: `PERCEPTS` and `TRACKS`.
         ended: whether no more steps come.
-
-    Args:
-        name: as shown.
     """
 
     kind: Kind = "episode"
@@ -70,8 +67,6 @@ class EpisodeSource:
         """Add the next step.
 
         Args:
-            tick: the step.
-            ego_id: of the ego.
             sensed: sweeps behind the newest percept; None without any.
         """
         row, before = len(self._ticks), self._percepts[-1] if self._percepts else None

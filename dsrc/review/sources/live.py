@@ -25,10 +25,8 @@ class LiveSource:
         sets: sets of detections by name.
 
     Args:
-        name: as shown.
         kept: number of frames that are kept.
         protocol: of the drive that is made.
-        seed: of the corruptions.
     """
 
     kind: Kind = "live"

@@ -30,7 +30,6 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
     | a folder of episode logs              | the episodes, sorted by name                   |
 
     Args:
-        path: of the data.
         data: where the drives of results or of a training are now; None for where they were.
 
     Raises:
@@ -82,7 +81,6 @@ def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str]) -> None
     """Add a computed set for each detector to each source.
 
     Args:
-        sources: to be detected in.
         checkpoints: detector files, FILE or NAME=FILE.
 
     Raises:

@@ -25,9 +25,6 @@ class StoredSet:
         runs: by condition.
 
     Args:
-        name: of the method.
-        folder: of the results.
-        drive: the drive.
         number: row of the drive in the index.
         runs: of the method, by condition.
     """
@@ -117,7 +114,6 @@ def stored_drive(index: Path, stored: StoredDrive, moved: Mapping[str, Path]) ->
 
     Args:
         index: file that names the drive.
-        stored: the drive.
         moved: where drives are now, by name.
 
     Raises:

@@ -16,7 +16,6 @@ class SharedSource(DriveSource):
     """Frames of a drive, and the shares of the agents in them.
 
     Args:
-        drive: the drive.
         stored: shares of its folder.
     """
 

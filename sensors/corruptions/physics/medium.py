@@ -154,7 +154,6 @@ def report(
     Args:
         rays: of `rays_of`.
         transmission: (P,) transmission to the points and back, [0, 1].
-        echo: of the medium.
         shift_m: (P,) range error of the targets, m.
     """
     count = len(rays.sweep)

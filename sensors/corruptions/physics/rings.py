@@ -87,10 +87,6 @@ IDENTITIES = _SLOTS
 def rings_of(sweep: Sweep, kind: str) -> Rings:
     """Return the rings of a sweep, estimated where neither sweep nor sensor has them.
 
-    Args:
-        sweep: any sweep.
-        kind: corruption, for the message.
-
     Raises:
         DataError: rings that the sensor lacks, or missing rings that cannot be estimated.
     """

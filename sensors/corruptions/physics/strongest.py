@@ -69,8 +69,6 @@ def strongest_particle(
     """Draw the strongest particle before the target of each ray, where it exceeds target and threshold.
 
     Args:
-        particles: the medium.
-        rays: of the sweep.
         transmission: (P,) transmission to the targets and back.
         rng: draws the same numbers for any medium, as far as it walks down.
     """

@@ -28,8 +28,6 @@ def cached_tables(
 
     Args:
         name: of the file, without its ending; contains all that the tables depend on.
-        shapes: of each table.
-        compute: makes the tables.
         folder: instead of `tables` in the user's cache (see `sim.roads.cache.cache_folder`).
     """
     path = (cache_folder() / "tables" if folder is None else folder) / f"{name}.npz"

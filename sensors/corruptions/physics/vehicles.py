@@ -17,7 +17,6 @@ def points_on_vehicles(frame: Frame, row: int) -> NDArray[np.bool_]:
     Without object ids they are those in its boxes, moved to the time of each point.
 
     Args:
-        frame: as recorded.
         row: of the agent in `frame.agents`.
     """
     sweep = frame.agents[row].sweep

@@ -31,8 +31,6 @@ def strength(seed: int, kind: str, time_s: float) -> float:
     """Return the strength of a kind of weather at a time of a drive, relative to its severity: within 1 +- `DRIFT`.
 
     Args:
-        seed: of the drive.
-        kind: of weather.
         time_s: of the frame, s.
     """
     rng = random_generator(seed, Stream.WEATHER, kind, _DRIFT)

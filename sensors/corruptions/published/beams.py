@@ -149,8 +149,6 @@ def kept_points(points: Cloud, ring: NDArray[np.integer], rings: int, settings: 
     Args:
         points: (P, 3) or a cloud, in the order of the file.
         ring: (P,) in [0, rings), 0 = top.
-        rings: of the sensor.
-        settings: of the other sensor.
     """
     if settings.method == "azimuth":
         return _thinned_by_azimuth(points, ring, rings, settings)

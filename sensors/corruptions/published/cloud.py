@@ -31,7 +31,6 @@ def with_cloud(sweep: Sweep, cloud: Cloud, fate: NDArray[np.integer]) -> Sweep:
     """Return the sweep with the rows of a cloud, intensities clipped to [0, 1].
 
     Args:
-        sweep: of P points.
         cloud: (P, 4).
         fate: (P,) of each point; `SCATTERED` points belong to no object and stay so, `KEPT` keeps the earlier fate.
     """

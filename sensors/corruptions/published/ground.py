@@ -104,7 +104,6 @@ def intensity_line(ground: FittedGround, intensity: Array) -> Array:
     """Return (2,) slope and offset of intensity / cosine over range; zeros if all ground is at one range.
 
     Args:
-        ground: G points.
         intensity: (G,) theirs.
     """
     return _line(ground.range_m, _per_cosine(ground, intensity))
@@ -114,7 +113,6 @@ def noise_line(ground: FittedGround, intensity: Array) -> Array | None:
     """Return (2,) slope and offset of the noise level over range, for intensities of 0 to 255; None without a fit.
 
     Args:
-        ground: G points.
         intensity: (G,) theirs.
     """
     level = _per_cosine(ground, intensity)

@@ -79,7 +79,6 @@ def remaining_points(
         label: (P,) of each point.
         classes: labels of each class of vehicles.
         settings: share to delete.
-        rng: the only randomness.
     """
     left = np.ones(len(label), bool)
     for labels in classes:

@@ -222,7 +222,6 @@ def apply_rain(cloud: Cloud, settings: PaperRain, rng: RandomSource, *, draw: Sa
     Args:
         cloud: (P, 4), intensity of 0 to 1.
         settings: of the rain, at a rate > 0.
-        rng: the only randomness.
         draw: sampler of the drops instead of `draw_drops`.
     """
     settings = replace(settings, extinction=settings.alpha)
@@ -286,8 +285,6 @@ def draw_drops(reach: Array, power: Array, settings: PaperRain, rng: RandomSourc
     Args:
         reach: (P,) range of the targets, m.
         power: (P,) received power of the targets.
-        settings: of the rain.
-        rng: the only randomness.
     """
     sizes = settings.sizes
     largest_m = 1e-3 * (settings.smallest_mm + _RARE / sizes.rate)
@@ -308,7 +305,6 @@ def efficiency(size: Array, index: float) -> Array:
 
     Args:
         size: (N,) circumference over wavelength, more than 0.
-        index: refractive index.
     """
     q = 2.0 + _EDGE * np.maximum(size, 1.0) ** (-2.0 / 3.0)
     small = size <= _LARGEST_SERIES

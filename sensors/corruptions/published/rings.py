@@ -37,11 +37,6 @@ _ROUNDS = 100
 def rings_from(sweep: Sweep, source: RingSource, kind: str) -> tuple[NDArray[np.int64], int]:
     """Return (P,) rings of a sweep and the number of rings of its sensor.
 
-    Args:
-        sweep: any.
-        source: of the rings.
-        kind: corruption, for the message.
-
     Raises:
         DataError: `source` is `sweep`, and rings are missing and cannot be estimated.
     """

@@ -65,8 +65,6 @@ def sample_discs(
     Args:
         filled: share of the plane.
         rate: of the exponential law of diameters, 1/m.
-        radius_m: of the plane.
-        rng: the only randomness.
         draw: sampler of the discs instead of `draw_discs`.
 
     Returns:
@@ -90,8 +88,6 @@ def draw_discs(goal: float, rate: float, radius_m: float, rng: RandomSource) -> 
     Args:
         goal: area, m^2; the mean area of a disc is pi / (3 rate^2).
         rate: of the exponential law of diameters, 1/m.
-        radius_m: of the plane.
-        rng: the only randomness.
     """
     number = int(goal * 3.0 * rate**2 / np.pi) + 16
     reach = np.sqrt(rng.uniform(0.0, radius_m**2, number))

@@ -204,7 +204,6 @@ def film(angle: Array, reflectivity: Array) -> tuple[Array, Array, Array, Array]
 
     Args:
         angle: of incidence, rad.
-        reflectivity: of the ground.
 
     Returns:
         Mirrored s, scattered s, mirrored p, scattered p, shaped as `angle * reflectivity`.

@@ -127,7 +127,6 @@ class FusedEngine:
         """Move the instances to the bodies' poses relative to an origin; `sweep` calls it where needed.
 
         Args:
-            bodies: ids, solids and paths.
             origin: (3,) world frame.
             hidden: ids of bodies hidden from some sensor, at most 31.
         """

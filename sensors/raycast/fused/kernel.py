@@ -489,9 +489,7 @@ def _merge(tables: Any, scratch: Any, subrays: int, order: Any, margins: Any, fo
     """Merge the sub-rays of each beam into echoes and choose those that are reported.
 
     Args:
-        tables: the sweep.
         scratch: hits of the sub-rays; its echoes are written.
-        subrays: number of sub-rays.
         order: (8,) int64 buffer.
         margins: (8,) float32 buffer.
         found: (8, 4) float32 buffer: distance, power, margin and strongest ray of each echo.
@@ -688,14 +686,9 @@ def sweep_rings(
     """Write the points of rings `first` to `last` (exclusive) from row `start` on; return the row after.
 
     Args:
-        tables: the sweep.
-        world: scenes to trace.
         visible: (last - first, B) bool: whether the rays of a block may meet a body.
-        scratch: of this thread.
         columns: written.
         start: row of the first point.
-        first: ring.
-        last: ring after the last.
     """
     row = np.uint64(start)
     subrays = tables.subray.shape[0]
@@ -812,7 +805,6 @@ def place_bodies(
 
     Args:
         calls: see `Calls`.
-        scene: handle.
         geometry: (N,) int64 handles of the slots.
         shown: (N,) int64 number of instants of each slot before; written.
         hidden: (H,) int64 ids of the bodies that rays of mask bit 0, 1, ... do not see.
@@ -868,7 +860,6 @@ def see_bodies(
         moments: (J, 3, 4) float32 poses of the sensor at some moments from the first to the last of the sweep.
         instants: (J,) float32 those moments in body time, 0 to 1.
         unseen: slot of the body hidden from the sensor, or -1.
-        world: the bodies.
     """
     rings, blocks = visible.shape
     size, pose, steps = world.body_size, world.body_pose, world.body_steps

@@ -103,8 +103,6 @@ class PublicEngine:
         Args:
             hits: of all rays, updated.
             rays: (K,) flat rows in `hits`.
-            solid: triangles.
-            object_id: of the solid.
             origin: (K, 3) in the solid's frame, or (n, 3) repeated for each sub-ray.
             direction: (K, 3) in the solid's frame.
         """
@@ -186,8 +184,6 @@ def _rays_towards(
     """Return flat rows of the rays that pass through the sphere around a body's box and all its path.
 
     Args:
-        bodies: moving actors.
-        row: of the body.
         place: (n, 3) origins of the beams, world frame.
         direction: (S, n, 3) of the rays.
         distance: (S, n) where they end, m.

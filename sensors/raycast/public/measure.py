@@ -69,7 +69,6 @@ def measure(hits: RayHits, axis: NDArray[np.float64], place: NDArray[np.float64]
         hits: of the rays; none of beams that are lost before.
         axis: (3, n) directions of the beams along the axes of the world.
         place: (3, n) of the sensor at each firing along them, from where it is at the reference time, m.
-        request: the sweep.
     """
     spec, columns = request.spec, request.beams.columns
     echoes = _single(hits, request.optics) if len(hits.hit) == 1 else _merged(hits, request.optics, spec.returns)

@@ -41,8 +41,6 @@ class ScriptClock:
             driver; infinite before.
 
     Args:
-        ego: script of the ego.
-        others: scripts on this clock.
         step_s: time step, s.
     """
 

@@ -21,8 +21,6 @@ def safe_speed(mover: Mover, before: Actors, ahead: NDArray[np.bool_]) -> float:
     after `_REACTION_S`.
 
     Args:
-        mover: the follower.
-        before: actors at the present.
         ahead: (N,) bodies to mind.
     """
     if not mover.actor.pace.speed_mps.any():

@@ -19,8 +19,6 @@ def gives_up(ego: Mover, plan: Overtaking, ahead: Mover | None) -> bool:
     the vehicle is far away. Without that vehicle, as in the control `no_occluder`, it goes back when it brakes hard.
 
     Args:
-        ego: driven.
-        plan: its overtaking.
         ahead: the vehicle to overtake; None without it.
     """
     if ego.at_m < plan.start_m:
@@ -35,12 +33,7 @@ def gives_up(ego: Mover, plan: Overtaking, ahead: Mover | None) -> bool:
 
 
 def way_back(ego: Mover, lane: ReferencePath) -> tuple[ReferencePath, float]:
-    """Return the path from the ego's place back to a lane, and the distance of that place along it, m.
-
-    Args:
-        ego: on its way out.
-        lane: to return to.
-    """
+    """Return the path from the ego's place back to a lane, and the distance of that place along it, m."""
     old, reach = ego.actor.path, max(_BACK_S * ego.speed, _LEAST_BACK_M)
     # Distance to the left of the lane now, one metre and two metres before: value, slope and bend of the way out.
     places = old.at(ego.at_m - np.array([0.0, 1.0, 2.0]))[0][:, :2]

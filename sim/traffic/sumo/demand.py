@@ -29,7 +29,6 @@ def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
 
     Args:
         scenario: gives rates, mix, area and duration.
-        net: `sumolib.net.Net` of the scenario.
         seed: equal seeds write equal bytes.
         path: the .rou.xml, written atomically.
 

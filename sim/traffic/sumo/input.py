@@ -28,10 +28,6 @@ def sumo_options(scenario: Scenario, seed: int) -> list[str]:
 def check_signals(scenario: Scenario, net: Any) -> None:
     """Check signal programs against the network: SUMO's own messages are vague or missing.
 
-    Args:
-        scenario: gives the programs.
-        net: `sumolib.net.Net`.
-
     Raises:
         ScenarioError: the junction of a program has no signals, two programs, or another number of signals.
     """

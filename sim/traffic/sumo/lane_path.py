@@ -11,7 +11,6 @@ def lane_path(sumo: Any, vehicle: str, centre: NDArray[np.float64], ahead_m: flo
 
     Args:
         sumo: the libsumo module of the running simulation.
-        vehicle: name in SUMO.
         centre: (2,) centre of its box, m: the first point.
         ahead_m: length of the path, m; shorter where the route ends.
 

@@ -17,11 +17,7 @@ _ON_ITS_ROUTE, _EXACTLY_THERE, _ANYWHERE_M = 1, 2, 1e5
 
 
 class PlacedVehicles:
-    """Poses of placed vehicles, by name, and the brakes of others for them.
-
-    Args:
-        shim: reactions of the others.
-    """
+    """Poses of placed vehicles, by name, and the brakes of others for them."""
 
     def __init__(self, shim: YieldShim) -> None:
         self._shim = shim
@@ -85,7 +81,6 @@ class PlacedVehicles:
 
         Args:
             sumo: the libsumo module of the running simulation.
-            actors: at the present.
             drivers: ids of the vehicles that SUMO drives.
             route: see `DrivableTraffic.route`.
             limits: see `DrivableTraffic.limits`.

@@ -14,7 +14,6 @@ def red_light_speed(sumo: Any, vehicle: str, decel_mps2: float, step_s: float) -
 
     Args:
         sumo: the libsumo module of the running simulation.
-        vehicle: name in SUMO.
         decel_mps2: comfortable deceleration, m/s2.
         step_s: time until the next command, s.
 

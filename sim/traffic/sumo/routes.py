@@ -40,7 +40,6 @@ def candidate_routes(net: Any, vclass: str, area: Area | None, focus: tuple[floa
     is the likelier the more lanes its gates have and the nearer it passes to the focus.
 
     Args:
-        net: `sumolib.net.Net`.
         vclass: SUMO's class of the vehicles.
         area: (x_min, y_min, x_max, y_max), m; None is the whole network.
         focus: (x, y) that trips prefer to pass, m; None: no preference.

@@ -97,7 +97,6 @@ def class_of(path: Path, field: str, text: str, length_m: float) -> str | None:
 
     Args:
         path: of the file, for the message.
-        field: where the name is.
         text: name of ours, of CommonRoad, ScenarioNet or nuPlan, in any case.
         length_m: a vehicle that is no more closely named is a truck from `_LONG_M` on.
 
@@ -157,8 +156,6 @@ def to_log(path: Path, recording: Recording, about: dict | None = None) -> Traff
 
     Args:
         path: of the file, for messages.
-        recording: its content.
-        about: metadata of the log.
 
     Raises:
         DataError: there is no track, or they last longer than `LONGEST_S`.

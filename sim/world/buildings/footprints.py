@@ -23,8 +23,6 @@ def outlined(path: Path, streets: Streets, rng: np.random.Generator) -> Building
     """Return the buildings of a .poly.xml file within the window, clipped at lanes and footways.
 
     Args:
-        path: the file.
-        streets: lanes and polygons.
         rng: generator of walls, and of heights that the file lacks.
 
     Raises:

@@ -131,10 +131,8 @@ def blocks(
     """Return seeded houses along the streets of a town, off lanes, footways and junctions.
 
     Args:
-        streets: lanes and polygons.
         units: (U, 3) roadside sensors, whose surroundings stay clear.
         rng: generator of positions, sizes and walls.
-        clear: ground without houses.
     """
     fast = [shapely.LineString(lane.line) for lane in streets.lanes if lane.speed > TOWN_SPEED_MPS]
     near_fast = shapely.unary_union(fast).buffer(_NO_HOUSE_M)

@@ -25,8 +25,6 @@ def barrier(kind: str, line: shapely.Geometry, height_m: float, streets: Streets
     Args:
         kind: one of `HEIGHT_M`.
         line: along which it stands, m.
-        height_m: above the ground.
-        streets: lanes and land.
     """
     frame = shapely.box(*streets.window)
     if line.is_empty or not frame.intersects(line):

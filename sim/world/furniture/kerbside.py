@@ -74,8 +74,6 @@ def furniture(
     """Return the furniture beside the road, none of it on or above a lane.
 
     Args:
-        streets: lanes and polygons.
-        footprint: of the buildings.
         units: (U, 3) roadside sensors, which get a mast and a clear view.
         rng: generator of trees.
         clear: ground without lamps and trees.

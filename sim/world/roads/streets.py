@@ -84,7 +84,6 @@ def read_streets(net: Any, area: Area | None, margin_m: float, bays: shapely.Geo
     """Read the lanes within `margin_m` of an area (default: the whole network) from a sumolib network.
 
     Args:
-        net: `sumolib.net.Net`.
         area: x_min, y_min, x_max, y_max, m.
         margin_m: margin around it, m.
         bays: polygon of parking bays, a part of the road.

@@ -64,10 +64,7 @@ class DairWriter:
 
         Args:
             number: of the frame in the tree; both sides' files have it.
-            batch: number of its drive.
-            drive: its name.
             split: train, val or test.
-            frame: the frame.
 
         Raises:
             DataError: the frame lacks the ego or a second agent.

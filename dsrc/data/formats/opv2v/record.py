@@ -96,7 +96,6 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
     """Return the yaml text of one agent of a frame.
 
     Args:
-        frame: the frame.
         row: the agent's row in it.
         connected_vehicles: list the other agents' own bodies among the vehicles too.
         plan: (K, 3) x, y in the world, m, and speed, m/s, of the agent's coming path.

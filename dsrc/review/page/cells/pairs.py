@@ -117,8 +117,6 @@ def cells_of(model: ReviewModel, state: ReviewState, last_corruption: str = "") 
     the last corruption.
 
     Args:
-        model: of the page.
-        state: of the page.
         last_corruption: kind of the last corruption, "" for none.
     """
     methods = model.methods(state.drive)

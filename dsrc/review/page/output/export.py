@@ -101,9 +101,7 @@ def export_pictures(
     """Yield a (H, W, 3) picture of the scene without panels, drawn by Chromium, for each frame.
 
     Args:
-        model: drives, detectors and caches.
         link: query of the page's address, which says what is shown.
-        size: width and height, px.
         frames: rows of the frames; None for that of the link alone.
         start: what is shown where the link says nothing; None for the first frame as recorded.
 
@@ -161,7 +159,6 @@ def write_animation(images: Iterable[NDArray[np.uint8]], out: Path, interval_s: 
 
     Args:
         images: at least one.
-        out: the file.
         interval_s: time between two of them, s; browsers show none faster than 0.02.
     """
     from PIL import Image

@@ -97,7 +97,6 @@ def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str |
     """Open an address in a new browser, closed at the end of the block.
 
     Args:
-        address: URL.
         size: width and height of the page in pixels.
         chromium: path of the browser; default: the installed one.
 
@@ -167,7 +166,6 @@ def screenshot(
 
     Args:
         url_or_file: URL, or path of an HTML file.
-        out_png: the picture.
         size: width and height in pixels.
         settle_s: time for drawing once the canvas exists, s.
         pause: stop an exported page at its first frame: software rendering is slower than its player.

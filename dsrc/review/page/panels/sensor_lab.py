@@ -68,9 +68,7 @@ def usual_place(spec: LidarSpec, agent: AgentView | None, height_m: float) -> Pl
     """Place of a sensor without one of its own: the preset's on a vehicle, 5 m above the ground elsewhere.
 
     Args:
-        spec: the sensor.
         agent: its carrier; None for a pole.
-        height_m: of the carrier.
     """
     if agent is None:
         return _ON_POLE
